@@ -19,7 +19,7 @@ from tendon_robot_ros.report.robot_picture import draw_robot
 from tendon_robot_ros.robot import load_robot, parse_robot
 from tendon_robot_ros.robot.estimates import handling, sag
 from tendon_robot_ros.robot.urdf import joint_angles, joint_names, transforms, urdf
-from tendon_robot_ros.tables.marker_order import _snapped
+from tendon_robot_ros.tables.markers import _snapped
 
 SHIPPED = ('kato_10_1', 'spatial_3', 'spatial_6')
 ROBOTS = ROOT / 'config' / 'robots'

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from source_tree import ROOT
 
-from tendon_robot_ros.comparison.contradictions import _left, contradicted, outlier_limits
 from tendon_robot_ros.comparison.noise import input_slopes
+from tendon_robot_ros.comparison.outliers import _left, contradicted, outlier_limits
 from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.robot import load_robot
@@ -99,7 +99,7 @@ def test_a_reading_that_one_trial_lost_makes_none_of_the_others_stand_out():
 @pytest.mark.parametrize('many', [1, 2, 12, 300])
 def test_the_largest_of_few_sizes_is_beyond_its_limit_by_chance_alone(many, monkeypatch):
     """Of 5 % of all sets, where the spread is an estimate of so few sizes."""
-    path = 'tendon_robot_ros.comparison.contradictions.FALSE_OUTLIER_PROBABILITY'
+    path = 'tendon_robot_ros.comparison.outliers.FALSE_OUTLIER_PROBABILITY'
     monkeypatch.setattr(path, 0.05)
     random, freedom = np.random.default_rng(many), np.full(many, 3)
     sizes = np.linalg.norm(random.normal(size=(1000, many, 3)), axis=2)

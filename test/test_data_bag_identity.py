@@ -15,8 +15,7 @@ from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import DataSetError
 from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.data.recording.importing import import_bag
-from tendon_robot_ros.data.recording.reader import TF, Topics
-from tendon_robot_ros.data.recording.senders import _taking_turns
+from tendon_robot_ros.data.recording.reader import TF, Topics, _taking_turns
 from tendon_robot_ros.robot import dump_robot
 
 RATE = 25.0

@@ -12,8 +12,7 @@ from numpy.testing import assert_array_equal
 from small_dataset import ROBOT, TEXTS, write
 
 from tendon_robot_ros.common.errors import TendonRobotError
-from tendon_robot_ros.data import DataSet, Marker, load_dataset, save_dataset
-from tendon_robot_ros.data.folder import csv_file
+from tendon_robot_ros.data import DataSet, Marker, csv_file, load_dataset, save_dataset
 from tendon_robot_ros.robot import parse_robot
 
 PIECES = [b',', b'\n', b'"', b';', b'nan', b'inf', b'-', b'e9', b'\0', b'\xff', b'\r', b'', b' ',

@@ -10,11 +10,10 @@ from small_dataset import write
 
 from tendon_robot_ros.common.errors import DataSetError
 from tendon_robot_ros.comparison.compare import compare
-from tendon_robot_ros.comparison.noise import input_slopes
+from tendon_robot_ros.comparison.noise import estimate_noise, input_slopes
 from tendon_robot_ros.comparison.predict import Predictor
-from tendon_robot_ros.comparison.repeatability import estimate_noise
 from tendon_robot_ros.data import join, load_dataset, save_dataset
-from tendon_robot_ros.data.recording.exporting import export_bag
+from tendon_robot_ros.data.recording.writer import export_bag
 from tendon_robot_ros.diagnosis.candidates import why_untested
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.model.model import Model

@@ -9,8 +9,8 @@ from numpy.testing import assert_array_equal
 from small_dataset import INPUTS, write
 
 from tendon_robot_ros.common.errors import DataSetError
+from tendon_robot_ros.data import folder as module
 from tendon_robot_ros.data import load_dataset, save_dataset
-from tendon_robot_ros.data.folder import folder as module
 
 FOLDERS = [TENTACLE, *(blind(letter) / 'check' for letter in LETTERS)]
 

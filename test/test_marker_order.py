@@ -11,7 +11,7 @@ from source_tree import ROOT
 from tendon_robot_ros.common.errors import DataSetError
 from tendon_robot_ros.common.rotations import rigid_fit
 from tendon_robot_ros.robot import load_robot
-from tendon_robot_ros.tables.marker_order import order_markers
+from tendon_robot_ros.tables.markers import order_markers
 
 THREE = load_robot(ROOT / 'config/robots/spatial_3.yaml')
 COARSE = replace(

@@ -26,7 +26,7 @@ from tendon_robot_ros.common.rotations import quaternions, towards
 from tendon_robot_ros.control import Refusal, loading
 from tendon_robot_ros.control.checks import direction
 from tendon_robot_ros.control.loading import Loader
-from tendon_robot_ros.data.folder.path_file import TendonRows
+from tendon_robot_ros.data.path_files import TendonRows
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.paths.plan import Pace
 from tendon_robot_ros.robot import load_robot

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tendon_robot_ros.common.errors import DataSetError
-from tendon_robot_ros.data.folder.path_file import TendonRows, TipRows, read_path, write_path
+from tendon_robot_ros.data.path_files import TendonRows, TipRows, read_path, write_path
 
 NAMES = ('left', 'right')
 

@@ -10,7 +10,7 @@ from tendon_robot_ros.common.errors import EffectError, InputError
 from tendon_robot_ros.drivers.mock import MockDriver
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
-from tendon_robot_ros.robot.routes import tendon_offsets
+from tendon_robot_ros.robot.description import tendon_offsets
 from tendon_robot_ros.simulation.hidden import CAUSES
 from tendon_robot_ros.simulation.plant import make_plant
 

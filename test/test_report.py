@@ -15,7 +15,7 @@ from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import MissingExtraError
 from tendon_robot_ros.common.words import commands, digits, listed, mm, probability, times
 from tendon_robot_ros.comparison.compare import compare
-from tendon_robot_ros.comparison.saved import load_comparison
+from tendon_robot_ros.comparison.result import load_comparison
 from tendon_robot_ros.data import Marker, load_dataset
 from tendon_robot_ros.report import page as page_module
 from tendon_robot_ros.report.comparison_page import comparison_page, write_comparison

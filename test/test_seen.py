@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tendon_robot_ros.data.seen import (
+from tendon_robot_ros.data.tracker_faults import (
     HELD,
     SENTINEL,
     ZERO,

@@ -12,7 +12,7 @@ pytest.importorskip('pandas')
 
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import DataSetError, InputError
-from tendon_robot_ros.common.units import find_unit, read_quantity, split_name
+from tendon_robot_ros.common.words import find_unit, read_quantity, split_name
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.tables.choices import choose_columns
 from tendon_robot_ros.tables.columns import (
@@ -22,7 +22,7 @@ from tendon_robot_ros.tables.columns import (
     names_of,
     triples_of,
 )
-from tendon_robot_ros.tables.points import choose_points
+from tendon_robot_ros.tables.markers import choose_points
 from tendon_robot_ros.tables.reading import read_c3d, read_tables
 from tendon_robot_ros.tables.recipe import Recipe
 

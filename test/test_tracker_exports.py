@@ -16,10 +16,9 @@ from tendon_robot_ros.common.errors import DataSetError
 from tendon_robot_ros.tables import import_table
 from tendon_robot_ros.tables.choices import choose_columns
 from tendon_robot_ros.tables.columns import from_frame, triples_of
-from tendon_robot_ros.tables.points import choose_points, circle_centres
-from tendon_robot_ros.tables.reading import read_tables
+from tendon_robot_ros.tables.markers import choose_points, circle_centres
+from tendon_robot_ros.tables.reading import read_tables, widened
 from tendon_robot_ros.tables.recipe import Recipe
-from tendon_robot_ros.tables.tidy import widened
 
 PLACES = write.truth()
 RIMS = write.rim(PLACES)

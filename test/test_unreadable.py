@@ -14,10 +14,9 @@ from source_tree import ROOT
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common import files
 from tendon_robot_ros.common.errors import DataSetError, InputError
-from tendon_robot_ros.comparison.saved import load_comparison
+from tendon_robot_ros.comparison.result import load_comparison
 from tendon_robot_ros.data import load_dataset
-from tendon_robot_ros.data.recording.exporting import export_bag
-from tendon_robot_ros.data.recording.writer import STORAGES, STRING, BagWriter, Builder
+from tendon_robot_ros.data.recording.writer import STORAGES, STRING, BagWriter, Builder, export_bag
 from tendon_robot_ros.investigation.record import LOG
 from tendon_robot_ros.ros.shared.files import read_mapping
 from tendon_robot_ros.studies.fleet import FleetRow

@@ -32,7 +32,7 @@ import yaml
 
 from ..common.errors import InputError, MissingExtraError, short
 from ..common.files import file_to_write, new_file, read_text
-from ..common.units import STANDARD_GRAVITY
+from ..common.words import STANDARD_GRAVITY
 from ..common.yaml_reading import parse_yaml
 from ..robot import load_robot
 

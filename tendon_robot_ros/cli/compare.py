@@ -21,7 +21,7 @@ from pathlib import Path
 
 from ..common.errors import InputError
 from ..comparison.compare import compare
-from ..comparison.saved import to_json
+from ..comparison.result import to_json
 from ..comparison.statistics import ERRORS
 from ..data import DataSet
 from ..report.comparison_text import sentences, table

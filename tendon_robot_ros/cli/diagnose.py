@@ -19,9 +19,8 @@ import sys
 from dataclasses import replace
 from typing import Any
 
-from ..common.errors import InputError
+from ..common.errors import InputError, Progress
 from ..common.files import file_to_write
-from ..common.given import Progress
 from ..data import DataSet
 from ..diagnosis.add import Addition, add_effects
 from ..diagnosis.diagnose import diagnose

@@ -13,8 +13,7 @@ import argparse
 
 from ..common.errors import InputError
 from ..data import load_dataset
-from ..data.recording.exporting import Timing, export_bag
-from ..data.recording.writer import STORAGES
+from ..data.recording.writer import STORAGES, Timing, export_bag
 from .progress import progress
 
 NAME = 'export-bag'

@@ -19,12 +19,10 @@ from pathlib import Path
 from ..common.errors import InputError
 from ..common.files import file_to_write, refuse_ending
 from ..data import DataSet, save_dataset
-from ..data.folder.description import read_text
-from ..data.folder.folder import refuse_dataset_in
+from ..data.folder import read_text, refuse_dataset_in
 from ..data.recording.importing import Imported, draw_segments, import_bag, summary
-from ..data.recording.reader import Topics
+from ..data.recording.reader import Topics, is_base
 from ..data.recording.still_segments import Rule
-from ..data.recording.transforms import is_base
 from ..tables.recipe import METHODS, UPS, FrameChoice, Recipe
 from .options import input_size, pairs
 from .progress import progress
@@ -119,7 +117,7 @@ def _placed(imported: Imported, method: str | None, up: str | None) -> tuple[Dat
     """Return the data set in the base frame, and what to say of how it came there."""
     from ..effects import load_catalogue
     from ..tables.imported import frame_lines, told
-    from ..tables.placing import place
+    from ..tables.registration import place
 
     known = is_base(imported.frame)
     choice = FrameChoice(method or ('base' if known else None))

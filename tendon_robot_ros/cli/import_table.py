@@ -22,14 +22,13 @@ from typing import Any
 
 from ..common.errors import InputError
 from ..common.files import TABLE_ENDINGS, YAML_ENDINGS
-from ..common.units import read_unit
-from ..common.words import PROGRAM
+from ..common.words import PROGRAM, read_unit
 from ..data.dataset import PATHS
-from ..data.folder.folder import refuse_dataset_in
+from ..data.folder import refuse_dataset_in
 from ..robot import load_robot
 from ..tables import import_table
 from ..tables.columns import ColumnUse
-from ..tables.points import CHOICES
+from ..tables.markers import CHOICES
 from ..tables.recipe import METHODS, UPS, FrameChoice, Recipe, load_recipe
 from .options import add_effect_files, input_size, length, pairs
 from .progress import progress

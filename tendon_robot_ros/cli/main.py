@@ -22,9 +22,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from ..common.cache import keep_bytecode
-from ..common.errors import InputError, MissingExtraError, TendonRobotError
-from ..common.given import meant
+from ..common.errors import InputError, MissingExtraError, TendonRobotError, meant
+from ..common.files import keep_bytecode
 from ..common.words import PROGRAM
 
 # The one list of commands: `python -m`, `ros2 run` and setup.py all read it.

@@ -23,7 +23,7 @@ from typing import Any
 import yaml
 
 from ..common.files import file_to_write, new_file
-from ..common.units import STANDARD_GRAVITY
+from ..common.words import STANDARD_GRAVITY
 from ..robot import Robot, dump_robot, parse_robot
 from ..robot.estimates import (
     SAG_SHARE_MAX,

@@ -12,11 +12,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..common.errors import InputError, TendonRobotError
+from ..common.errors import InputError, Progress, TendonRobotError, listener
 from ..common.files import file_to_write, new_file
-from ..common.given import Progress, listener
-from ..common.units import TYPED_LENGTHS, other_unit, read_quantity
-from ..common.words import digits
+from ..common.words import TYPED_LENGTHS, digits, other_unit, read_quantity
 from ..robot import load_robot
 
 if TYPE_CHECKING:
@@ -25,7 +23,7 @@ if TYPE_CHECKING:
 from collections.abc import Sequence
 
 from ..data import DataSet, join, load_dataset
-from ..data.folder.folder import described_robot
+from ..data.folder import described_robot
 from ..data.recording.importing import import_bag, summary
 from ..data.recording.reader import is_bag
 from ..robot import Robot, dump_robot

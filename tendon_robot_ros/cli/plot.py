@@ -13,7 +13,7 @@ import numpy as np
 
 from ..common.errors import InputError
 from ..common.files import file_to_write, refuse_ending
-from ..data.recording.reader import Moves, Places, read_moves
+from ..data.path_files import Moves, Places, read_moves
 from ..paths.path import PathRun
 from ..report.path_run import draw_run
 from .progress import progress

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 from tqdm import tqdm
 
-from ..common.given import Progress
+from ..common.errors import Progress
 
 PIPED_EVERY_S = 5.0  # [s] between lines at first; work that takes less stays silent
 PIPED_EVERY_SHARE = 0.1  # [1] of the time so far, between later lines: a log stays short

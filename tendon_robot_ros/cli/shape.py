@@ -21,8 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..common.errors import InputError
-from ..common.units import other_unit
-from ..common.words import columns
+from ..common.words import columns, other_unit
 from .options import add_json, add_robot, add_unit, emit, load_model, named_lengths, named_numbers
 
 if TYPE_CHECKING:

@@ -19,13 +19,12 @@ import argparse
 from dataclasses import fields, replace
 from pathlib import Path
 
-from ..common.errors import InputError
+from ..common.errors import InputError, whole
 from ..common.files import file_to_write
-from ..common.given import whole
 from ..data import DataSet, Marker, even_markers, save_dataset
 from ..data.dataset import INPUTS, PATHS
-from ..data.folder.folder import refuse_dataset_in
-from ..data.folder.measurement_files import read_inputs
+from ..data.folder import refuse_dataset_in
+from ..data.measurement_files import read_inputs
 from ..effects import load_catalogue
 from ..robot import Robot, load_robot
 from ..simulation.hidden import Workmanship

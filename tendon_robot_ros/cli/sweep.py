@@ -18,7 +18,7 @@ import numpy as np
 
 from ..common.errors import InputError
 from ..common.files import file_to_write, new_file
-from ..data.folder.path_file import TendonRows, TipRows, write_path
+from ..data.path_files import TendonRows, TipRows, write_path
 from .options import add_robot, load_model
 from .progress import progress
 

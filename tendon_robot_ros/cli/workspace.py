@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any
 from ..common.errors import InputError
 from ..common.files import new_folder
 from ..common.words import columns
-from ..robot.routes import tendon_offsets
+from ..robot.description import tendon_offsets
 from .options import add_cluster, add_json, add_robot, add_unit, emit, length, load_model
 from .progress import progress
 

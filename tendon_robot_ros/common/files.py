@@ -1,4 +1,4 @@
-"""Files and folders that are there whole, or not at all."""
+"""Files and folders that are written whole or not at all; where compiled code is cached."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ import shutil
 import sqlite3
 import sys
 import tempfile
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 
 from .errors import DataSetError, InputError, TendonRobotError
@@ -189,3 +191,42 @@ def shared_file(name: str) -> Path | None:
     prefixes = [sys.prefix, *os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)]
     roots += [Path(prefix) / 'share' / PACKAGE for prefix in prefixes if prefix]
     return next((root / name for root in roots if (root / name).is_file()), None)
+
+
+@cache
+def cache_folder() -> Path:
+    """Folder for compiled code: NUMBA_CACHE_DIR, XDG_CACHE_HOME, home, else temporary."""
+    candidates = [os.environ.get('NUMBA_CACHE_DIR')]
+    if os.environ.get('XDG_CACHE_HOME'):
+        candidates.append(os.path.join(os.environ['XDG_CACHE_HOME'], 'tendon_robot_ros'))
+    elif os.path.expanduser('~') != '~':
+        candidates.append(os.path.join(os.path.expanduser('~'), '.cache', 'tendon_robot_ros'))
+    for candidate in candidates:
+        if not candidate:
+            continue
+        try:
+            path = Path(candidate).resolve()
+            path.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=path):
+                return path
+        except OSError:
+            continue
+    warnings.warn(
+        'no writable cache folder: the model is compiled anew by every process; '
+        'set NUMBA_CACHE_DIR to a writable folder',
+        stacklevel=2,
+    )
+    return Path(tempfile.mkdtemp(prefix='tendon_robot_ros_'))
+
+
+def keep_bytecode() -> None:
+    """
+    Keep compiled Python in `cache_folder()` where it may not be written beside its sources.
+
+    With PYTHONDONTWRITEBYTECODE, which containers set, every node would compile what it imports:
+    a second and a half of processor time. Child processes inherit it.
+    """
+    if sys.dont_write_bytecode and sys.pycache_prefix is None:
+        sys.pycache_prefix = os.environ['PYTHONPYCACHEPREFIX'] = str(cache_folder() / 'bytecode')
+        sys.dont_write_bytecode = False
+        os.environ.pop('PYTHONDONTWRITEBYTECODE', None)

@@ -1,9 +1,13 @@
-"""Numbers as people read them: millimetres, degrees, "six times", lists of names."""
+"""Numbers, units and names as people write and read them, to SI units and back."""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from .errors import InputError
 
 TIMES_WORDS = ('no', 'one', 'two', 'three', 'four', 'five', 'six', 'seven', 'eight', 'nine', 'ten',
          'eleven', 'twelve')  # fmt: skip
@@ -120,3 +124,139 @@ def columns(rows: Sequence[Sequence[str]]) -> str:
         ).rstrip()
         for row in rows
     )
+
+
+STANDARD_GRAVITY = 9.80665  # [m/s²]
+GRAM_FORCE = 1e-3 * STANDARD_GRAVITY  # [N]
+POUND_FORCE = 4.4482216  # [N]
+
+# kind of quantity -> unit as written -> factor to SI (angles to radians; counts need a scale)
+UNITS: dict[str, dict[str, float]] = {
+    'time': {'s': 1.0, 'sec': 1.0, 'seconds': 1.0, 'ms': 1e-3, 'us': 1e-6, 'µs': 1e-6, 'ns': 1e-9,
+             'min': 60.0},
+    'length': {'m': 1.0, 'meters': 1.0, 'metres': 1.0, 'mm': 1e-3, 'millimeters': 1e-3,
+               'millimetres': 1e-3, 'cm': 1e-2, 'centimeters': 1e-2, 'um': 1e-6, 'µm': 1e-6,
+               'inch': 0.0254, 'inches': 0.0254},
+    'force': {'N': 1.0, 'newton': 1.0, 'newtons': 1.0, 'mN': 1e-3, 'cN': 1e-2, 'kN': 1e3,
+              'g': GRAM_FORCE, 'gf': GRAM_FORCE, 'grams': GRAM_FORCE, 'kg': 1e3 * GRAM_FORCE,
+              'kgf': 1e3 * GRAM_FORCE, 'kp': 1e3 * GRAM_FORCE, 'lbf': POUND_FORCE,
+              'lb': POUND_FORCE, 'lbs': POUND_FORCE, 'ozf': POUND_FORCE / 16.0},
+    'angle': {'deg': math.pi / 180.0, 'degrees': math.pi / 180.0, '°': math.pi / 180.0,
+              'rad': 1.0, 'rev': 2.0 * math.pi, 'turns': 2.0 * math.pi},
+    'counts': {'ticks': 1.0, 'tick': 1.0, 'counts': 1.0, 'count': 1.0, 'steps': 1.0},
+    'current': {'A': 1.0, 'mA': 1e-3, 'amps': 1.0},
+}  # fmt: skip
+TYPED_LENGTHS = ('mm', 'm', 'cm', 'inch')  # units of what a person types; the first is usual
+QUANTITY = re.compile(
+    r'^\s*(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?P<unit>\S*)\s*$'
+)
+RATE = re.compile(r'(\d+(?:\.\d*)?)\s*Hz')
+MARKED = re.compile(r'^(?P<name>.+?)\s*(?:\[\s*(?P<a>[^\]]+?)\s*\]|\(\s*(?P<b>[^)]+?)\s*\))$')
+TAILED = re.compile(r'^(?P<name>.+?)(?:[ _./]+|\s*/\s*)(?P<unit>[A-Za-zµ°]+)$')
+AFTER_NAME_ONLY = ('min', 'm', 'g', 'A', '°', 'count', 'tick', 'rev')  # rather names than units
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit as it was written, its kind, and what one of it is in SI."""
+
+    text: str
+    kind: str
+    factor: float
+
+
+def find_unit(text: str) -> Unit | None:
+    """
+    Return the unit that a text is, None where it is none; long ones in any case of letters.
+
+    A rate such as `60Hz` is a unit of time: of one that counts frames.
+    """
+    cleaned = text.strip()
+    for kind, known in UNITS.items():
+        for name, factor in known.items():
+            if cleaned == name or (len(name) > 2 and cleaned.lower() == name.lower()):
+                return Unit(name, kind, factor)
+    if (rate := RATE.fullmatch(cleaned)) and float(rate[1]) > 0.0:  # time counted in frames
+        return Unit(cleaned, 'time', 1.0 / float(rate[1]))
+    return None
+
+
+def read_unit(option: str, text: str, *kinds: str) -> Unit:
+    """
+    Return a unit of one of these kinds.
+
+    Raises
+    ------
+    InputError
+        It is none.
+
+    """
+    unit = find_unit(text)
+    if unit is None or unit.kind not in kinds:
+        known = [name for kind in kinds for name in UNITS[kind]]
+        rate = ', or a rate of frames such as 60Hz' if 'time' in kinds else ''
+        raise InputError(f'{option}: expected one of {", ".join(known)}{rate}, got {text!r}')
+    return unit
+
+
+def read_quantity(option: str, text: str, usual: str, *kinds: str) -> float:
+    """
+    Return a number with a unit, such as `0.2N`, `30 mm` or `12in`, in SI units.
+
+    Parameters
+    ----------
+    option : str
+        Where it stands, for messages.
+    text : str
+        The number, with or without unit.
+    usual : str
+        The unit of a bare number.
+    *kinds : str
+        Kinds of units that may stand there.
+
+    Raises
+    ------
+    InputError
+        It is no finite number, or its unit is of another kind.
+
+    """
+    found = QUANTITY.match(text)
+    if found is None or not math.isfinite(float(found['number'])):
+        raise InputError(f'{option}: expected a number with a unit such as {usual}, got {text!r}')
+    return float(found['number']) * read_unit(option, found['unit'] or usual, *kinds).factor
+
+
+def other_unit(text: str, length: float, unit: str, low: float, high: float) -> str:
+    """
+    Return '; if m is meant, say --unit m' where that helps, else ''.
+
+    It helps where the typed numbers have no unit of their own, and the length [m] that was read
+    in `unit` would in the other one lie between `low` and `high` [m].
+    """
+    if any(found['unit'] for found in map(QUANTITY.match, text.split(',')) if found):
+        return ''
+    for other in TYPED_LENGTHS:
+        scale = read_unit('', other, 'length').factor / read_unit('', unit, 'length').factor
+        if other != unit and low <= scale * length <= high:
+            return f'; if {other} is meant, say --unit {other}'
+    return ''
+
+
+def split_name(column: str) -> tuple[str, Unit | None]:
+    """
+    Split the name of a column into what it names and its unit: `T1 [N]`, `m3_x (mm)`, `time_s`.
+
+    A bare letter at the end, such as the m of `tip_m`, counts as a unit only where it is newtons
+    or seconds; others stand in brackets.
+    """
+    text = column.strip()
+    if marked := MARKED.match(text):
+        unit = find_unit(marked['a'] or marked['b'])
+        if unit is not None:
+            return marked['name'].strip(), unit
+    if tailed := TAILED.match(text):
+        unit = find_unit(tailed['unit'])
+        exact = tailed['unit'] in [name for known in UNITS.values() for name in known]
+        if unit is not None and exact and unit.text not in AFTER_NAME_ONLY:
+            return tailed['name'].strip(), unit
+    return text, None

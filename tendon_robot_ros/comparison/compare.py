@@ -10,18 +10,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..common.errors import InputError, NoEquilibriumError
-from ..common.given import Progress, choice, listener
+from ..common.errors import InputError, NoEquilibriumError, Progress, choice, listener
 from ..data import DataSet, DataSetLike, default_markers, load_dataset
 from ..effects import Catalogue, CatalogueLike, load_catalogue
 from ..model.model import Model
 from ..model.pulls import pull_shapes
 from ..model.shape import FIELDS, ShapeBatch
 from ..robot import Robot, RobotLike, load_robot
-from .noise import Whitener, input_slopes
+from .noise import Whitener, estimate_noise, input_slopes
 from .outliers import find_outliers
 from .predict import Predictor
-from .repeatability import estimate_noise
 from .result import Comparison, Measured, ModelErrors
 from .statistics import ERRORS
 

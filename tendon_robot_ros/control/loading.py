@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..common.cache import cache_folder
 from ..common.errors import TendonRobotError
+from ..common.files import cache_folder
 from ..common.processes import (
     ComputingThread,
     child_environment,

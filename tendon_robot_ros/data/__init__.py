@@ -1,21 +1,22 @@
 """
 Measurements: `DataSet`, and where it comes from.
 
-dataset.py      measured postures as frozen arrays; a missing value is nan (SI units)
-joining.py      several data sets of one robot as one; one, apart by where the arm came from
-loading.py      the measurements that a folder, a recording, an object or a list mean
-markers.py      tracked points of the arm
-seen.py         what trackers write for a marker that was not seen, and one that is numbered anew
-visits.py       settled visits in any order: what differs by where the arm came from
-dataframes.py   the same as a tidy table of pandas, and back; what cannot be metres and newtons
-folder/         a data set as a folder of plain files, read strictly and written whole
-recording/      recordings of ROS 2, read and written without ROS
+dataset.py            measured postures as frozen arrays; a missing value is nan (SI units)
+arrays.py             markers; the same as a tidy table of pandas, and back; impossible units
+visits.py             settled visits in any order: postures that differ by the one before
+loading.py            the measurements that a folder, a recording, an object or a list mean
+tracker_faults.py     readings that are none, markers that are numbered anew or exchanged
+folder.py             a data set as a folder: dataset.yaml, `read_folder`, `save_dataset`
+measurement_files.py  inputs.csv and shapes.csv: what was commanded, where the markers were
+csv_file.py           strict reading of CSV; every refusal names its row
+path_files.py         paths to follow, from CSV or a recording, and to CSV
+recording/            recordings of ROS 2, read and written without ROS
 """
 
+from .arrays import Marker, default_markers, even_markers
 from .dataset import DataSet, Part
-from .folder.folder import save_dataset
+from .folder import save_dataset
 from .loading import DataSetLike, join, load_dataset
-from .markers import Marker, default_markers, even_markers
 
 __all__ = [
     'DataSet',

@@ -11,16 +11,21 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..common.dataframes import make_frame
-from ..common.errors import DataSetError, InputError
-from ..common.given import choice, names, number, refusal
-from ..common.told import Told
+from ..common.errors import DataSetError, InputError, choice, names, number, refusal
+from ..common.results import Told, make_frame
 from ..common.words import listing
 from ..robot import Robot, RobotLike, load_robot
 from ..robot.inputs import finite, input_rows
-from .dataframes import FrameArrays, check_units, frame_columns, read_frame
-from .markers import Marker, Vector, place_markers
-from .visits import Visits
+from .arrays import (
+    FrameArrays,
+    Marker,
+    Vector,
+    check_units,
+    frame_columns,
+    place_markers,
+    read_frame,
+)
+from .visits import Split, Visits
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -433,6 +438,26 @@ class DataSet(Told):
         drawn = np.random.default_rng(seed).permutation(len(commands))[:size]
         check = {name for name, command in measured.items() if commands.index(command) in drawn}
         return self.select(set(measured) - check), self.select(check)
+
+    def by_origin(self, split: Split, own: BoolArray) -> DataSet:
+        """Return the postures apart by where the arm came from; `own` (P, Q) are their trials."""
+        inputs = self.inputs[split.command]
+
+        def part(array: FloatArray, other: FloatArray | float = np.nan) -> FloatArray:
+            wide = own.reshape(*own.shape, *(1,) * (array.ndim - 2))
+            return np.where(wide, array[split.command], other)
+
+        turned, each = self.orientations, self.trial_inputs
+        return replace(
+            self,
+            postures=split.postures,
+            inputs=inputs,
+            positions=part(self.positions),
+            orientations=None if turned is None else part(turned),
+            trial_inputs=None if each is None else part(each, inputs[:, None]),
+            path='visits',
+            visits=split.visits,
+        )
 
     def _rows(self, rows: NDArray[np.intp]) -> DataSet:
         names = 'inputs', 'part', 'positions', 'orientations', 'trial_inputs'

@@ -11,11 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from ..common.dataframes import make_frame
-from ..common.errors import InputError, NoEquilibriumError
-from ..common.given import refusal
+from ..common.errors import InputError, NoEquilibriumError, refusal
 from ..common.processes import one_thread
-from ..common.told import Told
+from ..common.results import Told, make_frame
 from ..comparison.outliers import find_outliers
 from ..comparison.predict import FreeParameter, Point
 from ..data import DataSet, DataSetLike, load_dataset

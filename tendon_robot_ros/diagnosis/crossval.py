@@ -14,9 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import NoEquilibriumError
-from ..comparison.noise import Whitener, input_slopes, rms
+from ..comparison.noise import Whitener, estimate_noise, input_slopes, rms
 from ..comparison.predict import Predictor
-from ..comparison.repeatability import estimate_noise
 from ..data import DataSet
 from ..effects import Catalogue
 from ..robot import Robot

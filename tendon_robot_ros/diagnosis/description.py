@@ -15,13 +15,11 @@ import numpy as np
 import numpy.typing as npt
 from numpy.polynomial import legendre
 
-from ..comparison.conditions import Conditions
-from ..comparison.predict import CELLS, FreeParameter, Point, Predictor
+from ..comparison.predict import CELLS, Conditions, FreeParameter, Point, Predictor
 from ..data import DataSet
 from ..effects import Catalogue, Parameter
 from ..robot import Robot, Tendon
-from ..robot.description import EffectValues
-from ..robot.routes import helix_angles, tendon_offsets
+from ..robot.description import EffectValues, helix_angles, tendon_offsets
 from .candidates import Candidate
 from .fit import Fit
 from .imperfections import GAIN, HOLE, POSITION, ROTATION, ZERO

@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..common.errors import NoEquilibriumError
-from ..common.given import Progress, whole
+from ..common.errors import NoEquilibriumError, Progress, whole
 from ..common.processes import one_thread
 from ..common.words import listed, mm
 from ..comparison.noise import rms

@@ -18,8 +18,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from ..comparison.conditions import Conditions
-from ..comparison.predict import CELLS, FreeParameter, Point, Predictor, SettledShapes
+from ..comparison.predict import CELLS, Conditions, FreeParameter, Point, Predictor, SettledShapes
 from ..effects import Catalogue
 from ..model.shape import ShapeBatch
 from ..robot import Robot, Section

@@ -22,8 +22,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..common.errors import InputError, NoEquilibriumError
-from ..common.given import Progress, listener, whole
+from ..common.errors import InputError, NoEquilibriumError, Progress, listener, whole
 from ..common.processes import one_thread
 from ..comparison.predict import FreeParameter, Predictor
 from ..data import DataSet, DataSetLike, load_dataset

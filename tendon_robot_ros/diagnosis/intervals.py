@@ -16,9 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.words import spoken
-from ..comparison.predict import FreeParameter, Point, Predictor, SettledShapes
+from ..comparison.predict import FreeParameter, Point, Predictor, SettledShapes, Tangent
 from ..comparison.statistics import chi2_isf, chi2_sf, normal_ppf
-from ..comparison.tangent import Tangent
 from .fit import Fit
 from .fitter import Fitter
 from .marginal import LEAST_SHARE, SIZE_MAX, Likelihood, RandomEffects

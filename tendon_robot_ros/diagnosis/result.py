@@ -13,9 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.colours import ERROR, GOOD, HELD_OUT, PREDICTED
-from ..common.dataframes import make_frame
 from ..common.files import new_file
-from ..common.told import Told
+from ..common.results import Told, make_frame
 from ..robot import Robot
 from .description import PROFILE
 from .verdict import Verdict

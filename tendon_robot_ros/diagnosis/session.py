@@ -9,11 +9,10 @@ from contextlib import suppress
 import numpy as np
 import numpy.typing as npt
 
-from ..common.given import Progress, listener
-from ..comparison.noise import Noise, Whitener, input_slopes
+from ..common.errors import Progress, listener
+from ..comparison.noise import Noise, Whitener, estimate_noise, input_slopes
 from ..comparison.outliers import Outliers, without_unsettled
 from ..comparison.predict import FreeParameter, Point, Predictor
-from ..comparison.repeatability import estimate_noise
 from ..data import DataSet
 from ..effects import Catalogue
 from ..robot import Robot

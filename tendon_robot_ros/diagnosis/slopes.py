@@ -17,8 +17,7 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from ..comparison.predict import CELLS, Point
-from ..comparison.tangent import TAUT_FROM_N
+from ..comparison.predict import CELLS, TAUT_FROM_N, Point
 from ..model.derivatives import residuals, responses, shown
 from ..model.shape import ShapeBatch
 from .imperfections import (

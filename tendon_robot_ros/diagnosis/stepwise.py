@@ -19,10 +19,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import InputError
-from ..comparison.noise import Noise, Whitener, input_slopes, likely, rms
+from ..comparison.noise import Noise, Whitener, estimate_noise, input_slopes, likely, rms
 from ..comparison.outliers import find_outliers, without_unsettled
 from ..comparison.predict import FreeParameter, Point, Predictor, SettledShapes
-from ..comparison.repeatability import estimate_noise
 from ..comparison.statistics import chi2_sf, f_sf
 from ..data import DataSet
 from ..effects import Catalogue, Parameter

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..common.given import Progress, listener
+from ..common.errors import Progress, listener
 from ..common.workers import Workers
 from ..comparison.noise import Noise
 from ..comparison.predict import FreeParameter, Point, Predictor

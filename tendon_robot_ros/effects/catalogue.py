@@ -11,8 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from importlib.metadata import entry_points
 from pathlib import Path
 
-from ..common.errors import EffectError
-from ..common.given import meant, refusal
+from ..common.errors import EffectError, meant, refusal
 from .effect import Effect
 
 # Order matters twice: laws of one stage apply in it, and exact twins are reported in it.

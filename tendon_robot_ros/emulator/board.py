@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.units import STANDARD_GRAVITY
+from ..common.words import STANDARD_GRAVITY
 from ..drivers.serial_board.messages import CELL_COUNTS_MAX, CHANNEL_FAULTS
 from .firmware import Firmware
 from .port import COMMON_HELP, Action, Plug

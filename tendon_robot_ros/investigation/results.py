@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..common.files import new_file
 from ..data import save_dataset
-from ..data.recording.exporting import export_bag
+from ..data.recording.writer import export_bag
 from ..effects import Catalogue
 from ..report.addition_text import never_used, warnings
 from ..report.diagnosis_page import pictures_of, with_effects, write_diagnosis

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from ..common.errors import EffectError, RobotDescriptionError
 from ..effects import STAGES, Catalogue, Parameter
 from ..robot import Robot
-from ..robot.routes import helix_angles, tendon_offsets
+from ..robot.description import helix_angles, tendon_offsets
 from .compile import compiled_beside, compose, layout
 
 Floats = npt.NDArray[np.float64]

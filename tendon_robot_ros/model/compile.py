@@ -17,7 +17,7 @@ from functools import cache
 from pathlib import Path
 from types import ModuleType
 
-from ..common.cache import cache_folder
+from ..common.files import cache_folder
 from ..common.processes import child_environment
 from ..effects import STAGES, Catalogue, load_catalogue
 

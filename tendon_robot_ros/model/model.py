@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy.typing as npt
 
-from ..common.given import refusal, whole
+from ..common.errors import refusal, whole
 from ..robot.inputs import TensionsLike
 from ..robot.keep_out import KeepOut
 from .derivatives import Column, Seen, TipStiffness, derivatives, tip_jacobian, tip_stiffness

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from ..common.dataframes import make_frame
 from ..common.errors import InputError
+from ..common.results import Told, make_frame
 from ..common.rotations import bent, turned_in_plane
-from ..common.told import Told
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from ..common.cache import cache_folder
 from ..common.errors import InputError
-from ..common.files import new_file
+from ..common.files import cache_folder, new_file
 from ..effects import Catalogue, load_catalogue
 from . import forward
 from .compile import kernel_key

@@ -7,7 +7,7 @@ from html import escape
 
 import numpy as np
 
-from ..common.told import Told
+from ..common.results import Told
 from ..common.words import columns, digits
 from ..comparison.result import Comparison
 from ..data import DataSet

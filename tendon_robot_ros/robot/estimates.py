@@ -7,9 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.units import STANDARD_GRAVITY
-from .description import Robot
-from .routes import tendon_offsets
+from ..common.words import STANDARD_GRAVITY
+from .description import Robot, tendon_offsets
 
 Floats = NDArray[np.float64]
 BEND_MIN_RAD = 0.35  # [rad] that the highest tension bends a section by, at least

@@ -9,8 +9,7 @@ from typing import Any, TypeGuard
 import numpy as np
 import numpy.typing as npt
 
-from ..common.errors import InputError, short
-from ..common.given import meant, named_columns, refusal
+from ..common.errors import InputError, meant, named_columns, refusal, short
 from .description import Robot
 
 Floats = npt.NDArray[np.float64]

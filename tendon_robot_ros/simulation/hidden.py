@@ -14,8 +14,7 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 import numpy.typing as npt
 
-from ..common.errors import EffectError, InputError
-from ..common.given import meant, refusal
+from ..common.errors import EffectError, InputError, meant, refusal
 from ..effects import Catalogue, Effect, Parameter
 from ..robot import Robot
 from ..robot.description import EffectValues

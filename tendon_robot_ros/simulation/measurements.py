@@ -14,13 +14,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ..common.errors import Progress, choice, listener, names, number, refusal, whole
 from ..common.files import new_file
-from ..common.given import Progress, choice, listener, names, number, refusal, whole
 from ..common.rotations import towards
 from ..data import DataSet, Marker, default_markers
+from ..data.arrays import markers_of
 from ..data.dataset import INPUTS, PATHS
-from ..data.joining import divide
-from ..data.markers import markers_of
 from ..data.visits import Split, split_by_order
 from ..robot import RobotLike
 from ..robot.inputs import input_rows
@@ -141,7 +140,7 @@ def simulate(
         setting_noise=noise.setting if declare else 0.0,
         trial_noise=noise.trial if declare else 0.0,
     )
-    return dataset if visits is None else divide(dataset, visits, _own(visits))
+    return dataset if visits is None else dataset.by_origin(visits, _own(visits))
 
 
 def _order(random: np.random.Generator, names: Sequence[str], trials: int) -> Split:

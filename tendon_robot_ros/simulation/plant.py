@@ -8,16 +8,15 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from ..common.given import number, whole
+from ..common.errors import number, whole
 from ..common.rotations import bent
 from ..effects import Catalogue, CatalogueLike, Effect, load_catalogue
 from ..model.model import Model
 from ..model.pulls import pull_shapes
 from ..model.shape import Shape, ShapeBatch, bends_in, twists_in
 from ..robot import Robot, RobotLike, Section, load_robot
-from ..robot.description import XY, EffectValues
+from ..robot.description import XY, EffectValues, helix_angles
 from ..robot.estimates import natural_sizes
-from ..robot.routes import helix_angles
 from .hidden import Built, Damage, Hidden, Workmanship, hide, plant_catalogue
 
 Floats = npt.NDArray[np.float64]

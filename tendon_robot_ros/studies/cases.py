@@ -10,9 +10,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from ..comparison.noise import Whitener, input_slopes
+from ..comparison.noise import Whitener, estimate_noise, input_slopes
 from ..comparison.predict import Predictor
-from ..comparison.repeatability import estimate_noise
 from ..data import DataSet, Marker, even_markers
 from ..diagnosis.imperfections import SplitPredictor
 from ..diagnosis.marginal import RandomEffects

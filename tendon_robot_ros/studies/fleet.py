@@ -25,8 +25,7 @@ from typing import Any
 from ..cli.options import add_cluster, add_effect_files, add_json, emit
 from ..cli.progress import progress
 from ..common.colours import BEFORE, FLOOR, PREDICTED
-from ..common.errors import InputError, TendonRobotError
-from ..common.given import Progress
+from ..common.errors import InputError, Progress, TendonRobotError
 from ..common.words import columns, digits, listed, mm, scale_of
 from ..common.workers import Workers
 from ..common.yaml_reading import parse_yaml

@@ -33,7 +33,7 @@ from ..common.errors import DataSetError, InputError
 from ..common.files import file_to_write
 from ..common.words import listed
 from ..comparison.statistics import estimate
-from ..data.folder.csv_file import CsvFile
+from ..data.csv_file import CsvFile
 from ..robot import Robot, load_robot
 from ..robot.description import EffectValues
 

@@ -17,9 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from ..common.errors import InputError
+from ..common.errors import InputError, Progress
 from ..common.files import new_file, read_text
-from ..common.given import Progress
 from ..common.workers import Workers
 from ..common.yaml_reading import Reader, parse_yaml
 from ..data import load_dataset

@@ -11,10 +11,9 @@ from pathlib import Path
 from types import UnionType
 from typing import Any, Protocol
 
-from ..common.dataframes import arrow
-from ..common.errors import DataSetError
+from ..common.errors import DataSetError, Progress, listener
 from ..common.files import new_file
-from ..common.given import Progress, listener
+from ..common.results import arrow
 from ..common.workers import ChunkSize, LostWork, Workers
 from ..model.versions import UserEffect, compiled_once
 

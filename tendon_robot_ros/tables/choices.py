@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..common.errors import DataSetError, InputError
-from ..common.units import TYPED_LENGTHS, UNITS, find_unit
-from ..common.words import digits, listing
-from ..data.seen import FAR_M, without_unseen
+from ..common.words import TYPED_LENGTHS, UNITS, digits, find_unit, listing
+from ..data.tracker_faults import FAR_M, without_unseen
 from ..robot import Robot
 from .columns import (
     FRAMES,
@@ -21,7 +20,7 @@ from .columns import (
     need_column,
     triples_of,
 )
-from .points import FRAMES_MAX, Points, choose_points
+from .markers import FRAMES_MAX, Points, choose_points
 from .recipe import MarkerColumns, Recipe
 
 # [s] a median step above is in another unit, because nobody records an arm so slowly

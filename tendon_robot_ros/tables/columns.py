@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import DataSetError, short
-from ..common.units import Unit, find_unit, split_name
-from ..common.words import listing
+from ..common.words import Unit, find_unit, listing, split_name
 
 FloatArray = NDArray[np.float64]
 # what a point is, by the head of an export

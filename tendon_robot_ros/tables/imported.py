@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..common.colours import COLOURS, GOOD, LEFT_OUT, MEASURED, PREDICTED, REST
-from ..common.told import Told
+from ..common.results import Told
 from ..common.words import mm, postures
 from ..data import DataSet, save_dataset
 from ..data.dataset import at_rest
 from ..robot import Robot
 from .choices import Taken
 from .columns import FloatArray, marker_label
-from .marker_order import MarkerOrder
+from .markers import MarkerOrder
 from .measuring import Piece, StillMeasurements
 from .recipe import Recipe, dump_recipe
 from .registration import TrackerFrame, angle_of

@@ -9,28 +9,25 @@ from typing import Any
 
 import numpy as np
 
-from ..common.errors import DataSetError
-from ..common.given import Progress, listener, refusal
+from ..common.errors import DataSetError, Progress, listener, refusal
 from ..common.words import listed, mm
 from ..comparison.noise import input_share, input_slopes
 from ..comparison.predict import Predictor
 from ..data import DataSet, Marker
-from ..data.folder.description import Description
+from ..data.folder import Description
 from ..data.recording.importing import segments_dataset
+from ..data.recording.still_segments import Segment
+from ..data.visits import split_by_order
 from ..effects import Catalogue, CatalogueLike, load_catalogue
 from ..robot import Robot, RobotLike, load_robot
 from .choices import Taken, choose_columns
 from .columns import FloatArray, RawTable, from_frame, marker_label
-from .history import FROM_STRAIGHT, SEQUENCE, VISITS, as_visits, frames_only, way_shows
 from .imported import ImportedTable
-from .marker_order import AS_GIVEN, MarkerOrder, order_markers, places_contradicted
-from .measuring import StillMeasurements, measure
-from .placing import place
-from .points import flag_columns
-from .reading import read_tables
+from .markers import AS_GIVEN, MarkerOrder, flag_columns, order_markers, places_contradicted
+from .measuring import FROM_STRAIGHT, SEQUENCE, VISITS, StillMeasurements, measure
+from .reading import read_tables, widened
 from .recipe import FrameChoice, MarkerColumns, Recipe, load_recipe, read_recipe
-from .registration import TrackerFrame, rotation_vector, side_offset, up_that_fits
-from .tidy import widened
+from .registration import TrackerFrame, place, rotation_vector, side_offset, up_that_fits
 from .traces import follow_renumbered, make_traces
 
 STEPS = 4  # of an import, in its progress
@@ -311,4 +308,91 @@ def _offset_look(dataset: DataSet, predicted: FloatArray, catalogue: Catalogue) 
     return [
         f'markers seem to sit beside the backbone, {x:.1f} mm towards x and {y:.1f} mm towards y: '
         f'if they do, say --offset {x:.1f},{y:.1f}'
+    ]
+
+
+APART_MIN_M = 3e-4  # [m] between trials, from which the way is said to count: a tracker's noise
+APART_FROM_SAME = 2.0  # times what trials with the same way differ by
+
+
+def way_shows(segments: Sequence[Segment], begins: Sequence[int], places: FloatArray) -> list[str]:
+    """
+    Say that trials of a posture end elsewhere by the posture that the arm came from.
+
+    Parameters
+    ----------
+    segments : sequence of Segment
+        Named by posture, in order.
+    begins : sequence of int
+        Which of them are the first of a recording.
+    places : (N, J, 3) [m]
+        Their markers, in any frame.
+
+    """
+    origins = ['', *(one.posture for one in segments[:-1])]
+    known = [i for i in range(len(segments)) if i not in begins]
+    apart: dict[bool, list[float]] = {True: [], False: []}
+    for count, i in enumerate(known):
+        for j in known[:count]:
+            if segments[i].posture == segments[j].posture:
+                squares = np.sum((places[i] - places[j]) ** 2, axis=1)
+                if np.isfinite(squares).any():
+                    apart[origins[i] == origins[j]].append(float(np.nanmax(squares)))
+    if not apart[False]:
+        return []
+    other = float(np.sqrt(np.median(apart[False])))
+    same = float(np.sqrt(np.median(apart[True]))) if apart[True] else 0.0
+    if other < max(APART_MIN_M, APART_FROM_SAME * same):
+        return []
+    beside = f', {mm(same)} where from the same one' if apart[True] else ''
+    remedy = (
+        'say --path visits'
+        if apart[True]
+        else 'but no posture was reached twice the same way, so that nothing would tell the noise '
+        'of visits: measure rounds in the same order, or let it rest between'
+    )
+    return [
+        f'trials of one posture are {mm(other)} apart where the arm came from different ones'
+        f'{beside}, their inputs taken into account: the way counts; {remedy}'
+    ]
+
+
+def as_visits(dataset: DataSet, segments: Sequence[Segment], begins: Sequence[int]) -> DataSet:
+    """
+    Return the postures of a data set apart by the posture before, as visits in their order.
+
+    Parameters
+    ----------
+    dataset : DataSet
+        Of these segments: a posture per command, a trial per visit to it.
+    segments, begins
+        As of `way_shows`; the arm was straight before the first segment of every recording.
+
+    """
+    names = {name: i for i, name in enumerate(dataset.postures)}
+    places = {name: i for i, name in enumerate(dataset.trial_names)}
+    commands = np.array([names[one.posture] for one in segments])
+    trials = np.array([places[one.trial] for one in segments])
+    fresh = np.isin(np.arange(len(segments)), begins)
+    measured = dataset.trial_mask[commands, trials]
+    split = split_by_order(dataset.postures, commands, trials, measured, fresh)
+    own = np.zeros((len(split.postures), len(dataset.trial_names)), dtype=bool)
+    own[split.posture, trials] = True
+    divided = dataset.by_origin(split, own)
+    if dataset.position_noise is None and divided.trials.max(initial=0) < 2:
+        squares = np.array([one.noise**2 for one in segments])
+        if np.isfinite(squares).any():  # nothing was repeated: the frames have to tell it
+            return replace(divided, position_noise=float(np.sqrt(np.nanmean(squares))))
+    return divided
+
+
+def frames_only(dataset: DataSet) -> list[str]:
+    """Say that the noise is that of frames, where no posture was repeated on the same way."""
+    known = dataset.position_noise is None or dataset.trials.max(initial=0) > 1
+    if known or dataset.path == FROM_STRAIGHT:
+        return []
+    return [
+        f'no posture was repeated the same way: the noise, {mm(dataset.position_noise, 2)}, is '
+        "that of the tracker's frames alone, and trials differ by more; say position_noise in "
+        'dataset.yaml, or measure rounds'
     ]

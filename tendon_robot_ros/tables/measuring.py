@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -22,13 +23,106 @@ from ..data.recording.still_segments import (
     never_still,
     still_stretches,
 )
-from ..data.seen import unseen_lines
+from ..data.tracker_faults import unseen_lines
 from ..robot import Robot
 from .choices import Taken
 from .columns import FloatArray, marker_label
-from .history import FROM_STRAIGHT, SEQUENCE, let_go_between, way_assumed, way_contradicted
 from .recipe import Recipe
 from .traces import NOTHING_CUT, CutReadings, Traces, cut_out
+
+FROM_STRAIGHT, SEQUENCE, VISITS = 'from_straight', 'sequence', 'visits'
+LET_GO_SHARE = 0.2  # [1] of the way from the lowest input to the smallest load, that is let go
+LOADED_MIN = 3  # postures from which that is told
+MOSTLY = 0.8  # [1] of the postures, before which the arm was let go: a few rests may be missed
+
+RESTED = (
+    'every posture was loaded from the straight arm (path: from_straight); if the arm went from '
+    'one posture to the next, say --path sequence (rounds in the same order) or --path visits '
+    '(any order)'
+)
+NO_REST = (
+    'from where the arm came to a posture is taken not to matter, though it did not rest between '
+    'them: with friction it does; let it rest next time, or say --path sequence (rounds in the '
+    'same order) or --path visits (any order)'
+)
+ROWS = 'every row was loaded from the straight arm; if not, say --path sequence or --path visits'
+IN_ORDER = {
+    SEQUENCE: 'every posture was reached from the one before, the first from the straight arm',
+    VISITS: 'the arm went from posture to posture without letting go, first from the straight arm',
+}
+
+
+def way_assumed(
+    path: str, rest: float, timed: bool, counts: Sequence[tuple[int, int, float]]
+) -> str:
+    """
+    Say how the arm is taken to have come to its postures, and what to say if it did not.
+
+    `counts` are of `let_go_between`, recording by recording.
+    """
+    if path != FROM_STRAIGHT:
+        return IN_ORDER[path]
+    if not timed:
+        return ROWS
+    return RESTED if rest or _was_let_go(counts) else NO_REST
+
+
+def _was_let_go(counts: Sequence[tuple[int, int, float]]) -> bool:
+    """Tell whether inputs were let go before most loaded postures, however short."""
+    let_go, of = sum(count for count, _, _ in counts), sum(of for _, of, _ in counts)
+    return of >= LOADED_MIN and let_go >= MOSTLY * of
+
+
+def let_go_between(
+    times: FloatArray, inputs: FloatArray, segments: Sequence[Segment], same: float
+) -> tuple[int, int, float]:
+    """
+    Count the loaded segments before which all inputs were let go since the last loaded one.
+
+    Parameters
+    ----------
+    times : (T,) [s]
+    inputs : (T, m) [N] or [m]
+        Of one recording.
+    segments : sequence of Segment
+        Of the same recording, in order.
+    same : float
+        [N] or [m] inputs that differ by less are the same.
+
+    Returns
+    -------
+    count, of : int
+    level : float
+        [N] or [m] below which they were.
+
+    """
+    sizes = np.nan_to_num(inputs).max(axis=1)
+    lowest = float(np.quantile(sizes, 0.01))
+    own = np.array([np.nan_to_num(one.inputs).max() for one in segments])
+    loaded = own > lowest + 3.0 * same
+    if not loaded.any():
+        return 0, 0, lowest
+    level = lowest + max(same, LET_GO_SHARE * float(own[loaded].min() - lowest))
+    there = [one for one, is_loaded in zip(segments, loaded, strict=True) if is_loaded]
+    count = 0
+    for before, after in pairwise(there):
+        begin, end = np.searchsorted(times, [before.end, after.begin])
+        count += bool(sizes[begin:end].min(initial=np.inf) < level)
+    return count, len(there) - 1, level
+
+
+def way_contradicted(path: str, counts: Sequence[tuple[int, int, float]], unit: str) -> list[str]:
+    """Say that an arm that was let go before its postures did not come from one to the next."""
+    if path == FROM_STRAIGHT or not _was_let_go(counts):
+        return []
+    let_go, of = sum(count for count, _, _ in counts), sum(of for _, of, _ in counts)
+    level = max(level for _, _, level in counts)
+    return [
+        f'before {let_go} of {of} loaded postures all inputs were let go (below '
+        f'{digits(level)} {unit}): the arm was loaded from straight every time; leave out '
+        f'--path {path}'
+    ]
+
 
 SPEED_LIMITS_M_S = (0.002, 0.02)  # [m/s] slower is still, whatever the tracker's noise makes of it
 # [1] of the largest input, between which noise may set what counts as a change

@@ -12,12 +12,12 @@ import yaml
 
 from ..common.errors import DataSetError, short
 from ..common.files import read_text
-from ..common.units import UNITS, find_unit
+from ..common.words import UNITS, find_unit
 from ..common.yaml_reading import Reader, parse_yaml
+from ..data.arrays import Vector
 from ..data.dataset import PATHS
-from ..data.markers import Vector
 from .columns import ColumnUse
-from .points import CHOICES
+from .markers import CHOICES
 
 KEYS = (
     *('sources', 'robot', 'time', 'inputs', 'zero', 'spool', 'positions', 'points', 'markers'),

@@ -12,13 +12,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..common.errors import InputError
-from ..common.given import Progress, listener
+from ..common.errors import InputError, Progress, listener
 from ..model.forward import TOLERANCE
 from ..model.model import Model
 from ..model.shape import ShapeBatch
 from ..robot import Robot
-from ..robot.routes import tendon_offsets
+from ..robot.description import tendon_offsets
 
 Floats = npt.NDArray[np.float64]
 ALIGNED_COSINE = 0.5  # cosine of 60°, from which on two inputs pull to the same side

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from ..common.given import choice, whole
+from ..common.errors import choice, whole
 from ..model.model import Model
 from ..robot import Robot, RobotLike, load_robot
 from ..robot.estimates import bend_rates, end_sections

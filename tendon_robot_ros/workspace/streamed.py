@@ -19,16 +19,15 @@ from zipfile import BadZipFile
 import numpy as np
 import numpy.typing as npt
 
-from ..common.errors import InputError
+from ..common.errors import InputError, Progress, listener
 from ..common.files import new_file
-from ..common.given import Progress, listener
 from ..common.workers import ChunkSize, LostWork, Workers
 from ..effects import load_catalogue
 from ..model import forward
 from ..model.model import Model
 from ..model.shape import ShapeBatch
 from ..robot import Robot, dump_robot
-from ..robot.routes import tendon_offsets
+from ..robot.description import tendon_offsets
 from .cubes import LOOKS, Cubes, Floats, folds, sphere_part
 
 BATCH = 2_000  # postures that are solved at once: some MB for an arm of many cells

@@ -9,12 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from ..common.errors import InputError
-from ..common.given import Progress
+from ..common.errors import InputError, Progress
 from ..common.workers import Workers
 from ..model.model import Model
 from ..robot import Robot
-from ..robot.routes import tendon_offsets
+from ..robot.description import tendon_offsets
 from .cubes import Reached, beyond
 from .grid import POSTURES_MAX
 from .streamed import Sampling, Stream

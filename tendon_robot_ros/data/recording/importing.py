@@ -13,11 +13,10 @@ from ...common.errors import DataSetError
 from ...common.files import new_file
 from ...common.words import listing
 from ...robot import Robot, RobotLike, load_robot, parse_robot
-from ..dataframes import DISTANCE_MAX_LENGTHS, TENSION_MAX_LIMITS, too_tense
+from ..arrays import DISTANCE_MAX_LENGTHS, TENSION_MAX_LIMITS, Marker, default_markers, too_tense
 from ..dataset import DataSet, FloatArray
-from ..folder.description import Description, describe, read_fields
-from ..markers import Marker, default_markers
-from ..seen import (
+from ..folder import Description, describe, read_fields
+from ..tracker_faults import (
     changes,
     exchange_lines,
     joined,
@@ -27,8 +26,16 @@ from ..seen import (
     unseen_lines,
     without_unseen,
 )
-from .reader import Recording, Topics, Track, read_bag
-from .senders import refuse_two_senders
+from .reader import (
+    Recording,
+    Topics,
+    Track,
+    in_base,
+    is_base,
+    read_bag,
+    refuse_two_senders,
+    with_markers,
+)
 from .still_segments import (
     ArmMotion,
     Rule,
@@ -38,7 +45,6 @@ from .still_segments import (
     motion,
     never_still,
 )
-from .transforms import in_base, is_base, with_markers
 from .writer import DESCRIPTION, ROBOT
 
 # [m] of noise that is assumed where frames do not differ, so that none is exact

@@ -1,16 +1,18 @@
-"""Read what a ROS 2 recording holds about a measurement, and about moving."""
+"""What a ROS 2 recording holds about a measurement, and whether two programs sent it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ...common.errors import DataSetError
+from ...common.rotations import from_quaternion
 from ...common.words import PROGRAM, listing
 from ..dataset import FloatArray
 from .writer import (
@@ -58,7 +60,7 @@ class Recording:
     name: str
     state_times: FloatArray  # (T,) [s]
     states: list[Any]  # (T,) the JointState messages
-    tracks: tuple[Track, ...]  # one of all markers, or one per marker; empty: see transforms.py
+    tracks: tuple[Track, ...]  # one of all markers, or one per marker; empty: see `with_markers`
     marker_names: tuple[str, ...]  # of tracks of one marker each; empty for a PoseArray
     labels: list[tuple[float, str]]  # (time [s], text)
     description: str | None  # text of dataset.yaml
@@ -170,7 +172,7 @@ def _wanted(bag: str, types: Mapping[str, str], topics: Topics) -> dict[str, str
             sources = other_sources(types)
             told = [t for t in sources if role == 'shape' or types[t] == TF]
             if role != 'states' and name not in types and told:
-                continue  # markers come otherwise: transforms.py finds them, or says so
+                continue  # markers come otherwise: `with_markers` finds them, or says so
             known = listing(sorted(t for t, k in types.items() if k == kind))
             problem = f'is a {types[name]}' if name in types else 'is not in it'
             raise DataSetError(
@@ -269,128 +271,275 @@ def _sane(values: FloatArray) -> FloatArray:
     return np.where(np.abs(values) < 1e9, values, np.nan)
 
 
-POINT = 'geometry_msgs/msg/PointStamped'
-TARGETS = (('target_pose', POSE_STAMPED), ('target_point', POINT))
-TIPS = ('measured_tip', 'predicted_tip')
-COMMAND = 'tendon_command'
-TRAJECTORY = ('tendon_trajectory', 'trajectory_msgs/msg/JointTrajectory')
+BASES = ('', 'base', 'base_link', 'base_frame')  # and what ends with _base
+STEADY_M, STEADY_RAD = 1e-3, 0.01  # a mount moves by less
+Pose = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]  # rotation (3, 3), shift (3,) [m]
 
 
-@dataclass(frozen=True)
-class Places:
-    """Positions (n, 3) [m] and directions (n, 3), NaN where none is given, over time (n,) [s]."""
-
-    times: FloatArray
-    positions: FloatArray
-    directions: FloatArray
-
-    def __len__(self) -> int:
-        return len(self.times)
+def is_base(frame: str) -> bool:
+    """Whether a frame is called as the base of an arm is; '' says nothing, and is taken so."""
+    name = frame.rpartition('/')[2]
+    return name in BASES or name.endswith('_base')
 
 
-@dataclass(frozen=True)
-class Moves:
-    """A recording of motion; times [s] since its first message."""
+class Transforms:
+    """The transforms of a recording: of every frame its parent, and where it was in it."""
 
-    targets: Places
-    trajectory_times: FloatArray  # when a trajectory of the tendons took over
-    tips: Places
-    measured: bool  # whether a tracker measured the tip; else it is the model's
-    inputs: tuple[str, ...]
-    command_times: FloatArray  # (C,)
-    commands: FloatArray  # (C, m) [N], or [m] if pull
-    pull: bool
+    def __init__(self, name: str, start: int, samples: Mapping[tuple[str, str], Any]) -> None:
+        """Take rows (S, 8) of time [ns], x, y, z [m], qx, qy, qz, qw by parent and child."""
+        self._name, self._start = name, start
+        self.edges = {pair: np.array(rows) for pair, rows in samples.items()}
+
+    @property
+    def children(self) -> list[str]:
+        """Frames that are given in another one."""
+        return sorted({child for _, child in self.edges})
+
+    def track(self, child: str) -> tuple[str, Track]:
+        """Return the frame in which a marker is given, and its samples."""
+        parents = [parent for parent, own in self.edges if own == child]
+        if len(parents) > 1:
+            raise DataSetError(
+                self._name,
+                f'frame {child!r} is given in {listing(parents)}',
+                'record it again with one program that publishes it',
+            )
+        rows = self.edges[parents[0], child]
+        times = 1e-9 * (rows[:, 0] - self._start)
+        return parents[0], Track(times, rows[:, None, 1:4].copy(), rows[:, None, 4:].copy())
+
+    def to_base(self, frame: str) -> Pose | None:
+        """
+        Return the rotation and the shift from a frame to the base, None where nothing joins them.
+
+        Raises
+        ------
+        DataSetError
+            The frame moves.
+
+        """
+        ways: dict[str, list[tuple[str, str]]] = {frame: []}  # transforms up to a frame
+        for here in iter(waiting := [frame]):
+            if here and is_base(here):
+                return self._along(frame, ways[here])
+            for pair in self.edges:
+                if here in pair and (other := pair[pair[0] == here]) not in ways:
+                    ways[other] = [*ways[here], pair]
+                    waiting.append(other)
+        return None
+
+    def _along(self, frame: str, way: Sequence[tuple[str, str]]) -> Pose:
+        """Return the rotation and the shift along some transforms, each from either end."""
+        turn, shift = np.eye(3), np.zeros(3)
+        for parent, child in way:
+            step, moved = self._steady(parent, child, self.edges[parent, child])
+            if frame == parent:
+                step, moved = step.T, -step.T @ moved
+            frame = child if frame == parent else parent
+            turn, shift = step @ turn, step @ shift + moved
+        return turn, shift
+
+    def _steady(self, parent: str, child: str, rows: FloatArray) -> Pose:
+        place, turned = np.median(rows[:, 1:4], axis=0), rows[len(rows) // 2, 4:]
+        far = np.linalg.norm(rows[:, 1:4] - place, axis=1).max()
+        along = np.clip(np.abs(rows[:, 4:] @ turned), 0.0, 1.0)
+        if far > STEADY_M or 2.0 * np.arccos(along.min()) > STEADY_RAD:
+            raise DataSetError(
+                self._name,
+                f'frame {child!r} moves in {parent!r}, by {1e3 * far:.3g} mm: markers cannot be '
+                'given in it',
+                'record them in a frame that is fixed to the base',
+            )
+        return from_quaternion((turned / np.linalg.norm(turned)).tolist()), place
 
 
-def read_moves(path: str | Path) -> Moves:
+def read_transforms(recording: Recording) -> Transforms:
+    """Read all transforms of a recording, static ones as well."""
+    samples: dict[tuple[str, str], list[list[float]]] = {}
+    with opened(recording.name) as reader:
+        wanted = [c.topic for c in reader.connections if c.msgtype == TF]
+        for connection, time, data in stored(reader, wanted):
+            for one in reader.deserialize(data, connection.msgtype).transforms:
+                p, q = one.transform.translation, one.transform.rotation
+                pair = one.header.frame_id.lstrip('/'), one.child_frame_id.lstrip('/')
+                row = [float(time), p.x, p.y, p.z, q.x, q.y, q.z, q.w]
+                samples.setdefault(pair, []).append(row)
+    return Transforms(recording.name, recording.start, samples)
+
+
+def with_markers(
+    recording: Recording, topics: Topics, names: Sequence[str], bag: str | Path
+) -> Recording:
     """
-    Read targets, commands and tips.
+    Return a recording with its markers, where these came as poses or transforms of their own.
+
+    Parameters
+    ----------
+    recording : Recording
+        Without markers.
+    topics : Topics
+        Its `markers` may name frames instead of topics.
+    names : sequence of str
+        Of the markers of the description: by default a frame, or a part of a topic, is called so.
+    bag : path
+        Of the recording.
 
     Raises
     ------
     DataSetError
-        It is no recording, or holds neither targets nor commands.
+        No topic and no frame is called as a marker; with those that are there.
 
     """
-    heard: dict[str, list[tuple[float, Any]]] = {}
-    with opened(path) as reader:
+    with opened(bag) as reader:
         types = {c.topic: c.msgtype for c in reader.connections}
-        wanted = _wanted_moves(types)
-        for connection, time, data in stored(reader, wanted):
-            message = reader.deserialize(data, connection.msgtype)
-            heard.setdefault(wanted[connection.topic], []).append((1e-9 * time, message))
-        start = 1e-9 * reader.start_time
-    if not any(heard.get(name) for name in ('target_pose', 'target_point', COMMAND)):
+    poses = [topic for topic in other_sources(types) if types[topic] == POSE_STAMPED]
+    if not topics.markers:
+        own = {n: [t for t in poses if n in t.split('/')] for n in names}
+        if all(len(there) == 1 for there in own.values()):
+            return read_bag(bag, replace(topics, markers={n: t[0] for n, t in own.items()}))
+    transforms = read_transforms(recording)
+    chosen = dict(topics.markers) or {name: name for name in names}
+    chosen = {name: frame.lstrip('/') for name, frame in chosen.items()}
+    there = transforms.children
+    lacking = [frame for frame in chosen.values() if frame not in there]
+    if lacking:
+        shown = [*poses, *there]
         raise DataSetError(
-            str(path),
-            'holds neither target_pose, target_point nor tendon_command',
-            'record them: python -m tendon_robot_ros record',
+            str(bag),
+            f'topic /{topics.shape.lstrip("/")} is not in it, and no topic or frame of /tf is '
+            f'called {listing(lacking)}',
+            f'say which is which marker, --marker {next(iter(chosen))}=NAME for each; there: '
+            f'{listing(shown)}',
         )
-    targets = [_place(m) for name, _ in TARGETS for m in heard.get(name, [])]
-    tip = next((name for name in TIPS if heard.get(name)), TIPS[-1])
-    names, times, values, pull = _commands(heard.get(COMMAND, []))
-    return Moves(
-        _places(targets, start),
-        np.array([time - start for time, _ in heard.get(TRAJECTORY[0], [])]),
-        _places([_place(m) for m in heard.get(tip, [])], start),
-        tip == TIPS[0],
-        names,
-        times - start,
-        values,
-        pull,
-    )
+    found = [transforms.track(frame) for frame in chosen.values()]
+    parents = {parent for parent, _ in found}
+    tracks = []
+    for parent, track in found:
+        pose = transforms.to_base(parent)
+        if pose is None and len(parents) > 1:
+            raise DataSetError(
+                str(bag),
+                f'markers are given in the frames {listing(sorted(parents))}, which nothing joins',
+                'record all of them in one frame, or /tf_static with them',
+            )
+        tracks.append(track if pose is None else _moved(track, *pose))
+    joined = all(transforms.to_base(parent) is not None for parent in parents)
+    frame = 'base' if joined else parents.pop()
+    return replace(recording, tracks=tuple(tracks), marker_names=tuple(chosen), frame=frame)
 
 
-def _wanted_moves(types: dict[str, str]) -> dict[str, str]:
-    names = [
-        *TARGETS,
-        TRAJECTORY,
-        *((name, POSE_STAMPED) for name in TIPS),
-        (COMMAND, JOINT_STATE),
+def in_base(recording: Recording) -> Recording:
+    """Return a recording in the frame of the base where its transforms say where that is."""
+    if is_base(recording.frame):
+        return recording
+    pose = read_transforms(recording).to_base(recording.frame.lstrip('/'))
+    if pose is None:
+        return recording
+    tracks = tuple(_moved(track, *pose) for track in recording.tracks)
+    return replace(recording, tracks=tracks, frame='base')
+
+
+def _moved(track: Track, turn: FloatArray, shift: FloatArray) -> Track:
+    from scipy.spatial.transform import Rotation
+
+    turned = track.orientations.copy()
+    known = np.linalg.norm(np.nan_to_num(turned), axis=-1) > 0.5
+    plain = (turned == [0.0, 0.0, 0.0, 1.0]).all(axis=-1)  # a tracker that gives no turn
+    known &= ~plain
+    if known.any():
+        turned[known] = (Rotation.from_matrix(turn) * Rotation.from_quat(turned[known])).as_quat()
+    return Track(track.times, track.positions @ turn.T + shift, turned)
+
+
+# Messages are looked at in groups. In a group of two senders values are of two kinds, apart by
+# more than what they vary within a kind, and the kinds take turns; one sender's values step once.
+GROUP = 12  # messages
+TURNS_MIN = 4  # from one kind to the other in a group
+FEWEST = 3  # messages of a kind in a group
+APART_SHARE = 0.1  # of what a value goes through in the recording: less is noise and resolution
+GROUPS_MIN = 3  # of a recording: fewer are readings that fail
+# What does not move is nothing but noise, and some groups of that look so: of values that are
+# drawn evenly 0.006 of the groups, of normal ones 0.0008 (counted in 400,000 groups).
+CHANCE = 0.006
+DEVIATIONS = 6.0  # standard deviations above that number of groups are no chance
+
+
+def refuse_two_senders(recording: Recording, inputs: FloatArray) -> None:
+    """
+    Refuse a recording in which messages about two different states take turns.
+
+    Parameters
+    ----------
+    recording : Recording
+    inputs : (T, m) [N] or [m]
+        At its `state_times`.
+
+    Raises
+    ------
+    DataSetError
+        Two programs publish one topic, or a clock was set back: what, from when to when.
+
+    """
+    states = _taking_turns(recording.state_times, inputs)
+    shapes = [
+        _taking_turns(track.times, track.positions.reshape(len(track.times), -1))
+        for track in recording.tracks
     ]
-    wanted = {}
-    for name, kind in names:
-        topic = topic_of(types, name, kind)
-        if topic is not None:
-            wanted[topic] = name
-    return wanted
+    shape = next((one for one in shapes if one is not None), None)
+    if states is not None and shape is not None:
+        raise DataSetError(
+            recording.name,
+            f'from {states[0]:.1f} to {states[1]:.1f} s inputs and markers of two different times '
+            'take turns: the clock was set back while it was recorded, or two arms publish',
+            'record it again with a clock that runs on, or cut it there',
+        )
+    if states is not None:
+        names = sorted({state.header.frame_id for state in recording.states} - {''})
+        named = len(names) > 1  # programs that write a name of their own there
+        who = f' ({listing(names)})' if named else ''
+        which = '' if named else ' (ros2 topic info --verbose names them while they run)'
+        remedy = f', or keep one: --sender {names[0]!r}' if named else ''
+        raise DataSetError(
+            recording.name,
+            f'two programs publish the tendon states{who}: from {states[0]:.1f} to '
+            f'{states[1]:.1f} s they differ by up to {states[2]:.3g}',
+            f'end one of them{which} and record again{remedy}',
+        )
+    if shape is not None:
+        raise DataSetError(
+            recording.name,
+            f'two programs publish markers on one topic: from {shape[0]:.1f} to {shape[1]:.1f} s '
+            f'places differ by up to {1e3 * shape[2]:.3g} mm',
+            'end one of them and record again, or give each a topic of its own',
+        )
 
 
-def _place(heard: tuple[float, Any]) -> tuple[float, FloatArray, FloatArray]:
-    """Return time, position and approach direction (+z) of a pose or a point."""
-    time, message = heard
-    if hasattr(message, 'point'):
-        p = message.point
-        return time, np.array([p.x, p.y, p.z]), np.full(3, np.nan)
-    p, q = message.pose.position, message.pose.orientation
-    along = np.array(
-        [
-            2.0 * (q.x * q.z + q.w * q.y),
-            2.0 * (q.y * q.z - q.w * q.x),
-            1.0 - 2.0 * (q.x**2 + q.y**2),
-        ]
-    )
-    return time, np.array([p.x, p.y, p.z]), along
-
-
-def _places(samples: list[tuple[float, FloatArray, FloatArray]], start: float) -> Places:
-    samples = sorted(samples, key=lambda sample: sample[0])
-    samples = [s for s in samples if np.isfinite(s[1]).all()]
-    return Places(
-        np.array([time - start for time, _, _ in samples]),
-        np.array([place for _, place, _ in samples]).reshape(-1, 3),
-        np.array([view for _, _, view in samples]).reshape(-1, 3),
-    )
-
-
-def _commands(
-    heard: list[tuple[float, Any]],
-) -> tuple[tuple[str, ...], FloatArray, FloatArray, bool]:
-    if not heard:
-        return (), np.zeros(0), np.zeros((0, 0)), False
-    names = tuple(heard[0][1].name)
-    pull = len(heard[0][1].effort) == 0
-    values = np.array([joints_of(message, names)[0 if pull else 1] for _, message in heard])
-    times = np.array([time for time, _ in heard])
-    good = np.isfinite(values).all(axis=1)
-    return names, times[good], values[good], pull
+def _taking_turns(times: FloatArray, values: FloatArray) -> tuple[float, float, float] | None:
+    """Return begin, end [s] and difference where values (S, n) of two kinds take turns."""
+    count = len(times) // GROUP
+    if not count:
+        return None
+    values = values[:, np.isfinite(values).any(axis=0)]
+    if not values.shape[1]:
+        return None
+    low, high = np.nanquantile(values, [0.01, 0.99], axis=0)
+    spread = high - low
+    groups = values[: count * GROUP].reshape(count, GROUP, -1)
+    order = np.sort(groups, axis=1)
+    gaps = np.nan_to_num(np.diff(order, axis=1))  # (count, GROUP - 1, n)
+    at = gaps.argmax(axis=1)[:, None]
+    gap = np.take_along_axis(gaps, at, axis=1)
+    above = groups > np.take_along_axis(order, at, axis=1)
+    turns = (above[:, 1:] != above[:, :-1]).sum(axis=1)  # (count, n)
+    within = np.ptp(np.where(np.isfinite(groups), groups, order[:, :1]), axis=1) - gap[:, 0]
+    many = above.sum(axis=1)
+    found = (turns >= TURNS_MIN) & (gap[:, 0] > within) & (gap[:, 0] > APART_SHARE * spread)
+    found &= (many >= FEWEST) & (many <= GROUP - FEWEST) & (spread > 0.0)
+    chance = CHANCE * count
+    found &= found.sum(axis=0) >= max(GROUPS_MIN, chance + DEVIATIONS * np.sqrt(chance))
+    where = np.flatnonzero(found.any(axis=1))
+    if not len(where):
+        return None
+    largest = np.where(found, gap[:, 0], 0.0).max(axis=1)
+    begin, end = times[where[0] * GROUP], times[min((where[-1] + 1) * GROUP, len(times) - 1)]
+    return float(begin), float(end), float(largest.max())

@@ -11,7 +11,7 @@ import numpy as np
 from ...common.errors import DataSetError, short
 from ...robot import Robot
 from ..dataset import FloatArray
-from ..folder.measurement_files import sort_trials
+from ..measurement_files import sort_trials
 from .reader import Recording, Track
 
 STEPS_PER_WINDOW = 10  # of the time grid: a stretch is found to a tenth of the window

@@ -27,9 +27,9 @@ from ...common.files import file_to_write, refuse_ending
 from ...control.checks import Refusal
 from ...control.keeping_out import entered
 from ...control.trajectory import Trajectory
-from ...data.folder.csv_file import first_line
-from ...data.folder.path_file import NO_PATH, TendonRows, TipRows, read_path
-from ...data.recording.reader import is_bag, opened, read_moves
+from ...data.csv_file import first_line
+from ...data.path_files import NO_PATH, TendonRows, TipRows, read_moves, read_path
+from ...data.recording.reader import is_bag, opened
 from ...model.model import Model
 from ...model.shape import Shape
 from ...paths.path import PathRun, TipPath, set_points, tip_path

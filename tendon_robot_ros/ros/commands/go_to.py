@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...common.errors import InputError
-from ...common.units import TYPED_LENGTHS, other_unit, read_quantity
+from ...common.words import TYPED_LENGTHS, other_unit, read_quantity
 from ...report.path_run import place
 from ..shared.robot_client import Pilot, add_controller
 from ..shared.runtime import ros

@@ -15,7 +15,7 @@ from trajectory_msgs.msg import JointTrajectory
 from ...control import Refusal, Target, Twist
 from ...control.checks import by_name, check_frame, check_stamp, direction, finite, position
 from ...control.trajectory import Trajectory, checked
-from ...data.seen import not_there
+from ...data.tracker_faults import not_there
 from ...model.model import Model
 from ...robot import Robot
 from ..shared.joints import Joints

@@ -13,7 +13,7 @@ from std_msgs.msg import Header
 
 from ...common.errors import InputError
 from ...control.checks import Refusal, check_stamp
-from ...data.seen import not_there
+from ...data.tracker_faults import not_there
 from ...monitoring import Monitor
 from ..shared.messages import LISTEN, Frames, matrix, seconds
 from ..shared.parameters import Parameters

@@ -1,4 +1,4 @@
-"""Tables of pandas and Parquet, for those who have them: everything else works without."""
+"""What results offer besides their values: words, a table in notebooks, a DataFrame."""
 
 from __future__ import annotations
 
@@ -7,6 +7,23 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from .errors import MissingExtraError
+
+# By its name: the words import the results, and are needed by who asks for them only.
+WORDS = 'tendon_robot_ros.report.in_words'
+
+
+class Told:
+    """A result with `text()`, what the command line prints, and a table in notebooks."""
+
+    def text(self) -> str:
+        """Say in words what this is and what follows from it."""
+        words = importlib.import_module(WORDS)
+        return str(words.text(self))
+
+    def _repr_html_(self) -> str:
+        """Show the same in a notebook, with a table where there is more to see."""
+        words = importlib.import_module(WORDS)
+        return str(words.html(self))
 
 
 def pandas() -> Any:

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ...common.errors import DataSetError
-from ...common.words import listing
-from ...robot import Robot
-from ..dataframes import DISTANCE_MAX_LENGTHS, TENSION_MAX_LIMITS, too_tense
-from ..dataset import FloatArray
-from ..visits import STRAIGHT
+from ..common.errors import DataSetError
+from ..common.words import listing
+from ..robot import Robot
+from .arrays import DISTANCE_MAX_LENGTHS, TENSION_MAX_LIMITS, too_tense
 from .csv_file import NEEDED, CsvFile, IntArray, Table
+from .dataset import FloatArray
+from .visits import STRAIGHT
 
 VISIT, ORIGIN = HISTORY = ('visit', 'previous')  # columns that tell how the arm came to a posture
 

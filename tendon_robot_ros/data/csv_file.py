@@ -17,9 +17,9 @@ from typing import Any, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from ...common.errors import DataSetError, short
-from ...common.words import listing
-from ..dataset import FloatArray
+from ..common.errors import DataSetError, short
+from ..common.words import listing
+from .dataset import FloatArray
 
 IntArray = NDArray[np.int64]
 

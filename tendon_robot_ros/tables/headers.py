@@ -16,7 +16,7 @@ from itertools import pairwise
 from typing import Any
 
 from ..common.errors import DataSetError, short
-from ..common.units import find_unit
+from ..common.words import find_unit
 from .columns import BODY, BODY_MARKER, DERIVED, MARKER, MISSING, OTHER_UNITS, is_number
 
 Row = list[str]  # cells
