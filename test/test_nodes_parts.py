@@ -28,7 +28,7 @@ from tendon_robot_ros.control.checks import direction
 from tendon_robot_ros.control.loading import Loader
 from tendon_robot_ros.data.path_files import TendonRows
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.paths.plan import Pace
+from tendon_robot_ros.paths.path import Pace
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.ros.commands import follow
 from tendon_robot_ros.ros.commands.director import Director

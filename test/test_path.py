@@ -6,8 +6,15 @@ from control_rig import ROBOTS, model
 
 from tendon_robot_ros.common.errors import InputError
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.paths.path import set_points, tip_path
-from tendon_robot_ros.paths.plan import Pace, plan, retreat, stretched, thinned
+from tendon_robot_ros.paths.path import (
+    Pace,
+    plan,
+    retreat,
+    set_points,
+    stretched,
+    thinned,
+    tip_path,
+)
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.workspace.constant_view import look_around
 

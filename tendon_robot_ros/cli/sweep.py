@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Find the postures and write them."""
-    from ..paths.plan import stretched
+    from ..paths.path import stretched
     from ..workspace.constant_view import look_around
 
     if not 0.0 < args.view <= 180.0:

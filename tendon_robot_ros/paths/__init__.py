@@ -1,6 +1,6 @@
 """
 Paths of the tip.
 
-path.py   a path between given rows, smooth or straight, sampled finely; what was reached along it
-plan.py   when the tip is where: stretched until speeds and tension rates are kept
+path.py   sampled through given rows, stretched until speeds and tension rates are kept; what a run
+          along one reached
 """

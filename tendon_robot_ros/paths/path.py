@@ -1,8 +1,14 @@
-"""A path of the tip between given rows, smooth or straight; what was reached along it."""
+"""
+Paths of the tip: through given rows, stretched in time until limits are kept; what was reached.
+
+`tip_path` samples a path, `plan` finds the tensions along it and when the tip is where, `PathRun`
+compares what was done with what was asked.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,12 +16,23 @@ from scipy.interpolate import CubicHermiteSpline, pchip_interpolate
 
 from ..common.errors import InputError
 from ..control.state import STREAM_PERIOD_S
+from ..control.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from ..model.model import Model
+    from ..model.shape import Shape
+    from ..robot.keep_out import KeepOut
 
 Array = NDArray[np.float64]
-SAMPLE_PERIOD_S = 0.04  # [s] between samples
-SAMPLE_SPACING_M, SAMPLE_TURN_RAD = 0.001, np.radians(1.0)  # [m] and [rad] between samples at most
-SAMPLES_MAX = 20_000  # samples
-OPPOSITE_FROM_RAD = np.radians(179.0)  # between two directions: which way round is then chance
+# [m], [rad] samples of a path lie no further apart, and a target counts as reached within them:
+# about what a tracker sees of a moving tip, so that neither shows in a run
+POSITION_TOLERANCE_M = 1e-3
+DIRECTION_TOLERANCE_RAD = np.radians(1.0)  # [rad] as above, so that neither shows in a run
+SAMPLE_PERIOD_S = 0.04  # [s] between samples, so that a smooth path changes its speed smoothly
+SAMPLES_MAX = 20_000  # [1] of a path; every one costs an inverse, else planning would take minutes
+# [1] of the largest change in a run: by how much a straight line may miss a command, so that
+# neither a plot nor a retreat shows it
+THINNING_TOLERANCE = 0.002
 
 
 @dataclass(frozen=True)
@@ -41,7 +58,7 @@ class TipPath:
     rows: NDArray[np.int64]
 
     def backwards(self) -> TipPath:
-        """Return the way back."""
+        """Return the path from its end to its start."""
         last = len(self.times) - 1
         times = self.times[-1] - self.times[::-1]
         rows = last - self.rows[::-1]
@@ -57,9 +74,9 @@ def tip_path(
     """
     Sample a path through rows of targets.
 
-    Smooth: a monotone cubic through the positions (PCHIP, Fritsch and Carlson 1980), at rest at
-    both ends, never beyond a box around two neighbours. Directions turn at constant speed from row
-    to row, the shortest way.
+    A smooth path is a monotone cubic through the positions (PCHIP, Fritsch and Carlson 1980), at
+    rest at both ends, never beyond a box around two neighbours. Directions turn at constant speed
+    from row to row, the shortest way.
 
     Parameters
     ----------
@@ -80,7 +97,16 @@ def tip_path(
     when = np.zeros(len(positions)) if times is None else times
     if len(positions) == 1:
         return TipPath(np.zeros(1), positions, directions, np.zeros(1, dtype=np.int64))
-    rows, share = _places(when, positions, directions)
+    # samples of each piece, and how far along it they are, 0 to 1
+    parts = [
+        np.diff(when) / SAMPLE_PERIOD_S,
+        np.linalg.norm(np.diff(positions, axis=0), axis=1) / POSITION_TOLERANCE_M,
+        np.nan_to_num(angles(directions[:-1], directions[1:])) / DIRECTION_TOLERANCE_RAD,
+        np.ones(len(positions) - 1),
+    ]
+    counts = np.ceil(np.max(parts, axis=0) - 1e-9).astype(np.int64)
+    rows = np.concatenate([[0], np.cumsum(counts)])
+    share = np.concatenate([*(np.arange(count) / count for count in counts), [1.0]])
     if len(share) > SAMPLES_MAX:
         raise InputError(
             f'the path needs {len(share)} samples, expected at most {SAMPLES_MAX}; split it'
@@ -88,10 +114,10 @@ def tip_path(
     piece = np.searchsorted(rows, np.arange(len(share)), side='right') - 1
     piece = np.minimum(piece, len(rows) - 2)
     sampled = when[piece] + share * (when[piece + 1] - when[piece])
-    way = _smooth(when, positions, piece, share) if smooth else None
-    if way is None:
-        way = positions[piece] + share[:, None] * (positions[piece + 1] - positions[piece])
-    return TipPath(sampled, way, _turned(directions, piece, share), rows)
+    curve = smooth_curve(when, positions, piece, share) if smooth else None
+    if curve is None:
+        curve = positions[piece] + share[:, None] * (positions[piece + 1] - positions[piece])
+    return TipPath(sampled, curve, interpolated_directions(directions, piece, share), rows)
 
 
 def set_points(times: Array, positions: Array, directions: Array) -> TipPath:
@@ -110,27 +136,12 @@ def set_points(times: Array, positions: Array, directions: Array) -> TipPath:
     return TipPath(path.times, path.positions, path.directions, path.rows[own])
 
 
-def _places(times: Array, positions: Array, directions: Array) -> tuple[NDArray[np.int64], Array]:
-    """Return the sample of each row, and how far every sample is in its piece, 0 to 1."""
-    distance = np.linalg.norm(np.diff(positions, axis=0), axis=1)
-    angle = np.nan_to_num(_angles(directions[:-1], directions[1:]))
-    parts = [
-        np.diff(times) / SAMPLE_PERIOD_S,
-        distance / SAMPLE_SPACING_M,
-        angle / SAMPLE_TURN_RAD,
-        np.ones(len(distance)),
-    ]
-    counts = np.ceil(np.max(parts, axis=0) - 1e-9).astype(np.int64)
-    share = [np.arange(count) / count for count in counts]
-    return np.concatenate([[0], np.cumsum(counts)]), np.concatenate([*share, [1.0]])
-
-
-def _smooth(
+def smooth_curve(
     times: Array, positions: Array, piece: NDArray[np.int64], share: Array
 ) -> Array | None:
-    """Return positions on a curve; None where rows coincide and there is none."""
+    """Return positions on a monotone cubic; None where rows coincide and there is none."""
     along = times
-    if not np.all(np.diff(times) > 0.0):  # no times: the length of the way instead
+    if not np.all(np.diff(times) > 0.0):  # no times: the length of the path instead
         lengths = np.linalg.norm(np.diff(positions, axis=0), axis=1)
         if not np.all(lengths > 1e-9):
             return None
@@ -144,11 +155,21 @@ def _smooth(
     return np.asarray(curve(along[piece] + share * (along[piece + 1] - along[piece])))
 
 
-def _turned(directions: Array, piece: NDArray[np.int64], share: Array) -> Array:
+def interpolated_directions(directions: Array, piece: NDArray[np.int64], share: Array) -> Array:
+    """
+    Return directions (N, 3) that turn at constant speed from row to row (slerp).
+
+    Raises
+    ------
+    InputError
+        Two neighbours look in opposite directions: which way round would be chance.
+
+    """
     before, after = directions[piece], directions[piece + 1]
-    angle = _angles(before, after)
-    if np.any(angle > OPPOSITE_FROM_RAD):
-        row = int(piece[int(np.argmax(angle > OPPOSITE_FROM_RAD))])
+    angle = angles(before, after)
+    opposite = angle > np.pi - DIRECTION_TOLERANCE_RAD
+    if opposite.any():
+        row = int(piece[int(np.argmax(opposite))])
         raise InputError(
             f'rows {row + 1} and {row + 2} look in opposite directions; put a row between them'
         )
@@ -164,9 +185,201 @@ def _turned(directions: Array, piece: NDArray[np.int64], share: Array) -> Array:
     return np.asarray(turned / np.linalg.norm(turned, axis=1, keepdims=True))
 
 
-def _angles(a: Array, b: Array) -> Array:
+def angles(a: Array, b: Array) -> Array:
     """Return the angles (n,) [rad] between unit vectors (n, 3)."""
     return np.asarray(np.arccos(np.clip((a * b).sum(axis=1), -1.0, 1.0)))
+
+
+@dataclass(frozen=True)
+class Pace:
+    """Largest speeds and rates along a path."""
+
+    speed: float = 0.02  # [m/s] of the tip
+    turning: float = 0.6  # [rad/s] of its direction
+    tension: float = 5.0  # [N/s] of every tension
+    pull: float = 0.01  # [m/s] of every wire pull
+
+
+@dataclass(frozen=True)
+class Plan:
+    """
+    A path with the times that keep the pace, and what the model says of it.
+
+    Attributes
+    ----------
+    path : TipPath
+        With stretched times.
+    tensions : ndarray, shape (N, m) [N]
+        That the model finds for the samples.
+    position_errors, direction_errors : ndarray, shape (N,) [m], [rad]
+        Distance and angle of the tip from the samples.
+    detours : ndarray, shape (N - 1,) [m]
+        Distance of the tip from the path half way between the tensions of two samples.
+    asked : float
+        Duration [s] as it was given.
+    regions : tuple of str
+        That keep the arm away from its path, in the order of the path.
+
+    """
+
+    path: TipPath
+    tensions: Array
+    position_errors: Array
+    direction_errors: Array
+    detours: Array
+    asked: float
+    regions: tuple[str, ...] = ()
+
+    @property
+    def duration(self) -> float:
+        """How long it takes [s]."""
+        return float(self.path.times[-1])
+
+    def at(self, time: float) -> tuple[Array, Array | None]:
+        """Return position and direction (None: none asked) that are due at a time [s]."""
+        times, path = self.path.times, self.path
+        place = int(np.clip(np.searchsorted(times, time, side='right') - 1, 0, len(times) - 1))
+        after = min(place + 1, len(times) - 1)
+        gap = times[after] - times[place]
+        share = float(np.clip((time - times[place]) / gap, 0.0, 1.0)) if gap > 0.0 else 0.0
+        position = path.positions[place] * (1.0 - share) + path.positions[after] * share
+        direction = path.directions[place] * (1.0 - share) + path.directions[after] * share
+        if np.isnan(direction).any():
+            return position, None
+        return position, direction / np.linalg.norm(direction)
+
+    def detour(self) -> str:
+        """Say where the arm has to change to another solution and leaves the path, or ''."""
+        if not len(self.detours) or self.detours.max() <= POSITION_TOLERANCE_M:
+            return ''
+        worst = int(np.argmax(self.detours))
+        row = int(np.searchsorted(self.path.rows, worst + 1, side='left'))
+        change = np.abs(np.diff(self.tensions, axis=0))[worst].max()
+        return (
+            f'between rows {row} and {row + 1} the tensions have to change by {change:.1f} N at '
+            f'once: the tip leaves the path there by {1e3 * self.detours[worst]:.1f} mm'
+        )
+
+    def out_of_reach(self) -> str:
+        """Say which rows lead where the arm cannot go, '' when there are none."""
+        far = (self.position_errors > POSITION_TOLERANCE_M) | (
+            self.direction_errors > DIRECTION_TOLERANCE_RAD
+        )
+        if not far.any():
+            return ''
+        bad = np.flatnonzero(far)
+        row = np.searchsorted(self.path.rows, bad, side='left') + 1
+        miss, turn = self.position_errors[bad].max(), self.direction_errors[bad].max()
+        span = f'row {row.min()}' if row.min() == row.max() else f'rows {row.min()} to {row.max()}'
+        return (
+            f'{len(bad)} of {len(far)} samples on the way to {span} are out of reach, '
+            f'by up to {1e3 * miss:.1f} mm and {np.degrees(turn):.1f}°'
+            + (f'; kept out of {", ".join(self.regions)}' if self.regions else '')
+        )
+
+
+def plan(
+    model: Model, path: TipPath, pace: Pace, start: Shape, keep_out: KeepOut | None = None
+) -> Plan:
+    """
+    Find the tensions along a path, from where the arm is, and stretch its times.
+
+    Parameters
+    ----------
+    model : Model
+        The one of the controller.
+    path : TipPath
+    pace : Pace
+    start : Shape
+        Where the arm is, and what its friction remembers there.
+    keep_out : KeepOut, optional
+        Regions that no part of the arm may enter.
+
+    """
+    shapes, shape = [], start
+    for position, direction in zip(path.positions, path.directions, strict=True):
+        view = None if np.isnan(direction).any() else direction
+        past = shape.memory if model.remembers else None
+        solution = model.reach(
+            position, view, guess=shape, relax=True, memory=past, keep_out=keep_out
+        )
+        shapes.append(solution)
+        shape = solution.shape
+    tensions = np.array([one.tensions for one in shapes])
+    gaps = np.diff(path.times)
+    for changes, largest in (
+        (np.linalg.norm(np.diff(path.positions, axis=0), axis=1), pace.speed),
+        (np.nan_to_num(angles(path.directions[:-1], path.directions[1:])), pace.turning),
+        (np.abs(np.diff(tensions, axis=0)).max(axis=1, initial=0.0), pace.tension),
+    ):
+        gaps = np.maximum(gaps, changes / largest)
+    times = np.concatenate([[0.0], np.cumsum(gaps)])
+    halfway = 0.5 * (tensions[:-1] + tensions[1:])
+    if not len(halfway):
+        between = np.zeros((0, 3))
+    elif model.remembers:  # each from the sample before it, not from straight
+        both = np.stack([tensions[:-1], halfway], axis=1).reshape(-1, tensions.shape[1])
+        between = model.sequence(both).tip_position[1::2]
+    else:
+        between = model.shapes(halfway).tip_position
+    middle = 0.5 * (path.positions[:-1] + path.positions[1:])
+    return Plan(
+        TipPath(times, path.positions, path.directions, path.rows),
+        tensions,
+        np.array([one.position_error for one in shapes]),
+        np.array([one.direction_error for one in shapes]),
+        np.asarray(np.linalg.norm(between - middle, axis=1)),
+        float(path.times[-1]),
+        tuple(dict.fromkeys(one.region for one in shapes if one.region)),
+    )
+
+
+def stretched(times: Array, values: Array, rate: float) -> Array:
+    """Return times (n,) [s] at which values (n, m) change by no more than a rate per second."""
+    if rate <= 0.0:
+        raise InputError(f'rate: expected more than 0, got {rate:g}')
+    gaps = np.maximum(np.diff(times), np.abs(np.diff(values, axis=0)).max(axis=1) / rate)
+    return np.concatenate([[0.0], np.cumsum(gaps)])
+
+
+def retreat(times: Array, commands: Array, rate: float) -> Trajectory:
+    """
+    Return the commands of a run in reverse, so that the arm goes back along its own path.
+
+    Parameters
+    ----------
+    times : ndarray, shape (n,) [s]
+        Of the commands.
+    commands : ndarray, shape (n, m) [N] or [m]
+        In the order of the run.
+    rate : float
+        Largest change per second.
+
+    """
+    kept = thinned(times, commands)[::-1]
+    back = stretched(times[-1] - times[kept], commands[kept], rate)
+    return Trajectory(back + 0.05, commands[kept])
+
+
+def thinned(times: Array, values: Array) -> NDArray[np.int64]:
+    """
+    Return which rows of values (n, m) at times (n,) [s] straight lines need to pass near all.
+
+    As Douglas and Peucker (1973), with `THINNING_TOLERANCE` of the largest change as the distance.
+    """
+    tolerance = THINNING_TOLERANCE * float(np.ptp(values, axis=0).max(initial=0.0))
+    kept, open_pieces = {0, len(times) - 1}, [(0, len(times) - 1)]
+    while open_pieces:
+        first, last = open_pieces.pop()
+        inside = slice(first + 1, last)
+        ends = times[[first, last]]
+        line = [np.interp(times[inside], ends, column[[first, last]]) for column in values.T]
+        away = np.abs(values[inside] - np.column_stack(line)).max(axis=1, initial=0.0)
+        if away.max(initial=0.0) > tolerance:
+            middle = first + 1 + int(np.argmax(away))
+            kept.add(middle)
+            open_pieces += [(first, middle), (middle, last)]
+    return np.array(sorted(kept))
 
 
 @dataclass(frozen=True)
@@ -233,13 +446,22 @@ class PathRun:
         return np.linalg.norm(places - asked, axis=1), np.arccos(np.clip(cosine, -1.0, 1.0))
 
     def across(self) -> Array:
-        """Return how far the tip was from the path (T,) [m], whenever it was due there."""
+        """Return distances (T,) [m] of the tip from the path, whenever it was due there."""
         if not len(self.asked):
             return np.full(len(self.tips), np.nan)
-        return np.array([_distance(self.asked, place) for place in self.tips])
+        if len(self.asked) == 1:
+            return np.asarray(np.linalg.norm(self.tips - self.asked[0], axis=1))
+        start, step = self.asked[:-1], np.diff(self.asked, axis=0)
+        length = (step**2).sum(axis=1)
+        away = []
+        for tip in self.tips:  # nearest point of every straight piece
+            share = ((tip - start) * step).sum(axis=1) / np.where(length > 0.0, length, 1.0)
+            nearest = start + np.clip(share, 0.0, 1.0)[:, None] * step
+            away.append(np.nanmin(np.linalg.norm(nearest - tip, axis=1)))
+        return np.array(away)
 
-    def on_the_way(self) -> tuple[float, float, float]:
-        """Return rms and largest distance [m] from the target of the moment, and across."""
+    def distances(self) -> tuple[float, float, float]:
+        """Return rms and largest distance [m] from the target of the moment, and from the path."""
         errors, _ = self.errors(self.tip_times)
         return float(np.sqrt(np.mean(errors**2))), float(errors.max()), float(self.across().max())
 
@@ -248,14 +470,3 @@ def _interpolated(times: Array, known: Array, values: Array) -> Array:
     if not len(known):
         return np.full((len(times), values.shape[1]), np.nan)
     return np.column_stack([np.interp(times, known, column) for column in values.T])
-
-
-def _distance(path: Array, place: Array) -> float:
-    """Return the distance [m] of a place (3,) from a line through points (A, 3)."""
-    if len(path) == 1:
-        return float(np.linalg.norm(place - path[0]))
-    start, way = path[:-1], np.diff(path, axis=0)
-    length = (way**2).sum(axis=1)
-    share = ((place - start) * way).sum(axis=1) / np.where(length > 0.0, length, 1.0)
-    nearest = start + np.clip(share, 0.0, 1.0)[:, None] * way
-    return float(np.nanmin(np.linalg.norm(nearest - place, axis=1)))

@@ -29,7 +29,7 @@ def lines(run: PathRun) -> list[str]:
     if run.wanted is not None:
         text.insert(0, f'tendons: {", ".join(run.inputs)}')
     else:
-        rms, worst, across = run.on_the_way()
+        rms, worst, across = run.distances()
         text.append(
             f'on the way: {_mm(rms)} rms and {_mm(worst)} at most from the target of the moment, '
             f'{_mm(across)} at most from the path'

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..common.errors import InputError
 from ..model.model import Model
 from ..model.shape import Shape, ShapeBatch
-from ..paths.plan import REACHED_WITHIN_M, REACHED_WITHIN_RAD
+from ..paths.path import DIRECTION_TOLERANCE_RAD, POSITION_TOLERANCE_M
 
 Array = NDArray[np.float64]
 CELL_BEND_MAX_RAD = np.radians(20.0)  # [rad] beyond it stacked guides would touch (assumed)
@@ -168,8 +168,8 @@ def _around(model: Model, angle: float, steps: int) -> list[Posture]:
         along = about @ np.array([np.sin(angle), 0.0, np.cos(angle)])
         solution = model.reach(place, along, guess=shape, starts=SEARCH_STARTS, relax=True)
         if (
-            solution.position_error > REACHED_WITHIN_M
-            or solution.direction_error > REACHED_WITHIN_RAD
+            solution.position_error > POSITION_TOLERANCE_M
+            or solution.direction_error > DIRECTION_TOLERANCE_RAD
         ):
             raise InputError(
                 f'{model.robot.name}: the {np.degrees(angle):.0f}° view is out of reach when '

@@ -32,8 +32,18 @@ from ...data.path_files import NO_PATH, TendonRows, TipRows, read_moves, read_pa
 from ...data.recording.reader import is_bag, opened
 from ...model.model import Model
 from ...model.shape import Shape
-from ...paths.path import PathRun, TipPath, set_points, tip_path
-from ...paths.plan import Pace, Plan, plan, retreat, stretched, thinned
+from ...paths.path import (
+    Pace,
+    PathRun,
+    Plan,
+    TipPath,
+    plan,
+    retreat,
+    set_points,
+    stretched,
+    thinned,
+    tip_path,
+)
 from ...report.path_run import draw_run, lines
 from ...robot.keep_out import KeepOut, load_keep_out, text_of
 from ..controller.incoming import POINTS_MAX
