@@ -36,7 +36,7 @@ class Damage:
 
     @classmethod
     def none(cls, robot: Robot, seed: int) -> Damage:
-        """Start without any; the seed draws how gain and rotation vary from posture to posture."""
+        """Return none; the seed draws how gain and rotation would vary from posture to posture."""
         n, m = robot.cells, len(robot.inputs)
         waves = np.random.default_rng([seed, 77]).normal(size=(4, m + 1))
         return cls(robot, np.ones(n), np.zeros((n, 3)), waves=waves)
@@ -109,9 +109,6 @@ CAUSES = {
 }
 
 
-# -----------------------------------------------------------------------------
-# What a plant hides: effects of the catalogue, and causes outside it, with checked parameters.
-
 HiddenValues = Mapping[str, float | Sequence[float]]
 Hidden = Mapping[str, HiddenValues | None]  # None or empty: the typical size
 
@@ -163,27 +160,24 @@ def chosen(effect: Effect, values: HiddenValues, robot: Robot) -> EffectValues:
     """
     _refuse_unknown(effect.name, values, tuple(p.name for p in effect.parameters))
     made: EffectValues = {}
+    sections = len(robot.sections)
     for parameter in effect.parameters:
         if parameter.name in values:
-            made[parameter.name] = _checked(effect.name, parameter, values[parameter.name], robot)
+            made[parameter.name] = checked(effect.name, parameter, values[parameter.name], robot)
+        elif values or parameter.has_default or parameter.name.endswith(('_y', '_z')):
+            made[parameter.name] = parameter.neutral
+        elif parameter.per_section and sections > 1:
+            typical = parameter.typical
+            made[parameter.name] = tuple(typical * (i + 1) / sections for i in range(sections))
         else:
-            made[parameter.name] = (
-                parameter.neutral if values else _typical(parameter, len(robot.sections))
-            )
+            made[parameter.name] = parameter.typical
     return made
 
 
-def _typical(parameter: Parameter, sections: int) -> float | tuple[float, ...]:
-    if parameter.has_default or parameter.name.endswith(('_y', '_z')):
-        return parameter.neutral
-    if parameter.per_section and sections > 1:
-        return tuple(parameter.typical * (i + 1) / sections for i in range(sections))
-    return parameter.typical
-
-
-def _checked(
+def checked(
     effect: str, parameter: Parameter, value: float | Sequence[float], robot: Robot
 ) -> float | tuple[float, ...]:
+    """Return a number, or one per section or tendon; EffectError where it is out of bounds."""
     many = isinstance(value, Sequence) and not isinstance(value, str)
     entries = list(value) if isinstance(value, Sequence) and many else [value]
     numbers = tuple(_one(effect, parameter.name, number) for number in entries)
@@ -233,15 +227,6 @@ def side_force(  # type: ignore[no-untyped-def]
     return x + side_x, y + side_y, z + side_z
 
 
-def _unbounded(effect: Effect) -> Effect:
-    """Finer cells have other values, each its own: a third of a bend, nine times a cube."""
-    wide = tuple(
-        replace(p, low=-math.inf, high=math.inf, per_section=not p.per_tendon)
-        for p in effect.parameters
-    )
-    return replace(effect, parameters=wide)
-
-
 def plant_catalogue(catalogue: Catalogue) -> Catalogue:
     """Return the catalogue with the capstan for tendon friction, and with a force per cell."""
     friction = replace(
@@ -258,7 +243,14 @@ def plant_catalogue(catalogue: Catalogue) -> Catalogue:
         for axis in 'xyz'
     )
     side = Effect('side_force', 'a force on one cell', 'load', sides, side_force)
-    effects = [_unbounded(effect) for effect in catalogue if effect.name != 'tendon_friction']
+    effects = []
+    for effect in catalogue:  # finer cells have other values, each its own, beyond all bounds
+        if effect.name != 'tendon_friction':
+            wide = tuple(
+                replace(p, low=-math.inf, high=math.inf, per_section=not p.per_tendon)
+                for p in effect.parameters
+            )
+            effects.append(replace(effect, parameters=wide))
     return Catalogue([friction, *effects, side], catalogue.files, catalogue.is_sized)
 
 
@@ -276,10 +268,6 @@ def with_elastic_slip(catalogue: Catalogue) -> Catalogue:
     memory = replace(catalogue['friction_memory'], law=elastic_slip)
     effects = [memory if e.name == memory.name else e for e in catalogue]
     return Catalogue(effects, catalogue.files, catalogue.is_sized)
-
-
-# -----------------------------------------------------------------------------
-# How well it is built: the ordinary imperfections that no description declares.
 
 
 @dataclass(frozen=True)

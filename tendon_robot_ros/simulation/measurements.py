@@ -20,7 +20,7 @@ from ..common.rotations import towards
 from ..data import DataSet, Marker, default_markers
 from ..data.arrays import markers_of
 from ..data.dataset import INPUTS, PATHS
-from ..data.visits import Split, split_by_order
+from ..data.visits import split_by_order
 from ..robot import RobotLike
 from ..robot.inputs import input_rows
 from .plant import Plant, make_plant
@@ -52,6 +52,10 @@ class SimulatedNoise:
             ('trial', 0.5, '1'),
         ):
             number(f'noise: {key}', getattr(self, key), 0.0, high, unit)
+
+    def factors(self, setting: Floats, trial: Floats) -> Floats:
+        """Return factors on the inputs, never below zero, from standard normal draws of both."""
+        return np.maximum((1.0 + self.setting * setting) * (1.0 + self.trial * trial), 0.0)
 
 
 def simulate(
@@ -117,13 +121,21 @@ def simulate(
         named = names('simulate: markers', (), len(markers) if hasattr(markers, '__len__') else 0)
         made = markers_of(markers, named, 'simulate')
     labels, pulls = names('postures', postures, len(rows)), kind == 'displacement'
-    visits = _order(random, labels, trials) if path == 'visits' else None
-    if visits is not None:
-        used = rows[visits.command[visits.posture]] * _visit_factors(random, noise, visits, rows)
-        positions = _placed(visits, _seen(plant, used[None], made, True, pulls, show))
+    split = None
+    if path == 'visits':  # every posture as many times as there are trials, in a random order
+        order = random.permutation(np.repeat(np.arange(len(labels)), trials))
+        trial = np.array([int((order[:v] == command).sum()) for v, command in enumerate(order)])
+        split = split_by_order(labels, order, trial, np.ones(len(order), dtype=bool))
+        command, trial = split.command[split.posture], split.visits.trials
+        setting = random.normal(size=(len(split.postures), rows.shape[1]))[split.posture]
+        used = rows[command] * noise.factors(setting, random.normal(size=rows[command].shape))
+        seen = markers_seen(plant, used[None], made, True, pulls, show)[0]
+        positions = np.empty((int(command.max()) + 1, int(trial.max()) + 1, *seen.shape[1:]))
+        positions[command, trial] = seen
     else:
-        used = rows * _factors(random, noise, trials, rows.shape)  # (Q, P, m)
-        positions = _seen(plant, used, made, path == 'sequence', pulls, show)
+        setting, trial = random.normal(size=rows.shape), random.normal(size=(trials, *rows.shape))
+        used = rows * noise.factors(setting, trial)  # (Q, P, m)
+        positions = markers_seen(plant, used, made, path == 'sequence', pulls, show)
         positions = positions.swapaxes(0, 1)
     positions = positions + random.normal(0.0, noise.position, positions.shape)
     dataset = DataSet(
@@ -134,47 +146,20 @@ def simulate(
         inputs=rows,
         positions=positions,
         input=input,
-        path='sequence' if visits else path,
+        path='sequence' if split else path,
         gravity=robot.gravity,
         position_noise=noise.position or None if declare else None,
         setting_noise=noise.setting if declare else 0.0,
         trial_noise=noise.trial if declare else 0.0,
     )
-    return dataset if visits is None else dataset.by_origin(visits, _own(visits))
-
-
-def _order(random: np.random.Generator, names: Sequence[str], trials: int) -> Split:
-    """Visit every posture as many times as there are trials, in a random order."""
-    order = random.permutation(np.repeat(np.arange(len(names)), trials))
-    trial = np.array([int((order[:v] == command).sum()) for v, command in enumerate(order)])
-    return split_by_order(names, order, trial, np.ones(len(order), dtype=bool))
-
-
-def _own(split: Split) -> npt.NDArray[np.bool_]:
-    """Tell which trials (P, Q) each posture has."""
+    if split is None:
+        return dataset
     own = np.zeros((len(split.postures), int(split.visits.trials.max()) + 1), dtype=bool)
     own[split.posture, split.visits.trials] = True
-    return own
+    return dataset.by_origin(split, own)
 
 
-def _placed(split: Split, seen: Floats) -> Floats:
-    """Return markers (1, V, J, 3) of the visits by command and trial, (C, Q, J, 3)."""
-    command, trial = split.command[split.posture], split.visits.trials
-    places = np.empty((int(command.max()) + 1, int(trial.max()) + 1, *seen.shape[2:]))
-    places[command, trial] = seen[0]
-    return places
-
-
-def _visit_factors(
-    random: np.random.Generator, noise: SimulatedNoise, split: Split, rows: Floats
-) -> Floats:
-    """Factors (V, m) on what was set; never below zero."""
-    setting = noise.setting * random.normal(size=(len(split.postures), rows.shape[1]))
-    trial = noise.trial * random.normal(size=(len(split.posture), rows.shape[1]))
-    return np.maximum((1.0 + setting[split.posture]) * (1.0 + trial), 0.0)
-
-
-def _seen(
+def markers_seen(
     plant: Plant,
     inputs: Floats,
     markers: Sequence[Marker],
@@ -192,22 +177,6 @@ def _seen(
     return np.array(seen)
 
 
-def _factors(
-    random: np.random.Generator, noise: SimulatedNoise, trials: int, shape: tuple[int, ...]
-) -> Floats:
-    """Factors (Q, P, m) on what was set; never below zero."""
-    setting = noise.setting * random.normal(size=shape)
-    trial = noise.trial * random.normal(size=(trials, *shape))
-    return np.maximum((1.0 + setting) * (1.0 + trial), 0.0)
-
-
-# -----------------------------------------------------------------------------
-# The same as a laboratory logs it.
-
-UP = np.array([0.0, 1.0, 0.0])  # of the tracker
-SLIP = 0.7  # of the largest tension that arrives where a tendon slips
-
-
 @dataclass(frozen=True)
 class Laboratory:
     """How a recording is made."""
@@ -221,6 +190,7 @@ class Laboratory:
     frame_noise: float = 1e-4  # [m] per coordinate and frame
     cell_noise: float = 0.004  # [N] of the load cells, per frame
     slips: int = 1  # trials in which a tendon slips
+    slipped: float = 0.7  # share of the largest tension that then arrives
 
 
 def tracker_frame(gravity: Sequence[float] | None, lab: Laboratory) -> tuple[Floats, Floats]:
@@ -229,8 +199,9 @@ def tracker_frame(gravity: Sequence[float] | None, lab: Laboratory) -> tuple[Flo
     size = float(np.linalg.norm(down))
     above = np.array([0.0, 0.0, 1.0]) if size == 0.0 else -down / size
     s, c = np.sin(lab.turned), np.cos(lab.turned)
-    about_up = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-    return about_up @ towards(UP) @ towards(above).T, np.array(lab.shift)
+    up = np.array([0.0, 1.0, 0.0])
+    about_up = np.array([[c, 0.0, s], up, [-s, 0.0, c]])
+    return about_up @ towards(up) @ towards(above).T, np.array(lab.shift)
 
 
 def raw_table(
@@ -285,57 +256,37 @@ def raw_table(
         markers=markers,
         progress=progress,
     )
-    places = _with_slips(plant, seen, rows, lab, random)
+    places = np.array(seen.positions)  # (1 + P, Q, J, 3) [m], rest first
+    for _ in range(lab.slips):
+        p, q = int(random.integers(len(rows))), int(random.integers(trials))
+        slipped = rows[p].copy()
+        slipped[slipped.argmax()] *= lab.slipped
+        places[p + 1, q] = plant.markers(slipped[None], seen.arc_lengths, seen.offsets)[0]
     stops = [(0, 0)]
     for q in range(trials):
         for p in range(1, len(rows) + 1):
             stops += [(p, q), (0, q)]
-    values = _over_time([np.append(seen.inputs[p], places[p, q].ravel()) for p, q in stops], lab)
+    values = over_time([np.append(seen.inputs[p], places[p, q].ravel()) for p, q in stops], lab)
     m, J = rows.shape[1], len(seen.markers)
-    tracked = _tracked(values[:, m:].reshape(-1, J, 3), plant.robot.gravity, lab, random)
+    turn, shift = tracker_frame(plant.robot.gravity, lab)
+    tracked = values[:, m:].reshape(-1, J, 3) @ turn.T + shift
+    tracked += random.normal(0.0, lab.frame_noise, tracked.shape)
+    burst = max(round(0.5 * lab.rate), 1)  # [frames] in half a second, in which a marker is lost
+    for j in range(J):
+        for start in random.integers(0, len(values), round(lab.lost * len(values) / burst)):
+            tracked[start : start + burst, j] = np.nan
     shuffled = np.random.default_rng([seed, 8]).permutation(J)
     columns = [
         np.arange(len(values)) / lab.rate,
         values[:, :m] + random.normal(0.0, lab.cell_noise, (len(values), m)),
         1e3 * tracked[:, shuffled].reshape(len(values), -1),
     ]
-    return _names(m, J), np.column_stack(columns)
+    headings = ['time_s', *(f'T{i + 1} [N]' for i in range(m))]
+    headings += [f'marker_{i + 1:02d}_{axis} [mm]' for i in range(J) for axis in 'xyz']
+    return headings, np.column_stack(columns)
 
 
-def _with_slips(
-    plant: Plant, seen: DataSet, rows: Floats, lab: Laboratory, random: np.random.Generator
-) -> Floats:
-    """Return positions (1 + P, Q, J, 3) [m], rest first; in some trials a tendon slips."""
-    places = np.array(seen.positions)
-    for _ in range(lab.slips):
-        p, q = int(random.integers(len(rows))), int(random.integers(places.shape[1]))
-        slipped = rows[p].copy()
-        slipped[slipped.argmax()] *= SLIP
-        places[p + 1, q] = plant.markers(slipped[None], seen.arc_lengths, seen.offsets)[0]
-    return places
-
-
-def _names(inputs: int, markers: int) -> list[str]:
-    """Name the columns, with their units."""
-    names = ['time_s', *(f'T{i + 1} [N]' for i in range(inputs))]
-    return names + [f'marker_{i + 1:02d}_{axis} [mm]' for i in range(markers) for axis in 'xyz']
-
-
-def _tracked(
-    positions: Floats,
-    gravity: Sequence[float] | None,
-    lab: Laboratory,
-    random: np.random.Generator,
-) -> Floats:
-    """Return positions (R, J, 3) [m] as the tracker sees them: its frame, its noise, its gaps."""
-    turn, shift = tracker_frame(gravity, lab)
-    seen = positions @ turn.T + shift
-    seen += random.normal(0.0, lab.frame_noise, seen.shape)
-    seen[_not_seen(random, len(seen), seen.shape[1], lab)] = np.nan
-    return seen
-
-
-def _over_time(stops: Sequence[Floats], lab: Laboratory) -> Floats:
+def over_time(stops: Sequence[Floats], lab: Laboratory) -> Floats:
     """Hold at every stop and go smoothly to the next."""
     still, moving = round(lab.hold * lab.rate), round(lab.move * lab.rate)
     share = 0.5 - 0.5 * np.cos(np.pi * (np.arange(moving) + 1.0) / (moving + 1.0))
@@ -343,17 +294,6 @@ def _over_time(stops: Sequence[Floats], lab: Laboratory) -> Floats:
     for here, there in zip(stops, [*stops[1:], stops[-1]], strict=True):
         parts += [np.tile(here, (still, 1)), here + share[:, None] * (there - here)]
     return np.concatenate(parts[:-1])
-
-
-def _not_seen(
-    random: np.random.Generator, count: int, markers: int, lab: Laboratory
-) -> npt.NDArray[np.bool_]:
-    """Draw bursts of half a second in which a marker is lost, (count, markers)."""
-    lost, length = np.zeros((count, markers), dtype=bool), max(round(0.5 * lab.rate), 1)
-    for j in range(markers):
-        for start in random.integers(0, count, round(lab.lost * count / length)):
-            lost[start : start + length, j] = True
-    return lost
 
 
 def write_table(path: str | Path, names: Sequence[str], values: Floats) -> None:

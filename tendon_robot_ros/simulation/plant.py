@@ -1,9 +1,18 @@
-"""A plant: the robot as it really is, for simulated measurements and the mock driver."""
+"""
+A plant: the robot as it really is, for simulated measurements and the mock driver.
+
+It shares the physics with the model that its owner writes down, and little else: finer cells, the
+capstan's exponential, scatter of the cells' stiffness, and effects or damage that the owner's file
+does not mention. Eyelets stay where the owner's are, at the ends of the owner's cells: a tendon
+touches nothing between them, so finer cells may not add friction. For the same reason cells are
+not divided where a joint or the straight tendon between two eyelets is a thing of its own: hinges,
+`straight_tendon`, `friction_memory` (whose travel is counted per cell), and the user's own
+effects, of which nobody knows how they scale. There a plant differs by capstan and scatter only.
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -67,7 +76,8 @@ def real_robot(
     wraps[:, -1] = parts  # the eyelet turns the tendon as the whole cell does
     friction: EffectValues = {'wraps': tuple(wraps.ravel()), 'exponential': float(exponential)}
     made = {
-        name: _scaled(catalogue[name], values, robot, parts) for name, values in effects.items()
+        name: scaled_values(catalogue[name], values, robot, parts)
+        for name, values in effects.items()
     }
     made['tendon_friction'] = {**made.get('tendon_friction', {}), **friction}
     if side_force.any():
@@ -76,45 +86,37 @@ def real_robot(
         made['side_force'] = {
             f'side_{axis}': tuple(forces[..., i].ravel()) for i, axis in enumerate('xyz')
         }
-    if built.kink.any():
-        made['pre_curvature'] = _kinked(made.get('pre_curvature', {}), built, parts)
-    sections = _sections(robot, parts, stiffness * (1.0 + built.stiffness))
+    if built.kink.any():  # it lies in the first part of its cell
+        kinks, before = np.zeros((n, parts, 2)), made.get('pre_curvature', {})
+        kinks[:, 0] = built.kink
+        made['pre_curvature'] = {
+            key: tuple((kinks[..., i].ravel() + np.array(before.get(key, 0.0))).tolist())
+            for i, key in enumerate(('angle_x', 'angle_y'))
+        }
+    sections = cell_sections(robot, parts, stiffness * (1.0 + built.stiffness))
     ends = {s.name: f'{s.name} {s.cells * parts}' for s in robot.sections}
-    helix = helix_angles(robot)
-    tendons = tuple(
-        replace(
-            tendon,
-            section=ends[tendon.section],
-            base=(tendon.base[0] * (1.0 + off), tendon.base[1] * (1.0 + off)),
-            end=(tendon.end[0] * (1.0 + off), tendon.end[1] * (1.0 + off)),
-            offsets=_divided(tendon.offsets, helix[:, k], parts, 1.0 + off),
+    helix, along = helix_angles(robot), (np.arange(parts) + 0.5) / parts - 0.5
+    tendons = []
+    for k, tendon in enumerate(robot.tendons):
+        scale = 1.0 + float(built.hole[k])
+        offsets: list[XY] = []  # in every finer cell that of the cell, wound on within it
+        for (x, y), angle in zip(tendon.offsets, helix[:, k].tolist(), strict=False):
+            c, s = scale * np.cos(angle * along), scale * np.sin(angle * along)
+            offsets += zip((c * x - s * y).tolist(), (s * x + c * y).tolist(), strict=True)
+        tendons.append(
+            replace(
+                tendon,
+                section=ends[tendon.section],
+                base=(tendon.base[0] * scale, tendon.base[1] * scale),
+                end=(tendon.end[0] * scale, tendon.end[1] * scale),
+                offsets=tuple(offsets),
+            )
         )
-        for k, (tendon, off) in enumerate(zip(robot.tendons, built.hole.tolist(), strict=True))
-    )
-    return replace(robot, sections=sections, tendons=tendons, effects=made, fitted={})
+    return replace(robot, sections=sections, tendons=tuple(tendons), effects=made, fitted={})
 
 
-def _divided(offsets: tuple[XY, ...], helix: Floats, parts: int, scale: float) -> tuple[XY, ...]:
-    """Return the offset of a tendon in every finer cell: that of the cell, wound on within it."""
-    share = (np.arange(parts) + 0.5) / parts - 0.5
-    made: list[XY] = []
-    for (x, y), angle in zip(offsets, helix.tolist(), strict=False):
-        c, s = scale * np.cos(angle * share), scale * np.sin(angle * share)
-        made += zip((c * x - s * y).tolist(), (s * x + c * y).tolist(), strict=True)
-    return tuple(made)
-
-
-def _kinked(before: EffectValues, built: Built, parts: int) -> EffectValues:
-    """Return the rest bends of the finer cells; a kink lies in the first of each cell."""
-    kinks = np.zeros((len(built.kink), parts, 2))
-    kinks[:, 0] = built.kink
-    return {
-        key: tuple((kinks[..., i].ravel() + np.array(before.get(key, 0.0))).tolist())
-        for i, key in enumerate(('angle_x', 'angle_y'))
-    }
-
-
-def _sections(robot: Robot, parts: int, stiffness: Floats) -> tuple[Section, ...]:
+def cell_sections(robot: Robot, parts: int, stiffness: Floats) -> tuple[Section, ...]:
+    """Return a section of its own for every finer cell, with factors (n,) on the stiffness."""
     made, factors = [], iter(stiffness)
     for section in robot.sections:
         for i in range(section.cells):
@@ -134,7 +136,7 @@ def _sections(robot: Robot, parts: int, stiffness: Floats) -> tuple[Section, ...
     return tuple(made)
 
 
-def _scaled(effect: Effect, values: EffectValues, robot: Robot, parts: int) -> EffectValues:
+def scaled_values(effect: Effect, values: EffectValues, robot: Robot, parts: int) -> EffectValues:
     """Scale what counts per cell; repeat what counts per section for every cell of it."""
     cells = [s.cells * parts for s in robot.sections]
     powers = {parameter.name: parameter.parts_power for parameter in effect.parameters}
@@ -150,28 +152,15 @@ def _scaled(effect: Effect, values: EffectValues, robot: Robot, parts: int) -> E
     return made
 
 
-# -----------------------------------------------------------------------------
-# A plant: the robot as it really is, for simulated measurements and the mock driver.
-#
-# It shares the physics with the model that its owner writes down, and little else: finer cells,
-# the capstan's exponential, scatter of the cells' stiffness, and effects or damage that the
-# owner's file does not mention. Eyelets stay where the owner's are, at the ends of the owner's
-# cells: a tendon touches nothing between them, so finer cells may not add friction. For the same
-# reason cells are not divided where a joint or the straight tendon between two eyelets is a thing
-# of its own: hinges, `straight_tendon`, `friction_memory` (whose travel is counted per cell), and
-# the user's own effects, of which nobody knows how they scale. There a plant differs by capstan
-# and scatter only.
-
-
 class PlantShape(Shape):
     """The arm as it is; its markers are where the tracker sees them."""
 
-    def __init__(self, shape: Shape, plant: Plant, asked: Floats | None = None) -> None:
-        """Take a shape of the plant's model; `asked` [N]: inputs without the hidden gain."""
+    def __init__(self, shape: Shape, plant: Plant, inputs: Floats | None = None) -> None:
+        """Take a shape of the plant's model; `inputs` (m,) [N] without the hidden gain."""
         super().__init__(shape.form, shape.block)
         self.plant = plant
-        if asked is not None:
-            self.inputs[:] = asked
+        if inputs is not None:
+            self.inputs[:] = inputs
 
     def markers(self, arc_length: Floats, offset: Floats) -> Floats:
         """Place markers (j, 3) [m] in the tracker's frame."""
@@ -190,6 +179,10 @@ class Plant:
         self.robot, self.model, self.parts, self.damage = robot, model, parts, damage
         self.built = built or Built.exact(robot)
         self.inputs = robot.inputs
+        # tension [N] and wire pull [m] that bend the arm by half a radian, roughly
+        radius = max(float(np.hypot(*tendon.end)) for tendon in robot.tendons)
+        softness = sum(1.0 / k for s in robot.sections for k in s.bending_stiffness)
+        self._scale = 0.5 / (softness * radius), 0.5 * radius
         self._state: PlantShape | None = None
 
     def respond(self, tensions: npt.ArrayLike) -> PlantShape:
@@ -239,9 +232,13 @@ class Plant:
         """
         fine = self._fine(np.asarray(inputs, dtype=float), sequence, displacement)
         n, ends = self.robot.cells, slice(self.parts - 1, None, self.parts)
+        # bends and twists of finer cells add up
+        b = len(fine.state)
+        bends = bends_in(fine.state).reshape(b, n, self.parts, 2).sum(axis=2).reshape(b, 2 * n)
+        twists = twists_in(fine.state).reshape(b, n, self.parts).sum(axis=2)
         return replace(
             fine,
-            state=_joined(fine.state, n, self.parts),
+            state=np.concatenate([bends, twists], axis=1),
             tendon_tensions=fine.tendon_tensions[:, ends],
             frames=fine.frames[:, ends],
             positions=fine.positions[:, ends],
@@ -292,22 +289,8 @@ class Plant:
     def _deviations(self, inputs: Floats, displacement: bool) -> Floats:
         return self.damage.deviations(inputs / self._scale[int(displacement)])
 
-    @cached_property
-    def _scale(self) -> tuple[float, float]:
-        """Tension [N] and wire pull [m] that bend the arm by half a radian, roughly."""
-        radius = max(float(np.hypot(*tendon.end)) for tendon in self.robot.tendons)
-        softness = sum(1.0 / k for s in self.robot.sections for k in s.bending_stiffness)
-        return 0.5 / (softness * radius), 0.5 * radius
 
-
-def _joined(state: Floats, n: int, parts: int) -> Floats:
-    """Add up bends and twists of finer cells: states (b, 3 n parts) to (b, 3n) [rad]."""
-    b = len(state)
-    bends = bends_in(state).reshape(b, n, parts, 2).sum(axis=2).reshape(b, 2 * n)
-    return np.concatenate([bends, twists_in(state).reshape(b, n, parts).sum(axis=2)], axis=1)
-
-
-SCATTER_MAX = 0.2  # [1] 1 sd: cells that are softer by five of them would be none
+SCATTER_MAX = 0.2  # [1] 1 sd of the stiffness, else cells softer by five of them had none left
 
 
 def make_plant(
@@ -328,7 +311,7 @@ def make_plant(
     robot : Robot, name, path, text or dict
         What its owner wrote down.
     hidden : mapping, optional
-        Effect, or cause outside the catalogue (`causes.CAUSES`), to its parameters; no parameters:
+        Effect, or cause outside the catalogue (`hidden.CAUSES`), to its parameters; no parameters:
         the typical size. An effect that the owner lists has these values instead of the owner's.
     refine : int
         Cells per cell of the owner, where the cells may be divided (see this module).

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import InputError, NoEquilibriumError
+from ..common.units import STANDARD_GRAVITY
 from ..common.words import digits, listed, mm
 from ..diagnosis.verdict import Verdict
 from ..effects import Catalogue
@@ -22,11 +23,15 @@ from .hidden import CAUSES, chosen
 Array = NDArray[np.float64]
 NOTHING_HIDDEN = 'none'
 REFINEMENTS = ('eyelet_wrap', 'tendon_travel')  # what the mock's wires do, and its owner knows
-GRAVITY_HANGING = (0.0, 0.0, 9.81)  # [m/s²] the arm hangs
-VISIBLE_TIP_ERROR = (0.02, 0.05)  # [1] tip error that a hidden effect makes, in lengths of the arm
-NO_TIP_ERROR = 0.003  # [1] below which an effect does not show on this arm at all: none is drawn
-# [1] 1 sd of the stiffness from cell to cell; its owner knows so much of it
+# [1] tip error of a hidden effect, in lengths of the arm: large enough to be seen on the page,
+# so that a person can watch it go
+TIP_ERROR_MIN = 0.02
+TIP_ERROR_MAX = 0.05  # [1] as above; so that the arm still goes near its targets
+# [1] in lengths of the arm: an effect that cannot make more is not drawn, else nobody would see it
+TIP_ERROR_VISIBLE = 0.003
+# [1] 1 sd from cell to cell of the plant; its owner would know so much of it
 STIFFNESS_SCATTER = 0.02
+ERROR_REDUCTION_MIN = 0.8  # [1] of the tip error, else the story did not come true
 
 
 @dataclass(frozen=True)
@@ -64,7 +69,7 @@ def refined(robot: Robot) -> Robot:
     for name in REFINEMENTS:
         robot = robot.with_effect(name, {'fraction': 1.0})
     tolerances = {**robot.tolerances, 'cell_stiffness': STIFFNESS_SCATTER}
-    return replace(robot, gravity=GRAVITY_HANGING, tolerances=tolerances)
+    return replace(robot, gravity=(0.0, 0.0, STANDARD_GRAVITY), tolerances=tolerances)
 
 
 def choices(robot: Robot, catalogue: Catalogue) -> tuple[str, ...]:
@@ -102,23 +107,19 @@ def draw(robot: Robot, catalogue: Catalogue, name: str, seed: int) -> Hidden:
     left = [n for n in known if n not in CAUSES and n != NOTHING_HIDDEN]
     sized = catalogue.sized(natural_sizes(robot))
     while True:
-        hidden = _visible(robot, sized, name or str(random.choice(left)), random)
-        left = [n for n in left if n != hidden.name]
-        shown = _tip_change(robot, sized, hidden.name, hidden.values) / robot.length
-        if name or not left or shown > NO_TIP_ERROR:
+        effect = name or str(random.choice(left))
+        typical = chosen(sized[effect], {}, robot)
+        wanted = random.uniform(TIP_ERROR_MIN, TIP_ERROR_MAX) * robot.length
+        low, high = 0.02, 20.0  # times the typical size; bisected in its logarithm
+        for _ in range(14):
+            middle = float(np.sqrt(low * high))
+            size = _tip_change(robot, sized, effect, _scaled(sized, effect, typical, middle))
+            low, high = (middle, high) if size < wanted else (low, middle)
+        hidden = Hidden(effect, _scaled(sized, effect, typical, low))
+        left = [n for n in left if n != effect]
+        shown = _tip_change(robot, sized, effect, hidden.values) / robot.length
+        if name or not left or shown > TIP_ERROR_VISIBLE:
             return hidden
-
-
-def _visible(robot: Robot, catalogue: Catalogue, name: str, random: np.random.Generator) -> Hidden:
-    """Return an effect of the size that moves the tip by millimetres, as far as it can."""
-    typical = chosen(catalogue[name], {}, robot)
-    wanted = random.uniform(*VISIBLE_TIP_ERROR) * robot.length
-    low, high = 0.02, 20.0
-    for _ in range(14):
-        middle = float(np.sqrt(low * high))
-        size = _tip_change(robot, catalogue, name, _scaled(catalogue, name, typical, middle))
-        low, high = (middle, high) if size < wanted else (low, middle)
-    return Hidden(name, _scaled(catalogue, name, typical, low))
 
 
 def tour(model: Model, count: int, seed: int) -> list[TourPosture]:
@@ -155,12 +156,6 @@ def _scaled(catalogue: Catalogue, name: str, values: EffectValues, factor: float
     return made
 
 
-# -----------------------------------------------------------------------------
-# The story of `make live` in words, and whether it came true.
-
-ERROR_SHARE_GONE = 0.8  # share of the tip error that must be gone
-
-
 @dataclass
 class Story:
     """What happened: errors in metres, the verdict as published."""
@@ -195,7 +190,7 @@ class Story:
             return f'{self.hidden.name} was hidden, but the verdict is {verdict}'
         if not self.added:
             return 'the controller did not take the new description'
-        if not self.gone >= ERROR_SHARE_GONE:
+        if not self.gone >= ERROR_REDUCTION_MIN:
             return f'only {100.0 * self.gone:.0f} % of the tip error is gone'
         return ''
 
