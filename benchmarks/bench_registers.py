@@ -28,8 +28,7 @@ from tendon_robot_ros.drivers import make_driver
 from tendon_robot_ros.drivers.dynamixel.control_table import GAINS, MODELS, REGISTERS
 from tendon_robot_ros.drivers.dynamixel.port import Port
 from tendon_robot_ros.drivers.dynamixel.settings import SETTINGS
-from tendon_robot_ros.emulator.bus import EmulatedBus
-from tendon_robot_ros.emulator.protocol import status
+from tendon_robot_ros.emulator.bus import EmulatedBus, status
 from tendon_robot_ros.emulator.rig import Rig, SpringArm, Wire
 from tendon_robot_ros.emulator.servo import Servo
 from tendon_robot_ros.robot import load_robot
@@ -112,7 +111,7 @@ class Trial:
             before, rig = self.line.rig.wound[place], self.line.rig
             rig.most[:] = rig.wound
             with self.line._lock:
-                self.line.responder._booting[self.one] = time.monotonic() + self.draw.random()
+                self.line.responder.booting[self.one] = time.monotonic() + self.draw.random()
                 rig.rebooted(self.one)
             said = self.cycle(driver, lambda r: any(f.code == 'restarted' for f in r.faults))
             return said and not servo.torque and rig.most[place] < before + WOUND_ON_M

@@ -16,7 +16,7 @@ from machine import machine
 from tendon_robot_ros.drivers import make_driver
 from tendon_robot_ros.drivers.serial_board import messages
 from tendon_robot_ros.drivers.serial_board.link import BoardLink
-from tendon_robot_ros.drivers.serial_board.messages import FrameReceiver, encode
+from tendon_robot_ros.drivers.serial_board.messages import FrameReceiver, Message, encode
 from tendon_robot_ros.emulator.port import Plug
 from tendon_robot_ros.emulator.process import EmulatorProcess
 from tendon_robot_ros.robot import load_robot
@@ -31,7 +31,7 @@ def telemetry(i):
     values = np.zeros(CHANNELS, dtype=[('t', '<i4'), ('p', '<i4'), ('c', '<i2'), ('f', '<u2')])
     values['t'], values['p'], values['c'] = 1_500_000 + i, 12_000 - i, 300
     head = (1000 * i).to_bytes(4, 'little') + bytes((1, 15, 0, i & 255, 0, 0))
-    return encode(messages.TELEMETRY, i, head + values.tobytes())
+    return encode(Message.TELEMETRY, i, head + values.tobytes())
 
 
 def parsing(count=50_000):
@@ -53,15 +53,15 @@ class Source(Plug):
         self.sent, self._due = 0, time.monotonic()
         super().__init__('telemetry', idle=0.001)
 
-    def _let_time_pass(self, passed):
+    def advance(self, passed):
         while self._due < time.monotonic():
             self._send(telemetry(self.sent))
             self.sent, self._due = self.sent + 1, self._due + 0.001
 
-    def _hear(self, data):
+    def receive(self, data):
         pass
 
-    def _plugged(self):
+    def connected(self):
         pass
 
 

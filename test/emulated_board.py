@@ -5,12 +5,11 @@ import numpy as np
 import pytest
 
 from tendon_robot_ros.drivers import make_driver
-from tendon_robot_ros.emulator import firmware
-from tendon_robot_ros.emulator.board import SPOOL_RADIUS, TICKS_PER_TURN, BoardRig, EmulatedBoard
+from tendon_robot_ros.emulator.board import BoardRig, EmulatedBoard, compiler
 from tendon_robot_ros.emulator.rig import SpringArm
 
 needs_compiler = pytest.mark.skipif(
-    firmware.compiler() is None, reason='no C compiler: the emulated board is skipped'
+    compiler() is None, reason='no C compiler: the emulated board is skipped'
 )
 
 
@@ -36,8 +35,8 @@ def config(line, /, **changes):
     }
     plain = {
         'port': line.port,
-        'spool_radius': SPOOL_RADIUS,
-        'ticks_per_turn': TICKS_PER_TURN,
+        'spool_radius': line.rig.motor.spool_radius,
+        'ticks_per_turn': line.rig.motor.ticks_per_turn,
         'pull_limits': [-0.01, 0.03],
         'tension_rate': 20.0,
         'pull_rate': 0.08,

@@ -61,7 +61,7 @@ def serial(mode):
 BACKENDS = {'mock': mock, 'dynamixel': dynamixel, 'serial': serial}
 if importlib.util.find_spec('dynamixel_sdk') is None:
     del BACKENDS['dynamixel']
-if importlib.util.find_spec('serial') is None or not emulated_board.firmware.compiler():
+if importlib.util.find_spec('serial') is None or not emulated_board.compiler():
     del BACKENDS['serial']
 
 

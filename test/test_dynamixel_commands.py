@@ -20,8 +20,7 @@ from tendon_robot_ros.drivers import make_driver
 from tendon_robot_ros.drivers.dynamixel import calibration
 from tendon_robot_ros.drivers.dynamixel.calibration import CurrentPoint, fit_current
 from tendon_robot_ros.drivers.dynamixel.config import read_config
-from tendon_robot_ros.emulator.bus import ACTIONS, HELP
-from tendon_robot_ros.emulator.port import obey
+from tendon_robot_ros.emulator.bus import HELP
 from tendon_robot_ros.emulator.process import EmulatorProcess
 from tendon_robot_ros.emulator.rig import HangingWeights
 
@@ -103,13 +102,13 @@ def test_every_word_of_the_emulators_help_is_known():
                 'plug': '',
                 **words,
             }.get(word, '1')
-            assert obey(line, f'{word} {values}', ACTIONS)
+            assert line.obey(f'{word} {values}')
 
 
 @pytest.mark.parametrize('text', ['jump', 'silent 9', 'hot 1', 'slow fast', 'weight 1 0.1'])
 def test_a_wrong_word_for_the_emulator_is_refused(text):
     with emulated.line() as line, pytest.raises(InputError, match='type help'):
-        obey(line, text, ACTIONS)
+        line.obey(text)
 
 
 MASSES = (0.5, 1.0, 2.0, 4.0)  # [kg]

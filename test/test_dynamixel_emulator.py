@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 from control_rig import ROBOTS
 
-from tendon_robot_ros.drivers.dynamixel.control_table import MODELS, REGISTERS
-from tendon_robot_ros.emulator import servo as servos
-from tendon_robot_ros.emulator.motion import STEP_S, TICK, Load
+from tendon_robot_ros.drivers.dynamixel.control_table import (
+    BAUD_RATES,
+    MODELS,
+    RADIANS_PER_TICK,
+    REGISTERS,
+)
 from tendon_robot_ros.emulator.rig import (
     BALANCED_N,
     ElasticArm,
@@ -21,7 +24,7 @@ from tendon_robot_ros.emulator.rig import (
     Wire,
     softer,
 )
-from tendon_robot_ros.emulator.servo import Servo
+from tendon_robot_ros.emulator.servo import STEP_S, Load, Servo, StatusError
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.plant import make_plant
 
@@ -45,24 +48,24 @@ def write(servo, name, value):
 def test_flash_memory_is_locked_while_torque_is_on(servo):
     assert write(servo, 'operating_mode', 0) == 0
     assert write(servo, 'torque_enable', 1) == 0
-    assert write(servo, 'operating_mode', 4) == servos.ACCESS
+    assert write(servo, 'operating_mode', 4) == StatusError.ACCESS
 
 
 def test_a_measured_value_cannot_be_written(servo):
-    assert write(servo, 'present_position', 5) == servos.ACCESS
+    assert write(servo, 'present_position', 5) == StatusError.ACCESS
 
 
 def test_a_value_written_in_part_is_refused(servo):
-    assert servo.write(REGISTERS['goal_position'].address, b'\1\0') == servos.DATA_LENGTH
+    assert servo.write(REGISTERS['goal_position'].address, b'\1\0') == StatusError.DATA_LENGTH
 
 
 def test_reading_behind_the_table_is_refused(servo):
-    assert servo.read(140, 20) == (servos.ACCESS, b'')
+    assert servo.read(140, 20) == (StatusError.ACCESS, b'')
 
 
 def test_a_goal_current_beyond_the_limit_is_refused(servo):
     assert write(servo, 'current_limit', 100) == 0
-    assert write(servo, 'goal_current', 101) == servos.DATA_LIMIT
+    assert write(servo, 'goal_current', 101) == StatusError.DATA_LIMIT
     assert write(servo, 'goal_current', -100) == 0
 
 
@@ -88,7 +91,7 @@ def test_a_tripped_watchdog_stops_the_servo_and_locks_the_goals_until_zero_is_wr
     stopped = servo.get('present_position')
     rig.advance(0.1)
     assert servo.get('present_position') == stopped
-    assert write(servo, goal, 50) == servos.DATA_RANGE
+    assert write(servo, goal, 50) == StatusError.DATA_RANGE
     assert servo.torque
     assert write(servo, 'bus_watchdog', 0) == 0
     assert write(servo, goal, aim) == 0
@@ -146,7 +149,7 @@ def test_another_operating_mode_resets_gains_profile_and_pwm(servo):
     assert servo.get('position_p_gain') == 7
     assert write(servo, 'operating_mode', 5) == 0
     found = [servo.get(name) for name in ('position_p_gain', 'profile_velocity', 'goal_pwm')]
-    assert found == [servos.GAINS['position_p_gain'], 0, 885]
+    assert found == [StatusError.GAINS['position_p_gain'], 0, 885]
 
 
 def test_a_secondary_id_obeys_without_an_answer_and_keeps_its_flash(bus):
@@ -174,9 +177,9 @@ def test_a_hardware_error_of_the_shutdown_mask_takes_the_torque_until_a_reboot(
     write(servo, 'torque_enable', 1)
     servo.fail(bit)
     assert servo.torque != switches_off
-    assert write(servo, 'led', 1) == servos.ALERT
+    assert write(servo, 'led', 1) == StatusError.ALERT
     if switches_off:
-        assert write(servo, 'torque_enable', 1) == servos.RESULT_FAIL | servos.ALERT
+        assert write(servo, 'torque_enable', 1) == StatusError.RESULT_FAIL | StatusError.ALERT
         servo.boot()
         assert write(servo, 'torque_enable', 1) == 0
 
@@ -316,7 +319,7 @@ def two_at_a_limit(shared):
 
 def aim(rig, wound):
     for servo, length in zip(rig.servos.values(), wound, strict=True):
-        write(servo, 'goal_position', round(length / (SPOOL * TICK)))
+        write(servo, 'goal_position', round(length / (SPOOL * RADIANS_PER_TICK)))
 
 
 def drag(servo):
@@ -472,7 +475,7 @@ def test_old_firmware_knows_no_fast_read():
 @pytest.mark.parametrize('baud', [9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000])
 def test_it_answers_at_its_own_baud_rate_only(baud):
     with emulated.line() as line:
-        code = {v: k for k, v in servos.control_table.BAUD_RATES.items()}[baud]
+        code = {v: k for k, v in BAUD_RATES.items()}[baud]
         line.servo(1).put('baud_rate', code)
         answers = {}
         for tried in (baud, 57600 if baud != 57600 else 1_000_000):

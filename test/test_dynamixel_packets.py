@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tendon_robot_ros.emulator import protocol as packets
-from tendon_robot_ros.emulator.protocol import Instruction, InstructionReceiver
+from tendon_robot_ros.emulator import bus as packets
+from tendon_robot_ros.emulator.bus import Instruction, InstructionReceiver
+from tendon_robot_ros.emulator.bus import InstructionCode as Code
 
 
 def printed(text):
@@ -19,53 +20,58 @@ def printed(text):
 
 
 INSTRUCTIONS = {
-    'ping': ('FF FF FD 00 01 03 00 01 19 4E', 1, packets.PING, ''),
-    'ping of all': ('FF FF FD 00 FE 03 00 01 31 42', 0xFE, packets.PING, ''),
-    'read': ('FF FF FD 00 01 07 00 02 84 00 04 00 1D 15', 1, packets.READ, '84 00 04 00'),
+    'ping': ('FF FF FD 00 01 03 00 01 19 4E', 1, Code.PING, ''),
+    'ping of all': ('FF FF FD 00 FE 03 00 01 31 42', 0xFE, Code.PING, ''),
+    'read': ('FF FF FD 00 01 07 00 02 84 00 04 00 1D 15', 1, Code.READ, '84 00 04 00'),
     'write': (
         'FF FF FD 00 01 09 00 03 74 00 00 02 00 00 CA 89',
         1,
-        packets.WRITE,
+        Code.WRITE,
         '74 00 00 02 00 00',
     ),
     'reg write': (
         'FF FF FD 00 01 09 00 04 68 00 C8 00 00 00 AE 8E',
         1,
-        packets.REG_WRITE,
+        Code.REG_WRITE,
         '68 00 C8 00 00 00',
     ),
-    'action': ('FF FF FD 00 01 03 00 05 02 CE', 1, packets.ACTION, ''),
-    'factory reset': ('FF FF FD 00 01 04 00 06 01 A1 E6', 1, packets.FACTORY_RESET, '01'),
-    'reboot': ('FF FF FD 00 01 03 00 08 2F 4E', 1, packets.REBOOT, ''),
-    'clear': ('FF FF FD 00 01 08 00 10 01 44 58 4C 22 B1 DC', 1, packets.CLEAR, '01 44 58 4C 22'),
+    'action': ('FF FF FD 00 01 03 00 05 02 CE', 1, Code.ACTION, ''),
+    'factory reset': ('FF FF FD 00 01 04 00 06 01 A1 E6', 1, Code.FACTORY_RESET, '01'),
+    'reboot': ('FF FF FD 00 01 03 00 08 2F 4E', 1, Code.REBOOT, ''),
+    'clear': (
+        'FF FF FD 00 01 08 00 10 01 44 58 4C 22 B1 DC',
+        1,
+        Code.CLEAR,
+        '01 44 58 4C 22',
+    ),
     'sync read': (
         'FF FF FD 00 FE 09 00 82 84 00 04 00 01 02 CE FA',
         0xFE,
-        packets.SYNC_READ,
+        Code.SYNC_READ,
         '84 00 04 00 01 02',
     ),
     'sync write': (
         'FF FF FD 00 FE 11 00 83 74 00 04 00 01 96 00 00 00 02 AA 00 00 00 82 87',
         0xFE,
-        packets.SYNC_WRITE,
+        Code.SYNC_WRITE,
         '74 00 04 00 01 96 00 00 00 02 AA 00 00 00',
     ),
     'fast sync read': (
         'FF FF FD 00 FE 0A 00 8A 84 00 04 00 03 07 04 20 F2',
         0xFE,
-        packets.FAST_SYNC_READ,
+        Code.FAST_SYNC_READ,
         '84 00 04 00 03 07 04',
     ),
     'bulk read': (
         'FF FF FD 00 FE 0D 00 92 01 90 00 02 00 02 92 00 01 00 1A 05',
         0xFE,
-        packets.BULK_READ,
+        Code.BULK_READ,
         '01 90 00 02 00 02 92 00 01 00',
     ),
     'bulk write': (
         'FF FF FD 00 FE 10 00 93 01 20 00 02 00 A0 00 02 1F 00 01 00 50 B7 68',
         0xFE,
-        packets.BULK_WRITE,
+        Code.BULK_WRITE,
         '01 20 00 02 00 A0 00 02 1F 00 01 00 50',
     ),
 }
@@ -137,7 +143,7 @@ def test_a_wrong_crc_drops_the_packet_and_the_next_one_is_understood():
     text = printed(INSTRUCTIONS['read'][0])
     receiver = InstructionReceiver()
     spoilt = text[:-1] + bytes([text[-1] ^ 1])
-    assert receiver.feed(spoilt + text) == [Instruction(1, packets.READ, printed('84 00 04 00'))]
+    assert receiver.feed(spoilt + text) == [Instruction(1, Code.READ, printed('84 00 04 00'))]
     assert receiver.broken == 1
 
 
@@ -146,7 +152,7 @@ def test_stuffing_hides_every_header_and_comes_out_again(body):
     assert packets.HEADER not in packets.stuff(body)
     receiver = InstructionReceiver()
     found = receiver.feed(packets.packet(5, b'\x03' + body))
-    assert found == [Instruction(5, packets.WRITE, body)]
+    assert found == [Instruction(5, Code.WRITE, body)]
 
 
 @given(st.binary(max_size=400))
@@ -155,6 +161,4 @@ def test_noise_never_breaks_the_receiver(noise):
     receiver.feed(noise)
     for _ in range(2):  # noise may have promised a long packet: silence ends no packet here
         receiver.feed(bytes(packets.PACKET_BYTES_MAX))
-    assert receiver.feed(printed(INSTRUCTIONS['ping'][0]))[-1:] == [
-        Instruction(1, packets.PING, b'')
-    ]
+    assert receiver.feed(printed(INSTRUCTIONS['ping'][0]))[-1:] == [Instruction(1, Code.PING, b'')]

@@ -20,7 +20,7 @@ pytest.importorskip('dynamixel_sdk')
 from tendon_robot_ros.drivers.dynamixel import homing
 from tendon_robot_ros.drivers.dynamixel.bus import LATE_S, Bus
 from tendon_robot_ros.drivers.dynamixel.settings import SETTINGS
-from tendon_robot_ros.emulator.protocol import status
+from tendon_robot_ros.emulator.bus import status
 
 # what another program may leave; nothing of it may steer the arm
 LEFT = {
@@ -141,7 +141,7 @@ def test_a_motor_that_was_without_power_for_a_moment_does_not_wind_on(mode, torq
             line.servo(1).put('startup_configuration', torque)
             before = line.rig.wound[0]
             line.rig.most[:] = line.rig.wound
-            line.responder._booting[1] = time.monotonic() + 0.1
+            line.responder.booting[1] = time.monotonic() + 0.1
             line.restart(1)
             emulated.until(driver, command, lambda r: 'restarted' in emulated.codes(r))
             emulated.cycle(driver, command, 0.1)

@@ -11,8 +11,13 @@ from emulated_board import needs_compiler
 from source_tree import ROOT
 
 from tendon_robot_ros.drivers.serial_board import messages
-from tendon_robot_ros.drivers.serial_board.messages import FrameReceiver, encode
-from tendon_robot_ros.emulator import firmware
+from tendon_robot_ros.drivers.serial_board.messages import (
+    BoardFlag,
+    FrameReceiver,
+    Message,
+    encode,
+)
+from tendon_robot_ros.emulator import board as emulated
 from tendon_robot_ros.emulator.board import BoardRig
 from tendon_robot_ros.emulator.rig import SpringArm
 
@@ -40,7 +45,7 @@ def test_it_compiles_for_the_board_and_fits_in(tmp_path, mcu, channels, ram):
 @pytest.mark.parametrize('channels', [1, 2, 4, 8])
 def test_its_portable_part_compiles_without_a_warning(tmp_path, channels):
     for part in ('protocol.c', 'control.c', 'board.c'):
-        command = [firmware.compiler(), *STRICT, f'-DCHANNELS={channels}', '-c', SOURCE / part]
+        command = [emulated.compiler(), *STRICT, f'-DCHANNELS={channels}', '-c', SOURCE / part]
         run = processes.run([*command, '-o', tmp_path / 'x.o'])
         assert run.returncode == 0, run.stderr
 
@@ -53,7 +58,7 @@ def test_a_board_leaves_nothing_in_the_temporary_folder(tmp_path, monkeypatch, h
     monkeypatch.setattr('tempfile.tempdir', str(temporary))
     (tmp_path / 'none').write_text('a file, where no folder can be made')
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / home))
-    board = firmware.Firmware(2)
+    board = emulated.Firmware(2)
     board.step(1000)
     assert list(temporary.iterdir()) == []
     assert (tmp_path / 'cache').exists() == (home == 'cache')
@@ -69,7 +74,7 @@ class Board:
     def say(self, kind, payload=b''):
         """Send a message; return the code of the answer, None when there is none."""
         self.rig.firmware.receive(encode(kind, 5, payload))
-        answers = [f for f in self.heard() if f.type == messages.RESULT]
+        answers = [f for f in self.heard() if f.type == Message.RESULT]
         return answers[-1].payload[2] if answers else None
 
     def heard(self):
@@ -78,26 +83,26 @@ class Board:
     def wait(self, seconds):
         for _ in range(round(seconds / 0.01)):
             self.rig.advance(0.01)
-        return [f for f in self.heard() if f.type == messages.TELEMETRY]
+        return [f for f in self.heard() if f.type == Message.TELEMETRY]
 
     def state(self):
-        self.rig.firmware.receive(encode(messages.HEARTBEAT, 1))
+        self.rig.firmware.receive(encode(Message.HEARTBEAT, 1))
         return messages.read_telemetry(self.wait(0.05)[-1])
 
     def configure(self, release_to='pretension'):
         for i, cell in enumerate(self.rig.cells):
-            scales = (cell.zero, cell.newtons_per_count, self.rig.metres_per_tick)
-            assert self.say(messages.CALIBRATION, messages.calibration(i, *scales)) == 0
+            scales = (cell.zero, cell.newtons_per_count, self.rig.motor.metres_per_tick)
+            assert self.say(Message.CALIBRATION, messages.calibration(i, *scales)) == 0
             values = np.array([0.0, 5.0, -0.02, 0.03, 20.0, 0.05])
-            assert self.say(messages.LIMITS, messages.limits(i, values)) == 0
+            assert self.say(Message.LIMITS, messages.limits(i, values)) == 0
         content = messages.settings(0.2, release_to, 0.01, 10.0, 0.2, 0.015)
-        assert self.say(messages.SETTINGS, content) == 0
+        assert self.say(Message.SETTINGS, content) == 0
 
     def command(self, *tensions, mode='tension'):
-        return self.say(messages.COMMAND, messages.command(mode, np.array(tensions)))
+        return self.say(Message.COMMAND, messages.command(mode, np.array(tensions)))
 
     def tense(self, *tensions):
-        assert self.say(messages.ENABLE, b'\x00\x0f') == 0
+        assert self.say(Message.ENABLE, b'\x00\x0f') == 0
         for _ in range(150):
             assert self.command(*tensions) is None
             self.rig.advance(0.01)
@@ -106,21 +111,21 @@ class Board:
 
 @pytest.fixture
 def board():
-    if firmware.compiler() is None:
+    if emulated.compiler() is None:
         pytest.skip('no C compiler: the emulated board is skipped')
     return Board()
 
 
 def test_it_is_silent_until_it_hears_a_frame_and_again_after_a_second_without(board):
     assert board.wait(0.5) == []
-    board.say(messages.HELLO)
+    board.say(Message.HELLO)
     assert len(board.wait(0.5)) > 30
     board.wait(1.0)
     assert board.wait(0.5) == []
 
 
 def test_it_switches_nothing_on_before_it_is_configured(board):
-    assert board.say(messages.ENABLE, b'\x00\x0f') == 3
+    assert board.say(Message.ENABLE, b'\x00\x0f') == 3
     assert board.state().enabled == 0
 
 
@@ -129,7 +134,7 @@ def test_it_reaches_the_tensions_and_says_which_command_it_follows(board):
     board.tense(2.0, 1.0, 0.5, 3.0)
     state = board.state()
     np.testing.assert_allclose(state.tensions, [2.0, 1.0, 0.5, 3.0], atol=0.08)
-    assert (state.enabled, state.flags, state.sequence) == (15, messages.CONFIGURED, 5)
+    assert (state.enabled, state.flags, state.sequence) == (15, BoardFlag.CONFIGURED, 5)
 
 
 def test_it_lets_go_slowly_when_it_hears_no_command_however_many_heartbeats_come(board):
@@ -137,14 +142,14 @@ def test_it_lets_go_slowly_when_it_hears_no_command_however_many_heartbeats_come
     board.tense(3.0, 3.0, 3.0, 3.0)
     tensions = []
     for _ in range(150):
-        board.say(messages.HEARTBEAT)
-        board.say(messages.RAW)
+        board.say(Message.HEARTBEAT)
+        board.say(Message.RAW)
         board.rig.advance(0.01)
         tensions.append(board.rig.tensions.max())
     assert min(tensions[:20]) > 2.8  # not before the timeout
     assert np.min(np.diff(tensions)) > -0.25  # 10 N/s are 0.1 N a step
     assert 0.1 < tensions[-1] < 0.35
-    assert board.state().flags & messages.SILENCE
+    assert board.state().flags & BoardFlag.SILENCE
     assert board.state().enabled == 15
 
 
@@ -163,7 +168,7 @@ def test_a_command_after_silence_goes_on_from_the_measured_tension(board):
     board.command(3.0, 1.0, 1.0, 1.0)
     board.rig.advance(0.02)
     assert board.rig.tensions[0] < low + 0.5
-    assert not board.state().flags & messages.SILENCE
+    assert not board.state().flags & BoardFlag.SILENCE
 
 
 def test_no_command_passes_a_limit(board):
@@ -178,14 +183,14 @@ def test_no_command_passes_a_limit(board):
 @pytest.mark.parametrize(
     ('kind', 'payload', 'code'),
     [
-        (messages.COMMAND, b'\x00' + bytes(12), 1),
-        (messages.COMMAND, b'\x02' + bytes(16), 2),
-        (messages.COMMAND, b'\x01' + bytes(16), 2),  # pull, but tension is enabled
-        (messages.ENABLE, b'\x00\xff', 2),
-        (messages.LIMITS, bytes((9,)) + struct.pack('<6i', 0, 1, 0, 1, 1, 1), 2),
-        (messages.LIMITS, bytes((0,)) + struct.pack('<6i', 2, 1, 0, 1, 1, 1), 2),
-        (messages.CALIBRATION, bytes((0,)) + struct.pack('<3i', 0, 1, 1), 2),  # it is on
-        (messages.SETTINGS, struct.pack('<HBHiii', 5, 0, 1000, 1, 1, 1), 2),
+        (Message.COMMAND, b'\x00' + bytes(12), 1),
+        (Message.COMMAND, b'\x02' + bytes(16), 2),
+        (Message.COMMAND, b'\x01' + bytes(16), 2),  # pull, but tension is enabled
+        (Message.ENABLE, b'\x00\xff', 2),
+        (Message.LIMITS, bytes((9,)) + struct.pack('<6i', 0, 1, 0, 1, 1, 1), 2),
+        (Message.LIMITS, bytes((0,)) + struct.pack('<6i', 2, 1, 0, 1, 1, 1), 2),
+        (Message.CALIBRATION, bytes((0,)) + struct.pack('<3i', 0, 1, 1), 2),  # it is on
+        (Message.SETTINGS, struct.pack('<HBHiii', 5, 0, 1000, 1, 1, 1), 2),
         (0x70, b'', 5),
     ],
 )

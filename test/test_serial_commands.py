@@ -19,8 +19,7 @@ from tendon_robot_ros.drivers.serial_board.calibration import (
     measure,
 )
 from tendon_robot_ros.drivers.serial_board.config import read_config
-from tendon_robot_ros.emulator.board import ACTIONS, HELP
-from tendon_robot_ros.emulator.port import obey
+from tendon_robot_ros.emulator.board import HELP
 from tendon_robot_ros.emulator.process import EmulatorProcess
 from tendon_robot_ros.robot import load_robot
 
@@ -63,10 +62,10 @@ def test_every_word_of_the_emulators_help_is_known_and_others_are_refused():
     assert len(listed) > 15
     with emulated_board.board() as line:
         for word in listed:
-            assert obey(line, f'{word} {values.get(word, "0")}', ACTIONS)
+            assert line.obey(f'{word} {values.get(word, "0")}')
         for wrong in ('jump', 'cell 9', 'weight 1', 'slow fast'):
             with pytest.raises(InputError, match='type help'):
-                obey(line, wrong, ACTIONS)
+                line.obey(wrong)
 
 
 @needs_compiler
@@ -80,9 +79,7 @@ def test_calibrate_finds_zero_and_scale_of_a_load_cell_with_their_errors(
         content = emulated_board.config(line, calibration='cells.yaml')
         config.write_text(yaml.safe_dump(content))
         pile = iter((0.0, *masses))
-        monkeypatch.setattr(
-            'builtins.input', lambda _: obey(line, f'weight 1 {next(pile)}', ACTIONS)
-        )
+        monkeypatch.setattr('builtins.input', lambda _: line.obey(f'weight 1 {next(pile)}'))
         out = tmp_path / 'cells.yaml'
         out.write_text('east: {zero: 8000.0, newtons_per_count: 6.0e-6}\n')
         command = ['calibrate', 'serial', str(config), '--robot', robot_file, '--tendon', 'north']
@@ -105,7 +102,7 @@ def test_a_weight_that_swings_is_refused(robot_file):
         content = emulated_board.config(line)
         config = read_config(emulated.robot(), content, 'tension', 'board.yaml')
         link, channels = connect(config)
-        timer = threading.Timer(0.4, lambda: obey(line, 'weight 0 0.2', ACTIONS))
+        timer = threading.Timer(0.4, lambda: line.obey('weight 0 0.2'))
         timer.start()
         with pytest.raises(DriverError, match='channel 0: the weight does not hang still'):
             measure(link, channels, 0, 0.0, 0.6)

@@ -12,8 +12,6 @@ from emulated import arrive, codes, healthy, until, wait
 from emulated_board import needs_compiler
 
 from tendon_robot_ros.common.errors import DriverError
-from tendon_robot_ros.emulator.board import ACTIONS
-from tendon_robot_ros.emulator.port import obey
 
 pytest.importorskip('serial')
 pytestmark = needs_compiler
@@ -130,7 +128,7 @@ QUICK = ('overheating', 'load_cell')
 def test_a_fault_of_a_channel_takes_its_torque_only_until_cause_and_fault_are_gone(arm, code):
     driver, line, command = arm
     broken, mended = FAULTS[code]
-    obey(line, broken, ACTIONS)
+    line.obey(broken)
     hard = np.array(command) + [0.0, 0.0, 4.0 if code == 'encoder' else 0.0, 0.0]
     # On a busy machine the board may have missed commands as well: that is no fault of hardware
     reading = until(driver, hard, lambda r: any(fault.hardware for fault in r.faults))
@@ -146,7 +144,7 @@ def test_a_fault_of_a_channel_takes_its_torque_only_until_cause_and_fault_are_go
     if code in ('voltage', 'overheating', 'load_cell'):
         with pytest.raises(DriverError, match='west'):  # the cause is still there
             driver.reboot(['west'])
-    obey(line, mended, ACTIONS)
+    line.obey(mended)
     time.sleep(0.1)
     driver.reboot()
     until(driver, command, lambda r: r.faults == ())  # a busy machine may have been silent

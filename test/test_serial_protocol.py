@@ -16,11 +16,12 @@ from tendon_robot_ros.drivers.serial_board import messages
 from tendon_robot_ros.drivers.serial_board.messages import (
     FRAME_BYTES_MAX,
     FrameReceiver,
+    Message,
     crc16,
     decode,
     encode,
 )
-from tendon_robot_ros.emulator import firmware
+from tendon_robot_ros.emulator.board import Firmware
 
 SLOW = pytest.param(100_000, marks=pytest.mark.slow, id='100000')
 PAYLOADS = st.binary(max_size=106) | st.lists(st.sampled_from([0, 1, 255]), max_size=106).map(
@@ -47,8 +48,8 @@ def test_the_frames_printed_in_the_document_are_those_that_are_sent():
         for name, row in re.findall(r'^    (\w+): ((?:[0-9A-F]{2} ?)+)$', text, re.MULTILINE)
     }
     tensions = messages.command('tension', np.array([1.5, 0.25, 0.0, 0.1]))
-    assert printed['HELLO'] == encode(messages.HELLO, 1)[1:]
-    assert printed['COMMAND'] == encode(messages.COMMAND, 7, tensions)[1:]
+    assert printed['HELLO'] == encode(Message.HELLO, 1)[1:]
+    assert printed['COMMAND'] == encode(Message.COMMAND, 7, tensions)[1:]
 
 
 @given(kind=st.integers(0, 255), sequence=st.integers(0, 255), payload=PAYLOADS)
@@ -85,13 +86,13 @@ _EIGHT = []
 
 def firmware_of_eight():
     if not _EIGHT:
-        _EIGHT.append(firmware.Firmware(8))
+        _EIGHT.append(Firmware(8))
     return _EIGHT[0]
 
 
 @needs_compiler
 def test_a_frame_in_pieces_of_any_size_is_read_once():
-    whole = b''.join(encode(messages.TELEMETRY, i, state(i)) for i in range(20))
+    whole = b''.join(encode(Message.TELEMETRY, i, state(i)) for i in range(20))
     for size in (1, 2, 3, 7, 64, 1000):
         receiver = FrameReceiver()
         pieces = (whole[k : k + size] for k in range(0, len(whole), size))
@@ -104,7 +105,7 @@ def test_a_receiver_finds_the_next_frame_after_any_noise():
     receiver = FrameReceiver()
     noise = random.Random(1).randbytes(10_000)
     assert receiver.feed(noise) == []
-    assert [f.type for f in receiver.feed(encode(messages.RESULT, 1, b'abc'))] == [0x84]
+    assert [f.type for f in receiver.feed(encode(Message.RESULT, 1, b'abc'))] == [0x84]
 
 
 def test_noise_without_a_delimiter_is_not_collected_for_ever():
@@ -141,7 +142,7 @@ def test_spoilt_frames_crash_nobody_and_give_no_wrong_value(count):
     accepted = 0
     for i in range(count):
         payload = state(i) if i % 2 else rng.randbytes(rng.randrange(107))
-        good = encode(messages.TELEMETRY, i, payload)
+        good = encode(Message.TELEMETRY, i, payload)
         data = spoil(rng, good) if i % 4 else rng.randbytes(rng.randrange(1, 130))
         for frame in receiver.feed(data + b'\0'):
             assert (frame.sequence, frame.payload) == (i & 0xFF, payload)  # spoilt outside it
@@ -152,7 +153,7 @@ def test_spoilt_frames_crash_nobody_and_give_no_wrong_value(count):
         board.receive(data + b'\0')
     assert receiver.bad > 0.5 * count
     assert accepted < 0.2 * count
-    board.receive(encode(messages.HELLO, 1))
+    board.receive(encode(Message.HELLO, 1))
     assert board.take()
 
 
@@ -166,7 +167,7 @@ def flipped(data, bits):
 def check_flips(campaign):
     """Feed three frames with flipped bits; only frames that were sent may come out."""
     sent = {(i, state(i)) for i in range(3)}
-    whole = b''.join(encode(messages.TELEMETRY, i, state(i))[1:] for i in range(3))
+    whole = b''.join(encode(Message.TELEMETRY, i, state(i))[1:] for i in range(3))
     board = firmware_of_eight()
     for bits in campaign(8 * len(whole)):
         data = flipped(whole, bits)
@@ -196,7 +197,7 @@ def test_neither_two_three_nor_more_flipped_bits_give_a_wrong_value(count):
 
 @pytest.mark.slow
 def test_no_pair_of_flipped_bits_in_a_command_gives_a_wrong_value():
-    good = encode(messages.COMMAND, 9, messages.command('pull', np.array([0.01, 0, -0.02, 0])))
+    good = encode(Message.COMMAND, 9, messages.command('pull', np.array([0.01, 0, -0.02, 0])))
     for bits in itertools.combinations(range(8 * (len(good) - 2)), 2):
         pieces = flipped(good[1:-1], bits).split(b'\0')
         assert all(decode(piece) is None for piece in pieces), bits

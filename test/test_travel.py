@@ -36,7 +36,7 @@ class Free:
     """Emulated motors whose wires meet no resistance; `span` is what they have wound since."""
 
     def __init__(self, kind):
-        if kind == 'serial' and emulated_board.firmware.compiler() is None:
+        if kind == 'serial' and emulated_board.compiler() is None:
             pytest.skip('no C compiler')
         make, self.driver = KINDS[kind]
         self.kind, self.line = kind, make()

@@ -27,10 +27,9 @@ from numpy.typing import NDArray
 from ..common.errors import InputError
 from ..common.files import file_to_write, new_file
 from ..drivers.dynamixel.control_table import BAUD_RATES, MODELS, smallest_spool
-from ..emulator import board, bus
 from ..emulator.board import BoardRig, EmulatedBoard
 from ..emulator.bus import EmulatedBus
-from ..emulator.port import Plug, obey
+from ..emulator.port import Plug
 from ..emulator.rig import Arm, ElasticArm, HangingWeights, Rig, SpringArm, Wire
 from ..emulator.servo import Servo
 from ..robot import Robot, load_robot
@@ -44,12 +43,11 @@ SPRING_STIFFNESS = 200.0
 
 @dataclass(frozen=True)
 class Emulated:
-    """What is emulated: its port, a configuration for the driver, in words, and its commands."""
+    """What is emulated: its port, a configuration for the driver, and in words."""
 
     line: Plug
     config: dict[str, Any]
     words: str
-    obey: Callable[[str], str]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -120,7 +118,7 @@ def _serve(args: argparse.Namespace, made: Emulated, ending: threading.Event) ->
                 draft.write_text(f'# emulated: {made.words}\n{text}', encoding='utf-8')
         print(line.port, flush=True)
         print(f'{made.words}; type help for faults', file=sys.stderr)
-        more = (made.obey, ending, args.ends_with_input)
+        more = (line.obey, ending, args.ends_with_input)
         listener = threading.Thread(target=_listen, args=more, daemon=True)
         listener.start()
         ending.wait()
@@ -158,15 +156,15 @@ def _servos(args: argparse.Namespace, robot: Robot) -> Emulated:
         'motors': {name: {'id': i} for name, i in zip(robot.inputs, many, strict=True)},
     }
     words = f'{len(servos)} x {args.model}, ids 1 to {len(servos)}, spools of {1e3 * radius:g} mm'
-    return Emulated(line, config, words, lambda text: obey(line, text, bus.ACTIONS))
+    return Emulated(line, config, words)
 
 
 def _board(args: argparse.Namespace, robot: Robot) -> Emulated:
     rig = BoardRig(_arm(args, robot), len(robot.inputs))
     line = EmulatedBoard(rig, args.port)
     words = f'a board with {rig.channels} motors and load cells, channels 0 to {rig.channels - 1}'
-    config = {'port': line.port, **board.config(rig, robot.inputs)}
-    return Emulated(line, config, words, lambda text: obey(line, text, board.ACTIONS))
+    config = {'port': line.port, **rig.config(robot.inputs)}
+    return Emulated(line, config, words)
 
 
 def _arm(args: argparse.Namespace, robot: Robot) -> Arm:

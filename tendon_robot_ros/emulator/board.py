@@ -1,31 +1,204 @@
-"""An emulated board: the real firmware; motors, encoders and load cells are emulated."""
+"""
+An emulated board: the real firmware; motors, encoders and load cells are emulated.
+
+The reference firmware is compiled for this computer, so that the driver talks to the real thing.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
+import functools
+import hashlib
 import json
 import math
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..common.errors import DriverError
 from ..common.words import STANDARD_GRAVITY
-from ..drivers.serial_board.messages import CELL_COUNTS_MAX, CHANNEL_FAULTS
-from .firmware import Firmware
-from .port import COMMON_HELP, Action, Plug
+from ..drivers.serial_board.messages import CELL_COUNTS_MAX, ChannelFault
+from .port import COMMON_HELP, Command, Plug
 from .rig import TIME_STEP_MAX_S, Arm
+from .servo import STEP_S
 
-STEP_S = 1e-3  # [s] of firmware and physics
-SPEED_MAX = 0.1  # [m/s] of the wire at full duty
-MOTOR_LAG_S = 0.005  # [s] of the motor
-SPEED_DROOP = 0.002  # [m/s per N]
-BACKDRIVE_SLOPE = 0.05  # [m/s per N] that a motor without power turns back ...
-BACKDRIVE_FRICTION_N = 0.05  # [N] ... above this
-SPOOL_RADIUS, TICKS_PER_TURN = 0.01, 2000  # [m] of the spools, ticks per turn
-CELL_NOISE_COUNTS = 40.0  # [counts] 1 sd of a load cell
+SOURCES = ('protocol.c', 'control.c', 'board.c', 'host.c')
+OUTBOX_BYTES = 8192  # [bytes] OUTBOX of firmware/host.c, else it would write behind this buffer
+
+
+class Sensors(ctypes.Structure):
+    """`struct sensors` of firmware/control.h."""
+
+    _fields_ = (
+        ('cell', ctypes.c_int32),
+        ('fresh', ctypes.c_bool),
+        ('ticks', ctypes.c_int32),
+        ('current', ctypes.c_int16),
+        ('faults', ctypes.c_uint16),
+    )
+
+
+def folder() -> Path:
+    """Find the sources: in a source tree, or where pip and colcon install shared files."""
+    roots = [Path(__file__).resolve().parents[2]]
+    prefixes = [sys.prefix, *os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)]
+    roots += [Path(prefix, 'share', 'tendon_robot_ros') for prefix in prefixes if prefix]
+    for root in roots:
+        if (root / 'firmware' / SOURCES[0]).is_file():
+            return root / 'firmware'
+    raise DriverError('the folder firmware is missing; install the package again')
+
+
+def compiler() -> str | None:
+    """Find a C compiler: $CC, cc, gcc or clang."""
+    names = (os.environ.get('CC', ''), 'cc', 'gcc', 'clang')
+    return next((path for name in names if name and (path := shutil.which(name))), None)
+
+
+@contextlib.contextmanager
+def library(channels: int) -> Iterator[Path]:
+    """
+    Compile the firmware for this computer, once for every version of its sources.
+
+    Yields
+    ------
+    Path
+        The library: in the user's cache, or gone afterwards where there can be none.
+
+    Raises
+    ------
+    DriverError
+        There is no C compiler, or it refuses.
+
+    """
+    source = folder()
+    files = sorted(source.glob('*.[ch]'))
+    digest = hashlib.sha256(b''.join(file.read_bytes() for file in files)).hexdigest()[:16]
+    name = f'board-{digest}-{channels}.so'
+    cache = Path(os.environ.get('XDG_CACHE_HOME') or os.path.expanduser('~/.cache'))
+    cache /= 'tendon_robot_ros'
+    if (cache / name).is_file():
+        yield cache / name
+        return
+    with contextlib.ExitStack() as stack:
+        try:
+            cache.mkdir(parents=True, exist_ok=True)
+            draft = Path(stack.enter_context(tempfile.TemporaryDirectory(dir=cache)), name)
+        except OSError:  # no home, or nothing may be written there
+            own = stack.enter_context(tempfile.TemporaryDirectory(prefix='tendon_robot_ros_'))
+            cache, draft = Path(own), Path(own, name)
+        compile_firmware(source, draft, channels)
+        os.replace(draft, cache / name)
+        yield cache / name
+
+
+def compile_firmware(source: Path, made: Path, channels: int) -> None:
+    """Compile the sources of a folder into a library; DriverError where that fails."""
+    cc = compiler()
+    if cc is None:
+        raise DriverError('no C compiler for the emulated board; type: sudo apt install gcc')
+    command = [cc, '-std=c99', '-O2', '-fPIC', '-shared', f'-DCHANNELS={channels}']
+    command += [str(source / part) for part in SOURCES] + ['-o', str(made)]
+    run = subprocess.run(command, capture_output=True, text=True)
+    if run.returncode:
+        raise DriverError(f'{source}: {cc}: {(run.stderr.splitlines() or ["failed"])[0]}')
+
+
+class Firmware:
+    """
+    The firmware of one board, with bytes and sensors given by the caller.
+
+    Attributes
+    ----------
+    channels : int
+    duties : list of float
+        Of the motors, -1 to 1.
+    enabled : int
+        Bit mask of the motors that are on.
+
+    """
+
+    def __init__(self, channels: int) -> None:
+        """Switch a board with so many channels on."""
+        self.channels = channels
+        # a copy of its own: the board's memory is that of the library
+        with library(channels) as made, tempfile.NamedTemporaryFile(suffix='.so') as own:
+            shutil.copyfile(made, own.name)
+            self._library = ctypes.CDLL(own.name)
+        self._library.host_step.argtypes = (
+            ctypes.c_void_p,
+            ctypes.c_uint32,
+            ctypes.c_void_p,
+            ctypes.c_void_p,
+        )
+        self._duties = (ctypes.c_float * channels)()
+        self._enabled = ctypes.c_uint8()
+        self._outbox = ctypes.create_string_buffer(OUTBOX_BYTES)
+        self.sensors = (Sensors * channels)()
+        self.power_on()
+
+    def power_on(self) -> None:
+        """Start anew: everything off, nothing known."""
+        self._library.host_power_on()
+        self.duties, self.enabled = [0.0] * self.channels, 0
+
+    def receive(self, data: bytes) -> None:
+        """Give it bytes."""
+        self._library.host_receive(data, len(data))
+
+    def step(self, now: int) -> None:
+        """Let its clock go to `now` [µs] with the present `sensors`."""
+        self._library.host_step(
+            ctypes.addressof(self.sensors),
+            now & 0xFFFFFFFF,
+            ctypes.addressof(self._duties),
+            ctypes.addressof(self._enabled),
+        )
+        self.duties, self.enabled = list(self._duties), self._enabled.value
+
+    def take(self) -> bytes:
+        """Return what it wants to send."""
+        size = self._library.host_take(self._outbox)
+        return self._outbox.raw[:size]
+
+    def decode(self, data: bytes) -> bytes | None:
+        """Decode what stood between two delimiters as the board does: header and payload."""
+        buffer = ctypes.create_string_buffer(256)
+        size = self._library.host_decode(data, len(data), buffer) if len(data) < 256 else -1
+        return buffer.raw[: 4 + size] if size >= 0 else None
+
+
+@dataclass(frozen=True)
+class Gearmotor:
+    """
+    The motor, encoder and spool behind every wire, and what a load cell adds.
+
+    No product: it winds 0.1 m/s without load and stalls at 50 N.
+    """
+
+    speed: float = 0.1  # [m/s] of the wire at full duty, without load
+    droop: float = 0.002  # [m/s per N] slower under load
+    lag: float = 0.005  # [s] first-order
+    backdrive: float = 0.05  # [m/s per N] with which a load turns it back without power ...
+    friction: float = 0.05  # [N] ... above this
+    spool_radius: float = 0.01  # [m]
+    ticks_per_turn: int = 2000  # of the encoder
+    cell_noise: float = 40.0  # [counts] 1 sd of a load cell
+
+    @property
+    def metres_per_tick(self) -> float:
+        """Wire per tick of the encoder [m]."""
+        return 2.0 * math.pi * self.spool_radius / self.ticks_per_turn
 
 
 @dataclass
@@ -44,6 +217,7 @@ class BoardRig:
     def __init__(self, arm: Arm, channels: int, sample_rate: float = 80.0, seed: int = 0) -> None:
         """Take the arm and the number of its wires; load cells are sampled at a rate [Hz]."""
         self.arm, self.channels, self.sample_rate = arm, channels, sample_rate
+        self.motor = Gearmotor()
         self.firmware = Firmware(channels)
         self.cells = [CellModel(8000.0 + 500.0 * i, 6e-6 + 1e-7 * i) for i in range(channels)]
         self.faults = np.zeros(channels, dtype=int)  # bits that the bridges report now
@@ -51,15 +225,15 @@ class BoardRig:
         self.places = np.zeros(channels)  # [m] of wire wound
         self._zero = np.zeros(channels)  # [m] where the encoders began to count
         self.tensions = np.zeros(channels)  # [N]
-        self.highest = np.zeros(channels)  # [N] seen since the start
+        self.highest = np.zeros(channels)  # [N] since the start
         self._speeds = np.zeros(channels)
         self._random = np.random.default_rng(seed)
         self._time, self._next_sample = 0.0, 0.0
 
     @property
-    def metres_per_tick(self) -> float:
-        """Wire per tick of the encoders [m]."""
-        return 2.0 * math.pi * SPOOL_RADIUS / TICKS_PER_TURN
+    def enabled(self) -> list[bool]:
+        """Which motors are on."""
+        return [bool(self.firmware.enabled >> i & 1) for i in range(self.channels)]
 
     def power_on(self) -> None:
         """Restart the board: motors off, encoders count from zero."""
@@ -69,78 +243,62 @@ class BoardRig:
 
     def advance(self, passed: float) -> None:
         """Let time [s] pass."""
-        steps = max(1, round(min(passed, TIME_STEP_MAX_S) / STEP_S))
+        passed = min(passed, TIME_STEP_MAX_S)
+        steps = max(1, round(passed / STEP_S))
         for _ in range(steps):
-            self._step(min(passed, TIME_STEP_MAX_S) / steps)
+            self._time += passed / steps
+            self.tensions = self.arm.tensions(self.places, passed / steps)
+            self.highest = np.maximum(self.highest, self.tensions)
+            self.sense()
+            self.firmware.step(round(1e6 * self._time))
+            self.turn(passed / steps)
 
-    def _step(self, step: float) -> None:
-        self.tensions = self.arm.tensions(self.places, step)
-        self.highest = np.maximum(self.highest, self.tensions)
-        self._time += step
-        self._sense()
-        self.firmware.step(round(1e6 * self._time))
-        self._turn(np.array(self.firmware.duties), step)
-
-    def _sense(self) -> None:
+    def sense(self) -> None:
+        """Give the firmware what encoders, load cells and bridges say."""
         fresh = self._time >= self._next_sample
         if fresh:
             self._next_sample = self._time + 1.0 / self.sample_rate
-            noise = self._random.normal(0.0, CELL_NOISE_COUNTS, self.channels)
-        ticks = np.rint((self.places - self._zero) / self.metres_per_tick).astype(int).tolist()
+            noise = self._random.normal(0.0, self.motor.cell_noise, self.channels)
+        ticks = np.rint((self.places - self._zero) / self.motor.metres_per_tick).astype(int)
         for i, (sensor, cell) in enumerate(zip(self.firmware.sensors, self.cells, strict=True)):
             sensor.fresh = fresh and not cell.broken
             if sensor.fresh:
                 force = float(self.tensions[i]) + cell.hung
                 counts = cell.zero + force / cell.newtons_per_count + noise[i]
                 sensor.cell = max(-CELL_COUNTS_MAX, min(CELL_COUNTS_MAX, round(counts)))
-            sensor.ticks = ticks[i]
+            sensor.ticks = int(ticks[i])
             sensor.current = min(30000, round(1000.0 * abs(self.firmware.duties[i])))
             sensor.faults = int(self.faults[i])
 
-    def _turn(self, duties: NDArray[np.float64], step: float) -> None:
-        on = np.array([self.firmware.enabled >> i & 1 for i in range(self.channels)], dtype=bool)
-        driven = duties * SPEED_MAX - SPEED_DROOP * self.tensions
-        limp = np.where(
-            self.tensions > BACKDRIVE_FRICTION_N, -BACKDRIVE_SLOPE * self.tensions, 0.0
-        )
-        goal = np.where(on, driven, np.maximum(limp, -SPEED_MAX))
+    def turn(self, step: float) -> None:
+        """Let the motors turn for a step [s], driven by the firmware's duties or by the wires."""
+        motor = self.motor
+        driven = np.array(self.firmware.duties) * motor.speed - motor.droop * self.tensions
+        pulled = np.where(self.tensions > motor.friction, -motor.backdrive * self.tensions, 0.0)
+        goal = np.where(self.enabled, driven, np.maximum(pulled, -motor.speed))
         goal[list(self.blocked)] = 0.0
-        self._speeds += min(step / MOTOR_LAG_S, 1.0) * (goal - self._speeds)
+        self._speeds += min(step / motor.lag, 1.0) * (goal - self._speeds)
         self.places = self.places + self._speeds * step
 
-
-class EmulatedBoard(Plug):
-    """An emulated port with a board."""
-
-    def __init__(self, rig: BoardRig, port: str | None = None) -> None:
-        """Plug it in; `start` begins to let time pass."""
-        self.rig = rig
-        self.deaf = False
-        super().__init__('board', port, idle=2.0 * STEP_S)
-
-    def restart(self) -> None:
-        """Take the power of the board away for a moment."""
-        with self._lock:
-            self.rig.power_on()
-
-    def _let_time_pass(self, passed: float) -> None:
-        self.rig.advance(passed)
-        answer = self.rig.firmware.take()
-        if not self.deaf:
-            self._send(self.faults.on_the_way(answer))
-
-    def _hear(self, data: bytes) -> None:
-        if not self.deaf:
-            self.rig.firmware.receive(data)
-
-    def _plugged(self) -> None:
-        self.rig.firmware.receive(b'\0')
+    def config(self, inputs: Sequence[str]) -> dict[str, Any]:
+        """Return a configuration for the driver, without its port, with calibrated load cells."""
+        return {
+            'spool_radius': self.motor.spool_radius,
+            'ticks_per_turn': self.motor.ticks_per_turn,
+            'pull_limits': [-0.05, 0.05],
+            'tension_gain': 0.03,
+            'calibration': {
+                name: {
+                    'zero': cell.zero,
+                    'newtons_per_count': cell.newtons_per_count,
+                    'scatter': self.motor.cell_noise,
+                }
+                for name, cell in zip(inputs, self.cells, strict=True)
+            },
+            'tendons': {name: {'channel': i} for i, name in enumerate(inputs)},
+        }
 
 
-# -----------------------------------------------------------------------------
-# Words that do something to the emulated board: faults for a person, or a test, to switch on.
-
-BRIDGE = {code: bit for bit, (code, _) in CHANNEL_FAULTS.items()}
 HELP = f"""\
 silent | hear         the board neither hears nor answers; it does again
 {COMMON_HELP}
@@ -154,90 +312,78 @@ state                 print what motors and wires do, as JSON
 quit"""
 
 
-def _deaf(deaf: bool) -> Action:
-    def change(line: EmulatedBoard, values: list[str]) -> None:
-        line.deaf = deaf
+class EmulatedBoard(Plug):
+    """An emulated port with a board."""
 
-    return change
+    help = HELP
 
+    def __init__(self, rig: BoardRig, port: str | None = None) -> None:
+        """Plug it in; `start` begins to let time pass."""
+        self.rig = rig
+        self.deaf = False
+        super().__init__('board', port, idle=2.0 * STEP_S)
 
-def _bridge(code: str) -> Action:
-    def fail(line: EmulatedBoard, values: list[str]) -> None:
-        line.rig.faults[int(values[0])] = BRIDGE.get(code, 0)
+    def commands(self) -> dict[str, Command]:
+        """Return its commands by their first word."""
+        rig = self.rig
+        return {
+            **super().commands(),
+            'silent': lambda values: setattr(self, 'deaf', True),
+            'hear': lambda values: setattr(self, 'deaf', False),
+            'restart': lambda values: self.restart(),
+            'overheating': functools.partial(self.fail, ChannelFault.OVERHEATING),
+            'voltage': functools.partial(self.fail, ChannelFault.VOLTAGE),
+            'cool': functools.partial(self.fail, ChannelFault(0)),
+            'overload': lambda values: self.hang(int(values[0]), float(values[1])),
+            'weight': lambda values: self.hang(
+                int(values[0]), STANDARD_GRAVITY * float(values[1])
+            ),
+            'block': lambda values: rig.blocked.add(range(rig.channels)[int(values[0])]),
+            'free': lambda values: rig.blocked.discard(range(rig.channels)[int(values[0])]),
+            'cell': lambda values: setattr(rig.cells[int(values[0])], 'broken', True),
+            'mend': lambda values: setattr(rig.cells[int(values[0])], 'broken', False),
+            'state': lambda values: json.dumps(self.state()),
+        }
 
-    return fail
+    def restart(self) -> None:
+        """Take the power of the board away for a moment."""
+        with self._lock:
+            self.rig.power_on()
 
+    def fail(self, fault: ChannelFault, values: list[str]) -> None:
+        """Let the bridge of a channel report a fault."""
+        self.rig.faults[int(values[0])] = fault
 
-def _block(blocked: bool) -> Action:
-    def change(line: EmulatedBoard, values: list[str]) -> None:
-        channel = range(line.rig.channels)[int(values[0])]
-        line.rig.blocked -= {channel}
-        line.rig.blocked |= {channel} if blocked else set()
+    def hang(self, channel: int, force: float) -> None:
+        """Hang a weight [N] on a load cell."""
+        self.rig.cells[channel].hung = force
 
-    return change
+    def state(self) -> dict[str, object]:
+        """Return what motors and wires do, as plain values."""
+        rig = self.rig
+        return {
+            'port': self.port,
+            'time': time.monotonic(),
+            **getattr(rig.arm, 'shown', {}),
+            'enabled': rig.enabled,
+            'tensions': np.round(rig.tensions, 4).tolist(),
+            'highest': np.round(rig.highest, 4).tolist(),
+            'wound': np.round(rig.places, 6).tolist(),
+            'duties': np.round(rig.firmware.duties, 4).tolist(),
+        }
 
+    def advance(self, passed: float) -> None:
+        """Let time [s] pass; send what the board says."""
+        self.rig.advance(passed)
+        answer = self.rig.firmware.take()
+        if not self.deaf:
+            self._send(self.faults.apply(answer))
 
-def _cell(broken: bool) -> Action:
-    def change(line: EmulatedBoard, values: list[str]) -> None:
-        line.rig.cells[int(values[0])].broken = broken
+    def receive(self, data: bytes) -> None:
+        """Give the board bytes."""
+        if not self.deaf:
+            self.rig.firmware.receive(data)
 
-    return change
-
-
-def _hang(factor: float) -> Action:
-    def change(line: EmulatedBoard, values: list[str]) -> None:
-        line.rig.cells[int(values[0])].hung = factor * float(values[1])
-
-    return change
-
-
-def state(line: EmulatedBoard) -> dict[str, object]:
-    """Return what motors and wires do, as plain values."""
-    rig = line.rig
-    return {
-        'port': line.port,
-        'time': time.monotonic(),
-        **getattr(rig.arm, 'shown', {}),
-        'enabled': [bool(rig.firmware.enabled >> i & 1) for i in range(rig.channels)],
-        'tensions': np.round(rig.tensions, 4).tolist(),
-        'highest': np.round(rig.highest, 4).tolist(),
-        'wound': np.round(rig.places, 6).tolist(),
-        'duties': np.round(rig.firmware.duties, 4).tolist(),
-    }
-
-
-def config(rig: BoardRig, inputs: Sequence[str]) -> dict[str, Any]:
-    """Return a configuration for the driver, without its port; the load cells are calibrated."""
-    return {
-        'spool_radius': SPOOL_RADIUS,
-        'ticks_per_turn': TICKS_PER_TURN,
-        'pull_limits': [-0.05, 0.05],
-        'tension_gain': 0.03,
-        'calibration': {
-            name: {
-                'zero': cell.zero,
-                'newtons_per_count': cell.newtons_per_count,
-                'scatter': CELL_NOISE_COUNTS,
-            }
-            for name, cell in zip(inputs, rig.cells, strict=True)
-        },
-        'tendons': {name: {'channel': i} for i, name in enumerate(inputs)},
-    }
-
-
-ACTIONS: dict[str, Action] = {
-    'silent': _deaf(True),
-    'hear': _deaf(False),
-    'restart': lambda line, values: line.restart(),
-    'overheating': _bridge('overheating'),
-    'voltage': _bridge('voltage'),
-    'cool': _bridge(''),
-    'overload': _hang(1.0),
-    'block': _block(True),
-    'free': _block(False),
-    'cell': _cell(True),
-    'mend': _cell(False),
-    'weight': _hang(STANDARD_GRAVITY),
-    'state': lambda line, values: json.dumps(state(line)),
-    'help': lambda line, values: HELP,
-}
+    def connected(self) -> None:
+        """End what was half received."""
+        self.rig.firmware.receive(b'\0')

@@ -1,83 +1,309 @@
-"""The emulated bus: a pseudo-terminal, the servos on it, and a thread that serves both."""
+"""
+The emulated bus: bytes of Protocol 2.0, the servos that answer them, their port and commands.
+
+Framing, stuffing, CRC and answers are written from the e-manual and share no code with the SDK
+that the driver uses, so that no error can hide by being made on both sides.
+
+References
+----------
+ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0, https://emanual.robotis.com/docs/en/dxl/protocol2/
+
+"""
 
 from __future__ import annotations
 
+import functools
 import json
 import termios
 import time
+from collections import deque
+from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 
-from ..drivers.dynamixel.control_table import BAUD_RATES, HARDWARE_ERRORS, WATCHDOG_TRIPPED
-from .port import COMMON_HELP, Action, Plug
-from .protocol import InstructionReceiver, Responder
+from ..drivers.dynamixel.control_table import (
+    BAUD_RATES,
+    REGISTERS,
+    WATCHDOG_TRIPPED,
+    HardwareError,
+)
+from .port import COMMON_HELP, Command, Plug
 from .rig import HangingWeights, Rig
-from .servo import Servo
-
-PACKET_GAP_S = 0.02  # [s] of silence that ends a broken packet
+from .servo import RAM_BEGIN, Servo, StatusError
 
 
-class EmulatedBus(Plug):
+class InstructionCode(IntEnum):
+    """What a packet says: manual, "Instruction"."""
+
+    PING = 0x01
+    READ = 0x02
+    WRITE = 0x03
+    REG_WRITE = 0x04
+    ACTION = 0x05
+    FACTORY_RESET = 0x06
+    REBOOT = 0x08
+    CLEAR = 0x10
+    STATUS = 0x55
+    SYNC_READ = 0x82
+    SYNC_WRITE = 0x83
+    FAST_SYNC_READ = 0x8A
+    BULK_READ = 0x92
+    BULK_WRITE = 0x93
+
+
+HEADER = b'\xff\xff\xfd\x00'
+BROADCAST = 0xFE  # [id] of all servos: manual, "Packet ID"
+PACKET_BYTES_MAX = 1024  # [bytes] else a broken length would swallow all that follows
+PACKET_GAP_S = 0.02  # [s] of silence that ends a broken packet, else it would wait for its end
+SECONDARY_OFF = 253  # [id] from which a secondary id is none: manual, address 12
+BOOT_TIME_S = 0.3  # [s] of silence after a reboot, so that a driver has to wait for it
+LOG_MAX = 200_000  # [entries] so that minutes of goals at 100 Hz are kept
+# the status return level (address 68) from which a servo answers; the others need 2: manual
+ANSWERS_FROM_LEVEL: dict[int, int] = {
+    InstructionCode.PING: 0,
+    InstructionCode.READ: 1,
+    InstructionCode.SYNC_READ: 1,
+    InstructionCode.FAST_SYNC_READ: 1,
+}
+LOGGED = {
+    REGISTERS[name].address: name
+    for name in ('torque_enable', 'goal_current', 'goal_position', 'bus_watchdog')
+}
+
+
+@functools.cache
+def crc_of_byte(byte: int) -> int:
+    """Return the CRC of one byte: CRC-16 (IBM/ANSI), polynomial 0x8005, not reflected."""
+    value = byte << 8
+    for _ in range(8):
+        value = (value << 1) ^ 0x8005 if value & 0x8000 else value << 1
+    return value & 0xFFFF
+
+
+def crc(data: bytes, start: int = 0) -> int:
+    """Compute the CRC-16 of the bytes, continuing from `start`."""
+    value = start
+    for byte in data:
+        value = (value << 8 & 0xFFFF) ^ crc_of_byte(value >> 8 ^ byte)
+    return value
+
+
+def with_crc(data: bytes) -> bytes:
+    """Append the CRC, low byte first."""
+    return data + crc(data).to_bytes(2, 'little')
+
+
+def stuff(body: bytes) -> bytes:
+    """Put 0xFD behind every FF FF FD, so that no body looks like a header."""
+    return body.replace(b'\xff\xff\xfd', b'\xff\xff\xfd\xfd')
+
+
+def unstuff(body: bytes) -> bytes:
+    """Take the stuffing out again."""
+    return body.replace(b'\xff\xff\xfd\xfd', b'\xff\xff\xfd')
+
+
+def packet(identity: int, body: bytes) -> bytes:
+    """Frame a body (instruction and parameters): header, id, length, stuffed body, CRC."""
+    inner = stuff(body)
+    length = (len(inner) + 2).to_bytes(2, 'little')
+    return with_crc(HEADER + bytes([identity]) + length + inner)
+
+
+def status(identity: int, error: int, data: bytes = b'') -> bytes:
+    """Frame a status packet."""
+    return packet(identity, bytes([InstructionCode.STATUS, error]) + data)
+
+
+def fast_status(parts: list[tuple[int, int, bytes]]) -> bytes:
     """
-    An emulated port with servos; `port` is the path to open.
+    Join the answers of several servos into the one status packet of a fast read.
+
+    Parameters
+    ----------
+    parts : list of (id, error, data)
+        In the order asked for. No byte stuffing, and a CRC behind every part that covers
+        everything before it.
+
+    """
+    length = sum(len(data) + 4 for _, _, data in parts) + 1
+    out = HEADER + bytes([BROADCAST]) + length.to_bytes(2, 'little')
+    out += bytes([InstructionCode.STATUS])
+    for identity, error, data in parts:
+        out = with_crc(out + bytes([error, identity]) + data)
+    return out
+
+
+@dataclass(frozen=True)
+class Instruction:
+    """An instruction packet whose CRC is right."""
+
+    identity: int
+    code: int
+    parameters: bytes
+
+
+class InstructionReceiver:
+    """Cuts a stream of bytes into instructions; what is broken is dropped, as a servo does."""
+
+    def __init__(self) -> None:
+        """Start with nothing received."""
+        self._buffer = b''
+        self.broken = 0  # packets with a wrong CRC or length
+
+    def feed(self, data: bytes) -> list[Instruction]:
+        """Take bytes; return the instructions that are complete now."""
+        self._buffer += data
+        instructions: list[Instruction] = []
+        while True:
+            start = self._buffer.find(HEADER)
+            if start < 0:
+                self._buffer = self._buffer[-3:]
+                return instructions
+            self._buffer = self._buffer[start:]
+            if len(self._buffer) < 7:
+                return instructions
+            size = int.from_bytes(self._buffer[5:7], 'little') + 7
+            if not 10 <= size <= PACKET_BYTES_MAX:
+                self.broken += 1
+                self._buffer = self._buffer[4:]
+                continue
+            if len(self._buffer) < size:
+                return instructions
+            whole, rest = self._buffer[:size], self._buffer[size:]
+            if crc(whole[:-2]) != int.from_bytes(whole[-2:], 'little'):
+                self.broken += 1
+                self._buffer = self._buffer[4:]
+                continue
+            self._buffer = rest
+            body = unstuff(whole[7:-2])
+            instructions.append(Instruction(whole[4], body[0], body[1:]))
+
+
+class Responder:
+    """
+    The servos of a rig as they hear and answer.
 
     Attributes
     ----------
-    rig : Rig
-    responder : Responder
+    silent : set of int
+        Ids that neither hear nor answer.
+    log : deque of (time, id, register, value)
+        What the servos accepted for torque, goals and watchdog, `time.monotonic` [s].
+    extremes : dict of (id, register) to (lowest, highest)
+        What was written to them, accepted or not.
+    booting : dict of int to float
+        Until when a servo that restarts is silent, `time.monotonic` [s].
 
     """
 
-    def __init__(self, rig: Rig, port: str | None = None) -> None:
-        """Plug it in, at a path of its own if none is given; `start` begins to answer."""
+    def __init__(self, rig: Rig) -> None:
+        """Take the servos."""
         self.rig = rig
-        self.responder = Responder(rig)
-        self._heard = time.monotonic()
-        self._receiver = InstructionReceiver()
-        super().__init__('dynamixel', port)
+        self.silent: set[int] = set()
+        self.log: deque[tuple[float, int, str, int]] = deque(maxlen=LOG_MAX)
+        self.extremes: dict[tuple[int, str], tuple[int, int]] = {}
+        self.booting: dict[int, float] = {}
 
-    def restart(self, identity: int) -> None:
-        """Let a servo lose its power for a moment."""
-        with self._lock:
-            self.rig.rebooted(identity)
-
-    def servo(self, identity: int) -> Servo:
-        """Return the servo with an id."""
-        return self.rig.servos[identity]
-
-    def _let_time_pass(self, passed: float) -> None:
-        self.rig.advance(passed)
-
-    def _hear(self, data: bytes) -> None:
+    def carry_out(self, instruction: Instruction, baud: int | None) -> bytes:
+        """Let the servos at a baud rate do what an instruction says; return their answers."""
         now = time.monotonic()
-        if now - self._heard > PACKET_GAP_S:
-            self._plugged()
-        self._heard = now
-        speed = self._speed()
-        for instruction in self._receiver.feed(data):
-            self._send(self.faults.on_the_way(self.responder.carry_out(instruction, speed)))
+        servos = {
+            identity: servo
+            for identity, servo in self.rig.servos.items()
+            if identity not in self.silent
+            and now >= self.booting.get(identity, 0.0)
+            and baud in (None, BAUD_RATES.get(servo.get('baud_rate')))
+        }
+        for servo in servos.values():
+            servo.heard()
+        code, parameters = instruction.code, instruction.parameters
+        if code == InstructionCode.SYNC_WRITE:
+            address, length = _address_and_length(parameters)
+            for start in range(4, len(parameters) - length, length + 1):
+                identity, data = parameters[start], parameters[start + 1 : start + 1 + length]
+                self._shadowed(servos, identity, address, data)
+                if identity in servos:
+                    self._write(servos[identity], address, data)
+            return b''
+        if code in (InstructionCode.SYNC_READ, InstructionCode.FAST_SYNC_READ):
+            answering = {i: servo for i, servo in servos.items() if _answers(servo, code)}
+            return sync_read(answering, parameters, code == InstructionCode.FAST_SYNC_READ)
+        if code == InstructionCode.WRITE and len(parameters) > 2:
+            address, data = int.from_bytes(parameters[:2], 'little'), parameters[2:]
+            self._shadowed(servos, instruction.identity, address, data)
+        everyone = instruction.identity == BROADCAST
+        wanted = sorted(servos) if everyone else [instruction.identity]
+        answers = [self.answer(servos[i], code, parameters) for i in wanted if i in servos]
+        return b'' if everyone and code != InstructionCode.PING else b''.join(answers)
 
-    def _plugged(self) -> None:
-        self._receiver = InstructionReceiver()
+    def answer(self, servo: Servo, code: int, parameters: bytes) -> bytes:
+        """Let one servo do what it alone is told; return its status packet."""
+        error, data = StatusError.INSTRUCTION | servo.alert, b''
+        if code == InstructionCode.PING:
+            number = servo.model.number.to_bytes(2, 'little')
+            error, data = servo.alert, number + bytes([servo.firmware])
+        elif code == InstructionCode.READ and len(parameters) == 4:
+            error, data = servo.read(*_address_and_length(parameters))
+        elif code == InstructionCode.WRITE and len(parameters) > 2:
+            error = self._write(servo, int.from_bytes(parameters[:2], 'little'), parameters[2:])
+        elif code == InstructionCode.REBOOT:
+            self.rig.rebooted(servo.identity)
+            self.booting[servo.identity] = time.monotonic() + BOOT_TIME_S
+            error = 0
+        return status(servo.identity, error, data) if _answers(servo, code) else b''
 
-    def _speed(self) -> int | None:
-        """Baud rate that the client has set, None when it is an odd one."""
-        if self._master is None:
-            return None
-        try:
-            code = termios.tcgetattr(self._master)[5]
-        except termios.error:
-            return None
-        for baud in BAUD_RATES.values():
-            if getattr(termios, f'B{baud}') == code:
-                return baud
-        return None
+    def _shadowed(
+        self, servos: dict[int, Servo], identity: int, address: int, data: bytes
+    ) -> None:
+        """Let servos whose secondary id is meant obey, without an answer; not in their flash."""
+        for servo in servos.values():
+            shadows = servo.get('secondary_id') == identity != servo.identity
+            if shadows and identity < SECONDARY_OFF and address >= RAM_BEGIN:
+                self._write(servo, address, data)
+
+    def _write(self, servo: Servo, address: int, data: bytes) -> int:
+        error = servo.write(address, data)
+        name = LOGGED.get(address)
+        if name is not None and len(data) == REGISTERS[name].size:
+            value = int.from_bytes(data, 'little', signed=REGISTERS[name].signed)
+            key = (servo.identity, name)
+            low, high = self.extremes.get(key, (value, value))
+            self.extremes[key] = (min(low, value), max(high, value))
+            if not error & ~StatusError.ALERT:
+                self.log.append((time.monotonic(), servo.identity, name, value))
+        return error
 
 
-# -----------------------------------------------------------------------------
-# Words that do something to the emulated bus: faults for a person, or a test, to switch on.
+def _answers(servo: Servo, code: int) -> bool:
+    """Tell by its status return level (68) whether a servo answers: 0 pings, 1 reads, 2 all."""
+    return servo.get('status_return_level') >= ANSWERS_FROM_LEVEL.get(code, 2)
 
-OF_WIRES = ('tensions', 'wound', 'highest', 'held', 'least', 'most')
+
+def _address_and_length(parameters: bytes) -> tuple[int, int]:
+    return int.from_bytes(parameters[:2], 'little'), int.from_bytes(parameters[2:4], 'little')
+
+
+def sync_read(servos: dict[int, Servo], parameters: bytes, fast: bool) -> bytes:
+    """Answer in the order asked; in a fast read nobody speaks behind a silent servo."""
+    address, length = _address_and_length(parameters)
+    wanted = list(parameters[4:])
+    parts = []
+    for identity in wanted:
+        if identity in servos:
+            parts.append((identity, *servos[identity].read(address, length)))
+        elif fast:
+            break
+    if not fast:
+        return b''.join(status(*part) for part in parts)
+    old = [i for i, _, _ in parts if servos[i].firmware < servos[i].model.fast_read_firmware]
+    if old or not parts:
+        return b''
+    whole = fast_status(parts + [(i, 0, bytes(length)) for i in wanted[len(parts) :]])
+    return whole[: 8 + sum(len(data) + 4 for _, _, data in parts)]
+
+
 HELP = f"""\
 silent ID...          these servos neither hear nor answer; hear ID...: they do again
 {COMMON_HELP}
@@ -93,106 +319,157 @@ trace SECONDS         print what they did lately, as JSON: [time, [A], [N of wir
 quit"""
 
 
-def _hardware_error(bit: int) -> Action:
-    def fail(line: EmulatedBus, values: list[str]) -> None:
-        for servo in map(int, values):
-            line.servo(servo).fail(bit)
+class EmulatedBus(Plug):
+    """
+    An emulated port with servos; `port` is the path to open.
 
-    return fail
+    Attributes
+    ----------
+    rig : Rig
+    responder : Responder
 
+    """
 
-def _silent(line: EmulatedBus, values: list[str]) -> None:
-    line.responder.silent |= {line.servo(int(value)).identity for value in values}
+    help = HELP
 
+    def __init__(self, rig: Rig, port: str | None = None) -> None:
+        """Plug it in, at a path of its own if none is given; `start` begins to answer."""
+        self.rig = rig
+        self.responder = Responder(rig)
+        self._heard = time.monotonic()
+        self._receiver = InstructionReceiver()
+        super().__init__('dynamixel', port)
 
-def _hear(line: EmulatedBus, values: list[str]) -> None:
-    line.responder.silent -= {int(value) for value in values}
+    def commands(self) -> dict[str, Command]:
+        """Return its commands by their first word."""
+        hardware_errors: dict[str, Command] = {
+            str(error.name).lower(): functools.partial(self.fail, error) for error in HardwareError
+        }
+        return {
+            **super().commands(),
+            **hardware_errors,
+            'silent': lambda values: self.silence(values, True),
+            'hear': lambda values: self.silence(values, False),
+            'hot': lambda values: self.heat(int(values[0]), float(values[1])),
+            'volts': lambda values: self.supply(float(values[0])),
+            'restart': lambda values: self.restart(*map(int, values)),
+            'trip': self.trip,
+            'weight': lambda values: self.hang(int(values[0]), float(values[1])),
+            'state': lambda values: json.dumps(self.state()),
+            'log': lambda values: self.log(float(values[0])),
+            'trace': lambda values: self.trace(float(values[0])),
+        }
 
+    def servo(self, identity: int) -> Servo:
+        """Return the servo with an id."""
+        return self.rig.servos[identity]
 
-def _hot(line: EmulatedBus, values: list[str]) -> None:
-    line.servo(int(values[0])).temperature = float(values[1])
+    def restart(self, *identities: int) -> None:
+        """Let servos lose their power for a moment."""
+        for identity in identities:
+            with self._lock:
+                self.rig.rebooted(identity)
 
+    def fail(self, error: HardwareError, identities: list[str]) -> None:
+        """Give servos a hardware error."""
+        for identity in identities:
+            self.servo(int(identity)).fail(error)
 
-def _volts(line: EmulatedBus, values: list[str]) -> None:
-    for servo in line.rig.servos.values():
-        servo.voltage = float(values[0])
+    def silence(self, identities: list[str], silent: bool) -> None:
+        """Let servos neither hear nor answer, or let them do so again."""
+        for identity in identities:
+            if silent:
+                self.responder.silent.add(self.servo(int(identity)).identity)
+            else:
+                self.responder.silent.discard(int(identity))
 
+    def heat(self, identity: int, celsius: float) -> None:
+        """Set the temperature of a motor [°C]."""
+        self.servo(identity).temperature = celsius
 
-def _restart(line: EmulatedBus, values: list[str]) -> None:
-    for value in values:
-        line.restart(int(value))
+    def supply(self, volts: float) -> None:
+        """Set the supply of all motors [V]."""
+        for servo in self.rig.servos.values():
+            servo.voltage = volts
 
+    def trip(self, identities: list[str]) -> None:
+        """Trip the bus watchdogs of servos."""
+        for identity in identities:
+            self.servo(int(identity)).put('bus_watchdog', WATCHDOG_TRIPPED)
 
-def _trip(line: EmulatedBus, values: list[str]) -> None:
-    for value in values:
-        line.servo(int(value)).put('bus_watchdog', WATCHDOG_TRIPPED)
+    def hang(self, identity: int, mass: float) -> None:
+        """Hang a weight [kg] on the wire of a servo."""
+        arm = self.rig.arm
+        if not isinstance(arm, HangingWeights):
+            raise ValueError('start the emulator with --weights')
+        arm.hang(list(self.rig.servos).index(identity), mass)
 
+    def log(self, seconds: float) -> str:
+        """Return as JSON what the servos accepted in the last seconds."""
+        begin = time.monotonic() - seconds
+        return json.dumps([entry for entry in self.responder.log.copy() if entry[0] >= begin])
 
-def _weight(line: EmulatedBus, values: list[str]) -> None:
-    arm = line.rig.arm
-    if not isinstance(arm, HangingWeights):
-        raise ValueError('start the emulator with --weights')
-    place = list(line.rig.servos).index(int(values[0]))
-    arm.hang(place, float(values[1]))
+    def trace(self, seconds: float) -> str:
+        """Return as JSON what motors and wires did in the last seconds."""
+        begin = time.monotonic() - seconds
+        recent = [entry for entry in self.rig.trace.copy() if entry[0] >= begin]
+        return json.dumps([[t, *(np.round(v, 6).tolist() for v in rest)] for t, *rest in recent])
 
+    def state(self) -> dict[str, object]:
+        """Return what servos and wires do, as plain values."""
+        registers = (
+            'torque_enable',
+            'operating_mode',
+            'goal_current',
+            'goal_position',
+            'present_current',
+            'present_position',
+            'bus_watchdog',
+            'hardware_error_status',
+            'current_limit',
+        )
+        wires = ('tensions', 'wound', 'highest', 'held', 'least', 'most')
+        return {
+            'port': self.port,
+            'time': time.monotonic(),
+            **getattr(self.rig.arm, 'shown', {}),
+            **{name: np.round(getattr(self.rig, name), 6).tolist() for name in wires},
+            'servos': {
+                i: {name: servo.get(name) for name in registers}
+                for i, servo in self.rig.servos.items()
+            },
+            'extremes': {
+                f'{i} {name}': list(values)
+                for (i, name), values in self.responder.extremes.items()
+            },
+        }
 
-def _state(line: EmulatedBus, values: list[str]) -> str:
-    return json.dumps(state(line))
+    def advance(self, passed: float) -> None:
+        """Let time [s] pass for servos and wires."""
+        self.rig.advance(passed)
 
+    def receive(self, data: bytes) -> None:
+        """Carry out the instructions that the bytes complete."""
+        now = time.monotonic()
+        if now - self._heard > PACKET_GAP_S:
+            self.connected()
+        self._heard = now
+        for instruction in self._receiver.feed(data):
+            self._send(self.faults.apply(self.responder.carry_out(instruction, self.baud_rate())))
 
-def _log(line: EmulatedBus, values: list[str]) -> str:
-    begin = time.monotonic() - float(values[0])
-    return json.dumps([entry for entry in line.responder.log.copy() if entry[0] >= begin])
+    def connected(self) -> None:
+        """Forget what came in part."""
+        self._receiver = InstructionReceiver()
 
-
-def _trace(line: EmulatedBus, values: list[str]) -> str:
-    begin = time.monotonic() - float(values[0])
-    lately = [moment for moment in line.rig.trace.copy() if moment[0] >= begin]
-    return json.dumps([[when, *(np.round(v, 6).tolist() for v in rest)] for when, *rest in lately])
-
-
-def _help(line: EmulatedBus, values: list[str]) -> str:
-    return HELP
-
-
-def state(line: EmulatedBus) -> dict[str, object]:
-    """Return what servos and wires do, as plain values."""
-    names = (
-        'torque_enable',
-        'operating_mode',
-        'goal_current',
-        'goal_position',
-        'present_current',
-        'present_position',
-        'bus_watchdog',
-        'hardware_error_status',
-        'current_limit',
-    )
-    return {
-        'port': line.port,
-        'time': time.monotonic(),
-        **getattr(line.rig.arm, 'shown', {}),
-        **{name: np.round(getattr(line.rig, name), 6).tolist() for name in OF_WIRES},
-        'servos': {
-            i: {name: servo.get(name) for name in names} for i, servo in line.rig.servos.items()
-        },
-        'extremes': {
-            f'{i} {name}': list(values) for (i, name), values in line.responder.extremes.items()
-        },
-    }
-
-
-ACTIONS: dict[str, Action] = {
-    **{code: _hardware_error(bit) for bit, (code, _) in HARDWARE_ERRORS.items()},
-    'silent': _silent,
-    'hear': _hear,
-    'hot': _hot,
-    'volts': _volts,
-    'restart': _restart,
-    'trip': _trip,
-    'weight': _weight,
-    'state': _state,
-    'log': _log,
-    'trace': _trace,
-    'help': _help,
-}
+    def baud_rate(self) -> int | None:
+        """Return the baud rate that the client has set, None when it is an odd one."""
+        if self._master is None:
+            return None
+        try:
+            code = termios.tcgetattr(self._master)[5]
+        except termios.error:
+            return None
+        for baud in BAUD_RATES.values():
+            if getattr(termios, f'B{baud}') == code:
+                return baud
+        return None

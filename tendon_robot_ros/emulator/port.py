@@ -1,4 +1,4 @@
-"""An emulated serial port that can be unplugged, what it does to answers, and its words."""
+"""An emulated serial port that can be unplugged, faults of its answers, and its commands."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ import tempfile
 import threading
 import time
 import tty
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import ClassVar, Self
 
 from ..common.errors import InputError
 
@@ -40,8 +40,8 @@ class Faults:
     delay: float = 0.0
     slept: float = 0.0
 
-    def on_the_way(self, answer: bytes) -> bytes:
-        """Do to an answer what the bus does to it."""
+    def apply(self, answer: bytes) -> bytes:
+        """Return what arrives of an answer."""
         if not answer:
             return answer
         if self.delay:
@@ -59,16 +59,33 @@ class Faults:
         return answer
 
 
-# -----------------------------------------------------------------------------
-# An emulated serial port: a pseudo-terminal that can be unplugged, and its own thread.
+Command = Callable[[list[str]], str | None]  # takes the words behind the first, may answer
+COMMON_HELP = """\
+spoil N | cut N | double N   the next N pieces it sends: a wrong byte, half missing, sent twice
+slow SECONDS          before everything it sends; slow 0: as fast as ever
+unplug [SECONDS]      pull the plug; with SECONDS put it back after that time
+plug                  put it back"""
 
 
 class Plug(abc.ABC):
     """
-    An emulated port; `port` is the path to open, `faults` what is wrong with its answers.
+    An emulated serial port with a thread of its own: a pseudo-terminal that can be unplugged.
 
-    A subclass says what happens as time passes and when bytes come; both with the lock held.
+    A subclass says what happens as time passes and when bytes come, both with the lock held, and
+    which commands it obeys.
+
+    Attributes
+    ----------
+    port : str
+        The path to open.
+    faults : Faults
+        What is wrong with its answers.
+    help : str
+        Its commands, for a person.
+
     """
+
+    help: ClassVar[str] = COMMON_HELP
 
     def __init__(self, name: str, port: str | None = None, idle: float = 0.005) -> None:
         """
@@ -81,7 +98,7 @@ class Plug(abc.ABC):
         port : str, optional
             Path at which it appears.
         idle : float
-            Between two looks at the clock when nothing arrives [s].
+            Time between two steps when nothing arrives [s].
 
         """
         self._idle, self.faults, self._lived = idle, Faults(), 0.0
@@ -102,16 +119,45 @@ class Plug(abc.ABC):
         return self._lived + self.faults.slept
 
     @abc.abstractmethod
-    def _let_time_pass(self, passed: float) -> None:
+    def advance(self, passed: float) -> None:
         """Advance what is emulated by so many seconds."""
 
     @abc.abstractmethod
-    def _hear(self, data: bytes) -> None:
+    def receive(self, data: bytes) -> None:
         """Take what a client has sent."""
 
     @abc.abstractmethod
-    def _plugged(self) -> None:
-        """Begin anew with the bytes; the rest kept its power."""
+    def connected(self) -> None:
+        """Forget what was half received: the port is there again."""
+
+    def commands(self) -> dict[str, Command]:
+        """Return the commands by their first word: faults for a person, or a test, to switch."""
+        faults = self.faults
+        return {
+            'spoil': lambda values: setattr(faults, 'spoilt', int(values[0])),
+            'cut': lambda values: setattr(faults, 'cut', int(values[0])),
+            'double': lambda values: setattr(faults, 'doubled', int(values[0])),
+            'slow': lambda values: setattr(faults, 'delay', float(values[0])),
+            'unplug': lambda values: self.unplug(float(values[0]) if values else None),
+            'plug': lambda values: self.plug(),
+            'help': lambda values: self.help,
+        }
+
+    def obey(self, text: str) -> str:
+        """
+        Carry out one command; return what to answer.
+
+        Raises
+        ------
+        InputError
+            It is none of the known ones, or its values are wrong.
+
+        """
+        word, *values = text.split()
+        try:
+            return self.commands()[word](values) or 'ok'
+        except (ValueError, IndexError, KeyError) as error:
+            raise InputError(f'{text!r}: {error}; type help') from None
 
     def start(self) -> Self:
         """Answer from now on, in a thread of its own."""
@@ -148,93 +194,39 @@ class Plug(abc.ABC):
             os.symlink(os.ttyname(slave), self.port)
             os.close(slave)  # else a client's exclusive lock would outlive the client
             self._master = master
-            self._plugged()
+            self.connected()
 
-    def unplug(self) -> None:
-        """Pull the plug: the port is gone, the electronics keep their power."""
+    def unplug(self, seconds: float | None = None) -> None:
+        """Pull the plug, and put it back after some seconds; the electronics keep their power."""
         with self._lock:
-            if self._master is None:
-                return
-            os.close(self._master)
-            self._master = None
-            with contextlib.suppress(FileNotFoundError):
-                os.unlink(self.port)
+            if self._master is not None:
+                os.close(self._master)
+                self._master = None
+                with contextlib.suppress(FileNotFoundError):
+                    os.unlink(self.port)
+        if seconds is not None:
+            time.sleep(seconds)
+            self.plug()
 
     def _serve(self) -> None:
         while not self._end.is_set():
-            data = self._receive()
+            data, master = b'', self._master
+            try:
+                if master is None:
+                    time.sleep(self._idle)
+                elif select.select([master], [], [], self._idle)[0]:
+                    data = os.read(master, 4096)
+            except (OSError, ValueError):  # nobody has the port open, or it was unplugged
+                time.sleep(self._idle)
             with self._lock:
                 now = time.monotonic()
                 passed, self._before = now - self._before, now
-                self._let_time_pass(passed)
+                self.advance(passed)
                 if data:
-                    self._hear(data)
+                    self.receive(data)
                 self._lived += min(passed, 2.0 * self._idle)
-
-    def _receive(self) -> bytes:
-        """Wait a little for bytes; none when there are none or nobody has the port open."""
-        master = self._master
-        if master is not None:
-            with contextlib.suppress(OSError, ValueError):
-                if not select.select([master], [], [], self._idle)[0]:
-                    return b''
-                return os.read(master, 4096)
-        time.sleep(self._idle)
-        return b''
 
     def _send(self, answer: bytes) -> None:
         if self._master is not None and answer:
             with contextlib.suppress(OSError):
                 os.write(self._master, answer)
-
-
-# -----------------------------------------------------------------------------
-# Words that do something to what is emulated: faults for a person, or a test, to switch on.
-
-Action = Callable[[Any, list[str]], str | None]  # of the line and the values behind the word
-COMMON_HELP = """\
-spoil N | cut N | double N   the next N pieces it sends: a wrong byte, half missing, sent twice
-slow SECONDS          before everything it sends; slow 0: as fast as ever
-unplug [SECONDS]      pull the plug; with SECONDS put it back after that time
-plug                  put it back"""
-
-
-def obey(line: Plug, text: str, actions: Mapping[str, Action]) -> str:
-    """
-    Carry out one command, of every line or one of its own `actions`; return what to answer.
-
-    Raises
-    ------
-    InputError
-        It is none of the known ones, or its values are wrong.
-
-    """
-    word, *values = text.split()
-    try:
-        return {**COMMON_ACTIONS, **actions}[word](line, values) or 'ok'
-    except (ValueError, IndexError, KeyError) as error:
-        raise InputError(f'{text!r}: {error}; type help') from None
-
-
-def _set(name: str, kind: type) -> Action:
-    def change(line: Plug, values: list[str]) -> None:
-        setattr(line.faults, name, kind(values[0]))
-
-    return change
-
-
-def _unplug(line: Plug, values: list[str]) -> None:
-    line.unplug()
-    if values:
-        time.sleep(float(values[0]))
-        line.plug()
-
-
-COMMON_ACTIONS: dict[str, Action] = {
-    'spoil': _set('spoilt', int),
-    'cut': _set('cut', int),
-    'double': _set('doubled', int),
-    'slow': _set('delay', float),
-    'unplug': _unplug,
-    'plug': lambda line, values: line.plug(),
-}

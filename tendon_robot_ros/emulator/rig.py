@@ -1,4 +1,4 @@
-"""What emulated servos pull on: spools and wires, and time that passes for all at once."""
+"""Arms that emulated motors pull on; servos, spools and wires, for which time passes at once."""
 
 from __future__ import annotations
 
@@ -15,15 +15,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import TendonRobotError
-from .motion import STEP_S, Load
-from .servo import Servo
+from ..drivers.dynamixel.control_table import REGISTERS
+from .servo import STEP_S, Load, Servo
 
 Array = NDArray[np.float64]
-LINEAR_WITHIN_N = 0.2  # [N] about which an arm keeps its compliance
-PROBE_N = 0.02  # [N] by which its compliance is felt
-STILL_N = 1e-6  # [N] below which it need not be asked again
-MINOR_ROUNDING, SOFTER_FROM = 1e-9, 0.01  # [1] of the largest compliance
-FOLLOWS_IN_S = 0.01  # [s], time constant with which an arm of this size takes on its shape
+# [N] of change in which an arm keeps its compliance: a probe for every wire costs as many calls of
+# the model, so that one at every step would be slower than the time that it emulates
+LINEAR_N = 0.2
+UNCHANGED_N = 1e-6  # [N] an arm at rest is not evaluated again, else it would take a core for ever
+# [1] of the largest compliance: by how much a minor may be below zero by rounding, because wires
+# that pull against each other have minors of zero
+MINOR_ROUNDING = 1e-9
+SOFTER_MIN = 0.01  # [1] of the largest compliance: first addition, so that doubling ends soon
+FOLLOWING_S = 0.01  # [s] time constant with which the arm takes on a shape, else it would jump
+BALANCED_N = 1e-3  # [N] between a motor and its wires, so that it is below the noise of any sensor
+# [1] of turning all motors in a step; else two that share a load might never balance
+ITERATIONS_MAX = 50
+TRACE_MAX = 20_000  # [entries] so that more than 40 s are kept (benchmarks ask for so much)
+# [s] after a longer pause of this process the emulated world skips time, else it would jump
+TIME_STEP_MAX_S = 0.1
+# [s] one count of the watchdog, so that none takes a pause of this process for silence
+SILENCE_STEP_MAX_S = REGISTERS['bus_watchdog'].unit
 
 
 class Arm(Protocol):
@@ -87,18 +99,18 @@ class HangingWeights:
 
 class ElasticArm:
     """
-    An arm known by tensions -> pulls, turned round: which tensions hold so much wound wire.
+    The inverse of an arm that is known by tensions -> pulls: tensions that hold so much wire.
 
     The wires stretch a little: wound = slack + pulls(tensions) + stretch * tension, a slack wire
     has less wound than that. Between two calls of `pulls` the arm is linear about the last one,
-    with a compliance that is felt anew wherever the tensions have gone. With friction it is far
-    from symmetric; where it is so skew that the linear arm would hold some wire by no tensions, or
-    by several, it counts as softer.
+    with a compliance that is measured anew where the tensions have changed. With friction it is
+    far from symmetric; where it is so skew that the linear arm would hold some wire by no
+    tensions, or by several, it counts as softer.
 
     An arm gives way where it bends, and hardly at all where its wires pull against each other:
     there the fraction of a millimetre by which a bend is not linear is worth newtons. A new call
-    of `pulls` therefore changes no tension at once: what it finds else than expected is wire that
-    the arm still takes up or gives, with a time constant.
+    of `pulls` therefore changes no tension at once: where it differs from the linear arm is wire
+    that the arm still takes up or gives, with a time constant.
     """
 
     def __init__(
@@ -141,17 +153,20 @@ class ElasticArm:
         self._taut = np.zeros(inputs, dtype=bool)
         self._since = 0.0
         self._coming = np.zeros(inputs)  # (m,) [m] of wire that the arm is still to take up
-        self._feel()
-        self._linear()
+        self._probe()
+        self._linearise()
 
     def tensions(self, wound: Array, passed: float) -> Array:
         """Return the present tensions [N]; once a period the arm itself is asked."""
         self._since += passed
-        self._coming *= math.exp(-passed / FOLLOWS_IN_S)
+        self._coming *= math.exp(-passed / FOLLOWING_S)
+        tensions = np.minimum(self._held(wound), self.highest)
         if self._since >= self.period:
             self._since = 0.0
-            self._ask(wound)
-        return np.minimum(self._held(wound), self.highest)
+            if np.abs(tensions - self._here).max() >= UNCHANGED_N:
+                self._evaluate(tensions, wound)
+                tensions = np.minimum(self._held(wound), self.highest)
+        return tensions
 
     def resistance(self, wire: int) -> tuple[float, float]:
         """Return the pull, negative while slack, and the stiffness while others are held."""
@@ -159,29 +174,27 @@ class ElasticArm:
         value = self._values[wire]
         return (value if self._taut[wire] else -stiffness * value), stiffness
 
-    def _ask(self, wound: Array) -> None:
-        """Make the arm linear about the tensions (m,) [N] that it has with so much wire (m,)."""
-        tensions = np.minimum(self._held(wound), self.highest)
-        if np.abs(tensions - self._here).max() < STILL_N:
-            return
+    def _evaluate(self, tensions: Array, wound: Array) -> None:
+        """Make the arm linear about tensions (m,) [N], with so much wire (m,) [m] wound."""
         with contextlib.suppress(TendonRobotError):
             self._here, self._pulls = tensions, self.pulls(tensions)
-            if np.abs(tensions - self._felt).max() > LINEAR_WITHIN_N:
-                self._feel()
-            self._linear()
+            if np.abs(tensions - self._probed).max() > LINEAR_N:
+                self._probe()
+            self._linearise()
             self._coming = self.slack + self._pulls + self._stretch * self._here - wound
             slack = tensions <= 0.0
             self._coming[slack] = np.minimum(0.0, self._coming[slack])
 
-    def _feel(self) -> None:
-        """Feel the compliance (m, m) [m/N] of arm and wires here."""
-        probes = self._here + PROBE_N * np.eye(len(self._here))
-        rows = (np.array([self.pulls(probe) for probe in probes]) - self._pulls) / PROBE_N
+    def _probe(self) -> None:
+        """Measure the compliance (m, m) [m/N] of arm and wires here, by differences."""
+        step = 0.1 * LINEAR_N  # [N]
+        probes = self._here + step * np.eye(len(self._here))
+        rows = (np.array([self.pulls(probe) for probe in probes]) - self._pulls) / step
         self.pulls(self._here)
         self._compliance = rows.T + (self._stretch + softer(rows.T)) * np.eye(len(rows))
-        self._felt = self._here
+        self._probed = self._here
 
-    def _linear(self) -> None:
+    def _linearise(self) -> None:
         """Note wound = offset + compliance @ tensions."""
         self._offset = self.slack + self._pulls + self._stretch * self._here
         self._offset -= self._compliance @ self._here
@@ -235,17 +248,8 @@ def softer(compliance: Array) -> float:
         minors = [np.linalg.det(scaled[some[:, :, None], some[:, None, :]]) for some in chosen]
         if min(minor.min() for minor in minors) > -MINOR_ROUNDING:
             break
-        added = max(2.0 * added, SOFTER_FROM)
+        added = max(2.0 * added, SOFTER_MIN)
     return added * size
-
-
-# -----------------------------------------------------------------------------
-# Emulated servos, spools and wires together: time passes for all of them at once.
-
-MOMENTS_REMEMBERED_MAX = 20_000  # moments
-TIME_STEP_MAX_S = 0.1  # [s]; after a longer pause of this process the emulated world skips time
-SILENCE_STEP_MAX_S = 0.02  # [s]; and no watchdog takes a pause for silence
-ROUNDS_MAX, BALANCED_N = 50, 1e-3  # of all motors in a step; [N] by which wires may pull else
 
 
 @dataclass(frozen=True)
@@ -289,7 +293,7 @@ class Rig:
         self.tensions = np.zeros(len(wires))  # [N]
         self.highest, self.held, self.least, self.most = np.zeros((4, len(wires)))
         self.trace: deque[tuple[float, list[float], list[float], list[float]]] = deque(
-            maxlen=MOMENTS_REMEMBERED_MAX
+            maxlen=TRACE_MAX
         )
 
     @property
@@ -305,9 +309,12 @@ class Rig:
             servo.protect(min(passed, SILENCE_STEP_MAX_S))
         steps = max(1, math.ceil(passed / STEP_S - 1e-9))
         for _ in range(steps):
-            self._step(passed / steps)
+            self.turn(passed / steps)
             self.highest = np.maximum(self.highest, self.tensions)
-            self.held = np.maximum(self.held, self.tensions - self._drag())
+            # less what the drag of motors that pay out adds
+            drag = np.array([servo.motion.drag for servo in self.servos.values()])
+            held = self.tensions - np.maximum(0.0, -drag @ self._per_lever)
+            self.held = np.maximum(self.held, held)
         for servo in self.servos.values():
             servo.refresh()
         wound = self.wound
@@ -326,23 +333,17 @@ class Rig:
     def _angles(self) -> np.ndarray:
         return np.array([servo.motion.angle for servo in self.servos.values()])
 
-    def _drag(self) -> np.ndarray:
-        """Return what the drag of motors that pay out adds to the tensions, shape (m,) [N]."""
-        drag = [servo.motion.drag for servo in self.servos.values()]
-        added: np.ndarray = np.maximum(0.0, -np.array(drag) @ self._per_lever)
-        return added
-
-    def _step(self, step: float) -> None:
+    def turn(self, step: float) -> None:
         """
-        Let all motors turn, until each balances what the wires pull after all have turned.
+        Let all motors turn for a step [s], until each balances what the wires pull at its end.
 
-        One after the other: each is sent from where the step found it, against wires as the others
+        One after the other: each starts from where the step began, against wires as the others
         leave them, again and again, until they pull what it turned against. Once would let a motor
         that gives way be passed by those that turn after it: its wire would pull more than any
-        motor holds. Where wires share a load a round takes away little of the rest, so the first
-        begins where all would be if they went on as they do.
+        motor holds. Where wires share a load an iteration takes away little of the imbalance, so
+        the first begins where all would be if they went on at their speeds.
         """
-        found = self._angles()
+        begin = self._angles().tolist()
         self.tensions = self.arm.tensions(self.wound, step)
         speeds = [servo.motion.speed for servo in self.servos.values()]
         if any(speeds):
@@ -350,32 +351,26 @@ class Rig:
                 servo.motion.angle += speed * step
             self.tensions = self.arm.tensions(self.wound, 0.0)
         expected = dict.fromkeys(range(len(self.wires)), math.nan)  # [N] when their motor turned
-        for _ in range(ROUNDS_MAX):
-            if not self._turn(step, found.tolist(), expected):
+        for _ in range(ITERATIONS_MAX):
+            wound, balanced = self.wound, True
+            for servo, lever, wires, start in zip(
+                self.servos.values(), self._lever, self._of, begin, strict=True
+            ):
+                pulls = {i: max(0.0, self.arm.resistance(i)[0]) for i in wires}
+                if all(abs(pull - expected[i]) < BALANCED_N for i, pull in pulls.items()):
+                    continue
+                here, balanced = servo.motion.angle, False
+                load = Load([self._wire_at(i, lever[i], here - start) for i in wires])
+                servo.motion.angle = start
+                servo.step(step, load)
+                expected |= zip(wires, load.pulls(servo.motion.angle - start), strict=True)
+                if servo.motion.angle != here:
+                    wound = wound + lever * (servo.motion.angle - here)
+                    self.tensions = self.arm.tensions(wound, 0.0)
+            if balanced:
                 return
 
-    def _turn(self, step: float, found: list[float], expected: dict[int, float]) -> bool:
-        """Let motors turn whose wires do not pull as expected; return whether there were any."""
-        wound, turned = self.wound, False
-        for servo, lever, wires, start in zip(
-            self.servos.values(), self._lever, self._of, found, strict=True
-        ):
-            pulls = [max(0.0, self.arm.resistance(i)[0]) for i in wires]
-            if all(
-                abs(pull - expected[i]) < BALANCED_N for i, pull in zip(wires, pulls, strict=True)
-            ):
-                continue
-            here, turned = servo.motion.angle, True
-            load = Load([self._felt(i, lever[i], here - start) for i in wires])
-            servo.motion.angle = start
-            servo.step(step, load)
-            expected |= zip(wires, load.pulls(servo.motion.angle - start), strict=True)
-            if servo.motion.angle != here:
-                wound = wound + lever * (servo.motion.angle - here)
-                self.tensions = self.arm.tensions(wound, 0.0)
-        return turned
-
-    def _felt(self, wire: int, lever: float, turned: float) -> tuple[float, float, float]:
+    def _wire_at(self, wire: int, lever: float, turned: float) -> tuple[float, float, float]:
         """Return lever [m/rad], pull [N] and stiffness [N/m] of a wire before a motor turned."""
         pull, stiffness = self.arm.resistance(wire)
         return lever, pull - stiffness * lever * turned, stiffness

@@ -1,32 +1,67 @@
 """
-One emulated servo: its control table, what it answers, how it protects itself.
+One emulated servo: its control table, its protection, its motor and gear with dry friction.
 
 What happens on a watchdog trip is what the e-manual's "Bus Watchdog(98)" says and no more: the
 servo stops, 98 reads -1, goal values are read-only (Data Range Error) until 0 is written to 98.
 The manual does not say whether a stopped servo holds; here it is powerless in current mode and
 holds its position in the position modes.
+
+The dry friction is what a geared servo shows: below it nothing moves, winding needs more current
+than the wire's pull alone, paying out less. The addresses, units and enumerations are those of the
+driver's `control_table`: both are the manual's. What a servo does with them is written here from
+the manual alone.
+
+References
+----------
+ROBOTIS e-Manual, https://emanual.robotis.com/docs/en/dxl/x/ and /docs/en/dxl/protocol2/.
+
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from enum import IntEnum
 
-from ..drivers.dynamixel import control_table
 from ..drivers.dynamixel.control_table import (
-    CURRENT_MODE,
-    CURRENT_POSITION_MODE,
+    BAUD_RATES,
     PWM_FULL,
+    RADIANS_PER_TICK,
     REGISTERS,
     TABLE_BYTES,
+    TICKS_PER_TURN,
     WATCHDOG_TRIPPED,
+    DriveMode,
+    HardwareError,
+    OperatingMode,
     Register,
+    ServoModel,
+    decode,
+    encode,
 )
-from .motion import TICK, Load, ServoMotion, drive
 
-RESULT_FAIL, INSTRUCTION_ERROR = 0x01, 0x02
-DATA_RANGE, DATA_LENGTH, DATA_LIMIT, ACCESS = 0x04, 0x05, 0x06, 0x07
-ALERT = 0x80
-EEPROM_END = 64
+# [s] longest step of the integration, so that a goal of a 100 Hz driver is followed in ten steps
+STEP_S = 1e-3
+# [1] viscous drag at the no-load speed, in stall torques: small, because the servo's current loop
+# hides most of it
+DAMPING = 0.01
+POSITION_GAIN = 40.0  # [1/s] of the position loop, so that a servo is 25 ms behind a moving goal
+# [address] of the first register in RAM; the manual's "EEPROM area" ends before it
+RAM_BEGIN = 64
+
+
+class StatusError(IntEnum):
+    """Error numbers of a status packet, and its alert bit: manual, Protocol 2.0, "Error"."""
+
+    RESULT_FAIL = 0x01
+    INSTRUCTION = 0x02
+    DATA_RANGE = 0x04
+    DATA_LENGTH = 0x05
+    DATA_LIMIT = 0x06
+    ACCESS = 0x07
+    ALERT = 0x80
+
+
 READ_ONLY = (
     'model_number',
     'firmware_version',
@@ -40,8 +75,7 @@ READ_ONLY = (
 )
 GOALS = ('goal_pwm', 'goal_current', 'goal_velocity', 'goal_position')
 WITHIN_LIMIT = {'goal_current': 'current_limit', 'goal_pwm': 'pwm_limit'}
-REVERSE, TIME_BASED, TORQUE_BY_GOAL = 0x01, 0x04, 0x08  # bits of the drive mode, address 10
-TORQUE_AT_START = 0x01  # bit of the startup configuration, address 60
+# of the XL330-M077, by its manual; only the position's own counts here
 GAINS = {
     'velocity_i_gain': 400,
     'velocity_p_gain': 40,
@@ -50,8 +84,147 @@ GAINS = {
     'position_p_gain': 400,
     'feedforward_2nd_gain': 0,
     'feedforward_1st_gain': 0,
-}  # of the XL330-M077; only the position's own counts here
+}
 BY_ADDRESS = {register.address: name for name, register in REGISTERS.items()}
+
+
+@dataclass(frozen=True)
+class Load:
+    """
+    Torque of wires against a motor, and how it changes while the motor turns.
+
+    Parameters
+    ----------
+    wires : list of (lever, pull, stiffness)
+        Wire per angle [m/rad], tension [N], stiffness [N/m]; below zero a wire is slack, and
+        becomes taut where pull + stiffness * lever * angle is zero.
+
+    """
+
+    wires: list[tuple[float, float, float]]
+
+    def torque(self, turned: float = 0.0) -> float:
+        """Return the torque [N·m] after another so many radians."""
+        return sum(r * pull for (r, *_), pull in zip(self.wires, self.pulls(turned), strict=True))
+
+    def pulls(self, turned: float) -> list[float]:
+        """Return the tensions [N] after another so many radians."""
+        return [max(0.0, pull + k * r * turned) for r, pull, k in self.wires]
+
+    def stiffness(self, turned: float) -> float:
+        """Return how the torque changes there [N·m/rad]."""
+        return sum(r * r * k for r, pull, k in self.wires if pull + k * r * turned > 0.0)
+
+
+@dataclass
+class ServoMotion:
+    """
+    State of one motor.
+
+    Parameters
+    ----------
+    model : ServoModel
+        Torque per ampere, friction and top speed.
+    angle : float
+        Of the output shaft since the servo's zero [rad].
+    speed : float
+        [rad/s]
+    current : float
+        [A], signed like the torque.
+    drag : float
+        Against the speed [N·m]: viscous friction, and what keeps it from turning even faster when
+        a wire turns it at its top speed.
+
+    """
+
+    model: ServoModel
+    angle: float = 0.0
+    speed: float = 0.0
+    current: float = 0.0
+    drag: float = 0.0
+
+    @property
+    def friction(self) -> float:
+        """Dry friction of the gear at the output [N·m]."""
+        return self.model.friction_current * self.model.torque_per_ampere
+
+    @property
+    def ticks(self) -> int:
+        """Position as the encoder counts it."""
+        return math.floor(self.angle / RADIANS_PER_TICK + 0.5)
+
+    @property
+    def damping(self) -> float:
+        """Viscous friction [N·m·s/rad]."""
+        return DAMPING * self.model.stall_torque / self.model.no_load_speed
+
+    def drive_current(self, current: float, load: Load, step: float) -> None:
+        """
+        Give a current [A] against a load for one step [s].
+
+        Damping, friction and wires as they are at its end balance. Without current only a load
+        above the friction turns the gear backwards.
+        """
+        self.current = current
+        torque = current * self.model.torque_per_ampere
+        net = torque - load.torque()
+        if abs(net) <= self.friction:
+            self.speed = self.drag = 0.0
+            return
+        net -= math.copysign(self.friction, net)
+        torque -= math.copysign(self.friction, net)
+        turned, drag = 0.0, self.damping / step
+        # Newton's method; the load is piecewise linear: an iteration, and one for every kink
+        for _ in range(len(load.wires) + 2):
+            before = turned
+            turned += net / (drag + load.stiffness(turned + math.copysign(1e-9, net)))
+            net = torque - load.torque(turned) - drag * turned
+            if turned == before or abs(net) < 1e-9:
+                break
+        top = self.model.no_load_speed
+        self.speed = max(-top, min(top, turned / step))
+        self.angle += self.speed * step
+        self.drag = torque - load.torque(self.speed * step)
+
+    def drive_position(
+        self,
+        goal: float,
+        limit: float,
+        load: Load,
+        step: float,
+        top: float = math.inf,
+        gain: float = 1.0,
+    ) -> None:
+        """
+        Turn towards an angle for one step.
+
+        Parameters
+        ----------
+        goal : float
+            [rad]
+        limit : float
+            Largest current [A].
+        load : Load
+        step : float
+            [s]
+        top : float
+            Fastest turning [rad/s].
+        gain : float
+            Of the position loop, as a fraction of the usual one.
+
+        """
+        error, top = goal - self.angle, min(top, self.model.no_load_speed)
+        speed = max(-top, min(top, gain * POSITION_GAIN * error))
+        moves = abs(error) > 0.5 * RADIANS_PER_TICK
+        friction = math.copysign(self.friction, speed) if moves else 0.0
+        torque = load.torque(speed * step) + friction + self.damping * speed
+        needed = torque / self.model.torque_per_ampere
+        if abs(needed) <= limit:
+            self.current, self.speed = needed, speed
+            self.drag = self.damping * speed
+            self.angle += speed * step
+        else:
+            self.drive_current(math.copysign(limit, needed), load, step)
 
 
 class Servo:
@@ -59,7 +232,7 @@ class Servo:
 
     def __init__(
         self,
-        model: control_table.ServoModel,
+        model: ServoModel,
         identity: int,
         baud: int = 1_000_000,
         firmware: int = 48,
@@ -75,9 +248,9 @@ class Servo:
             'model_number': model.number,
             'firmware_version': firmware,
             'id': identity,
-            'baud_rate': next(k for k, v in control_table.BAUD_RATES.items() if v == baud),
+            'baud_rate': next(k for k, v in BAUD_RATES.items() if v == baud),
             'return_delay_time': 250,
-            'operating_mode': 3,
+            'operating_mode': OperatingMode.POSITION,
             'secondary_id': 255,
             'pwm_limit': PWM_FULL,
             'pwm_slope': model.pwm_slope or 0,
@@ -97,14 +270,14 @@ class Servo:
 
         With bit 0 of the startup configuration the torque comes on where the motor is.
         """
-        self._bytes[EEPROM_END:] = bytes(TABLE_BYTES - EEPROM_END)
+        self._bytes[RAM_BEGIN:] = bytes(TABLE_BYTES - RAM_BEGIN)
         self.put('status_return_level', 2)
-        self.motion.angle = self.motion.ticks % control_table.TICKS_PER_TURN * TICK
+        self.motion.angle = self.motion.ticks % TICKS_PER_TURN * RADIANS_PER_TICK
         self.motion.speed = self.motion.current = self.motion.drag = 0.0
         self.silence = 0.0  # [s] since the last instruction packet
         self._mode_to_defaults()
         self.refresh()
-        if self.get('startup_configuration') & TORQUE_AT_START:
+        if self.get('startup_configuration') & 1:
             self.put('goal_position', self.get('present_position'))
             self.put('torque_enable', 1)
 
@@ -112,13 +285,13 @@ class Servo:
         """Read a register by name."""
         register = REGISTERS[name]
         start = register.address
-        return control_table.decode(register, bytes(self._bytes[start : start + register.size]))
+        return decode(register, bytes(self._bytes[start : start + register.size]))
 
     def put(self, name: str, value: int) -> None:
         """Set a register by name, without any check: what the firmware itself does."""
         register = REGISTERS[name]
         start = register.address
-        self._bytes[start : start + register.size] = control_table.encode(register, value)
+        self._bytes[start : start + register.size] = encode(register, value)
 
     @property
     def torque(self) -> bool:
@@ -133,12 +306,12 @@ class Servo:
     @property
     def alert(self) -> int:
         """Alert bit of every status packet."""
-        return ALERT if self.get('hardware_error_status') else 0
+        return StatusError.ALERT if self.get('hardware_error_status') else 0
 
     def read(self, address: int, length: int) -> tuple[int, bytes]:
         """Answer a read: error byte and data."""
         if length < 1 or address + length > TABLE_BYTES:
-            return ACCESS | self.alert, b''
+            return StatusError.ACCESS | self.alert, b''
         return self.alert, bytes(self._bytes[address : address + length])
 
     def write(self, address: int, data: bytes) -> int:
@@ -147,32 +320,40 @@ class Servo:
         while position < len(data):
             name = BY_ADDRESS.get(address + position)
             if name is None or name in READ_ONLY:
-                return ACCESS | self.alert
+                return StatusError.ACCESS | self.alert
             register = REGISTERS[name]
             part = data[position : position + register.size]
             if len(part) < register.size:
-                return DATA_LENGTH | self.alert
-            error = self._write_one(name, register, control_table.decode(register, part))
-            if error:
+                return StatusError.DATA_LENGTH | self.alert
+            value = decode(register, part)
+            if error := self._refusal(name, register, value):
                 return error | self.alert
+            self._accept(name, value)
             position += register.size
         return self.alert
 
-    def _write_one(self, name: str, register: Register, value: int) -> int:
-        if register.address < EEPROM_END and self.torque:
-            return ACCESS
+    def _refusal(self, name: str, register: Register, value: int) -> int:
+        """Return the error number with which a register refuses a value, 0 where it does not."""
+        if register.address < RAM_BEGIN and self.torque:
+            return StatusError.ACCESS
         if name in GOALS and self.tripped:
-            return DATA_RANGE
-        if name == 'torque_enable' and (value > 1 or (value and self._shut_down())):
-            return DATA_RANGE if value > 1 else RESULT_FAIL
+            return StatusError.DATA_RANGE
+        if name == 'torque_enable' and value > 1:
+            return StatusError.DATA_RANGE
+        if name == 'torque_enable' and value and self._shut_down():
+            return StatusError.RESULT_FAIL
         if name == 'bus_watchdog' and (value > 127 or (value and self.tripped)):
-            return DATA_RANGE
+            return StatusError.DATA_RANGE
         if name in WITHIN_LIMIT and abs(value) > self.get(WITHIN_LIMIT[name]):
-            return DATA_LIMIT
-        on_by_goal = name in GOALS and self.get('drive_mode') & TORQUE_BY_GOAL
+            return StatusError.DATA_LIMIT
+        return 0
+
+    def _accept(self, name: str, value: int) -> None:
+        """Put a value into its register, and do what follows from it."""
+        on_by_goal = name in GOALS and self.get('drive_mode') & DriveMode.TORQUE_ON_BY_GOAL
         if (on_by_goal or (name == 'torque_enable' and value)) and not self.torque:
             self.put('goal_position', self.get('present_position'))
-            if self.get('operating_mode') == CURRENT_MODE:
+            if self.get('operating_mode') == OperatingMode.CURRENT:
                 self.put('goal_current', 0)
         before = self.get(name)
         self.put(name, value)
@@ -183,7 +364,6 @@ class Servo:
         if name == 'goal_position':
             self._leg = abs(self._to_angle(value) - self.motion.angle)
         self.refresh()
-        return 0
 
     def _shut_down(self) -> bool:
         """Tell whether a hardware error keeps the torque off until a reboot."""
@@ -195,29 +375,20 @@ class Servo:
             self.put(name, value)
         self.put('profile_velocity', 0)
         self.put('profile_acceleration', 0)
-        if self.get('operating_mode') == CURRENT_POSITION_MODE:
+        if self.get('operating_mode') == OperatingMode.CURRENT_BASED_POSITION:
             self.put('pwm_limit', PWM_FULL)
-        in_current_mode = self.get('operating_mode') == CURRENT_MODE
+        in_current_mode = self.get('operating_mode') == OperatingMode.CURRENT
         self.put('goal_current', 0 if in_current_mode else self.get('current_limit'))
         self.put('goal_pwm', self.get('pwm_limit'))
 
     def _to_angle(self, position: int) -> float:
         """Return the angle [rad] of a position as the table has it."""
-        sign = -1 if self.get('drive_mode') & REVERSE else 1
-        return sign * (position - self.get('homing_offset')) * TICK
+        sign = -1 if self.get('drive_mode') & DriveMode.REVERSE else 1
+        return sign * (position - self.get('homing_offset')) * RADIANS_PER_TICK
 
     def _to_position(self, ticks: int) -> int:
-        sign = -1 if self.get('drive_mode') & REVERSE else 1
+        sign = -1 if self.get('drive_mode') & DriveMode.REVERSE else 1
         return sign * ticks + self.get('homing_offset')
-
-    def _top_speed(self, duty: float) -> float:
-        """Return how fast PWM and profile let it turn towards a goal [rad/s]."""
-        top, profile = duty * self.model.no_load_speed, self.get('profile_velocity')
-        if not profile or self.get('operating_mode') == CURRENT_MODE:
-            return top
-        if self.get('drive_mode') & TIME_BASED:
-            return min(top, self._leg / (1e-3 * profile))
-        return min(top, profile * control_table.RPM_PER_COUNT * 2.0 * math.pi / 60.0)
 
     def heard(self) -> None:
         """Note that an instruction packet went over the bus: it feeds the watchdog."""
@@ -232,51 +403,52 @@ class Servo:
     def protect(self, passed: float) -> None:
         """Let time [s] pass for the watchdog, the temperature and the voltage."""
         self.silence += passed
-        watchdog = self.get('bus_watchdog') * control_table.WATCHDOG_UNIT_S
+        watchdog = self.get('bus_watchdog') * REGISTERS['bus_watchdog'].unit
         if self.torque and not self.tripped and 0 < watchdog < self.silence:
-            self._stop()
+            self.put('bus_watchdog', WATCHDOG_TRIPPED)
+            self.put('goal_position', self._to_position(self.motion.ticks))
+            if self.get('operating_mode') == OperatingMode.CURRENT:
+                self.put('goal_current', 0)
         if self.temperature > self.get('temperature_limit'):
-            self.fail(0x04)
+            self.fail(HardwareError.OVERHEATING)
         low, high = self.get('min_voltage_limit'), self.get('max_voltage_limit')
-        if not low <= self.voltage / control_table.VOLT_PER_COUNT <= high:
-            self.fail(0x01)
-
-    def _stop(self) -> None:
-        """Trip the watchdog."""
-        self.put('bus_watchdog', WATCHDOG_TRIPPED)
-        self.put('goal_position', self._to_position(self.motion.ticks))
-        if self.get('operating_mode') == CURRENT_MODE:
-            self.put('goal_current', 0)
+        if not low <= self.voltage / REGISTERS['present_input_voltage'].unit <= high:
+            self.fail(HardwareError.VOLTAGE)
 
     def step(self, step: float, load: Load) -> None:
-        """Let the motor turn for at most 1 ms [s] against a load."""
+        """Let the motor turn for at most `STEP_S` [s] against a load."""
         if not self.torque:
-            self.motion.limp(load, step)
+            self.motion.drive_current(0.0, load, step)
             return
-        unit, model = self.model.current_unit, self.model
+        unit, model, drive_mode = self.model.current_unit, self.model, self.get('drive_mode')
         duty = min(self.get('pwm_limit'), abs(self.get('goal_pwm'))) / PWM_FULL
         stalled = duty * model.stall_torque / model.torque_per_ampere  # [A]
-        sign = -1 if self.get('drive_mode') & REVERSE else 1
-        drive(
-            self.motion,
-            self.get('operating_mode'),
-            (sign * self.get('goal_current') * unit, self._to_angle(self.get('goal_position'))),
-            min(self.get('current_limit') * unit, stalled),
-            load,
-            step,
-            self._top_speed(duty),
-            self.get('position_p_gain') / GAINS['position_p_gain'],
-        )
+        limit = min(self.get('current_limit') * unit, stalled)
+        sign = -1 if drive_mode & DriveMode.REVERSE else 1
+        current = sign * self.get('goal_current') * unit
+        mode = self.get('operating_mode')
+        if mode == OperatingMode.CURRENT:
+            self.motion.drive_current(max(-limit, min(limit, current)), load, step)
+            return
+        if mode == OperatingMode.CURRENT_BASED_POSITION:
+            limit = min(limit, abs(current))
+        top, profile = duty * model.no_load_speed, self.get('profile_velocity')
+        if profile and drive_mode & DriveMode.TIME_BASED:
+            top = min(top, self._leg / (1e-3 * profile))
+        elif profile:
+            top = min(top, profile * REGISTERS['profile_velocity'].unit)
+        goal = self._to_angle(self.get('goal_position'))
+        gain = self.get('position_p_gain') / GAINS['position_p_gain']
+        self.motion.drive_position(goal, limit, load, step, top, gain)
 
     def refresh(self) -> None:
         """Put what the sensors say into the table."""
         motion = self.motion
         self.put('present_position', self._to_position(motion.ticks))
         self.put('present_current', round(motion.current / self.model.current_unit))
-        self.put(
-            'present_velocity',
-            round(motion.speed / (2 * math.pi) * 60 / control_table.RPM_PER_COUNT),
-        )
+        self.put('present_velocity', round(motion.speed / REGISTERS['present_velocity'].unit))
         self.put('present_temperature', round(self.temperature))
-        self.put('present_input_voltage', round(self.voltage / control_table.VOLT_PER_COUNT))
+        self.put(
+            'present_input_voltage', round(self.voltage / REGISTERS['present_input_voltage'].unit)
+        )
         self.put('moving', int(abs(motion.speed) > 0.01))

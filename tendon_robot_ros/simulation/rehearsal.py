@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import InputError, NoEquilibriumError
-from ..common.units import STANDARD_GRAVITY
-from ..common.words import digits, listed, mm
+from ..common.words import STANDARD_GRAVITY, digits, listed, mm
 from ..diagnosis.verdict import Verdict
 from ..effects import Catalogue
 from ..model.model import Model

@@ -23,11 +23,11 @@ from ..ports import PortLostError
 from .bus import Bus
 from .config import WireConfig
 from .control_table import (
-    CURRENT_POSITION_MODE,
-    RPM_PER_COUNT,
-    TICKS_PER_TURN,
+    RADIANS_PER_TICK,
+    REGISTERS,
     Calibration,
     CurrentLine,
+    OperatingMode,
 )
 from .motor import Motor
 from .torque import read_state, torque_off, torque_on
@@ -165,7 +165,7 @@ def measure(bus: Bus, motor: Motor, tension: float, travel: float, speed: float)
     try:
         with ends_between() as check:
             try:
-                torque_on(bus, [motor], CURRENT_POSITION_MODE, watchdog=10)
+                torque_on(bus, [motor], OperatingMode.CURRENT_BASED_POSITION, watchdog=10)
                 up = _go(bus, motor, end, travel / speed, check)
                 down = _go(bus, motor, start, travel / speed, check)
             finally:
@@ -200,7 +200,8 @@ def _go(bus: Bus, motor: Motor, end: int, duration: float, check: Callable[[], N
     start, part, before = motor.ticks or 0, 0.0, time.monotonic()
     currents = []
     wire = motor.wires[0]
-    speed = (end - start) / duration * 60.0 / TICKS_PER_TURN / RPM_PER_COUNT  # [counts]
+    ticks = (end - start) / duration  # [1/s]
+    speed = ticks * RADIANS_PER_TICK / REGISTERS['present_velocity'].unit  # [counts]
     while part < 1.0:
         check()
         _turn_to(bus, motor, round(start + part * (end - start)))

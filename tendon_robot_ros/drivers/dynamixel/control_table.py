@@ -15,25 +15,66 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+from functools import cached_property
 
-TICKS_PER_TURN = 4096
-RPM_PER_COUNT = 0.229  # [rev/min], present and goal velocity
-VOLT_PER_COUNT = 0.1  # [V]
-WATCHDOG_UNIT_S = 0.020  # [s], address 98
-WATCHDOG_TRIPPED = 255  # -1 as an unsigned byte
-PWM_FULL = 885  # counts, 100 %
-POSITION_MAX_TICKS = 1_048_575  # [ticks], 256 turns in the multi-turn modes
+TICKS_PER_TURN = 4096  # [ticks] of the encoder: manual, "Resolution"
+RADIANS_PER_TICK = 2.0 * math.pi / TICKS_PER_TURN  # [rad] manual, as above
+RPM = 2.0 * math.pi / 60.0  # [rad/s] in one revolution per minute: the manual's unit of speed
+POSITION_MAX_TICKS = 256 * TICKS_PER_TURN - 1  # [ticks] either way: manual, extended position mode
+PWM_FULL = 885  # [counts] 100 %: manual, address 36
+WATCHDOG_TRIPPED = 0xFF  # [counts] -1 as an unsigned byte: manual, address 98
 
-CURRENT_MODE, EXTENDED_MODE, CURRENT_POSITION_MODE = 0, 4, 5  # operating mode, address 11
+
+class OperatingMode(IntEnum):
+    """Values of address 11."""
+
+    CURRENT = 0
+    POSITION = 3
+    EXTENDED_POSITION = 4
+    CURRENT_BASED_POSITION = 5
+
+
+class DriveMode(IntFlag):
+    """Bits of address 10."""
+
+    REVERSE = 0x01
+    TIME_BASED = 0x04
+    TORQUE_ON_BY_GOAL = 0x08
+
+
+class HardwareError(IntFlag):
+    """Bits of address 70, and of address 63: which of them switch the torque off."""
+
+    VOLTAGE = 0x01
+    OVERHEATING = 0x04
+    ENCODER = 0x08
+    SHOCK = 0x10
+    OVERLOAD = 0x20
+
+
+HARDWARE_ERRORS = {
+    HardwareError.VOLTAGE: 'input voltage outside its limits',
+    HardwareError.OVERHEATING: 'motor too hot',
+    HardwareError.ENCODER: 'motor encoder broken',
+    HardwareError.SHOCK: 'electrical shock, or too little power to run the motor',
+    HardwareError.OVERLOAD: 'load above the maximum output for too long',
+}
+
+
+def hardware_errors(status: int) -> list[tuple[str, str]]:
+    """Return code and words of every bit that is set in the hardware error status, address 70."""
+    return [(str(e.name).lower(), text) for e, text in HARDWARE_ERRORS.items() if status & e]
 
 
 @dataclass(frozen=True)
 class Register:
-    """A value of the control table: where it is and how many bytes it has."""
+    """A value of the control table: address, size [bytes], sign, and one count in SI units."""
 
     address: int
     size: int
     signed: bool = False
+    unit: float = 1.0
 
 
 REGISTERS = {
@@ -47,8 +88,8 @@ REGISTERS = {
     'secondary_id': Register(12, 1),
     'homing_offset': Register(20, 4, signed=True),
     'temperature_limit': Register(31, 1),
-    'max_voltage_limit': Register(32, 2),
-    'min_voltage_limit': Register(34, 2),
+    'max_voltage_limit': Register(32, 2, unit=0.1),
+    'min_voltage_limit': Register(34, 2, unit=0.1),
     'pwm_limit': Register(36, 2),
     'current_limit': Register(38, 2),
     'startup_configuration': Register(60, 1),
@@ -65,45 +106,35 @@ REGISTERS = {
     'position_p_gain': Register(84, 2),
     'feedforward_2nd_gain': Register(88, 2),
     'feedforward_1st_gain': Register(90, 2),
-    'bus_watchdog': Register(98, 1),
+    'bus_watchdog': Register(98, 1, unit=0.02),
     'goal_pwm': Register(100, 2, signed=True),
     'goal_current': Register(102, 2, signed=True),
     'goal_velocity': Register(104, 4, signed=True),
     'profile_acceleration': Register(108, 4),
-    'profile_velocity': Register(112, 4),
+    'profile_velocity': Register(112, 4, unit=0.229 * RPM),
     'goal_position': Register(116, 4, signed=True),
     'moving': Register(122, 1),
     'present_current': Register(126, 2, signed=True),
-    'present_velocity': Register(128, 4, signed=True),
+    'present_velocity': Register(128, 4, signed=True, unit=0.229 * RPM),
     'present_position': Register(132, 4, signed=True),
-    'present_input_voltage': Register(144, 2),
+    'present_input_voltage': Register(144, 2, unit=0.1),
     'present_temperature': Register(146, 1),
 }
-TABLE_BYTES = 147  # from 0 to the last of them; indirect data begin behind them
+# behind the last of them; indirect data begin there
+TABLE_BYTES = max(register.address + register.size for register in REGISTERS.values())
 GAINS = tuple(name for name in REGISTERS if name.endswith('_gain'))
-
-# bit of address 70 -> code and what a person reads
-HARDWARE_ERRORS = {
-    0x01: ('voltage', 'input voltage outside its limits'),
-    0x04: ('overheating', 'motor too hot'),
-    0x08: ('encoder', 'motor encoder broken'),
-    0x10: ('shock', 'electrical shock, or too little power to run the motor'),
-    0x20: ('overload', 'load above the maximum output for too long'),
-}
-
-
-def hardware_errors(status: int) -> list[tuple[str, str]]:
-    """Return code and words of every bit that is set in the hardware error status, address 70."""
-    return [told for bit, told in HARDWARE_ERRORS.items() if status & bit]
-
-
+# address 8 -> [1/s]
 BAUD_RATES = {0: 9600, 1: 57600, 2: 115200, 3: 1_000_000, 4: 2_000_000, 5: 3_000_000, 6: 4_000_000}
+
+
+# [1] of the stall current, before the gear moves: measured on an XM430-W350 (0.13 of 2.3 A)
+FRICTION_CURRENT = 0.13 / 2.3
 
 
 @dataclass(frozen=True)
 class ServoModel:
     """
-    What differs from motor to motor.
+    What differs from motor to motor, as the manual prints it at the recommended voltage.
 
     Parameters
     ----------
@@ -114,15 +145,10 @@ class ServoModel:
         One count of current [A].
     current_limit : int
         Default and largest current limit [counts].
-    torque_per_ampere : float
-        Stall torque over stall current [N·m/A], before any calibration.
-    stall_torque : float
-        [N·m] at the recommended voltage.
-    no_load_speed : float
-        [rad/s] at the recommended voltage.
-    friction_current : float
-        Current before the gear moves [A]. 0.13 A is measured for the XM430-W350; for the others
-        the same share of the stall current is assumed, until a calibration replaces it.
+    stall_torque, stall_current : float
+        [N·m], [A]
+    no_load_rpm : float
+        Speed without load [rev/min].
     voltage : tuple of float
         Lowest and highest recommended input voltage [V].
     temperature_limit : int
@@ -140,75 +166,55 @@ class ServoModel:
     number: int
     current_unit: float
     current_limit: int
-    torque_per_ampere: float
     stall_torque: float
-    no_load_speed: float
-    friction_current: float
+    stall_current: float
+    no_load_rpm: float
     voltage: tuple[float, float]
     temperature_limit: int
     fast_read_firmware: int
     shutdown: int
-    pwm_slope: int | None
+    pwm_slope: int | None = None
+
+    @cached_property
+    def torque_per_ampere(self) -> float:
+        """Stall torque over stall current [N·m/A], before any calibration."""
+        return self.stall_torque / self.stall_current
+
+    @cached_property
+    def no_load_speed(self) -> float:
+        """Speed without load [rad/s]."""
+        return self.no_load_rpm * RPM
+
+    @cached_property
+    def friction_current(self) -> float:
+        """Current before the gear moves [A]: assumed, until a calibration replaces it."""
+        return FRICTION_CURRENT * self.stall_current
 
 
-_FRICTION_SHARE = 0.13 / 2.3  # of the stall current; measured on an XM430-W350
-_RPM = 0.10471975511965977  # [rad/s]
-
-
-def _model(
-    name: str,
-    number: int,
-    unit: float,
-    limit: int,
-    stall: tuple[float, float],
-    rpm: float,
-    volts: tuple[float, float],
-    celsius: int,
-    firmware: int,
-    shutdown: int,
-    slope: int | None,
-) -> ServoModel:
-    torque, current = stall
-    return ServoModel(
-        name,
-        number,
-        unit,
-        limit,
-        torque / current,
-        torque,
-        rpm * _RPM,
-        _FRICTION_SHARE * current,
-        volts,
-        celsius,
-        firmware,
-        shutdown,
-        slope,
-    )
-
-
+# name, number, count [A], limit [counts], stall [N·m], [A], no load [rev/min], [V], [°C],
+# firmware, shutdown, PWM slope: manual, the page of each motor
 MODELS = {
     model.name: model
     for model in (
-        # name, number, [A], limit, stall ([N·m], [A]), [rev/min], [V], [°C], firmware, shutdown,
-        # PWM slope
-        _model('XM430-W210', 1030, 2.69e-3, 1193, (3.0, 2.3), 77, (10.0, 14.8), 80, 45, 52, None),
-        _model('XM430-W350', 1020, 2.69e-3, 1193, (4.1, 2.3), 46, (10.0, 14.8), 80, 45, 52, None),
-        _model('XL330-M077', 1190, 1e-3, 1750, (0.215, 1.47), 383, (3.7, 6.0), 70, 46, 53, 140),
-        _model('XL330-M288', 1200, 1e-3, 1750, (0.52, 1.47), 103, (3.7, 6.0), 70, 46, 53, 140),
-        _model('XC330-T181', 1210, 1e-3, 910, (0.76, 0.80), 104, (6.5, 12.0), 70, 46, 52, 255),
-        _model('XC330-T288', 1220, 1e-3, 910, (0.92, 0.80), 65, (6.5, 12.0), 70, 46, 52, 255),
-        _model('XC330-M181', 1230, 1e-3, 2352, (0.60, 1.80), 129, (3.7, 6.0), 70, 46, 52, 140),
-        _model('XC330-M288', 1240, 1e-3, 2352, (0.93, 1.80), 81, (3.7, 6.0), 70, 46, 52, 140),
+        ServoModel('XM430-W210', 1030, 2.69e-3, 1193, 3.0, 2.3, 77, (10.0, 14.8), 80, 45, 52),
+        ServoModel('XM430-W350', 1020, 2.69e-3, 1193, 4.1, 2.3, 46, (10.0, 14.8), 80, 45, 52),
+        ServoModel('XL330-M077', 1190, 1e-3, 1750, 0.215, 1.47, 383, (3.7, 6.0), 70, 46, 53, 140),
+        ServoModel('XL330-M288', 1200, 1e-3, 1750, 0.52, 1.47, 103, (3.7, 6.0), 70, 46, 53, 140),
+        ServoModel('XC330-T181', 1210, 1e-3, 910, 0.76, 0.80, 104, (6.5, 12.0), 70, 46, 52, 255),
+        ServoModel('XC330-T288', 1220, 1e-3, 910, 0.92, 0.80, 65, (6.5, 12.0), 70, 46, 52, 255),
+        ServoModel('XC330-M181', 1230, 1e-3, 2352, 0.60, 1.80, 129, (3.7, 6.0), 70, 46, 52, 140),
+        ServoModel('XC330-M288', 1240, 1e-3, 2352, 0.93, 1.80, 81, (3.7, 6.0), 70, 46, 52, 140),
     )
 }
 MODEL_NAMES = {model.number: model.name for model in MODELS.values()}
+# model number -> name of motors without current control: manual, address 0
 WITHOUT_CURRENT = {
     1060: 'XL430-W250',
     1070: 'XC430-W150',
     1080: 'XC430-W240',
     1090: '2XL430-W250',
     1160: '2XC430-W250',
-}  # model number -> name
+}
 INSTEAD = (
     f'one of {", ".join(MODELS)}, or pull mode through backend: ros2_control (without current '
     'control nothing sets or limits the tension of a wire)'
@@ -230,15 +236,10 @@ def encode(register: Register, value: int) -> bytes:
     return value.to_bytes(register.size, 'little', signed=register.signed)
 
 
-# -----------------------------------------------------------------------------
-# Current to tension and back, encoder ticks to wire pull and back.
-#
-# A geared motor needs more current to wind than to hold, and less to pay out: two straight lines
-# over the tension. Their mean converts; half the gap between them is the uncertainty.
-
-CURRENT_COUNTS_MIN = 20  # of current, from no tension to the limit
-FRICTION_BAND_MAX = 0.20  # of the tension limit
-RADIANS_PER_TICK = 2.0 * math.pi / TICKS_PER_TURN
+# [counts] of current from no tension to the limit; else one count would be more than 5 % of it
+CURRENT_COUNTS_MIN = 20
+# [1] of the tension limit; docs/dynamixel.md: else friction would hide too much of a command
+FRICTION_BAND_MAX = 0.20
 
 
 @dataclass(frozen=True)
@@ -260,7 +261,10 @@ class CurrentLine:
 @dataclass(frozen=True)
 class Calibration:
     """
-    Two lines, one for winding and one for paying out.
+    Current over tension: one line for winding and one for paying out.
+
+    A geared motor needs more current to wind than to hold, and less to pay out. The mean of both
+    lines converts; half the gap between them is the uncertainty.
 
     Parameters
     ----------

@@ -15,7 +15,9 @@ from ..interface import Array, Fault, Reading
 from ..ports import PortLostError
 from .bus import Bus
 from .config import DynamixelConfig, limits, read_config
-from .control_table import CURRENT_POSITION_MODE
+from .control_table import (
+    OperatingMode,
+)
 from .handshake import second_talker_told, shake_hands
 from .homing import find_slack
 from .motor import Motor, make_motors
@@ -146,7 +148,7 @@ class DynamixelDriver(PortDriver):
         self._lost: list[Motor] = []
         self._turn = 0
         observable = config.allow_coarse or mode == 'tension'
-        self.gives_way = self._operating == CURRENT_POSITION_MODE
+        self.gives_way = self._operating == OperatingMode.CURRENT_BASED_POSITION
         self._strength_due = 0  # times that it is still to be sent
         self._observable = np.array([observable or not w.resolution.coarse for w in config.wires])
 

@@ -9,7 +9,12 @@ from ...common.errors import DriverError
 from ..ports import PortLostError
 from .bus import Bus
 from .config import DynamixelConfig
-from .control_table import INSTEAD, MODEL_NAMES, VOLT_PER_COUNT, WITHOUT_CURRENT
+from .control_table import (
+    INSTEAD,
+    MODEL_NAMES,
+    REGISTERS,
+    WITHOUT_CURRENT,
+)
 from .motor import Motor
 from .settings import read_table, refuse_settings
 
@@ -50,7 +55,8 @@ def shake_hands(bus: Bus, config: DynamixelConfig, motors: dict[int, Motor]) -> 
             refuse_settings(bus, motor, table)
             motor.firmware = table['firmware_version']
             low, high = table['min_voltage_limit'], table['max_voltage_limit']
-            motor.voltage_limits = (VOLT_PER_COUNT * low, VOLT_PER_COUNT * high)
+            volt = REGISTERS['min_voltage_limit'].unit
+            motor.voltage_limits = (volt * low, volt * high)
             motor.hottest = table['temperature_limit'] - config.margin
             motor.errors = table['hardware_error_status']
             motor.answers = True

@@ -18,10 +18,10 @@ from ..ports import PortLostError, travelled
 from .bus import Bus
 from .config import DynamixelConfig
 from .control_table import (
-    CURRENT_POSITION_MODE,
-    RPM_PER_COUNT,
-    TICKS_PER_TURN,
+    RADIANS_PER_TICK,
+    REGISTERS,
     WATCHDOG_TRIPPED,
+    OperatingMode,
 )
 from .motor import Motor
 from .torque import read_state, recover_watchdog, torque_off, torque_on
@@ -83,7 +83,7 @@ def find_slack(
     """
     searches = _prepare(bus, config, motors)
     try:
-        torque_on(bus, motors, CURRENT_POSITION_MODE, WATCHDOG_COUNTS)
+        torque_on(bus, motors, OperatingMode.CURRENT_BASED_POSITION, WATCHDOG_COUNTS)
         try:
             _search(bus, config, searches, cancelled)
         except MovedError:
@@ -209,7 +209,8 @@ def _wind(config: DynamixelConfig, search: SlackSearch, passed: float) -> bool:
     lag, step = search.ticks(LAG_MAX_M), search.ticks(config.home_speed * CYCLE_S)
     search.goal += search.way * min(step, max(0.0, 2.0 * lag - abs(search.goal - ticks)))
     slow = (
-        abs(motor.velocity) * RPM_PER_COUNT / 60.0 * TICKS_PER_TURN < 0.1 * step / CYCLE_S + 30.0
+        abs(motor.velocity) * REGISTERS['present_velocity'].unit / RADIANS_PER_TICK
+        < 0.1 * step / CYCLE_S + 30.0
     )
     behind = slow and abs(search.goal - ticks) >= lag
     search.still = search.still + passed if behind else 0.0
@@ -235,7 +236,9 @@ def _awoken(bus: Bus, search: SlackSearch) -> bool:
             f'{bus.path}: {motor}: its bus watchdog stopped it {search.trips} times while it '
             'looked for slack: this computer is late again and again; torque is off'
         )
-    recover_watchdog(bus, motor, CURRENT_POSITION_MODE, WATCHDOG_COUNTS, tripped=True)
+    recover_watchdog(
+        bus, motor, OperatingMode.CURRENT_BASED_POSITION, WATCHDOG_COUNTS, tripped=True
+    )
     search.goal, search.still, search.asked = float(motor.ticks or 0), 0.0, 0.0
     return True
 

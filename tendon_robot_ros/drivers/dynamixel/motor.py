@@ -12,7 +12,6 @@ from .config import DynamixelConfig, WireConfig
 from .control_table import (
     POSITION_MAX_TICKS,
     REGISTERS,
-    VOLT_PER_COUNT,
     ServoModel,
     decode,
     hardware_errors,
@@ -247,7 +246,7 @@ class Motor:
 
     def take_health(self, data: bytes) -> None:
         """Take the three bytes of voltage and temperature."""
-        self.voltage = int.from_bytes(data[:2], 'little') * VOLT_PER_COUNT
+        self.voltage = int.from_bytes(data[:2], 'little') * REGISTERS['present_input_voltage'].unit
         self.temperature = float(data[2])
 
 

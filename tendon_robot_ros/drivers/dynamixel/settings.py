@@ -15,7 +15,12 @@ from dataclasses import dataclass
 
 from ...common.errors import DriverError
 from .bus import Bus
-from .control_table import CURRENT_MODE, EXTENDED_MODE, GAINS, PWM_FULL, REGISTERS
+from .control_table import (
+    GAINS,
+    PWM_FULL,
+    REGISTERS,
+    OperatingMode,
+)
 from .motor import Motor
 
 ATTEMPTS = 3  # of a question or a write
@@ -141,7 +146,11 @@ def settle(bus: Bus, motor: Motor, mode: int) -> None:
     refuse_settings(bus, motor, table)
     if motor.gains.get(mode) != [table[name] for name in GAINS]:
         # nobody knows whose they are: another mode and back brings those of the manual
-        other = EXTENDED_MODE if mode == CURRENT_MODE else CURRENT_MODE
+        other = (
+            OperatingMode.EXTENDED_POSITION
+            if mode == OperatingMode.CURRENT
+            else OperatingMode.CURRENT
+        )
         must_write(bus, motor, 'operating_mode', other)
         must_write(bus, motor, 'operating_mode', mode)
         table = read_table(bus, motor)

@@ -12,12 +12,9 @@ from ...common.processes import in_realtime
 from .bus import Bus
 from .config import DynamixelConfig
 from .control_table import (
-    CURRENT_MODE,
-    CURRENT_POSITION_MODE,
-    EXTENDED_MODE,
     REGISTERS,
     WATCHDOG_TRIPPED,
-    WATCHDOG_UNIT_S,
+    OperatingMode,
     hardware_errors,
 )
 from .motor import HEALTH, STATE, Motor
@@ -43,14 +40,18 @@ def watchdog_time(config: DynamixelConfig) -> tuple[float, str]:
 
 def watchdog_counts(seconds: float) -> int:
     """Return the value of address 98: at least one unit when it is on at all."""
-    return min(127, math.ceil(seconds / WATCHDOG_UNIT_S - 1e-9))
+    return min(127, math.ceil(seconds / REGISTERS['bus_watchdog'].unit - 1e-9))
 
 
 def operating_mode(config: DynamixelConfig, mode: str) -> int:
     """Return the value of address 11."""
     if mode == 'tension':
-        return CURRENT_MODE
-    return EXTENDED_MODE if config.operation == 'extended' else CURRENT_POSITION_MODE
+        return OperatingMode.CURRENT
+    return (
+        OperatingMode.EXTENDED_POSITION
+        if config.operation == 'extended'
+        else OperatingMode.CURRENT_BASED_POSITION
+    )
 
 
 def read_state(bus: Bus, motors: Iterable[Motor]) -> None:
@@ -108,11 +109,11 @@ def hold(bus: Bus, motors: Iterable[Motor], mode: int) -> None:
     """Make the present state the goal: the measured current, or the measured position."""
     chosen = [motor for motor in motors if motor.ticks is not None]
     bounds = {motor.identity: motor.current_bounds for motor in chosen}
-    if mode == CURRENT_MODE:
+    if mode == OperatingMode.CURRENT:
         present = {motor.identity: motor.current or 0 for motor in chosen}
         bus.send_goals('goal_current', present, bounds)
         return
-    if mode == CURRENT_POSITION_MODE:
+    if mode == OperatingMode.CURRENT_BASED_POSITION:
         most = {identity: high for identity, (_, high) in bounds.items()}
         bus.send_goals('goal_current', most, bounds)
     here = {motor.identity: motor.ticks or 0 for motor in chosen}

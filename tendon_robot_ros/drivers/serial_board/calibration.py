@@ -22,6 +22,7 @@ from ..ports import PortLostError
 from . import messages
 from .config import BoardConfig, Cell
 from .link import BoardLink, identify, wait_for
+from .messages import Message
 
 SAMPLE_S = 0.0125  # [s] between two values of an HX711
 WEIGHTS_MIN = 3  # nothing hung included
@@ -145,8 +146,8 @@ def _counts(link: BoardLink, channels: int, channel: int, seconds: float) -> Arr
     began = time.monotonic()
     try:
         while (passed := time.monotonic() - began) < SETTLE_S + seconds:
-            link.send(messages.RAW)
-            for frame in wait_for(link, messages.RAW_CELLS, 0.1):
+            link.send(Message.RAW)
+            for frame in wait_for(link, Message.RAW_CELLS, 0.1):
                 cells = messages.read_cells(frame, channels)
                 if cells is not None and passed > SETTLE_S:
                     counts.append(float(cells[channel]))

@@ -22,6 +22,7 @@ from ..hardware import (
     read_spool_radius,
 )
 from ..interface import Array
+from .messages import CHANNELS_MAX
 
 TENDON_KEYS = (
     'channel',
@@ -31,7 +32,6 @@ TENDON_KEYS = (
     'tension_limit',
     'pull_limits',
 )
-CHANNELS_MAX = 8  # most a board can have
 PULL_RANGE_DEFAULT_M = 1.0  # [m] of wire either way, where no pull limits are given
 
 

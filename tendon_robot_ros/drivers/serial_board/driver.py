@@ -15,7 +15,7 @@ from ..ports import PortLostError, travelled
 from . import messages
 from .config import BoardConfig, limits, read_config
 from .link import BoardLink, ask, configure, give_limits, identify, let_go, telemetry
-from .messages import Telemetry
+from .messages import BoardFlag, Message, Telemetry
 from .readings import (
     board_facts,
     board_faults,
@@ -61,7 +61,7 @@ class SerialDriver(PortDriver):
         """Ask who is there, and tell it its configuration."""
         self.identity = identify(self.link, self.config)
         let_go(self.link, self.identity.channels)
-        ask(self.link, messages.CLEAR, b'\xff')
+        ask(self.link, Message.CLEAR, b'\xff')
         self._configure()
         if self._hear(1.0) is None:
             raise DriverError(f'{self.config.port}: no telemetry; check the baud rate')
@@ -90,7 +90,7 @@ class SerialDriver(PortDriver):
     def switch_on(self, mode: str) -> None:
         """Torque on in a mode, where the wires are."""
         mask = channel_mask(self.config.places)
-        ask(self.link, messages.ENABLE, bytes((messages.MODES[mode], mask)))
+        ask(self.link, Message.ENABLE, bytes((messages.MODES.index(mode), mask)))
         self.read_again()
 
     def disable(self, inputs: Sequence[str] = ()) -> None:
@@ -100,7 +100,7 @@ class SerialDriver(PortDriver):
         try:
             if self.link.connected:
                 content = bytes((channel_mask(self.config.places[chosen]),))
-                ask(self.link, messages.DISABLE, content, attempts=2)
+                ask(self.link, Message.DISABLE, content, attempts=2)
         except (DriverError, PortLostError):
             pass  # read() says so, and switches off what came back unwanted
 
@@ -111,7 +111,7 @@ class SerialDriver(PortDriver):
         self.disable(inputs)
         try:
             content = bytes((channel_mask(self.config.places[chosen]),))
-            ask(self.link, messages.CLEAR, content)
+            ask(self.link, Message.CLEAR, content)
             self.read_again()
         except PortLostError as error:
             raise DriverError(f'{error}: lost while clearing faults') from None
@@ -146,7 +146,7 @@ class SerialDriver(PortDriver):
         assert self.identity is not None
         values = np.zeros(self.identity.channels)
         values[self.config.places] = goal if mode == 'tension' else goal + self.zero
-        self.link.send(messages.COMMAND, messages.command(mode, values))
+        self.link.send(Message.COMMAND, messages.command(mode, values))
 
     def read(self) -> Reading:
         """Take the newest telemetry; look after silence, restarts and lost ports."""
@@ -168,7 +168,7 @@ class SerialDriver(PortDriver):
 
     def _converse(self, now: float) -> None:
         if now - self.link.sent_at > HEARTBEAT_PERIOD_S:
-            self.link.send(messages.HEARTBEAT)
+            self.link.send(Message.HEARTBEAT)
         if now - self._read_at > PORT_FLUSH_AFTER_S:
             self.link.flush()
         lost = self.telemetry is None
@@ -178,18 +178,18 @@ class SerialDriver(PortDriver):
             if self.link.clock() - self._heard > max(TELEMETRY_SILENT_S, 5.0 * self.config.period):
                 self.telemetry = None
             return
-        if not heard.flags & messages.CONFIGURED:
+        if not heard.flags & BoardFlag.CONFIGURED:
             self._come_back()
             heard = self.telemetry or heard
         enabled = np.array([heard.enabled >> i & 1 for i in self.config.places], dtype=bool)
         healthy = heard.faults[self.config.places] == 0
         self.restarted |= self.wanted & ~enabled & healthy
-        self._tripped = bool(heard.flags & messages.SILENCE) and bool(self.wanted.any())
+        self._tripped = bool(heard.flags & BoardFlag.SILENCE) and bool(self.wanted.any())
         if lost or self._tripped:
             self._start_from_measured()
         if np.any(enabled & ~self.wanted):  # it was switched off while the port was lost
             content = bytes((channel_mask(self.config.places[enabled & ~self.wanted]),))
-            self.link.send(messages.DISABLE, content)
+            self.link.send(Message.DISABLE, content)
 
     def _come_back(self) -> None:
         """Tell a board that had no power what it must know; its motors stay off."""
@@ -223,7 +223,7 @@ class SerialDriver(PortDriver):
         self.telemetry = None
         if not self.link.reopen():
             return False
-        self.link.send(messages.HEARTBEAT)
+        self.link.send(Message.HEARTBEAT)
         self._heard = self.link.clock()
         return True
 

@@ -14,7 +14,7 @@ from ..interface import Array
 from ..ports import PORT_ERRORS, PortLostError, refuse_held, take_alone, why_not, write_all
 from . import messages
 from .config import BoardConfig
-from .messages import VERSION, Frame, FrameReceiver, Identity, Telemetry, encode
+from .messages import VERSION, Frame, FrameReceiver, Identity, Message, Telemetry, encode
 
 CHUNK_BYTES = 65536
 
@@ -121,7 +121,7 @@ class BoardLink:
             self._lost(OSError('end of file'))
         frames = self._receiver.feed(data)
         for frame in frames:
-            if frame.type >= messages.IDENTITY:
+            if frame.type >= Message.IDENTITY:
                 if self._expected is not None:
                     self.missed += (frame.sequence - self._expected) & 0xFF
                 self._expected = (frame.sequence + 1) & 0xFF
@@ -167,8 +167,8 @@ def identify(link: BoardLink, config: BoardConfig) -> Identity:
     """
     deadline = link.clock() + BOOT_TIME_S
     while link.clock() < deadline:
-        link.send(messages.HELLO)
-        for frame in wait_for(link, messages.IDENTITY, ANSWER_TIMEOUT_S):
+        link.send(Message.HELLO)
+        for frame in wait_for(link, Message.IDENTITY, ANSWER_TIMEOUT_S):
             identity = messages.read_identity(frame)
             if identity is not None:
                 return _suits(link, config, identity)
@@ -216,15 +216,16 @@ def ask(link: BoardLink, kind: int, payload: bytes, attempts: int = ATTEMPTS) ->
         sequence = link.send(kind, payload)
         deadline = link.clock() + ANSWER_TIMEOUT_S
         while (left := deadline - link.clock()) > 0.0:
-            for frame in wait_for(link, messages.RESULT, left):
+            for frame in wait_for(link, Message.RESULT, left):
                 if frame.payload[:2] == bytes((kind, sequence)) and len(frame.payload) == 3:
                     if frame.payload[2] == 0:
                         return
-                    reason = messages.REFUSALS.get(frame.payload[2], 'an unknown reason')
+                    known = dict(enumerate(messages.REFUSALS, 1))
+                    reason = known.get(frame.payload[2], 'an unknown reason')
                     raise DriverError(
-                        f'{link.path}: the board refused {messages.NAMES[kind]}: {reason}'
+                        f'{link.path}: the board refused {Message(kind).name}: {reason}'
                     )
-    raise DriverError(f'{link.path}: no answer to {messages.NAMES[kind]}; check cable and supply')
+    raise DriverError(f'{link.path}: no answer to {Message(kind).name}; check cable and supply')
 
 
 def configure(link: BoardLink, config: BoardConfig, zeros: Array) -> None:
@@ -233,7 +234,7 @@ def configure(link: BoardLink, config: BoardConfig, zeros: Array) -> None:
         cell = tendon.cell
         if cell is not None:
             values = (cell.zero, cell.newtons_per_count, tendon.metres_per_tick)
-            ask(link, messages.CALIBRATION, messages.calibration(tendon.channel, *values))
+            ask(link, Message.CALIBRATION, messages.calibration(tendon.channel, *values))
     give_limits(link, config, zeros)
     content = messages.settings(
         config.timeout,
@@ -243,7 +244,7 @@ def configure(link: BoardLink, config: BoardConfig, zeros: Array) -> None:
         config.rest,
         config.gain,
     )
-    ask(link, messages.SETTINGS, content)
+    ask(link, Message.SETTINGS, content)
 
 
 def give_limits(
@@ -265,12 +266,12 @@ def give_limits(
     for tendon, zero in zip(config.tendons, zeros, strict=True):
         low, high = (limit + zero for limit in pulls or tendon.pull_limits)
         values = (0.0, tendon.tension_limit, low, high, config.tension_rate, config.pull_rate)
-        ask(link, messages.LIMITS, messages.limits(tendon.channel, np.array(values)))
+        ask(link, Message.LIMITS, messages.limits(tendon.channel, np.array(values)))
 
 
 def telemetry(link: BoardLink, channels: int, wait: float) -> Telemetry | None:
     """Return the newest telemetry; waits for one up to `wait` [s]."""
-    for frame in reversed(wait_for(link, messages.TELEMETRY, wait)):
+    for frame in reversed(wait_for(link, Message.TELEMETRY, wait)):
         if messages.is_telemetry(frame, channels):
             return messages.read_telemetry(frame)
     return None
@@ -280,9 +281,9 @@ def let_go(link: BoardLink, channels: int) -> None:
     """Release what another process has left under tension, then torque off."""
     heard = telemetry(link, channels, 0.3)
     if heard is not None and heard.enabled:
-        ask(link, messages.RELEASE, bytes((messages.RELEASES['limp'],)))
+        ask(link, Message.RELEASE, bytes((messages.RELEASES.index('limp'),)))
         deadline = link.clock() + RELEASE_TIME_S
         while heard is not None and heard.enabled and link.clock() < deadline:
-            link.send(messages.HEARTBEAT)
+            link.send(Message.HEARTBEAT)
             heard = telemetry(link, channels, 0.1)
-    ask(link, messages.DISABLE, b'\xff')
+    ask(link, Message.DISABLE, b'\xff')

@@ -12,14 +12,82 @@ from __future__ import annotations
 import binascii
 import struct
 from dataclasses import dataclass
+from enum import IntEnum, IntFlag
 
 import numpy as np
 from numpy.typing import NDArray
 
-VERSION = 1
-HEADER = 4  # version, type, sequence, length of the payload
-CRC_BYTES = 3
-FRAME_BYTES_MAX = HEADER + 106 + 1 + CRC_BYTES  # bytes between two delimiters, eight channels
+VERSION = 1  # of the protocol, docs/serial_protocol.md
+CHANNELS_MAX = 8  # [1] a board can have: docs/serial_protocol.md, a byte has a bit for each
+HEADER = 4  # [bytes] version, type, sequence, length of the payload: docs/serial_protocol.md
+CRC_BYTES = 3  # [bytes] six bits in each: docs/serial_protocol.md
+MICRO = 1e-6  # [N], [m] of one count: docs/serial_protocol.md
+CELL_COUNTS_MAX = 2**23 - 1  # [counts] of 24 bits, where a cell is overloaded: HX711 datasheet
+
+_TELEMETRY = struct.Struct('<IBBBBH')
+_CHANNEL = np.dtype([('tension', '<i4'), ('pull', '<i4'), ('current', '<i2'), ('faults', '<u2')])
+_IDENTITY = struct.Struct('<BBHI')
+# [bytes] between two delimiters: the longest telemetry, stuffed, docs/serial_protocol.md
+FRAME_BYTES_MAX = HEADER + _TELEMETRY.size + CHANNELS_MAX * _CHANNEL.itemsize + 1 + CRC_BYTES
+
+
+class Message(IntEnum):
+    """Types of messages; those of the board have the highest bit set."""
+
+    HELLO = 0x01
+    COMMAND = 0x02
+    ENABLE = 0x03
+    DISABLE = 0x04
+    RELEASE = 0x05
+    LIMITS = 0x06
+    CALIBRATION = 0x07
+    SETTINGS = 0x08
+    CLEAR = 0x09
+    RAW = 0x0A
+    HEARTBEAT = 0x0B
+    IDENTITY = 0x81
+    TELEMETRY = 0x82
+    RAW_CELLS = 0x83
+    RESULT = 0x84
+
+
+# by the number that the board answers with, from 1 on
+REFUSALS = (
+    'wrong length',
+    'a value it does not allow',
+    'limits, calibration or settings are missing',
+    'a fault is latched',
+    'it does not know this message',
+)
+MODES = ('tension', 'pull')  # by their number
+RELEASES = ('pretension', 'limp')  # by their number
+
+
+class BoardFlag(IntFlag):
+    """Flags of the telemetry."""
+
+    CONFIGURED = 0x01
+    SILENCE = 0x02
+    RELEASED = 0x04
+
+
+class ChannelFault(IntFlag):
+    """Faults of a channel; all are latched by the board, that motor is then off."""
+
+    OVERLOAD = 0x01
+    OVERHEATING = 0x02
+    LOAD_CELL = 0x04
+    ENCODER = 0x08
+    VOLTAGE = 0x10
+
+
+CHANNEL_FAULTS = {
+    ChannelFault.OVERLOAD: 'tension far above its limit',
+    ChannelFault.OVERHEATING: 'motor bridge too hot',
+    ChannelFault.LOAD_CELL: 'load cell saturated or not answering; check its cable',
+    ChannelFault.ENCODER: 'driven hard and the encoder does not move; motor blocked, or its cable',
+    ChannelFault.VOLTAGE: 'motor supply too low',
+}
 
 
 @dataclass(frozen=True)
@@ -121,49 +189,6 @@ class FrameReceiver:
         return frames
 
 
-# -----------------------------------------------------------------------------
-# The messages of the serial protocol: types, layouts, scales (docs/serial_protocol.md).
-
-HELLO, COMMAND, ENABLE, DISABLE, RELEASE, LIMITS = 0x01, 0x02, 0x03, 0x04, 0x05, 0x06
-CALIBRATION, SETTINGS, CLEAR, RAW, HEARTBEAT = 0x07, 0x08, 0x09, 0x0A, 0x0B
-IDENTITY, TELEMETRY, RAW_CELLS, RESULT = 0x81, 0x82, 0x83, 0x84
-NAMES = {
-    ENABLE: 'ENABLE',
-    DISABLE: 'DISABLE',
-    RELEASE: 'RELEASE',
-    LIMITS: 'LIMITS',
-    CALIBRATION: 'CALIBRATION',
-    SETTINGS: 'SETTINGS',
-    CLEAR: 'CLEAR',
-}
-REFUSALS = {
-    1: 'wrong length',
-    2: 'a value it does not allow',
-    3: 'limits, calibration or settings are missing',
-    4: 'a fault is latched',
-    5: 'it does not know this message',
-}
-MODES = {'tension': 0, 'pull': 1}
-RELEASES = {'pretension': 0, 'limp': 1}
-CONFIGURED, SILENCE, RELEASED = 0x01, 0x02, 0x04  # flags
-
-# bit -> code, what a person reads; all are latched by the board, that motor is then off
-CHANNEL_FAULTS = {
-    0x01: ('overload', 'tension far above its limit'),
-    0x02: ('overheating', 'motor bridge too hot'),
-    0x04: ('load_cell', 'load cell saturated or not answering; check its cable'),
-    0x08: ('encoder', 'driven hard and the encoder does not move; motor blocked, or its cable'),
-    0x10: ('voltage', 'motor supply too low'),
-}
-CELL, ENCODER = 0x04, 0x08
-CELL_COUNTS_MAX = 0x7FFFFF  # an HX711 gives 24 bits; at the end of them a cell is overloaded
-
-MICRO = 1e-6
-_HEADER = struct.Struct('<IBBBBH')
-_CHANNEL = np.dtype([('tension', '<i4'), ('pull', '<i4'), ('current', '<i2'), ('faults', '<u2')])
-_IDENTITY = struct.Struct('<BBHI')
-
-
 @dataclass(frozen=True)
 class Identity:
     """Who answers: protocol version, number of channels, firmware version."""
@@ -210,14 +235,15 @@ class Telemetry:
 
 def is_telemetry(frame: Frame, channels: int) -> bool:
     """Whether a frame is telemetry of a board with so many channels."""
-    size = _HEADER.size + channels * _CHANNEL.itemsize
-    return frame.type == TELEMETRY and frame.version == VERSION and len(frame.payload) == size
+    size = _TELEMETRY.size + channels * _CHANNEL.itemsize
+    known = frame.type == Message.TELEMETRY and frame.version == VERSION
+    return known and len(frame.payload) == size
 
 
 def read_telemetry(frame: Frame) -> Telemetry:
     """Read telemetry; the frame is one that `is_telemetry`."""
-    values = np.frombuffer(frame.payload, _CHANNEL, offset=_HEADER.size)
-    header: tuple[int, int, int, int, int, int] = _HEADER.unpack_from(frame.payload)
+    values = np.frombuffer(frame.payload, _CHANNEL, offset=_TELEMETRY.size)
+    header: tuple[int, int, int, int, int, int] = _TELEMETRY.unpack_from(frame.payload)
     return Telemetry(
         *header,
         MICRO * values['tension'],
@@ -229,21 +255,21 @@ def read_telemetry(frame: Frame) -> Telemetry:
 
 def read_identity(frame: Frame) -> Identity | None:
     """Read who answers, of any version; None when it is something else."""
-    if frame.type != IDENTITY or len(frame.payload) != _IDENTITY.size:
+    if frame.type != Message.IDENTITY or len(frame.payload) != _IDENTITY.size:
         return None
     return Identity(*_IDENTITY.unpack(frame.payload)[:3])
 
 
 def read_cells(frame: Frame, channels: int) -> NDArray[np.int32] | None:
     """Read the counts of the load cells, shape (n,); None when it is something else."""
-    if frame.type != RAW_CELLS or len(frame.payload) != 4 + 4 * channels:
+    if frame.type != Message.RAW_CELLS or len(frame.payload) != 4 + 4 * channels:
         return None
     return np.frombuffer(frame.payload, '<i4', offset=4)
 
 
 def command(mode: str, values: NDArray[np.float64]) -> bytes:
     """Return the payload of a command: shape (n,) [N] or [m]."""
-    return bytes((MODES[mode],)) + micro(values)
+    return bytes((MODES.index(mode),)) + micro(values)
 
 
 def micro(values: NDArray[np.float64]) -> bytes:
@@ -272,7 +298,7 @@ def settings(
     return struct.pack(
         '<HBHiii',
         round(1e3 * timeout),
-        RELEASES[release_to],
+        RELEASES.index(release_to),
         round(1e6 * period),
         round(release_rate / MICRO),
         round(rest / MICRO),

@@ -7,17 +7,17 @@ import numpy as np
 from ..interface import Array, Fault, Reading
 from .config import BoardConfig
 from .link import BoardLink
-from .messages import CELL, CHANNEL_FAULTS, ENCODER, Identity, Telemetry
+from .messages import CHANNEL_FAULTS, ChannelFault, Identity, Telemetry
 
 
 def measured_tensions(config: BoardConfig, telemetry: Telemetry | None) -> Array:
     """Return measured tensions, shape (m,) [N]; nan where the load cell says nothing."""
-    return _measured(config, telemetry, 'tensions', CELL)
+    return _measured(config, telemetry, 'tensions', ChannelFault.LOAD_CELL)
 
 
 def measured_pulls(config: BoardConfig, telemetry: Telemetry | None, zero: Array) -> Array:
     """Return wire pulls from `zero` [m], shape (m,) [m]; nan where the encoder says nothing."""
-    return _measured(config, telemetry, 'pulls', ENCODER) - np.nan_to_num(zero)
+    return _measured(config, telemetry, 'pulls', ChannelFault.ENCODER) - np.nan_to_num(zero)
 
 
 def _measured(config: BoardConfig, telemetry: Telemetry | None, name: str, fault: int) -> Array:
@@ -91,13 +91,13 @@ def latched_faults(config: BoardConfig, telemetry: Telemetry | None) -> list[Fau
         return []
     return [
         Fault(
-            code,
+            str(bit.name).lower(),
             f'{config.port}: {tendon}: {words}; torque is off; remove the cause, then reboot it',
             True,
             (tendon.name,),
         )
         for tendon, bits in zip(config.tendons, telemetry.faults[config.places], strict=True)
-        for bit, (code, words) in CHANNEL_FAULTS.items()
+        for bit, words in CHANNEL_FAULTS.items()
         if bits & bit
     ]
 
