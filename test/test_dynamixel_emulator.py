@@ -24,7 +24,7 @@ from tendon_robot_ros.emulator.rig import (
     Wire,
     softer,
 )
-from tendon_robot_ros.emulator.servo import STEP_S, Load, Servo, StatusError
+from tendon_robot_ros.emulator.servo import GAINS, STEP_S, Load, Servo, StatusError
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.plant import make_plant
 
@@ -149,7 +149,7 @@ def test_another_operating_mode_resets_gains_profile_and_pwm(servo):
     assert servo.get('position_p_gain') == 7
     assert write(servo, 'operating_mode', 5) == 0
     found = [servo.get(name) for name in ('position_p_gain', 'profile_velocity', 'goal_pwm')]
-    assert found == [StatusError.GAINS['position_p_gain'], 0, 885]
+    assert found == [GAINS['position_p_gain'], 0, 885]
 
 
 def test_a_secondary_id_obeys_without_an_answer_and_keeps_its_flash(bus):
