@@ -33,8 +33,8 @@ from machine import machine, tell
 
 from tendon_robot_ros.control import Target, tip_loop
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.model.redundancy import Balance, Preferences, balanced
-from tendon_robot_ros.model.tip_task import TipTask, tip_target
+from tendon_robot_ros.model.redundancy import Balance, balanced
+from tendon_robot_ros.model.tip_task import Preferences, TipTask
 
 KINDS = {  # of control, for the orders
     'today': {'knows': ''},
@@ -264,11 +264,10 @@ def bench_reachable(count, name):
             for row in (factors, moved, most):
                 row.append(None)
             continue
-        asked = tip_target(model, here.tip_position, None, 1.0, None)
         wants = Preferences(
             0.0, 1.0, stiffness_direction=(1, 0, 0), stiffness_enough=LOOKED_FOR * before
         )
-        balance = Balance(TipTask(model, asked, here.memory), wants)
+        balance = Balance(TipTask.at(model, here.tip_position, memory=here.memory), wants)
         end = balanced(balance, balance.task.shape(here.inputs, here.state), PROGRAMS)
         factors.append(round(model.tip_stiffness(end).along([1, 0, 0]) / before, 2))
         moved.append(round(1e3 * float(np.linalg.norm(end.tip_position - here.tip_position)), 3))
@@ -326,7 +325,7 @@ def bench_ticks():
                 angle = 0.1 * number
                 place = shape.tip_position + 5e-4 * np.array([np.cos(angle), 0.0, np.sin(angle)])
                 began = time.thread_time()
-                task = TipTask(model, tip_target(model, place, None, 1.0, None), past)
+                task = TipTask.at(model, place, memory=past)
                 balance = Balance(task, wants)
                 at = balance.begin(shape)
                 balance.look(at, balance.step(at, 0.02))

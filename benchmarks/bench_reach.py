@@ -11,12 +11,15 @@ import argparse
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from machine import machine, tell
 
+from tendon_robot_ros.model.inverse import reach
 from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.model.tip_task import COLD, STREAM, TipTask
 from tendon_robot_ros.robot import Robot, load_robot
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'test'))
@@ -112,7 +115,8 @@ def stream(robot: Robot, by_pulls: bool) -> dict[str, float]:
     for share in (*half, *half[::-1]):
         before = here.inputs
         place = begin + share * out
-        here = model.reach(place, guess=here, relax=True, gently=True, by_pulls=by_pulls).shape
+        task = replace(TipTask.at(model, place), guess=here, by_pulls=by_pulls)
+        here = reach(task, replace(STREAM, starts=COLD.starts)).shape
         steps.append(np.abs((here.inputs - before) / (high - low)).max())
         shares.append(((here.inputs - low) / (high - low)).max())
     back = float(np.linalg.norm(here.tip_position - begin)) / robot.length

@@ -7,12 +7,12 @@ import pytest
 from friction_rig import TARGETS, Rig, model
 
 from tendon_robot_ros.common.errors import NoEquilibriumError
-from tendon_robot_ros.control import ControllerCore, Settings, Target
+from tendon_robot_ros.control import ControllerCore, Settings, Target, target_search
 from tendon_robot_ros.control.friction import ActingTensions, forgetting
 from tendon_robot_ros.control.status import controller_status
 from tendon_robot_ros.control.trajectory import Trajectory
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.model.redundancy import Preferences
+from tendon_robot_ros.model.tip_task import Preferences
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.robot.keep_out import KeepOut, Region, Sphere
 
@@ -53,17 +53,17 @@ def test_a_stream_of_targets_asks_for_no_newtons_where_three_tendons_hardly_lead
 
 
 def test_a_target_of_a_stream_that_has_no_equilibrium_nearby_is_looked_for_everywhere(monkeypatch):
-    rig, asked, reach = Rig(), [], Model.reach
+    rig, asked, reach = Rig(), [], target_search.reach
 
-    def near_is_none(self, position, direction=None, **options):
-        asked.append(options['gently'])
-        if options['gently']:
+    def near_is_none(task, policy, *hears):
+        asked.append(policy.starts == 0)
+        if policy.starts == 0:
             raise NoEquilibriumError('nearby', (), np.inf)
-        return reach(self, position, direction, **options)
+        return reach(task, policy, *hears)
 
     rig.run(0.05)
     rig.go(TARGETS[0])
-    monkeypatch.setattr(Model, 'reach', near_is_none)
+    monkeypatch.setattr(target_search, 'reach', near_is_none)
     for share in (0.0, 0.01):
         tensions = np.array(TARGETS[0]) + share
         rig.core.aim(Target(model(False).shape(tensions).tip_position))

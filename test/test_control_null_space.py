@@ -11,7 +11,7 @@ from tendon_robot_ros.control.null_space import DRIFT, HANDOVER_SHARE, SPEED_MAX
 from tendon_robot_ros.control.tip_estimator import TipEstimate
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.program import bounded_step
-from tendon_robot_ros.model.redundancy import Preferences
+from tendon_robot_ros.model.tip_task import Preferences
 from tendon_robot_ros.robot import load_robot
 
 LENGTH, CYCLE, PERIOD = 0.2, 0.005, 0.02  # [m], [s], [s]

@@ -5,10 +5,10 @@ import pytest
 from control_rig import Rig, model, reachable
 
 from tendon_robot_ros.common.errors import NoEquilibriumError
-from tendon_robot_ros.control import Target, Twist
+from tendon_robot_ros.control import Target, Twist, target_search
 from tendon_robot_ros.control.status import controller_status
 from tendon_robot_ros.model.shape import Reach
-from tendon_robot_ros.model.tip_task import TipTask, tip_target
+from tendon_robot_ros.model.tip_task import TipTask
 
 
 class Gate:
@@ -121,7 +121,7 @@ def test_what_is_found_when_time_ends_is_used_and_nothing_is_said(rig, monkeypat
     def fail(*args, **kwargs):
         raise NoEquilibriumError('any start of the search', (), 1.0)
 
-    monkeypatch.setattr(model(), 'reach', fail)
+    monkeypatch.setattr(target_search, 'reach', fail)
     rig.core.aim(reachable())
     rig.core.solver.answer('target')
     rig.core.solver.answer('target')
@@ -145,7 +145,7 @@ def test_what_is_found_first_is_on_its_way_while_the_search_goes_on(rig, monkeyp
     rig.core.solver.answer('target')
     assert rig.core.search is None
     found, high = rig.core.solution, model().limits[:, 1]
-    task = TipTask(model(), tip_target(model(), far.position, None, 1.0, None), np.zeros(0))
+    task = TipTask.at(model(), far.position)
     worth = [task.worth(0.5 * one.position_error**2, one.tensions) for one in (first, found)]
     assert worth[1] <= worth[0]
     assert max(first.tensions.max(), found.tensions.max()) < high.max()  # it is beyond reach
@@ -154,7 +154,8 @@ def test_what_is_found_first_is_on_its_way_while_the_search_goes_on(rig, monkeyp
     rig.core.predict(rig.now, lambda shape: None)
     rig.core.solver.answer('predict')
     held, rig.core.solver.late = rig.core.solution, True
-    monkeypatch.setattr(model(), 'reach', lambda **_: Reach(before, 0.1, 0.0, 'nearest', ()))
+    nearest = Reach(before, 0.1, 0.0, 'nearest', ())
+    monkeypatch.setattr(target_search, 'reach', lambda *_: nearest)
     rig.core.aim(Target(held.shape.tip_position))
     rig.core.solver.answer('target')
     assert rig.core.solution is held

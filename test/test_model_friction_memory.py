@@ -10,7 +10,9 @@ from reference import Reference
 
 from tendon_robot_ros.common.errors import RobotDescriptionError
 from tendon_robot_ros.effects import load_catalogue
+from tendon_robot_ros.model.inverse import reach
 from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.model.tip_task import COLD, TRACK, TipTask
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.hidden import elastic_slip
 
@@ -195,12 +197,16 @@ def test_a_search_goes_to_the_end_of_a_narrow_valley_before_it_looks_elsewhere()
     robot = robot.with_effect('backbone_stiffness', {'relative_change': -0.03})
     model = Model(robot.with_effect('tendon_friction', {'friction_coefficient': 0.363}))
     here, place = model.follow(None, model.limits[:, 0]), np.array([0.0438, 0.0, 0.2029])
-    near = model.reach(place, guess=here, memory=here.memory, starts=0)
+
+    def found_at(place, policy):
+        return reach(replace(TipTask.at(model, place, memory=here.memory), guess=here), policy)
+
+    near = found_at(place, TRACK)
     assert near.status == 'reached'
-    found = model.reach(place, guess=here, memory=here.memory, relax=True)
+    found = found_at(place, COLD)
     assert found.tensions.max() < 1.1 * near.tensions.max()
     beyond = place + [5e-4, 0.0, 0.0]  # what takes 4 N against 4 N is left a little off
-    found = model.reach(beyond, guess=here, memory=here.memory, relax=True)
+    found = found_at(beyond, COLD)
     assert found.position_error < 5e-4 and found.tensions.max() < 2.0
 
 

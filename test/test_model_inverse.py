@@ -1,5 +1,6 @@
 """The inverse: what the model can reach is found, within limits, with an honest status."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,16 +10,23 @@ from hypothesis import strategies as st
 
 from tendon_robot_ros.common.errors import InputError
 from tendon_robot_ros.model.derivatives import tip_slopes
+from tendon_robot_ros.model.inverse import reach
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.model.tip_task import Patience
+from tendon_robot_ros.model.tip_task import COLD, STREAM, TRACK, Patience, Policy, TipTask
 from tendon_robot_ros.robot import load_robot
 
+NEAR = Policy()  # from a guess, as `Model.reach` does
 ROBOTS = Path(__file__).parent.parent / 'config' / 'robots'
 
 
 @pytest.fixture(scope='module', params=['kato_10_1', 'spatial_6'])
 def model(request):
     return Model(load_robot(ROBOTS / f'{request.param}.yaml'))
+
+
+def found_from(model, guess, place, policy=NEAR, by_pulls=False, **hears):
+    task = replace(TipTask.at(model, place), guess=guess, by_pulls=by_pulls)
+    return reach(task, policy, **hears)
 
 
 def tips(model, count, seed=0):
@@ -32,33 +40,33 @@ def tips(model, count, seed=0):
 def test_tips_of_random_tensions_are_found_to_ten_micrometres_and_a_milliradian(model):
     shapes = tips(model, 40)
     for position, direction in zip(shapes.tip_position, shapes.tip_direction, strict=True):
-        reach = model.reach(position, direction)
-        assert reach.status == 'reached'
-        assert reach.position_error < 1e-5 and reach.direction_error < 1e-3
+        found = model.reach(position, direction)
+        assert found.status == 'reached'
+        assert found.position_error < 1e-5 and found.direction_error < 1e-3
 
 
 def test_the_shape_of_a_solution_is_the_model_s_own_under_its_tensions(model):
     shapes = tips(model, 3)
-    reach = model.reach(shapes.tip_position[0])
-    again = model.shape(reach.tensions)
-    assert again.tip_position == pytest.approx(reach.shape.tip_position, abs=1e-8)
-    assert again.pulls == pytest.approx(reach.pulls, abs=1e-9)
+    found = model.reach(shapes.tip_position[0])
+    again = model.shape(found.tensions)
+    assert again.tip_position == pytest.approx(found.shape.tip_position, abs=1e-8)
+    assert again.pulls == pytest.approx(found.pulls, abs=1e-9)
 
 
 @settings(max_examples=30)
 @given(st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3))
 def test_tensions_stay_within_limits_wherever_the_target_is(target):
     model = Model(load_robot(ROBOTS / 'kato_10_1.yaml'))
-    reach = model.reach(target)
-    assert (reach.tensions >= model.limits[:, 0]).all()
-    assert (reach.tensions <= model.limits[:, 1]).all()
+    found = model.reach(target)
+    assert (found.tensions >= model.limits[:, 0]).all()
+    assert (found.tensions <= model.limits[:, 1]).all()
 
 
 def test_a_target_beyond_the_arm_s_length_is_nearest_and_says_how_far(model):
     length = model.robot.length
-    reach = model.reach([0.0, 0.0, 1.5 * length])
-    assert reach.status == 'nearest'
-    assert reach.position_error == pytest.approx(0.5 * length, rel=0.1)
+    found = model.reach([0.0, 0.0, 1.5 * length])
+    assert found.status == 'nearest'
+    assert found.position_error == pytest.approx(0.5 * length, rel=0.1)
 
 
 def test_a_target_that_more_tension_would_reach_names_the_input_at_its_limit():
@@ -66,16 +74,16 @@ def test_a_target_that_more_tension_would_reach_names_the_input_at_its_limit():
     model = Model(robot)
     model.limits[:, 1] = 0.3
     strong = Model(robot).shape([0.6, model.limits[1, 0]])
-    reach = model.reach(strong.tip_position)
-    assert reach.status == 'at_limit'
-    assert reach.at_limit == (model.inputs[0],)
+    found = model.reach(strong.tip_position)
+    assert found.status == 'at_limit'
+    assert found.at_limit == (model.inputs[0],)
 
 
 def test_a_warm_start_stays_in_the_branch_it_is_in(model):
     shape = tips(model, 1, seed=3)
-    reach = model.reach(shape.tip_position[0], shape.tip_direction[0])
-    near = model.reach(reach.shape.tip_position, reach.shape.tip_direction, guess=reach.shape)
-    assert near.tensions == pytest.approx(reach.tensions, abs=1e-2)
+    found = model.reach(shape.tip_position[0], shape.tip_direction[0])
+    near = model.reach(found.shape.tip_position, found.shape.tip_direction, guess=found.shape)
+    assert near.tensions == pytest.approx(found.tensions, abs=1e-2)
 
 
 @pytest.mark.parametrize(
@@ -107,7 +115,7 @@ def test_of_the_ways_to_a_target_one_of_low_tension_is_taken(robot):
     much = np.linspace(2.0, 2.5, len(model.inputs))
     squeezed = model.reach(straight, guess=model.shape(much))
     low = model.reach(straight)
-    again = model.reach(straight, guess=squeezed.shape, relax=True)
+    again = found_from(model, squeezed.shape, straight, COLD)
     assert squeezed.status == low.status == again.status == 'reached'
     assert again.tensions.sum() < 0.7 * much.sum()
     assert low.tensions.sum() < 0.7 * much.sum()
@@ -124,7 +132,8 @@ def test_a_search_that_is_given_up_returns_the_best_found_so_far():
     model = Model(load_robot(ROBOTS / 'kato_10_1.yaml'))
     far = [0.15, 0.0, 0.25]  # [m] out of reach: every start is tried
     asked = []
-    found = model.reach(far, guess=model.shape([0.1] * 4), give_up=lambda: not asked.append(1))
+    here = model.shape([0.1] * 4)
+    found = found_from(model, here, far, give_up=lambda: not asked.append(1))
     assert len(asked) == 3  # after the first start, before the best is improved, and the limits
     assert found.status == 'nearest'
     assert found.position_error < 0.15
@@ -137,22 +146,22 @@ def test_a_search_ends_between_its_steps_when_its_patience_does(robot):
     here, there = model.shape(low + 0.3), model.shape(low + 0.3 + 0.1 * np.arange(len(low)))
     over = Patience()
     over.end()
-    found = model.reach(there.tip_position, guess=here, give_up=over)
+    found = found_from(model, here, there.tip_position, give_up=over)
     assert np.array_equal(found.tensions, here.inputs)  # not a step
     assert found.status == 'nearest'
-    assert model.reach(there.tip_position, guess=here, give_up=Patience()).status == 'reached'
+    assert found_from(model, here, there.tip_position, give_up=Patience()).status == 'reached'
 
 
 def test_what_is_told_on_the_way_comes_nearer_every_time_and_ends_at_what_is_returned(model):
     shapes = tips(model, 12)
     for tensions, target in zip(shapes.inputs[:-1], shapes.tip_position[1:], strict=True):
         told, guess = [], model.shape(tensions)
-        reach = model.reach(target, guess=guess, tell=told.append)
+        found = found_from(model, guess, target, report=told.append)
         away = [np.linalg.norm(shape.tip_position - target)
                 for shape in (guess, *(one.shape for one in told))]  # fmt: skip
         assert np.all(np.diff(away) < 0.0)
-        assert reach.position_error <= away[-1] + 1e-9
-        assert reach.status == 'reached'
+        assert found.position_error <= away[-1] + 1e-9
+        assert found.status == 'reached'
         for step in told:
             same = model.shape(step.tensions, step.shape.state).tip_position
             assert same == pytest.approx(step.shape.tip_position, abs=1e-9)
@@ -163,7 +172,7 @@ def test_from_a_far_tip_where_tendons_stick_a_short_step_towards_the_target_is_t
     told, shapes = [], tips(model, 11)
     for tensions, target in zip(shapes.inputs[:-1], shapes.tip_position[1:], strict=True):
         here, steps = model.shape(tensions), []
-        model.reach(target, guess=here, starts=0, tell=steps.append)
+        found_from(model, here, target, TRACK, report=steps.append)
         away = np.linalg.norm(target - here.tip_position)
         for step in steps:
             moved = step.shape.tip_position - here.tip_position
@@ -181,7 +190,7 @@ def test_a_search_for_a_far_tip_whose_time_is_over_tells_where_the_arm_may_set_o
     over.end()
     for here, target in zip(tensions[:-1], shapes.tip_position[1:], strict=True):
         told, guess = [], model.shape(here)
-        found = model.reach(target, guess=guess, give_up=over, tell=told.append)
+        found = found_from(model, guess, target, give_up=over, report=told.append)
         away = [np.linalg.norm(one.shape.tip_position - target) for one in (told[0], found)]
         assert away[0] < 0.5 * np.linalg.norm(guess.tip_position - target)
         assert away[1] == away[0]
@@ -209,8 +218,8 @@ def test_a_target_of_a_stream_is_not_gone_to_by_newtons_of_all_tendons_against_e
     for sign in (-1.0, 1.0):
         place = here.tip_position + sign * 3e-3 * hardly
         full, most = arm.shape(arm.limits[:, 1]), arm.limits[:, 1] - here.inputs
-        for gently in (True, False):
-            found = arm.reach(place, guess=here, relax=True, gently=gently)
+        for policy in (STREAM, COLD):
+            found = found_from(arm, here, place, policy)
             assert found.position_error < np.linalg.norm(full.tip_position - place) + 1e-3
             way = np.linalg.norm(found.tensions - here.inputs)
             assert way < 0.25 * np.linalg.norm(most)
@@ -220,7 +229,7 @@ def test_a_target_of_a_stream_that_is_near_is_met_as_any_other():
     arm = Model(load_robot(ROBOTS / 'spatial_3.yaml'))
     here = arm.shape(np.array([0.7, 0.3, 0.1]))
     place = arm.shape(np.array([0.75, 0.4, 0.15])).tip_position
-    assert arm.reach(place, guess=here, relax=True, gently=True).position_error < 1e-5
+    assert found_from(arm, here, place, STREAM).position_error < 1e-5
 
 
 @pytest.mark.parametrize('name', ['spatial_3', 'kato_10_1'])
@@ -233,7 +242,7 @@ def test_what_is_beyond_reach_is_worth_no_tension_against_tension(name, by_pulls
         place = share * arm.robot.length * np.array([np.sin(angle), 0.0, np.cos(angle)])
         straight, tense = (arm.shape(low + share * (high - low)) for share in (0.0, 0.5))
         told = []
-        there = arm.reach(place, guess=straight, by_pulls=by_pulls, tell=told.append)
+        there = found_from(arm, straight, place, by_pulls=by_pulls, report=told.append)
         back = arm.reach(place, guess=tense, by_pulls=by_pulls)
         for found in (arm.reach(place, by_pulls=by_pulls), there, back, *told):
             shares = (found.tensions - low) / (high - low)
@@ -262,7 +271,7 @@ def test_tensions_of_a_stream_that_goes_out_of_reach_and_back_have_no_jump(
 
     def follow(before, share):
         place, last = begin + share * way, before.shape
-        made = arm.reach(place, guess=last, relax=True, gently=True, by_pulls=by_pulls)
+        made = found_from(arm, last, place, STREAM, by_pulls)
         return made, np.abs((made.tensions - before.tensions) / (high - low)).max()
 
     line, last, beyond = np.linspace(0.0, 1.0, 25), 0.0, 0

@@ -9,8 +9,8 @@ from arms import planar, spatial, two_sections
 from tendon_robot_ros.common.errors import InputError
 from tendon_robot_ros.model.derivatives import take_sides, tip_ways
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.model.redundancy import Balance, Preferences, broyden
-from tendon_robot_ros.model.tip_task import TipTask, tip_target
+from tendon_robot_ros.model.redundancy import Balance, broyden
+from tendon_robot_ros.model.tip_task import Preferences, TipTask
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.robot.keep_out import KeepOut, Plane, Region, Sphere
 
@@ -227,8 +227,7 @@ def test_a_step_of_the_program_leaves_the_tip_where_friction_remembers(kind, mos
     model, off = arm(kind, remembers=True), []
     wants = Preferences(low_tension=0.0, slack=1.0, margin=0.3)
     for here in stood(model, 24):
-        target = tip_target(model, here.tip_position, None, 1.0, None)
-        balance = Balance(TipTask(model, target, here.memory), wants)
+        balance = Balance(TipTask.at(model, here.tip_position, memory=here.memory), wants)
         there = model.follow(here, balance.step(balance.begin(here), 0.02))
         assert np.abs(there.inputs - here.inputs).max() > 0.05
         off.append(np.linalg.norm(there.tip_position - here.tip_position))

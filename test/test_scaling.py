@@ -16,9 +16,10 @@ from tendon_robot_ros.comparison.noise import Noise
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.derivatives import take_sides, tip_ways
+from tendon_robot_ros.model.inverse import reach
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.pulls import pull_shapes
-from tendon_robot_ros.model.redundancy import Preferences
+from tendon_robot_ros.model.tip_task import STREAM, Preferences, TipTask
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.robot.estimates import natural_sizes
 
@@ -133,9 +134,10 @@ def test_a_stream_of_targets_is_followed_alike(name, length):
     way = low + spread * np.linspace(0.5, 1.5, 8)[:, None]
     places = small.shapes(way).tip_position
     here, there = small.shape(way[0]), other.shape(force * way[0])
+    near = replace(STREAM, starts=0)
     for place in places:
-        here = small.reach(place, guess=here, starts=0, gently=True).shape
-        there = other.reach(length * place, guess=there, starts=0, gently=True).shape
+        here = reach(replace(TipTask.at(small, place), guess=here), near).shape
+        there = reach(replace(TipTask.at(other, length * place), guess=there), near).shape
         np.testing.assert_allclose(there.inputs / force, here.inputs, atol=2e-3 * high.max())
     assert np.linalg.norm(here.tip_position - places[-1]) < 1e-3
 
@@ -165,3 +167,21 @@ def test_what_is_preferred_moves_the_tip_of_robots_of_all_sizes_alike(length):
     grown = other.reach(length * there.tip_position, guess=guess, preferences=wants)
     np.testing.assert_allclose(grown.tensions / force, found.tensions, atol=0.02)
     assert grown.position_error / length == pytest.approx(found.position_error, abs=2e-6)
+
+
+@pytest.mark.parametrize('name', ['kato_10_1', 'spatial_3'])
+@pytest.mark.parametrize('length', [0.2, 10.0])
+def test_tensions_for_a_target_are_the_same_for_robots_of_all_sizes(name, length):
+    """Loads and stiffness follow the length, so that the arm bends alike."""
+    robot, force = loaded(load_robot(name).without_effect('tendon_friction')), length**2
+    small, other = Model(robot), Model(scaled(robot, length, length * force))
+    low, high = small.limits.T
+    for fractions in np.random.default_rng(2).random((4, len(low))):
+        place = small.shape(low + 0.1 * fractions * (high - low)).tip_position
+        for wants in (None, Preferences(low_tension=1.0)):
+            found = small.reach(place, preferences=wants)
+            grown = other.reach(length * place, preferences=wants)
+            np.testing.assert_allclose(
+                grown.tensions / force, found.tensions, atol=2e-3 * high.max()
+            )
+            assert max(found.position_error, grown.position_error / length) < 1e-5

@@ -23,7 +23,7 @@ import numpy as np
 
 from ..common.errors import InputError
 from ..common.words import columns
-from ..model.redundancy import Preferences
+from ..model.tip_task import Preferences
 from ..robot.keep_out import load_keep_out
 from .options import (
     add_json,

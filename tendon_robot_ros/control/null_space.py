@@ -19,14 +19,14 @@ from ..common.errors import TendonRobotError
 from ..model.inverse import CLEARANCE_BINDS_M, judged
 from ..model.program import STEP_MAX, STEP_SHARE, bounded_step
 from ..model.redundancy import Balance, balanced
-from ..model.tip_task import TipTask, tip_target
 from .state import Controller
+from .target_search import tip_task
 
 if TYPE_CHECKING:
     from ..model.derivatives import TipStiffness
     from ..model.model import Model
-    from ..model.redundancy import Preferences
     from ..model.shape import Reach, Shape
+    from ..model.tip_task import Preferences, TipTask
     from .solver import GiveUp
     from .state import Target
     from .tip_estimator import TipEstimate
@@ -169,8 +169,7 @@ class NullSpace:
         keep_out, position, command = core.settings.keep_out, target.position, core.command
         if position is not None:
             position = position - core.tip_bias(position)
-        weight = core.settings.direction_weight or None
-        asked = tip_target(model, position, target.direction, 1.0, weight)
+        asked, settings = replace(target, position=position), core.settings
         known, wanted_for, closed = self._tensions, self._for, core.settings.tip_gain > 0.0
         assert command is not None
 
@@ -178,7 +177,7 @@ class NullSpace:
             past = model.arrays.fresh_memory()
             if model.remembers:
                 past = model.follow(last, acting).memory
-            target_task = task = TipTask(model, asked, past)
+            target_task = task = tip_task(model, settings, asked, past)
             if solution.status != 'reached':  # what is beyond reach is not asked for again
                 task = target_task.held_at(solution.shape)
             balance = Balance(task, wants, keep_out)

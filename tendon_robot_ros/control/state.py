@@ -18,8 +18,8 @@ from .solver import GiveUp
 if TYPE_CHECKING:
     from ..drivers.safety import StopLatch
     from ..model.model import Model
-    from ..model.redundancy import Preferences
     from ..model.shape import Reach, Shape
+    from ..model.tip_task import Preferences
     from .solver import Solver
 
 Array = NDArray[np.float64]

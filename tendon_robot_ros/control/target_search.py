@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -10,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import InputError, NoEquilibriumError
+from ..model.inverse import reach
 from ..model.shape import Reach
-from ..model.tip_task import Patience, TipTask, tip_target
+from ..model.tip_task import COLD, STREAM, TRACK, Patience, Policy, TipTask
 from .friction import Approach, forgetting, forgotten
 from .keeping_out import cut_short
 from .solver import GiveUp
@@ -22,7 +24,6 @@ if TYPE_CHECKING:
     from ..model.shape import Shape
 
 Array = NDArray[np.float64]
-COLD_SEARCH_STARTS = 12  # of a search from nowhere; a twist only goes on from where it is
 NEW_TARGET_BUDGET_S = 0.2  # [s] for a target that is none of a stream
 STREAM_BUDGET_SHARE = 0.8  # [1] of the time between targets of a stream; the shape needs the rest
 FIRST_ANSWER_S = 0.006  # [s] about a cycle: what is found until then is gone to
@@ -31,7 +32,7 @@ STREAM_TURN_RAD = 0.3  # [rad] and what is turned further
 MORE_TENSION_MAX = 0.1  # [1] of a tension's range, for a nearer tip that the loop finds anyway
 LEAD_SHARE_MAX = 0.1  # [1] of the length: further ahead a stream is not where it will go
 
-Tell = Callable[[Reach], None]  # is given what a search has found so far
+Report = Callable[[Reach], None]  # is given what a search has found so far
 
 
 @dataclass(frozen=True)
@@ -91,10 +92,10 @@ class SearchResult:
 
 
 def searching(
-    core: Controller, search: TargetSearch, budget: float, tell: Tell
+    core: Controller, search: TargetSearch, budget: float, report: Report
 ) -> Callable[[GiveUp], SearchResult]:
     """
-    Return how to search for a time [s]; `tell` hears in the commanding thread what is found first.
+    Return how to search for a time [s]; `report` hears, where commands are made, what comes first.
 
     Where nothing was within the first time, what is found when it ends is where another search
     begins. In that one the deadline is looked at only between starts, so that one start at least
@@ -106,15 +107,15 @@ def searching(
     def work(give_up: GiveUp) -> SearchResult:
         left = search.budget - budget if first else 0.0
 
-        def told(found: Reach) -> None:
+        def heard(found: Reach) -> None:
             nonlocal left
-            core.solver.tell(lambda: tell(found))
+            core.solver.tell(lambda: report(found))
             if isinstance(give_up, Patience):
                 give_up.prolong(left)
                 left = 0.0
 
         try:
-            found = solve(give_up if first else lambda: give_up(), told)
+            found = solve(give_up if first else lambda: give_up(), heard)
         except (NoEquilibriumError, InputError) as error:
             return SearchResult(None, str(error), not give_up(), left)
         return SearchResult(found, '', not give_up(), left)
@@ -134,78 +135,105 @@ def ahead_of(core: Controller, search: TargetSearch) -> Target:
 
 @dataclass(frozen=True)
 class ReachQuestion:
-    """What the solver is asked: it reads nothing that the commanding thread changes."""
+    """
+    What the solver is asked: it reads nothing that the commanding thread changes.
+
+    Attributes
+    ----------
+    target, as_sent : Target
+        Without what the measured tip is off the model there, and with it.
+    guess, last : Shape or None
+        Where a search begins, and the last shape, with what friction remembered.
+    acting : (m,) [N]
+        The tensions that act now.
+    streamed : bool
+        The target goes on from the one before: straight there.
+    tracking : bool
+        Search only near where the arm is.
+
+    """
 
     model: Model
     settings: Settings
-    target: Target  # without what the measured tip is off
-    asked: Target  # with it
+    target: Target
+    as_sent: Target
     guess: Shape | None
-    last: Shape | None  # the last shape, with what friction remembered
-    acting: Array  # (m,) [N] that act now
+    last: Shape | None
+    acting: Array
     streamed: bool
     tracking: bool
 
-    def reach(
-        self, past: Shape | None, guess: Shape | None, give_up: GiveUp, tell: Tell | None = None
-    ) -> Reach:
+    def answer(self, give_up: GiveUp, report: Report | None = None) -> Approach:
+        """Find tensions and the approach to them; `report` hears what is found meanwhile."""
+        model, settings = self.model, self.settings
+        from_below = settings.approach == 'from_below' and not self._near
+        if from_below or settings.keep_out or settings.pull_mode:
+            report = None
+        # the same place is always found by the same tensions
+        guess = None if from_below else self.guess
+        if not (model.remembers or settings.keep_out):
+            straight = Approach.straight(self._reach(None, guess, give_up, report))
+            return replace(straight, via=forgetting(model)) if from_below else straight
+        here = model.follow(self.last, self.acting)
+        past = here if model.remembers else None
+        if settings.tip_gain > 0.0 and not (from_below or settings.keep_out):
+            return Approach.straight(self._for_closed_loop(here, give_up, report))
+        found = Approach.straight(self._reach(past, guess or past, give_up, report))
+        if from_below:
+
+            def from_there(there: Shape) -> Reach:
+                return self._reach(there if model.remembers else None, there, give_up)
+
+            found = forgotten(model, here, found.reach, from_there)
+        if settings.keep_out:
+            found = cut_short(model, here, found, settings.keep_out, self._task(here))
+        return found
+
+    @property
+    def _near(self) -> bool:
+        return self.tracking or self.streamed
+
+    def _task(self, past: Shape | None) -> TipTask:
+        """Return what is wanted of the tip of an arm that is reached from a shape."""
+        memory = None if past is None else past.memory
+        return tip_task(self.model, self.settings, self.target, memory)
+
+    def _policies(self) -> Iterator[Policy]:
         """
-        Find tensions that are right when they are reached from a shape.
+        Yield how to search; where the model has no equilibrium, the next one counts.
 
         Where friction remembers, a target near the last one is looked for near there alone.
         """
-        if self._near and self.model.remembers:
-            try:
-                return self._reach(past, guess, give_up, tell, gently=True)
-            except NoEquilibriumError:
-                if self.tracking:
-                    raise
-        gently = self.streamed and self.model.sticks
-        return self._reach(past, guess, give_up, tell, gently)
+        if self.model.remembers and self._near:
+            yield replace(STREAM, starts=0, relax=not self.tracking)
+        elif self.tracking:
+            yield TRACK
+        if not self.tracking:
+            stream = self.streamed and self.model.sticks
+            yield STREAM if stream else replace(COLD, starts=STREAM.starts)
 
     def _reach(
         self,
         past: Shape | None,
         guess: Shape | None,
         give_up: GiveUp,
-        tell: Tell | None,
-        gently: bool,
+        report: Report | None = None,
     ) -> Reach:
-        near = self.tracking or (gently and self.model.remembers)
-        return self.model.reach(
-            position=self.target.position,
-            direction=self.target.direction,
+        """Find tensions that are right when they are reached from a shape."""
+        task = replace(
+            self._task(past),
             guess=guess,
-            direction_weight=self.settings.direction_weight or None,
-            starts=0 if near else COLD_SEARCH_STARTS,
             by_pulls=self.settings.pull_mode,
-            relax=not self.tracking,
-            gently=gently,
-            memory=None if past is None else past.memory,
             preferences=None if self._near else self.settings.preferences,
             keep_out=self.settings.keep_out,
-            give_up=give_up,
-            tell=tell,
         )
+        policies = list(self._policies())
+        for policy in policies[:-1]:
+            with suppress(NoEquilibriumError):
+                return reach(task, policy, give_up, report)
+        return reach(task, policies[-1], give_up, report)
 
-    @property
-    def _near(self) -> bool:
-        return self.tracking or self.streamed
-
-    @property
-    def kind(self) -> str:
-        """How the target is approached."""
-        return 'any' if self._near else self.settings.approach
-
-    @property
-    def _below(self) -> bool:
-        return self.kind == 'from_below'
-
-    def _guess(self) -> Shape | None:
-        """Return where to begin; the same place is always found by the same tensions."""
-        return None if self._below else self.guess
-
-    def _for_closed_loop(self, here: Shape, give_up: GiveUp, tell: Tell | None) -> Reach:
+    def _for_closed_loop(self, here: Shape, give_up: GiveUp, report: Report | None) -> Reach:
         """
         Find tensions from where the closed loop brings the tip to its place.
 
@@ -213,55 +241,35 @@ class ReachQuestion:
         against much tension, where it is furthest off. Then friction is left to the loop, and so
         is the tip's bias elsewhere.
         """
-        if self.streamed or self.tracking or self.settings.pull_mode:
-            return self.reach(here, self.guess or here, give_up, tell)
-        without_bias = replace(self, target=self.asked)
-        found: list[Reach] = []
-        for question, past, told in (
-            (self, None, tell),
+        if self._near or self.settings.pull_mode:
+            return self._reach(here, self.guess or here, give_up, report)
+        without_bias = replace(self, target=self.as_sent)
+        solutions: list[Reach] = []
+        for question, past, heard in (
+            (self, None, report),
             (without_bias, None, None),
             (self, here, None),
         ):
             try:
-                if not (found and give_up()):
-                    made = question.reach(past, self.guess or past, give_up, told)
-                    found.insert(len(found) if past is None else 0, made)
+                if not (solutions and give_up()):
+                    made = question._reach(past, self.guess or past, give_up, heard)
+                    solutions.insert(len(solutions) if past is None else 0, made)
             except NoEquilibriumError:
-                if not found and past is not None:  # the last one
+                if not solutions and past is not None:  # the last one
                     raise
-        there = [one for one in found if one.status == 'reached'] or found
+        there = [one for one in solutions if one.status == 'reached'] or solutions
         low, high = self.model.limits.T
         most = [float(((one.tensions - low) / (high - low)).max()) for one in there]
         enough = min(most) + MORE_TENSION_MAX
         return next(one for one, size in zip(there, most, strict=True) if size <= enough)
 
-    def answer(self, give_up: GiveUp, tell: Tell | None = None) -> Approach:
-        """Find tensions and the approach to them; `tell` hears what is found meanwhile."""
-        model, settings = self.model, self.settings
-        if self.kind != 'any' or settings.keep_out or settings.pull_mode:
-            tell = None
-        if not (model.remembers or settings.keep_out):
-            direct = self.reach(None, self._guess(), give_up, tell)
-            straight = Approach.straight(direct)
-            return replace(straight, via=forgetting(model)) if self._below else straight
-        here = model.follow(self.last, self.acting)
-        past = here if model.remembers else None
-        if settings.tip_gain > 0.0 and self.kind == 'any' and not settings.keep_out:
-            return Approach.straight(self._for_closed_loop(here, give_up, tell))
-        direct = self.reach(past, self._guess() or past, give_up, tell)
 
-        def again(there: Shape) -> Reach:
-            return self.reach(there if model.remembers else None, there, give_up)
-
-        found = Approach.straight(direct)
-        if self._below:
-            found = forgotten(model, here, direct, again)
-        if settings.keep_out:
-            weight = settings.direction_weight or None
-            asked = tip_target(model, self.target.position, self.target.direction, 1.0, weight)
-            task = TipTask(model, asked, here.memory)
-            found = cut_short(model, here, found, settings.keep_out, task)
-        return found
+def tip_task(
+    model: Model, settings: Settings, target: Target, memory: Array | None = None
+) -> TipTask:
+    """Return what a target asks of the tip of a model, from a friction memory."""
+    weight = settings.direction_weight or None
+    return TipTask.at(model, target.position, target.direction, weight, memory)
 
 
 def question_of(
@@ -271,27 +279,19 @@ def question_of(
     streamed: bool = False,
     tracking: bool = False,
 ) -> ReachQuestion:
-    """
-    Return the question of the tensions for a target, from where the arm is.
-
-    Parameters
-    ----------
-    streamed : bool
-        The target goes on from the one before: straight there.
-    tracking : bool
-        Search only near where the arm is.
-
-    """
-    guess = core.track.last if core.solution is None else core.solution.shape
+    """Return the question of the tensions for a target, from where the arm is."""
     guess, last = (
         None if shape is None or len(shape.bend) != model.robot.cells else shape
-        for shape in (guess, core.track.last)
+        for shape in (
+            core.track.last if core.solution is None else core.solution.shape,
+            core.track.last,
+        )
     )
-    asked, acting = target, core.acting_tensions()
+    as_sent, acting = target, core.acting_tensions()
     if target.position is not None:
         target = replace(target, position=target.position - core.tip_bias(target.position))
     return ReachQuestion(
-        model, core.settings, target, asked, guess, last, acting, streamed, tracking
+        model, core.settings, target, as_sent, guess, last, acting, streamed, tracking
     )
 
 
@@ -315,18 +315,5 @@ def _goes_on(core: Controller, before: TargetSearch, target: Target) -> bool:
 def is_nearer(core: Controller, target: Target, found: Reach) -> bool:
     """Whether tensions bring the tip nearer to a target than it is."""
     last = core.track.last
-    if last is None:
-        return True
-    asked = tip_target(
-        core.model,
-        target.position,
-        target.direction,
-        1.0,
-        core.settings.direction_weight or None,
-    )
-    weights = np.repeat(asked[6:], 3)
-    before, after = (
-        np.concatenate([shape.tip_position, shape.tip_direction]) for shape in (last, found.shape)
-    )
-    off = [float(np.linalg.norm(weights * (tip - asked[:6]))) for tip in (before, after)]
-    return off[1] < off[0]
+    task = tip_task(core.model, core.settings, target)
+    return last is None or task.cost(found.shape) < task.cost(last)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy.typing as npt
 
@@ -13,9 +14,8 @@ from .derivatives import Column, Seen, TipStiffness, derivatives, tip_jacobian, 
 from .forward import Floats, ForwardModel
 from .inverse import reach
 from .pulls import pull_shape
-from .redundancy import Preferences
 from .shape import Reach, Shape, ShapeBatch
-from .tip_task import refuse_other_unit
+from .tip_task import COLD, Policy, Preferences, TipTask, refuse_other_unit
 
 
 class Model(ForwardModel):
@@ -44,20 +44,34 @@ class Model(ForwardModel):
         direction: npt.ArrayLike | None = None,
         *,
         guess: Shape | None = None,
-        position_weight: float = 1.0,
-        direction_weight: float | None = None,
-        starts: int = 24,
-        by_pulls: bool = False,
-        relax: bool = False,
-        gently: bool = False,
         memory: Floats | None = None,
+        by_pulls: bool = False,
         preferences: Preferences | None = None,
         keep_out: KeepOut | None = None,
-        give_up: Callable[[], bool] = lambda: False,
-        tell: Callable[[Reach], None] | None = None,
+        starts: int = COLD.starts,
     ) -> Reach:
         """
-        Return tensions that bring the tip to a target [m]; see `inverse.reach`.
+        Return tensions within the limits that bring the tip to a target.
+
+        Parameters
+        ----------
+        position : (3,) [m], optional
+        direction : (3,), optional
+            Approach direction of the tip; its length and the roll about it are ignored.
+        guess : Shape, optional
+            The present shape: the search starts there and looks elsewhere only if it must.
+        memory : optional
+            Friction memory where the arm is (`Shape.memory`): tensions then count as reached from
+            there, along a straight line. Default: from straight and free of tension.
+        by_pulls : bool
+            Only tensions that wire lengths can hold; the lower limit is 0.
+        preferences : Preferences, optional
+            What the freedom that the target leaves is used for; default: low tension.
+        keep_out : KeepOut, optional
+            Regions that no part of the arm may enter; a target that leads there is `nearest`, with
+            the region named.
+        starts : int
+            How many starts all over the workspace the search may take.
 
         Raises
         ------
@@ -68,12 +82,14 @@ class Model(ForwardModel):
         refuse_other_unit(self.robot, position)
         if guess is not None and not isinstance(guess, Shape):
             raise refusal('guess', 'a Shape of this robot', guess)
-        return reach(
-            self, position, direction, guess=guess, position_weight=position_weight,
-            direction_weight=direction_weight, starts=whole('starts', starts),
-            by_pulls=by_pulls, relax=relax, gently=gently, memory=memory,
-            preferences=preferences, keep_out=keep_out, give_up=give_up, tell=tell,
-        )  # fmt: skip
+        task = replace(
+            TipTask.at(self, position, direction, memory=memory),
+            guess=guess,
+            by_pulls=by_pulls,
+            preferences=preferences,
+            keep_out=keep_out or KeepOut(),
+        )
+        return reach(task, Policy(starts=whole('starts', starts)))
 
     def tip_stiffness(self, shape: Shape, wires_held: bool = False) -> TipStiffness:
         """Return how the tip gives way to a force on it; see `derivatives.tip_stiffness`."""

@@ -22,14 +22,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from ..common.errors import InputError, NoEquilibriumError
+from ..common.errors import NoEquilibriumError
 from ..robot.keep_out import KeepOut
 from .derivatives import derivatives, take_sides, tip_stiffness, tip_ways
 from .program import solved, within
+from .tip_task import Preferences, TipTask
 
 if TYPE_CHECKING:
     from .shape import Shape, ShapeBatch
-    from .tip_task import TipTask
 
 Floats = npt.NDArray[np.float64]
 # [1] of the square of the tip's error in lengths of the robot, against preferences of about 1: one
@@ -48,35 +48,6 @@ POINT_STEP_M = 1e-6  # [m] for the direction away from a region
 # How often a step is looked for anew as eyelets turn; share [1] of them that may do so unseen
 TURNS_MAX, TURNED_SHARE = 3, 0.1
 LEARNS_WITHIN = 5e-3  # [1] of a range: a longer correction in vain says nothing of slopes here
-
-
-@dataclass(frozen=True)
-class Preferences:
-    """What is wanted of tensions that bring the tip to the same place; weights [1]."""
-
-    low_tension: float = 0.03
-    stiffness: float = 0.0  # of the tip, along `stiffness_direction`
-    stiffness_direction: tuple[float, float, float] = (0.0, 0.0, 0.0)  # zeros: the softest
-    stiffness_enough: float = 0.0  # [N/m] beyond which nothing is gained; 0: there is no such
-    slack: float = 0.0  # distance from the lowest tension
-    limit: float = 0.0  # distance from the highest tension
-    smooth: float = 0.0  # little change from where the arm is
-    margin: float = 0.1  # [1] of the range: the distance that `slack` and `limit` want
-    wires_held: bool = False  # stiffness with the wires' lengths held, not their tensions
-
-    def __post_init__(self) -> None:
-        """Refuse what makes no sense."""
-        for name in ('low_tension', 'stiffness', 'slack', 'limit', 'smooth'):
-            if not 0.0 <= getattr(self, name) <= 1e3:
-                raise InputError(
-                    f'{name}: expected a weight from 0 to 1000, got {getattr(self, name)}'
-                )
-        if not 0.0 <= self.stiffness_enough < np.inf:
-            raise InputError(
-                f'stiffness_enough: expected 0 N/m or more, got {self.stiffness_enough}'
-            )
-        if not 0.0 < self.margin <= 0.5:
-            raise InputError(f'margin: expected more than 0 and at most 0.5, got {self.margin}')
 
 
 @dataclass

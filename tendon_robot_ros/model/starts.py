@@ -17,88 +17,131 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from .program import within
 from .pulls import Aim
-from .tip_task import TipTask
+from .tip_task import LOW_TENSION_WEIGHT, Policy, TipTask
 
 if TYPE_CHECKING:
     from .shape import Shape, ShapeBatch
 
 Floats = npt.NDArray[np.float64]
 Start = tuple[Aim, Floats, Floats]  # how to search, tensions (m,) [N] and bends to start from
-# [1] gain of a step: a search goes on, tracking has the next tick
-GAIN_MIN, TRACKING_GAIN_MIN = 1e-6, 1e-2
-POSED_STEPS_MAX = 30  # for a direction, too: little is free, and another start is quicker
-LIBRARY_NEIGHBOURS = 128  # shapes of the library among which starts are chosen
-# How tensions count beside lengths: shares [1] of `TipTask.per_newton`
-START_TENSION_SHARE = 0.1  # those of a shape when a start is chosen
-LOW_TENSION_SHARE = 4e-5  # how little low tension counts
-GENTLE_SHARE = 0.02  # where directions that tendons hardly lead to are to be left
-SEEKING_SHARE = 4e-3  # and where bends and tensions are found at once
-SEEKING_WIDTHS, SEEKING_SHRINK, SEEKING_STEPS_MAX = (1e3, 1e2), 0.5, 60
-# [1] of the length: a tip so far off no search for an equilibrium improves; a step towards it
-FAR_SHARE, FIRST_STEP_SHARE = 0.06, 0.03
-# [1] of the square of how far the tip is: for a shape of the library so near the arm may set out
-NEARER_SHARE = 0.25
-TRIALS_MAX = 120  # equilibria of a search
-REMEMBERING_TRIALS_MAX = 480  # where friction remembers, ways creep along narrow valleys
-# Where tendons stick a search that does not arrive soon stands at a kink: another start is quicker
+# [1] of the cost, gained by a step: less ends a search, because rounding gains as much
+GAIN_MIN = 1e-6
+# [1] of the cost: less ends a search from near, because the next target comes before more is
+# gained
+TRACKING_GAIN_MIN = 1e-2
+# [1] equilibria of a search; what takes more has been seen to stall, and another start would be
+# quicker
+TRIALS_MAX = 120
+# [1] where friction remembers, because a search then creeps along narrow valleys
+REMEMBERING_TRIALS_MAX = 4 * TRIALS_MAX
+# [1] where tendons stick: what needs more stands at a kink, and another start is quicker
+# (docs/model.md)
 STICKING_TRIALS_MAX = 10
+# [1] starts of an arm that is driven by wire lengths, because each of them is several searches
+PULL_STARTS_MAX = 4
+# [1] shapes of the library among which starts are chosen: more than would ever be tried
+LIBRARY_NEIGHBOURS = 128
+# [1] weight of the tensions of a shape of the library, because from much tension against much
+# tension there is often no way down
+START_TENSION_WEIGHT = 0.1
+# [1] weight of tensions while bends and tensions are found at once (docs/model.md)
+SEEKING_WEIGHT = 100.0 * LOW_TENSION_WEIGHT
+# [1] of the slip length, with which such a search begins (docs/model.md)
+SEEKING_WIDTH = 1e3
+# [1] by which it shrinks in a step: ten steps from that width, so that fifteen in all do
+# (docs/model.md)
+SEEKING_SHRINK = 0.5
+# [1] steps of such a search: it settles within these or seldom does (docs/model.md)
+SEEKING_STEPS_MAX = 60
+# [1] of the length, of a first step towards a far target: soon made, else the arm would wait
+FIRST_STEP_LENGTH = 0.03
+# [1] of the length: from a tip farther off, no search from equilibrium to equilibrium would arrive
+FAR_LENGTH = 2.0 * FIRST_STEP_LENGTH
 
 
 def aim(
     task: TipTask,
-    enough: float,
+    gain_min: float,
     inputs: Floats,
     bend: Floats,
     limits: Floats,
-    preference: float = LOW_TENSION_SHARE,
-    far: float = np.inf,
-    most: int = TRIALS_MAX,
+    weight: float = LOW_TENSION_WEIGHT,
+    cost_max: float = np.inf,
+    trials: int = TRIALS_MAX,
     priced: bool = False,
 ) -> tuple[float, Floats]:
     """
-    Improve inputs in place; return the cost [m²] and the bends of the equilibrium.
+    Improve inputs in place, from equilibrium to equilibrium; return the cost [m²] and the bends.
 
-    Once the tip is there, a step that gains less than `enough` of the cost is the last, else the
-    one after so many trials. What costs more than `far` [m²] stays as it is. `preference`: how low
-    tension counts, a share of `TipTask.per_newton`. `priced`: to what a target beyond reach is
-    worth, see `TipTask.worth`.
+    Parameters
+    ----------
+    gain_min : float
+        Once the tip is there, a step that gains a smaller part of the cost is the last [1].
+    inputs, bend : (m,) [N] and (3n,) [rad]
+        Where the search starts.
+    limits : (m, 2) [N]
+    weight : float
+        Of tensions above their lowest [1], in units of `TipTask.per_newton`.
+    cost_max : float
+        A start that costs more stays as it is [m²].
+    trials : int
+        Equilibria that may be tried.
+    priced : bool
+        To what a target beyond reach is worth, see `TipTask.worth`.
+
     """
     bends = np.array([bend, bend])
-    begin, end = _shared(task, inputs, bends, limits)
-    tension = task.tension(preference, priced)
-    cost = task.model.arrays.part('inverse').aim(*begin, tension, most, enough, far, *end)
-    return float(cost), bends[0]
+    begin, end = _kernel_arguments(task, inputs, bends, limits)
+    tension = task.tension(weight, priced)
+    search = task.model.arrays.part('inverse').aim
+    return float(search(*begin, tension, trials, gain_min, cost_max, *end)), bends[0]
 
 
-def aim_gently(
-    task: TipTask, most: int, inputs: Floats, bend: Floats, limits: Floats, priced: bool = False
+def aim_frugally(
+    task: TipTask,
+    weight: float,
+    trials: int,
+    inputs: Floats,
+    bend: Floats,
+    limits: Floats,
+    priced: bool = False,
 ) -> tuple[float, Floats]:
-    """
-    Improve inputs in place, with tension that counts; return the plain cost [m²] and the bends.
+    """Improve inputs in place with tension that counts; return the plain cost [m²] and bends."""
+    bends = aim(
+        task, TRACKING_GAIN_MIN, inputs, bend, limits, weight, trials=trials, priced=priced
+    )[1]
+    return cost_there(task, inputs, bends, limits)
 
-    In directions in which tendons hardly lead the tip, tenths of a millimetre are not worth
-    newtons of all tendons against each other.
-    """
-    gently = partial(aim, task, TRACKING_GAIN_MIN, preference=GENTLE_SHARE, priced=priced)
-    bends = gently(inputs, bend, limits, most=most)[1]
-    return aim(task, TRACKING_GAIN_MIN, inputs, bends, limits, far=0.0)
+
+def cost_there(
+    task: TipTask, inputs: Floats, bend: Floats, limits: Floats
+) -> tuple[float, Floats]:
+    """Return the cost [m²] and the bends of the equilibrium under inputs, as they are."""
+    return aim(task, TRACKING_GAIN_MIN, inputs, bend, limits, cost_max=0.0)
 
 
 def step_towards(
     task: TipTask, guess: Shape, inputs: Floats, bend: Floats, limits: Floats
 ) -> tuple[float, Floats]:
     """Improve inputs in place by a step to a tip that is far: the arm may set out."""
-    near, reach = task.target.copy(), FIRST_STEP_SHARE * task.model.robot.length
-    near[:6] += (1.0 - reach / np.sqrt(2.0 * task.cost(guess))) * task.off(guess)
-    step = replace(task, target=near)
-    bends = aim(step, TRACKING_GAIN_MIN, inputs, bend, limits, most=STICKING_TRIALS_MAX)[1]
-    return aim(task, TRACKING_GAIN_MIN, inputs, bends, limits, far=0.0)
+    near, step = task.target.copy(), FIRST_STEP_LENGTH * task.model.robot.length
+    near[:6] += (1.0 - step / np.sqrt(2.0 * task.cost(guess))) * task.off(guess)
+    bends = aim(
+        replace(task, target=near),
+        TRACKING_GAIN_MIN,
+        inputs,
+        bend,
+        limits,
+        trials=STICKING_TRIALS_MAX,
+    )[1]
+    return cost_there(task, inputs, bends, limits)
 
 
 def seek(
     task: TipTask,
-    wide: float,
+    width: float,
     inputs: Floats,
     bend: Floats,
     limits: Floats,
@@ -108,23 +151,29 @@ def seek(
     Improve inputs in place from far away; return the cost [m²] and the bends of the equilibrium.
 
     For tendons that stick and slip: bends and tensions are found at once, with a slip length that
-    starts `wide` times its own.
+    starts `width` times its own.
     """
     bends = np.array([bend, bend])
-    begin, end = _shared(task, inputs, bends, limits)
+    begin, end = _kernel_arguments(task, inputs, bends, limits)
     part = task.model.arrays.part('inverse')
-    part.seek(*begin, SEEKING_SHARE * task.per_newton, wide, SEEKING_SHRINK, steps, *end)
+    part.seek(*begin, SEEKING_WEIGHT * task.per_newton, width, SEEKING_SHRINK, steps, *end)
     return aim(
-        task, TRACKING_GAIN_MIN, inputs, bends[0], limits, far=_far(task), most=STICKING_TRIALS_MAX
+        task,
+        TRACKING_GAIN_MIN,
+        inputs,
+        bends[0],
+        limits,
+        cost_max=far_cost(task),
+        trials=STICKING_TRIALS_MAX,
     )
 
 
-def _far(task: TipTask) -> float:
+def far_cost(task: TipTask) -> float:
     """Return the cost [m²] of a tip that is far off."""
-    return float(0.5 * (FAR_SHARE * task.model.robot.length) ** 2)
+    return float(0.5 * (FAR_LENGTH * task.model.robot.length) ** 2)
 
 
-def _shared(
+def _kernel_arguments(
     task: TipTask, inputs: Floats, bends: Floats, limits: Floats
 ) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
     """Return what both compiled searches take first: where and to what, and last: how long."""
@@ -136,62 +185,52 @@ def _shared(
     )
 
 
-def beginnings(
-    task: TipTask, guess: Shape | None, count: int, step: bool, gently: bool = False
-) -> Iterator[Start]:
+def starts_of(task: TipTask, policy: Policy, reports: bool) -> Iterator[Start]:
     """
     Yield how to search, and tensions and bends to start from; made only when needed.
 
     The guess, then the straight arm, from where a gentle bend is nearer than a curl, then the
-    shapes of the library whose tips are nearest, those of low tension first: from much tension
-    against much tension there is often no way down. `step`: from a guess that is far, early, to
-    where the arm may set out. `gently`: from the guess see `aim_gently`; where tendons stick that
-    is one start more.
+    shapes of the library whose tips are nearest, those of low tension first. Where what is found
+    first is reported, a guess that is far is followed by where the arm may set out. Of a frugal
+    policy the guess is searched from with tension that counts, too; where tendons stick that is a
+    start more.
     """
-    model, near = task.model, partial(aim, task, GAIN_MIN)
+    model, guess, nearby = task.model, task.guess, partial(aim, task, GAIN_MIN)
     if model.sticks:
-        steps = POSED_STEPS_MAX if task.target[7] else SEEKING_STEPS_MAX
-        near = partial(seek, task, SEEKING_WIDTHS[0], steps=steps)
+        # for a direction, too, little is free, and another start is quicker
+        steps = SEEKING_STEPS_MAX // 2 if task.target[7] else SEEKING_STEPS_MAX
+        nearby = partial(seek, task, SEEKING_WIDTH, steps=steps)
     if guess is not None:
-        inputs = np.minimum(np.maximum(guess.inputs, model.limits[:, 0]), model.limits[:, 1])
-        if not model.sticks:
-            most = REMEMBERING_TRIALS_MAX if model.remembers else TRIALS_MAX
-            search = partial(aim, task, TRACKING_GAIN_MIN, most=most)
-            yield partial(aim_gently, task, most) if gently else search, inputs, guess.state
-        elif task.cost(guess) < _far(task):
-            search = partial(aim, task, TRACKING_GAIN_MIN, most=STICKING_TRIALS_MAX)
-            yield search, inputs.copy(), guess.state
-            if gently:
-                yield partial(aim_gently, task, STICKING_TRIALS_MAX), inputs.copy(), guess.state
-        else:
-            if gently:
-                yield partial(aim_gently, task, STICKING_TRIALS_MAX), inputs.copy(), guess.state
-            yield from _starts_far(task, guess, inputs, count, step)
-    if count:
-        yield near, model.limits[:, 0].copy(), np.zeros(3 * model.robot.cells)
-        for row in islice(rows_near(task), count):
-            yield near, model.library.inputs[row].copy(), model.library.state[row]
+        here = within(guess.inputs, *model.limits.T)
+        trials = TRIALS_MAX if not model.remembers else REMEMBERING_TRIALS_MAX
+        trials = STICKING_TRIALS_MAX if model.sticks else trials
+        track = partial(aim, task, TRACKING_GAIN_MIN, trials=trials)
+        frugal = partial(aim_frugally, task, policy.tension_weight, trials)
+        far = model.sticks and task.cost(guess) >= far_cost(task)
+        if not far and (model.sticks or not policy.frugal):
+            yield track, here.copy(), guess.state
+        if policy.frugal:
+            yield frugal, here.copy(), guess.state
+        if far:
+            yield partial(cost_there, task), here, guess.state  # to stay
+            if policy.starts:
+                yield partial(seek, task, SEEKING_WIDTH), here.copy(), guess.state
+            if reports:
+                yield _setting_out(task, guess, here, bool(policy.starts))
+    starts = min(policy.starts, PULL_STARTS_MAX) if task.by_pulls else policy.starts
+    if starts:
+        yield nearby, model.limits[:, 0].copy(), np.zeros(3 * model.robot.cells)
+        for row in islice(rows_near(task), starts):
+            yield nearby, model.library.inputs[row].copy(), model.library.state[row]
 
 
-def _starts_far(
-    task: TipTask, guess: Shape, inputs: Floats, count: int, step: bool
-) -> Iterator[Start]:
-    """Yield starts from a guess with its tip far, where tendons stick."""
-    yield partial(aim, task, TRACKING_GAIN_MIN, far=0.0), inputs, guess.state  # to stay
-    if count:
-        yield partial(seek, task, SEEKING_WIDTHS[0]), inputs.copy(), guess.state
-        if step:
-            yield _setting_out(task, guess, inputs)
-    elif step:
-        yield partial(step_towards, task, guess), inputs.copy(), guess.state
-
-
-def _setting_out(task: TipTask, guess: Shape, inputs: Floats) -> Start:
+def _setting_out(task: TipTask, guess: Shape, inputs: Floats, from_library: bool) -> Start:
     """Return what soon brings a far tip nearer: a shape of the library, or a short step."""
-    library, row = task.model.library, next(rows_near(task))
-    if misses(library, task.target)[row] < NEARER_SHARE * 2.0 * task.cost(guess):
-        there = partial(aim, task, TRACKING_GAIN_MIN, far=0.0)
-        return there, library.inputs[row].copy(), library.state[row]
+    if from_library:
+        library, row = task.model.library, next(rows_near(task))
+        # at half of the distance or nearer
+        if misses(library, task.target)[row] < 0.25 * 2.0 * task.cost(guess):
+            return partial(cost_there, task), library.inputs[row].copy(), library.state[row]
     return partial(step_towards, task, guess), inputs.copy(), guess.state
 
 
@@ -211,7 +250,7 @@ def rows_near(task: TipTask) -> Iterator[int]:
     against much tension there is often no way down.
     """
     library, low, high = task.model.library, *task.model.limits.T
-    tension = START_TENSION_SHARE * task.per_newton * (library.inputs - low).sum(axis=1)
+    tension = START_TENSION_WEIGHT * task.per_newton * (library.inputs - low).sum(axis=1)
     near = np.argsort(misses(library, task.target) + tension * tension)[:LIBRARY_NEIGHBOURS]
     places, away = library.inputs[near] / high, np.full(len(near), np.inf)
     for count in range(len(near)):

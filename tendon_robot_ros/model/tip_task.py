@@ -1,4 +1,4 @@
-"""What is asked of the tip, how far a shape is from it, and how long the search may take."""
+"""What is wanted of the tip, how a search for its tensions weighs and how long it may take."""
 
 from __future__ import annotations
 
@@ -13,19 +13,28 @@ import numpy.typing as npt
 from ..common.errors import InputError, short
 from ..robot import Robot
 from ..robot.inputs import finite
+from ..robot.keep_out import KeepOut
 
 if TYPE_CHECKING:
     from .forward import ForwardModel
     from .shape import Shape
 
 Floats = npt.NDArray[np.float64]
-# [1] of ln of what is left of the tensions' range, beside ln of the error that is left. Beside an
-# error s (1 - t) that a share t of all tensions takes away, and d that none does, the least of
-# ln(d² + s² (1 - t)²) / 2 - p ln(1 - t) is at t = 1 - d / (D s) with p = 1 / (1 + D²), without a
-# jump: a tension goes evenly until d is D times what it takes away. D: a half.
+# [1] weight of ln of what is left of the tensions' range, beside ln of the error that is left: 1 /
+# (1 + D²) with D a half, so that a tension grows evenly until the error that no tension takes away
+# is half of what it takes away (docs/model.md)
 TENSION_PRICE = 0.8
-LEFT = 1e-3  # [1] what counts as left of the range where all tendons are at their limit
-FAR_LENGTHS = 100.0  # [1] so far off all places cost the same: exp would overflow
+# [1] of the range, left where all tendons are at their limit; without it the price would be
+# infinite
+ROOM_MIN = 1e-3
+# [1] lengths of the robot: so far off all places cost the same, else exp would overflow
+FAR_LENGTHS = 100.0
+# [1] lengths of the arm from its base; farther is another unit, because millimetres would be a
+# thousand times as far
+UNIT_LENGTHS = 10.0
+# [1] weight of tensions above their lowest: so little that it only decides between tensions with
+# the same tip; more would leave the tip beside its place (docs/model.md)
+LOW_TENSION_WEIGHT = 4e-5
 
 
 class Patience:
@@ -54,17 +63,155 @@ class Patience:
 
 
 @dataclass(frozen=True)
+class Preferences:
+    """What is wanted of tensions that bring the tip to the same place; weights [1]."""
+
+    low_tension: float = 0.03
+    stiffness: float = 0.0  # of the tip, along `stiffness_direction`
+    stiffness_direction: tuple[float, float, float] = (0.0, 0.0, 0.0)  # zeros: the softest
+    stiffness_enough: float = 0.0  # [N/m] beyond which nothing is gained; 0: there is no such
+    slack: float = 0.0  # distance from the lowest tension
+    limit: float = 0.0  # distance from the highest tension
+    smooth: float = 0.0  # little change from where the arm is
+    margin: float = 0.1  # [1] of the range: the distance that `slack` and `limit` want
+    wires_held: bool = False  # stiffness with the wires' lengths held, not their tensions
+
+    def __post_init__(self) -> None:
+        """Refuse what makes no sense."""
+        for name in ('low_tension', 'stiffness', 'slack', 'limit', 'smooth'):
+            if not 0.0 <= getattr(self, name) <= 1e3:
+                raise InputError(
+                    f'{name}: expected a weight from 0 to 1000, got {getattr(self, name)}'
+                )
+        if not 0.0 <= self.stiffness_enough < np.inf:
+            raise InputError(
+                f'stiffness_enough: expected 0 N/m or more, got {self.stiffness_enough}'
+            )
+        if not 0.0 < self.margin <= 0.5:
+            raise InputError(f'margin: expected more than 0 and at most 0.5, got {self.margin}')
+
+
+@dataclass(frozen=True)
+class Policy:
+    """
+    How far a search looks around, and what tension costs beside the tip's error.
+
+    Weights are relative to the robot: 1 is its length over the mean range of its tensions
+    (`TipTask.per_newton`), so that a robot of another size or stiffness is searched alike.
+
+    Attributes
+    ----------
+    starts : int
+        Starts all over the workspace that may be tried; 0: only near the guess.
+    relax : bool
+        From a solution, go on to one of low tension. Without a guess that is always done.
+    tension_weight : float
+        Of tensions above their lowest [1].
+    change_weight : float
+        Of the change from the tensions of the guess [1], where tendons stick: such a change takes
+        time. A solution that jumps does not end the search then, and none is relaxed.
+
+    """
+
+    starts: int = 24
+    relax: bool = False
+    tension_weight: float = LOW_TENSION_WEIGHT
+    change_weight: float = 0.0
+
+    @property
+    def frugal(self) -> bool:
+        """Whether tension costs more than what decides between equal tips."""
+        return self.tension_weight > LOW_TENSION_WEIGHT
+
+
+# A target that has nothing to do with where the arm is
+COLD = Policy(relax=True)
+# A motion that goes on from the guess, as a twist: from elsewhere the tensions would jump
+TRACK = Policy(starts=0)
+# Targets that follow each other closely: weights so that newtons of all tendons against each other
+# are not spent on tenths of a millimetre where tendons hardly lead the tip (docs/model.md)
+STREAM = Policy(starts=12, relax=True, tension_weight=0.02, change_weight=0.06)
+
+
+@dataclass(frozen=True)
 class TipTask:
-    """What is asked of the tip, and what friction remembers where the way there begins."""
+    """
+    What is wanted of the tip, where the arm is, and what is kept out.
+
+    Attributes
+    ----------
+    model : ForwardModel
+    target : (8,)
+        Position [m], direction, weight of the position [1], of the direction [m/rad]; see `at`.
+    past : (k,)
+        Friction memory from which the tensions are reached, along a straight line.
+    guess : Shape, optional
+        The present shape: a search starts there and looks elsewhere only if it must.
+    by_pulls : bool
+        Only tensions that wire lengths can hold; the lower limit is 0.
+    preferences : Preferences, optional
+        What the freedom that the target leaves is used for; default: low tension.
+    keep_out : KeepOut
+        Regions that no part of the arm may enter.
+    patience : Patience
+        Ends a search between its steps.
+
+    """
 
     model: ForwardModel
-    target: Floats  # (8,) position [m], direction, weight of the position [1], of the direction
-    past: Floats  # friction memory; all zero: straight and free of tension
-    patience: Patience = field(default_factory=Patience)  # of a search, between its steps
+    target: Floats
+    past: Floats
+    guess: Shape | None = None
+    by_pulls: bool = False
+    preferences: Preferences | None = None
+    keep_out: KeepOut = field(default_factory=KeepOut)
+    patience: Patience = field(default_factory=Patience)
+
+    @classmethod
+    def at(
+        cls,
+        model: ForwardModel,
+        position: npt.ArrayLike | None,
+        direction: npt.ArrayLike | None = None,
+        direction_weight: float | None = None,
+        memory: Floats | None = None,
+    ) -> TipTask:
+        """
+        Ask for a position (3,) [m] of the tip, an approach direction (3,), or both.
+
+        Parameters
+        ----------
+        direction : (3,), optional
+            Its length and the roll about it are ignored.
+        direction_weight : float [m/rad], optional
+            Default: a fifth of the robot's length.
+        memory : optional
+            Friction memory where the arm is (`Shape.memory`); default: straight and free of
+            tension.
+
+        Raises
+        ------
+        InputError
+            Neither position nor direction, or not finite.
+
+        """
+        if position is None and direction is None:
+            raise InputError('target: expected a position, a direction, or both, got neither')
+        target = np.zeros(8)
+        if position is not None:
+            target[:3], target[6] = finite('position', position, 3), 1.0
+        if direction is not None:
+            along = finite('direction', direction, 3)
+            size = math.sqrt(along @ along)
+            if size < 1e-9:
+                raise InputError(f'direction: expected a vector of some length, got {along}')
+            weight = 0.2 * model.robot.length if direction_weight is None else direction_weight
+            target[3:6], target[7] = along / size, weight
+        return cls(model, target, model.arrays.fresh_memory() if memory is None else memory)
 
     @property
     def per_newton(self) -> float:
-        """Length of the robot over the range of its tensions [m/N]: weights are shares of it."""
+        """Length of the robot over the mean range of its tensions [m/N]."""
         return self.model.robot.length / self._range
 
     @property
@@ -73,29 +220,34 @@ class TipTask:
         low, high = self.model.limits.T
         return float((high - low).mean())
 
-    def tension(self, share: float, priced: bool) -> Floats:
+    def tension(self, weight: float, priced: bool) -> Floats:
         """
         Return what tension costs in a search (4,), see `aim` of the kernel.
 
-        A share [1] of `per_newton`, and, priced, what `worth` says.
+        A weight [1] in units of `per_newton`, and, priced, what `worth` says.
         """
         room, price = self._range * len(self.model.inputs), TENSION_PRICE if priced else 0.0
-        return np.array([share * self.per_newton, price, self.model.robot.length, room])
+        return np.array([weight * self.per_newton, price, self.model.robot.length, room])
+
+    def above_lowest(self, weight: float, inputs: Floats) -> float:
+        """Return what tensions (m,) [N] above their lowest cost [m²] with a weight [1]."""
+        above = inputs - self.model.limits[:, 0]
+        return 0.5 * (weight * self.per_newton) ** 2 * float(above @ above)
 
     def worth(self, cost: float, inputs: Floats) -> float:
         """
         Return a cost [m²] with what tensions (m,) [N] cost beside the error e that is left.
 
-        It grows with ln e - `TENSION_PRICE` x ln(1 - t), with the mean share t of the tensions in
-        their range: how far a target is beyond reach does not make tension cheap. Beyond a length
-        of the robot e itself counts, in lengths.
+        It grows with ln e - `TENSION_PRICE` x ln(1 - t), with the mean fraction t of the tensions
+        in their range: how far a target is beyond reach does not make tension cheap. Beyond a
+        length of the robot e itself counts, in lengths.
         """
-        share = float((inputs - self.model.limits[:, 0]).mean()) / self._range
+        used = float((inputs - self.model.limits[:, 0]).mean()) / self._range
         length = self.model.robot.length
         away = math.sqrt(2.0 * cost) / length
         size = away if away < 1.0 else math.exp(min(away - 1.0, FAR_LENGTHS))
-        left = math.pow(max(1.0 - share, LEFT), TENSION_PRICE)
-        return 0.5 * (length * size / left) ** 2
+        room = math.pow(max(1.0 - used, ROOM_MIN), TENSION_PRICE)
+        return 0.5 * (length * size / room) ** 2
 
     def held_at(self, shape: Shape) -> TipTask:
         """Return the task to stay where a tip is: what is beyond reach is not asked for again."""
@@ -127,9 +279,6 @@ class TipTask:
         return position, math.atan2(across, ax * bx + ay * by + az * bz)
 
 
-UNIT_LENGTHS = 10.0  # [1] of the arm from its base: millimetres are a thousand times as far
-
-
 def refuse_other_unit(robot: Robot, position: npt.ArrayLike | None) -> None:
     """Refuse a position (3,) that is so far that it must be in another unit."""
     if position is None:
@@ -143,26 +292,3 @@ def refuse_other_unit(robot: Robot, position: npt.ArrayLike | None) -> None:
             f'position: expected metres, got {short(values.tolist())}, {away:.4g} m from the base '
             f'of an arm of {robot.length:.4g} m{hint}'
         )
-
-
-def tip_target(
-    model: ForwardModel,
-    position: npt.ArrayLike | None,
-    direction: npt.ArrayLike | None,
-    position_weight: float,
-    direction_weight: float | None,
-) -> Floats:
-    """Return what is asked as one array (8,); see `TipTask`."""
-    if position is None and direction is None:
-        raise InputError('target: expected a position, a direction, or both, got neither')
-    target = np.zeros(8)
-    if position is not None:
-        target[:3], target[6] = finite('position', position, 3), position_weight
-    if direction is not None:
-        along = finite('direction', direction, 3)
-        size = math.sqrt(along @ along)
-        if size < 1e-9:
-            raise InputError(f'direction: expected a vector of some length, got {along}')
-        weight = 0.2 * model.robot.length if direction_weight is None else direction_weight
-        target[3:6], target[7] = along / size, weight
-    return target

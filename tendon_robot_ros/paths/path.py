@@ -7,7 +7,7 @@ compares what was done with what was asked.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,11 +17,13 @@ from scipy.interpolate import CubicHermiteSpline, pchip_interpolate
 from ..common.errors import InputError
 from ..control.state import STREAM_PERIOD_S
 from ..control.trajectory import Trajectory
+from ..model.inverse import reach
+from ..model.tip_task import TipTask
+from ..robot.keep_out import KeepOut
 
 if TYPE_CHECKING:
     from ..model.model import Model
     from ..model.shape import Shape
-    from ..robot.keep_out import KeepOut
 
 Array = NDArray[np.float64]
 # [m], [rad] samples of a path lie no further apart, and a target counts as reached within them:
@@ -299,10 +301,8 @@ def plan(
     shapes, shape = [], start
     for position, direction in zip(path.positions, path.directions, strict=True):
         view = None if np.isnan(direction).any() else direction
-        past = shape.memory if model.remembers else None
-        solution = model.reach(
-            position, view, guess=shape, relax=True, memory=past, keep_out=keep_out
-        )
+        task = TipTask.at(model, position, view, memory=shape.memory if model.remembers else None)
+        solution = reach(replace(task, guess=shape, keep_out=keep_out or KeepOut()))
         shapes.append(solution)
         shape = solution.shape
     tensions = np.array([one.tensions for one in shapes])

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import InputError
+from ..model.inverse import reach
 from ..model.model import Model
 from ..model.shape import Shape, ShapeBatch
+from ..model.tip_task import COLD, TipTask
 from ..paths.path import DIRECTION_TOLERANCE_RAD, POSITION_TOLERANCE_M
 
 Array = NDArray[np.float64]
@@ -154,19 +156,16 @@ def _in_plane(model: Model, angle: float, steps: int) -> list[Posture]:
 
 def _around(model: Model, angle: float, steps: int) -> list[Posture]:
     straight = model.shape(model.limits[:, 0])  # from there, a gentle bend and no curl
-    first = model.reach(
-        direction=[np.sin(angle), 0.0, np.cos(angle)],
-        guess=straight,
-        starts=SEARCH_STARTS,
-        relax=True,
-    )
+    towards = np.array([np.sin(angle), 0.0, np.cos(angle)])
+    policy = replace(COLD, starts=SEARCH_STARTS)
+    first = reach(replace(TipTask.at(model, None, towards), guess=straight), policy)
     postures, shape = [], first.shape
     for i, turn in enumerate(np.linspace(0.0, 2.0 * np.pi, steps)):
         c, s = np.cos(turn), np.sin(turn)
         about = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         place = about @ first.shape.tip_position
-        along = about @ np.array([np.sin(angle), 0.0, np.cos(angle)])
-        solution = model.reach(place, along, guess=shape, starts=SEARCH_STARTS, relax=True)
+        task = TipTask.at(model, place, about @ towards)
+        solution = reach(replace(task, guess=shape), policy)
         if (
             solution.position_error > POSITION_TOLERANCE_M
             or solution.direction_error > DIRECTION_TOLERANCE_RAD
