@@ -221,6 +221,8 @@ class Pilot(RobotClient):
                 and self.status
                 and self.has_listener
                 and self._trajectories.get_subscription_count()
+                # else a tip that the driver measures might be missed
+                and self.count_publishers('tendon_states')
             ),
             timeout,
             f'{self.resolve_topic_name(self._controller)} to command; are driver and controller '
