@@ -24,8 +24,8 @@ model = Model(load_robot('config/robots/kato_10_1_single.yaml'))
 model.shape(model.limits[:, 0])
 assert 'scipy.linalg' not in sys.modules
 import numba
-solve = numba.njit(lambda a, b: numpy.linalg.solve(a, numpy.dot(a, b)))
-assert numpy.allclose(solve(numpy.diag([2.0, 4.0]), numpy.array([1.0, 3.0])), [1.0, 3.0])
+times = numba.njit(lambda a, b: numpy.dot(numpy.linalg.cholesky(a), b))
+assert numpy.allclose(times(numpy.diag([4.0, 9.0]), numpy.array([1.0, 3.0])), [2.0, 9.0])
 """
 
 
@@ -139,6 +139,6 @@ def test_a_model_is_built_without_reading_what_is_installed(monkeypatch):
     effects = catalogue.load_catalogue()
     Model(robot, effects)  # compiles where nothing is
     read = []
-    monkeypatch.setattr(catalogue, 'entry_points', lambda **group: read.append(group) or [])
+    monkeypatch.setattr(catalogue, '_installed', lambda: read.append(True) or ())
     Model(robot, effects)
     assert not read

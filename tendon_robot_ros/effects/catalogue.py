@@ -8,6 +8,7 @@ import importlib.machinery
 import importlib.util
 import sys
 from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 
@@ -138,12 +139,16 @@ def load_catalogue(files: CatalogueLike | None = None) -> Catalogue:
     if not isinstance(paths, Iterable) or not all(isinstance(one, str | Path) for one in paths):
         raise refusal('catalogue', 'a Catalogue, or the paths of files with an EFFECT', files)
     effects = [importlib.import_module(f'{__package__}.{name}').EFFECT for name in BUILT_IN]
-    effects += [
-        _checked(point.load(), point.value)
-        for point in sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda point: point.name)
-    ]
+    effects += _installed()
     named = tuple(str(Path(file).resolve()) for file in paths)
     return Catalogue(effects + [_from_file(Path(file)) for file in named], named)
+
+
+@cache
+def _installed() -> tuple[Effect, ...]:
+    """Return the effects of installed packages; read once, as modules are."""
+    points = sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda point: point.name)
+    return tuple(_checked(point.load(), point.value) for point in points)
 
 
 def registered(name: str, digest: str) -> Effect:
