@@ -6,6 +6,7 @@ from control_rig import CYCLE, Rig, model, reachable
 
 from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.control import Refusal, Target, Twist
+from tendon_robot_ros.control.driver_side import MeasuredState
 from tendon_robot_ros.control.status import controller_status
 
 
@@ -183,3 +184,15 @@ def test_out_of_reach_is_said_with_the_distance():
     said = controller_status(rig.core, rig.now)
     assert said.code in ('nearest', 'at_limit')
     assert 'mm' in said.message
+
+
+@pytest.mark.parametrize('lost', [[0], [1], [2, 3], [0, 1, 3]])
+def test_motors_that_are_silent_leave_the_others_to_say_where_the_arm_is(lost):
+    arm, limits = model(), np.tile([0.1, 5.0], (4, 1))
+    tensions = np.array([1.5, 0.1, 0.6, 0.1])
+    pulls = arm.shape(tensions).pulls
+    pulls[lost] = np.nan
+    said = MeasuredState(np.full(4, np.nan), pulls, 0.0)
+    found = said.in_newtons(arm, limits, None, limits[:, 0])
+    assert np.isfinite(found).all()
+    assert np.all((found >= limits[:, 0]) & (found <= limits[:, 1]))

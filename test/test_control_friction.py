@@ -8,9 +8,10 @@ from friction_rig import TARGETS, Rig, model
 
 from tendon_robot_ros.common.errors import NoEquilibriumError
 from tendon_robot_ros.control import ControllerCore, Settings, Target, target_search
-from tendon_robot_ros.control.friction import ActingTensions, forgetting
+from tendon_robot_ros.control.approach import forgetting
+from tendon_robot_ros.control.driver_side import ActingTensions
+from tendon_robot_ros.control.state import Trajectory
 from tendon_robot_ros.control.status import controller_status
-from tendon_robot_ros.control.trajectory import Trajectory
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.tip_task import Preferences
 from tendon_robot_ros.robot import load_robot
@@ -82,11 +83,11 @@ def test_from_below_the_last_leg_pulls_every_tendon_from_its_lowest():
     target = Target(model(False).shape(np.array(TARGETS[0])).tip_position)
     rig.core.aim(target)
     rig.run(0.01)
-    assert len(rig.core.via) == 2 and rig.core.moving
-    assert rig.core.via[1] == pytest.approx(model().limits[:, 0])
-    assert np.all(rig.core.via[1] <= rig.core.solution.tensions)
+    assert len(rig.core.mode.via) == 2 and rig.core.moving
+    assert rig.core.mode.via[1] == pytest.approx(model().limits[:, 0])
+    assert np.all(rig.core.mode.via[1] <= rig.core.solution.tensions)
     rig.run(1.0)
-    assert not rig.core.via and not rig.core.moving
+    assert not rig.core.mode.via and not rig.core.moving
     assert rig.core.command == pytest.approx(rig.core.solution.tensions)
 
 

@@ -7,9 +7,8 @@ import pytest
 from control_rig import Rig, reachable
 
 from tendon_robot_ros.control import Refusal, Target
-from tendon_robot_ros.control.goals import MotionGoal, Tolerance
-from tendon_robot_ros.control.status import followed
-from tendon_robot_ros.control.trajectory import Trajectory
+from tendon_robot_ros.control.state import Trajectory
+from tendon_robot_ros.control.status import MotionGoal, Tolerance, followed
 
 END = np.array([1.1, 0.1, 0.1, 0.6])
 NEAR, FAR = (0.5, 0.1, 0.1, 0.9), (0.1, 1.0, 0.8, 0.1)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tendon_robot_ros.control import ControllerCore, Settings, Target
-from tendon_robot_ros.control.null_space import DRIFT, HANDOVER_SHARE, SPEED_MAX, NullSpaceMotion
+from tendon_robot_ros.control.null_space import DRIFT, HANDOVER_LENGTH, SPEED_MAX, NullSpaceMotion
 from tendon_robot_ros.control.tip_estimator import TipEstimate
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.program import bounded_step
@@ -82,7 +82,7 @@ def test_at_the_preferred_tensions_it_holds_the_tip_there():
 
 @pytest.mark.parametrize('length', [LENGTH, 10.0 * LENGTH])
 def test_a_tip_that_is_pushed_away_is_left_to_the_tip_loop(length):
-    away = HANDOVER_SHARE * length
+    away = HANDOVER_LENGTH * length
     assert stepped(0.5, away=0.9 * away, length=length)[0] is not None
     motion, goal = stepped(0.5, away=1.1 * away, length=length)
     assert motion is None and np.array_equal(goal, HERE)
@@ -255,5 +255,5 @@ def test_a_drive_that_fails_on_a_motion_is_seen_by_the_tip_and_then_by_its_load_
     rig.lost = np.array([0.0, 0.02, 0.0, 0.0])
     rig.run(2.0)
     assert rig.core.motion is None
-    assert rig.core.acting.offset == pytest.approx(-rig.lost, abs=5e-3)
+    assert rig.core.acting_offset == pytest.approx(-rig.lost, abs=5e-3)
     assert np.linalg.norm(rig.tips[-1] - rig.core.target.position) < 5e-4

@@ -5,8 +5,8 @@ import pytest
 from control_rig import CYCLE, Rig, model, reachable
 
 from tendon_robot_ros.control import Refusal
+from tendon_robot_ros.control.state import Trajectory
 from tendon_robot_ros.control.status import controller_status
-from tendon_robot_ros.control.trajectory import checked
 
 LIMITS = np.array([[0.1, 5.0]] * 4)
 NAMES = ('prox_left', 'prox_right', 'dist_left', 'dist_right')
@@ -14,7 +14,7 @@ END = [1.1, 0.1, 0.1, 0.6]
 
 
 def trajectory(times, *values, limits=LIMITS):
-    return checked(np.array(times, float), np.array(values, float), limits, NAMES)
+    return Trajectory.checked(np.array(times, float), np.array(values, float), limits, NAMES)
 
 
 def test_tensions_follow_the_straight_lines_in_time_and_the_end_is_held():

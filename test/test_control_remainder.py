@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from tendon_robot_ros.control import ControllerCore, Settings, Target
-from tendon_robot_ros.control.remainder import SETTLED_S, LeftOver, Remainder, foreign
 from tendon_robot_ros.control.status import controller_status
+from tendon_robot_ros.control.tip_loop import NO_NEARER_S, Remainder, TipProgress, foreign
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
 
@@ -46,7 +46,7 @@ def test_what_is_within_the_noise_is_none():
 
 
 def test_it_is_told_once_the_tip_comes_no_nearer_and_anew_for_another_target():
-    over, target = LeftOver(), object()
+    over, target = TipProgress(), object()
     for now in np.arange(0.0, 5.0, 0.02):  # away by a time constant of 0.5 s, then 1 mm
         over.take(now, target, left([1e-3 + 0.1 * np.exp(-now / 0.5), 0.0, 0.0]))
         if over.settled(now):
@@ -54,7 +54,7 @@ def test_it_is_told_once_the_tip_comes_no_nearer_and_anew_for_another_target():
     assert 3.0 < now < 4.5
     over.take(now, target, left([5e-3, 0.0, 0.0]))
     assert over.settled(now) is None
-    assert over.settled(now + SETTLED_S) is not None
+    assert over.settled(now + NO_NEARER_S) is not None
     over.take(now + 2.0, object(), left([5e-3, 0.0, 0.0]))
     assert over.settled(now + 2.0) is None
 

@@ -7,10 +7,9 @@ from friction_rig import CYCLE, TARGETS, Rig, model
 from tendon_robot_ros.common.errors import NoEquilibriumError
 from tendon_robot_ros.control import ControllerCore, Settings, Target, target_search, tip_loop
 from tendon_robot_ros.control.status import controller_status
-from tendon_robot_ros.control.tip_estimator import TipEstimate
-from tendon_robot_ros.control.tip_step import TipStep
+from tendon_robot_ros.control.tip_estimator import TipEstimate, TipStep
 from tendon_robot_ros.model.derivatives import tip_slopes
-from tendon_robot_ros.model.program import STEP_SHARE, bounded_step
+from tendon_robot_ros.model.program import STEP_GAIN, bounded_step
 
 
 def margin(gain, period, samples):
@@ -19,7 +18,7 @@ def margin(gain, period, samples):
 
     Of (z - 1 + a)(z - 1 + k) + a k z (g z^-n - 1) = 0: the largest g, all roots inside.
     """
-    k, a, low, high = 1.0 - np.exp(-gain * period), STEP_SHARE, 1.0, 1e3
+    k, a, low, high = 1.0 - np.exp(-gain * period), STEP_GAIN, 1.0, 1e3
     for _ in range(40):
         g = 0.5 * (low + high)
         loop = np.zeros(max(samples, 1) + 2)
@@ -41,7 +40,7 @@ def test_the_margin_of_the_gain_is_where_the_loop_begins_to_ring(samples):
             load = 1.0 if step < 5 else 0.0
             heard = [factor * most * goal + load, *heard[:-1]]
             bias += share * (heard[samples] - goal - bias)
-            goal += STEP_SHARE * (-bias - goal)
+            goal += STEP_GAIN * (-bias - goal)
             size.append(abs(goal))
         swings.append(max(size[-200:]) / max(size[200:400]))
     assert swings[0] < 0.1 and swings[1] > 10.0

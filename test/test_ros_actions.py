@@ -26,8 +26,8 @@ from test_msgs.action import Fibonacci
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from tendon_robot_ros.control import Refusal
-from tendon_robot_ros.control.goals import GoalOutcome, MotionGoal, Progress
-from tendon_robot_ros.control.trajectory import Trajectory
+from tendon_robot_ros.control.state import Trajectory
+from tendon_robot_ros.control.status import GoalOutcome, MotionGoal, Progress
 from tendon_robot_ros.ros.controller import actions
 from tendon_robot_ros.ros.controller.incoming import Incoming
 from tendon_robot_ros.ros.shared.runtime import make_executor, repeat

@@ -8,10 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import InputError
+from ..robot import Robot
 
 Array = NDArray[np.float64]
-# in a sentence; a message may hold a million of any length
-NAMES_LISTED_MAX, NAME_LENGTH_MAX = 8, 40
+# [1] names in a sentence, because a message may hold a million
+NAMES_LISTED_MAX = 8
+# [1] letters of a name in a sentence, because it may be of any length
+NAME_LENGTH_MAX = 40
 
 
 class Refusal(InputError):
@@ -113,13 +116,6 @@ def direction(quaternion: Sequence[float], what: str) -> Array:
     return np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
 
 
-def _listed(names: Sequence[str]) -> str:
-    """Show names in a message: the first few, each cut where it gets long."""
-    shown = [cut(name) for name in names[:NAMES_LISTED_MAX]]
-    more = len(names) - NAMES_LISTED_MAX
-    return ', '.join(shown) + (f' and {more} more' if more > 0 else '')
-
-
 def by_name(
     names: Sequence[str], values: Sequence[float], inputs: Sequence[str], what: str, quantity: str
 ) -> Array:
@@ -141,11 +137,13 @@ def by_name(
     unknown = [name for name in names if name not in inputs]
     missing = [name for name in inputs if name not in names]
     if unknown or missing or len(names) != len(inputs):
-        problem = (
-            f'unknown {_listed(unknown)}'
-            if unknown
-            else (f'missing {", ".join(missing)}' if missing else 'a name stands twice')
-        )
+        problem = 'a name stands twice'
+        if unknown:
+            more = len(unknown) - NAMES_LISTED_MAX
+            problem = f'unknown {", ".join(map(cut, unknown[:NAMES_LISTED_MAX]))}'
+            problem += f' and {more} more' if more > 0 else ''
+        elif missing:
+            problem = f'missing {", ".join(missing)}'
         raise Refusal('names', f'{what}: {problem}; expected {", ".join(inputs)}, once each')
     if len(values) != len(names):
         raise Refusal(
@@ -162,3 +160,8 @@ def check_inputs(inputs: tuple[str, ...], expected: tuple[str, ...]) -> None:
             f'the new model has the inputs {", ".join(inputs)}, expected {", ".join(expected)}; '
             'restart the node to change them'
         )
+
+
+def another_robot(robot: Robot, before: Robot) -> bool:
+    """Whether a description is of another arm: what was asked for in its base frame is void."""
+    return robot.name != before.name or not np.isclose(robot.length, before.length, rtol=1e-9)

@@ -11,17 +11,15 @@ from numpy.typing import NDArray
 
 from ..common.errors import DriverError, InputError, TendonRobotError
 from ..drivers.safety import CYCLE_MAX_S, StopLatch, approach, bounded
-from .checks import Refusal, check_inputs
-from .friction import ActingTensions, Approach
-from .model_change import another_robot, with_model
-from .modes import FollowTarget, FollowTwist, Idle, Mode, PlayTrajectory, Twist
+from .approach import Approach
+from .checks import Refusal, another_robot, check_inputs
+from .driver_side import DriverSide
+from .modes import FollowTarget, FollowTwist, Idle, Mode, PlayTrajectory, PullPath, keeps_out
 from .null_space import NullSpace, NullSpaceMotion
-from .release import Release
 from .solver import InPlace, Solver
-from .state import MeasuredState, Output, Settings, ShapeTracker, Target
-from .target_search import SearchResult, TargetSearch, ahead_of, is_nearer, searching
+from .state import Output, Settings, ShapeTracker, Target, Trajectory, Twist
+from .target_search import SearchResult, TargetSearch, ahead_of, is_nearer, searching, with_model
 from .tip_loop import TipLoop
-from .trajectory import PullPath, Trajectory, looking
 
 if TYPE_CHECKING:
     from ..model.model import Model
@@ -29,7 +27,6 @@ if TYPE_CHECKING:
     from .solver import GiveUp
 
 Array = NDArray[np.float64]
-HELD_SILENT_S = 1.0  # [s] a driver that is silent for less may only have been held up
 
 
 def raised(error: TendonRobotError | None) -> None:
@@ -55,19 +52,14 @@ class ControllerCore:
     search: TargetSearch | None = None  # for a target that is not yet followed
     command: Array | None = None  # (m,) [N], None until the driver was heard
     pulls: PullPath | None = None  # in pull mode
-    driver_stopped: str = ''  # why the driver does not follow, as it says
-    release: Release = field(default_factory=Release)  # of the arm, by the driver
+    driver: DriverSide = field(default_factory=DriverSide)
     refusals: dict[str, Refusal] = field(default_factory=dict)  # kind of message -> why the last
     latch: StopLatch = field(default_factory=StopLatch)
     loop: TipLoop = field(default_factory=TipLoop)
-    acting: ActingTensions = field(default_factory=ActingTensions)
     null_space: NullSpace = field(default_factory=NullSpace)
     track: ShapeTracker = field(init=False)
     looked_at: Trajectory | None = None  # until it is known whether it enters a region
     _last_search: TargetSearch | None = None
-    _heard: MeasuredState | None = None
-    _silent: bool = True
-    _lost: bool = True  # where the arm is
     _syncing: object | None = None  # while the solver looks where the arm is
 
     def __post_init__(self) -> None:
@@ -87,9 +79,9 @@ class ControllerCore:
 
         """
         self._require_running()
-        if self._silent and not self.settings.resume:
+        if self.driver.silent and not self.settings.resume:
             raise Refusal('no_driver', 'target refused: no tendon states; send it again later')
-        if not self.release.wait(lambda: self.aim(target), target):
+        if not self.driver.wait(lambda: self.aim(target), target):
             self.looked_at = None
             self._seek(target)
 
@@ -98,7 +90,7 @@ class ControllerCore:
         self._require_running()
         if self.command is None:
             raise Refusal('no_driver', 'twist refused: no tendon states yet')
-        follows = self.release.twist(now, twist, self.settings.twist_timeout)
+        follows = self.driver.twist(now, twist, self.settings.twist_timeout)
         if not follows or not (self.jogging or twist.moves):
             return  # a joystick at rest takes no target away
         self.search = self.looked_at = None
@@ -123,37 +115,35 @@ class ControllerCore:
         self._require_running()
         if self.command is None:
             raise Refusal('no_driver', 'tendon_trajectory refused: no tendon states yet')
-        if trajectory is None and self.release.why:
-            self.release.waiting = None  # the arm holds already
+        if trajectory is None and self.driver.released:
+            self.driver.waiting = None  # the arm holds already
         elif trajectory is None:
             self._drop()
-            self.release.dropped = None
-        elif self.release.wait(lambda: self.play(self.time, trajectory), trajectory):
+            self.driver.dropped = None
+        elif self.driver.wait(lambda: self.play(self.time, trajectory), trajectory):
             return
         elif self.settings.keep_out:
             self.looked_at = trajectory
 
             def take(refusal: Refusal | None) -> None:
-                if self.looked_at is trajectory:  # nothing else is wanted by now
-                    self._looked(max(now, self.time), trajectory, refusal)
+                if self.looked_at is not trajectory:
+                    return  # something else is wanted by now
+                self.looked_at = None
+                if refusal is not None:
+                    self.refusals['target'] = refusal
+                elif self.settings.pull_mode:
+                    self._play(max(now, self.time), trajectory)
+                else:  # another model may have come meanwhile
+                    limits = self.settings.limits(self.model)
+                    self._play(max(now, self.time), trajectory.within(limits))
 
-            self.solver.post('trajectory', *looking(self, trajectory, take))
+            self.solver.post('trajectory', *keeps_out(self, trajectory, take))
         else:
             self._play(now, trajectory)
 
-    def _looked(self, now: float, trajectory: Trajectory, refusal: Refusal | None) -> None:
-        """Play a trajectory that keeps out of the regions."""
-        self.looked_at = None
-        if refusal is not None:
-            self.refusals['target'] = refusal
-        elif self.settings.pull_mode:
-            self._play(now, trajectory)
-        else:  # another model may have come meanwhile
-            self._play(now, trajectory.within(self.settings.limits(self.model)))
-
     def _play(self, now: float, trajectory: Trajectory) -> None:
         self._drop()
-        self.release.dropped = None
+        self.driver.dropped = None
         self.mode = PlayTrajectory(trajectory.begin(now, self.commanded))
 
     def stop(self, key: str, reason: str, lasting: bool = False) -> None:
@@ -163,12 +153,12 @@ class ControllerCore:
 
     def reset(self) -> None:
         """Clear the stops and wait for a new target; DriverError while a cause is there."""
-        if self.driver_stopped:
-            raise DriverError(f'reset refused: the driver is stopped: {self.driver_stopped}')
+        if self.driver.stopped:
+            raise DriverError(f'reset refused: the driver is stopped: {self.driver.stopped}')
         self.latch.reset()
         self.refusals.pop('target', None)
-        self.release.dropped = None
-        self._lost = True
+        self.driver.dropped = None
+        self.driver.lost = True
 
     def set_model(
         self, model: Model, on_done: Callable[[TendonRobotError | None], None] = raised
@@ -207,11 +197,11 @@ class ControllerCore:
         self.track.last = here
         self.loop.reset()
         if other:
-            self._lost, self._syncing = True, None
+            self.driver.lost, self._syncing = True, None
             self._drop()
             return
         if self.pulls is not None:
-            self.pulls = self.pulls.anew()
+            self.pulls = PullPath(self.pulls.pulls)
         searched = None if self.search is None else self.search.target
         if isinstance(mode := self.mode, PlayTrajectory) and not self.settings.pull_mode:
             limits = self.settings.limits(model)
@@ -239,14 +229,14 @@ class ControllerCore:
     def _search(self, search: TargetSearch, budget: float) -> None:
         """Search for a time [s]; what is much nearer is gone to while the search goes on."""
 
-        def told(found: Reach) -> None:
+        def report(found: Reach) -> None:
             if self.search is search:
                 self._follow(search, Approach.straight(found), False)
 
         def done(result: SearchResult | None, error: TendonRobotError | None) -> None:
             self._searched(search, result or SearchResult(None, str(error), True))
 
-        work = searching(self, search, budget, told)
+        work = searching(self, search, budget, report)
         self.solver.post('target', work, done, budget, urgent=True)
 
     def _searched(self, search: TargetSearch, result: SearchResult) -> None:
@@ -279,7 +269,7 @@ class ControllerCore:
 
     def measured(self, now: float, tensions: Array, pulls: Array) -> None:
         """Take what the driver measures, (m,) [N] and (m,) [m], nan where not observable."""
-        self._heard, self._silent = MeasuredState(tensions, pulls, now), False
+        self.driver.measured(now, tensions, pulls)
 
     def tip_measured(self, now: float, position: Array) -> None:
         """Take a measured tip (3,) [m] in the base frame."""
@@ -303,15 +293,14 @@ class ControllerCore:
             Whom it follows instead.
 
         """
-        if releases == self.release.over:
-            stopped = ''  # it was said before the driver resumed
-        stopped = stopped or other
-        if stopped and not self.driver_stopped:
+        if self.driver.said_before(releases):
+            stopped = ''
+        stopped, before = stopped or other, self.driver.stopped
+        if stopped and not before:
             self._drop()
-        if self.driver_stopped and not stopped:
+        if before and not stopped:
             self._outdated('driver_stopped')
-        self.driver_stopped = stopped
-        again, over = self.release.heard(released, releases)
+        again, over = self.driver.says(stopped, released, releases)
         if again:
             self._lose()
         if over:
@@ -321,20 +310,18 @@ class ControllerCore:
     def wants_driver(self) -> bool:
         """Whether a released arm is asked to move: the driver should resume."""
         kept = self.target is not None and self.settings.resume
-        return bool(self.release.why) and (self.release.waiting is not None or kept)
+        return bool(self.driver.released) and (self.driver.waiting is not None or kept)
 
     def resumed(self) -> None:
         """Take that the driver follows: from the measured state, to what waits for that."""
-        self.release.why, self._lost = '', True
-        self.release.over = self.release.count or None
-        self.driver_stopped = ''
+        self.driver.resumed()
         self._outdated('released')
         self._outdated('driver_stopped')
 
     def not_resumed(self, problem: str) -> None:
         """Take why the driver does not follow: what released the arm is still there."""
-        if self.release.waiting is not None:
-            self.release.waiting = None
+        if self.driver.waiting is not None:
+            self.driver.waiting = None
             self.refusals['target'] = Refusal('released', f'target refused: {problem}')
 
     def _outdated(self, code: str) -> None:
@@ -359,11 +346,6 @@ class ControllerCore:
     def wanted(self) -> Array | None:
         """Where the tip should be, (3,) [m]: at the target, or ahead of it in a stream."""
         return self.mode.position if isinstance(self.mode, FollowTarget) else None
-
-    @property
-    def via(self) -> list[Array]:
-        """Tensions (m,) [N] each on the way to those of the target."""
-        return self.mode.via if isinstance(self.mode, FollowTarget) else []
 
     @property
     def playing(self) -> Trajectory | None:
@@ -393,7 +375,7 @@ class ControllerCore:
     @property
     def heard_values(self) -> Array:
         """What is measured of what is commanded, (m,) [N] or [m]; nan where not observable."""
-        heard = self._heard
+        heard = self.driver.state
         if heard is None:
             return np.full(len(self.model.inputs), np.nan)
         return heard.pulls if self.settings.pull_mode else heard.tensions
@@ -401,21 +383,21 @@ class ControllerCore:
     @property
     def measured_tensions(self) -> Array | None:
         """The measured tensions (m,) [N]; None where they are not observable."""
-        heard = self._heard
-        return np.maximum(heard.tensions, 0.0) if heard is not None and heard.observed else None
+        return self.driver.tensions
 
     def acting_tensions(self) -> Array:
         """Return the tensions (m,) [N] that act: as commanded, where the measured ones agree."""
         low, high = self.settings.limits(self.model).T
-        command = low if self.command is None else self.acting.followed(self.command)
+        acting = self.driver.acting
+        command = low if self.command is None else acting.followed(self.command)
         # noise of load cells is not to look like a motion of the arm to what holds the tip
-        unseen = self._silent or self.loop.in_null_space(self)
-        return self.acting.take(command, None if unseen else self.measured_tensions, high)
+        unseen = self.driver.silent or self.loop.in_null_space(self)
+        return acting.take(command, None if unseen else self.measured_tensions, high)
 
     @property
     def acting_offset(self) -> Array:
         """By how much (m,) [N] the tensions that act differ from the commanded ones."""
-        offset = self.acting.offset
+        offset = self.driver.acting.offset
         return np.zeros(len(self.model.inputs)) if offset is None else offset
 
     @property
@@ -439,13 +421,11 @@ class ControllerCore:
 
     def fresh(self, now: float) -> bool:
         """Whether the driver was heard lately."""
-        return self._heard is not None and now - self._heard.time <= self.settings.state_timeout
+        return self.driver.fresh(now, self.settings)
 
-    def gone(self, now: float) -> bool:
-        """Whether the driver is silent for so long that the last command is held no more."""
-        timeout = self.settings.state_timeout + HELD_SILENT_S
-        silent = self._heard is None or now - self._heard.time > timeout
-        return silent and not self.settings.resume
+    def follows(self, now: float) -> bool:
+        """Whether the driver follows commands, and was heard lately."""
+        return not (self.latch or self.driver.stopped) and self.fresh(now)
 
     # The cycle.
 
@@ -453,28 +433,29 @@ class ControllerCore:
         """Return a command; None (stop, no equilibrium for `patience`, no driver) releases."""
         passed, self.time = now - self.time, now
         self.solver.serve()
-        self._silent = not self.fresh(now)
+        driver = self.driver
+        driver.silent = not self.fresh(now)
         stalled = np.isfinite(passed) and passed > self.settings.state_timeout
-        if self._silent or stalled:
+        if driver.silent or stalled:
             self._lose()
-        if not self._silent and (self._lost or self._held or self.command is None):
+        if not driver.silent and (driver.lost or driver.held or self.command is None):
             self._resync()
-        if self.release.waiting is not None and not (self._lost or self._held or self.latch):
-            waiting, self.release.waiting = self.release.waiting, None
+        if driver.waiting is not None and not (driver.lost or driver.held or self.latch):
+            waiting, driver.waiting = driver.waiting, None
             waiting()
         if self.latch:
             self._drop()  # another thread may have stopped it
-        if self.latch or self.command is None or self.gone(now):
+        if self.latch or self.command is None or driver.gone(now, self.settings):
             return None
-        if self._silent:
+        if driver.silent:
             return self._output()
-        if self._lost and not self.settings.pull_mode:
+        if driver.lost and not self.settings.pull_mode:
             return None  # still looking for the tensions of what was measured
-        if not (self._lost or self._held):
+        if not (driver.lost or driver.held):
             self._advance(min(max(passed, 0.0), CYCLE_MAX_S))
         if self.track.failing > self.settings.patience:
             self._drop()
-            self._lost = True
+            driver.lost = True
             self.refusals['target'] = Refusal('no_equilibrium', f'released: {self.track.problem}')
             return None
         return self._output()
@@ -496,10 +477,11 @@ class ControllerCore:
         if self.pulls is not None:
             self.command = self.pulls.advance(self, goal, step)
         else:
-            if self.solution is not None and not self.via:
+            on_the_way = isinstance(self.mode, FollowTarget) and self.mode.via
+            if self.solution is not None and not on_the_way:
                 step = self.loop.paced(self, goal, step, passed)
             self.command = approach(self.command, goal, np.full_like(goal, step))
-        self.acting.sent(self.time, self.command, self.settings.drive_lag)
+        self.driver.acting.sent(self.time, self.command, self.settings.drive_lag)
         if not (self.moving or self.playing or self.jogging):
             nearer = self.null_space.step(self, self.time)
             if nearer is not None and isinstance(mode := self.mode, FollowTarget):
@@ -536,36 +518,32 @@ class ControllerCore:
 
     def _lose(self) -> None:
         """Forget what was asked for: a driver that comes back finds nothing to go to."""
-        self._lost, self._syncing = True, None
+        self.driver.lost, self._syncing = True, None
         if self.playing is not None:
             self.mode = Idle()
         if not self.settings.resume:
             self._drop()
 
     def _resync(self) -> None:
-        """Begin at the measured state."""
-        if self._syncing is not None and not self._held:
+        """Begin at the measured state; the solver says what tensions belong to wire pulls."""
+        if self._syncing is not None and not self.driver.held:
             return
-        assert self._heard is not None
+        assert self.driver.state is not None
         self._syncing = None
         if self.playing is not None or self.jogging:
             self.mode = Idle()
-        heard, limits = self._heard, self.settings.limits(self.model)
-        pull = self.settings.pull_mode
+        heard, limits = self.driver.state, self.settings.limits(self.model)
+        pull, model, guess = self.settings.pull_mode, self.model, self.track.last
         if not pull and heard.observed:
             self._begin(bounded(np.maximum(heard.tensions, 0.0), limits), None)
             return
         unknown = limits[:, 0] if self.command is None else self.command
         if pull and heard.located:  # wires stay where they are, whatever tensions that takes
             self.pulls, self.command = PullPath(heard.pulls), unknown
-        if not self._held:
-            self._look(heard.observed_or(unknown), limits)
-
-    def _look(self, unknown: Array, limits: Array) -> None:
-        """Have the solver say what tensions belong to the measured wire pulls."""
-        assert self._heard is not None
-        heard, model, guess = self._heard, self.model, self.track.last
-        pull = self.settings.pull_mode
+        if self.driver.held:
+            return
+        if heard.observed:
+            unknown = np.maximum(heard.tensions, 0.0)
         syncing = self._syncing = object()
 
         def work(give_up: GiveUp) -> tuple[Array, Array | None]:
@@ -586,18 +564,13 @@ class ControllerCore:
         self.solver.post('resync', work, done)
 
     def _begin(self, tensions: Array, pulls: Array | None) -> None:
-        self.command, self._lost = tensions, False
-        self.acting.begin()
+        self.command, self.driver.lost = tensions, False
+        self.driver.acting.begin()
         self.pulls = None if pulls is None else PullPath(pulls)
-
-    @property
-    def _held(self) -> bool:
-        """Whether the driver follows no commands."""
-        return bool(self.driver_stopped or self.release.why)
 
     def _drop(self) -> None:
         wanted = self.target if self.search is None else self.search.target
-        self.release.dropped, self.release.waiting = wanted or self.release.dropped, None
+        self.driver.dropped, self.driver.waiting = wanted or self.driver.dropped, None
         self.search = self.looked_at = None
         self.mode = Idle()
         self.loop.reset()
@@ -605,5 +578,5 @@ class ControllerCore:
     def _require_running(self) -> None:
         if self.latch:
             raise Refusal('stopped', f'stopped: {"; ".join(self.latch.reasons)}; call reset first')
-        if self.driver_stopped:
-            raise Refusal('driver_stopped', f'the driver does not follow: {self.driver_stopped}')
+        if self.driver.stopped:
+            raise Refusal('driver_stopped', f'the driver does not follow: {self.driver.stopped}')

@@ -29,6 +29,7 @@ from .checks import check_inputs
 if TYPE_CHECKING:
     from ..model.model import Model
 
+# [1] of POSIX: a tenth of the processor, so that what controls goes first
 NICENESS = 10
 GENTLY_VARIABLE = 'TENDON_ROBOT_ROS_GENTLY'
 

@@ -1,7 +1,13 @@
-"""What the arm is asked to do: a mode each, whose `step` says where the tensions go next."""
+"""
+What the arm is asked to do: a mode each, whose `step` says where the tensions go next.
+
+An arm that is driven by wire lengths goes there in pieces whose ends the model has seen.
+"""
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
@@ -10,17 +16,23 @@ from numpy.typing import NDArray
 
 from ..common.errors import TendonRobotError
 from ..common.rotations import rotated
-from .friction import Approach, Settling
-from .state import Controller, Target
+from ..drivers.safety import CYCLE_MAX_S, approach, bounded
+from .approach import Approach, entered
+from .checks import Refusal
+from .driver_side import MeasuredState, Settling
+from .solver import Done, GiveUp, Work
+from .state import Controller, Target, Trajectory, Twist
 from .target_search import question_of
 
 if TYPE_CHECKING:
     from ..model.shape import Reach, Shape
-    from .trajectory import Trajectory
 
 Array = NDArray[np.float64]
-LEAD_MAX_M = 0.002  # [m] of the wanted tip before the reachable one, from where it comes back
-LATE_MAX_S = 0.05  # [s] a later solution of a twist is not made up for: the tip would jump
+# [1] of the length, of the wanted tip before the reachable one: from more it would come back late
+LEAD_LENGTH = 0.01
+# [s] at the rate limit: wire pulls are straight lines in between, because the tensions hardly
+# change
+PIECE_S = 0.02
 
 
 class Mode(Protocol):
@@ -47,7 +59,6 @@ class Idle:
     """Nothing is asked for: the command stays."""
 
     stamp: str = ''
-    problem: str = ''  # why what was asked for ended
 
     def step(self, core: Controller, passed: float) -> Array | None:
         """Return the command."""
@@ -96,36 +107,18 @@ class FollowTarget:
 
     def step(self, core: Controller, passed: float) -> Array | None:
         """Return the next tensions on the way, or those of the target."""
-        if self.via and _same(core.command, self.via[0]) and self._settled(core):
-            self.via.pop(0)
+        if self.via and _same(core.command, self.via[0]):
+            measured, settled = core.measured_tensions, True
+            if measured is not None and core.command is not None and not core.settings.pull_mode:
+                low, high = core.settings.limits(core.model).T
+                settled = self._settling.settled(core.time, core.command, measured, high - low)
+            if settled:
+                self.via.pop(0)
         return self.via[0] if self.via else core.goal(self.reach.tensions)
-
-    def _settled(self, core: Controller) -> bool:
-        """Whether the arm has followed the command, or has been given the time."""
-        measured = core.measured_tensions
-        if measured is None or core.command is None or core.settings.pull_mode:
-            return True
-        low, high = core.settings.limits(core.model).T
-        return self._settling.settled(core.time, core.command, measured, high - low)
 
     def moving(self, core: Controller) -> bool:
         """Whether the command is not yet where it goes."""
-        goal = core.goal(self.reach.tensions)
-        return bool(self.via) or not _same(core.command, goal)
-
-
-@dataclass(frozen=True)
-class Twist:
-    """A velocity of the tip [m/s] and [rad/s], in base axes or in those of the tip."""
-
-    linear: Array
-    angular: Array
-    in_tip: bool = False
-
-    @property
-    def moves(self) -> bool:
-        """Whether it is a velocity at all."""
-        return bool(self.linear.any() or self.angular.any())
+        return bool(self.via) or not _same(core.command, core.goal(self.reach.tensions))
 
 
 @dataclass
@@ -159,10 +152,15 @@ class FollowTwist:
         late = core.time - self.received > core.settings.twist_timeout
         if late or self.problem or not self.twist.moves:
             return None  # stops where it is
-        self._due = min(self._due + passed, LATE_MAX_S)
+        self._due = min(self._due + passed, CYCLE_MAX_S)  # no jump after a late solution
         if self.position is not None and not core.solver.busy('twist'):
             question = question_of(core, core.model, self._advanced(core), tracking=True)
-            core.solver.post('twist', question.answer, self._found)
+            lead_max = LEAD_LENGTH * core.model.robot.length
+
+            def done(found: Approach | None, error: TendonRobotError | None) -> None:
+                self._found(found, error, lead_max)
+
+            core.solver.post('twist', question.answer, done)
         if self.problem:
             return None
         return core.command if self.reach is None else self.reach.tensions
@@ -179,7 +177,9 @@ class FollowTwist:
         turns = core.settings.hold_direction or bool(angular.any())
         return Target(self.position, self.direction if turns else None)
 
-    def _found(self, found: Approach | None, error: TendonRobotError | None) -> None:
+    def _found(
+        self, found: Approach | None, error: TendonRobotError | None, lead_max: float
+    ) -> None:
         """Take tensions; what is wanted stays near to where the tip can be."""
         if found is None:
             self.problem = str(error)
@@ -188,8 +188,8 @@ class FollowTwist:
         assert self.position is not None
         ahead = self.position - shape.tip_position
         distance = float(np.linalg.norm(ahead))
-        if distance > LEAD_MAX_M:
-            self.position = shape.tip_position + ahead * (LEAD_MAX_M / distance)
+        if distance > lead_max:
+            self.position = shape.tip_position + ahead * (lead_max / distance)
         self.axes = shape.frames[-1]
 
     def moving(self, core: Controller) -> bool:
@@ -220,3 +220,100 @@ class PlayTrajectory:
 def _same(command: Array | None, goal: Array) -> bool:
     """Whether a command (m,) is at its goal."""
     return command is not None and np.array_equal(command, goal)
+
+
+def keeps_out(
+    core: Controller, trajectory: Trajectory, take: Callable[[Refusal | None], None]
+) -> tuple[Work, Done]:
+    """Return how to look whether a trajectory keeps out of the regions, and to say why not."""
+    model, last, acting = core.model, core.track.last, core.acting_tensions()
+    settings, command = core.settings, core.commanded
+
+    def work(give_up: GiveUp) -> Refusal | None:
+        here = model.follow(last, acting) if last is None or not settings.pull_mode else last
+        way = trajectory.begin(0.0, command)
+        return entered(model, here, way, settings.keep_out, settings.pull_mode)
+
+    def done(refusal: Refusal | None, error: TendonRobotError | None) -> None:
+        if error is not None:
+            refusal = Refusal('no_equilibrium', f'tendon_trajectory: {error}; nothing was played')
+        take(refusal)
+
+    return work, done
+
+
+@dataclass
+class PullPath:
+    """
+    Wire pulls (m,) [m] as commanded, and the shapes at the ends of the pieces ahead.
+
+    The solver is asked for a piece while the one before is on; where it is late, the arm waits.
+    """
+
+    pulls: Array
+    ahead: deque[Shape] = field(default_factory=deque)
+    _played: Array | None = None  # (m,) [N] that belong to the pulls of a trajectory
+
+    def advance(self, core: Controller, goal: Array, step: float) -> Array:
+        """Move by a step [N] towards a goal (m,) [N]; return the tensions (m,) [N] there."""
+        tensions, self._played = core.command, None
+        assert tensions is not None
+        if np.array_equal(tensions, goal):
+            self.ahead.clear()
+        self._ask(core, tensions, goal)
+        while self.ahead and step > 0.0:
+            end = self.ahead[0]
+            size = float(np.abs(end.inputs - tensions).max())
+            part = 1.0 if size <= step else step / size
+            tensions = tensions + part * (end.inputs - tensions)
+            self.pulls = self.pulls + part * (end.pulls - self.pulls)
+            step -= size
+            if part == 1.0:
+                tensions, self.pulls = end.inputs.copy(), end.pulls.copy()
+                self.ahead.popleft()
+        self._ask(core, tensions, goal)
+        return tensions
+
+    def _ask(self, core: Controller, tensions: Array, goal: Array) -> None:
+        """Have the solver look at the end of the next piece, while the arm is on one before."""
+        if len(self.ahead) >= 2 or core.solver.busy('piece'):
+            return
+        last = self.ahead[-1] if self.ahead else None
+        begin = tensions if last is None else last.inputs
+        end = approach(begin, goal, np.full_like(goal, core.settings.rate_limit * PIECE_S))
+        if np.array_equal(begin, end) and not core.track.problem:
+            return
+        track, now = core.track, core.time
+
+        def done(shape: Shape | None, error: TendonRobotError | None) -> None:
+            if track is not core.track:
+                return
+            if shape is None:
+                track.failed(now, str(error))
+                return
+            track.works()
+            if (self.ahead[-1] if self.ahead else None) is last:
+                self.ahead.append(shape)
+
+        core.solver.post('piece', track.finding(end, last), done)
+
+    def play(self, core: Controller, pulls: Array) -> Array:
+        """Command wire pulls (m,) [m] at once; return the last known tensions (m,) [N] there."""
+        tensions = core.command if self._played is None else self._played
+        assert tensions is not None
+        self.pulls, self._played = pulls, tensions
+        self.ahead.clear()
+        if core.solver.busy('playing'):
+            return tensions
+        model, guess, limits = core.model, core.track.last, core.settings.limits(core.model)
+        measured = MeasuredState(np.full(len(pulls), np.nan), pulls, core.time)
+
+        def work(give_up: GiveUp) -> Array:
+            return bounded(measured.in_newtons(model, limits, guess, tensions), limits)
+
+        def done(found: Array | None, error: TendonRobotError | None) -> None:
+            if found is not None:
+                self._played = found
+
+        core.solver.post('playing', work, done)
+        return self._played

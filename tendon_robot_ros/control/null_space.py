@@ -16,32 +16,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import TendonRobotError
-from ..model.inverse import CLEARANCE_BINDS_M, judged
-from ..model.program import STEP_MAX, STEP_SHARE, bounded_step
+from ..model.inverse import BALANCE_STEPS_MAX, CLEARANCE_BINDS_M, judged
+from ..model.program import STEP_GAIN, STEP_MAX, bounded_step
 from ..model.redundancy import Balance, balanced
 from .state import Controller
 from .target_search import tip_task
+from .tip_estimator import RANGE_TOLERANCE
 
 if TYPE_CHECKING:
     from ..model.derivatives import TipStiffness
     from ..model.model import Model
     from ..model.shape import Reach, Shape
-    from ..model.tip_task import Preferences, TipTask
+    from ..model.tip_task import Preferences
     from .solver import GiveUp
     from .state import Target
-    from .tip_estimator import TipEstimate
-    from .tip_step import TipStep
+    from .tip_estimator import TipEstimate, TipStep
 
 Array = NDArray[np.float64]
-STEP_N = 0.2  # [N] between two postures in open loop: the tip leaves its place by micrometres
-PROGRAMS_MAX, BUDGET_S = 40, 0.5  # to find the preferred tensions, and the time for it [s]
-STIFFNESS_PERIOD_S = 0.5  # [s] between two looks at the stiffness
-SPEED_MAX = 0.002  # [1/s] of the ranges: faster, the tip's bias changes before it is estimated
-DRIFT = 5e-4  # [1/s] of the length: velocity of the tip, 1 sd, that doubt of slopes may cause
-SLOPE_SD = 0.5  # [1] of the arm's length over the ranges: bias that such a motion causes, 1 sd
-HOLD_GAIN = 0.5  # [1/s] of the estimator: slower than `tip_gain`, since only noise moves the tip
-STANDS_SHARE = 2e-3  # [1] of the ranges: nearer to its goal, an arm counts as standing
-HANDOVER_SHARE = 3e-3  # [1] of the arm's length: further from its place, something pushes the tip
+# [s] of the solver, and between two looks at the stiffness, so that targets hardly wait for either
+SOLVER_PERIOD_S = 0.5
+# [1/s] of the ranges: faster, the tip's bias would change before it is estimated (docs/control.md)
+SPEED_MAX = 0.002
+# [1/s] of the length: velocity of the tip, 1 sd, that doubt of slopes may cause: 0.1 mm/s on 208
+# mm, so that the tracker sees it before it is a millimetre (docs/control.md)
+DRIFT = 5e-4
+# [1] of the arm's length over the ranges: bias that such a motion causes, 1 sd, because on an arm
+# that is not its model the tip leaves its place by a quarter of it and more (docs/control.md)
+SLOPE_LENGTH_SD = 0.5
+# [1/s] of the estimator: slower than `tip_gain`, because only noise moves the tip
+# (docs/control.md)
+HOLD_GAIN = 0.5
+# [1] of the arm's length: further from its place something pushes the tip, because the motion
+# alone moves it by less: 0.6 mm on 208 mm (docs/control.md)
+HANDOVER_LENGTH = 3e-3
 
 
 @dataclass(frozen=True)
@@ -95,22 +102,26 @@ class NullSpaceMotion:
             settled = known.covariance[0, 0] < 2.0 * HOLD_GAIN * passed  # twice its last variance
             return replace(self, place=here) if settled else self, goal
         away, length = float(np.linalg.norm(self.place - here)), tip.model.robot.length
-        if away > HANDOVER_SHARE * length:
+        if away > HANDOVER_LENGTH * length:
             return None, goal  # the tip loop takes over
         there, width = tip.there(goal), known.range
-        slopes, still = tip.slopes_at(there) + known.slopes, np.zeros(3)
+        slopes = tip.slopes_at(there) + known.slopes
         left = self.signs * np.maximum(self.signs * (self.tensions - goal) / width, 0.0)
         wish = left * min(1.0, STEP_MAX / max(float(np.abs(left).max()), 1e-12))
-        free = bounded_step(slopes, still, goal, tip.limits, least=wish, signs=self.signs) - goal
-        step = free / width
-        size = max(float(np.abs(step).max()), 1e-12)
-        if size < STANDS_SHARE and away < 2.0 * known.rest:
+
+        def step(wanted: Array, preferred: Array) -> Array:
+            return bounded_step(
+                slopes, wanted, goal, tip.limits, preferred=preferred, signs=self.signs
+            )
+
+        free = (step(np.zeros(3), wish) - goal) / width
+        size = max(float(np.abs(free).max()), 1e-12)
+        if size < RANGE_TOLERANCE and away < 2.0 * known.rest:
             return self, goal  # it is over: noise would have tensions rise for ever
         drift = DRIFT * length
-        speed = drift / max(known.slope_sd(step / size), drift / SPEED_MAX)
-        step *= min(1.0, speed * passed / size)
-        miss = STEP_SHARE * (self.place - there.tip_position - known.bias_at(goal))
-        return self, bounded_step(slopes, miss, goal, tip.limits, least=step, signs=self.signs)
+        speed = drift / max(known.slope_sd(free / size), drift / SPEED_MAX)
+        miss = STEP_GAIN * (self.place - there.tip_position - known.bias_at(goal))
+        return self, step(miss, free * min(1.0, speed * passed / size))
 
 
 class Standing(Controller, Protocol):
@@ -143,55 +154,57 @@ class NullSpace:
 
         Returns the next posture in open loop, None where there is no other one yet.
         """
-        if now - self._looked > STIFFNESS_PERIOD_S and not core.solver.busy('stiffness'):
+        if now - self._looked > SOLVER_PERIOD_S and not core.solver.busy('stiffness'):
             self._looked = now
-            self._look(core)
+            self._look_at_stiffness(core)
         wants, solution, target = core.settings.preferences, core.solution, core.target
         if wants is None or solution is None or target is None or core.settings.pull_mode:
             return None  # wires of given lengths leave no freedom
         if self._nearer is None and not core.solver.busy('balance'):
-            self._go_on(core, target, wants, solution)
+            last = self._for
+            if (
+                last is None
+                or not (last[0] is target and last[2] is core.model)
+                or last[1] != wants
+            ):  # begin anew
+                self._for, self._tensions, self._over = (target, wants, core.model), None, False
+                core.begin_motion(None)
+            if not self._over:
+                self._ask(core, target, wants, solution)
         nearer, self._nearer = self._nearer, None
         return nearer[1] if nearer is not None and nearer[0] is solution else None
-
-    def _go_on(self, core: Standing, target: Target, wants: Preferences, solution: Reach) -> None:
-        """Begin anew for another target, other preferences or another model; else go on."""
-        last = self._for
-        if last is None or not (last[0] is target and last[1] == wants and last[2] is core.model):
-            self._for, self._tensions, self._over = (target, wants, core.model), None, False
-            core.begin_motion(None)
-        if not self._over:
-            self._ask(core, target, wants, solution)
 
     def _ask(self, core: Standing, target: Target, wants: Preferences, solution: Reach) -> None:
         """Have the solver look for the preferred tensions, and in open loop for the next ones."""
         model, last, acting = core.model, core.track.last, core.acting_tensions()
-        keep_out, position, command = core.settings.keep_out, target.position, core.command
-        if position is not None:
-            position = position - core.tip_bias(position)
-        asked, settings = replace(target, position=position), core.settings
-        known, wanted_for, closed = self._tensions, self._for, core.settings.tip_gain > 0.0
+        settings, command, asked = core.settings, core.command, target
+        if target.position is not None:
+            asked = replace(target, position=target.position - core.tip_bias(target.position))
+        known, wanted_for, closed = self._tensions, self._for, settings.tip_gain > 0.0
         assert command is not None
 
         def work(give_up: GiveUp) -> tuple[Array, float, Reach | None]:
-            past = model.arrays.fresh_memory()
-            if model.remembers:
-                past = model.follow(last, acting).memory
-            target_task = task = tip_task(model, settings, asked, past)
-            if solution.status != 'reached':  # what is beyond reach is not asked for again
-                task = target_task.held_at(solution.shape)
-            balance = Balance(task, wants, keep_out)
+            past = model.follow(last, acting).memory if model.remembers else None
+            task = tip_task(model, settings, asked, past)
+            # what is beyond reach is not asked for again
+            held = task if solution.status == 'reached' else task.held_at(solution.shape)
+            balance = Balance(held, wants, settings.keep_out)
             here = task.shape(command, solution.shape.state)
             if closed:  # beyond what is stiff enough, since the motion ends on its way there
-                further = Balance(task, replace(wants, stiffness_enough=0.0), keep_out)
-                there = balanced(further, here, PROGRAMS_MAX, give_up)
+                further = Balance(held, replace(wants, stiffness_enough=0.0), settings.keep_out)
+                there = balanced(further, here, BALANCE_STEPS_MAX, give_up)
                 stiff = wants.stiffness > 0.0
                 enough = float(np.exp(balance.log_stiffness(there))) if stiff else np.inf
                 return there.inputs, enough, None
             tensions = known
             if tensions is None:
-                tensions = balanced(balance, here, PROGRAMS_MAX, give_up).inputs
-            return tensions, np.inf, _nearer(balance, target_task, here, tensions)
+                tensions = balanced(balance, here, BALANCE_STEPS_MAX, give_up).inputs
+            made = _step_towards(balance, here, tensions)
+            return (
+                tensions,
+                np.inf,
+                None if made is None else judged(task, made.inputs, made.state),
+            )
 
         def done(
             found: tuple[Array, float, Reach | None] | None, error: TendonRobotError | None
@@ -210,21 +223,21 @@ class NullSpace:
                 here = core.goal(solution.tensions)
                 core.begin_motion(NullSpaceMotion.begin(solution, self._tensions, here))
 
-        core.solver.post('balance', work, done, BUDGET_S)
+        core.solver.post('balance', work, done, SOLVER_PERIOD_S)
 
-    def _look(self, core: Standing) -> None:
+    def _look_at_stiffness(self, core: Standing) -> None:
         """Have the solver look how stiff the tip is; a motion ends where that is enough."""
         model, shape, wants = core.model, core.track.last, core.settings.preferences
         if shape is None or len(shape.bend) != model.robot.cells:
             return
         held = core.settings.pull_mode
 
-        def done(found: TipStiffness | None, error: TendonRobotError | None) -> None:
-            self.stiffness, motion = found, core.motion
-            if found is None or motion is None or wants is None:
+        def done(stiffness: TipStiffness | None, error: TendonRobotError | None) -> None:
+            self.stiffness, motion = stiffness, core.motion
+            if stiffness is None or motion is None or wants is None:
                 return
             along = np.array(wants.stiffness_direction)
-            stiff = found.along(along) if along.any() else found.softest[0]
+            stiff = stiffness.along(along) if along.any() else stiffness.softest[0]
             if stiff >= self._enough:
                 goal = core.goal(motion.solution.tensions)
                 core.begin_motion(replace(motion, tensions=goal))
@@ -247,17 +260,17 @@ class NullSpace:
         return words
 
 
-def _nearer(balance: Balance, task: TipTask, here: Shape, tensions: Array) -> Reach | None:
+def _step_towards(balance: Balance, here: Shape, tensions: Array) -> Shape | None:
     """Return the next posture towards tensions (m,) [N] with the same tip; None: there is none."""
     change = tensions - here.inputs
-    size = float(np.abs(change).max())
-    if size < 0.05 * STEP_N:
+    size, step = float(np.abs(change / balance.range).max()), STEP_MAX
+    if size < 0.05 * step:
         return None
-    looked = balance.look(balance.begin(here), here.inputs + min(1.0, STEP_N / size) * change)
+    looked = balance.look(balance.begin(here), here.inputs + min(1.0, step / size) * change)
     if looked is None:
         return None
     made = balance.corrected(looked).shape
-    if np.abs(tensions - made.inputs).max() > size - 0.05 * min(STEP_N, size):
+    if np.abs((tensions - made.inputs) / balance.range).max() > size - 0.05 * min(step, size):
         return None  # the tip stays on no way there
     near = balance.keep_out.clearance(made.positions).distance
-    return judged(task, made.inputs, made.state) if near > -CLEARANCE_BINDS_M else None
+    return made if near > -CLEARANCE_BINDS_M else None

@@ -18,7 +18,8 @@ GiveUp = Callable[[], bool]
 Work = Callable[[GiveUp], Any]  # reads no state that the commanding thread changes
 Done = Callable[[Any, TendonRobotError | None], None]
 SOLVER = 'solver'  # name of the thread
-END_TIMEOUT_S = 0.2  # [s] to wait for what is being evaluated
+# [s] to wait for what is being evaluated; a longer one would be seen when a node ends
+END_TIMEOUT_S = 0.2
 
 
 class Solver(Protocol):
@@ -188,12 +189,10 @@ class Worker:
             self._answered.append(partial(self._answer, kind, job))
             if job.urgent and not self._ended:
                 self._wake()
-            if self._loan is not None and not self._urgent():
+            with self._changed:
+                urgent = any(one.urgent for one in self._waiting.values())
+            if self._loan is not None and not urgent:
                 self._loan.end()
-
-    def _urgent(self) -> bool:
-        with self._changed:
-            return any(job.urgent for job in self._waiting.values())
 
     def _next(self) -> tuple[str, _Job] | None:
         with self._changed:

@@ -1,29 +1,30 @@
-"""What the controller is told and gives: commands, measured states, the shape now."""
+"""What the controller is told (settings, targets, twists, trajectories), and what it gives."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
-from ..common.errors import InputError, NoEquilibriumError
+from ..drivers.safety import bounded
 from ..model.pulls import limits_by_pulls
 from ..robot.keep_out import KeepOut
+from .checks import Refusal
 from .solver import GiveUp
 
 if TYPE_CHECKING:
-    from ..drivers.safety import StopLatch
     from ..model.model import Model
     from ..model.shape import Reach, Shape
     from ..model.tip_task import Preferences
     from .solver import Solver
 
 Array = NDArray[np.float64]
-STREAM_PERIOD_S = 0.25  # [s]: targets that come faster are a path, slower ones set points
+# [s] between targets: faster ones are a path, slower ones set points, because a person sends no
+# four in a second
+STREAM_PERIOD_S = 0.25
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class Settings:
     pull_mode: bool = False
     tip_gain: float = 0.0  # [1/s] of the integral on the measured tip, 0: open loop
     resume: bool = False  # go to the old target when the driver comes back
-    approach: str = 'any'  # one of `friction.APPROACHES`
+    approach: str = 'any'  # one of `approach.APPROACHES`
     preferences: Preferences | None = None  # None: low tension, where that is easy
     keep_out: KeepOut = field(default_factory=KeepOut)
     look_ahead: float = 0.0  # [s] by which targets that follow each other are led
@@ -59,6 +60,105 @@ class Target:
     direction: Array | None = None
     stamp: str = ''  # as its sender gave it, to tell targets apart
 
+    def same(self, other: Target) -> bool:
+        """Whether another one is the same, stamp and all."""
+        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
+        return all(np.array_equal(a, b) if isinstance(a, np.ndarray) else a == b for a, b in pairs)
+
+
+@dataclass(frozen=True)
+class Twist:
+    """A velocity of the tip [m/s] and [rad/s], in base axes or in those of the tip."""
+
+    linear: Array
+    angular: Array
+    in_tip: bool = False
+
+    @property
+    def moves(self) -> bool:
+        """Whether it is a velocity at all."""
+        return bool(self.linear.any() or self.angular.any())
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """
+    Values (n, m) [N], or [m] in pull mode, at times (n,) [s] since the trajectory came.
+
+    Between the points values go in straight lines. The first leg begins where the command is; when
+    the first time is 0 the command goes there at the rate limit. The end is held.
+    """
+
+    times: Array
+    values: Array
+    stamp: str = ''
+    began: float = np.inf  # monotonic [s]
+
+    @classmethod
+    def checked(
+        cls, times: Array, values: Array, limits: Array | None, inputs: tuple[str, ...]
+    ) -> Trajectory:
+        """
+        Refuse a trajectory that cannot be played as it stands.
+
+        Parameters
+        ----------
+        times : ndarray, shape (n,) [s]
+            Since its beginning, growing.
+        values : ndarray, shape (n, m) [N] or [m]
+            In the order of `inputs`.
+        limits : ndarray, shape (m, 2), optional
+            Lowest and highest value of each input.
+        inputs : tuple of str
+            Their names, for the message.
+
+        Raises
+        ------
+        Refusal
+
+        """
+        what = 'tendon_trajectory'
+        if not (np.isfinite(times).all() and np.isfinite(values).all()):
+            raise Refusal('not_finite', f'{what}: expected finite numbers')
+        if times[0] < 0.0 or np.any(np.diff(times) <= 0.0):
+            raise Refusal('times', f'{what}: expected times from 0 that grow from point to point')
+        if limits is None:
+            return cls(times, values)
+        outside = (values < limits[:, 0] - 1e-9) | (values > limits[:, 1] + 1e-9)  # rounding
+        if outside.any():
+            point, column = np.argwhere(outside)[0]
+            low, high = limits[column]
+            raise Refusal(
+                'limits',
+                f'{what}: point {point + 1}: {inputs[column]}: expected {low:g} to {high:g} N, '
+                f'got {values[point, column]:g}; nothing of it was played',
+            )
+        return cls(times, bounded(values, limits))
+
+    def begin(self, now: float, here: Array | None) -> Trajectory:
+        """Start the clock at a command (m,)."""
+        times, values = self.times, self.values
+        if times[0] > 0.0 and here is not None:
+            times, values = np.concatenate([[0.0], times]), np.vstack([here, values])
+        return replace(self, times=times, values=values, began=now)
+
+    def within(self, limits: Array) -> Trajectory:
+        """Return the same within the limits (m, 2) [N] of a model that came meanwhile."""
+        return replace(self, values=bounded(self.values, limits))
+
+    def at(self, now: float) -> Array:
+        """Return the values (m,) that are due."""
+        passed = now - self.began
+        return np.array([np.interp(passed, self.times, column) for column in self.values.T])
+
+    def over(self, now: float) -> bool:
+        """Whether the last point is due."""
+        return bool(now - self.began >= self.times[-1])
+
+    def passed(self, now: float) -> float:
+        """Return how much of it is played [s]."""
+        return float(min(now - self.began, self.times[-1]))
+
 
 @dataclass(frozen=True)
 class Output:
@@ -68,69 +168,8 @@ class Output:
     pulls: Array | None = None
 
 
-# -----------------------------------------------------------------------------
-# What the driver last measured, and how long ago that was.
-
-
-@dataclass
-class MeasuredState:
-    """Tensions (m,) [N] and wire pulls (m,) [m] as measured, nan where not observable."""
-
-    tensions: Array
-    pulls: Array
-    time: float  # monotonic [s]
-
-    @property
-    def observed(self) -> bool:
-        """Whether every tension was."""
-        return bool(np.all(np.isfinite(self.tensions)))
-
-    @property
-    def located(self) -> bool:
-        """Whether every wire pull was."""
-        return bool(np.all(np.isfinite(self.pulls)))
-
-    def observed_or(self, unknown: Array) -> Array:
-        """Return the measured tensions (m,) [N], or others where they are not observable."""
-        return np.maximum(self.tensions, 0.0) if self.observed else unknown
-
-    def complete(self, model: Model, tensions: Array) -> Array:
-        """Return the wire pulls (m,) [m]; those of tensions where they are not observable."""
-        if self.located:
-            return self.pulls
-        return np.where(np.isfinite(self.pulls), self.pulls, model.shape(tensions).pulls)
-
-    def in_newtons(
-        self, model: Model, limits: Array, guess: Shape | None, unknown: Array
-    ) -> Array:
-        """Return the tensions (m,) [N] of the wire pulls, or others where none belong to them."""
-        if not np.isfinite(self.pulls).any():
-            return unknown
-        low, high = limits.T
-        try:
-            shape = model.pull_shape(self.pulls, guess)
-            if np.all((shape.inputs >= low) & (shape.inputs <= high)):
-                return shape.inputs
-            # a slack tendon is below its limit: look for the same pulls within the limits
-            start = np.clip(shape.inputs, low + 1e-6, high - 1e-6)
-            known = np.isfinite(self.pulls)
-            fit = least_squares(
-                lambda tensions: 1e3 * (model.shape(tensions).pulls - self.pulls)[known],  # [mm]
-                start,
-                bounds=(low, high),
-                max_nfev=30,
-            )
-        except (NoEquilibriumError, InputError):
-            return unknown
-        return np.asarray(fit.x, dtype=float)
-
-
-# -----------------------------------------------------------------------------
-# The shape that the model gives from time to time, and for how long it has given none.
-
-
 class ShapeTracker:
-    """Starts each search for an equilibrium at the one before."""
+    """The last shape of the model; each search for an equilibrium starts at the one before."""
 
     def __init__(self, model: Model) -> None:
         """Begin straight."""
@@ -172,8 +211,6 @@ class Controller(Protocol):
     solver: Solver
     time: float  # [s] of the last cycle
     command: Array | None  # (m,) [N], None until the driver was heard
-    driver_stopped: str
-    latch: StopLatch
     track: ShapeTracker
 
     @property
@@ -213,5 +250,5 @@ class Controller(Protocol):
     def tip_bias(self, place: Array) -> Array:
         """Return by how much (3,) [m] the measured tip is off the model near a place (3,) [m]."""
 
-    def fresh(self, now: float) -> bool:
-        """Whether the driver was heard lately."""
+    def follows(self, now: float) -> bool:
+        """Whether the driver follows commands, and was heard lately."""

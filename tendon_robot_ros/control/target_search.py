@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import InputError, NoEquilibriumError
-from ..model.inverse import reach
+from ..model.inverse import JUMP_MAX, reach
 from ..model.shape import Reach
 from ..model.tip_task import COLD, STREAM, TRACK, Patience, Policy, TipTask
-from .friction import Approach, forgetting, forgotten
-from .keeping_out import cut_short
+from .approach import Approach, carried, cut_short, forgetting, forgotten
+from .checks import another_robot
 from .solver import GiveUp
 from .state import STREAM_PERIOD_S, Controller, Settings, Target
 
@@ -24,15 +24,19 @@ if TYPE_CHECKING:
     from ..model.shape import Shape
 
 Array = NDArray[np.float64]
-NEW_TARGET_BUDGET_S = 0.2  # [s] for a target that is none of a stream
-STREAM_BUDGET_SHARE = 0.8  # [1] of the time between targets of a stream; the shape needs the rest
-FIRST_ANSWER_S = 0.006  # [s] about a cycle: what is found until then is gone to
-STREAM_STEP_SHARE = 0.1  # [1] of the length: what is further off is no stream
-STREAM_TURN_RAD = 0.3  # [rad] and what is turned further
-MORE_TENSION_MAX = 0.1  # [1] of a tension's range, for a nearer tip that the loop finds anyway
-LEAD_SHARE_MAX = 0.1  # [1] of the length: further ahead a stream is not where it will go
-
 Report = Callable[[Reach], None]  # is given what a search has found so far
+# [s] for a target that is none of a stream: a person hardly notices, and the best found until then
+# is on its way; a longer search would seldom come nearer
+NEW_TARGET_BUDGET_S = 0.2
+# [1] of the time between targets of a stream, because the shape needs the rest
+STREAM_BUDGET = 0.8
+# [s] about a cycle: what is found until then is gone to, else the command would wait for the rest
+FIRST_ANSWER_S = 0.006
+# [1] of the length, between two targets of a stream, and by which one is led: what is further off
+# is somewhere else, because arms of this size go there in a second
+STREAM_LENGTH = 0.1
+# [rad] between two targets of a stream: as much of a bend, because a tip turns by twice its way
+STREAM_TURN_RAD = 0.3
 
 
 @dataclass(frozen=True)
@@ -72,7 +76,7 @@ class TargetSearch:
             velocity = (target.position - before.target.position) / passed
             if before.velocity is not None:  # senders are not that regular
                 velocity = 0.5 * (velocity + before.velocity)
-        budget = STREAM_BUDGET_SHARE * passed
+        budget = STREAM_BUDGET * passed
         return cls(target, now, budget, before.stream, True, velocity)
 
     @property
@@ -129,7 +133,7 @@ def ahead_of(core: Controller, search: TargetSearch) -> Target:
     if lead == 0.0 or search.velocity is None or target.position is None:
         return target
     step = lead * search.velocity
-    size, most = float(np.linalg.norm(step)), LEAD_SHARE_MAX * core.model.robot.length
+    size, most = float(np.linalg.norm(step)), STREAM_LENGTH * core.model.robot.length
     return replace(target, position=target.position + step * min(1.0, most / max(size, 1e-12)))
 
 
@@ -186,7 +190,7 @@ class ReachQuestion:
 
             found = forgotten(model, here, found.reach, from_there)
         if settings.keep_out:
-            found = cut_short(model, here, found, settings.keep_out, self._task(here))
+            found = cut_short(here, found, self._task(here))
         return found
 
     @property
@@ -195,8 +199,9 @@ class ReachQuestion:
 
     def _task(self, past: Shape | None) -> TipTask:
         """Return what is wanted of the tip of an arm that is reached from a shape."""
-        memory = None if past is None else past.memory
-        return tip_task(self.model, self.settings, self.target, memory)
+        settings, memory = self.settings, None if past is None else past.memory
+        task = tip_task(self.model, settings, self.target, memory)
+        return replace(task, by_pulls=settings.pull_mode, keep_out=settings.keep_out)
 
     def _policies(self) -> Iterator[Policy]:
         """
@@ -210,6 +215,7 @@ class ReachQuestion:
             yield TRACK
         if not self.tracking:
             stream = self.streamed and self.model.sticks
+            # more starts would not end within the time for a target
             yield STREAM if stream else replace(COLD, starts=STREAM.starts)
 
     def _reach(
@@ -223,9 +229,7 @@ class ReachQuestion:
         task = replace(
             self._task(past),
             guess=guess,
-            by_pulls=self.settings.pull_mode,
             preferences=None if self._near else self.settings.preferences,
-            keep_out=self.settings.keep_out,
         )
         policies = list(self._policies())
         for policy in policies[:-1]:
@@ -260,7 +264,7 @@ class ReachQuestion:
         there = [one for one in solutions if one.status == 'reached'] or solutions
         low, high = self.model.limits.T
         most = [float(((one.tensions - low) / (high - low)).max()) for one in there]
-        enough = min(most) + MORE_TENSION_MAX
+        enough = min(most) + JUMP_MAX
         return next(one for one, size in zip(there, most, strict=True) if size <= enough)
 
 
@@ -295,6 +299,31 @@ def question_of(
     )
 
 
+def with_model(
+    core: Controller, model: Model
+) -> Callable[[GiveUp], tuple[Shape | None, Reach | None]]:
+    """
+    Return how to find the shape by another model, and tensions for the target that is followed.
+
+    NoEquilibriumError where it has none at the present tensions, or for the target.
+    """
+    command, target, last, before = core.command, core.target, core.track.last, core.model
+    other = another_robot(model.robot, before.robot)
+    question = None if target is None or other else question_of(core, model, target)
+    acting = None if command is None else core.acting_tensions()
+
+    def work(give_up: GiveUp) -> tuple[Shape | None, Reach | None]:
+        here = None
+        if command is not None and acting is not None:
+            model.shape(command)
+            here = None if other else carried(model, before, last, acting)
+        if question is None:
+            return here, None
+        return here, replace(question, last=here or question.last).answer(give_up).reach
+
+    return work
+
+
 def _goes_on(core: Controller, before: TargetSearch, target: Target) -> bool:
     if core.time - before.began > STREAM_PERIOD_S:
         return False
@@ -305,7 +334,7 @@ def _goes_on(core: Controller, before: TargetSearch, target: Target) -> bool:
         return False
     if old.position is not None and target.position is not None:
         step = float(np.linalg.norm(target.position - old.position))
-        if step > STREAM_STEP_SHARE * core.model.robot.length:
+        if step > STREAM_LENGTH * core.model.robot.length:
             return False
     if old.direction is not None and target.direction is not None:
         return bool(old.direction @ target.direction > np.cos(STREAM_TURN_RAD))

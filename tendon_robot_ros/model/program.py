@@ -1,4 +1,4 @@
-"""One quadratic program with bounds, and the step of the tip that is one."""
+"""Bounded least squares and quadratic programs of a few tensions; the step of the tip by one."""
 
 from __future__ import annotations
 
@@ -6,8 +6,14 @@ import numpy as np
 import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
-STEP_DAMPING, STEP_MAX = 0.1, 0.03  # [1] of the largest slope, of a range: one step of the tip
-STEP_SHARE = 0.5  # [1] of what the tip is off, in one step of a loop that sees it
+# [1] of the largest slope: along directions of the tip with less, a step would ask for much
+# tension
+STEP_DAMPING = 0.1
+# [1] of a range, changed by one step of the tip: beyond it, slopes with friction would be others
+STEP_MAX = 0.03
+# [1] of what the tip is off, taken off in one step, so that a loop with some delay does not
+# overshoot (docs/control.md)
+STEP_GAIN = 0.5
 
 
 def solved(
@@ -39,19 +45,47 @@ def within(values: Floats, lower: Floats | float, upper: Floats | float) -> Floa
     return np.minimum(np.maximum(values, lower), upper)
 
 
+def bounded_least_squares(
+    matrix: Floats,
+    wanted: Floats,
+    lower: Floats,
+    upper: Floats,
+    damping: float = 1e-6,
+    preferred: Floats | float = 0.0,
+) -> Floats:
+    """
+    Return u (m,) with matrix u = wanted, as near as bounds let it.
+
+    min |A u - w|² + (damping |A|)² |u - preferred|² over lower <= u <= upper, where 0 is allowed.
+
+    Parameters
+    ----------
+    matrix : (r, m)
+    wanted : (r,)
+    lower, upper : (m,)
+    damping : float
+        Part of the largest singular value below which a direction is hardly followed [1].
+    preferred : (m,) or float
+        What u is where the matrix says nothing of it.
+
+    """
+    damped = (damping * float(np.linalg.norm(matrix, 2))) ** 2 + 1e-12
+    first = np.broadcast_to(preferred, lower.shape)
+    normal = matrix.T @ matrix + damped * np.eye(len(lower))
+    return solved(normal, -matrix.T @ wanted - damped * first, None, lower, upper)
+
+
 def bounded_step(
     slopes: Floats,
     wanted: Floats,
     tensions: Floats,
     limits: Floats,
     damping: float = STEP_DAMPING,
-    least: Floats | None = None,
+    preferred: Floats | float = 0.0,
     signs: Floats | None = None,
 ) -> Floats:
     """
     Return the tensions (m,) [N] within limits that move the tip as wanted by the least change.
-
-    min |J u - w|² + (damping |J|)² |u - least|², with u the change in shares of the ranges.
 
     Parameters
     ----------
@@ -62,8 +96,8 @@ def bounded_step(
         Where the step begins.
     limits : (m, 2) [N]
     damping : float
-        Share of the largest slope below which a direction of the tip is hardly followed [1].
-    least : (m,), optional
+        See `bounded_least_squares`.
+    preferred : (m,), optional
         Change that is made where the tip allows it [1] of the ranges; default: none.
     signs : (m,), optional
         1: a tension that may only rise, -1: only fall; default: both.
@@ -71,12 +105,8 @@ def bounded_step(
     """
     low, width = limits[:, 0], limits[:, 1] - limits[:, 0]
     u = (tensions - low) / width
-    size = float(np.linalg.norm(slopes, 2))
-    damped = (damping * size) ** 2 + 1e-12
-    first = np.zeros(len(u)) if least is None else least
     down, up = np.maximum(-u, -STEP_MAX), np.minimum(1.0 - u, STEP_MAX)
     if signs is not None:
         down, up = np.where(signs > 0.0, 0.0, down), np.where(signs > 0.0, up, 0.0)
-    matrix = slopes.T @ slopes + damped * np.eye(len(u))
-    made = solved(matrix, -slopes.T @ wanted - damped * first, None, down, up)
+    made = bounded_least_squares(slopes, wanted, down, up, damping, preferred)
     return low + within(u + made, 0.0, 1.0) * width

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, pchip_interpolate
 
 from ..common.errors import InputError
-from ..control.state import STREAM_PERIOD_S
-from ..control.trajectory import Trajectory
+from ..control.state import STREAM_PERIOD_S, Trajectory
 from ..model.inverse import reach
 from ..model.tip_task import TipTask
 from ..robot.keep_out import KeepOut

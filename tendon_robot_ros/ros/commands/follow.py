@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 
 from ...common.errors import DataSetError, InputError
 from ...common.files import file_to_write, refuse_ending
+from ...control.approach import entered
 from ...control.checks import Refusal
-from ...control.keeping_out import entered
-from ...control.trajectory import Trajectory
+from ...control.state import Trajectory
 from ...data.csv_file import first_line
 from ...data.path_files import NO_PATH, TendonRows, TipRows, read_moves, read_path
 from ...data.recording.reader import is_bag, opened
@@ -185,14 +185,14 @@ def _entering(pilot: Pilot, times: Array, values: Array, file: str) -> str:
     """Say when rows (n, m) of the tendons would take the arm into a region of a file, else ''."""
     model = pilot.model()
     here = _standing(pilot, model)
-    return _said(entered(model, here, times, values, load_keep_out(file), pilot.pull))
+    return _said(entered(model, here, Trajectory(times, values), load_keep_out(file), pilot.pull))
 
 
 def _crossing(model: Model, here: Shape, planned: Plan, rate: float, regions: KeepOut) -> str:
     """Say when the arm would enter a region on the way to a path or along it, else ''."""
     way, times = np.abs(planned.tensions[0] - here.inputs), planned.path.times
     times = times + float(way.max()) / rate
-    return _said(entered(model, here, times, planned.tensions, regions, False))
+    return _said(entered(model, here, Trajectory(times, planned.tensions), regions, False))
 
 
 def _standing(pilot: Pilot, model: Model) -> Shape:

@@ -3,7 +3,7 @@ Actions: goals with feedback, result and cancel, for scripts and behaviour trees
 
 ~/follow_joint_trajectory (control_msgs), ~/navigate_to_pose and ~/navigate_through_poses
 (nav2_msgs): offered where the package of the type is installed. What the arm does for a goal is
-control/goals.py; here it is only translated.
+control/status.py; here it is only translated.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from ...control import ControllerCore, Refusal, Target
-from ...control.goals import GoalOutcome, MotionGoal, Progress, Tolerance
+from ...control.status import GoalOutcome, MotionGoal, Progress, Tolerance
 from ..shared.messages import duration, pose, seconds, stamp_now
 from .incoming import Incoming
 

@@ -14,7 +14,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from ...control import Refusal, Target, Twist
 from ...control.checks import by_name, check_frame, check_stamp, direction, finite, position
-from ...control.trajectory import Trajectory, checked
+from ...control.state import Trajectory
 from ...data.tracker_faults import not_there
 from ...model.model import Model
 from ...robot import Robot
@@ -149,7 +149,9 @@ class Incoming:
         values = np.array(rows)[:, order]
         times = np.array([seconds(point.time_from_start) for point in message.points])
         limits = None if pull else self._model.limits
-        return replace(checked(times, values, limits, inputs), stamp=_text(message.header))
+        return replace(
+            Trajectory.checked(times, values, limits, inputs), stamp=_text(message.header)
+        )
 
     def _header(self, header: Header, what: str) -> tuple[Array, Array]:
         self._stamp(header, what)

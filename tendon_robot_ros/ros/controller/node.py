@@ -25,7 +25,7 @@ from ...common.errors import TendonRobotError
 from ...common.local_stop import StopListener, Stoppable
 from ...common.processes import REALTIME_PRIORITY_SECOND, go_realtime, in_realtime
 from ...control import ControllerCore, Refusal
-from ...control.model_change import another_robot
+from ...control.checks import another_robot
 from ...control.solver import SOLVER, Worker
 from ...control.status import controller_status
 from ...model.model import Model

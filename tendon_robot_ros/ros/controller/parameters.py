@@ -6,7 +6,7 @@ import math
 
 from ...common.errors import InputError
 from ...control import Settings
-from ...control.friction import APPROACHES
+from ...control.approach import APPROACHES
 from ...model.tip_task import Preferences
 from ...robot.keep_out import KeepOut, parse_keep_out, text_of
 from ..shared.lifecycle import AUTOSTART

@@ -21,7 +21,7 @@ from ...common.errors import InputError, TendonRobotError
 from ...common.rotations import towards
 from ...control.checks import direction as looks
 from ...control.loading import load
-from ...control.trajectory import Trajectory
+from ...control.state import Trajectory
 from ...effects import load_catalogue
 from ...model.model import Model
 from ...robot import load_robot
