@@ -29,8 +29,8 @@ from tendon_robot_ros.common.processes import one_thread
 from tendon_robot_ros.data import default_markers
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.monitoring.built_arm import BuiltArm
-from tendon_robot_ros.monitoring.drift import DriftAlarm
-from tendon_robot_ros.monitoring.possible_changes import TRACKER
+from tendon_robot_ros.monitoring.change import TRACKER
+from tendon_robot_ros.monitoring.watch import DriftAlarm
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.robot.estimates import natural_sizes
 from tendon_robot_ros.simulation.hidden import Workmanship

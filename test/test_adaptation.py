@@ -6,8 +6,12 @@ from source_tree import ROOT
 
 from tendon_robot_ros.data import default_markers
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.monitoring.adaptation import CHANGE_EVERY, JUDGED_POSTURES, Adaptation
-from tendon_robot_ros.monitoring.recursive import RecursiveEstimate
+from tendon_robot_ros.monitoring.adaptation import (
+    CHANGE_EVERY,
+    JUDGED_POSTURES,
+    Adaptation,
+    RecursiveEstimate,
+)
 from tendon_robot_ros.robot import dump_robot, load_robot, parse_robot
 from tendon_robot_ros.workspace.postures import default_postures
 

@@ -1,6 +1,7 @@
-"""The monitor without ROS: alignment in time, stillness, recording, what is offered to add."""
+"""The monitor without ROS: alignment in time, stillness, means, recording, what it may add."""
 
 import json
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.monitoring import History, Monitor, StillWindow
 from tendon_robot_ros.monitoring.job import Course, Work, guide_of
+from tendon_robot_ros.monitoring.monitor import FrameMean
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.rehearsal import Story, choices, draw, refined, tour
 from tendon_robot_ros.workspace.postures import default_postures
@@ -236,3 +238,66 @@ def test_how_far_a_diagnosis_is_never_goes_back_and_says_how_long_it_takes(capsy
     told = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [one['part'] for one in told] == [0.42, 0.6, 0.6, 0.6]
     assert told[1]['text'] == 'effects again 1/1 (60 %, about 40 s to go)'
+
+
+FRAME_NOISE, J = 2e-4, 20
+SHAPE = np.random.default_rng(0).normal(0.0, 0.1, (J, 3))
+TENSIONS = np.array([0.5, 0.5])
+SLOPES = np.random.default_rng(1).normal(0.0, 1.0, (3 * J, 3))
+
+
+def fed_frames(
+    made, random, count, shape=SHAPE, tensions=TENSIONS, begin=0.0, batch=6, slopes=SLOPES
+):
+    """Take so many batches at five a second; return what each was averaged with."""
+    taken = []
+    for number in range(count):
+        for k in range(batch):
+            at = begin + 0.2 * number + 0.2 * k / batch
+            made.put(at, tensions, shape + random.normal(0.0, FRAME_NOISE, shape.shape))
+        taken.append(made.take(slopes))
+    return taken
+
+
+def test_an_arm_that_stands_is_averaged_over_all_its_frames_and_seldom_begun_anew():
+    random, made = np.random.default_rng(2), FrameMean(FRAME_NOISE, 0.01, 1e9)
+    taken = fed_frames(made, random, 400)
+    counts = [frames for _, frames in taken]
+    restarts = sum(after < before for before, after in pairwise(counts))
+    assert restarts <= 4, 'two tests of 0.1 % each: 0.8 are expected'
+    mean, frames = taken[-1]
+    off = (mean - SHAPE).ravel()
+    assert np.sqrt(np.mean(off**2)) == pytest.approx(FRAME_NOISE / np.sqrt(frames), rel=0.3)
+
+
+def test_it_forgets_what_is_older_than_it_may_be():
+    made = FrameMean(FRAME_NOISE, 0.01, 1.0)
+    taken = fed_frames(made, np.random.default_rng(3), 30)
+    assert max(frames for _, frames in taken) == 36
+    assert taken[-1][1] == 36
+
+
+def test_a_small_force_that_hides_in_the_noise_of_a_frame_is_a_change():
+    """Five batches' deviations along what a force does: 0.6 of the noise of a coordinate."""
+    random, made = np.random.default_rng(4), FrameMean(FRAME_NOISE, 0.01, 1e9)
+    fed_frames(made, random, 5)
+    along = np.linalg.qr(SLOPES)[0][:, 0].reshape(J, 3)
+    pushed = SHAPE + 6.0 * FRAME_NOISE / np.sqrt(6.0) * along
+    assert np.abs(pushed - SHAPE).max() < 1.5 * FRAME_NOISE
+    ((mean, frames),) = fed_frames(made, random, 1, pushed, begin=1.0)
+    assert frames == 6
+    assert abs(np.sum((mean - pushed) * along)) < 4.0 * FRAME_NOISE / np.sqrt(6.0)
+
+
+def test_other_tensions_and_frames_without_the_arm_begin_anew():
+    random, made = np.random.default_rng(5), FrameMean(FRAME_NOISE, 0.01, 1e9)
+    assert fed_frames(made, random, 3)[-1][1] == 18
+    assert fed_frames(made, random, 1, tensions=TENSIONS + 0.02, begin=1.0)[-1][1] == 6
+    lost = np.full((J, 3), np.nan)
+    lost[0] = SHAPE[0]
+    mean, frames = fed_frames(made, random, 1, lost, tensions=TENSIONS + 0.02, begin=2.0)[-1]
+    assert frames == 12
+    assert np.isfinite(mean).all(), 'what was seen before counts'
+    made.put(3.0, TENSIONS, np.full((J, 3), np.nan))
+    mean, _ = made.take(None)
+    assert np.isnan(mean).all()

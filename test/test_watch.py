@@ -15,13 +15,16 @@ from tendon_robot_ros.investigation.goal import Goal, InvestigationEnd
 from tendon_robot_ros.investigation.loop import Investigation
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.monitoring.built_arm import BuiltArm
-from tendon_robot_ros.monitoring.change import ChangeFinder, ChangeFit
-from tendon_robot_ros.monitoring.drift import DriftAlarm, _ChangeBegun
-from tendon_robot_ros.monitoring.noise_sizes import log_likelihoods
-from tendon_robot_ros.monitoring.possible_changes import changes_of
-from tendon_robot_ros.monitoring.references import widening
+from tendon_robot_ros.monitoring.change import (
+    ChangeFinder,
+    ChangeFit,
+    changes_of,
+    dump_change,
+    load_change,
+)
+from tendon_robot_ros.monitoring.references import log_likelihoods, widening
 from tendon_robot_ros.monitoring.tip_force import TipForceObserver
-from tendon_robot_ros.monitoring.watch import ArmWatch, WatchSettings, dump_change, load_change
+from tendon_robot_ros.monitoring.watch import ArmWatch, DriftAlarm, WatchSettings, _ChangeBegun
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.plant import make_plant
@@ -209,7 +212,7 @@ def test_a_load_that_the_arm_bends_over_for_is_found_from_another_start(monkeypa
     assert first.name == 'tip_load'
     assert first.values['force_x'] == pytest.approx(0.011, rel=0.1)
     assert first.values['force_z'] == pytest.approx(0.0168, rel=0.1)
-    monkeypatch.setattr('tendon_robot_ros.monitoring.change.CHANCE_MIN', -1.0)
+    monkeypatch.setattr('tendon_robot_ros.monitoring.change.ODD_PROBABILITY', -1.0)
     assert finder.suspects()[0].name != 'tip_load', 'these postures show nothing'
 
 

@@ -11,8 +11,8 @@ from watched_arm import NOISE, ROBOT, averaged, postures
 from tendon_robot_ros.data import default_markers
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.monitoring.built_arm import BuiltArm
-from tendon_robot_ros.monitoring.drift import DriftAlarm
 from tendon_robot_ros.monitoring.references import Reference, contradicted
+from tendon_robot_ros.monitoring.watch import DriftAlarm
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.plant import make_plant

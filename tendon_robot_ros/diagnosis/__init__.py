@@ -19,7 +19,7 @@ intervals.py          95 % intervals of parameters, forces, and sizes of imperfe
 
 The diagnosis
 verdict.py            thresholds, and the table of the verdicts (sentence, colour, advice); the
-                      threshold of the drift alarm is in monitoring/drift.py
+                      threshold of the drift alarm is in monitoring/watch.py
 diagnose.py           `diagnose`: from the evidence to a verdict; what cannot be told apart
 candidates.py         effects that may be missing; which of them the postures test
 patterns.py           patterns without physics: does the catalogue lack the cause

@@ -3,7 +3,7 @@ The thresholds by which a verdict is found, and the one table of what a verdict 
 
 `diagnose` decides by them. What belongs to one test alone stands beside it: readings that others
 contradict in comparison/outliers.py, the noise of trials in comparison/noise.py, drift in
-monitoring/drift.py.
+monitoring/watch.py.
 
 Nothing else decides what is said of a data set; the reports, the monitor and the live page read
 what is said from here.

@@ -14,8 +14,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from ..monitoring.change import APART_PROBABILITY, ChangeFinder
-from ..monitoring.possible_changes import Suspect, described
+from ..monitoring.change import APART_PROBABILITY, ChangeFinder, Suspect, described
 from .arm import PostureMeasured
 from .measuring import Measurer, News
 

@@ -10,6 +10,18 @@ description) and of the imperfections b of the arm (prior: plausible sizes); f' 
 description in use follows slowly: only where the estimate differs from it by more than chance,
 by a share of the interval at a time, never beyond it, and only if the error over the last
 postures falls with it. Every change can be undone.
+
+The estimate has Kalman filters side by side, so that the data choose its memory. The state holds p
+parameters that may move slowly and q others that never do, in units of their prior standard
+deviation. Before every measurement a filter forgets of the parameters
+
+    P -> (l P^-1 + (1 - l) P0^-1)^-1,   0 < l <= 1,   P0 = 1,
+
+as if part of what is known were exchanged for the prior (stabilised forgetting, Kulhavy and
+Zarrop 1993): with l = 1 it is least squares, and however little the measurements say, P never
+exceeds P0. Each filter has its own l, and its own size of what a model always gets wrong. Their
+weights are their predictive likelihoods, the older ones raised to a power below 1, so that a
+filter that was wrong long ago comes back (dynamic model averaging, Raftery, Karny, Ettler 2010).
 """
 
 from __future__ import annotations
@@ -17,11 +29,14 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from ..common.estimation import kalman_update
 from ..common.words import listed, with_unit
 from ..comparison.predict import FreeParameter, free_parameters
 from ..comparison.statistics import chi2_isf
@@ -29,19 +44,168 @@ from ..data import Marker
 from ..diagnosis.description import with_values
 from ..model.model import Model
 from ..robot import Robot
-from .built_arm import BuiltArm
-from .recursive import RecursiveEstimate
+from .built_arm import ODD_PROBABILITY, REMAINDERS, BuiltArm
+from .change import CONFIRMED_POSTURES
 
 Floats = npt.NDArray[np.float64]
-INTERVAL_SD = 1.96  # half of a 95 % interval in standard deviations
-REMAINDER_SHARES = (0.0003, 0.001, 0.003, 0.01)  # of the length, at the tip: each is tried
-CHANCE_PROBABILITY = 0.01  # of a difference from what is in use, below which it is none
-ODD_PROBABILITY = 1e-6  # of a posture that parameters within their intervals do not explain
-ODD_POSTURES = 3  # in a row, from which on nothing follows any more
-END_SHARE = 0.02  # of an interval, within which an estimate is at its end
-STEP_SHARE_MAX = 0.25  # of an interval, that a parameter moves at a time
-JUDGED_POSTURES = 8  # by whose error a change is judged
-CHANGE_EVERY = 4  # postures between two changes
+# [1] standard deviations of half of a 95 % interval, as values are by chance
+INTERVAL_SD = NormalDist().inv_cdf(0.975)
+# [1] probability of a difference from what is in use by chance; with more it is none
+CHANCE_PROBABILITY = 0.01
+# [1] of an interval, within which an estimate is at its end, because the prior keeps it from there
+END = 0.02
+# [1] of an interval, that a parameter moves at a time, so that one wrong estimate cannot move it
+# far
+STEP_MAX = 0.25
+# [1] postures between two changes, so that the error after the last one shows
+CHANGE_EVERY = 4
+# [1] postures by whose error a change is judged: those before and after the last one, so that both
+# count
+JUDGED_POSTURES = 2 * CHANGE_EVERY
+# [1] of what is known kept from one measurement to the next: the memory is of all, of 50, of 10
+# and of 3 measurements, so that the data choose
+MEMORIES = 1.0, 0.98, 0.9, 0.7
+# [1] power of a weight from one measurement to the next, so that a filter that was wrong 30 of
+# them ago comes back (Raftery, Karny, Ettler 2010)
+WEIGHT_MEMORY = 0.97
+# [1] of a weight, so that no filter is ever out
+WEIGHT_MIN = 1e-6
+
+
+class _Filter:
+    """A Kalman filter with one memory and one size of the remainder."""
+
+    def __init__(self, memory: float, remainder: float, parameters: int, others: int) -> None:
+        self.memory, self.remainder, self.p = memory, remainder, parameters
+        self.mean, self.covariance = np.zeros(parameters + others), np.eye(parameters + others)
+
+    def forget(self) -> None:
+        """Exchange part of what is known of the parameters for the prior."""
+        if self.memory == 1.0:
+            return
+        here = self.covariance[: self.p, : self.p]
+        told = self.memory * np.linalg.inv(here) + (1.0 - self.memory) * np.eye(self.p)
+        self.covariance[: self.p, : self.p] = np.linalg.inv(told)
+
+    def learn(self, off: Floats, columns: Floats, noise: Floats) -> tuple[float, float]:
+        """Take a residual (r,) around the mean; return predictive log likelihood and chi²."""
+        after = kalman_update(self.mean, self.covariance, columns, off, noise)
+        self.mean, self.covariance = after.mean, after.covariance
+        return after.log_likelihood, after.chi2
+
+    def keep_within(self, low: Floats, high: Floats) -> None:
+        """Bring parameters back to the nearest bound; what is tied to them follows."""
+        for k in range(self.p):  # Simon 2006, eq. 7.94, one bound after the other
+            off = self.mean[k] - np.clip(self.mean[k], low[k], high[k])
+            if off != 0.0 and self.covariance[k, k] > 0.0:
+                self.mean = self.mean - self.covariance[:, k] * (off / self.covariance[k, k])
+        self.mean[: self.p] = np.clip(self.mean[: self.p], low, high)
+
+
+class RecursiveEstimate:
+    """Parameters that may move, beside others that do not; see the module."""
+
+    def __init__(
+        self,
+        low: Floats,
+        high: Floats,
+        others: int = 0,
+        remainders: Sequence[float] = (0.0,),
+        memories: Sequence[float] = MEMORIES,
+    ) -> None:
+        """
+        Know nothing but the prior: N(0, 1) each, parameters within bounds.
+
+        Parameters
+        ----------
+        low, high : (p,) [prior sd]
+            Bounds that no parameter leaves.
+        others : int
+            Number q of states that do not move.
+        remainders : sequence of float
+            1 sd of what the model always gets wrong [m]; each is tried.
+        memories : sequence of float
+            Shares l that are kept from one measurement to the next [1]; each is tried.
+
+        """
+        self.low, self.high = np.array(low, dtype=float), np.array(high, dtype=float)
+        self._filters = [
+            _Filter(memory, remainder, len(self.low), others)
+            for memory, remainder in product(memories, remainders)
+        ]
+        self.weights = np.full(len(self._filters), 1.0 / len(self._filters))
+
+    @property
+    def mean(self) -> Floats:
+        """Mean (p + q,) of all filters [prior sd]."""
+        mean, p = self.weights @ np.array([f.mean for f in self._filters]), len(self.low)
+        mean[:p] = np.clip(mean[:p], self.low, self.high)  # of values within: rounding alone
+        return np.asarray(mean)
+
+    @property
+    def covariance(self) -> Floats:
+        """Covariance (p + q, p + q) of all filters, what they differ by in it [prior sd²]."""
+        mean, total = self.mean, 0.0
+        for weight, one in zip(self.weights, self._filters, strict=True):
+            off = one.mean - mean
+            total = total + weight * (one.covariance + np.outer(off, off))
+        return np.asarray(total)
+
+    @property
+    def memory(self) -> float:
+        """Share that is kept from one measurement to the next, as the data have it [1]."""
+        return float(self.weights @ [one.memory for one in self._filters])
+
+    @property
+    def remainder(self) -> float:
+        """1 sd of what the model always gets wrong, as the data have it [m]."""
+        return float(self.weights @ [one.remainder for one in self._filters])
+
+    def learn(
+        self, off: Floats, columns: Floats, noise: Floats, remainder: Floats | float = 0.0
+    ) -> float:
+        """
+        Take a measurement.
+
+        Parameters
+        ----------
+        off : (r,) [m]
+            Measured minus predicted, at the present `mean`.
+        columns : (r, p + q) [m per prior sd]
+            How the state moves what is measured, there.
+        noise : (r, r) [m²]
+            Covariance of the measurement.
+        remainder : (r, r), optional
+            Covariance of what a model gets wrong that is off by 1 m.
+
+        Returns
+        -------
+        float
+            Least chi² of all filters: how badly the measurement fits at best.
+
+        """
+        at, told = self.mean, list[tuple[float, float]]()
+        for one in self._filters:
+            one.forget()
+            spread = noise + one.remainder**2 * remainder
+            told.append(one.learn(off - columns @ (one.mean - at), columns, spread))
+            one.keep_within(self.low, self.high)
+        logs = WEIGHT_MEMORY * np.log(self.weights) + np.array([log for log, _ in told])
+        weights = np.exp(logs - logs.max())
+        weights = weights / weights.sum() + WEIGHT_MIN
+        self.weights = weights / weights.sum()
+        return min(chi2 for _, chi2 in told)
+
+    def fits(self, off: Floats, columns: Floats, noise: Floats, remainder: Floats) -> float:
+        """Return the least chi² (degrees of freedom: r) of a measurement, without taking it."""
+        at, least = self.mean, np.inf
+        for one in self._filters:
+            known = one.covariance.copy()
+            known[: one.p, : one.p] += np.eye(one.p)  # wherever the parameters are by now
+            spread = columns @ known @ columns.T + noise + one.remainder**2 * remainder
+            own = off - columns @ (one.mean - at)
+            least = min(least, float(own @ np.linalg.solve(spread, own)))
+        return least
 
 
 @dataclass(frozen=True)
@@ -167,7 +331,7 @@ class Adaptation:
         """How it is, in words."""
         if self.problem:
             return self.problem
-        if self._odd >= ODD_POSTURES:
+        if self._odd >= CONFIRMED_POSTURES:
             return (
                 f'the last {self._odd} postures fit with no value within the intervals: '
                 'something else has changed; investigate'
@@ -178,7 +342,7 @@ class Adaptation:
         for one, value, sd in self._values():
             width, unit = INTERVAL_SD * sd, one.free.parameter.unit
             said.append(with_unit(f'{one.name} {value:.4g} ± {width:.2g}', unit))
-            if min(value - one.low, one.high - value) < END_SHARE * (one.high - one.low):
+            if min(value - one.low, one.high - value) < END * (one.high - one.low):
                 ends.append(f'{one.name} is at the end of its interval: investigate')
         return '; '.join([*said, *ends])
 
@@ -235,12 +399,10 @@ class Adaptation:
             for one, z, s in zip(self._followed, mean.tolist(), sd.tolist(), strict=False)
         ]
 
-    def _point(self) -> dict[FreeParameter, float]:
-        return {one.free: value for one, value, _ in self._values()}
-
     def _learn(self, tensions: Floats, positions: Floats, frames: int) -> bool:
         """Take a posture into the estimate; return whether the model has it."""
-        measured, point, arm = positions.ravel(), self._point(), self._arm
+        measured, arm = positions.ravel(), self._arm
+        point = {one.free: value for one, value, _ in self._values()}
         rows = np.isfinite(measured)
         expected = arm.expected(tensions, point)
         if expected is None or not rows.any():
@@ -250,7 +412,12 @@ class Adaptation:
             return False
         columns = np.hstack([own, expected.columns])[rows]
         if self._estimate is None:
-            self._estimate = self._begun(expected.columns.shape[1])
+            self._estimate = RecursiveEstimate(
+                np.array([one.units(one.low) for one in self._followed]),
+                np.array([one.units(one.high) for one in self._followed]),
+                expected.columns.shape[1],
+                [part * self.robot.length for part in REMAINDERS[1:]],
+            )
         known = columns[:, own.shape[1] :] @ self._estimate.mean[own.shape[1] :]
         off = measured[rows] - expected.markers[rows] - known
         noise, rest = arm.noise**2 / frames * np.eye(len(off)), arm.rest(rows)
@@ -259,12 +426,6 @@ class Adaptation:
         if not self._odd:
             self._estimate.learn(off, columns, noise, rest)
         return True
-
-    def _begun(self, imperfections: int) -> RecursiveEstimate:
-        low = np.array([one.units(one.low) for one in self._followed])
-        high = np.array([one.units(one.high) for one in self._followed])
-        sizes = [share * self.robot.length for share in REMAINDER_SHARES]
-        return RecursiveEstimate(low, high, imperfections, sizes)
 
     def _slopes(self, point: dict[FreeParameter, float], inputs: Floats) -> Floats | None:
         """Return how parameters move the markers (3 J, p) [m per prior sd], exactly."""
@@ -284,10 +445,10 @@ class Adaptation:
         p = len(self._followed)
         in_use = np.array([one.units(self._in_use(one)) for one in self._followed])
         off = self._estimate.mean[:p] - in_use
-        told = np.linalg.inv(self._estimate.covariance[:p, :p])
-        if off @ told @ off < chi2_isf(CHANCE_PROBABILITY, p):
+        information = np.linalg.inv(self._estimate.covariance[:p, :p])
+        if off @ information @ off < chi2_isf(CHANCE_PROBABILITY, p):
             return None
-        most = STEP_SHARE_MAX * 2.0 * INTERVAL_SD
+        most = STEP_MAX * 2.0 * INTERVAL_SD
         moved = in_use + off * min(1.0, most / float(np.abs(off).max()))
         after = {
             one.free: float(np.clip(one.centre + one.spread * z, one.low, one.high))
@@ -297,22 +458,23 @@ class Adaptation:
         errors = self._error(before), self._error(after)
         if not errors[1] < errors[0]:
             return None
-        change = ModelChange(self.postures, self._told(before, after), *errors, self.robot)
+        told = tuple(
+            ParameterChange(
+                one.free.effect,
+                one.free.key,
+                before[one.free],
+                after[one.free],
+                one.low,
+                one.high,
+                one.free.parameter.unit,
+            )
+            for one in self._followed
+        )
+        change = ModelChange(self.postures, told, *errors, self.robot)
         self.robot = with_values(self.robot, self._catalogue, after.items())
         self.changes.append(change)
         self._changed_at = self.postures
         return change
-
-    def _told(
-        self, before: dict[FreeParameter, float], after: dict[FreeParameter, float]
-    ) -> tuple[ParameterChange, ...]:
-        return tuple(
-            ParameterChange(
-                one.free.effect, one.free.key, before[one.free], after[one.free],
-                one.low, one.high, one.free.parameter.unit,
-            )
-            for one in self._followed
-        )  # fmt: skip
 
     def _in_use(self, one: _Followed) -> float:
         values = self.robot.effects[one.free.effect]

@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from ..common.estimation import kalman_update
 from ..comparison.predict import Point, Predictor, SettledShapes
 from ..data import DataSet, Marker
 from ..diagnosis.imperfections import GAIN, KINK, PLAUSIBLE_SIZES, SplitPredictor, remainders
@@ -27,16 +28,22 @@ from ..effects import Catalogue
 from ..model.shape import ShapeBatch
 from ..robot import Robot
 from ..robot.estimates import bend_rates, end_sections, natural_sizes
-from .noise_sizes import log_likelihoods
-from .references import Reference, contradicted, widening
+from .references import Reference, contradicted, log_likelihoods, widening
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
-REMAINDER_SHARES = (0.0, 0.0003, 0.001, 0.003, 0.01)  # of the length, at the tip
-SETTING_SIZES = (0.0, 0.0005, 0.001, 0.002, 0.005)  # relative 1 sd of a tension as read
-FITS = 2  # of the sizes
-LOOKS = 6  # at the references that count, at most
-FAR_FACTOR = 10.0  # [1] of the median: a reference further from the description is misread
+# [1] of the length, at the tip: 1 sd of what no imperfection explains; factors of three, because
+# the likelihood tells no finer
+REMAINDERS = 0.0, 0.0003, 0.001, 0.003, 0.01
+# [1] relative 1 sd of a tension as read, from a perfect load cell to one that would be refused
+SETTINGS = 0.0, 0.0005, 0.001, 0.002, 0.005
+# [1] rounds of sizes and misread references; what changes more often would go to and fro for ever
+ROUNDS_MAX = 6
+# [1] of the median error: a reference further from the description is misread, because no arm is
+# as different from itself
+FAR_FACTOR = 10.0
+# [1] probability of a posture by chance, below which it is surely not that of the arm
+ODD_PROBABILITY = 1e-6
 
 
 @dataclass(frozen=True)
@@ -81,14 +88,22 @@ class BuiltArm:
         self.robot, self.noise = robot, noise
         self.level = 0.0 if robot.exact else level
         m, J = len(robot.inputs), len(markers)
-        blank = np.full((1, 1, J, 3), np.nan)
-        dataset = DataSet('now', robot, tuple(markers), ('now',), np.zeros((1, m)), blank,
-                          gravity=robot.gravity)  # fmt: skip
-        self.whole = Predictor(dataset, robot, self.catalogue)
+
+        def predictor(positions: Floats) -> Predictor:
+            dataset = DataSet(
+                'now',
+                robot,
+                tuple(markers),
+                ('now',),
+                np.zeros((1, m)),
+                positions,
+                gravity=robot.gravity,
+            )
+            return Predictor(dataset, robot, self.catalogue)
+
+        self.whole = predictor(np.full((1, 1, J, 3), np.nan))
         self.split = SplitPredictor(self.whole)
-        one = DataSet('one', robot, tuple(markers), ('one',), np.zeros((1, m)),
-                      np.zeros((1, 1, J, 3)), gravity=robot.gravity)  # fmt: skip
-        rest = remainders(Predictor(one, robot, self.catalogue)).reshape(-1, 3 * J)
+        rest = remainders(predictor(np.zeros((1, 1, J, 3)))).reshape(-1, 3 * J)
         self._rest = rest.T @ rest  # (3 J, 3 J) of a remainder of 1 m sd at the tip
         self.remainder = 0.0  # [m] 1 sd at the tip
         self.setting = 0.0  # 1 sd of a tension as read, in plausible gains
@@ -107,7 +122,10 @@ class BuiltArm:
     def members(self) -> dict[str, Floats]:
         """The imperfections as they are known, by kind [its unit]."""
         if self._members is None:
-            self._members = self._named(self.mean)
+            ends = np.cumsum([len(kind) for kind in self.kinds])[:-1]
+            own = np.split(self.mean * self.plausible, ends) if self.kinds else []
+            named = zip(self.kinds, own, strict=True)
+            self._members = {kind.name: values for kind, values in named}
         return self._members
 
     def expected(self, tensions: Floats, point: Point | None = None) -> Expected | None:
@@ -230,10 +248,11 @@ class BuiltArm:
         """
         self.forget()
         near = counts = self._near(tensions, positions)
-        for _ in range(LOOKS):
-            base = self._sized(tensions, positions, frames, counts)
+        for _ in range(ROUNDS_MAX):
             before = counts
-            counts = near & ~contradicted([self._seen(one, frames) for one in base], before)
+            base = self._sized(tensions, positions, frames, before)
+            told = [None if one is None else Reference(*self.seen(*one, frames)) for one in base]
+            counts = near & ~contradicted(told, before)
             if np.array_equal(counts, before):
                 break
         self.left_out = tuple(np.flatnonzero(~counts).tolist())
@@ -244,22 +263,22 @@ class BuiltArm:
     def _sized(
         self, tensions: Floats, positions: Floats, frames: int, counts: Bools
     ) -> list[_Linear | None]:
-        """Find the sizes that predict those best that count; return all of them, linear."""
-        for _ in range(FITS):  # around what the last one found: far from it all looks larger
-            base = self._linear(tensions, positions)
+        """Set the sizes that predict best those that count; return all of them, linear."""
+        for _ in range(2):  # around what the last found: far from it all looks larger
+            seen = [
+                (self.expected(t), p.ravel()) for t, p in zip(tensions, positions, strict=True)
+            ]
+            base = [
+                None if e is None else (replace(e, markers=e.markers - e.columns @ self.mean), y)
+                for e, y in seen
+            ]
             counted = [one for one, c in zip(base, counts, strict=True) if c and one is not None]
             self._vary(counted, frames)
-            self._learn_all(counted, frames)
+            self.forget()
+            for free, measured in counted:
+                markers = free.markers + free.columns @ self.mean
+                self.learn(replace(free, markers=markers), measured, frames)
         return base
-
-    def _seen(self, one: _Linear | None, frames: int) -> Reference | None:
-        """Return a linear posture as the others may contradict it."""
-        if one is None:
-            return None
-        free, measured = one
-        rows = np.isfinite(measured)
-        scatter = self.scatter(rows, free.columns, frames, free.bent)
-        return Reference(measured[rows] - free.markers[rows], free.columns[rows], scatter)
 
     def _near(self, tensions: Floats, positions: Floats) -> Bools:
         """Tell which postures (P,) are about as far from the description as most of them."""
@@ -275,8 +294,8 @@ class BuiltArm:
     def _vary(self, base: Sequence[_Linear], frames: int) -> None:
         """Set the sizes of remainder and of the noise of the tensions that predict best."""
         usual = self.plausible[self._gains]
-        remainders = [share * self.robot.length for share in REMAINDER_SHARES]
-        settings = [size / float(usual[0]) if len(usual) else 0.0 for size in SETTING_SIZES]
+        remainders = [share * self.robot.length for share in REMAINDERS]
+        settings = [size / float(usual[0]) if len(usual) else 0.0 for size in SETTINGS]
         axes: dict[bytes, tuple[Floats, Floats]] = {}
         postures = []
         for free, measured in base:
@@ -293,31 +312,17 @@ class BuiltArm:
 
     def learn(self, expected: Expected, measured: Floats, frames: int = 1) -> None:
         """Take a posture (3 J,) [m] into what is known."""
+        off, columns, scatter = self.seen(expected, measured, frames)
+        after = kalman_update(self.mean, self.covariance, columns, off, scatter)
+        self.mean, self.covariance, self._members = after.mean, after.covariance, None
+
+    def seen(
+        self, expected: Expected, measured: Floats, frames: int = 1
+    ) -> tuple[Floats, Floats, Floats]:
+        """Return of a posture (3 J,) [m], where it was seen: residual, columns and scatter."""
         rows = np.isfinite(measured)
-        columns = expected.columns[rows]
-        off = measured[rows] - expected.markers[rows]
         scatter = self.scatter(rows, expected.columns, frames, expected.bent)
-        spread = columns @ self.covariance @ columns.T + scatter
-        root = np.linalg.cholesky(spread)
-        white = np.linalg.solve(root, off)
-        gain = np.linalg.solve(root, columns @ self.covariance)  # (rows, q), whitened
-        self.mean, self._members = self.mean + gain.T @ white, None
-        self.covariance = self.covariance - gain.T @ gain
-
-    def _linear(self, tensions: Floats, positions: Floats) -> list[_Linear | None]:
-        """Return what is expected of postures, linear, at no imperfections; and measurements."""
-        seen = [(self.expected(t), p.ravel()) for t, p in zip(tensions, positions, strict=True)]
-        return [
-            None if e is None else (replace(e, markers=e.markers - e.columns @ self.mean), y)
-            for e, y in seen
-        ]
-
-    def _learn_all(self, base: Sequence[_Linear], frames: int) -> None:
-        """Learn from linear postures."""
-        self.forget()
-        for free, measured in base:
-            expected = replace(free, markers=free.markers + free.columns @ self.mean)
-            self.learn(expected, measured, frames)
+        return measured[rows] - expected.markers[rows], expected.columns[rows], scatter
 
     def _follow(
         self, tensions: Floats, positions: Floats, frames: int
@@ -341,12 +346,8 @@ class BuiltArm:
         self, expected: Expected, measured: Floats, frames: int = 1
     ) -> tuple[Floats, Floats]:
         """Return C' S^-1 nu (q,) of a posture (3 J,) [m], and what is expected of its square."""
-        rows = np.isfinite(measured)
-        columns = expected.columns[rows]
-        scatter = self.scatter(rows, expected.columns, frames, expected.bent)
-        spread = columns @ self.covariance @ columns.T + scatter
-        weighted = np.linalg.solve(spread, columns)
-        off = measured[rows] - expected.markers[rows]
+        off, columns, scatter = self.seen(expected, measured, frames)
+        weighted = np.linalg.solve(columns @ self.covariance @ columns.T + scatter, columns)
         return weighted.T @ off, columns.T @ weighted
 
     def columns(self, inputs: Floats, point: Point) -> Floats | None:
@@ -360,11 +361,6 @@ class BuiltArm:
             return None
         moves = found.moves[: len(self.plausible)].reshape(-1, size)
         return np.asarray((self.plausible[:, None] * moves).T)
-
-    def _named(self, mean: Floats) -> dict[str, Floats]:
-        ends = np.cumsum([len(kind) for kind in self.kinds])[:-1]
-        own = np.split(mean * self.plausible, ends) if self.kinds else []
-        return {kind.name: values for kind, values in zip(self.kinds, own, strict=True)}
 
 
 def usual_kinks(robot: Robot, level: float) -> Floats:

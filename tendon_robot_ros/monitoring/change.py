@@ -1,5 +1,7 @@
 """
-What has changed: every change fitted to the postures since an alarm, and the posture to ask next.
+What may happen to an arm, each fitted to the postures since an alarm, and the posture to ask next.
+
+Effects appear, cells get softer, gains move, trackers are bumped.
 
 The drift alarm looks at changes to first order, at postures that happened to come. Here a change
 theta moves the model itself; the arm is otherwise as it was known before,
@@ -17,31 +19,151 @@ free to follow within what is known of it.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from ..comparison.predict import Point, Predictor
+from ..common.errors import InputError
+from ..common.estimation import gauss_newton
+from ..common.words import digits, mm, spoken, with_unit
+from ..comparison.predict import CELLS, FreeParameter, Point, Predictor, free_parameters
 from ..comparison.statistics import chi2_sf
-from ..data import DataSet
-from ..diagnosis.imperfections import SplitPredictor
+from ..data import DataSet, Marker
+from ..diagnosis.imperfections import GAIN, SplitPredictor
+from ..diagnosis.intervals import load_of, vector_rows
 from ..diagnosis.slopes import imperfections
-from .built_arm import BuiltArm
-from .possible_changes import PossibleChange, Suspect
+from ..effects import Catalogue
+from ..report.numbers import load_words
+from ..robot import dump_robot, parse_robot
+from .built_arm import ODD_PROBABILITY, BuiltArm
 
 Floats = npt.NDArray[np.float64]
+FORMAT = 'tendon_robot_ros/change@1'
+SIZES = 'remainder', 'setting', 'widening'  # of an arm as it was learned
+TRACKER, FRAME = 'the tracker', 'base_misalignment'  # a tracker that was bumped does what it does
+SHIFT = 'shift'  # of the frame; the other keys of the effect are a rotation
+# [1] relative 1 sd of a change of a kind of imperfection: what is seen on arms that wear
+# (assumed), because nobody knows more
+USUAL_CHANGES = {CELLS: 0.1, GAIN: 0.03}
+# [m] 1 sd of a bumped tracker (assumed), because nobody knows how hard
+USUAL_SHIFT = 2e-3
+# [rad] 1 sd of the same, at half a metre as far as the shift and more, because it stands there
+USUAL_ROTATION = 0.01
+# [1] of a usual size, that a change may have, each as likely, because nobody knows how large it is
+SCALES = 1.0, 10.0, 100.0
+# [1] of log E behind the best, within which a change is fitted around itself; what is further off
+# would not become likely by that
+CLOSE_LOG = 30.0
+# [1] probability of one change, from which nothing needs to be asked; what is left may be chance
+APART_PROBABILITY = 0.95
+# [1] postures that a change is judged by, unless nothing else is left at all: one or two may be
+# odd, so that two of three tell
+CONFIRMED_POSTURES = 3
+# [1] probability of a change that a posture is chosen for; for less it would be asked in vain
+LIKELY_MIN = 1e-3
+# [1] changes that a posture is chosen for, because further ones are unlikely beside them
+LIKELY_MAX = 4
+# [sd²] of one posture; with less a dozen of them would not tell
+HOPELESS_APART = 0.25
+# [1] parameters of an effect that are told, else the sentence would not be read
+SIZES_TOLD = 2
 
-# -----------------------------------------------------------------------------
-# A change, fitted to the postures since.
 
-SCALES = 1.0, 10.0, 100.0  # of a usual size, that a change may have
-ROUNDS_MAX = 12  # of Gauss-Newton
-STEP_LENGTHS = 1.0, 0.5, 0.2, 0.05
-SETTLED_GAIN = 0.01  # of log E, below which a fit ends
-CHANCE_MIN = 1e-6  # probability of what a change leaves, from which it explains the postures
+@dataclass(frozen=True)
+class PossibleChange:
+    """Something that may have happened: an effect, or imperfections that moved."""
+
+    name: str
+    keys: tuple[str, ...]
+    spread: Floats  # (k,) 1 sd of its values, as they usually are [their units]
+    frees: tuple[FreeParameter, ...] = ()  # of an effect
+    members: slice = slice(0)  # among the imperfections of the arm
+    gravity: tuple[float, float, float] | None = None  # [m/s²]
+
+    @property
+    def is_effect(self) -> bool:
+        """Whether the model has parameters for it."""
+        return bool(self.frees)
+
+    def suspect(self, probability: float, values: Floats) -> Suspect:
+        """Return it with a probability and a size (k,) [its units]."""
+        named = dict(zip(self.keys, values.tolist(), strict=True))
+        of_catalogue = self.is_effect and self.name != TRACKER
+        return Suspect(self.name, probability, named, self._size(values), of_catalogue)
+
+    def _size(self, values: Floats) -> str:
+        if self.name == TRACKER:
+            moves = np.array([key.startswith(SHIFT) for key in self.keys])
+            moved, turned = np.linalg.norm(values[moves]), np.linalg.norm(values[~moves])
+            return f'{mm(float(moved), 2)}, {digits(float(np.degrees(turned)))}°'
+        if not self.is_effect:
+            return f'{100.0 * values[0]:+.1f} %'
+        if rows := vector_rows(self.frees, self.name):
+            return load_words(load_of(values[rows], None, self.gravity))
+        shares = [abs(v) / f.parameter.typical for v, f in zip(values, self.frees, strict=True)]
+        parts = []
+        for i in np.argsort(shares)[::-1][:SIZES_TOLD]:
+            size = f'{spoken(self.keys[i])} {digits(float(values[i]))}'
+            parts.append(with_unit(size, self.frees[i].parameter.unit))
+        return ', '.join(parts)
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """A change that may have happened."""
+
+    name: str
+    probability: float  # among all changes, given that there was one
+    values: dict[str, float]  # most likely size, by parameter [its unit]
+    size: str = ''  # the same in words
+    is_effect: bool = True  # of the catalogue; else an imperfection of the arm moved
+
+
+def changes_of(arm: BuiltArm) -> tuple[PossibleChange, ...]:
+    """List what may happen to an arm: effects, single cells, gains, the tracker's frame."""
+    made = list[PossibleChange]()
+    for effect in arm.catalogue:
+        if effect.needs in ('history', 'pulls'):
+            continue
+        if effect.acts_on and effect.acts_on not in arm.robot.effects:
+            continue
+        frees = free_parameters(effect, arm.robot)
+        usual = np.array([free.parameter.typical for free in frees])
+        keys = tuple(free.key for free in frees)
+        down = arm.robot.gravity
+        name = effect.name
+        if name == FRAME:
+            name = TRACKER
+            usual = np.array(
+                [USUAL_SHIFT if k.startswith(SHIFT) else USUAL_ROTATION for k in keys]
+            )
+        made.append(PossibleChange(name, keys, usual, frees, gravity=down))
+    count = 0
+    for kind in arm.kinds:
+        here, count = range(count, count + len(kind)), count + len(kind)
+        usual = np.full(1, USUAL_CHANGES.get(kind.name, 1.0))
+        if kind.name in USUAL_CHANGES:
+            what = 'stiffness of' if kind.name == CELLS else 'gain of'
+            made += [
+                PossibleChange(f'{what} {name}', ('relative_change',), usual, (), slice(i, i + 1))
+                for i, name in zip(here, kind.members, strict=True)
+            ]
+    return tuple(made)
+
+
+def described(suspects: Sequence[Suspect]) -> str:
+    """Say what it looks like."""
+    named = [
+        f'{s.name} ({100.0 * s.probability:.0f} %)'
+        for s in suspects
+        if s.probability > 1.0 - APART_PROBABILITY
+    ]
+    return ', '.join(named) or 'nothing of the catalogue'
 
 
 @dataclass(frozen=True)
@@ -112,9 +234,14 @@ class ChangeWork:
         self.arm, self.seen = arm, seen
         whole, P = self.arm.split.dataset, len(seen.tensions)
         dataset = DataSet(
-            'since', self.arm.robot, whole.markers, tuple(map(str, range(P))), seen.tensions,
-            np.full((P, 1, len(whole.markers), 3), np.nan), gravity=self.arm.robot.gravity,
-        )  # fmt: skip
+            'since',
+            self.arm.robot,
+            whole.markers,
+            tuple(map(str, range(P))),
+            seen.tensions,
+            np.full((P, 1, len(whole.markers), 3), np.nan),
+            gravity=self.arm.robot.gravity,
+        )
         self.split = SplitPredictor(Predictor(dataset, self.arm.robot, self.arm.catalogue))
         self.split.around = self.arm.members
         here = self._markers({})
@@ -141,7 +268,7 @@ class ChangeWork:
 
     def explains(self, fit: ChangeFit) -> bool:
         """Tell whether what a change leaves may be chance."""
-        return chi2_sf(fit.chi2, int(self.seen.rows.sum())) > CHANCE_MIN
+        return chi2_sf(fit.chi2, int(self.seen.rows.sum())) > ODD_PROBABILITY
 
     def fit_from_afar(self, fit: ChangeFit) -> ChangeFit:
         """
@@ -197,44 +324,31 @@ class ChangeWork:
         described = np.array([self.split.value(free) for free in frees])
         low, high = np.array([(f.parameter.low, f.parameter.high) for f in frees]).T - described
         prior = np.diag((SCALES[-1] * change.spread) ** -2.0)
-        values = np.zeros(len(frees)) if start is None else start
-        found = self._left(change, values)
-        told = np.zeros_like(prior)
-        for _ in range(ROUNDS_MAX):
-            if found is None:
-                return None
-            left, chi2 = found
+
+        def linearised(
+            values: Floats, left: tuple[Floats, Floats]
+        ) -> tuple[Floats, Floats] | None:
             slopes = self._slopes(change, self._point(change, values))
             if slopes is None:
                 return None
             columns = weights.lifted(weights.white(slopes))
-            told = weights.product(columns, columns)
-            step = np.linalg.solve(told + prior, weights.product(columns, left) - prior @ values)
-            before, moved = chi2 + values @ prior @ values, None
-            for share in STEP_LENGTHS:
-                place = np.clip(values + share * step, low, high)
-                tried = self._left(change, place)
-                if tried is not None and tried[1] + place @ prior @ place < before:
-                    moved = place, tried
-                    break
-            if moved is None:
-                break
-            values, found = moved
-            if before - found[1] - values @ prior @ values < SETTLED_GAIN:
-                break
-        assert found is not None
-        log = self._evidence(change, values, found[1], told)
-        return ChangeFit(change, values, log, told + prior, found[1])
+            return weights.product(columns, columns), weights.product(columns, left)
 
-    def _left(
-        self, change: PossibleChange, values: Floats
-    ) -> tuple[tuple[Floats, Floats], float] | None:
-        """Return what a change leaves, and its chi²; None without equilibrium."""
-        there = self._markers(self._point(change, values))
-        if there is None:
+        def left(values: Floats) -> tuple[tuple[Floats, Floats], float] | None:
+            there = self._markers(self._point(change, values))
+            if there is None:
+                return None
+            white = weights.lifted(weights.white(self.seen.positions - there))
+            return white, float(weights.product(white, white))
+
+        start = np.zeros(len(frees)) if start is None else start
+        fit = gauss_newton(start, prior, left, linearised, (low, high))
+        if fit is None:
             return None
-        left = self.weights.lifted(self.weights.white(self.seen.positions - there))
-        return left, float(self.weights.product(left, left))
+        values, _, chi2, told = fit
+        return ChangeFit(
+            change, values, self._evidence(change, values, chi2, told), told + prior, chi2
+        )
 
     def _evidence(
         self, change: PossibleChange, values: Floats, chi2: float, told: Floats
@@ -282,17 +396,6 @@ class ChangeWork:
         return np.moveaxis(own[:, None, None] * moves, 0, 2)
 
 
-# -----------------------------------------------------------------------------
-# All of them: which it was, and the posture to ask next.
-
-CLOSE_LOG = 30.0  # of log E behind the best, within which a change is fitted around itself
-APART_PROBABILITY = 0.95  # of one change, from which nothing needs to be asked
-CONFIRMED_POSTURES = 3  # that a change is judged by, unless nothing else is left at all
-LIKELY_MIN = 1e-3  # probability of a change that a posture is chosen for
-LIKELY_MAX = 4  # changes that a posture is chosen for
-HOPELESS_APART = 0.25  # [sd²] of one posture, below which a dozen of them does not tell
-
-
 class ChangeFinder:
     """
     Tells what has changed, posture by posture.
@@ -318,8 +421,11 @@ class ChangeFinder:
 
     def suspects(self) -> tuple[Suspect, ...]:
         """Fit every change; return them by their probability, the most likely first."""
-        work = self._work()
-        if work is None:
+        if not self.taken:
+            return ()
+        tensions, positions, frames = zip(*self.taken, strict=True)
+        work = ChangeWork(self.arm, PosturesSeen(np.array(tensions), np.array(positions), frames))
+        if not work.ready:
             return ()
         fits = [fit for change in self.changes if (fit := work.fit(change)) is not None]
         if not any(work.explains(fit) for fit in fits):
@@ -365,9 +471,59 @@ class ChangeFinder:
         odds = np.exp(logs - logs.max()) if len(logs) else logs
         return np.asarray(odds / odds.sum()) if len(odds) else odds
 
-    def _work(self) -> ChangeWork | None:
-        if not self.taken:
-            return None
-        tensions, positions, frames = zip(*self.taken, strict=True)
-        work = ChangeWork(self.arm, PosturesSeen(np.array(tensions), np.array(positions), frames))
-        return work if work.ready else None
+
+def dump_change(finder: ChangeFinder) -> str:
+    """Return what is known of a change as JSON."""
+    arm = finder.arm
+    content: dict[str, Any] = {
+        'format': FORMAT,
+        'robot': dump_robot(arm.robot),
+        'markers': [
+            [m.name, m.arc_length, np.asarray(m.offset).tolist()]
+            for m in arm.split.dataset.markers
+        ],
+        'noise': arm.noise,
+        'level': arm.level,
+        **{name: float(getattr(arm, name)) for name in SIZES},
+        'mean': arm.mean.tolist(),
+        'covariance': arm.covariance.tolist(),
+        'postures': [[t.tolist(), y.tolist(), frames] for t, y, frames in finder.taken],
+    }
+    return json.dumps(content)
+
+
+def load_change(text: str, catalogue: Catalogue) -> ChangeFinder:
+    """
+    Return a finder that knows as much.
+
+    Parameters
+    ----------
+    text : str
+        As of `dump_change`.
+    catalogue : Catalogue
+        Of the effects that may have appeared.
+
+    Raises
+    ------
+    InputError
+        It is none, or of another version.
+
+    """
+    try:
+        content = json.loads(text)
+        known = content['format']
+    except (ValueError, KeyError, TypeError):
+        known = 'no JSON of a change'
+    if known != FORMAT:
+        raise InputError(f'change: expected {FORMAT}, got {known}: restart the monitor')
+    markers = [Marker(name, arc, tuple(offset)) for name, arc, offset in content['markers']]
+    robot = parse_robot(content['robot'], 'robot of the monitor')
+    arm = BuiltArm(robot, catalogue, markers, content['noise'], content['level'])
+    for name in SIZES:
+        setattr(arm, name, content[name])
+    finder = ChangeFinder(
+        arm.as_known(np.array(content['mean']), np.array(content['covariance'])), changes_of(arm)
+    )
+    for tensions, positions, frames in content['postures']:
+        finder.take(np.array(tensions), np.array(positions), frames)
+    return finder

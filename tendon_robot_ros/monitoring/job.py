@@ -23,16 +23,18 @@ from ..common.files import new_file
 from ..common.words import PROGRAM, listed, mm
 from ..diagnosis.verdict import Verdict
 
-NICENESS = 5  # control comes first
-# of the time of a diagnosis, where a part of it begins and ends (72 postures, 30 cells); the
-# adding of further effects lies between the last two
-SHARES = {
+# [1] of POSIX: a third of the processor, so that control comes first
+NICENESS = 5
+# [1] of the time of a diagnosis, where a part of it begins and ends, measured: of 72 postures and
+# 30 cells; the adding of further effects lies between the last two
+PARTS = {
     'effects': (0.05, 0.42),
     'effects again': (0.42, 0.6),
     'causes outside the catalogue': (0.6, 0.85),
     'postures left out': (0.87, 1.0),
 }
-SHARE_MIN = 0.02  # of it, from which the time to go is worked out
+# [1] of it, from which the time to go is worked out; from less it would be off by factors
+PART_MIN = 0.02
 RESULT, REPORT, BETTER = 'diagnosis.json', 'diagnosis.html', 'better.yaml'
 IMPROVED = 'improved.yaml'
 
@@ -97,10 +99,10 @@ class Course:
 
     def __call__(self, what: str, done: int, total: int) -> None:
         """Send where it is; it never goes back."""
-        if what in SHARES:
-            begin, end = SHARES[what]
+        if what in PARTS:
+            begin, end = PARTS[what]
             self._part = max(self._part, begin + (end - begin) * done / max(total, 1))
-        left = (self._clock() - self._begin) * (1.0 / max(self._part, SHARE_MIN) - 1.0)
+        left = (self._clock() - self._begin) * (1.0 / max(self._part, PART_MIN) - 1.0)
         how_long = f'about {left / 60.0:.0f} min' if left > 90.0 else f'about {left:.0f} s'
         where = f'{what} {done}/{total} ({100.0 * self._part:.0f} %, {how_long} to go)'
         say('progress', text=where, part=self._part)
@@ -136,7 +138,11 @@ def work(folder: Path, effects: Sequence[str]) -> None:
             draft.write_text(dump_robot(made.robot), encoding='utf-8')
         say('addition', file=str(folder / BETTER), effects=names, partial=partial,
             before=made.check.before, after=made.check.after, floor=made.check.floor)  # fmt: skip
-        _illustrate(diagnosis, dataset, catalogue, made, folder / REPORT)
+        if report:  # again, with pictures and with what the addition changes
+            from ..report.diagnosis_page import pictures_of
+
+            pictures = pictures_of(diagnosis, dataset, catalogue, made.robot)
+            _report(diagnosis, folder / REPORT, made, pictures)
     say('done')
 
 
@@ -158,13 +164,6 @@ def _report(diagnosis: Any, path: Path, made: Any = None, pictures: Any = None) 
     return str(path)
 
 
-def _illustrate(diagnosis: Any, dataset: Any, catalogue: Any, made: Any, path: Path) -> None:
-    """Write the report again, with pictures and with what the addition changes."""
-    from ..report.diagnosis_page import pictures_of
-
-    _report(diagnosis, path, made, pictures_of(diagnosis, dataset, catalogue, made.robot))
-
-
 def main() -> int:
     """Run for the folder and the effect files in the arguments."""
     os.nice(NICENESS)
@@ -174,10 +173,6 @@ def main() -> int:
         print(' '.join(str(error).split()), file=sys.stderr)
         return 1
     return 0
-
-
-# -----------------------------------------------------------------------------
-# From a recording to a better description: what runs, what was found, what was added.
 
 
 class Work:

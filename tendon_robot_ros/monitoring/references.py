@@ -1,5 +1,10 @@
 """
-What reference postures say of each other: which are misread, and how alike they err.
+What reference postures say: sizes of what is new in each, which are misread, how alike they err.
+
+Sizes: linear postures y = C b + e have imperfections b of 1 sd each, and e that is new in every
+posture, with the covariance r^2 R + s^2 G G' + B B' + n^2 I of remainder, tensions as read, what
+is not linear, and noise. A filter that learns posture by posture would find the same likelihood
+(chain rule); in one batch what a size has no part in is worked out once.
 
 A reference that was misread by some millimetres (the tracker wrong for once, a tension read
 wrongly, a hand at the arm) shifts what is learned, and widens what is expected of every posture
@@ -20,6 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 import numpy.typing as npt
@@ -28,10 +34,84 @@ from ..comparison.outliers import outlier_limits
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
-BATCHES = 1, 4, 8  # postures in a row whose innovations are added up
-MAD_SD = 1.4826  # 1 sd of a normal distribution over its median absolute deviation
-USUAL_MIN = 10  # references that tell how much a model that is wrong makes them vary
-UPPER_SD = 2.33  # of the mean of batches: 99 %
+# C (n, q), y (n,), B (n, k), and of R (n, n) eigenvalues (n,) and eigenvectors (n, n)
+Posture = tuple[Floats, Floats, Floats, tuple[Floats, Floats]]
+# [1] postures in a row whose innovations are added up, because those that hang together show only
+# so
+BATCHES = 1, 4, 8
+# [1] 1 sd over the median absolute deviation of a normal distribution, as values are by chance
+MAD_SD = 1.0 / NormalDist().inv_cdf(0.75)
+# [1] references; fewer would not tell how much a model that is wrong makes them vary
+USUAL_MIN = 10
+# [1] standard deviations: a mean of batches is above with a probability of 1 %
+UPPER_SD = NormalDist().inv_cdf(0.99)
+
+
+def log_likelihoods(
+    postures: Sequence[Posture],
+    gains: npt.NDArray[np.intp],
+    noise: float,
+    remainders: Sequence[float],
+    settings: Sequence[float],
+) -> Floats:
+    """
+    Return the log likelihood for every remainder and setting, up to a constant.
+
+    Parameters
+    ----------
+    postures : sequence of (C, y, B, R)
+        As above, in [m] where they are seen; R, as its eigenvalues and vectors, of 1 m.
+    gains : (m,) of int
+        Columns of C that are gains: G, a tension that is read wrongly is as one.
+    noise : float
+        1 sd of a coordinate [m].
+    remainders, settings : sequence of float
+        Sizes r [m] and s, 1 sd each.
+
+    Returns
+    -------
+    ndarray, shape (remainders, settings)
+
+    """
+    turned = []  # to where R is diagonal: that diagonal, [C y] and [G B]
+    for columns, off, bent, (sizes, axes) in postures:
+        beside = np.column_stack([columns[:, gains], bent])
+        known = axes.T @ np.column_stack([columns, off])
+        turned.append((sizes.clip(0.0), known, axes.T @ beside))
+    likely = np.empty((len(remainders), len(settings)))
+    for i, remainder in enumerate(remainders):
+        both, spread, parts = np.zeros(()), 0.0, []
+        for sizes, known, beside in turned:
+            variance = remainder**2 * sizes + noise**2
+            weighted = beside / variance[:, None]
+            both = both + known.T @ (known / variance[:, None])  # (q + 1, q + 1)
+            spread += float(np.log(variance).sum())
+            parts.append((weighted.T @ known, weighted.T @ beside))
+        for j, setting in enumerate(settings):
+            likely[i, j] = _likelihood(both, spread, parts, setting, gains)
+    return likely
+
+
+def _likelihood(
+    both: Floats,
+    spread: float,
+    beside: Sequence[tuple[Floats, Floats]],
+    setting: float,
+    gains: npt.NDArray[np.intp],
+) -> float:
+    """Take tensions as read and what is not linear into account (Woodbury), then b's own size."""
+    taken = []
+    for known, itself in beside:
+        scale = np.ones(len(itself))
+        scale[: len(gains)] = setting
+        root = np.linalg.cholesky(np.eye(len(itself)) + scale[:, None] * itself * scale)
+        spread += 2.0 * float(np.log(np.diag(root)).sum())
+        taken.append(np.linalg.solve(root, scale[:, None] * known))
+    stacked = np.vstack(taken)
+    left = both - stacked.T @ stacked
+    told, seen = np.eye(len(left) - 1) + left[:-1, :-1], left[:-1, -1]
+    spread += float(np.linalg.slogdet(told)[1])
+    return -0.5 * float(left[-1, -1] - seen @ np.linalg.solve(told, seen) + spread)
 
 
 @dataclass(frozen=True)
@@ -59,7 +139,8 @@ def contradicted(references: Sequence[Reference | None], counts: Bools) -> Bools
     parts = dict[int, tuple[Reference, Floats]]()
     for i, one in enumerate(references):
         if one is not None and len(one.off):
-            parts[i] = one, counts[i] * _told(one)
+            both = np.column_stack([one.columns, one.off])
+            parts[i] = one, counts[i] * (one.columns.T @ np.linalg.solve(one.scatter, both))
     all_of_it = sum(told for _, told in parts.values())
     for i, (one, told) in parts.items():
         others = all_of_it - told
@@ -67,11 +148,7 @@ def contradicted(references: Sequence[Reference | None], counts: Bools) -> Bools
         off = one.off - one.columns @ known @ others[:, -1]
         spread = one.columns @ known @ one.columns.T + one.scatter
         sizes[i], freedom[i] = np.sqrt(off @ np.linalg.solve(spread, off)), len(off)
-    return _beyond(sizes, freedom)
-
-
-def _beyond(sizes: Floats, freedom: npt.NDArray[np.int64]) -> Bools:
-    """Tell which sizes are outliers, though of a model that lacks something they vary more."""
+    # outliers, though of a model that lacks something sizes vary more
     seen, limits = np.isfinite(sizes), outlier_limits(sizes, freedom)
     if seen.sum() < USUAL_MIN:
         return np.zeros(len(sizes), dtype=np.bool_)
@@ -80,12 +157,6 @@ def _beyond(sizes: Floats, freedom: npt.NDArray[np.int64]) -> Bools:
     varies = MAD_SD * float(np.median(np.abs(apart[seen] - middle)))
     expected = float(np.median(np.sqrt(0.5 / freedom[seen])))  # of the logarithm of a norm
     return np.asarray(seen & (apart - middle > -middle * max(1.0, varies / expected)))
-
-
-def _told(one: Reference) -> Floats:
-    """Return C' S^-1 (C, y - x) of a reference (q, q + 1)."""
-    both = np.column_stack([one.columns, one.off])
-    return np.asarray(one.columns.T @ np.linalg.solve(one.scatter, both))
 
 
 def widening(scores: Sequence[tuple[Floats, Floats]]) -> float:

@@ -25,6 +25,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
+from ..common.estimation import gauss_newton
 from ..comparison.predict import FreeParameter, SettledShapes, free_parameters
 from ..comparison.statistics import chi2_isf
 from ..diagnosis.slopes import pushes
@@ -32,19 +33,34 @@ from .built_arm import BuiltArm
 
 Floats = npt.NDArray[np.float64]
 EFFECT = 'tip_load'
-ROUNDS_MAX = 12  # of Gauss-Newton
-SETTLED_SD = 0.05  # sd of the force that the last step may move it
-STEP_SHARE = 0.02  # of a typical force, of a difference
-PRIOR_SHARE = 5.0  # of a typical force: 1 sd a priori; so much bends the arm by a quarter
-STEP_LENGTHS = 1.0, 0.5, 0.2, 0.05, 0.01  # of a step, tried until the cost is lower
-SHIFTED_SD = 0.5  # of the worst axis, that its mean may lie off the middle of the sum
-SAME_SHARE = 0.02  # of the length: an arm that moved by less has the same noise
-LINEAR_SHARE = 0.01  # of the prior: an axis that is told better is linear
-SPREAD_SD, SPREAD_POINTS = 3.0, 9  # where the posterior is summed up along the worst axis
+# [1] of a typical force, of a difference: less would be lost in the equilibrium's tolerance
+DIFFERENCE = 0.02
+# [1] of a typical force: 1 sd a priori, because so much bends the arm by a quarter
+PRIOR = 5.0
+# [1] standard deviations of the worst axis that its mean may lie off the middle of the sum, else
+# the sum would miss a part of it
+SHIFTED_SD = 0.5
+# [1] of the length: an arm that moved by less has the same noise, because imperfections move it
+# alike
+SAME_LENGTH = 0.02
+# [1] of the prior: an axis that is told better is linear, because the force hardly varies
+LINEAR = 0.01
+# [1] standard deviations to which the posterior is summed up; beyond is 0.3 % by chance
+SPREAD_SD = 3.0
+# [1] places in that sum: three for each standard deviation, else a curve would be missed
+SPREAD_POINTS = 9
+# [1] probability that any cell is said to be touched though none is
 FALSE_CONTACT_PROBABILITY = 1e-4
-ODD_PROBABILITY = 0.05  # of what is left, below which a force elsewhere is looked for
-PULL_ERROR = 0.02, 1e-4  # [1] of a wire pull, and [m]: what a model of it may be off
-LOADED_ERROR = 0.01  # of how far what acts moves the arm: 1 sd of what a model of it may be off
+# [1] probability of what is left, below which a force elsewhere is looked for; it takes time,
+# which one estimate in twenty has by chance
+LOOK_ELSEWHERE_PROBABILITY = 0.05
+# [1] of a wire pull, that a model of it may be off, because wires stretch (assumed)
+PULL_ERROR = 0.02
+# [m] of a wire pull, that it may be off at least, because wires settle on their drums (assumed)
+PULL_ERROR_M = 1e-4
+# [1] of how far what acts moves the arm: 1 sd of what a model of it may be off; without it one of
+# two 95 % intervals would miss
+LOADED_ERROR = 0.01
 
 
 @dataclass(frozen=True)
@@ -142,12 +158,12 @@ class TipForceObserver:
     @property
     def step(self) -> float:
         """Step [N] of a difference."""
-        return STEP_SHARE * self._typical
+        return DIFFERENCE * self._typical
 
     @property
     def prior(self) -> float:
         """1 sd [N] of a direction that nothing tells."""
-        return PRIOR_SHARE * self._typical
+        return PRIOR * self._typical
 
 
 @dataclass(frozen=True)
@@ -172,33 +188,29 @@ class _Fit:
         self.observer, self.seen, self.rows = observer, seen, seen.rows
         self.prior = observer.prior**-2 * np.eye(3)
         self.factor: Floats = np.zeros((0, 0))
+        self.columns: Floats = np.zeros((0, 3))  # (r, 3) [1/N] how the force moves what is seen
 
     def solve(self, start: Floats) -> TipForce | None:
         """Return the force; None where a model has no equilibrium."""
-        force, here = start.copy(), self._shown(start)
-        factor = None if here is None else self._whitening(force, here)
-        if here is None or factor is None:
+        here = self.observer.shown(start, self.seen.inputs, self.seen.markers)
+        factor = None if here is None else self._whitening(start, here)
+        if factor is None:
             return None
         self.factor = factor
-        white = np.asarray(factor @ (self.seen.measured - here)[self.rows])
-        columns: Floats = np.zeros((0, 3))
-        for _ in range(ROUNDS_MAX):
-            slopes = self._slopes(force, white)
-            if slopes is None:
-                return None
-            columns = slopes
-            normal = columns.T @ columns + self.prior
-            step = np.linalg.solve(normal, columns.T @ white - self.prior @ force)
-            if step @ normal @ step < SETTLED_SD**2:
-                break
-            moved = self._lower(force, step, white)
-            if moved is None:
-                break
-            force, white = moved
+
+        def left(force: Floats) -> tuple[Floats, float] | None:
+            white = self._white(force)
+            return None if white is None else (white, float(white @ white))
+
+        fit = gauss_newton(start, self.prior, left, self._linearised)
+        if fit is None:
+            return None
+        force, white, chi2, told = fit
+        columns, normal = self.columns, told + self.prior
         if self.seen.markers:
             self.observer.slopes = np.zeros((len(self.rows), 3))
             self.observer.slopes[self.rows] = np.linalg.solve(factor, columns)
-        freedom, chi2 = max(int(self.rows.sum()) - 3, 1), float(white @ white)
+        freedom = max(int(self.rows.sum()) - 3, 1)
         wider = max(chi2 / freedom, 1.0) if self.seen.markers else 1.0
         cell, contact = self._elsewhere(force, white, columns, factor)
         mean, covariance = self._spread(force, columns, normal, wider)
@@ -215,7 +227,7 @@ class _Fit:
         """
         values, axes = np.linalg.eigh(wider * np.linalg.inv(normal))
         told, worst, sd = axes[:, :2], axes[:, 2], float(np.sqrt(values[2]))
-        if sd < LINEAR_SHARE * self.observer.prior:
+        if sd < LINEAR * self.observer.prior:
             return force, np.asarray(axes * values @ axes.T)
         best = np.linalg.pinv(columns @ told)
         for _ in range(2):  # once more around where it was
@@ -246,7 +258,7 @@ class _Fit:
     ) -> tuple[int | None, Floats | None]:
         """Return the cell where a further force explains what is left, and the force [N]."""
         freedom = max(len(white) - 3, 1)
-        if not self.seen.markers or white @ white < chi2_isf(ODD_PROBABILITY, freedom):
+        if not self.seen.markers or white @ white < chi2_isf(LOOK_ELSEWHERE_PROBABILITY, freedom):
             return None, None
         observer = self.observer
         split = observer.arm.split
@@ -269,27 +281,11 @@ class _Fit:
 
     def _white(self, force: Floats) -> Floats | None:
         """Return the whitened residual under a force."""
-        here = self._shown(force)
+        here = self.observer.shown(force, self.seen.inputs, self.seen.markers)
         return None if here is None else self.factor @ (self.seen.measured - here)[self.rows]
 
-    def _cost(self, force: Floats, white: Floats) -> float:
-        return float(white @ white + force @ self.prior @ force)
-
-    def _lower(self, force: Floats, step: Floats, white: Floats) -> tuple[Floats, Floats] | None:
-        """Return the force and residual after a step, shortened until the cost is lower."""
-        before = self._cost(force, white)
-        for share in STEP_LENGTHS:
-            moved: Floats = force + share * step
-            there = self._white(moved)
-            if there is not None and self._cost(moved, there) < before:
-                return moved, there
-        return None
-
-    def _shown(self, force: Floats) -> Floats | None:
-        return self.observer.shown(force, self.seen.inputs, self.seen.markers)
-
-    def _slopes(self, force: Floats, white: Floats) -> Floats | None:
-        """Return how the force moves what is seen (r, 3) [1/N], whitened."""
+    def _linearised(self, force: Floats, white: Floats) -> tuple[Floats, Floats] | None:
+        """Find how the force moves what is seen, whitened; return what that tells of it."""
         step, columns = self.observer.step, []
         for axis in np.eye(3):
             for side in (step, -step):
@@ -299,33 +295,29 @@ class _Fit:
                     break
             else:
                 return None
-        return np.array(columns).T
+        self.columns = slopes = np.array(columns).T
+        return slopes.T @ slopes, slopes.T @ white
 
     def _whitening(self, force: Floats, here: Floats) -> Floats | None:
         """Inverse root of the covariance of what is seen; the last one where little moved."""
         observer, seen = self.observer, self.seen
         if not seen.markers:
-            share, least = PULL_ERROR
-            sd = np.sqrt(observer.pull_noise**2 + (share * here) ** 2 + least**2)
+            sd = np.sqrt(observer.pull_noise**2 + (PULL_ERROR * here) ** 2 + PULL_ERROR_M**2)
             return np.asarray(np.diag(1.0 / sd[self.rows]))
         arm, kept = observer.arm, observer.kept
         if kept is None or not kept.serves(arm, seen, here):
             columns = arm.columns(seen.inputs, observer.point(force))
             if columns is None:
                 return None
-            kept = _KeptWhitening(columns, arm.covariance, seen, here, self._moved())
+            free, moved = observer.shown(np.zeros(3), seen.inputs, True), 0.0
+            if free is not None:  # at the marker that what acts moves farthest
+                off = np.linalg.norm((seen.measured - free).reshape(-1, 3), axis=1)
+                moved = float(np.nanmax(off))
+            kept = _KeptWhitening(columns, arm.covariance, seen, here, moved)
         elif seen.frames == kept.seen.frames:
             return kept.factor
         observer.kept = kept = replace(kept, seen=seen, factor=kept.inverse_root(arm, seen))
         return kept.factor
-
-    def _moved(self) -> float:
-        """Return how far what acts moves the arm [m], at the marker that it moves farthest."""
-        free = self._shown(np.zeros(3))
-        if free is None:
-            return 0.0
-        ways = np.linalg.norm((self.seen.measured - free).reshape(-1, 3), axis=1)
-        return float(np.nanmax(ways))
 
 
 @dataclass(frozen=True)
@@ -353,5 +345,5 @@ class _KeptWhitening:
         return (
             arm.covariance is self.known
             and np.array_equal(seen.rows, self.seen.rows)
-            and bool(np.abs(here - self.here).max() < SAME_SHARE * arm.robot.length)
+            and bool(np.abs(here - self.here).max() < SAME_LENGTH * arm.robot.length)
         )

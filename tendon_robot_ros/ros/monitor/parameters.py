@@ -7,8 +7,7 @@ from typing import Any
 from ...common.errors import InputError
 from ...common.yaml_reading import parse_yaml
 from ...monitoring import MonitorSettings
-from ...monitoring.drift import ALARM_POSTURES
-from ...monitoring.watch import WatchSettings
+from ...monitoring.watch import ALARM_POSTURES, WatchSettings
 from ..shared.parameters import Parameters, Spec
 
 SPECS = (

@@ -15,7 +15,7 @@ from std_msgs.msg import Float64MultiArray, Header, String
 from ...diagnosis.intervals import load_of
 from ...model.model import Model
 from ...monitoring import Monitor, StillMeasurement
-from ...monitoring.measurement import FrameMean
+from ...monitoring.monitor import FrameMean
 from ...monitoring.tip_force import TipForce
 from ...monitoring.watch import ArmWatch
 from ...report.numbers import load_words

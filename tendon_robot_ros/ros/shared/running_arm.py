@@ -13,14 +13,13 @@ from sensor_msgs.msg import JointState
 
 from ...common.errors import InputError, NoEquilibriumError, TendonRobotError
 from ...control.checks import Refusal, by_name
-from ...control.trajectory import Trajectory
+from ...control.state import Trajectory
 from ...data import Marker, default_markers
 from ...investigation.arm import BrokenMeasurementError, PostureMeasured
 from ...model.model import Model
 from ...monitoring import History, StillMeasurement, StillWindow
-from ...monitoring.change import ChangeFinder
+from ...monitoring.change import ChangeFinder, load_change
 from ...monitoring.monitor import read_markers
-from ...monitoring.watch import load_change
 from ...robot import Robot
 from ...robot.estimates import natural_sizes
 from .messages import LISTEN, STATE, seconds
