@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 STEP = 1e-5  # [rad] of central differences
-SLIP_LENGTH = 2e-6  # [m]
+SMOOTHING_LENGTH = 2e-6  # [m]
 
 
 def about_z(angle, x, y):
@@ -158,8 +158,8 @@ class Reference:
         """Direction of friction at the eyelet behind cell i."""
         share = self.get('tendon_travel', 'fraction')
         here, beyond = travel[i], travel[i + 1 :].sum()
-        return (1.0 - share) * math.tanh(here / SLIP_LENGTH) + share * math.tanh(
-            beyond / SLIP_LENGTH
+        return (1.0 - share) * math.tanh(here / SMOOTHING_LENGTH) + share * math.tanh(
+            beyond / SMOOTHING_LENGTH
         )
 
     def energy(self, state, tension):

@@ -6,7 +6,7 @@ import re
 from source_tree import ROOT, parse
 
 from tendon_robot_ros.effects import load_catalogue
-from tendon_robot_ros.model.arrays import KernelArrays
+from tendon_robot_ros.model.compile import KernelArrays
 from tendon_robot_ros.robot import parse_robot
 from tendon_robot_ros.robot.description import TOLERANCES
 

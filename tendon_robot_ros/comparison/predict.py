@@ -14,7 +14,7 @@ from ..common.errors import EffectError, TendonRobotError
 from ..data import DataSet, Part
 from ..data.visits import Visits
 from ..effects import Catalogue, Effect, Parameter
-from ..model.arrays import KernelArrays
+from ..model.compile import KernelArrays
 from ..model.derivatives import TENSION_STEP, Move, follow
 from ..model.forward import TOLERANCE, ForwardModel
 from ..model.model import Model

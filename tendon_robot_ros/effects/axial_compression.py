@@ -13,6 +13,8 @@ EFFECT = Effect(
     title='the tendons shorten the backbone',
     stage='length',
     law=law,
+    # of the length at the tension that bends the arm by a radian: 0.1 %, at most a tenth because
+    # the law is linear
     parameters=(Parameter('compliance', '1/N', 0.0, 0.1, 0.0, typical=1e-3, of='compliance'),),
     divisible=True,
 )

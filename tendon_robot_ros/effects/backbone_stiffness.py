@@ -1,6 +1,6 @@
 """The whole backbone is stiffer or softer than described."""
 
-from .effect import Effect, Parameter
+from .effect import Effect, relative_change
 
 
 def law(stiffness, tendons, relative_change):
@@ -13,11 +13,7 @@ EFFECT = Effect(
     title='the backbone is stiffer or softer than described',
     stage='stiffness',
     law=law,
-    parameters=(
-        Parameter(
-            'relative_change', '1', -0.8, 4.0, 0.0, typical=0.1, tolerance='bending_stiffness'
-        ),
-    ),
+    parameters=(relative_change(tolerance='bending_stiffness'),),
     divisible=True,
     scales_bends=True,
 )

@@ -98,6 +98,16 @@ class Parameter:
         return replace(self, **scaled)
 
 
+def relative_change(typical: float = 0.1, **more: Any) -> Parameter:
+    """Return the parameter of a factor 1 + change: a fifth to five times of what is described."""
+    return Parameter('relative_change', '1', -0.8, 4.0, 0.0, typical, **more)
+
+
+def fraction() -> Parameter:
+    """Return the parameter that blends a simplification of the paper (0) with geometry (1)."""
+    return Parameter('fraction', '1', 0.0, 1.0, 0.0, typical=1.0)
+
+
 @dataclass(frozen=True)
 class Effect:
     """

@@ -23,6 +23,7 @@ EFFECT = Effect(
     title='tendons lie on the inner side of their eyelets',
     stage='moment',
     law=law,
+    # at most 0.4 of the radius, because a tendon would no longer lie near its offset
     parameters=(Parameter('clearance', 'm', 0.0, 0.4, 0.0, typical=0.04, of='radius'),),
     divisible=True,
 )

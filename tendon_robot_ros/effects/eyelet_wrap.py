@@ -1,6 +1,6 @@
 """The tendon wraps each eyelet by the mean of both neighbouring bends."""
 
-from .effect import Effect, Parameter
+from .effect import Effect, fraction
 
 
 def law(turning, mean, fraction):
@@ -16,7 +16,7 @@ EFFECT = Effect(
     name='eyelet_wrap',
     title='eyelets turn the tendon by the mean of both bends',
     stage='wrap',
-    parameters=(Parameter('fraction', '1', 0.0, 1.0, 0.0, typical=1.0),),
+    parameters=(fraction(),),
     law=law,
     acts_on='tendon_friction',
     divisible=True,

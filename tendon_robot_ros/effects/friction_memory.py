@@ -4,9 +4,9 @@ import math
 
 from .effect import Effect, Parameter
 
-SLIPS_BELOW = 1e-12  # [1] of what is left to full friction: the tendon slips
-# [1] of the radius. Below, what a way leaves behind depends on turns that a way in 256 parts does
-# not resolve (model/kernel/history.py): a fit there follows noise.
+SLIPS_BELOW = 1e-12  # [1] left to full friction: the tendon slips, else a power of it would round
+# [1] of the radius. Below, the friction after a path depends on reversals that a path in 256 parts
+# does not resolve (model/kernel/shape.py), so that a fit would follow noise.
 SHORTEST = 4e-3
 
 
@@ -20,16 +20,16 @@ def law(sign, before, change, presliding_length, exponent):
     if change == 0.0:
         return before
     g = math.copysign(1.0, change)
-    left, way = 1.0 - g * before, abs(change) / presliding_length
+    remaining, travel = 1.0 - g * before, abs(change) / presliding_length
     if exponent == 1.0:
-        return g - (g - before) * math.exp(-way)
-    if left < SLIPS_BELOW:
+        return g - (g - before) * math.exp(-travel)
+    if remaining < SLIPS_BELOW:
         return g
-    blunt = 1.0 - exponent
-    part = blunt * way * left**-blunt
+    power = 1.0 - exponent
+    part = power * travel * remaining**-power
     if part >= 1.0:
         return g
-    return g * (1.0 - left * math.exp(math.log1p(-part) / blunt))
+    return g * (1.0 - remaining * math.exp(math.log1p(-part) / power))
 
 
 EFFECT = Effect(
@@ -40,6 +40,7 @@ EFFECT = Effect(
     acts_on='tendon_friction',
     needs='history',
     law=law,
+    # at most 0.4 of the radius: a longer one would be a spring in all of the arm's bends
     parameters=(
         Parameter('presliding_length', 'm', SHORTEST, 0.4, SHORTEST, typical=0.02, of='radius'),
         Parameter('exponent', '1', 0.0, 2.0, 1.0, typical=0.5, has_default=True),

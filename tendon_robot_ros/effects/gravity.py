@@ -14,6 +14,8 @@ EFFECT = Effect(
     title="the arm's own weight",
     stage='load',
     law=law,
+    # three times the density whose weight at the tip bends the arm by a radian, because the moment
+    # of a weight that is spread along the arm is a third of that on average
     parameters=(Parameter('linear_density', 'kg/m', 0.0, 1e3, 0.0, typical=3.0, of='density'),),
     needs='gravity',
     divisible=True,

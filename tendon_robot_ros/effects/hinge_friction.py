@@ -16,6 +16,7 @@ EFFECT = Effect(
     name='hinge_friction',
     title='friction in the hinges of the pressed guides',
     stage='joint_friction',
+    # at most half of the radius, because hinges lie between the tendons with friction below 1
     parameters=(Parameter('lever', 'm', 0.0, 0.5, 0.0, typical=0.05, of='radius'),),
     law=law,
     divisible=True,

@@ -1,6 +1,6 @@
 """The tendons run farther from, or closer to, the centroid than described."""
 
-from .effect import Effect, Parameter
+from .effect import Effect, relative_change
 
 
 def law(scale, relative_change):
@@ -13,7 +13,7 @@ EFFECT = Effect(
     title='the tendon offsets differ from the description',
     stage='offset_scale',
     law=law,
-    parameters=(Parameter('relative_change', '1', -0.8, 4.0, 0.0, typical=0.1),),
+    parameters=(relative_change(),),
     divisible=True,
     scales_bends=True,
 )

@@ -13,6 +13,7 @@ EFFECT = Effect(
     title='the backbone stiffens as it bends',
     stage='stiffening',
     law=law,
+    # at -0.5 the moment would be largest at a bend of 0.8 rad: 1 + 3 cubic bend² = 0
     parameters=(Parameter('cubic', '1/rad²', -0.5, 100.0, 0.0, typical=3.0, parts_power=2),),
     divisible=True,
 )

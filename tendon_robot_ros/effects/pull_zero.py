@@ -13,6 +13,7 @@ EFFECT = Effect(
     title='the commanded pulls have an offset',
     stage='winding',
     law=law,
+    # at most the wire of a bend of three radians, so that pretension and slack are within
     parameters=(
         Parameter('offset', 'm', -3.0, 3.0, 0.0, typical=0.05, of='radius', per_tendon=True),
     ),

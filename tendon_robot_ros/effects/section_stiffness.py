@@ -1,6 +1,6 @@
 """Each section is stiffer or softer than described, by an amount of its own."""
 
-from .effect import Effect, Parameter
+from .effect import Effect, relative_change
 
 
 def law(stiffness, tendons, relative_change):
@@ -13,7 +13,7 @@ EFFECT = Effect(
     title='each section is stiffer or softer by its own amount',
     stage='stiffness',
     law=law,
-    parameters=(Parameter('relative_change', '1', -0.8, 4.0, 0.0, typical=0.1, per_section=True),),
+    parameters=(relative_change(per_section=True),),
     contains=('backbone_stiffness',),
     divisible=True,
     scales_bends=True,

@@ -1,6 +1,6 @@
 """The spools wind more, or less, wire than commanded: another radius than described."""
 
-from .effect import Effect, Parameter
+from .effect import Effect, relative_change
 
 
 def law(pull, tension, relative_change):
@@ -13,7 +13,8 @@ EFFECT = Effect(
     title='the spools wind more or less wire than commanded',
     stage='winding',
     law=law,
-    parameters=(Parameter('relative_change', '1', -0.8, 4.0, 0.0, typical=0.05, per_tendon=True),),
+    # half as large as usual, because a radius is easily measured to a few percent
+    parameters=(relative_change(typical=0.05, per_tendon=True),),
     needs='pulls',
     divisible=True,
 )

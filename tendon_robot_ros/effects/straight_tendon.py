@@ -1,6 +1,6 @@
 """Tendons run straight between eyelets (the paper's A3 lets them follow the backbone)."""
 
-from .effect import Effect, Parameter
+from .effect import Effect, fraction
 
 
 def law(travel, along, across, bend, sin_half, cos_half, radial, length, hinge, fraction):
@@ -31,6 +31,6 @@ EFFECT = Effect(
     name='straight_tendon',
     title='tendons run straight between eyelets',
     stage='tendon_path',
-    parameters=(Parameter('fraction', '1', 0.0, 1.0, 0.0, typical=1.0),),
+    parameters=(fraction(),),
     law=law,
 )

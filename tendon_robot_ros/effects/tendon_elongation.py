@@ -13,6 +13,8 @@ EFFECT = Effect(
     title='the tendons stretch',
     stage='stretch',
     law=law,
+    # strain at the tension that bends the arm by a radian: 0.06 %, at most a tenth because the
+    # law is linear
     parameters=(Parameter('compliance', '1/N', 0.0, 0.1, 0.0, typical=6e-4, of='compliance'),),
     needs='pulls',
     divisible=True,

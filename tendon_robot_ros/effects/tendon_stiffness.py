@@ -13,6 +13,7 @@ EFFECT = Effect(
     title='the tendons resist bending',
     stage='stiffness',
     law=law,
+    # of a cell: 2 % a tendon, because the six of Kato et al. 2015 make about 10 % (A7)
     parameters=(
         Parameter(
             'per_tendon', 'N·m/rad', 0.0, 4.0, 0.0, typical=0.02, of='stiffness', parts_power=1

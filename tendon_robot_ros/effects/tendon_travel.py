@@ -1,6 +1,6 @@
 """Friction opposes the real travel of the tendon, which all cells beyond the eyelet decide."""
 
-from .effect import Effect, Parameter
+from .effect import Effect, fraction
 
 
 def law(here, beyond, fraction):
@@ -16,7 +16,7 @@ EFFECT = Effect(
     name='tendon_travel',
     title="friction opposes the tendon's real travel",
     stage='friction_travel',
-    parameters=(Parameter('fraction', '1', 0.0, 1.0, 0.0, typical=1.0),),
+    parameters=(fraction(),),
     law=law,
     acts_on='tendon_friction',
     divisible=True,

@@ -15,6 +15,7 @@ EFFECT = Effect(
     title='the tension reading has an offset',
     stage='actuation',
     law=law,
+    # in tensions that bend the arm by a radian, so that an offset of the size of all is within
     parameters=(Parameter('offset', 'N', -6.0, 6.0, 0.0, typical=0.15, of='tension'),),
     divisible=True,
 )

@@ -17,6 +17,7 @@ EFFECT = Effect(
     title='the backbone twists about its own axis',
     stage='torsion',
     law=law,
+    # typically 1, because a round rod of one material has EI / GJ = 1 + Poisson's ratio
     parameters=(Parameter('compliance', '1', 0.0, 100.0, 0.0, typical=1.0, per_section=True),),
     divisible=True,
 )

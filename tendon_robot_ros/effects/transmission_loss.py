@@ -13,6 +13,7 @@ EFFECT = Effect(
     title='tension is lost before the base',
     stage='actuation',
     law=law,
+    # less than 1, else no tension would reach the base
     parameters=(Parameter('fraction', '1', 0.0, 0.9, 0.0, typical=0.1, tolerance='tension_gain'),),
     divisible=True,
     takes_force=True,

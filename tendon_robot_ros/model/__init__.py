@@ -13,8 +13,8 @@ pulls.py         wire pulls to tensions, with slack wires
 plot.py          arms drawn for notebooks
 derivatives.py   slopes of an equilibrium with respect to tensions and parameters; how stiff the
                  tip is
-arrays.py        a robot and its effects as the flat arrays that the kernel reads
-compile.py       the kernel composed from a catalogue, compiled and cached
+compile.py       a robot and its effects as the arrays of the kernel, which is composed from a
+                 catalogue, compiled and cached
 versions.py      the same package, effects and compiled kernel in every process of a study
 kernel/          the compiled laws; nothing else of the model is compiled
 

@@ -1,4 +1,4 @@
-"""The kernel composed from a catalogue, compiled and cached."""
+"""A robot and its effects as the arrays of the kernel, which is composed, compiled and cached."""
 
 from __future__ import annotations
 
@@ -10,17 +10,25 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
+from ..common.errors import EffectError, RobotDescriptionError
 from ..common.files import cache_folder
 from ..common.processes import child_environment
-from ..effects import STAGES, Catalogue, load_catalogue
+from ..effects import STAGES, Catalogue, Parameter, load_catalogue
+from ..robot import Robot
+from ..robot.description import helix_angles, tendon_offsets
 
+Floats = npt.NDArray[np.float64]
 KERNEL = Path(__file__).parent / 'kernel'
 _COMPOSED: dict[str, ModuleType] = {}
 
@@ -84,11 +92,11 @@ def kernel_key(catalogue: Catalogue) -> str:
     stages = f'{catalogue.digest} {stages_source(catalogue)}'
     # machine code in the cache names the modules of the laws; the same file may be in two places
     modules = ' '.join(effect.law.__module__ for effect in catalogue)
-    return hashlib.sha256(f'{stages} {modules} {_kernel_digest()}'.encode()).hexdigest()[:20]
+    return hashlib.sha256(f'{stages} {modules} {kernel_digest()}'.encode()).hexdigest()[:20]
 
 
 @cache
-def _kernel_digest() -> str:
+def kernel_digest() -> str:
     """Key over what does not change while a process runs: the kernel, Python and numba."""
     digest = hashlib.sha256(Path(__file__).read_bytes())
     for path in sorted(KERNEL.glob('*.py')):
@@ -107,14 +115,14 @@ def load_numba() -> None:
     by itself once something compiled multiplies matrices.
     """
     linalg = importlib.import_module('numba.np.linalg')
-    look = getattr(linalg, 'ensure_blas', None)
-    if look is None or 'numba.np.arraymath' in sys.modules:
+    check = getattr(linalg, 'ensure_blas', None)
+    if check is None or 'numba.np.arraymath' in sys.modules:
         return
     linalg.ensure_blas = lambda: None  # type: ignore[attr-defined]
     try:
-        importlib.import_module('numba.np.arraymath').ensure_blas = look  # type: ignore[attr-defined]
+        importlib.import_module('numba.np.arraymath').ensure_blas = check  # type: ignore[attr-defined]
     finally:
-        linalg.ensure_blas = look  # type: ignore[attr-defined]
+        linalg.ensure_blas = check  # type: ignore[attr-defined]
 
 
 def compose(catalogue: Catalogue) -> Callable[[str], ModuleType]:
@@ -129,7 +137,15 @@ def compose(catalogue: Catalogue) -> Callable[[str], ModuleType]:
         load_numba()
         folder = cache_folder() / name
         if not (folder / 'stages.py').is_file():
-            _write(folder, stages_source(catalogue))
+            # written beside its place and moved there, so that no process sees half of it
+            scratch = Path(tempfile.mkdtemp(dir=folder.parent, prefix='composing_'))
+            for path in sorted(KERNEL.glob('*.py')):
+                shutil.copyfile(path, scratch / path.name)
+            (scratch / 'stages.py').write_text(stages_source(catalogue), encoding='utf-8')
+            try:
+                scratch.rename(folder)
+            except OSError:  # another process was faster
+                shutil.rmtree(scratch)
         spec = importlib.util.spec_from_file_location(
             name, folder / '__init__.py', submodule_search_locations=[str(folder)]
         )
@@ -141,7 +157,14 @@ def compose(catalogue: Catalogue) -> Callable[[str], ModuleType]:
     return cache(lambda part: importlib.import_module(f'{name}.{part}'))
 
 
-BESIDE = """
+def is_compiled(catalogue: Catalogue, part: str = '') -> bool:
+    """Tell whether machine code for a catalogue, or of one module of it, lies in the cache."""
+    # beside the sources, or with NUMBA_CACHE_DIR in a folder of that name and a hash
+    files = f'tendon_robot_kernel_{kernel_key(catalogue)}*/**/{part}*.nbc'
+    return any(cache_folder().glob(files))
+
+
+COMPILE_ENTRIES = """
 from tendon_robot_ros.common.processes import end_with_parent
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.compile import compose
@@ -159,32 +182,241 @@ def compiled_beside(catalogue: Catalogue, *entries: tuple[str, str]) -> Iterator
     Have a process of its own compile entries of the kernel meanwhile; wait for it.
 
     Each by its module and its name. Nothing happens where the first is compiled, where one
-    processor is all there is, and with effects that another process would have to be told of.
+    processor is all there is, and with effects that another process does not know.
     """
     alone = os.cpu_count() == 1 or is_compiled(catalogue, entries[0][0])
     # who asks for the usual effects reads what is installed: not for every model
     if alone or load_catalogue().digest != catalogue.digest:
         yield
         return
-    command = [sys.executable, '-c', BESIDE.format(entries=entries)]
+    command = [sys.executable, '-c', COMPILE_ENTRIES.format(entries=entries)]
     with subprocess.Popen(command, env=child_environment(), stderr=subprocess.DEVNULL):
         yield
 
 
-def is_compiled(catalogue: Catalogue, part: str = '') -> bool:
-    """Tell whether machine code for a catalogue, or of one module of it, lies in the cache."""
-    # beside the sources, or with NUMBA_CACHE_DIR in a folder of that name and a hash
-    files = f'tendon_robot_kernel_{kernel_key(catalogue)}*/**/{part}*.nbc'
-    return any(cache_folder().glob(files))
+# What only implicit models and derivatives by parameters call, and its module of the kernel:
+# fields of the kernel's chain. A first shape of an explicit model need not wait for them.
+LINKED = {
+    'prepare': 'sweep',
+    'place_travel': 'sweep',
+    'balance': 'sweep',
+    'residual': 'sweep',
+    'respond': 'elimination',
+    'newton': 'equilibrium',
+    'solve_equilibrium': 'equilibrium',
+}
+# About half of the work: these are compiled by a process of its own.
+BESIDE = ('respond', 'balance', 'residual', 'newton')
+# The same that only loaded arms call, those whose tendons lean, those whose friction remembers,
+# and those without loads whose friction follows the cell alone.
+OF_LOADS = {
+    'load_moments': 'loads',
+    'flat_moments': 'loads',
+    'bow_cells': 'loads',
+    'load_slopes': 'linearisation',
+    'descend': 'equilibrium',
+}
+OF_LEANING = {'leaning_travel': 'geometry', 'leaning_slopes': 'linearisation'}
+OF_MEMORY = {'remembered': 'shape', 'ramped': 'shape'}
+OF_CAUSAL = {'march': 'equilibrium'}
+ALL_LINKED = LINKED | OF_LOADS | OF_LEANING | OF_MEMORY | OF_CAUSAL
+LINKING_STAGES = {'length', 'stretch', 'winding'}  # see `place_as` of the kernel
+LINKING_STAGES |= {name for name, stage in STAGES.items() if stage.implicit}
 
 
-def _write(folder: Path, stages: str) -> None:
-    """Write the package beside its place and move it there, so that no process sees half."""
-    scratch = Path(tempfile.mkdtemp(dir=folder.parent, prefix='composing_'))
-    for path in sorted(KERNEL.glob('*.py')):
-        shutil.copyfile(path, scratch / path.name)
-    (scratch / 'stages.py').write_text(stages, encoding='utf-8')
-    try:
-        scratch.rename(folder)
-    except OSError:  # another process was faster
-        shutil.rmtree(scratch)
+class KernelArrays:
+    """Flat arrays of a robot with its effects, and the composed kernel's modules."""
+
+    def __init__(self, robot: Robot, catalogue: Catalogue) -> None:
+        """Check the effects against the catalogue and fill the arrays."""
+        self.robot, self.catalogue = robot, catalogue
+        self.kernel = compose(catalogue)
+        self.layout = layout(catalogue)
+        self.cells = cell_rows(robot)
+        self.offset = tendon_offsets(robot)
+        self.helix = helix_angles(robot)
+        self.tendon = np.array(
+            [
+                [robot.tendon_cells[k], j]
+                for k in range(len(robot.tendons))
+                for j, members in enumerate(robot.input_tendons)
+                if k in members
+            ],
+            dtype=np.int64,
+        )
+        self.gravity = np.array(robot.gravity or (0.0, 0.0, 0.0))
+        wide = max(len(robot.sections), len(robot.tendons))
+        self.values = np.empty((len(self.layout.rows), wide))
+        self.on = np.zeros(len(self.layout.index), dtype=np.uint8)
+        self.twisting = np.zeros_like(self.on)  # which effects let cells twist
+        self.twisting[[self.layout.index[e.name] for e in catalogue if e.stage == 'torsion']] = 1
+        for effect in catalogue:
+            for parameter in effect.parameters:
+                self.values[self.layout.rows[effect.name, parameter.name]] = parameter.neutral
+        for name, values in robot.effects.items():
+            self.read(name, values)
+        linked = bool(self._acting() & LINKING_STAGES) or bool(self.helix.any())
+        entries = [(LINKED[field], field) for field in BESIDE]
+        beside = compiled_beside(catalogue, *entries) if linked else nullcontext()
+        with beside:
+            lay = self.part('layout')
+            arrays = ('cells', 'offset', 'tendon', 'values', 'on', 'gravity')
+            self.chain = lay.Chain(
+                n=robot.cells,
+                k=len(robot.tendons),
+                m=len(robot.inputs),
+                wide=self.values.shape[1],
+                radius=float(np.linalg.norm(self.offset, axis=2).max()),
+                step=lay.address_of(self.part('sweep').step),
+                helix=self.helix.ctypes.data if self.helix.any() else 0,
+                beside=int(any(any(any(xy) for xy in s.mass_offset) for s in robot.sections)),
+                **dict.fromkeys(ALL_LINKED, 0),
+                **{name: getattr(self, name).ctypes.data for name in arrays},
+            )
+            radius = np.float64(self.chain.radius).view(np.int64)
+            self._words = np.array(self.chain._replace(radius=radius), dtype=np.int64)
+            self.address = int(self._words.ctypes.data)  # of the chain's fields, for the kernel
+            if linked:
+                self._link([field for field in self._called() if field not in BESIDE])
+                lay.address_of(self.part('shape').postures)
+        if linked:
+            self.link()
+
+    def part(self, name: str) -> ModuleType:
+        """Return a module of the composed kernel."""
+        return self.kernel(name)
+
+    def columns(self, parameter: Parameter) -> tuple[str, ...]:
+        """Return whose values the columns of a parameter are: sections, tendons, or nobody's."""
+        if parameter.per == 'section':
+            return tuple(section.name for section in self.robot.sections)
+        return tuple(tendon.name for tendon in self.robot.tendons if parameter.per == 'tendon')
+
+    def set(self, effect: str, parameter: str, column: int | None, value: float) -> None:
+        """Set one parameter (of one section or tendon, or of all) and switch its effect on."""
+        row = self.layout.rows[effect, parameter]
+        self.values[row, slice(None) if column is None else column] = value
+        self.act(effect)
+
+    def act(self, effect: str) -> None:
+        """Switch an effect on; its parameters stay."""
+        self.on[self.layout.index[effect]] = 1
+        if self.catalogue[effect].stage in LINKING_STAGES:
+            self.link()
+
+    def get(self, effect: str, parameter: str, column: int | None = None) -> float:
+        """Return one parameter (of one section or tendon)."""
+        return float(self.values[self.layout.rows[effect, parameter], column or 0])
+
+    @property
+    def twists(self) -> bool:
+        """Whether cells twist about their own axis."""
+        return bool((self.on & self.twisting).any())
+
+    def read(self, name: str, values: dict[str, Any]) -> None:
+        """Set an effect as a description lists it, within the bounds of its parameters."""
+        robot = self.robot
+        try:
+            effect = self.catalogue[name]
+        except EffectError as error:
+            raise EffectError(f'{robot.source}: effects: {error}') from None
+        known = {parameter.name: parameter for parameter in effect.parameters}
+        for key, value in values.items():
+            where = f'effects.{name}.{key}'
+            if key not in known:
+                raise RobotDescriptionError(robot.source, where, 'one of ' + ', '.join(known), key)
+            parameter = known[key]
+            numbers = value if isinstance(value, tuple) else (value,)
+            if isinstance(value, tuple) and len(value) != len(self.columns(parameter)):
+                wanted = 'one number'
+                if parameter.per:
+                    count = len(self.columns(parameter))
+                    wanted = f'{count} numbers (one per {parameter.per})'
+                raise RobotDescriptionError(robot.source, where, wanted, list(value))
+            low, high = parameter.described_bounds
+            for number in numbers:
+                if not low <= number <= high:
+                    wanted = f'a number from {low:g} to {high:g} [{parameter.unit}]'
+                    raise RobotDescriptionError(robot.source, where, wanted, number)
+            row = self.values[self.layout.rows[name, key]]
+            row[: len(numbers)] = numbers
+            row[len(numbers) :] = numbers[0]
+        missing = [p.name for p in known.values() if not (p.has_default or p.name in values)]
+        if effect.always_on and missing:
+            raise RobotDescriptionError(robot.source, f'effects.{name}', ', '.join(missing), None)
+        rows = [self.layout.rows[name, key] for key in known]
+        neutral = np.array([[known[key].neutral] for key in known])
+        acts = effect.always_on or bool(np.any(self.values[rows] != neutral))
+        self.on[self.layout.index[name]] = acts
+
+    def link(self) -> None:
+        """
+        Compile what explicit models do without and what acts here calls, if that is not yet done.
+
+        Before anything that asks the kernel for residuals or their responses, and once another
+        effect acts: without it they call the address 0.
+        """
+        self._link(self._called())
+
+    def _acting(self) -> frozenset[str]:
+        """Return the stages at which effects act."""
+        on, index = self.on, self.layout.index
+        return frozenset(effect.stage for effect in self.catalogue if on[index[effect.name]])
+
+    def _called(self) -> dict[str, str]:
+        """Return what the effects that act call, as `LINKED`."""
+        acting, called = self._acting(), dict(LINKED)
+        if acting & {'load', 'tip_load'}:
+            called |= OF_LOADS
+        elif not {'friction_travel', 'eyelet'} <= acting:
+            called |= OF_CAUSAL
+        if 'torsion' in acting or self.helix.any():
+            called |= OF_LEANING
+        if 'memory' in acting:
+            called |= OF_MEMORY
+        return called
+
+    def _link(self, fields: Iterable[str]) -> None:
+        address_of = self.part('layout').address_of
+        for name in fields:
+            place = self.chain._fields.index(name)
+            if not self._words[place]:
+                self._words[place] = address_of(getattr(self.part(ALL_LINKED[name]), name))
+
+    def scratch(self) -> Floats:
+        """Return scratch memory for one thread."""
+        lay, chain = self.part('layout'), self.chain
+        scratch = np.zeros(
+            lay.work_size(chain.n, chain.k)
+            + 3 * chain.n
+            + lay.memory_size(chain.n, chain.k, chain.m)
+            + chain.k
+            + chain.m
+        )
+        lay.lay_out_work(chain.n, chain.k, scratch)
+        return scratch
+
+    def fresh_memory(self) -> Floats:
+        """Return the friction memory of the straight, tension-free arm."""
+        chain = self.chain
+        return np.zeros(self.part('layout').memory_size(chain.n, chain.k, chain.m))
+
+
+def cell_rows(robot: Robot) -> Floats:
+    """Return a row (n, 8) per cell, in the columns of the kernel (`CELL_COLUMNS`)."""
+    rows: list[list[float]] = []
+    for index, section in enumerate(robot.sections):
+        for i in range(section.cells):
+            present = sum(len(rows) < cells for cells in robot.tendon_cells)
+            rows.append(
+                [
+                    section.cell_length,
+                    section.bending_stiffness[i],
+                    section.mass_profile[i] * section.cell_length,
+                    float(section.bends_as == 'hinge'),
+                    float(index),
+                    float(present),
+                    *(section.mass_offset[i] if section.mass_offset else (0.0, 0.0)),
+                ]
+            )
+    return np.array(rows)

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import InputError
+from .pulls import SLACK_BELOW_N
 from .shape import Shape, ShapeBatch
 
 if TYPE_CHECKING:
@@ -19,15 +20,25 @@ if TYPE_CHECKING:
 Floats = npt.NDArray[np.float64]
 Seen = Callable[[ShapeBatch], Floats]
 Column = str | tuple[str, str] | tuple[str, str, int | None]
-TENSION_STEP = 1e-5  # [N]
-PARAMETER_STEP = 1e-5  # [1], of the parameter or of its typical size
-REMEMBERED_STEP = 10.0  # [1] longer steps where whole ways are solved twice
+EPSILON = float(np.finfo(float).eps)
+# [1] of a parameter or of its typical size: a central difference errs by the square of its step
+# and by EPSILON over it, and would be worse with any other
+DIFFERENCE_STEP = EPSILON ** (1 / 3)
+TENSION_STEP = DIFFERENCE_STEP  # [N]
+# [1] times as long steps where whole paths are solved twice, because an equilibrium is only known
+# to 1e-10 rad
+REMEMBERED_STEP = 16.0
+RIGID_BELOW = EPSILON / DIFFERENCE_STEP  # [m/N] rounding of places of 1 m, and no compliance
 
 
 def tip_jacobian(model: ForwardModel, tensions: Floats) -> Floats:
     """Return d (tip position, tip direction) / d tensions, (6, m) [m/N], [1/N], from straight."""
     if model.remembers:
-        tips: Floats = derivatives(model, model.shapes(tensions[None]), model.inputs, _tip)[0]
+
+        def tip(batch: ShapeBatch) -> Floats:
+            return np.concatenate([batch.tip_position, batch.tip_direction], axis=1)
+
+        tips: Floats = derivatives(model, model.shapes(tensions[None]), model.inputs, tip)[0]
         return tips
     return tip_slopes(model, model.shape(tensions), model.arrays.fresh_memory())
 
@@ -50,30 +61,30 @@ def tip_slopes(model: ForwardModel, shape: Shape, past: Floats) -> Floats:
 def tip_ways(model: ForwardModel, shape: Shape, past: Floats) -> tuple[Floats, Floats]:
     """Return `tip_slopes` (6, m), and how the state follows the tensions (m, u) [rad/N]."""
     m = len(shape.inputs)
-    slopes, ways = np.empty((6, m)), np.empty((m, _unknowns(model)))
+    slopes, state_slopes = np.empty((6, m)), np.empty((m, _unknowns(model)))
     states, part = np.array([shape.state, shape.state]), model.arrays.part('derivatives')
     inputs, where = shape.inputs.copy(), model.arrays.address
-    part.jacobian(where, inputs, states, past, model.scratch, ways, slopes)
-    return slopes, ways
+    part.jacobian(where, inputs, states, past, model.scratch, state_slopes, slopes)
+    return slopes, state_slopes
 
 
-def take_sides(model: ForwardModel, shape: Shape, past: Floats, way: Floats) -> int:
+def take_sides(model: ForwardModel, shape: Shape, past: Floats, step: Floats) -> int:
     """
-    Let friction at rest be on the side to which the arm goes; return at how many eyelets it turns.
+    Put friction at rest on the side to which the arm goes; return how many eyelets change sides.
 
     Parameters
     ----------
     shape : Shape
     past : ndarray
         Friction memory of the posture before, changed in place: the slopes of an eyelet that has
-        not slid since are then those of the way it will. See the kernel's `derivatives`.
-    way : (u,) [rad]
+        not slid since are then those of the side to which it will. See the kernel's `derivatives`.
+    step : (u,) [rad]
         How the state goes on, by `tip_ways`.
 
     """
     states, part = np.array([shape.state, shape.state]), model.arrays.part('derivatives')
     where, inputs = model.arrays.address, shape.inputs.copy()
-    return int(part.take_sides(where, inputs, states, way, past, model.scratch))
+    return int(part.take_sides(where, inputs, states, step, past, model.scratch))
 
 
 def _unknowns(model: ForwardModel) -> int:
@@ -93,7 +104,7 @@ def derivatives(
 
     By the implicit function theorem: one linear equation for all columns, no further equilibrium
     (see the kernel's `derivatives`). An effect that is off counts as on at its neutral value.
-    Where friction remembers, the way there matters and each side is solved from straight.
+    Where friction remembers, the path to a posture matters and each side is solved from straight.
 
     Parameters
     ----------
@@ -106,8 +117,8 @@ def derivatives(
         What is differentiated: shapes to an array (b, ...). Default: the positions as the tracker
         sees them, (b, n, 3) [m].
     memory : optional
-        Friction memory of these shapes (`Shape.memory`): what is small happens from there, with
-        the mean of both directions in which tendons may slide.
+        Friction memory of these shapes (`Shape.memory`): small changes start there, with the mean
+        of both directions in which tendons may slide.
 
     Raises
     ------
@@ -118,8 +129,8 @@ def derivatives(
     seen = seen or (lambda batch: model.measured(batch.positions))
     moves = [_Move.of(model, shapes, column) for column in columns]
     if memory is not None or not model.remembers:
-        found, _ = follow(model, shapes.inputs, shapes.state, moves, seen, memory)
-        return np.moveaxis(found, 0, -1)
+        rates, _ = follow(model, shapes.inputs, shapes.state, moves, seen, memory)
+        return np.moveaxis(rates, 0, -1)
     slopes = []
     for move in moves:
         sides = []
@@ -165,16 +176,34 @@ def follow(
         Friction memory of these shapes; without it nothing may remember. See `derivatives`.
 
     """
-    past = model.arrays.fresh_memory() if memory is None else memory
-    ways, slopes = _ways(model, inputs, states, moves, past), []
-    for way, move in zip(ways, moves, strict=True):
+    arrays, slopes = model.arrays, []
+    past = arrays.fresh_memory() if memory is None else memory
+    rates, on, acting = (
+        np.empty((len(states), len(moves), states.shape[1])),
+        arrays.on.copy(),
+        arrays.on,
+    )
+    for q, move in enumerate(moves):
         sides = []
         for side in (move.up, move.down):
             with move.made(model, side):
-                state = states + side[:, None] * way
+                sides.append(residuals(model, move.inputs(inputs, side), states, past))
+                on |= arrays.on & arrays.twisting
+        rates[:, q] = _per_unit(sides, move)
+    before = acting.copy()
+    try:  # cells twist for all if they do for one, else their twist would follow nothing
+        acting[:] = on
+        state_slopes = responses(model, inputs, states, past, rates).swapaxes(0, 1)
+    finally:
+        acting[:] = before
+    for state_slope, move in zip(state_slopes, moves, strict=True):
+        sides = []
+        for side in (move.up, move.down):
+            with move.made(model, side):
+                state = states + side[:, None] * state_slope
                 sides.append(seen(shown(model, move.inputs(inputs, side), state, past)))
         slopes.append(_per_unit(sides, move))
-    return np.array(slopes), ways
+    return np.array(slopes), state_slopes
 
 
 def _per_unit(sides: Sequence[Floats], move: Move) -> Floats:
@@ -204,7 +233,7 @@ class _Move:
                 f'{effect}: unknown parameter {name!r}; known: {", ".join(parameters)}'
             )
         here = model.arrays.get(effect, name, _section(column))
-        step = longer * PARAMETER_STEP * max(abs(here), parameters[name].typical)
+        step = longer * DIFFERENCE_STEP * max(abs(here), parameters[name].typical)
         up, down = min(step, parameters[name].high - here), max(-step, parameters[name].low - here)
         return cls(column, up * ones, down * ones, -1)
 
@@ -236,25 +265,8 @@ def _section(column: Column) -> int | None:
     return column[2] if len(column) == 3 else None  # type: ignore[return-value]
 
 
-def _ways(
-    model: ForwardModel, inputs: Floats, states: Floats, moves: Sequence[Move], past: Floats
-) -> Floats:
-    """Return how the states follow every quantity, (q, b, 3n) [rad per unit]."""
-    arrays = model.arrays
-    rates, on = np.empty((len(states), len(moves), states.shape[1])), arrays.on.copy()
-    for q, move in enumerate(moves):
-        sides = []
-        for side in (move.up, move.down):
-            with move.made(model, side):
-                sides.append(residuals(model, move.inputs(inputs, side), states, past))
-                on |= arrays.on & arrays.twisting
-        rates[:, q] = _per_unit(sides, move)
-    with _acting(model, on):  # cells twist for all if they do for one: else by nothing
-        return responses(model, inputs, states, past, rates).swapaxes(0, 1)
-
-
 def residuals(model: ForwardModel, inputs: Floats, states: Floats, past: Floats) -> Floats:
-    """Return states (b, 3n) minus what their own moments ask for [rad]; 0 for what no cell has."""
+    """Return states (b, 3n) minus those that their own moments ask for [rad]; 0 for no twist."""
     model.arrays.link()
     inputs, states = np.ascontiguousarray(inputs), np.ascontiguousarray(states)
     part, out = model.arrays.part('derivatives'), np.empty_like(states)
@@ -269,22 +281,11 @@ def responses(
     model.arrays.link()
     inputs, states = np.ascontiguousarray(inputs), np.ascontiguousarray(states)
     part, count = model.arrays.part('derivatives'), _unknowns(model)
-    changes, ways = np.ascontiguousarray(rates[..., :count]), np.zeros(rates.shape)
+    changes, answers = np.ascontiguousarray(rates[..., :count]), np.zeros(rates.shape)
     rows = np.empty_like(changes)
     part.responses(model.arrays.address, inputs, states, past, model.scratch, changes, rows)
-    ways[..., :count] = rows
-    return ways
-
-
-@contextmanager
-def _acting(model: ForwardModel, on: npt.NDArray[np.uint8]) -> Iterator[None]:
-    """Let the effects of a mask act while the block runs."""
-    before = model.arrays.on.copy()
-    model.arrays.on[:] = on
-    try:
-        yield
-    finally:
-        model.arrays.on[:] = before
+    answers[..., :count] = rows
+    return answers
 
 
 def shown(
@@ -303,15 +304,7 @@ def shown(
     return ShapeBatch(**fields, cell_length=form.cell_length, hinge=form.hinge)
 
 
-def _tip(batch: ShapeBatch) -> Floats:
-    """Position [m] and direction of the tip, (b, 6)."""
-    return np.concatenate([batch.tip_position, batch.tip_direction], axis=1)
-
-
 FORCES = ('tip_load', 'force_x'), ('tip_load', 'force_y'), ('tip_load', 'force_z')
-TAUT_ABOVE_N = 1e-6  # [N] a wire below is slack and holds no length
-RIGID_BELOW = 1e-12  # [m/N] compliance that is none
-LENGTH_RANK_SHARE = 1e-9  # of the largest singular value: wires that say the same
 
 
 @dataclass(frozen=True)
@@ -324,26 +317,26 @@ class TipStiffness:
         """
         Return the force per displacement along a direction [N/m], free to move across it.
 
-        1 / (uᵀ C u) with the compliance C and the unit vector u; infinite where nothing gives way.
+        1 / (uᵀ C u) with the compliance C and the unit vector u; infinite where nothing yields.
         """
         u = np.asarray(direction, dtype=float)
         size = float(np.linalg.norm(u))
-        if u.shape != (3,) or not 1e-12 < size < np.inf:
+        if u.shape != (3,) or not EPSILON < size < np.inf:
             raise InputError(f'direction: expected three numbers, not all 0, got {direction!r}')
         u = u / size
-        gives = float(u @ self.compliance @ u)
-        return 1.0 / gives if abs(gives) > RIGID_BELOW else np.inf
+        compliance = float(u @ self.compliance @ u)
+        return 1.0 / compliance if abs(compliance) > RIGID_BELOW else np.inf
 
     @property
     def softest(self) -> tuple[float, Floats]:
-        """Stiffness [N/m] along the direction (3,) in which the tip gives way most."""
+        """Stiffness [N/m] along the direction (3,) in which the tip yields most."""
         values, vectors = np.linalg.eigh(0.5 * (self.compliance + self.compliance.T))
         return 1.0 / max(float(values[-1]), RIGID_BELOW), vectors[:, -1]
 
 
 def tip_stiffness(model: ForwardModel, shape: Shape, wires_held: bool = False) -> TipStiffness:
     """
-    Return how the tip of an equilibrium gives way to a small force on it.
+    Return the compliance of the tip of an equilibrium under a small force on it.
 
     By the implicit function theorem on the model (`derivatives`). Where friction remembers,
     tendons stick at first, and the mean of both directions counts.
@@ -357,18 +350,18 @@ def tip_stiffness(model: ForwardModel, shape: Shape, wires_held: bool = False) -
         Slack wires hold nothing.
 
     """
-    taut = [name for name, t in zip(model.inputs, shape.inputs, strict=True) if t > TAUT_ABOVE_N]
+    taut = [name for name, t in zip(model.inputs, shape.inputs, strict=True) if t > SLACK_BELOW_N]
     columns: list[Column] = [*FORCES, *taut] if wires_held else [*FORCES]
     memory = shape.memory if model.remembers else None
-    slopes = derivatives(model, shape.batch, columns, _tip_and_pulls, memory)[0]
+
+    def tip_and_pulls(batch: ShapeBatch) -> Floats:
+        return np.concatenate([batch.tip_position, batch.pulls], axis=1)
+
+    slopes = derivatives(model, shape.batch, columns, tip_and_pulls, memory)[0]
     compliance = slopes[:3, :3]
     if wires_held and taut:
         rows = [3 + model.inputs.index(name) for name in taut]
-        held = np.linalg.pinv(slopes[rows, 3:], rcond=LENGTH_RANK_SHARE)
+        # what differences do not tell is not held: wires of the same length say the same
+        held = np.linalg.pinv(slopes[rows, 3:], rcond=DIFFERENCE_STEP)
         compliance = compliance - slopes[:3, 3:] @ held @ slopes[rows, :3]
     return TipStiffness(compliance)
-
-
-def _tip_and_pulls(batch: ShapeBatch) -> Floats:
-    """Return the position of the tip [m] and the wire pulls [m], (b, 3 + m)."""
-    return np.concatenate([batch.tip_position, batch.pulls], axis=1)

@@ -16,16 +16,23 @@ from ..effects import STAGES, CatalogueLike, load_catalogue
 from ..robot import RobotLike, load_robot
 from ..robot.estimates import natural_sizes
 from ..robot.inputs import TensionsLike, are_tensions, input_rows, tensions_of
-from .arrays import KernelArrays
+from .compile import KernelArrays
 from .shape import FIELDS, ResultLayout, Shape, ShapeBatch
 
 Floats = npt.NDArray[np.float64]
-TOLERANCE = 1e-10  # [rad] as in the kernel
-# [rad] a last step so small is that of a search that stalled at a kink of friction, which tensions
-# that differ by a share [1] do not meet; those of arms that buckle are larger (6e-3 and more)
-STALLED, BESIDE = 2e-3, (1e-6, 1e-5, 1e-4, 1e-3)
-THREADS = 2
-USEFUL_BEND_RAD = 1.5 * np.pi  # [rad] of one section: bends beyond it are rarely wanted
+# [rad] last change of an equilibrium; the kernel's BEND_TOLERANCE, which is not imported because
+# numba would be
+TOLERANCE = 1e-10
+# [rad] last step of a search that stalled at a kink of friction, because those of arms that buckle
+# are larger: measured, 6e-3 and more
+STALLED_RAD = 2e-3
+# [1] by which tensions are raised then, so that they are beside the kink. Measured: 611 of 390,002
+# equilibria of a co-contraction of spatial_6, all found by one of them; without, the tip is off by
+# 0.8 instead of 0.2 mm in one of eight
+RETRY_RAISES = (1e-6, 1e-5, 1e-4, 1e-3)
+THREADS = 2  # [1] for a batch: so that other programs of a robot's computer keep a core
+# [rad] of one section by one input alone: a curl beyond three quarters of a turn would meet itself
+USEFUL_BEND_RAD = 1.5 * np.pi
 
 
 class ForwardModel:
@@ -86,10 +93,10 @@ class ForwardModel:
     def acts_at(self, stage: str) -> bool:
         """Tell whether an effect of a stage acts."""
         on = self.arrays.on
-        return any(on[place] for place in self._members[stage])
+        return any(on[place] for place in self.members[stage])
 
     @cached_property
-    def _members(self) -> dict[str, tuple[int, ...]]:
+    def members(self) -> dict[str, tuple[int, ...]]:
         """Where the effects of every stage stand among the switches."""
         index = self.arrays.layout.index
         return {
@@ -110,7 +117,7 @@ class ForwardModel:
 
     def tensions(self, tensions: TensionsLike) -> Floats:
         """
-        Return input tensions (m,) [N] from names or numbers; names left out are slack (0).
+        Return input tensions (m,) [N] from names or numbers; names that are missing are slack (0).
 
         Raises
         ------
@@ -182,9 +189,9 @@ class ForwardModel:
             return self.shape(tensions, last.state, past)
         except NoEquilibriumError as error:
             stalled = error
-        for more in BESIDE if stalled.last_change < STALLED else ():
+        for raised in RETRY_RAISES if stalled.last_change < STALLED_RAD else ():
             try:
-                return self.shape((1.0 + more) * self.tensions(tensions), last.state, past)
+                return self.shape((1.0 + raised) * self.tensions(tensions), last.state, past)
             except NoEquilibriumError:
                 continue
         raise stalled
@@ -233,9 +240,7 @@ class ForwardModel:
         if guesses is not None:
             flat = guesses.reshape(b, -1)
             fields['state'][:, : flat.shape[1]] = flat
-        past = self._straight if memory is None and not carry else memory
-        if past is None:
-            past = self.arrays.fresh_memory()
+        past = self.arrays.fresh_memory() if memory is None else memory
         where, remembered = self.arrays.address, past.ctypes.data
 
         def part(begin: int, end: int) -> None:
@@ -286,11 +291,6 @@ class ForwardModel:
             self.arrays.part('shape').measured(self.arrays.address, moved.reshape(-1, 3))
         return moved
 
-    @cached_property
-    def _straight(self) -> Floats:
-        """Friction memory of the straight arm; it stays so."""
-        return self.arrays.fresh_memory()
-
     def _refuse(self, inputs: Floats, changes: Floats) -> None:
         if changes.max(initial=0.0) < TOLERANCE:
             return
@@ -304,10 +304,6 @@ class ForwardModel:
             raise NoEquilibriumError(where, self.implicit_effects, float(changes[bad[0]]))
 
 
-# -----------------------------------------------------------------------------
-# Shapes all over the workspace: where a cold search for a target begins.
-
-
 def workspace_library(model: ForwardModel) -> ShapeBatch:
     """
     Return shapes under random tensions within the limits; seeded, so always the same.
@@ -315,10 +311,16 @@ def workspace_library(model: ForwardModel) -> ShapeBatch:
     Tensions concentrate where a section bends by less than three quarters of a turn, and half of
     the postures leave one of two opposing tendons at its lower limit.
     """
+    cells, random = model.arrays.cells, np.random.default_rng(1)
+    per_newton = np.linalg.norm(model.arrays.offset, axis=2) / cells[:, 1:2]  # (n, k) [rad/N]
+    by_section = [per_newton[cells[:, 4] == s] for s in range(len(model.robot.sections))]
+    useful = [
+        USEFUL_BEND_RAD / max(rates[:, members].sum() for rates in by_section)
+        for members in map(list, model.robot.input_tendons)
+    ]  # (m,) [N] at which an input alone bends its section so (PCCA)
     count = 1024 if model.implicit else 4096
-    random = np.random.default_rng(1)
     low, high = model.limits.T
-    scale = np.minimum(high, low + _useful(model))
+    scale = np.minimum(high, low + useful)
     spread = random.random((count, len(low)))
     spread *= random.random((count, len(low))) < 0.6
     top = np.where(random.random((count, 1)) < 0.25, high, scale)
@@ -326,18 +328,3 @@ def workspace_library(model: ForwardModel) -> ShapeBatch:
     batch, changes = model.solve(inputs)
     good = changes < TOLERANCE
     return replace(batch, **{name: getattr(batch, name)[good] for name in FIELDS})
-
-
-def _useful(model: ForwardModel) -> np.ndarray:
-    """Tension (m,) [N] at which an input alone bends its section by `USEFUL_BEND_RAD` (PCCA)."""
-    cells, offset = model.arrays.cells, model.arrays.offset
-    per_newton = np.linalg.norm(offset, axis=2) / cells[:, 1:2]  # (n, k) [rad/N]
-    sections = cells[:, 4].astype(int)
-    useful = []
-    for members in model.robot.input_tendons:
-        rate = max(
-            sum(per_newton[sections == s, k].sum() for k in members)
-            for s in range(len(model.robot.sections))
-        )
-        useful.append(USEFUL_BEND_RAD / rate)
-    return np.array(useful)

@@ -15,8 +15,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Floats = npt.NDArray[np.float64]
-FLATNESS = 0.01  # of the arm's extent: farther from the x-z plane an arm is drawn in space
-ELEVATION_DEG = 12.0  # from which arms in space are seen
+# [1] of the arm's extent, from the x-z plane: an arm farther off is drawn in space, because a
+# picture of 500 pixels would hide more than five of them
+FLATNESS = 0.01
+ELEVATION_DEG = 12.0  # [°] from which arms in space are seen, so that bends towards the eye show
 
 
 def plot_arms(positions: Floats, axes: Axes | None = None, **style: Any) -> Axes:
@@ -35,7 +37,7 @@ def plot_arms(positions: Floats, axes: Axes | None = None, **style: Any) -> Axes
 
     """
     arms = 1e3 * np.concatenate([np.zeros((len(positions), 1, 3)), positions], axis=1)
-    axes = _new_axes(arms) if axes is None else axes
+    axes = new_axes(arms) if axes is None else axes
     in_space = hasattr(axes, 'get_zlim')
     for arm in arms:
         axes.plot(*(arm.T if in_space else arm.T[[0, 2]]), **{'marker': '.', **style})
@@ -47,7 +49,8 @@ def plot_arms(positions: Floats, axes: Axes | None = None, **style: Any) -> Axes
     return axes
 
 
-def _new_axes(arms: Floats) -> Axes:
+def new_axes(arms: Floats) -> Axes:
+    """Return axes for arms (b, n, 3) [mm]: flat, or seen across the plane in which they bend."""
     from matplotlib import pyplot as plt
 
     in_space = np.abs(arms[..., 1]).max() > FLATNESS * np.ptp(arms, axis=(0, 1)).max()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -20,15 +20,18 @@ if TYPE_CHECKING:
 
 Floats = npt.NDArray[np.float64]
 Aim = Callable[[Floats, Floats, Floats], tuple[float, Floats]]
-GAP_CLOSED_M = 1e-8  # [m] gap at which a search ends
-STRETCH_OFF_N = 0.1  # [N] that the stretched wires may be off
-# [m] gap that is no reason to refuse: friction near standstill turns within 2e-6
+GAP_CLOSED_M = 1e-8  # [m] gap of a wire that ends a search, so that no tip is off by 1 µm
+STRETCH_ERROR_N = 0.1  # [N] error of stretched wires: stiffer springs would correct no more
+# [m] gap that is no reason to refuse, because friction near rest changes sign within 2e-6
 GAP_ACCEPTED_M = 5e-6
-SPRING_COMPLIANCES = (1e-1, 1e-2, 1e-3, 1e-4)  # stretch of the wires, over the arm's compliance
-PRETENSION = 0.25  # share of the limits, of taut wires that a last search begins with
-HELD_WITHIN_N = 1e-3  # [N] difference of tensions that counts as held
-SLACK_BELOW_N = 1e-6  # [N]
-SEARCH_STEPS_MAX, NEAR_SEARCH_STEPS_MAX = 20, 6  # steps of a search; of one that begins near
+# [1] stretch of the wires over the arm's compliance: from so soft that each wire finds its tension
+# to so stiff that only 1e-4 of the pulls stretches, each so that the next search begins near
+SPRING_COMPLIANCES = (1e-1, 1e-2, 1e-3, 1e-4)
+PRETENSION = 0.25  # [1] of the limits, of a last search, because slack wires tell no direction
+HELD_WITHIN_N = 1e-3  # [N] difference of tensions that counts as held: so that a gap of 5 µm does
+SLACK_BELOW_N = 1e-6  # [N] a wire below holds no length, because its tension is rounding
+SEARCH_STEPS_MAX = 20  # [1] of Newton, where tensions may start far: more would not converge
+NEAR_SEARCH_STEPS_MAX = 6  # [1] the same from a guess, because the error is squared at each
 
 
 def pull_shape(
@@ -38,7 +41,7 @@ def pull_shape(
     memory: Floats | None = None,
 ) -> Shape:
     """
-    Return the shape whose wire pulls are met by tensions >= 0.
+    Return the shape that tensions >= 0 give these wire pulls.
 
     A wire without a pull is slack; so is one whose pull is less than the geometry asks for.
 
@@ -55,7 +58,7 @@ def pull_shape(
     InputError
         The wires cannot have these pulls together.
     NoEquilibriumError
-        The model finds no equilibrium on the way.
+        The model has no equilibrium during the search.
 
     """
     target = wire_pulls(model.robot, pulls)
@@ -120,18 +123,35 @@ def _tensions(
     two wires pull against each other, springs do not.
     """
     gap, best = np.inf, (np.zeros_like(target), np.zeros(3 * model.arrays.chain.n))
-    for begin in _beginnings(model, target, start):
+    for begin in beginnings(model, target, start):
         inputs, bends = np.array(begin.tensions), np.array([begin.bend, begin.bend])
         problem = (model.arrays.address, inputs, target, bends, past, model.scratch)
-        if not _stiffened(model, begin, problem, compliance) and begin.held:
+        stretched = True
+        for ratio in begin.springs:
+            stretch = ratio * compliance
+            error = model.arrays.part('pulls').solve_elastic_wires(*problem, stretch, begin.steps)
+            stretched = error < STRETCH_ERROR_N * stretch
+            if not stretched:
+                break  # stiffer springs would do no better
+        if not stretched and begin.held:
             continue
-        left = float(model.arrays.part('pulls').solve_stiff_wires(*problem, SEARCH_STEPS_MAX))
-        if left < gap:
-            gap, best = left, (inputs, bends[0])
+        error = float(model.arrays.part('pulls').solve_stiff_wires(*problem, SEARCH_STEPS_MAX))
+        if error < gap:
+            gap, best = error, (inputs, bends[0])
         if gap < begin.enough:
             return best
+    if not np.isfinite(gap):
+        raise NoEquilibriumError('these wire pulls', model.implicit_effects, gap)
     if gap > GAP_ACCEPTED_M:
-        _refuse(model, target, gap)
+        named = ', '.join(
+            f'{name} {1e3 * value:g} mm'
+            for name, value in zip(model.inputs, target, strict=True)
+            if np.isfinite(value)
+        )
+        raise InputError(
+            f'pulls: no tensions give {named} together (off by {1e3 * gap:.2g} mm); '
+            'release one of the wires'
+        )
     return best
 
 
@@ -147,14 +167,15 @@ class _Beginning:
     held: bool = True  # goes on only where every spring held
 
 
-def _beginnings(
+def beginnings(
     model: ForwardModel, target: Floats, start: tuple[Floats, Floats] | None
 ) -> Iterator[_Beginning]:
     """
     Yield what is tried: from near, from straight, and for wires that do not stretch.
 
-    Springs that stretch less than friction needs to turn (some µm) may not be met; wires that do
-    not stretch are met from there all the same, if not always by the same tensions: at last.
+    Springs that stretch by less than the travel over which friction changes sign (some µm) may
+    have no solution; wires that do not stretch have one there all the same, if not always the same
+    tensions: they come last.
     """
     if start is not None:
         yield _Beginning(*start, SPRING_COMPLIANCES[-1:], NEAR_SEARCH_STEPS_MAX, GAP_ACCEPTED_M)
@@ -168,36 +189,10 @@ def _beginnings(
     yield at_last(PRETENSION * model.limits[:, 1] * (taut > 0.0), springs=())
 
 
-def _stiffened(
-    model: ForwardModel, begin: _Beginning, problem: tuple[Any, ...], compliance: float
-) -> bool:
-    """Take tensions and bends in place through the springs; tell whether each one held."""
-    for share in begin.springs:
-        stretch = share * compliance
-        gap = model.arrays.part('pulls').solve_elastic_wires(*problem, stretch, begin.steps)
-        if not gap < STRETCH_OFF_N * stretch:
-            return False  # stiffer springs will do no better
-    return True
-
-
 def _compliance(model: ForwardModel) -> float:
     """Wire pull per tension [m/N] of the tendon that bends the arm most, in PCCA."""
     cells, offset = model.arrays.cells, model.arrays.offset
     return float(((offset**2).sum(axis=2) / cells[:, 1:2]).sum(axis=0).max())
-
-
-def _refuse(model: ForwardModel, target: Floats, gap: float) -> NoReturn:
-    if not np.isfinite(gap):
-        raise NoEquilibriumError('these wire pulls', model.implicit_effects, gap)
-    named = ', '.join(
-        f'{name} {1e3 * value:g} mm'
-        for name, value in zip(model.inputs, target, strict=True)
-        if np.isfinite(value)
-    )
-    raise InputError(
-        f'pulls: no tensions give {named} together (off by {1e3 * gap:.2g} mm); '
-        'release one of the wires'
-    )
 
 
 def limits_by_pulls(model: ForwardModel) -> Floats:
@@ -221,7 +216,7 @@ def aim_by_pulls(task: TipTask, aim: Aim, inputs: Floats, bend: Floats) -> tuple
     Returns
     -------
     cost : float [m²]
-        Infinite where nothing was found that is held.
+        Infinite where no tensions are held.
     bends : (3n,) [rad]
         State, bends and twists.
 

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Floats = npt.NDArray[np.float64]
+EPSILON, TINY = float(np.finfo(float).eps), float(np.finfo(float).tiny)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,40 +82,42 @@ class ResultLayout:
         }
 
 
-# -----------------------------------------------------------------------------
-# Markers anywhere along the arm, with offsets.
+END_TOLERANCE_M = 1e-9  # [m] from a cell's end that is its end, because sums of lengths round
 
 
 def place_markers(shapes: ShapeBatch, arc_length: Floats, offset: Floats) -> Floats:
     """Positions (b, j, 3) [m] of markers; see `ShapeBatch.markers`."""
-    cells, share, at_end = _places(shapes.cell_length.tobytes(), arc_length.tobytes())
+    cells, fraction, at_end = marker_cells(shapes.cell_length.tobytes(), arc_length.tobytes())
     if at_end and not offset.any():
         return shapes.positions[:, cells]
     frames, points = shapes.frames[:, cells], shapes.positions[:, cells]
     if not at_end:
-        frames, points = _inside(shapes, cells, share, bool(offset.any()))
+        frames, points = frames_inside(shapes, cells, fraction, bool(offset.any()))
     return np.asarray(points + np.einsum('bjrc,jc->bjr', frames, offset))
 
 
 @lru_cache(maxsize=64)
-def _places(cell_lengths: bytes, arc_lengths: bytes) -> tuple[npt.NDArray[np.intp], Floats, bool]:
-    """Cells (j,) that arc lengths lie in, the share of the way through, and if all are ends."""
+def marker_cells(
+    cell_lengths: bytes, arc_lengths: bytes
+) -> tuple[npt.NDArray[np.intp], Floats, bool]:
+    """Cells (j,) that arc lengths lie in, the fraction of each before them, and if all are 1."""
     lengths, along = np.frombuffer(cell_lengths), np.frombuffer(arc_lengths)
     ends = np.cumsum(lengths)
-    if np.any(along > ends[-1] + 1e-9) or np.any(along < 0.0):
+    if np.any(along > ends[-1] + END_TOLERANCE_M) or np.any(along < 0.0):
         raise InputError(
             f'markers: expected arc lengths from 0 to {ends[-1]:g} m (the tip), '
             f'got {along.max():g} m'
         )
-    cells = np.minimum(np.searchsorted(ends + 1e-9, along), len(ends) - 1)
-    share = np.clip((along - (ends - lengths)[cells]) / lengths[cells], 0.0, 1.0)
-    return cells, share, bool((np.abs(share - 1.0) * lengths[cells] < 1e-9).all())
+    cells = np.minimum(np.searchsorted(ends + END_TOLERANCE_M, along), len(ends) - 1)
+    fraction = np.clip((along - (ends - lengths)[cells]) / lengths[cells], 0.0, 1.0)
+    from_end = np.abs(fraction - 1.0) * lengths[cells]
+    return cells, fraction, bool((from_end < END_TOLERANCE_M).all())
 
 
-def _inside(
-    shapes: ShapeBatch, cells: npt.NDArray[np.intp], share: Floats, turned: bool
+def frames_inside(
+    shapes: ShapeBatch, cells: npt.NDArray[np.intp], fraction: Floats, turned: bool
 ) -> tuple[Floats, Floats]:
-    """Frames (b, j, 3, 3), where asked for as they turn, and points (b, j, 3) inside cells."""
+    """Frames (b, j, 3, 3), if `turned` as they turn with the cell, and points (b, j, 3) inside."""
     points = np.zeros((len(shapes), shapes.positions.shape[1] + 1, 3))
     frames = np.empty((*points.shape, 3))
     points[:, 1:], frames[:, 0], frames[:, 1:] = shapes.positions, np.eye(3), shapes.frames
@@ -122,10 +125,10 @@ def _inside(
     points, frames, bend = points[:, cells], frames[:, cells], shapes.bend[:, cells]
     angle = np.sqrt(np.square(bend).sum(axis=2))
     toward = np.where(
-        angle[..., None] > 1e-300, bend / np.maximum(angle, 1e-300)[..., None], [1.0, 0.0]
+        angle[..., None] > TINY, bend / np.maximum(angle, TINY)[..., None], [1.0, 0.0]
     )
     hinge = shapes.hinge[cells]
-    turn = angle * np.where(hinge, share > 0.5, share)
+    turn = angle * np.where(hinge, fraction > 0.5, fraction)
     twist = shapes.twist[:, cells]
     toward = turned_in_plane(toward, 0.5 * twist)  # half of it lies before the bend
     chord = (frames.swapaxes(2, 3) @ chord[..., None])[..., 0]
@@ -134,35 +137,22 @@ def _inside(
     step = (chord * middle).sum(axis=2)
     # the cell's own length now (it may be compressed): chord / chord of a unit cell
     unit = np.where(hinge, np.cos(0.5 * angle), np.sinc(0.5 * angle / np.pi))
-    length = step / np.maximum(unit, 1e-12)
-    across, along = _point(turn, angle, share, hinge, length)
+    length = step / np.maximum(unit, EPSILON)
+    arc, beyond = np.sinc(0.5 * turn / np.pi), length * np.maximum(fraction - 0.5, 0.0)
+    before = length * np.minimum(fraction, 0.5)
+    across = np.where(hinge, beyond * np.sin(angle), length * fraction * arc * np.sin(0.5 * turn))
+    along = np.where(
+        hinge, before + beyond * np.cos(angle), length * fraction * arc * np.cos(0.5 * turn)
+    )
     local = np.concatenate([toward * across[..., None], along[..., None]], axis=2)
-    # what a loaded cell bows (kernel/loads.py): curvature that is linear along it
-    local += (share**2 * (3.0 - 2.0 * share))[..., None] * (chord - step[..., None] * middle)
+    # a loaded cell bows (kernel/loads.py): curvature that is linear along it
+    local += (fraction**2 * (3.0 - 2.0 * fraction))[..., None] * (chord - step[..., None] * middle)
     points += (frames @ local[..., None])[..., 0]
     if turned:
         frames = frames @ bent(toward, turn)
-        frames[..., :2] = turned_in_plane(frames[..., :2], -(share * twist)[..., None])
+        frames[..., :2] = turned_in_plane(frames[..., :2], -(fraction * twist)[..., None])
     return frames, points
 
-
-def _point(
-    turned: Floats, angle: Floats, share: Floats, hinge: npt.NDArray[np.bool_], length: Floats
-) -> tuple[Floats, Floats]:
-    """Point inside a cell: (towards the bend, along z) [m]."""
-    half = np.sinc(0.5 * turned / np.pi)
-    arc_across = length * share * half * np.sin(0.5 * turned)
-    arc_along = length * share * half * np.cos(0.5 * turned)
-    beyond = length * np.maximum(share - 0.5, 0.0)
-    hinge_along = length * np.minimum(share, 0.5) + beyond * np.cos(angle)
-    return (
-        np.where(hinge, beyond * np.sin(angle), arc_across),
-        np.where(hinge, hinge_along, arc_along),
-    )
-
-
-# -----------------------------------------------------------------------------
-# What the model returns: shapes, batches of shapes, and tension solutions.
 
 FIELDS = 'inputs', 'state', 'tendon_tensions', 'frames', 'positions', 'tendon_pulls', 'pulls'
 
@@ -252,7 +242,7 @@ class Shape(Told):
     """One posture: the fields of `ShapeBatch` without the first axis."""
 
     def __init__(self, form: ResultLayout, block: Floats) -> None:
-        """Take a block that the kernel filled; its fields are made when they are asked for."""
+        """Take a block that the kernel filled; its fields are made when they are read."""
         self.form, self.block = form, block
 
     def __repr__(self) -> str:
@@ -381,8 +371,8 @@ class Reach(Told):
     """Tensions for a target, and how near they bring the tip."""
 
     shape: Shape
-    position_error: float  # [m], 0 where no position was asked
-    direction_error: float  # [rad], 0 where no direction was asked
+    position_error: float  # [m], 0 where no position was requested
+    direction_error: float  # [rad], 0 where no direction was requested
     status: str  # 'reached', 'nearest' or 'at_limit'
     at_limit: tuple[str, ...]  # inputs at their upper limit
     region: str = ''  # that keeps the arm away from the target, '' where none does

@@ -17,7 +17,7 @@ from ..effects import Catalogue, load_catalogue
 from . import forward
 from .compile import kernel_key
 
-PACKAGE = Path(__file__).parents[1]
+PACKAGE = Path(__file__).parent.parent
 LIBRARIES = ('numpy', 'scipy', 'numba')
 # folders on whose code a row depends; what prints and what moves motors is not among them
 PARTS = (
@@ -63,14 +63,14 @@ def versions(effects: tuple[UserEffect, ...] = ()) -> Mapping[str, str]:
     Code counts by its digest, folder by folder: the package's version stands still between
     releases.
     """
-    found = {}
+    digests = {}
     for part in PARTS:
         digest = hashlib.sha256()
         for path in sorted((PACKAGE / part).rglob('*.py')):
             digest.update(path.relative_to(PACKAGE).as_posix().encode() + path.read_bytes())
-        found[f'{PACKAGE.name}/{part}'] = digest.hexdigest()[:8]
-    found['catalogue of effects'] = catalogue_of(effects).digest
-    return found | {name: str(importlib.import_module(name).__version__) for name in LIBRARIES}
+        digests[f'{PACKAGE.name}/{part}'] = digest.hexdigest()[:8]
+    digests['catalogue of effects'] = catalogue_of(effects).digest
+    return digests | {name: str(importlib.import_module(name).__version__) for name in LIBRARIES}
 
 
 def refuse_difference(

@@ -12,7 +12,19 @@ asks for.
 
 import math
 
-from .layout import HINGE, PRESENT, STIFFNESS, cell, compiled, floats, fused, inlined, section_of
+from .layout import (
+    DIFFERENCE_STEP,
+    EPSILON,
+    HINGE,
+    PRESENT,
+    STIFFNESS,
+    cell,
+    compiled,
+    floats,
+    fused,
+    inlined,
+    section_of,
+)
 from .stages import (
     joint_friction,
     joint_friction_acts,
@@ -104,8 +116,8 @@ def axial_moment(x, y, sinc, versine, torque, start):
     return 0.5 * (start[2] + end)
 
 
-ARC_SERIES_BELOW = 0.25  # [rad²] below it the series of `arc_factor` does
-SERIES_BELOW = 2.4  # [rad²] below it the polynomials hold to the last digit (a / 2 < pi / 4)
+ARC_SERIES_BELOW = 0.25  # [rad²] so that the next term of the series in `gentle_arc` is rounding
+SERIES_BELOW = 2.4  # [rad²] so that half the bend is below pi / 4: polynomials then round only
 
 
 @fused
@@ -230,16 +242,7 @@ def chain_frames(chain, bend, work):
 
     Entry 0 is the base and stays as it is. A cell twists by a half before and behind its bend.
     """
-    if torsion_acts(chain):
-        fill_frames(chain, bend, work, True)
-    else:
-        fill_frames(chain, bend, work, False)
-
-
-@inlined
-def fill_frames(chain, bend, work, twists):
-    """Fill frames and origins as `chain_frames` does."""
-    co, si = 1.0, 0.0
+    twists, co, si = torsion_acts(chain), 1.0, 0.0
     frames, origins, bends = floats(work.frames), floats(work.origins), floats(bend)
     half, lengths = floats(work.half), floats(work.lengths)
     a, b, c = (1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0)
@@ -296,14 +299,14 @@ def bend_of(chain, k, size, section):
     t = min(t, 1.0)
     for _ in range(60):
         g = stiffening(1.0, t * t, chain, section)
-        h = 1e-6 * (1.0 + t)
+        h = DIFFERENCE_STEP * (1.0 + t)
         slope = (
             stiffening(1.0, (t + h) * (t + h), chain, section)
             - stiffening(1.0, (t - h) * (t - h), chain, section)
         ) / (2.0 * h)
         step = (k * t * g - size) / (k * (g + t * slope))
         t -= step
-        if abs(step) < 1e-14 * (1.0 + t):
+        if abs(step) < 50.0 * EPSILON * (1.0 + t):
             return t
     return math.nan
 

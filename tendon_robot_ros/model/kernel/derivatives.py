@@ -2,8 +2,8 @@
 Derivatives of an equilibrium by the implicit function theorem.
 
 How the residual changes with a parameter at the same bends is a difference of residuals; one
-elimination with these as right-hand sides says how the bends follow. How they follow a tension
-where there is friction it says without any: tensions come in at the base. (Where the model is
+elimination with these as right-hand sides says how the bends follow. Where there is friction it
+says without any how they follow a tension: tensions come in at the base. (Where the model is
 explicit, a difference of sweeps says it at once.) What a posture shows is then differentiated
 along both, without solving again.
 """
@@ -13,31 +13,31 @@ import math
 import numpy as np
 
 from .cells import half_turns, unknowns
-from .history import remember
 from .layout import (
+    DIFFERENCE_STEP,
     address,
     chain_at,
     compiled,
     entry,
     floats,
     keep,
+    largest,
     memory_in,
     memory_size,
     residual_at,
     respond_at,
     words,
 )
-from .linear import fill, largest
-from .shape import mean_pulls, place, wire_pulls, work_in, workspace
+from .linearisation import TRAVEL_STEP
+from .shape import SAME_SIGN, mean_pulls, place, remember, wire_pulls, work_in, workspace
 from .stages import actuation, eyelet_acts, length_acts, stretch_acts, winding_acts
 from .sweep import is_implicit
 
-TENSION_STEP = 1e-6  # [N]
-AHEAD_RAD = 1e-6  # [rad] step of a state that says which way eyelets slide
-RESTS_BELOW = 1e-2  # [1] change of the direction of friction at an eyelet that rests
-# [1] of the radius, that an eyelet at rest is taken to have slid: beyond the differences of the
-# law's slopes (`tangent`), and no travel that the law tells (presliding lengths are 8e-5 and more)
-ASIDE_SHARE = 3e-6
+TENSION_STEP = DIFFERENCE_STEP  # [N]
+AHEAD_RAD = DIFFERENCE_STEP  # [rad] step of a state that shows to which side eyelets slide
+# [1] change of the direction of friction at an eyelet at rest; as much is no sliding for
+# SAME_SIGN in `shape`, because paths tell no smaller one
+RESTING_MAX = SAME_SIGN
 
 
 @compiled
@@ -127,24 +127,24 @@ def move_along(chain, inputs, bend, rows, j, step, trial):
 
 
 @compiled
-def output_slopes(chain, inputs, there, ways, slopes):
+def output_slopes(chain, inputs, there, state_slopes, slopes):
     """
     Fill slopes (6 or 6 + m, m): tip position [m/N], tip direction [1/N], wire pulls [m/N].
 
     By the inputs, at the state kept in the workspace, which balances inputs (m,) at an address;
-    the wire pulls only where there are rows for them. `ways` (m, unknowns) takes how the state
+    the wire pulls only where there are rows for them. `state_slopes` (m, u) takes how the state
     follows [rad/N].
     """
     n, m, bend, work, past = chain.n, chain.m, there.bend, there.work, there.past
-    input_response(chain, inputs, bend, work, past, ways)
+    input_response(chain, inputs, bend, work, past, state_slopes)
     frames, origins = floats(work.frames), floats(work.origins)
-    fill(slopes, 0.0)
     for j in range(m):
+        slopes[:, j] = 0.0
         was = floats(inputs)[j]
         down = min(was, TENSION_STEP)
         for side in range(2):
             step, sign = (TENSION_STEP, 1.0) if side == 0 else (-down, -1.0)
-            move_along(chain, inputs, bend, ways, j, step, there.near)
+            move_along(chain, inputs, bend, state_slopes, j, step, there.near)
             place_as(chain, inputs, there.near, work, past)
             floats(inputs)[j] = was
             scale = sign / (TENSION_STEP + down)
@@ -159,20 +159,20 @@ def output_slopes(chain, inputs, there, ways, slopes):
 
 
 @entry()
-def jacobian(robot, inputs, bends, past, scratch, ways, slopes):
-    """Fill slopes (6, m) and ways (m, u), see `output_slopes`, at bends[0] of inputs (m,) [N]."""
+def jacobian(robot, inputs, bends, past, scratch, state_slopes, slopes):
+    """Fill slopes (6, m) and (m, u), see `output_slopes`, at bends[0] of inputs (m,) [N]."""
     chain = chain_at(robot)
     there = workspace(chain, bends, past, scratch)
-    output_slopes(chain, address(inputs), there, ways, slopes)
+    output_slopes(chain, address(inputs), there, state_slopes, slopes)
 
 
 @entry()
-def take_sides(robot, inputs, bends, way, past, scratch):
+def take_sides(robot, inputs, bends, step, past, scratch):
     """
-    Let eyelets at rest be on the side to which they slide on a way; return how many turn to it.
+    Let eyelets at rest be on the side to which they slide next; return how many change sides.
 
     The law of friction has another slope on each side. An eyelet rests where the direction of its
-    friction is as good as that in the memory `past`. Its travel there is set off a little, so that
+    friction is as good as that in the memory `past`. Its travel there is offset a little, so that
     derivatives are those of its side; one that is already on it does not count.
 
     Parameters
@@ -181,7 +181,7 @@ def take_sides(robot, inputs, bends, way, past, scratch):
         [N]
     bends : ndarray, shape (2, 3n)
         The equilibrium [rad]; scratch.
-    way : ndarray, shape (u,)
+    step : ndarray, shape (u,)
         How the state goes on [rad].
     past : ndarray
         Memory of the posture before; changed in place.
@@ -189,27 +189,28 @@ def take_sides(robot, inputs, bends, way, past, scratch):
     """
     chain = chain_at(robot)
     there = workspace(chain, bends, past, scratch)
-    share, tension = AHEAD_RAD / max(largest(way), AHEAD_RAD), address(inputs)
+    scale, tension = AHEAD_RAD / max(largest(step), AHEAD_RAD), address(inputs)
     for q in range(unknowns(chain)):
-        floats(there.near)[q] = floats(there.bend)[q] + share * way[q]
-    kept, turned = np.zeros(memory_size(chain.n, chain.k, chain.m)), 0
+        floats(there.near)[q] = floats(there.bend)[q] + scale * step[q]
+    kept, changed = np.zeros(memory_size(chain.n, chain.k, chain.m)), 0
     here, ahead, then = memory_in(chain, address(kept)), there.now, there.past
     remember(chain, tension, there.near, there.work, then, ahead)
     remember(chain, tension, there.bend, there.work, then, here)
-    tendon, aside = words(chain.tendon), ASIDE_SHARE * chain.radius
+    # so far that differences of the law stay on one side, and by far less than a presliding length
+    tendon, aside = words(chain.tendon), 16.0 * TRAVEL_STEP * chain.radius
     for k in range(chain.k):
         for i in range(tendon[2 * k] - 1):
             at = chain.k * i + k
             slid = floats(here.travel)[at] - floats(then.travel)[at]
             going = floats(ahead.travel)[at] - floats(here.travel)[at]
-            since = slid if abs(slid) > 2.0 * aside else 0.0  # else it was set off, or stands
-            side = math.copysign(1.0, share * since + going)
-            rests = abs(floats(here.sign)[at] - floats(then.sign)[at]) < RESTS_BELOW
+            since = slid if abs(slid) > 2.0 * aside else 0.0  # else it was offset, or rests
+            side = math.copysign(1.0, scale * since + going)
+            rests = abs(floats(here.sign)[at] - floats(then.sign)[at]) < RESTING_MAX
             if rests and slid * side < 0.5 * aside:
                 floats(then.travel)[at] = floats(here.travel)[at] - aside * side
-                turned += 1
+                changed += 1
     keep(kept)
-    return turned
+    return changed
 
 
 @entry()
@@ -256,5 +257,5 @@ def responses(robot, inputs, bends, past, scratch, changes, rows):
         tension, bend = address(inputs) + 8 * chain.m * b, address(bends) + 24 * chain.n * b
         residual_at(chain.residual)(chain, tension, bend, work, then, address(f))
         at = 8 * size * count * b
-        change, ways = address(changes) + at, address(rows) + at
-        respond_at(chain.respond)(chain, bend, change, count, work, then, ways, 0)
+        change, answers = address(changes) + at, address(rows) + at
+        respond_at(chain.respond)(chain, bend, change, count, work, then, answers, 0)

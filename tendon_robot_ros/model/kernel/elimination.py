@@ -1,14 +1,17 @@
 """
-One cell of the linear equations of the chain: eliminated, with all that lies beyond it.
+The linear equations of the chain: what balances a change, and whether an equilibrium is stable.
 
 Towards the tip go the changes u of the tensions, of bend and twist before, and of the turn of the
 frame; towards the base the changes w of the travel beyond an eyelet and of the loads' torque. At
-every cell, what lies beyond answers u with w = S u + h. Eliminating a cell makes the S of the cell
-before; back-substitution runs from the base to the tip. The work grows linearly with the cells.
+every cell, what lies beyond answers u with w = S u + h. Eliminating a cell, with all that lies
+beyond it, makes the S of the cell before; back-substitution runs from the base to the tip. The
+work grows linearly with the cells. A pivot that is not positive means an unstable equilibrium.
 """
 
 import math
 from collections import namedtuple
+
+import numpy as np
 
 from .cells import coordinates
 from .layout import (
@@ -18,9 +21,11 @@ from .layout import (
     BY_TURN,
     HERE,
     LAGS,
+    NONE,
     OWN,
     PASSED,
     PULLS,
+    RESPOND,
     SIZE,
     SLIDES,
     TENDON,
@@ -29,12 +34,18 @@ from .layout import (
     TRAVELS,
     TURNS,
     ZERO,
+    add_row,
+    address,
     compiled,
+    entry,
     floats,
-    inlined,
+    keep,
+    solve_rows,
+    tangent_of,
+    tangent_size,
     words,
 )
-from .linear import solve_rows
+from .linearisation import differentiate
 from .loads import loaded
 from .stages import eyelet_acts
 
@@ -48,14 +59,14 @@ from .stages import eyelet_acts
 #   by_own   (kt + 3, 3)         how what lies beyond answers the cell's own bend and twist
 #   direct   (kt, 3)             part of the tensions by bend and twist of the cell
 #   pivot    (3, 3)              derivative of the cell's residual, all beyond eliminated
-#   left, side                   equations of tendons that slide together
+#   matrix, side                 equations of tendons that slide together
 #   first    (kt,) int           first cell from which on a tendon's travel matters before it
 #   active   (kt,) int           tendons that slide together
 # In all that follows `row` is the address of the derivatives of cell i (see `layout`); `s` and
 # `out` are those of what lies beyond the cell, and of what lies beyond its start.
 System = namedtuple(
     'System',
-    'kt turn right width bends tensions answers by_own direct pivot left side first active',
+    'kt turn right width bends tensions answers by_own direct pivot matrix side first active',
 )
 System.__name__ += '_' + __name__.partition('.')[0].rpartition('_')[2]
 
@@ -79,33 +90,12 @@ def system_in(chain, count, start):
     by_own = answers + 16 * (kt + 3) * width
     direct = by_own + 24 * (kt + 3)
     pivot = direct + 24 * kt
-    left = pivot + 72
-    side = left + 8 * kt * kt
+    matrix = pivot + 72
+    side = matrix + 8 * kt * kt
     first = side + 8 * kt * (width + 3)
-    return System(
-        kt,
-        turn,
-        right,
-        width,
-        start,
-        tensions,
-        answers,
-        by_own,
-        direct,
-        pivot,
-        left,
-        side,
-        first,
-        first + 8 * kt,
-    )
-
-
-@inlined
-def add_row(target, share, source, begin, width):
-    """Add a share of one row to another, from a column on."""
-    into, row = floats(target), floats(source)
-    for j in range(begin, width):
-        into[j] += share * row[j]
+    columns = (kt, turn, right, width, start, tensions)
+    here = (answers, by_own, direct, pivot, matrix, side, first, first + 8 * kt)
+    return System(*(columns + here))
 
 
 @compiled
@@ -161,7 +151,7 @@ def pass_tensions(chain, system, i, row, s):
 def slide_together(system, i, row, s, count):
     """Solve for the changes of the tensions of active tendons, which feel each other's travel."""
     kt, width, own = system.kt, system.width, system.turn - system.kt
-    active, left = words(system.active), floats(system.left)
+    active, matrix = words(system.active), floats(system.matrix)
     changes, all_direct = system.tensions + 8 * width * kt * i, floats(system.direct)
     for p in range(count):
         k = active[p]
@@ -175,15 +165,15 @@ def slide_together(system, i, row, s, count):
             side[width + a] = all_direct[3 * k + a] + slides * floats(system.by_own)[3 * k + a]
         q = 0
         for other in range(kt):
-            share = slides * answers[other]
+            factor = slides * answers[other]
             if q < count and active[q] == other:
-                left[count * p + q] = (1.0 if p == q else 0.0) - share
+                matrix[count * p + q] = (1.0 if p == q else 0.0) - factor
                 q += 1
-            elif share != 0.0:
-                add_row(at, share, changes + 8 * width * other, ZERO, width)
+            elif factor != 0.0:
+                add_row(at, factor, changes + 8 * width * other, ZERO, width)
                 for a in range(own):
-                    side[width + a] += share * all_direct[3 * other + a]
-    solved = solve_rows(system.left, system.side, count, width + own)
+                    side[width + a] += factor * all_direct[3 * other + a]
+    solved = solve_rows(system.matrix, system.side, count, width + own)
     for p in range(count):
         side = floats(system.side + 8 * (width + own) * p)
         change = floats(changes + 8 * width * active[p])
@@ -205,22 +195,22 @@ def gather_cell(chain, system, i, row, s):
         if i >= words(chain.tendon)[2 * k]:
             continue
         for a in range(size):
-            share = floats(row + 8 * (SIZE + TENDON * k))[BY_TENSION + a]
+            factor = floats(row + 8 * (SIZE + TENDON * k))[BY_TENSION + a]
             if loads:
                 for m in range(3):
-                    share += slopes[BY_TORQUE + 3 * a + m] * floats(s)[width * (kt + m) + k]
+                    factor += slopes[BY_TORQUE + 3 * a + m] * floats(s)[width * (kt + m) + k]
             for b in range(size):
-                pivot[3 * a + b] += share * floats(system.direct)[3 * k + b]
-            add_row(bends + 8 * width * a, -share, changes + 8 * width * k, ZERO, width)
+                pivot[3 * a + b] += factor * floats(system.direct)[3 * k + b]
+            add_row(bends + 8 * width * a, -factor, changes + 8 * width * k, ZERO, width)
     if not loads:
         return
     for a in range(size):
         for m in range(3):
-            share = slopes[BY_TORQUE + 3 * a + m]
+            factor = slopes[BY_TORQUE + 3 * a + m]
             for b in range(size):
-                pivot[3 * a + b] += share * floats(system.by_own)[3 * (kt + m) + b]
+                pivot[3 * a + b] += factor * floats(system.by_own)[3 * (kt + m) + b]
             floats(bends)[width * a + turn + m] -= slopes[BY_TURN + 3 * a + m]
-            add_row(bends + 8 * width * a, -share, s + 8 * width * (kt + m), turn, width)
+            add_row(bends + 8 * width * a, -factor, s + 8 * width * (kt + m), turn, width)
 
 
 @compiled
@@ -228,7 +218,7 @@ def solve_cell(system, i):
     """
     Solve for the changes of bend and twist of cell i, whose pivot and right-hand sides are there.
 
-    The twist goes first: the pivot then holds what is left of the bend, the twist's own in its
+    The twist goes first: the pivot then holds that of the bend without it, the twist's own in its
     last entry, and before it how the twist follows the bend.
     """
     width, size, pivot = system.width, system.turn - system.kt, floats(system.pivot)
@@ -260,10 +250,10 @@ def complete_tensions(chain, system, i):
     for k in range(kt):
         if i < words(chain.tendon)[2 * k]:
             for a in range(size):
-                share = floats(system.direct)[3 * k + a]
-                if share != 0.0:
+                factor = floats(system.direct)[3 * k + a]
+                if factor != 0.0:
                     at = system.tensions + 8 * width * (kt * i + k)
-                    add_row(at, share, bends + 8 * width * a, ZERO, width)
+                    add_row(at, factor, bends + 8 * width * a, ZERO, width)
 
 
 @compiled
@@ -274,8 +264,10 @@ def answer_row(system, i, r, s, extra, out):
     for j in range(width):
         next_answers[j] = answers[j] if j >= turn else 0.0
     for a in range(size):
-        share = floats(system.by_own)[3 * r + a] + extra[a]
-        add_row(out + 8 * width * r, share, system.bends + 8 * width * (size * i + a), ZERO, width)
+        factor = floats(system.by_own)[3 * r + a] + extra[a]
+        add_row(
+            out + 8 * width * r, factor, system.bends + 8 * width * (size * i + a), ZERO, width
+        )
     for k in range(kt):
         if answers[k] != 0.0:
             at = system.tensions + 8 * width * (kt * i + k)
@@ -307,3 +299,179 @@ def answer(chain, system, i, row, s, out):
         answer_row(system, i, kt + m, s, extra, out)
         for a in range(3):
             floats(out)[width * (kt + m) + turn + a] += slopes[TORQUE_BY_TURN + 3 * m + a]
+
+
+@compiled
+def note_first_slides(chain, system, tangent):
+    """Fill the first cell from which on a tendon's travel matters to an eyelet before it."""
+    first, tendon = words(system.first), words(chain.tendon)
+    for k in range(system.kt):
+        first[k] = chain.n
+        for i in range(1, tendon[2 * k]):
+            if floats(tangent_of(chain, tangent, i) + 8 * (SIZE + TENDON * k))[SLIDES] != 0.0:
+                first[k] = i
+                break
+
+
+@compiled
+def eliminate(chain, system, tangent):
+    """
+    Eliminate the cells from the tip to the base.
+
+    Returns the first cell from the tip whose pivot is not positive, that pivot of the bend (4,),
+    and the pivot of the twist and how it follows the bend (3,); -1 if all are: the equilibrium is
+    then stable.
+    """
+    unstable, pivot = -1, (1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0)
+    step = 8 * (system.kt + 3) * system.width
+    s, out, own = system.answers, system.answers + step, floats(system.pivot)
+    for q in range((system.kt + 3) * system.width):
+        floats(s)[q] = 0.0
+    note_first_slides(chain, system, tangent)
+    for i in range(chain.n - 1, -1, -1):
+        row = tangent_of(chain, tangent, i)
+        answer_own(system, row, s)
+        pass_tensions(chain, system, i, row, s)
+        gather_cell(chain, system, i, row, s)
+        solve_cell(system, i)
+        if system.turn - system.kt == 2:  # nothing twists
+            own[6], own[7], own[8] = 0.0, 0.0, 1.0
+        both = own[1] + own[3]
+        positive = own[0] > 0.0 and own[0] * own[4] > 0.25 * both * both and own[8] > 0.0
+        if unstable < 0 and not positive:
+            unstable, pivot = i, (own[0], own[1], own[3], own[4], own[8], own[6], own[7])
+        complete_tensions(chain, system, i)
+        answer(chain, system, i, row, s, out)
+        s, out = out, s
+    return unstable, pivot
+
+
+@compiled
+def substitute(chain, system, tangent, column, pulled, first, start, solution):
+    """
+    Fill a solution (u,) at an address by back-substitution, base to tip.
+
+    That of the right-hand side in a column; or, with `column` -1, how the cells beyond
+    cell `first` follow when that moves by `start` (x, y, twist) and those before it stay.
+
+    Parameters
+    ----------
+    tangent : address
+        Derivatives of the cells.
+    column, first : int
+    start : tuple of float
+        Bend and twist (3,) [rad].
+    solution : address
+        Takes (u,) [rad per unit].
+
+    """
+    kt, turn, right, width = system.kt, system.turn, system.right, system.width
+    size, out = turn - kt, floats(solution)
+    u, new = floats(system.side), floats(system.answers)
+    for j in range(right):
+        u[j] = 0.0
+    if pulled >= 0:
+        u[pulled] = 1.0
+    for i in range(chain.n):
+        row, own = floats(tangent_of(chain, tangent, i)), (0.0, 0.0, 0.0)
+        for r in range(size + kt):
+            at = system.bends + 8 * width * (size * i + r)
+            if r >= size:
+                at = system.tensions + 8 * width * (kt * i + r - size)
+            total = floats(at)[column] if column >= 0 else 0.0
+            for j in range(right):
+                total += floats(at)[j] * u[j]
+            new[r] = total
+        own = (new[0], new[1], new[2] if size == 3 else 0.0)
+        if i == first:
+            own = start
+        for k in range(kt):
+            u[k] = new[size + k]
+        for a in range(2):
+            out[2 * i + a] = u[kt + a] = own[a]
+        if size == 3:
+            out[2 * chain.n + i] = u[kt + 2] = own[2]
+        for m in range(right - turn):
+            at = TURNS + 3 * m
+            u[turn + m] += row[at] * own[0] + row[at + 1] * own[1] + row[at + 2] * own[2]
+
+
+@compiled
+def yielding(pivot):
+    """Bend (x, y) in which the energy falls: eigenvector of a pivot's lower eigenvalue."""
+    a, b, c, d, _, _, _ = pivot
+    both = 0.5 * (b + c)
+    low = 0.5 * (a + d) - math.sqrt(0.25 * (a - d) * (a - d) + both * both)
+    if both == 0.0:
+        return (1.0, 0.0) if a <= d else (0.0, 1.0)
+    return both, low - a
+
+
+@compiled
+def yielding_to(chain, pivot, wanted):
+    """Bend and twist in which the energy falls, to the side of bends wanted (n, 2) if can be."""
+    a, b, c, d, twist, by_x, by_y = pivot
+    x, y, bends = 0.0, 0.0, floats(wanted)
+    if not twist > 0.0:
+        return 0.0, 0.0, 1.0
+    for i in range(chain.n):
+        x += bends[2 * i]
+        y += bends[2 * i + 1]
+    if a * x * x + (b + c) * x * y + d * y * y < 0.0:
+        size = math.sqrt(x * x + y * y)
+        x, y = x / size, y / size
+    else:
+        x, y = yielding(pivot)
+    return x, y, by_x * x + by_y * y
+
+
+@entry(RESPOND)
+def respond(chain, bend, rates, count, work, past, answers, pulls):
+    """
+    Fill how a state, whose moments `work` holds, balances rates of the residual (count, u).
+
+    `answers` (count, u): minus the inverse Jacobian of the residual times the rates. Returns the
+    first cell from the tip whose pivot is not positive, -1 if none: the equilibrium is stable.
+    With `count` 0 and such a cell, `answers` (u,), if it is not 0, takes a direction in which the
+    energy falls, to the side of what it held: that cell yields, all beyond it follow.
+
+    Parameters
+    ----------
+    bend : address
+        State [rad].
+    rates : address
+        (count, u) [rad per unit]
+    count : int
+    answers : address
+        (count, u) [rad per unit]
+    pulls : address
+        Takes how the state follows the tension of every tendon at the base (k, u) [rad/N], where
+        there is friction: what comes into the first cell needs no right-hand side. 0: not asked.
+
+    """
+    tangent = np.zeros(tangent_size(chain.n, chain.k))
+    memory = np.zeros(system_size(chain, count))
+    derivatives, system = address(tangent), system_in(chain, count, address(memory))
+    differentiate(chain, bend, work, past, derivatives)
+    size, right, width = system.turn - system.kt, system.right, system.width
+    for q in range(count):
+        rate = floats(rates + 8 * size * chain.n * q)
+        for i in range(chain.n):
+            for a in range(size):
+                at = 2 * i + a if a < 2 else 2 * chain.n + i
+                floats(system.bends)[width * (size * i + a) + right + q] = -rate[at]
+    first, pivot = eliminate(chain, system, derivatives)
+    start = (0.0, 0.0, 0.0)
+    for q in range(count):
+        answer_at = answers + 8 * size * chain.n * q
+        substitute(chain, system, derivatives, right + q, NONE, NONE, start, answer_at)
+    if count == 0 and answers != 0 and first >= 0:
+        yields = yielding_to(chain, pivot, answers)
+        substitute(chain, system, derivatives, NONE, NONE, first, yields, answers)
+    if pulls != 0:
+        for k in range(system.kt):
+            follows = pulls + 8 * size * chain.n * k
+            substitute(chain, system, derivatives, NONE, k, NONE, start, follows)
+    keep(tangent)
+    keep(memory)
+    return first

@@ -1,138 +1,121 @@
 """
-Equilibrium: the ways to it, in their order.
+Equilibrium: the methods by which it is found, in the order in which they are tried.
 
-How many of those that come that far each one finds, of 2.2 million equilibria that diagnoses, real
-arms, closed loops and searches for targets ask for:
+How many of those that come that far each one solves, of 2.2 million equilibria that diagnoses,
+real arms, closed loops and searches for targets ask for:
 
-repeat_sweeps   planar arms, no friction, friction that remembers: 2,016,714 of 2,047,037
-march           friction that follows the bend of its own cell, no loads: 104 of 126
-solve_stuck     spatial arms whose tendons stick: from a guess 140,591 of 142,652, from a wide slip
-                length 16,007 of 16,883, from one that shrinks slowly 55 of 876
+repeat_sweeps   planar arms, no friction, friction with memory: 2,016,714 of 2,047,037
+march           friction that follows the bend of its own cell, no loads: 104 of 126. Without it 98
+                of 300 random postures of `spatial_3` with `tendon_friction` and `straight_tendon`
+                are not solved
+solve_sticking  spatial arms whose tendons stick: from a guess 140,591 of 142,652, from a large
+                smoothing length 16,007 of 16,883, from one that shrinks slowly 55 of 876
 newton          what is left of the others: 29,746 of 34,691
 continuation    all that is left: 492 of 4,820; most of these have no equilibrium
-descend         above the buckling load: it leaves 518 that do not hold
-
-All that `march` needs of a cell is known once those before it are solved. Each is two equations;
-together they may be so stiff that no solver of all cells at once ends: the sign of friction of a
-tendon across the bend turns with the last digit of the bend.
+descend         above the buckling load: it leaves 518 that are unstable
 """
 
 import math
 
 import numpy as np
 
-from .cells import bend_cell, follows_shape, half_turn, half_turns, twist_in, twist_of, unknowns
+from .cells import (
+    bend_cell,
+    cell_stiffness,
+    follows_shape,
+    half_turn,
+    half_turns,
+    twist_in,
+    twist_of,
+    unknowns,
+)
 from .geometry import shaped_travel
 from .layout import (
+    BACKTRACKS_MAX,
     BEND_TOLERANCE,
+    DESCEND,
+    DIFFERENCE_STEP,
+    EPSILON,
+    EVERY_METHOD,
+    LENGTH,
+    LOAD_SCALE,
     MARCH,
-    SETTLE,
-    SLIP_LENGTH,
+    NEWTON,
+    SHAPED,
+    SMOOTHING,
+    SMOOTHING_LENGTH,
+    SOLVE,
+    TINY,
     YES,
     address,
+    assign,
+    balance_at,
+    cell,
     compiled,
+    copy,
     descend_at,
+    dot,
     entry,
     floats,
+    keep,
+    largest,
     march_at,
     newton_at,
+    place_travel_at,
     residual_at,
+    respond_at,
+    section_of,
+    solve_small,
     step_at,
+    words,
 )
-from .linear import assign, dot, largest, solve_small
-from .loads import loaded
-from .newton import SAFE_LOAD_SHARE, load_ratio, solve_sliding
-from .residual import moment_arms_of, tendon_moment
+from .loads import force_at_tip, loaded, weight
 from .stages import eyelet_acts, friction_travel_acts, memory_acts, offset_scale, torsion_acts
 from .sweep import (
     active_stages,
     base_tensions,
+    moment_arms_of,
     pass_eyelet,
-    share_there,
+    ratio_there,
     slip_rate_in,
+    tendon_moment,
     tendons_about,
 )
 
-# Factors on the slip length, over which the sign of friction is smooth: at the start of a search,
-# and from one good step to the next.
-SLIP_WIDTH_START, SLIP_WIDTH_FACTORS = 1000.0, (0.3, 0.5)
-# steps from a guess, and from a wide slip length; no literals (see `layout`)
-GUESSED_STEPS_MAX, WIDE_STEPS_MAX = np.int64(8), np.int64(30)
-CONTINUATION_STEPS_MAX = 16  # of the continuation, before there is said to be no equilibrium
-CONTINUATION_STRIDE_MIN = 1e-2  # [1] of its way
-ANDERSON_DEPTH = 5  # guesses that the acceleration remembers
-RESIDUAL_STEP = 1e-7  # [rad] of the differences
-RESIDUAL_SOLVED = 1e-13  # [rad] residual of a cell that is solved
-MARCH_STEPS_MAX = 30
+SWEEPS_MAX = 25  # [1] because Newton is quicker where so many have not converged
+ANDERSON_DEPTH = 5  # [1] last guesses that are combined; more would combine rounding errors
+# [rad] residual of one cell at which it is solved, so that all together meet the tolerance
+CELL_TOLERANCE = 1e-3 * BEND_TOLERANCE
+# [1] of Newton: its error is squared at each, so that what needs more does not converge
+NEWTON_STEPS_MAX = np.int64(12)
+NEAR_STEPS_MAX = np.int64(8)  # [1] the same from a guess, because the error is small there
+STEP_MAX_RAD = 1.0  # [rad] of a bend in one step, because slopes here tell nothing beyond
+WIDE_SMOOTHING = (
+    1e3  # [1] of SMOOTHING_LENGTH at the start: 2 mm, so that every tendon slides a little
+)
+# [1] on the smoothing length after a good step; measured: the second solves 55 of the 876 that the
+# first leaves
+SHRINK_FACTORS = (0.3, 0.5)
+# [1] where kinks of friction cut steps short: three times those that the second factor takes to
+# 1e-3, because two in three may shrink nothing
+KINKED_STEPS_MAX = np.int64(30)
+STEP_SHRINKING_RAD = 0.1  # [rad] a good step, because slopes hardly change over it
+STEP_NEAR_RAD = 1e-4  # [rad] last step, so that Newton converges from there without own travel
+SLIPPING_TRAVEL = 5.0  # [1] of the smoothing length: a tendon slips, because tanh(5) is 0.9999
+SLIP_START_TRAVEL = 3.0  # [1] of a tendon that begins to slip, so that it may stick again
+STRIDE_MIN = 1e-2  # [1] of the path of a continuation: shorter ones would take more than 100 steps
+# [1] of Euler's load, above which stability is checked: less than the bound of `load_ratio`,
+# because rods are uneven
+SAFE_LOAD = 0.7
+# [1] of gradient descent, because the energy is almost flat just above the buckling load
+DESCENT_STEPS_MAX = 5000
 
 
 @compiled
-def anderson_step(x, f, steps, changes, used, gram, factor, weights):
-    """
-    Anderson's next guess: x + f - (steps + changes) weights, weights from least squares.
-
-    Parameters
-    ----------
-    x, f : ndarray, shape (u,)
-        Guess and change of the last sweep [rad]; x becomes the next guess.
-    steps, changes : ndarray, shape (ANDERSON_DEPTH, 2n)
-        Differences of the last guesses and of their changes [rad].
-    used : int
-        Rows of them that are filled.
-    gram, factor : ndarray, shape (ANDERSON_DEPTH, ANDERSON_DEPTH)
-        Inner products of the changes [rad²], and scratch.
-    weights : ndarray, shape (ANDERSON_DEPTH,)
-        Scratch.
-
-    """
-    for p in range(used):
-        for q in range(p + 1):
-            factor[p, q] = gram[p, q]
-        factor[p, p] = gram[p, p] * (1.0 + 1e-14) + 1e-300
-        weights[p] = dot(changes[p], f)
-    solve_small(factor, weights, used)
-    for j in range(x.shape[0]):
-        x[j] += f[j]
-    for p in range(used):
-        weight = weights[p]
-        for j in range(x.shape[0]):
-            x[j] -= weight * (steps[p, j] + changes[p, j])
-
-
-@compiled
-def repeat_sweeps(chain, inputs, x, work, past, most):
-    """Repeat sweeps from a state x, accelerated (Anderson 1965); return the last change [rad]."""
-    size, depth = x.shape[0], ANDERSON_DEPTH
-    rows, small = np.empty((4 + 2 * depth, size)), np.empty((1 + 2 * depth, depth))
-    flat, f, old_x, old_f = rows[0], rows[1], rows[2], rows[3]
-    steps, changes = rows[4 : 4 + depth], rows[4 + depth :]
-    weights, gram, factor = small[0], small[1 : 1 + depth], small[1 + depth :]
-    best, first = math.inf, math.inf
-    for turn in range(most):
-        step_at(chain.step)(chain, inputs, address(x), work, past, address(flat))
-        for j in range(size):
-            f[j] = flat[j] - x[j]
-        change = largest(f)
-        if change < BEND_TOLERANCE:
-            assign(x, flat)
-            return change
-        slow = (turn == 4 and change > 3e-2 * first) or (turn == 9 and change > 1e-2 * first)
-        if change > 1e4 * best or change == math.inf or slow:
-            return change  # Newton is quicker from where it began
-        best = min(best, change)
-        if turn == 0:
-            first = change
-        if turn > 0:
-            slot = (turn - 1) % ANDERSON_DEPTH
-            for j in range(size):
-                steps[slot, j] = x[j] - old_x[j]
-                changes[slot, j] = f[j] - old_f[j]
-            for p in range(min(turn, ANDERSON_DEPTH)):
-                gram[slot, p] = gram[p, slot] = dot(changes[slot], changes[p])
-        assign(old_x, x)
-        assign(old_f, f)
-        anderson_step(x, f, steps, changes, min(turn, ANDERSON_DEPTH), gram, factor, weights)
-    return change
+def residual_size(chain, inputs, bend, work, past, f):
+    """Fill f (u,) [rad], the residual at the state in `bend`; return its largest entry."""
+    residual_at(chain.residual)(chain, inputs, bend, work, past, address(f))
+    return largest(f)
 
 
 @compiled
@@ -154,32 +137,88 @@ def is_planar(chain, x):
 
 
 @compiled
-def is_causal(chain):
-    """Tell whether nothing beyond a cell decides about it."""
-    return not loaded(chain) and not (friction_travel_acts(chain) and eyelet_acts(chain))
-
-
-@compiled
-def step_plainly(chain, inputs, x, work, past):
+def sweep_unshaped(chain, inputs, x, work, past):
     """Fill a state x with the one that there is without the effects of shape."""
-    floats(work.slip)[2] = 0.0
+    floats(work.settings)[SHAPED] = 0.0
     step_at(chain.step)(chain, inputs, address(x), work, past, address(x))
-    floats(work.slip)[2] = 1.0
+    floats(work.settings)[SHAPED] = 1.0
 
 
 @compiled
-def begin_again(chain, inputs, x, bend, work, past, cold):
-    """Fill x with the state in `bend`, or where there is no guess with the plain one."""
-    for j in range(x.shape[0]):
-        x[j] = floats(bend)[j]
+def start_again(chain, inputs, x, bend, work, past, cold):
+    """Fill x with the guess in `bend`, or where there is none (`cold`) with the unshaped state."""
+    copy(bend, address(x), x.shape[0])
     if cold:
-        step_plainly(chain, inputs, x, work, past)
+        sweep_unshaped(chain, inputs, x, work, past)
 
 
 @compiled
-def is_brief(work):
-    """Tell whether an equilibrium is looked for only in the quick ways."""
-    return floats(work.slip)[3] == 0.0
+def anderson_step(x, f, steps, changes, used, gram, factor, weights):
+    """
+    Anderson's next guess: x + f - (steps + changes) weights, weights from least squares.
+
+    Parameters
+    ----------
+    x, f : ndarray, shape (u,)
+        Guess and change of the last sweep [rad]; x becomes the next guess.
+    steps, changes : ndarray, shape (ANDERSON_DEPTH, u)
+        Differences of the last guesses and of their changes [rad].
+    used : int
+        Rows of them that are filled.
+    gram, factor : ndarray, shape (ANDERSON_DEPTH, ANDERSON_DEPTH)
+        Inner products of the changes [rad²], and scratch.
+    weights : ndarray, shape (ANDERSON_DEPTH,)
+        Scratch.
+
+    """
+    for p in range(used):
+        for q in range(p + 1):
+            factor[p, q] = gram[p, q]
+        factor[p, p] = gram[p, p] * (1.0 + 50.0 * EPSILON) + TINY
+        weights[p] = dot(changes[p], f)
+    solve_small(factor, weights, used)
+    for j in range(x.shape[0]):
+        x[j] += f[j]
+    for p in range(used):
+        weight = weights[p]
+        for j in range(x.shape[0]):
+            x[j] -= weight * (steps[p, j] + changes[p, j])
+
+
+@compiled
+def repeat_sweeps(chain, inputs, x, work, past):
+    """Repeat sweeps from a state x, accelerated (Anderson 1965); return the last change [rad]."""
+    size, depth = x.shape[0], ANDERSON_DEPTH
+    rows, small = np.empty((4 + 2 * depth, size)), np.empty((1 + 2 * depth, depth))
+    swept, f, old_x, old_f = rows[0], rows[1], rows[2], rows[3]
+    steps, changes = rows[4 : 4 + depth], rows[4 + depth :]
+    weights, gram, factor = small[0], small[1 : 1 + depth], small[1 + depth :]
+    best, first = math.inf, math.inf
+    for count in range(SWEEPS_MAX):
+        step_at(chain.step)(chain, inputs, address(x), work, past, address(swept))
+        for j in range(size):
+            f[j] = swept[j] - x[j]
+        change = largest(f)
+        if change < BEND_TOLERANCE:
+            assign(x, swept)
+            return change
+        slow = (count == 4 and change > 3e-2 * first) or (count == 9 and change > 1e-2 * first)
+        if change > 1e4 * best or change == math.inf or slow:
+            return change  # Newton is quicker from where it began
+        best = min(best, change)
+        if count == 0:
+            first = change
+        if count > 0:
+            slot = (count - 1) % ANDERSON_DEPTH
+            for j in range(size):
+                steps[slot, j] = x[j] - old_x[j]
+                changes[slot, j] = f[j] - old_f[j]
+            for p in range(min(count, ANDERSON_DEPTH)):
+                gram[slot, p] = gram[p, slot] = dot(changes[slot], changes[p])
+        assign(old_x, x)
+        assign(old_f, f)
+        anderson_step(x, f, steps, changes, min(count, ANDERSON_DEPTH), gram, factor, weights)
+    return change
 
 
 @compiled
@@ -192,16 +231,13 @@ def twist_residual(chain, work, i, x, y, twist):
 
 @compiled
 def solve_twist(chain, work, state, i, x, y):
-    """Newton on the twist of cell i, kept in the state; leaves its moment arms behind."""
-    twists = floats(state + 16 * chain.n)
+    """Newton on the twist of cell i, kept in the state; fills its moment arms."""
+    twists, h = floats(state + 16 * chain.n), DIFFERENCE_STEP
     f = twist_residual(chain, work, i, x, y, twists[i])
-    for _ in range(MARCH_STEPS_MAX):
-        if abs(f) < RESIDUAL_SOLVED:
+    for _ in range(KINKED_STEPS_MAX):
+        if abs(f) < CELL_TOLERANCE:
             break
-        slope = (
-            twist_residual(chain, work, i, x, y, twists[i] + RESIDUAL_STEP) - f
-        ) / RESIDUAL_STEP
-        twists[i] -= f / slope
+        twists[i] -= f * h / (twist_residual(chain, work, i, x, y, twists[i] + h) - f)
         f = twist_residual(chain, work, i, x, y, twists[i])
 
 
@@ -225,13 +261,9 @@ def cell_residual(chain, work, past, state, i, last_x, last_y, x, y):
         shaped_travel(chain, i, x, y, half[2 * i], half[2 * i + 1], twist, scale, work)
     moment_arms, factor = moment_arms_of(chain, work)
     if i > 0:
-        flags = active_stages(chain, YES)
-        ahead = x - last_x, y - last_y
-        before, rate = i - 1, slip_rate_in(work)
-        passed = share_there(chain, work, before, last_x, last_y, *ahead, flags)
-        pass_eyelet(
-            chain, work, past, before, last_x, last_y, passed, rate, moment_arms, scale, flags
-        )
+        flags, rate, j = active_stages(chain, YES), slip_rate_in(work), i - 1
+        passed = ratio_there(chain, work, j, last_x, last_y, x - last_x, y - last_y, flags)
+        pass_eyelet(chain, work, past, j, last_x, last_y, passed, rate, moment_arms, scale, flags)
     if torsion_acts(chain):
         solve_twist(chain, work, state, i, x, y)
     mx, my, total = tendon_moment(chain, work, i, moment_arms, factor)
@@ -252,34 +284,38 @@ def solve_cell_alone(chain, work, past, state, i, last_x, last_y, x, y):
         Where the search begins [rad].
 
     """
-    fx, fy = cell_residual(chain, work, past, state, i, last_x, last_y, x, y)
-    for _ in range(MARCH_STEPS_MAX):
-        if abs(fx) + abs(fy) < RESIDUAL_SOLVED:
+    known, h = (chain, work, past, state, i, last_x, last_y), DIFFERENCE_STEP
+    fx, fy = cell_residual(*known, x, y)
+    for _ in range(KINKED_STEPS_MAX):
+        best = abs(fx) + abs(fy)
+        if best < CELL_TOLERANCE:
             break
-        ax, ay = cell_residual(chain, work, past, state, i, last_x, last_y, x + RESIDUAL_STEP, y)
-        bx, by = cell_residual(chain, work, past, state, i, last_x, last_y, x, y + RESIDUAL_STEP)
-        a, c = (ax - fx) / RESIDUAL_STEP, (ay - fy) / RESIDUAL_STEP
-        b, d = (bx - fx) / RESIDUAL_STEP, (by - fy) / RESIDUAL_STEP
+        ax, ay = cell_residual(*known, x + h, y)
+        bx, by = cell_residual(*known, x, y + h)
+        a, b, c, d = (ax - fx) / h, (bx - fx) / h, (ay - fy) / h, (by - fy) / h
         over = 1.0 / (a * d - b * c)
         dx, dy = over * (d * fx - b * fy), over * (a * fy - c * fx)
-        share, best = 1.0, abs(fx) + abs(fy)
-        for _ in range(12):
-            gx, gy = cell_residual(
-                chain, work, past, state, i, last_x, last_y, x - share * dx, y - share * dy
-            )
+        for _ in range(BACKTRACKS_MAX):
+            gx, gy = cell_residual(*known, x - dx, y - dy)
             if abs(gx) + abs(gy) < best:
                 break
-            share *= 0.5
+            dx, dy = 0.5 * dx, 0.5 * dy
         if not abs(gx) + abs(gy) < best:
             break
-        x, y, fx, fy = x - share * dx, y - share * dy, gx, gy
-    cell_residual(chain, work, past, state, i, last_x, last_y, x, y)  # leaves its tensions behind
+        x, y, fx, fy = x - dx, y - dy, gx, gy
+    cell_residual(*known, x, y)  # fills the tensions of this very bend
     return x, y
 
 
 @entry(MARCH)
 def march(chain, inputs, bend, work, past):
-    """Solve for the state in `bend` from the base to the tip; return the residual [rad]."""
+    """
+    Solve for the state in `bend`, cell after cell from the base; return the residual [rad].
+
+    For arms in which nothing beyond a cell decides about it. Each cell is two equations. All
+    together they may be so stiff that no solver of all cells at once converges: the sign of
+    friction of a tendon across the bend changes with the last digit of the bend.
+    """
     moment_arms, _ = moment_arms_of(chain, work)
     f, last_x, last_y, x = np.empty(unknowns(chain)), 0.0, 0.0, floats(bend)
     base_tensions(chain, inputs, work, moment_arms)
@@ -288,14 +324,143 @@ def march(chain, inputs, bend, work, past):
             chain, work, past, bend, i, last_x, last_y, x[2 * i], x[2 * i + 1]
         )
         x[2 * i], x[2 * i + 1] = last_x, last_y
-    residual_at(chain.residual)(chain, inputs, bend, work, past, address(f))
-    return largest(f)
+    return residual_size(chain, inputs, bend, work, past, f)
 
 
 @compiled
-def solve_stuck(chain, inputs, x, bend, work, past, cold):
+def next_travel(z, travel, width, new_width):
+    """Travel [m] that an eyelet takes over, from its last one and what the step says it is."""
+    s = math.copysign(1.0, z)
+    if abs(z) < SLIPPING_TRAVEL * width:
+        s = math.tanh(z / width)
+        s += (1.0 - s * s) * (travel - z) / width
+        if abs(s) < math.tanh(SLIPPING_TRAVEL):
+            return new_width * math.atanh(s)
+    if s * travel <= 0.0:
+        return 0.0
+    return math.copysign(max(abs(travel), SLIP_START_TRAVEL * new_width), s)
+
+
+@compiled
+def take_over(chain, work, move, own, width, new_width):
     """
-    Solve where tendons may stick: near a guess at once, else from a wide slip length.
+    Move the travel of the eyelets with a step of the bends, and change the smoothing length.
+
+    Parameters
+    ----------
+    move : ndarray, shape (u,)
+        Step of the bends [rad].
+    own : ndarray, shape (4, n, k)
+        Travel [m]: the eyelets' own, here and beyond, then the real one, here and beyond.
+    width, new_width : float
+        Smoothing length now and next [m].
+
+    """
+    tendon, (moment_arms, scale) = words(chain.tendon), moment_arms_of(chain, work)
+    lever, twists = floats(moment_arms), torsion_acts(chain)
+    for k in range(chain.k):
+        total = 0.0
+        for i in range(tendon[2 * k] - 1, -1, -1):
+            at = 2 * (chain.k * i + k)
+            step = scale * (lever[at] * move[2 * i] + lever[at + 1] * move[2 * i + 1])
+            if twists:
+                step += floats(work.axial)[at // 2] * move[2 * chain.n + i]
+            own[0, i, k] = next_travel(own[0, i, k], own[2, i, k] + step, width, new_width)
+            own[1, i, k] = next_travel(own[1, i, k], own[3, i, k] + total, width, new_width)
+            total += step
+
+
+@compiled
+def exchange(chain, work, own):
+    """Let the eyelets' own travel stand in `work`; keep the real one in own[2:], and the lag."""
+    here, beyond, lag = floats(work.travel), floats(work.beyond), floats(work.lag)
+    count = chain.n * chain.k
+    for i in range(chain.n):
+        for k in range(chain.k):
+            at = chain.k * i + k
+            own[2, i, k], own[3, i, k] = here[at], beyond[at]
+            lag[at], lag[at + count] = here[at] - own[0, i, k], beyond[at] - own[1, i, k]
+            here[at], beyond[at] = own[0, i, k], own[1, i, k]
+
+
+@compiled
+def own_travel(chain, bend, work):
+    """Start with the travel that a state gives: (4, n, k) [m], see `take_over`."""
+    own, count = np.zeros((4, chain.n, chain.k)), chain.n * chain.k
+    place_travel_at(chain.place_travel)(chain, bend, work)
+    copy(work.travel, address(own), count)
+    copy(work.beyond, address(own) + 8 * count, count)
+    return own
+
+
+@compiled
+def end_sliding(chain, work):
+    """Let friction follow the travel of the bends again, with its own smoothing length."""
+    floats(work.settings)[SMOOTHING] = SMOOTHING_LENGTH
+    for j in range(2 * chain.n * chain.k):
+        floats(work.lag)[j] = 0.0
+
+
+@compiled
+def solve_sliding(chain, inputs, x, work, past, wide, shrink, steps_max):
+    """
+    Newton with a state of every eyelet, from bends x (u,); return the last residual [rad].
+
+    Friction follows tanh(travel / smoothing length): between sliding one way and the other lie
+    2 µm, and Newton on the bends alone jumps to and fro over them. In a spatial arm half of the
+    eyelets stick: tendons pull against each other, and friction there is what the balance asks
+    for. So every eyelet has a travel of its own, from which its friction follows, and which may
+    lag behind that of the bends; a step solves the linear equations of both. An eyelet that sticks
+    takes over the friction that the step gives it, not the travel; one that would need more than
+    all friction begins to slip; one that would slip against its friction sticks. That is a
+    primal-dual method with the smoothing length as its barrier.
+
+    Parameters
+    ----------
+    inputs : address
+        (m,) [N]
+    x : ndarray, shape (u,)
+        Bends [rad], guess and result.
+    wide : float
+        Smoothing length at the start, over SMOOTHING_LENGTH [1].
+    shrink : float
+        Factor on it after every good step [1].
+    steps_max : int
+
+    """
+    size = x.shape[0]
+    f, move = np.empty(size), np.empty(size)
+    own, width, longest = own_travel(chain, address(x), work), wide * SMOOTHING_LENGTH, math.inf
+    for _ in range(steps_max):
+        floats(work.settings)[SMOOTHING] = width
+        exchange(chain, work, own)
+        balance_at(chain.balance)(chain, inputs, address(x), work, past, address(f))
+        respond_at(chain.respond)(chain, address(x), address(f), 1, work, past, address(move), 0)
+        longest = largest(move)
+        if not longest < math.inf:
+            break
+        fraction = min(1.0, STEP_MAX_RAD / max(longest, TINY))
+        for j in range(size):
+            move[j] *= fraction
+            x[j] += move[j]
+        if longest < STEP_NEAR_RAD and width == SMOOTHING_LENGTH:
+            break
+        new_width = (
+            max(shrink * width, SMOOTHING_LENGTH) if longest < STEP_SHRINKING_RAD else width
+        )
+        take_over(chain, work, move, own, width, new_width)
+        width = new_width
+        place_travel_at(chain.place_travel)(chain, address(x), work)
+    end_sliding(chain, work)
+    if not longest < STEP_NEAR_RAD:
+        return math.inf
+    return newton_at(chain.newton)(chain, inputs, address(x), work, past, NEWTON_STEPS_MAX)
+
+
+@compiled
+def solve_sticking(chain, inputs, x, bend, work, past, cold):
+    """
+    Solve where tendons may stick: near a guess at once, else from a large smoothing length.
 
     Parameters
     ----------
@@ -310,76 +475,153 @@ def solve_stuck(chain, inputs, x, bend, work, past, cold):
 
     """
     change = math.inf
-    begin_again(chain, inputs, x, bend, work, past, cold)
+    start_again(chain, inputs, x, bend, work, past, cold)
     if not cold:
-        change = solve_sliding(chain, inputs, x, work, past, 1.0, 1.0, GUESSED_STEPS_MAX)
-    for shrink in SLIP_WIDTH_FACTORS:
-        if change < BEND_TOLERANCE or (shrink != SLIP_WIDTH_FACTORS[0] and is_brief(work)):
+        change = solve_sliding(chain, inputs, x, work, past, 1.0, 1.0, NEAR_STEPS_MAX)
+    for shrink in SHRINK_FACTORS:
+        quick = floats(work.settings)[EVERY_METHOD] == 0.0 and shrink != SHRINK_FACTORS[0]
+        if change < BEND_TOLERANCE or quick:
             break
-        step_plainly(chain, inputs, x, work, past)
+        sweep_unshaped(chain, inputs, x, work, past)
         change = solve_sliding(
-            chain, inputs, x, work, past, SLIP_WIDTH_START, shrink, WIDE_STEPS_MAX
+            chain, inputs, x, work, past, WIDE_SMOOTHING, shrink, KINKED_STEPS_MAX
         )
+    return change
+
+
+@compiled
+def newton_step(chain, inputs, bend, f, move, work, past, trial, trial_f):
+    """
+    Step the state by `move` (u,) with a line search; return the largest residual, or -1.
+
+    Parameters
+    ----------
+    inputs : address
+        (m,) [N]
+    bend : address
+        State [rad]; moves on where the step is taken.
+    f : ndarray, shape (u,)
+        Residual there [rad]; becomes that after the step.
+    move : ndarray, shape (u,)
+        Newton's step [rad].
+    trial, trial_f : ndarray, shape (u,)
+        Scratch.
+
+    """
+    before, x = dot(f, f), floats(bend)
+    fraction = min(1.0, STEP_MAX_RAD / max(largest(move), TINY))
+    for _ in range(BACKTRACKS_MAX):
+        for j in range(f.shape[0]):
+            trial[j] = x[j] + fraction * move[j]
+        change = residual_size(chain, inputs, address(trial), work, past, trial_f)
+        if dot(trial_f, trial_f) < (1.0 - 1e-4 * fraction) * before or change < BEND_TOLERANCE:
+            for j in range(f.shape[0]):
+                x[j], f[j] = trial[j], trial_f[j]
+            return change
+        fraction *= 0.5
+    return -1.0
+
+
+@entry(NEWTON)
+def newton(chain, inputs, bend, work, past, steps_max):
+    """
+    Newton on the state with a line search; return the last residual [rad].
+
+    Parameters
+    ----------
+    inputs, bend : address
+        (m,) [N]; state [rad], guess and result.
+    steps_max : int
+
+    """
+    size = unknowns(chain)
+    f, trial_f = np.empty(size), np.empty(size)
+    trial, move = np.empty(size), np.empty(size)
+    change = residual_size(chain, inputs, bend, work, past, f)
+    for _ in range(steps_max):
+        if change < BEND_TOLERANCE or change == math.inf:
+            return change
+        respond_at(chain.respond)(chain, bend, address(f), 1, work, past, address(move), 0)
+        if not largest(move) < math.inf:
+            return change
+        new = newton_step(chain, inputs, bend, f, move, work, past, trial, trial_f)
+        if new < 0.0:
+            return change
+        change = new
     return change
 
 
 @compiled
 def continuation(chain, inputs, x, work, past):
     """Newton along a path: loads and the sharpness of friction grow together from none."""
-    slip = floats(work.slip)
-    for j in range(x.shape[0]):
-        x[j] = 0.0
-    done, stride = 0.0, 0.25
-    last = np.zeros(x.shape[0])
-    change = math.inf
-    for _ in range(CONTINUATION_STEPS_MAX):
+    settings, last = floats(work.settings), np.zeros(x.shape[0])
+    done, stride, change = 0.0, 0.25, math.inf
+    while done < 1.0 and stride > STRIDE_MIN:
         aim = min(1.0, done + stride)
-        slip[0] = SLIP_LENGTH * 10.0 ** (3.0 * (1.0 - aim))
-        slip[1] = aim
+        settings[SMOOTHING] = SMOOTHING_LENGTH * WIDE_SMOOTHING ** (1.0 - aim)
+        settings[LOAD_SCALE] = aim
         assign(x, last)
-        change = newton_at(chain.newton)(chain, inputs, address(x), work, past, 10)
+        change = newton_at(chain.newton)(chain, inputs, address(x), work, past, NEAR_STEPS_MAX)
         if change < BEND_TOLERANCE:
-            if aim == 1.0:
-                slip[0], slip[1] = SLIP_LENGTH, 1.0
-                return change
-            done = aim
+            done, stride = aim, min(0.5, 1.6 * stride)
             assign(last, x)
-            stride = min(0.5, 1.6 * stride)
         else:
             stride *= 0.4
-            if stride < CONTINUATION_STRIDE_MIN:
-                break
-    slip[0], slip[1] = SLIP_LENGTH, 1.0
-    return max(change, 10.0 * BEND_TOLERANCE)
+    settings[SMOOTHING], settings[LOAD_SCALE] = SMOOTHING_LENGTH, 1.0
+    return change if done == 1.0 else max(change, 10.0 * BEND_TOLERANCE)
 
 
 @compiled
-def solve_smooth(chain, inputs, x, bend, work, past, cold):
+def load_ratio(chain):
     """
-    Newton from the guess, or cell by cell.
+    Return all loads together over Euler's load of the arm, one end free [1].
 
-    Parameters
-    ----------
-    inputs : address
-        (m,) [N]
-    x : ndarray, shape (u,)
-        Takes the bends [rad].
-    bend : address
-        Guess, a state [rad].
-    cold : bool
-        Whether there is no guess.
-
+    The second variation of a load's potential is at most |F| times the integral of the tangent's
+    change squared, whatever the shape: below 1 every equilibrium is stable.
     """
-    begin_again(chain, inputs, x, bend, work, past, cold)
-    if is_causal(chain):
-        change = march_at(chain.march)(chain, inputs, address(x), work, past)
-        if change < BEND_TOLERANCE:
-            return change
-        begin_again(chain, inputs, x, bend, work, past, cold)
-    return newton_at(chain.newton)(chain, inputs, address(x), work, past, 12)
+    x, y, z = force_at_tip(chain)
+    force = math.sqrt(x * x + y * y + z * z)
+    rigidity, total = math.inf, 0.0
+    for i in range(chain.n):
+        x, y, z = weight(chain, i)
+        force += math.sqrt(x * x + y * y + z * z)
+        reach = cell(chain, i, LENGTH)
+        rigidity = min(rigidity, reach * cell_stiffness(chain, i, section_of(chain, i)))
+        total += reach
+    return force * total * total * 4.0 / (math.pi * math.pi * rigidity)
 
 
-@entry(SETTLE)
+@entry(DESCEND)
+def descend(chain, inputs, bend, work, past, ratio):
+    """
+    Leave an unstable equilibrium, the state in `bend`, for a stable one.
+
+    The straight arm, pushed a little to the side that the loads prefer, sinks until it rests: the
+    gradient of the energy is the stiffness times the residual.
+    """
+    size = unknowns(chain)
+    f, moved, down, there = np.empty(size), np.empty(size), np.empty(size), np.zeros(size)
+    step_at(chain.step)(chain, inputs, address(there), work, past, address(moved))
+    assign(down, moved)
+    residual_size(chain, inputs, bend, work, past, f)
+    if respond_at(chain.respond)(chain, bend, 0, 0, work, past, address(down), 0) < 0:
+        return
+    push = math.copysign(1e-3 / largest(down), dot(down, moved))
+    for j in range(size):
+        there[j] = push * down[j]
+    for _ in range(DESCENT_STEPS_MAX):
+        change = residual_size(chain, inputs, address(there), work, past, f)
+        if change < 1e-6 or change == math.inf:
+            break
+        for j in range(size):
+            there[j] -= f[j] / (1.0 + ratio)
+    change = newton_at(chain.newton)(chain, inputs, address(there), work, past, NEWTON_STEPS_MAX)
+    if change < BEND_TOLERANCE:
+        copy(address(there), bend, size)
+    keep(there)
+
+
+@entry(SOLVE)
 def solve_equilibrium(chain, inputs, work, past, bend):
     """
     Find the equilibrium for input tensions (m,) [N] from the state [rad] in `bend`.
@@ -387,31 +629,39 @@ def solve_equilibrium(chain, inputs, work, past, bend):
     Returns the last change [rad]: above `BEND_TOLERANCE` there is no equilibrium and the state
     means nothing. work.tensions are those of the equilibrium.
     """
-    size, bends = unknowns(chain), floats(bend)
+    size, remembers, friction = unknowns(chain), memory_acts(chain), eyelet_acts(chain)
+    slides = friction and friction_travel_acts(chain)
     x = np.empty(size)
-    for j in range(size):
-        x[j] = bends[j]
-    cold = is_zero(x) and not memory_acts(chain)
-    if cold:  # nothing known: begin without the effects of shape
-        step_plainly(chain, inputs, x, work, past)
+    copy(bend, address(x), size)
+    cold = is_zero(x) and not remembers
+    if cold:
+        sweep_unshaped(chain, inputs, x, work, past)
     swept, change = False, math.inf
-    if memory_acts(chain) or not eyelet_acts(chain) or is_planar(chain, x):
-        change = repeat_sweeps(chain, inputs, x, work, past, 25)
+    if remembers or not friction or is_planar(chain, x):
+        change = repeat_sweeps(chain, inputs, x, work, past)
         swept = change < BEND_TOLERANCE
-    if not swept and friction_travel_acts(chain) and eyelet_acts(chain) and not memory_acts(chain):
-        change = solve_stuck(chain, inputs, x, bend, work, past, cold)
+    if not swept and slides and not remembers:
+        change = solve_sticking(chain, inputs, x, bend, work, past, cold)
     elif not swept:
-        change = solve_smooth(chain, inputs, x, bend, work, past, cold)
-    if not change < BEND_TOLERANCE and not is_brief(work):
+        start_again(chain, inputs, x, bend, work, past, cold)
+        if not (loaded(chain) or slides):
+            change = march_at(chain.march)(chain, inputs, address(x), work, past)
+            if not change < BEND_TOLERANCE:
+                start_again(chain, inputs, x, bend, work, past, cold)
+        if not change < BEND_TOLERANCE:
+            change = newton_at(chain.newton)(
+                chain, inputs, address(x), work, past, NEWTON_STEPS_MAX
+            )
+    if not change < BEND_TOLERANCE and floats(work.settings)[EVERY_METHOD] != 0.0:
         change = continuation(chain, inputs, x, work, past)
     if change < BEND_TOLERANCE and loaded(chain):
         ratio = load_ratio(chain)
-        if ratio > SAFE_LOAD_SHARE:
+        if ratio > SAFE_LOAD:
             descend_at(chain.descend)(chain, inputs, address(x), work, past, ratio)
             swept = False
     if not swept:
         step_at(chain.step)(chain, inputs, address(x), work, past, bend)
         half_turns(chain, address(x), work)
-    for j in range(size):
-        bends[j] = x[j]
+    copy(address(x), bend, size)
+    keep(x)
     return change

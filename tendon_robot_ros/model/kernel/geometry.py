@@ -7,6 +7,7 @@ from .layout import (
     HINGE,
     LEANING_TRAVEL,
     LENGTH,
+    TINY,
     cell,
     compiled,
     entry,
@@ -23,9 +24,10 @@ from .stages import length, length_acts, rest, tendon_path
 @fused
 def polar(x, y, s, c):
     """Size of a bend [rad], its direction (x, y), sine and cosine of half the size."""
-    a = math.sqrt(x * x + y * y)
-    if a < 1e-150:
+    q = x * x + y * y
+    if q < TINY:
         return 0.0, 1.0, 0.0, 0.0, 1.0
+    a = math.sqrt(q)
     over = 1.0 / a
     return a, x * over, y * over, s * a, c
 
@@ -62,17 +64,15 @@ def bent_path(chain, i, radial, bend, sin_half, cos_half):
 
 
 @compiled
-def leaning_path(chain, at, i, bend, ux, uy, sin_half, cos_half, scale, twist):
+def leaning_tendon(chain, i, k, bend, ux, uy, sin_half, cos_half, scale, twist):
     """
-    Path lost by a tendon that leans (see `cells`), its moment arms [m].
+    Path lost by tendon k, which leans (see `cells`), in cell i, and its moment arms [m].
 
     The chord between its eyelets: what the bend leaves of the cell's length along the chord of
-    the backbone, and across it the way from one offset to the other, seen from half the bend.
+    the backbone, and across it the line from one offset to the other, seen from half the bend.
 
     Parameters
     ----------
-    at : int
-        Entry of the tendon and cell i among the offsets (n, k).
     bend : float
         Size of the cell's bend [rad].
     ux, uy : float
@@ -85,32 +85,26 @@ def leaning_path(chain, at, i, bend, ux, uy, sin_half, cos_half, scale, twist):
         Of the cell [rad].
 
     """
+    at = chain.k * i + k
     offset = floats(chain.offset + 16 * at)
     helix = floats(chain.helix)[at] if chain.helix != 0 else 0.0
     rx, ry = scale * offset[0], scale * offset[1]
     ahead, aside = rx * ux + ry * uy, ry * ux - rx * uy  # in the bend plane and across it
     co, si = math.cos(0.5 * (twist + helix)), math.sin(0.5 * (twist + helix))
     lost, along, across = bent_path(chain, i, co * ahead, bend, sin_half, cos_half)
-    reach, way, way_aside = cell(chain, i, LENGTH) - lost, -2.0 * si * aside, 2.0 * si * ahead
+    reach, shift, shift_aside = cell(chain, i, LENGTH) - lost, -2.0 * si * aside, 2.0 * si * ahead
     q = cos_half * cos_half
-    over = 1.0 / math.sqrt(reach * reach + q * way * way + way_aside * way_aside)
-    along = reach * along + 0.5 * way * way * sin_half * cos_half
+    over = 1.0 / math.sqrt(reach * reach + q * shift * shift + shift_aside * shift_aside)
+    along = reach * along + 0.5 * shift * shift * sin_half * cos_half
     side = reach * across * co * aside
     if bend > 0.0:
-        side += way * way_aside * sin_half * sin_half / bend
+        side += shift * shift_aside * sin_half * sin_half / bend
     about = -0.5 * reach * across * bend * si * ahead
-    about += co * (q * way * aside - way_aside * ahead)
+    about += co * (q * shift * aside - shift_aside * ahead)
     si = 2.0 * math.sin(0.5 * helix)
     straight = cell(chain, i, LENGTH)
     straight = math.sqrt(straight * straight + si * si * (rx * rx + ry * ry))
     return straight - 1.0 / over, over * along, over * side, over * about
-
-
-@compiled
-def leaning_tendon(chain, i, k, bend, ux, uy, sin_half, cos_half, scale, twist):
-    """Return `leaning_path` of tendon k in cell i."""
-    at = chain.k * i + k
-    return leaning_path(chain, at, i, bend, ux, uy, sin_half, cos_half, scale, twist)
 
 
 @fused

@@ -5,10 +5,10 @@ Tensions for a tip target.
 
 `seek`: Newton on the equilibrium and the target together. Where tendons stick and slip, tensions
 to tip is full of kinks, and a search that asks for an equilibrium at every trial stumbles over
-them. Here the tensions are further unknowns of the primal-dual method of `newton`: the same
-elimination says how the bends follow the residual and every tension, the tip's error is then
-linear in the tensions, and least squares with bounds says how these move. The slip length shrinks
-on the way: the kinks come where the target is met.
+them. Here the tensions are further unknowns of the primal-dual method of `solve_sliding`: the
+same elimination says how the bends follow the residual and every tension, the tip's error is then
+linear in the tensions, and least squares with bounds says how these move. The smoothing length
+shrinks meanwhile: the kinks appear where the target is already near.
 """
 
 import math
@@ -17,31 +17,40 @@ import numpy as np
 
 from .cells import unknowns
 from .derivatives import combine_tendons, output_slopes, place_as
+from .equilibrium import end_sliding, exchange, own_travel, take_over
 from .layout import (
-    SLIP_LENGTH,
+    BACKTRACKS_MAX,
+    DIFFERENCE_STEP,
+    EVERY_METHOD,
+    SMOOTHING,
+    SMOOTHING_LENGTH,
+    TINY,
     address,
     balance_at,
     chain_at,
     compiled,
     entry,
     floats,
+    largest,
     monotonic,
     place_travel_at,
     respond_at,
+    solve_small,
     step_at,
 )
-from .linear import largest, solve_small
-from .newton import exchange, own_travel, take_over
-from .shape import accept, balance, place, predict, workspace
+from .shape import accept, is_balanced, place, predict, workspace
 from .stages import memory_acts
 from .sweep import is_implicit
 
-# Target: x, y, z [m], direction x, y, z, weight of position [1], weight of direction [m/rad].
-COST_REACHED_M2 = 1e-14  # [m²] half the squared error of a tip that is where it should be: 0.14 µm
-DIFFERENCE_N = 1e-6  # [N] of forward differences
-# [1] of the tensions' range: a step of the search to no tension ends below that; what counts as
-# left of it where all tendons are at their limit
-NONE, LEFT = 0.01, 1e-3
+# Target (8,): x, y, z [m], direction x, y, z, weight of position [1], weight of direction [m/rad].
+
+# [m²] half the squared error of a tip that has converged, 0.14 µm: so that what is left is far
+# below a motor's step
+COST_REACHED_M2 = 1e-14
+# [1] of the tensions' range, below which the curvature of the price is that there, because the
+# square that touches a sum at no tension would be infinitely narrow
+TOUCHING_MIN = 0.01
+RANGE_LEFT_MIN = 1e-3  # [1] of that range where all tendons are at their limit, else ln 0
 
 
 @compiled
@@ -60,7 +69,7 @@ def tip_residual(chain, inputs, there, bend, target, f):
 
     `bend` holds a guess and takes the equilibrium.
     """
-    if not balance(chain, inputs, there, bend):
+    if not is_balanced(chain, inputs, there, bend):
         f[:] = math.inf
         return
     place(chain, bend, there.work)
@@ -76,7 +85,7 @@ def cost_of(f, inputs, low, price):
     for j in range(inputs.shape[0]):
         above += inputs[j] - low[j]
         total += (weight * (inputs[j] - low[j])) ** 2
-    return 0.5 * total - pull * math.log(max(1.0 - above / room, LEFT))
+    return 0.5 * total - pull * math.log(max(1.0 - above / room, RANGE_LEFT_MIN))
 
 
 @compiled
@@ -128,10 +137,10 @@ def normal_equations(jacobian, f, inputs, low, price, damping, normal, gradient)
         Take the result [m²/N²], [m²/N].
 
     """
-    m, left, (weight, pull, room) = inputs.shape[0], 1.0, price
+    m, remaining, (weight, pull, room) = inputs.shape[0], 1.0, price
     for j in range(m):
-        left -= (inputs[j] - low[j]) / room
-    pull /= room * max(left, LEFT)
+        remaining -= (inputs[j] - low[j]) / room
+    pull /= room * max(remaining, RANGE_LEFT_MIN)
     for j in range(m):
         above = inputs[j] - low[j]
         gradient[j] = weight * weight * above + pull
@@ -142,7 +151,7 @@ def normal_equations(jacobian, f, inputs, low, price, damping, normal, gradient)
             for r in range(6):
                 normal[j, q] += jacobian[r, j] * jacobian[r, q]
         # a sum has no curvature: that of the square that touches it from above
-        normal[j, j] += weight * weight + pull / max(above, NONE * room / m)
+        normal[j, j] += weight * weight + pull / max(above, TOUCHING_MIN * room / m)
         normal[j, j] += damping * (normal[j, j] + 1e-12)
 
 
@@ -209,7 +218,7 @@ def gauss_newton_step(jacobian, f, inputs, low, high, price, damping, trial, fre
 @compiled
 def explicit_slopes(chain, inputs, high, there, target, f, moved, slopes):
     """
-    Fill slopes (6, m) as `weighted_slopes` where one sweep is the shape: by forward differences.
+    Fill slopes (6, m) of the weighted tip error where one sweep is the shape: half of the work.
 
     Parameters
     ----------
@@ -226,7 +235,7 @@ def explicit_slopes(chain, inputs, high, there, target, f, moved, slopes):
     """
     for j in range(inputs.shape[0]):
         was = inputs[j]
-        step = DIFFERENCE_N if was + DIFFERENCE_N <= high[j] else -DIFFERENCE_N
+        step = DIFFERENCE_STEP if was + DIFFERENCE_STEP <= high[j] else -DIFFERENCE_STEP
         inputs[j] = was + step
         step_at(chain.step)(chain, address(inputs), there.near, there.work, there.past, there.near)
         inputs[j] = was
@@ -236,21 +245,14 @@ def explicit_slopes(chain, inputs, high, there, target, f, moved, slopes):
             slopes[r, j] = (moved[r] - f[r]) / step
 
 
-@compiled
-def weighted_slopes(chain, inputs, there, target, ways, slopes):
-    """Fill slopes (6, m) of the weighted tip error by the inputs [m/N]."""
-    output_slopes(chain, address(inputs), there, ways, slopes)
-    for r in range(6):
-        for j in range(inputs.shape[0]):
-            slopes[r, j] *= target[6] if r < 3 else target[7]
-
-
 @entry()
-def aim(robot, inputs, bends, target, low, high, tension, most, enough, far, until, past, scratch):
+def aim(
+    robot, inputs, bends, target, low, high, tension, trials_max, enough, far, until, past, scratch
+):
     """
     Move inputs (m,) [N] within [low, high] so that the tip meets the target; return the cost.
 
-    `bends` (2, 3n) holds a guess and takes the equilibrium in its first half. With the tip
+    `bends` (2, 3n) holds a guess and takes the equilibrium in its first half. With the tip at
     `COST_REACHED_M2`, the search ends with a step that gains less than `enough` of the cost. It
     ends at a time, too.
 
@@ -269,10 +271,10 @@ def aim(robot, inputs, bends, target, low, high, tension, most, enough, far, unt
     tension : ndarray, shape (4,)
         What it costs, see `tension_price`: weight of its squares [m/N], price [1], [m], and room,
         the sum of all ranges [N].
-    most : int
-        Equilibria of trials.
-    enough : float
-        [1]
+    trials_max : int
+        Equilibria that may be solved.
+    enough, far : float
+        [1]; cost [m²] from which on nothing is done.
     until : int
         Address of that time [s], see `layout.monotonic`.
     past : ndarray
@@ -284,25 +286,28 @@ def aim(robot, inputs, bends, target, low, high, tension, most, enough, far, unt
     chain = chain_at(robot)
     m, there = chain.m, workspace(chain, bends, past, scratch)
     f, moved, jacobian = np.empty(6), np.empty(6), np.zeros((6, m))
-    trial, free, ways = np.empty(m), np.empty(m, np.int64), np.empty((m, unknowns(chain)))
+    trial, free, state_slopes = np.empty(m), np.empty(m, np.int64), np.empty((m, unknowns(chain)))
     tip_residual(chain, inputs, there, there.bend, target, f)
     price, damping = tension_price(f, inputs, low, tension), 1e-9
     cost = cost_of(f, inputs, low, price)
     is_explicit = not (is_implicit(chain) or memory_acts(chain))
-    floats(there.work.slip)[3] = 0.0
-    while most > 0 and cost < far and monotonic() < floats(until)[0]:
+    floats(there.work.settings)[EVERY_METHOD] = 0.0
+    while trials_max > 0 and cost < far and monotonic() < floats(until)[0]:
         if is_explicit:
             explicit_slopes(chain, inputs, high, there, target, f, moved, jacobian)
         else:
-            weighted_slopes(chain, inputs, there, target, ways, jacobian)
+            output_slopes(chain, address(inputs), there, state_slopes, jacobian)
+            for r in range(6):
+                for j in range(m):
+                    jacobian[r, j] *= target[6] if r < 3 else target[7]
         gain = 0.0
-        for _ in range(min(most, 12)):
-            most -= 1
+        for _ in range(min(trials_max, BACKTRACKS_MAX)):
+            trials_max -= 1
             problem = (jacobian, f, inputs, low, high, price, damping)
             if gauss_newton_step(*problem, trial, free) == 0:
                 break
             if not is_explicit:
-                predict(chain, there, ways, inputs, trial)
+                predict(chain, there, state_slopes, inputs, trial)
             tip_residual(chain, trial, there, there.near, target, moved)
             new = cost_of(moved, trial, low, price)
             if new < cost:
@@ -321,18 +326,18 @@ def aim(robot, inputs, bends, target, low, high, tension, most, enough, far, unt
     return cost_of(f, inputs, low, (tension[0], 0.0, tension[3]))
 
 
-BEND_STEP = 1e-6  # [rad] of differences
-STEP_SHRINKING_RAD = 0.3  # [rad] step after which the slip length shrinks
-STEP_MAX_RAD = 0.2  # [rad] step of a bend
-STEP_SETTLED_RAD = 1e-6  # [rad] step with which the search ends
-LOW_TENSION_SHARE = 0.01  # [1] of its weight at the target, where all would keep the tip off it
-UNDAMPED_STEPS, DAMPING = 15, 1e-2  # turns without damping; later tensions may go in circles
+SEEKING_STEP_MAX_RAD = 0.2  # [rad] of a bend in one step, so that no kink is passed unseen
+SEEKING_SHRINKING_RAD = 0.3  # [rad] a good step: any that is hardly cut short, else none would be
+STEP_SETTLED_RAD = 1e-6  # [rad] last step, because the next would move the tip by less than 1 nm
+TENSION_FRACTION = 0.01  # [1] of its weight at the target, where all of it would keep the tip off
+UNDAMPED_STEPS = 15  # [1] so that tensions that go in circles, as they do later, are damped only
+DAMPING = 1e-2  # [1] of the curvature: with less they would still go in circles
 
 
 @compiled
-def find_ways(chain, inputs, bend, work, past, residual, ways, pulls):
+def find_directions(chain, inputs, bend, work, past, residual, directions, pulls):
     """
-    Fill the ways (m + 1, u) of the bends by every tension, and last the one that balances them.
+    Fill how the bends go (m + 1, u) with every tension, and last how they balance the tensions.
 
     Parameters
     ----------
@@ -340,33 +345,33 @@ def find_ways(chain, inputs, bend, work, past, residual, ways, pulls):
         (m,) [N]; state [rad], whose travel and moment arms `work` holds.
     residual, pulls : ndarray, shapes (u,) and (k, u)
         Scratch.
-    ways : ndarray, shape (m + 1, u)
+    directions : ndarray, shape (m + 1, u)
         Takes [rad/N], and [rad].
 
     """
     balance_at(chain.balance)(chain, inputs, bend, work, past, address(residual))
-    balancing = address(ways) + 8 * unknowns(chain) * chain.m
+    balancing = address(directions) + 8 * unknowns(chain) * chain.m
     respond_at(chain.respond)(
         chain, bend, address(residual), 1, work, past, balancing, address(pulls)
     )
-    combine_tendons(chain, inputs, pulls, ways)
+    combine_tendons(chain, inputs, pulls, directions)
 
 
 @compiled
-def tip_slopes(chain, inputs, there, target, ways, f, slopes):
+def tip_slopes(chain, inputs, there, target, directions, f, slopes):
     """
-    Fill the tip error (6,) [m] and how it moves (6, m + 1) along the ways (m + 1, u).
+    Fill the tip error (6,) [m] and how it moves (6, m + 1) along directions (m + 1, u).
 
     The first m are those of the bends by a tension, which itself moves with them.
     """
     tension, bend, near = floats(inputs), floats(there.bend), floats(there.near)
     up, down = np.empty(6), np.empty(6)
     for j in range(chain.m + 1):
-        step = BEND_STEP / max(largest(ways[j]), 1e-9)
+        step = DIFFERENCE_STEP / max(largest(directions[j]), 1e-9)
         for side in range(2):
             h = step if side == 0 else -step
             for q in range(unknowns(chain)):
-                near[q] = bend[q] + h * ways[j, q]
+                near[q] = bend[q] + h * directions[j, q]
             was = tension[j % chain.m]
             if j < chain.m:
                 tension[j] += h
@@ -379,63 +384,64 @@ def tip_slopes(chain, inputs, there, target, ways, f, slopes):
 
 
 @compiled
-def move_both(chain, inputs, there, ways, trial, move):
+def move_both(chain, inputs, there, directions, trial, move):
     """Move inputs (m,) to a trial and the bends with them by `move` (u,); return its length."""
     m, bend = chain.m, floats(there.bend)
     for q in range(unknowns(chain)):
-        move[q] = ways[m, q]
+        move[q] = directions[m, q]
         for j in range(m):
-            move[q] += ways[j, q] * (trial[j] - inputs[j])
+            move[q] += directions[j, q] * (trial[j] - inputs[j])
     longest = largest(move)
     if not longest < math.inf:
         return longest
-    share = min(1.0, STEP_MAX_RAD / max(longest, 1e-300))
+    fraction = min(1.0, SEEKING_STEP_MAX_RAD / max(longest, TINY))
     for q in range(unknowns(chain)):
-        move[q] *= share
+        move[q] *= fraction
         bend[q] += move[q]
     for j in range(m):
-        inputs[j] += share * (trial[j] - inputs[j])
+        inputs[j] += fraction * (trial[j] - inputs[j])
     return longest
 
 
 @entry()
 def seek(
-    robot, inputs, bends, target, low, high, preference, wide, shrink, most, until, past, scratch
+    robot, inputs, bends, target, low, high, preference, wide, shrink, steps, until, past, scratch
 ):
     """
     Move inputs (m,) [N] within [low, high] and bends[0] (3n,) [rad] towards a tip target.
 
-    The slip length starts `wide` times its own and shrinks by a factor at every good step. Returns
-    the last step [rad]: where it is small, an equilibrium is near. It ends at
-    the time [s] at the address `until`, see `layout.monotonic`.
+    The smoothing length starts `wide` times its own and shrinks by a factor after every good step.
+    Returns the last step [rad]: where it is small, an equilibrium is near. The search ends after
+    so many steps, and at the time [s] at the address `until`, see `layout.monotonic`.
     """
     chain = chain_at(robot)
     m, size, there = chain.m, unknowns(chain), workspace(chain, bends, past, scratch)
-    work, then, slip, tensions = there.work, there.past, floats(there.work.slip), address(inputs)
-    ways, pulls, residual = np.empty((m + 1, size)), np.empty((chain.k, size)), np.empty(size)
+    work, then, tensions = there.work, there.past, address(inputs)
+    directions, pulls = np.empty((m + 1, size)), np.empty((chain.k, size))
+    residual = np.empty(size)
     f, slopes, move = np.empty(6), np.empty((6, m + 1)), np.empty(size)
     trial, free = np.empty(m), np.empty(m, np.int64)
-    own, width, longest = own_travel(chain, there.bend, work), wide * SLIP_LENGTH, math.inf
-    for turn in range(most):
+    own, width, longest = own_travel(chain, there.bend, work), wide * SMOOTHING_LENGTH, math.inf
+    for step in range(steps):
         if monotonic() > floats(until)[0]:
             break
-        slip[0] = width
+        floats(work.settings)[SMOOTHING] = width
         exchange(chain, work, own)
-        find_ways(chain, tensions, there.bend, work, then, residual, ways, pulls)
-        tip_slopes(chain, tensions, there, target, ways, f, slopes)
+        find_directions(chain, tensions, there.bend, work, then, residual, directions, pulls)
+        tip_slopes(chain, tensions, there, target, directions, f, slopes)
         for r in range(6):
             f[r] += slopes[r, m]  # where the bends go that balance the tensions as they are
-        damping = 0.0 if turn < UNDAMPED_STEPS else DAMPING
-        weight = preference if width > SLIP_LENGTH else LOW_TENSION_SHARE * preference
+        damping = 0.0 if step < UNDAMPED_STEPS else DAMPING
+        weight = preference if width > SMOOTHING_LENGTH else TENSION_FRACTION * preference
         gauss_newton_step(slopes, f, inputs, low, high, (weight, 0.0, 1.0), damping, trial, free)
-        longest = move_both(chain, inputs, there, ways, trial, move)
-        if not longest < math.inf or (longest < STEP_SETTLED_RAD and width == SLIP_LENGTH):
+        longest = move_both(chain, inputs, there, directions, trial, move)
+        if not longest < math.inf or (longest < STEP_SETTLED_RAD and width == SMOOTHING_LENGTH):
             break
-        new_width = max(shrink * width, SLIP_LENGTH) if longest < STEP_SHRINKING_RAD else width
+        new_width = width
+        if longest < SEEKING_SHRINKING_RAD:
+            new_width = max(shrink * width, SMOOTHING_LENGTH)
         take_over(chain, work, move, own, width, new_width)
         width = new_width
         place_travel_at(chain.place_travel)(chain, there.bend, work)
-    slip[0] = SLIP_LENGTH
-    for j in range(2 * chain.n * chain.k):
-        floats(work.lag)[j] = 0.0
+    end_sliding(chain, work)
     return longest

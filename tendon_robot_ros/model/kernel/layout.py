@@ -1,5 +1,5 @@
 """
-What the compiled functions pass to each other: addresses of arrays, never arrays.
+What the compiled functions pass to each other, addresses of arrays; vectors and small equations.
 
 Numba counts references to arrays at every call, which costs more than the physics here; an
 address costs nothing. Whoever calls an entry keeps the arrays alive until it returns.
@@ -10,8 +10,10 @@ section, `k` a tendon, `j` an input; u (in shapes) the entries of a state that c
 that of the first float of an array, row-major.
 """
 
+import math
 from collections import namedtuple
 from functools import partial
+from itertools import accumulate
 from time import CLOCK_MONOTONIC
 from typing import Any
 
@@ -29,16 +31,12 @@ lawful = part(pipeline_class=LawCompiler, fastmath={'contract'})
 inlined = part(forceinline=True)
 # with fused multiply-add: where no difference of equal products has to be exactly zero
 fused = part(forceinline=True, fastmath={'contract'})
-# the same, not put into its callers by force
+# the same, inlined only where LLVM wants to
 contracted = part(fastmath={'contract'})
-# sums in any order: where they only say which way a search goes
+# sums in any order: where they only say in which direction a search goes
 reordered = part(fastmath={'contract', 'reassoc'})
 # comparisons of what is no NaN
 numeric = part(fastmath={'nnan', 'nsz'})
-
-
-# Numba compiles a function anew for every literal that it is called with; these are none.
-YES, NONE, ZERO, ONE = np.bool_(True), np.int64(-1), np.int64(0), np.int64(1)
 
 
 def entry(*signature):
@@ -56,8 +54,12 @@ def entry(*signature):
     return make
 
 
+YES = np.bool_(True)
+ZERO = np.int64(0)  # [1] typed, because numba compiles a function anew for every literal
+NONE = ~ZERO  # no index, -1
+
 # Chain: the robot and its effects; n cells, k tendons, m inputs; addresses of
-#   cells   (n, 8)    columns below, SI
+#   cells   (n, 8)    CELL_COLUMNS, SI
 #   offset  (n, k, 2) tendon offsets [m]
 #   tendon  (k, 2)    int: cells that the tendon runs through, index of its input
 #   values  (rows, wide) effect parameters of each section, or of each tendon;
@@ -70,11 +72,15 @@ def entry(*signature):
 Chain = namedtuple(
     'Chain',
     'n k m wide cells offset tendon values on gravity radius helix beside '
-    'step prepare place_travel balance residual respond newton settle march load_moments '
-    'flat_moments bow_cells load_slopes descend leaning_travel leaning_slopes remembered ramped',
+    'step prepare place_travel balance residual respond newton solve_equilibrium march '
+    'load_moments flat_moments bow_cells load_slopes descend leaning_travel leaning_slopes '
+    'remembered ramped',
 )
-LENGTH, STIFFNESS, MASS, HINGE, SECTION, PRESENT, MASS_X, MASS_Y = np.arange(8)
-COLUMNS = 8
+# Length [m], bending stiffness [N·m/rad], mass profile times length [m], whether it is a hinge
+# (1), index of its section, number of tendons in it, where its weight lies beside the axis [m].
+CELL_COLUMNS = 'LENGTH STIFFNESS MASS HINGE SECTION PRESENT MASS_X MASS_Y'.split()
+COLUMNS = len(CELL_COLUMNS)
+LENGTH, STIFFNESS, MASS, HINGE, SECTION, PRESENT, MASS_X, MASS_Y = range(COLUMNS)
 
 # The state of a posture: bends (n, 2) [rad], and behind them twists (n,) [rad], which count only
 # where cells twist; `bend` and `bends` are addresses of states.
@@ -84,19 +90,22 @@ COLUMNS = 8
 Memory = namedtuple('Memory', 'bend sign travel inputs')
 
 # Work: scratch of one posture. half (n, 2): half angles, see `cells`; wrench (n, 6): force [N]
-# and torque [N·m] at the cells' ends of the loads beyond; lag (2, n, k): travel [m] that
-# `solve_sliding` has not taken over, here and beyond, else zeros; slip (5,): smoothing length
-# [m], load scale [1], whether a sweep looks at the guess (1) or goes without (0),
-# whether an equilibrium is looked for in every way (1) or only in the quick ones (0), and
-# whether all loads lie in the plane x, z (1).
-# axial (n, k): moment arms of the tendons about the axis [m]; torque (n,): of the loads [N·m];
-# compliance (n,): of a cell in bending [rad/(N·m)], from `work_in` on; passed (n,): tension behind
-# an eyelet over that before it.
+# and torque [N·m] at the cells' ends of the loads beyond; lag (2, n, k): by how much the travel
+# [m] of the bends exceeds that of the eyelets in `solve_sliding`, here and beyond, else zeros;
+# settings: SETTINGS below. axial (n, k): moment arms of the tendons about the axis [m]; torque
+# (n,): of the loads [N·m]; compliance (n,): of a cell in bending [rad/(N·m)], from `work_in` on;
+# passed (n,): tension behind an eyelet over that before it.
 Work = namedtuple(
     'Work',
-    'moment_arms travel beyond load lengths tensions frames origins half wrench lag slip axial '
-    'torque compliance passed',
+    'moment_arms travel beyond load lengths tensions frames origins half wrench lag settings '
+    'axial torque compliance passed',
 )
+# Smoothing length of friction [m]; factor on the loads [1]; whether a sweep follows the guess (1)
+# or goes as if no effect needed the shape (0); whether every method for an equilibrium is tried
+# (1) or the quick ones (0); whether all loads lie in the plane x, z (1).
+SETTINGS = 'SMOOTHING LOAD_SCALE SHAPED EVERY_METHOD PLANAR_LOADS'.split()
+SETTINGS_SIZE = len(SETTINGS)
+SMOOTHING, LOAD_SCALE, SHAPED, EVERY_METHOD, PLANAR_LOADS = range(SETTINGS_SIZE)
 
 # Workspace of a search: scratch, memory before and after, the state kept and that of a trial
 # (3n,), one more (3n,) as scratch, wire pulls of the tendons (k,) and of the inputs (m,).
@@ -106,28 +115,36 @@ Workspace = namedtuple('Workspace', 'work past now bend near before pulls means'
 for _kind in (Chain, Memory, Work, Workspace):
     _kind.__name__ += '_' + __name__.partition('.')[0].rpartition('_')[2]
 
-BEND_TOLERANCE = 1e-10  # [rad] largest change of a bend at which a shape counts as settled
-SLIP_LENGTH = 2e-6  # [m] travel over which the sign of friction is smoothed
+EPSILON, TINY = float(np.finfo(np.float64).eps), float(np.finfo(np.float64).tiny)
+# [rad] largest change of a bend at which an equilibrium has converged, so that the tip of an arm
+# of 100 cells and 1 m is within 10 nm
+BEND_TOLERANCE = 1e-10
+# [m] travel over which the sign of friction is smooth, so that Newton meets no jump; docs/model.md
+SMOOTHING_LENGTH = 2e-6
+# [1] of a size of about one: a central difference errs by the square of its step and by EPSILON
+# over it, and would be worse with any other
+DIFFERENCE_STEP = EPSILON ** (1 / 3)
+# [1] trials of one step, each shorter: the last would gain less than 1e-3 of what is to gain
+BACKTRACKS_MAX = 12
 
-WORD = types.int64
-CHAIN, _chain_from = record_type(Chain, (WORD,) * 10 + (types.float64,) + (WORD,) * 20)
+WORD, FLOAT = types.int64, types.float64
+CHAIN, _chain_from = record_type(Chain, dict.fromkeys(Chain._fields, WORD) | {'radius': FLOAT})
 WORK_FIELDS = len(Work._fields)
 APART = ('tensions', 'frames', 'origins')  # of Work, may lie elsewhere
-WORK, work_from = record_type(Work, (WORD,) * 16, APART)
-MEMORY = types.NamedUniTuple(WORD, 4, Memory)
+WORK, work_from = record_type(Work, dict.fromkeys(Work._fields, WORD), APART)
+MEMORY = types.NamedUniTuple(WORD, len(Memory._fields), Memory)
 STEP = types.void(CHAIN, WORD, WORD, WORK, MEMORY, WORD)
-RESPOND = types.int64(CHAIN, WORD, WORD, WORD, WORK, MEMORY, WORD, WORD)
-NEWTON = types.float64(CHAIN, WORD, WORD, WORK, MEMORY, WORD)
-SETTLE = types.float64(CHAIN, WORD, WORK, MEMORY, WORD)
-MARCH = types.float64(CHAIN, WORD, WORD, WORK, MEMORY)
 PLACE = types.void(CHAIN, WORD, WORK)
-LOAD_SLOPES = types.void(CHAIN, WORD, WORK, WORD, WORD, types.float64)
-DESCEND = types.void(CHAIN, WORD, WORD, WORK, MEMORY, types.float64)
-LEANING_TRAVEL = types.void(CHAIN, WORD, *(types.float64,) * 6, WORK)
-REMEMBERED = types.float64(CHAIN, types.float64, types.float64, WORD)
-POSTURES = types.float64(WORD, types.float64[::1], *(WORD,) * 6)
-RAMPED = types.float64(CHAIN, WORD, WORK, MEMORY, MEMORY, WORD, WORD)
-LEANING_SLOPES = types.void(CHAIN, WORK, WORD, *(types.float64,) * 4, WORD)
+RESPOND = types.int64(CHAIN, WORD, WORD, WORD, WORK, MEMORY, WORD, WORD)
+NEWTON = FLOAT(CHAIN, WORD, WORD, WORK, MEMORY, WORD)
+SOLVE = FLOAT(CHAIN, WORD, WORK, MEMORY, WORD)
+MARCH = FLOAT(CHAIN, WORD, WORD, WORK, MEMORY)
+LOAD_SLOPES = types.void(CHAIN, WORD, WORK, WORD, WORD, FLOAT)
+DESCEND = types.void(CHAIN, WORD, WORD, WORK, MEMORY, FLOAT)
+LEANING_TRAVEL = types.void(CHAIN, WORD, FLOAT, FLOAT, FLOAT, FLOAT, FLOAT, FLOAT, WORK)
+LEANING_SLOPES = types.void(CHAIN, WORK, WORD, FLOAT, FLOAT, FLOAT, FLOAT, WORD)
+REMEMBERED = FLOAT(CHAIN, FLOAT, FLOAT, WORD)
+RAMPED = FLOAT(CHAIN, WORD, WORK, MEMORY, MEMORY, WORD, WORD)
 
 
 def _pointer_to(item):
@@ -173,7 +190,7 @@ flags = _pointer_to(types.uint8)
 step_at = prepare_at = balance_at = residual_at = _function_at(STEP)
 respond_at = _function_at(RESPOND)
 newton_at = _function_at(NEWTON)
-settle_at = _function_at(SETTLE)
+solve_at = _function_at(SOLVE)
 march_at = _function_at(MARCH)
 load_moments_at = flat_moments_at = bow_cells_at = place_travel_at = _function_at(PLACE)
 load_slopes_at = _function_at(LOAD_SLOPES)
@@ -202,25 +219,9 @@ def memory_size(n, k, m):
 @register_jitable
 def work_sizes(n, k):
     """Floats that the arrays of Work take, in their order."""
-    joints, pulls = 9 * (n + 1), n * k
-    return (
-        2 * pulls,
-        pulls,
-        pulls,
-        2 * n,
-        n,
-        pulls,
-        joints,
-        3 * (n + 1),
-        2 * n,
-        6 * n,
-        2 * pulls,
-        5,
-        pulls,
-        n,
-        n,
-        n,
-    )
+    wires, joints = n * k, n + 1
+    before = (2 * wires, wires, wires, 2 * n, n, wires, 9 * joints, 3 * joints, 2 * n)
+    return before + (6 * n, 2 * wires, SETTINGS_SIZE, wires, n, n, n)
 
 
 @register_jitable
@@ -302,16 +303,35 @@ def cell(chain, i, column):
     return floats(chain.cells)[COLUMNS * i + column]
 
 
-# Derivatives of a cell (`tangent`): SIZE floats, matrices of three by three. The residual [rad] by
-# the own bend and twist, by the turn of the first frame (rotation vector, base frame) and by the
-# torque [N·m] at the end; the turn of the last frame by the own bend and twist; the torque at the
-# start by the turn of the first frame and by the own bend and twist. Then TENDON floats a tendon.
-OWN, BY_TURN, BY_TORQUE, TURNS, TORQUE_BY_TURN, TORQUE_BY_OWN, SIZE = 0, 9, 18, 27, 36, 45, 54
-# Residual by tension; tension behind the eyelet at the cell's start by that before it, by bends
-# and twist before and in the cell, by the travel beyond; travel by the own bend and twist; torque
-# by tension; tension behind the eyelet by what its travel lags.
-BY_TENSION, PASSED, BEFORE, HERE, SLIDES = 0, 3, 4, 7, 10
-TRAVELS, PULLS, LAGS, TENDON = 11, 14, 17, 18
+def _starts(parts):
+    """Return where parts of these sizes begin, one after the other, and last their whole size."""
+    return accumulate(parts.values(), initial=0)
+
+
+# Derivatives of a cell, filled by `linearisation`: matrices of three by three. The residual [rad]
+# by the own bend and twist, by the turn of the first frame (rotation vector, base frame) and by
+# the torque [N·m] at the end; the turn of the last frame by the own bend and twist; the torque at
+# the start by the turn of the first frame and by the own bend and twist.
+CELL_PARTS = 'OWN BY_TURN BY_TORQUE TURNS TORQUE_BY_TURN TORQUE_BY_OWN'.split()
+MATRIX = 9  # [1] entries of such a matrix, because bend and twist are three
+OWN, BY_TURN, BY_TORQUE, TURNS, TORQUE_BY_TURN, TORQUE_BY_OWN, SIZE = _starts(
+    dict.fromkeys(CELL_PARTS, MATRIX)
+)
+# Then of every tendon: the residual by its tension; its tension behind the eyelet at the cell's
+# start by that before it, by bend and twist before and in the cell, by the travel beyond; its
+# travel by the own bend and twist; the torque by its tension; its tension behind the eyelet by
+# what the eyelet's travel lags.
+TENDON_PARTS = {
+    'BY_TENSION': 3,
+    'PASSED': 1,
+    'BEFORE': 3,
+    'HERE': 3,
+    'SLIDES': 1,
+    'TRAVELS': 3,
+    'PULLS': 3,
+    'LAGS': 1,
+}
+BY_TENSION, PASSED, BEFORE, HERE, SLIDES, TRAVELS, PULLS, LAGS, TENDON = _starts(TENDON_PARTS)
 
 
 @compiled
@@ -324,3 +344,105 @@ def tangent_size(n, k):
 def tangent_of(chain, tangent, i):
     """Address of the derivatives of cell i."""
     return tangent + 8 * i * (SIZE + TENDON * chain.k)
+
+
+@compiled
+def assign(target, source):
+    """Copy a vector into another of its length."""
+    for j in range(target.shape[0]):
+        target[j] = source[j]
+
+
+@reordered
+def dot(a, b):
+    """Inner product."""
+    total = 0.0
+    for j in range(a.shape[0]):
+        total += a[j] * b[j]
+    return total
+
+
+@numeric
+def peak(values):
+    """Largest absolute entry, none of which is NaN."""
+    top = 0.0
+    for j in range(values.shape[0]):
+        size = abs(values[j])
+        top = size if size > top else top
+    return top
+
+
+@compiled
+def largest(values):
+    """Largest absolute entry; infinite where they are, or NaN, or beyond all use."""
+    if not dot(values, values) <= 1e12:
+        return math.inf
+    return peak(values)
+
+
+@compiled
+def solve_small(a, b, size):
+    """Solve a x = b in place for a small positive definite a (size, size) by Cholesky."""
+    for j in range(size):
+        for i in range(j):
+            a[j, j] -= a[j, i] * a[j, i]
+        a[j, j] = math.sqrt(max(a[j, j], TINY))
+        for r in range(j + 1, size):
+            for i in range(j):
+                a[r, j] -= a[r, i] * a[j, i]
+            a[r, j] /= a[j, j]
+    for j in range(size):
+        for i in range(j):
+            b[j] -= a[j, i] * b[i]
+        b[j] /= a[j, j]
+    for j in range(size - 1, -1, -1):
+        for i in range(j + 1, size):
+            b[j] -= a[i, j] * b[i]
+        b[j] /= a[j, j]
+
+
+@inlined
+def add_row(target, factor, source, begin, width):
+    """Add a multiple of one row to another, from a column on."""
+    into, row = floats(target), floats(source)
+    for j in range(begin, width):
+        into[j] += factor * row[j]
+
+
+@compiled
+def swap(first, second, count):
+    """Exchange floats at two addresses."""
+    a, b = floats(first), floats(second)
+    for j in range(count):
+        a[j], b[j] = b[j], a[j]
+
+
+@compiled
+def solve_rows(matrix, sides, size, width):
+    """
+    Solve a x = b in place by LU; False where singular.
+
+    Addresses: `matrix` of a (size, size), `sides` of b (size, width).
+    """
+    for c in range(size):
+        top, pivot = abs(floats(matrix)[size * c + c]), c
+        for r in range(c + 1, size):
+            if abs(floats(matrix)[size * r + c]) > top:
+                top, pivot = abs(floats(matrix)[size * r + c]), r
+        if not TINY < top < math.inf:
+            return False
+        row, side = matrix + 8 * size * c, sides + 8 * width * c
+        if pivot != c:
+            swap(row, matrix + 8 * size * pivot, size)
+            swap(side, sides + 8 * width * pivot, width)
+        for r in range(c + 1, size):
+            factor = -floats(matrix)[size * r + c] / floats(row)[c]
+            add_row(matrix + 8 * size * r, factor, row, c + 1, size)
+            add_row(sides + 8 * width * r, factor, side, ZERO, width)
+    for r in range(size - 1, -1, -1):
+        row, side = floats(matrix + 8 * size * r), sides + 8 * width * r
+        for c in range(r + 1, size):
+            add_row(side, -row[c], sides + 8 * width * c, ZERO, width)
+        for j in range(width):
+            floats(side)[j] /= row[r]
+    return True

@@ -216,9 +216,10 @@ def record_type(fields, kinds, apart=()):
     """
     Return the type of records with the fields of a named tuple, and what makes one of them.
 
-    That is for compiled code, and takes the address and the fields apart.
+    `kinds` holds the type of every field. The maker is for compiled code, and takes the address
+    and the fields apart.
     """
-    places = {name: (place, kinds[place]) for place, name in enumerate(fields._fields)}
+    places = {name: (place, kinds[name]) for place, name in enumerate(fields._fields)}
     kind = RecordType(fields.__name__, places, apart)
 
     if apart:

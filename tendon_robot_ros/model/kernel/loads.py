@@ -2,17 +2,22 @@
 Moments of the loads on every bend, by virtual work, from the tip to the base; how cells bow.
 
 Under a force across a rod the curvature changes along a cell. The bend is the mean curvature of an
-arc. What is left is linear along the cell, turns neither of its ends, and moves the far one across
-the tangent m in its middle: by B (F - (F m) m), with B = L² / (12 K) and F the force of all beyond
-the middle. The loads' energy falls by B (F² - (F m)²) / 2, and so there is a moment on the bend. A
-hinge does not bow.
+arc. The rest of it is linear along the cell, turns neither of its ends, and moves the far one
+across the tangent m in its middle: by B (F - (F m) m), with B = L² / (12 K) and F the force of all
+beyond the middle. The loads' energy falls by B (F² - (F m)²) / 2, and so there is a moment on the
+bend. A hinge does not bow.
+
+Of an arm that bends in one plane, x and z, angles say the same as frames (`flat_moments`).
 """
 
 from .cells import (
+    ARC_SERIES_BELOW,
     arc_factor,
     axial_moment,
     bending_frame,
     chain_frames,
+    end_of,
+    gentle_arc,
     halved,
     is_general,
     turned_axes,
@@ -21,10 +26,12 @@ from .cells import (
 from .layout import (
     HINGE,
     LENGTH,
+    LOAD_SCALE,
     MASS,
     MASS_X,
     MASS_Y,
     PLACE,
+    PLANAR_LOADS,
     bow_cells_at,
     cell,
     compiled,
@@ -106,7 +113,8 @@ def bowed(bow, x, y, s, c, part, f):
     return -bow * g * by_x, -bow * g * by_y, over
 
 
-NO_LOAD = (0.0, 0.0, 0.0)
+NO_LOAD = (0.0, 0.0, 0.0)  # [N], [N·m] or [m] a vector of zeros, so that sums have a beginning
+# [1] frame of the base, row by row, because entry 0 of work.frames may lie elsewhere
 BASE_FRAME = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
 
@@ -205,7 +213,7 @@ def beside_moment(x, y, s, c, own, beside):
 
 
 @fused
-def cell_moment(chain, i, x, y, s, c, force, torque, own, reach, bow, general):
+def cell_moment(chain, i, x, y, s, c, loads, reach, bow, general):
     """
     Moment (x, y) on one bend of a force and a torque at the cell's end and of its own weight.
 
@@ -218,32 +226,29 @@ def cell_moment(chain, i, x, y, s, c, force, torque, own, reach, bow, general):
         Bend [rad].
     s, c : float
         sin(a / 2) / a [1/rad] and cos(a / 2) of its size a, see `cells`.
-    force, torque : tuple of float
-        Of everything beyond, at the cell's end: (3,) [N], (3,) [N·m].
-    own : tuple of float
-        The cell's weight (3,) [N].
+    loads : tuple
+        Force and torque of everything beyond, at the cell's end, and the cell's own weight:
+        (3,) [N], (3,) [N·m], (3,) [N].
     reach : float
         Length of the cell [m].
     bow : float
         `bow_compliance` [m/N]; without it all is linear in the loads.
     general : bool
-        Whether the weight may lie beside the axis; a constant, each kind has code of its own.
+        Whether the weight may lie beside the axis.
 
     """
-    mx, my, middle, over = middle_moment(
-        x, y, s, c, force, torque, own, reach, cell(chain, i, HINGE), bow
-    )
+    mx, my, middle, over = middle_moment(x, y, s, c, loads, reach, cell(chain, i, HINGE), bow)
     if not general:
         return mx, my, middle, over
     beside = (cell(chain, i, MASS_X), cell(chain, i, MASS_Y))
-    ox, oy, arm = beside_moment(x, y, s, c, own, beside)
+    ox, oy, arm = beside_moment(x, y, s, c, loads[2], beside)
     return mx + ox, my + oy, plus(middle, arm), over
 
 
 @contracted
-def middle_moment(x, y, s, c, force, torque, own, cell_length, hinge, bow):
+def middle_moment(x, y, s, c, loads, cell_length, hinge, bow):
     """Return what `cell_moment` does for a weight on the axis."""
-    q = x * x + y * y
+    (force, torque, own), q = loads, x * x + y * y
     sinc, versine = 2.0 * s * c, 2.0 * s * s
     whole = arc_factor(q, s, c)
     tx, ty = turn_moment(x, y, torque, sinc, versine, versine - whole)
@@ -280,7 +285,7 @@ def bow_cells(chain, bend, work):
     """Move work.origins by how far cells bow; entry 0 of the frames need not be the base's."""
     general = is_general(chain)
     bends, half, origins = floats(bend), floats(work.half), floats(work.origins)
-    scale, beyond, shift = floats(work.slip)[1], force_at_tip(chain), NO_LOAD
+    scale, beyond, shift = floats(work.settings)[LOAD_SCALE], force_at_tip(chain), NO_LOAD
     for i in range(chain.n):
         beyond = plus(beyond, weight(chain, i))
     for i in range(chain.n):
@@ -307,18 +312,10 @@ def load_moments(chain, bend, work):
     work.origins are those of these bends, by `cells.chain_frames`. work.wrench (n, 6) becomes
     the force [N] and the torque [N·m] at the end of each cell, of all beyond it.
     """
-    if is_general(chain):
-        fill_moments(chain, bend, work, True)
-    else:
-        fill_moments(chain, bend, work, False)
-
-
-@fused
-def fill_moments(chain, bend, work, general):
-    """Fill moments and wrenches as `load_moments` does."""
+    general = is_general(chain)
     bends, moments, origins = floats(bend), floats(work.load), floats(work.origins)
     half, lengths = floats(work.half), floats(work.lengths)
-    scale = floats(work.slip)[1]
+    scale = floats(work.settings)[LOAD_SCALE]
     force, torque = scaled(scale, force_at_tip(chain)), NO_LOAD
     for i in range(chain.n - 1, -1, -1):
         x, y, s, c = bends[2 * i], bends[2 * i + 1], half[2 * i], half[2 * i + 1]
@@ -326,32 +323,134 @@ def fill_moments(chain, bend, work, general):
         wrench = floats(work.wrench + 48 * i)
         wrench[0], wrench[1], wrench[2] = force
         wrench[3], wrench[4], wrench[5] = torque
-        own, torque_here = scaled(scale, weight(chain, i)), local(f, torque)
-        mx, my, middle, over = cell_moment(
-            chain,
-            i,
-            x,
-            y,
-            s,
-            c,
-            local(f, force),
-            torque_here,
-            local(f, own),
-            lengths[i],
-            bow_compliance(chain, work, i),
-            general,
-        )
+        own, bow, o = scaled(scale, weight(chain, i)), bow_compliance(chain, work, i), 3 * i
+        here = (local(f, force), local(f, torque), local(f, own))
+        mx, my, middle, over = cell_moment(chain, i, x, y, s, c, here, lengths[i], bow, general)
         moments[2 * i], moments[2 * i + 1] = mx, my
-        at = 3 * i
-        reach = (
-            origins[at + 3] - origins[at],
-            origins[at + 4] - origins[at + 1],
-            origins[at + 5] - origins[at + 2],
-        )
-        reach = plus(reach, turned(f, over))
+        start = (origins[o], origins[o + 1], origins[o + 2])
+        end = plus((origins[o + 3], origins[o + 4], origins[o + 5]), turned(f, over))
+        reach = plus(end, scaled(-1.0, start))
         torque = plus(torque, plus(cross(reach, force), cross(turned(f, middle), own)))
         if general:
             floats(work.torque)[i] = axial_moment(
-                x, y, 2.0 * s * c, 2.0 * s * s, torque_here, local(f, torque)
+                x, y, 2.0 * s * c, 2.0 * s * s, here[1], local(f, torque)
             )
         force = plus(force, own)
+
+
+@compiled
+def lies_flat(chain, bend, work):
+    """Tell whether bends and loads lie in that plane, and loads do no more than bend."""
+    if floats(work.settings)[PLANAR_LOADS] == 0.0:
+        return False
+    for i in range(chain.n):
+        if floats(bend)[2 * i + 1] != 0.0:
+            return False
+    return True
+
+
+@contracted
+def across_and_along(c, s, force):
+    """Components (x, z) of a force (3,) in a frame that is turned by an angle of cosine c."""
+    return c * force[0] - s * force[2], s * force[0] + c * force[2]
+
+
+@contracted
+def flat_moment(x, s, c, factors, force, own, reach, hinge, bow):
+    """
+    Moment on one bend of a force at the cell's end and of its own weight, as `cell_moment`.
+
+    All (x, z), in the frame that bends. Also returns where the weight lies [m], and how far the
+    cell's end bows [m].
+
+    Parameters
+    ----------
+    x : float
+        Bend a [rad].
+    s, c : float
+        sin(a / 2) / a [1/rad] and cos(a / 2), see `cells`.
+    factors : tuple of float
+        What `fill_factors` says of an arc.
+    force, own : tuple of float
+        Of everything beyond, at the cell's end, and the cell's weight: (2,) [N].
+    reach, hinge : float
+        Length of the cell [m]; whether it is a hinge.
+    bow : float
+        `bow_compliance` [m/N].
+
+    """
+    half, sinc, versine = 0.5 * reach, 2.0 * s * c, 2.0 * s * s
+    if hinge > 0.5:
+        moment = half * ((1.0 - versine * x * x) * force[0] - sinc * x * force[1])
+        return moment, (0.0, half), (0.0, 0.0)
+    s2, c2, whole, part = factors
+    moment = reach * ((sinc - versine) * force[0] - whole * x * force[1])
+    moment += 0.5 * half * (2.0 * s2 * (c2 - s2) * own[0] - 0.5 * part * x * own[1])
+    beyond = (force[0] + 0.5 * own[0], force[1] + 0.5 * own[1])
+    along, across = s * x * beyond[0] + c * beyond[1], c * beyond[0] - s * x * beyond[1]
+    moment -= 0.5 * bow * along * across
+    over = (bow * across * c, -bow * across * s * x)
+    return moment, (half * s2 * s2 * x + 0.5 * over[0], reach * s + 0.5 * over[1]), over
+
+
+@entry(PLACE)
+def flat_moments(chain, bend, work):
+    """
+    Fill work.load (n, 2) [N·m] as `load_moments` does, of an arm that lies flat.
+
+    work.half is that of these bends. Frames are left alone, work.wrench is scratch.
+    """
+    bends, half, moments = floats(bend), floats(work.half), floats(work.load)
+    turn_along(chain, bends, half, moments)
+    if bows(chain):
+        fill_factors(chain, bends, half, work.wrench)
+    factors, n = floats(work.wrench), chain.n
+    scale, tip, torque = floats(work.settings)[LOAD_SCALE], force_at_tip(chain), 0.0
+    total = (scale * tip[0], 0.0, scale * tip[2])
+    for i in range(n - 1, -1, -1):
+        x, s, c, reach = bends[2 * i], half[2 * i], half[2 * i + 1], floats(work.lengths)[i]
+        own, hinge = weight(chain, i), cell(chain, i, HINGE)
+        own = (scale * own[0], 0.0, scale * own[2])
+        here = across_and_along(moments[2 * i], moments[2 * i + 1], own)
+        force = across_and_along(moments[2 * i], moments[2 * i + 1], total)
+        arc, bow = (factors[i], factors[n + i], factors[2 * n + i], factors[3 * n + i]), 0.0
+        if not hinge > 0.5:
+            bow = bow_compliance(chain, work, i)
+        moment, middle, over = flat_moment(x, s, c, arc, force, here, reach, hinge, bow)
+        moments[2 * i], moments[2 * i + 1] = torque + moment, 0.0
+        across, along = end_of(x * x, s, c, reach, hinge)
+        torque += (along + over[1]) * force[0] - (across * x + over[0]) * force[1]
+        torque += middle[1] * here[0] - middle[0] * here[1]
+        total = (total[0] + own[0], 0.0, total[2] + own[2])
+
+
+@contracted
+def fill_factors(chain, bends, half, factors):
+    """
+    Fill S and C of half the bend, and `arc_factor` of the whole and of half of it: (4, n).
+
+    In a loop without a branch, so that several cells are computed at once.
+    """
+    n, far = chain.n, 0
+    s2, c2 = floats(factors), floats(factors + 8 * n)
+    whole, part = floats(factors + 16 * n), floats(factors + 24 * n)
+    for i in range(n):
+        q = bends[2 * i] * bends[2 * i]
+        s2[i], c2[i] = halved(half[2 * i], half[2 * i + 1])
+        whole[i], part[i] = gentle_arc(q), gentle_arc(0.25 * q)
+        far += 0 if q < ARC_SERIES_BELOW else 1
+    for i in range(n if far > 0 else 0):
+        q = bends[2 * i] * bends[2 * i]
+        whole[i] = arc_factor(q, half[2 * i], half[2 * i + 1])
+        part[i] = arc_factor(0.25 * q, s2[i], c2[i])
+
+
+@contracted
+def turn_along(chain, bends, half, turns):
+    """Fill turns (n, 2): cosine and sine of the angle by which the start of a cell is turned."""
+    cosine, sine = 1.0, 0.0
+    for i in range(chain.n):
+        turns[2 * i], turns[2 * i + 1] = cosine, sine
+        x, s, c = bends[2 * i], half[2 * i], half[2 * i + 1]
+        across, along = 2.0 * s * c * x, 1.0 - 2.0 * s * s * x * x
+        cosine, sine = cosine * along - sine * across, sine * along + cosine * across

@@ -12,17 +12,30 @@ import numpy as np
 
 from .cells import unknowns
 from .derivatives import output_slopes
-from .layout import ONE, ZERO, address, chain_at, compiled, entry, floats, keep
-from .linear import solve_rows, solve_small
-from .shape import accept, balance, mean_pulls, predict, wire_pulls, workspace
+from .layout import (
+    BACKTRACKS_MAX,
+    TINY,
+    ZERO,
+    address,
+    chain_at,
+    compiled,
+    entry,
+    floats,
+    keep,
+    solve_rows,
+    solve_small,
+)
+from .shape import accept, is_balanced, mean_pulls, predict, wire_pulls, workspace
 
-GAP_SETTLED = 1e-10  # [m] largest difference between a wire's pull and what was asked
+# [m] largest difference of a wire's pull from the requested one: ten times what the tolerance of
+# bends leaves open in an arm of 30 cells with a radius of 5 mm, so that it is reached
+GAP_SETTLED = 1e-10
 
 
 @compiled
 def pull_residuals(chain, inputs, target, there, f, bend):
-    """Wire pull minus what was asked (m,) [m], zero where nothing was; False: no equilibrium."""
-    if not balance(chain, inputs, there, bend):
+    """Wire pull minus the requested one (m,) [m], zero where none was; False: no equilibrium."""
+    if not is_balanced(chain, inputs, there, bend):
         return False
     wire_pulls(chain, bend, there.work, there.pulls)
     mean_pulls(chain, there.pulls, there.means)
@@ -32,11 +45,11 @@ def pull_residuals(chain, inputs, target, there, f, bend):
 
 
 @compiled
-def pull_slopes(chain, inputs, target, there, ways, slopes):
+def pull_slopes(chain, inputs, target, there, state_slopes, slopes):
     """Fill the derivative (m, m) [m/N] of the residuals by the tensions."""
     m = inputs.shape[0]
     both = np.empty((6 + m, m))
-    output_slopes(chain, address(inputs), there, ways, both)
+    output_slopes(chain, address(inputs), there, state_slopes, both)
     for r in range(m):
         for j in range(m):
             slopes[r, j] = 0.0 if math.isnan(target[r]) else both[6 + r, j]
@@ -44,7 +57,7 @@ def pull_slopes(chain, inputs, target, there, ways, slopes):
 
 @compiled
 def violation(inputs, target, f):
-    """Sum of squares of what is wrong: taut wires off their pull, slack ones short of it [m²]."""
+    """Sum of squares of errors: taut wires off their pull, slack ones short of it [m²]."""
     total = 0.0
     for j in range(inputs.shape[0]):
         if not math.isnan(target[j]) and (inputs[j] > 0.0 or f[j] < 0.0):
@@ -80,7 +93,7 @@ def taut_step(jacobian, f, inputs, target, damping, trial):
 
 
 @entry()
-def solve_stiff_wires(robot, inputs, target, bends, past, scratch, most):
+def solve_stiff_wires(robot, inputs, target, bends, past, scratch, steps_max):
     """
     Find tensions (m,) [N] >= 0 whose wire pulls are `target` (m,) [m]; NaN: a slack wire.
 
@@ -101,28 +114,28 @@ def solve_stiff_wires(robot, inputs, target, bends, past, scratch, most):
         Memory of the posture before.
     scratch : int
         Address of `KernelArrays.scratch`.
-    most : int
+    steps_max : int
         Steps.
 
     """
     chain = chain_at(robot)
     m, there = chain.m, workspace(chain, bends, past, scratch)
-    ways = np.zeros((m, unknowns(chain)))
+    state_slopes = np.zeros((m, unknowns(chain)))
     f, moved, slopes, trial = np.empty(m), np.empty(m), np.zeros((m, m)), np.empty(m)
     for j in range(m):
         inputs[j] = 0.0 if math.isnan(target[j]) else inputs[j]
     if not pull_residuals(chain, inputs, target, there, f, there.bend):
         return math.inf
     damping = 1e-10
-    for _ in range(most):
+    for _ in range(steps_max):
         wrong = violation(inputs, target, f)
         if wrong < GAP_SETTLED * GAP_SETTLED:
             break
-        pull_slopes(chain, inputs, target, there, ways, slopes)
+        pull_slopes(chain, inputs, target, there, state_slopes, slopes)
         new = math.inf
-        for _ in range(14):
+        for _ in range(BACKTRACKS_MAX):
             taut_step(slopes, f, inputs, target, damping, trial)
-            predict(chain, there, ways, inputs, trial)
+            predict(chain, there, state_slopes, inputs, trial)
             if pull_residuals(chain, trial, target, there, moved, there.near):
                 new = violation(trial, target, moved)
             if new < wrong:
@@ -139,9 +152,10 @@ def solve_stiff_wires(robot, inputs, target, bends, past, scratch, most):
     return gap
 
 
-GAP_CLOSED = 1e-2  # largest gap, over the stretch of a wire by 1 N
-STEP_MAX, STEP_MAX_N = 3.0, 0.01  # longest step, over the largest tension and this more [N]
-SLOW_STEPS_MAX = 4  # steps that hardly help, then there is no answer this way
+GAP_CLOSED = 1e-2  # [m/m] of a wire's stretch by 1 N, so that its tension is within 10 mN
+STEP_MAX = 3.0  # [1] of the largest tension: a longer step would leap where pulls hardly change
+STEP_MIN_N = 0.01  # [N] that STEP_MAX counts at least, else slack wires would never become taut
+SLOW_STEPS_MAX = 4  # [1] steps that hardly help: more would follow, and a softer spring is quicker
 
 
 @compiled
@@ -149,8 +163,8 @@ def spring_step(slopes, f, inputs, target, stretch, move):
     """
     Newton step (m,) [N] of the taut wires; return the largest gap [m] among them.
 
-    A wire is taut that pulls, or is longer than its spring at rest. The gap is negative where
-    the slopes (m, m) [m/N] of the pulls determine no step.
+    A wire is taut if its tension is positive or its requested pull exceeds that of its spring at
+    rest. The gap is negative where the slopes (m, m) [m/N] of the pulls determine no step.
     """
     m = inputs.shape[0]
     taut = np.empty(m, np.int64)
@@ -171,7 +185,7 @@ def spring_step(slopes, f, inputs, target, stretch, move):
         part[p, p] += stretch
         step[p, 0] = f[taut[p]] + stretch * inputs[taut[p]]
         high = max(high, inputs[taut[p]])
-    solved = solve_rows(address(part), address(step), count, ONE)
+    solved = solve_rows(address(part), address(step), count, step.shape[1])
     keep(part)
     if not solved:
         return -1.0
@@ -179,9 +193,9 @@ def spring_step(slopes, f, inputs, target, stretch, move):
     for p in range(count):
         move[taut[p]] = -step[p, 0]
         longest = max(longest, abs(step[p, 0]))
-    share = min(1.0, STEP_MAX * (high + STEP_MAX_N) / max(longest, 1e-300))
+    fraction = min(1.0, STEP_MAX * (high + STEP_MIN_N) / max(longest, TINY))
     for p in range(count):
-        move[taut[p]] *= share  # where pulls hardly change, no step is a leap
+        move[taut[p]] *= fraction
     return top
 
 
@@ -189,7 +203,7 @@ def spring_step(slopes, f, inputs, target, stretch, move):
 def correct(slopes, change, step):
     """Let the slopes (m, m) [m/N] give the change (m,) [m] that a step (m,) [N] made (Broyden)."""
     m = step.shape[0]
-    length = 1e-300
+    length = TINY
     for j in range(m):
         length += step[j] * step[j]
     for r in range(m):
@@ -201,18 +215,18 @@ def correct(slopes, change, step):
 
 
 @compiled
-def tried(inputs, move, share, trial):
-    """Tensions `trial` (m,) [N] a share of the move away, none below zero."""
+def step_by(inputs, move, fraction, trial):
+    """Tensions `trial` (m,) [N] a fraction of the move away, none below zero."""
     for j in range(inputs.shape[0]):
-        trial[j] = max(inputs[j] + share * move[j], 0.0)
+        trial[j] = max(inputs[j] + fraction * move[j], 0.0)
 
 
 @entry()
-def solve_elastic_wires(robot, inputs, target, bends, past, scratch, stretch, most):
+def solve_elastic_wires(robot, inputs, target, bends, past, scratch, stretch, steps_max):
     """
     Find tensions (m,) [N] >= 0 of wires that stretch by `stretch` [m/N]; NaN: a slack wire.
 
-    Arguments as in `pulls.solve_stiff_wires`. Returns the largest remaining gap [m], infinite
+    Arguments as in `solve_stiff_wires`. Returns the largest remaining gap [m], infinite
     where the model finds no equilibrium.
 
     Parameters
@@ -231,13 +245,13 @@ def solve_elastic_wires(robot, inputs, target, bends, past, scratch, stretch, mo
         Address of `KernelArrays.scratch`.
     stretch : float
         Compliance of a wire [m/N].
-    most : int
+    steps_max : int
         Steps.
 
     """
     chain = chain_at(robot)
     m, there = chain.m, workspace(chain, bends, past, scratch)
-    ways = np.zeros((m, unknowns(chain)))
+    state_slopes = np.zeros((m, unknowns(chain)))
     f, moved, slopes = np.empty(m), np.empty(m), np.zeros((m, m))
     trial, move, ahead = np.empty(m), np.empty(m), np.empty(m)
     for j in range(m):
@@ -245,23 +259,23 @@ def solve_elastic_wires(robot, inputs, target, bends, past, scratch, stretch, mo
     if not pull_residuals(chain, inputs, target, there, f, there.bend):
         return math.inf
     fresh, stale, top, slow = False, True, math.inf, 0
-    for _ in range(most):
+    for _ in range(steps_max):
         if stale:
-            pull_slopes(chain, inputs, target, there, ways, slopes)
+            pull_slopes(chain, inputs, target, there, state_slopes, slopes)
             fresh, stale = True, False
             top = spring_step(slopes, f, inputs, target, stretch, move)
         if top < GAP_CLOSED * stretch or slow > SLOW_STEPS_MAX:
             break
-        share, better = 1.0, False
+        fraction, better = 1.0, False
         for _ in range(8 if fresh else 2):
-            tried(inputs, move, share, trial)
-            predict(chain, there, ways, inputs, trial)
+            step_by(inputs, move, fraction, trial)
+            predict(chain, there, state_slopes, inputs, trial)
             good = pull_residuals(chain, trial, target, there, moved, there.near)
             new = spring_step(slopes, moved, trial, target, stretch, ahead)
-            better = good and 0.0 <= new < (1.0 - 1e-3 * share) * top
+            better = good and 0.0 <= new < (1.0 - 1e-3 * fraction) * top
             if better:
                 break
-            share *= 0.5
+            fraction *= 0.5
         if not better and fresh:
             break
         stale = not better or new > 0.3 * top

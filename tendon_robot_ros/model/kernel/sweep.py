@@ -1,26 +1,56 @@
-"""One sweep from base to tip: tensions, moments and bends (Kato et al. 2015, eq. 2, 8, 9, 10)."""
+"""
+From tensions at the base to moments and bends: one sweep, and the residual of a state.
+
+A sweep goes from the base to the tip (Kato et al. 2015, eq. 2, 8, 9, 10): tensions pass the
+eyelets and every cell bends by the moment that it meets. What needs the shape itself, moment arms,
+travel beyond an eyelet, loads, is that of a guess (`prepare`).
+
+The residual is the bends minus those that their own moments ask for. Tensions, moment arms, travel
+and loads are all those of the bends given. (A sweep goes on with the bend that it has just found,
+which converges faster, but ties every cell to all before it.)
+"""
 
 import math
 
-from .cells import bend_cell, bend_linear, follows_shape, half_turn, is_linear, twist_of
+from .cells import (
+    bend_cell,
+    bend_linear,
+    chain_frames,
+    follows_shape,
+    half_turn,
+    half_turns,
+    is_linear,
+    twist_of,
+)
+from .geometry import scale_lengths, tendon_travel, travel_beyond
 from .layout import (
+    PLACE,
+    SHAPED,
+    SMOOTHING,
     STEP,
+    YES,
+    balance_at,
     compiled,
     entry,
+    flat_moments_at,
     floats,
     fused,
     inlined,
+    load_moments_at,
+    place_travel_at,
     prepare_at,
+    residual_at,
     section_of,
     words,
 )
-from .loads import loaded
+from .loads import lies_flat, loaded
 from .stages import (
     actuation,
     eyelet,
     eyelet_acts,
     friction_travel,
     friction_travel_acts,
+    length_acts,
     memory,
     memory_acts,
     offset_scale,
@@ -40,20 +70,20 @@ def is_implicit(chain):
 
 @inlined
 def smooth_sign(travel, slip_rate):
-    """tanh(travel / slip length): a tendon that does not slide has no friction."""
+    """tanh(travel / smoothing length): a tendon that does not slide has no friction."""
     x = travel * slip_rate
     if x > 20.0:
         return 1.0
     if x < -20.0:
         return -1.0
-    left = math.exp(-2.0 * abs(x))
-    return math.copysign((1.0 - left) / (1.0 + left), x)
+    decayed = math.exp(-2.0 * abs(x))
+    return math.copysign((1.0 - decayed) / (1.0 + decayed), x)
 
 
 @inlined
 def slip_rate_in(work):
-    """One over the slip length [1/m]."""
-    return 1.0 / floats(work.slip)[0]
+    """One over the smoothing length [1/m]."""
+    return 1.0 / floats(work.settings)[SMOOTHING]
 
 
 @inlined
@@ -68,7 +98,7 @@ def slip_direction(chain, work, past, at, section, here, slip_rate, slides, reme
     here : float
         Travel of the tendon in cell i [m].
     slip_rate : float
-        One over the slip length [1/m]; not used where friction remembers.
+        One over the smoothing length [1/m]; not used where friction remembers.
     slides, remembers : bool
         Whether the travel beyond counts, and whether friction remembers.
 
@@ -170,7 +200,7 @@ def sine_between(bx, by, ahead_x, ahead_y):
 
 
 @inlined
-def share_passed(chain, i, bx, by, ahead_x, ahead_y, sine, sine_mean, flags):
+def passed_ratio(chain, i, bx, by, ahead_x, ahead_y, sine, sine_mean, flags):
     """
     Tension behind the eyelet of cell i over that before it, for a tendon that slides.
 
@@ -195,11 +225,11 @@ def share_passed(chain, i, bx, by, ahead_x, ahead_y, sine, sine_mean, flags):
 
 
 @inlined
-def share_there(chain, work, i, bx, by, ahead_x, ahead_y, flags):
-    """Return `share_passed` with S of these very bends; work.half holds that of cell i."""
+def ratio_there(chain, work, i, bx, by, ahead_x, ahead_y, flags):
+    """Return `passed_ratio` with S of these very bends; work.half holds that of cell i."""
     sine_mean = sine_between(bx, by, ahead_x, ahead_y) if flags[2] else 0.0
     sine = floats(work.half)[2 * i]
-    return share_passed(chain, i, bx, by, ahead_x, ahead_y, sine, sine_mean, flags)
+    return passed_ratio(chain, i, bx, by, ahead_x, ahead_y, sine, sine_mean, flags)
 
 
 @inlined
@@ -216,9 +246,9 @@ def pass_eyelet(chain, work, past, i, bx, by, passed, slip_rate, moment_arms, sc
     bx, by : float
         Its bend [rad].
     passed, slip_rate : float
-        `share_passed` [1]; one over the slip length [1/m].
+        `passed_ratio` [1]; one over the smoothing length [1/m].
     moment_arms : address
-        (n, k, 2) [m], see `residual.moment_arms_of`.
+        (n, k, 2) [m], see `moment_arms_of`.
     scale : float
         Factor on the tendon offsets, from which travel follows [1].
     flags : tuple of bool
@@ -230,7 +260,7 @@ def pass_eyelet(chain, work, past, i, bx, by, passed, slip_rate, moment_arms, sc
     section = section_of(chain, i)
     x0, y0, log_passed, again = 0.0, 0.0, 0.0, work.passed + 8 * i
     floats(again)[0] = passed
-    last, last_sign = -1.0, 0.0  # tendons on opposite sides travel alike
+    last, last_sign = -1.0, 0.0  # kept, because tendons on opposite sides travel alike
     if friction:
         x0, y0 = rest(0.0, 0.0, chain, section)
         x0, y0 = scale * (bx - x0), scale * (by - y0)
@@ -316,7 +346,7 @@ def sweep(chain, inputs, guess, work, past, out, shaped):
             sine, sine_mean = s, 0.0
             if flags[2]:  # S of the guess: it hardly changes, and no cell waits for it
                 sine, sine_mean = half[2 * i], sine_between(last_x, last_y, ahead_x, ahead_y)
-            passed = share_passed(chain, i, bx, by, ahead_x, ahead_y, sine, sine_mean, flags)
+            passed = passed_ratio(chain, i, bx, by, ahead_x, ahead_y, sine, sine_mean, flags)
             mx, my, total = pass_eyelet(
                 chain, work, past, i, bx, by, passed, slip_rate, moment_arms, friction_scale, flags
             )
@@ -357,14 +387,118 @@ def carry_tensions(chain, inputs, bend, work, past, flags, moment_arms, scale):
     for i in range(chain.n - 1):
         x, y = bends[2 * i], bends[2 * i + 1]
         ahead_x, ahead_y = bends[2 * i + 2] - x, bends[2 * i + 3] - y
-        passed = share_there(chain, work, i, x, y, ahead_x, ahead_y, flags)
+        passed = ratio_there(chain, work, i, x, y, ahead_x, ahead_y, flags)
         pass_eyelet(chain, work, past, i, x, y, passed, rate, moment_arms, scale, flags)
 
 
 @entry(STEP)
 def step(chain, inputs, guess, work, past, out):
     """One sweep with everything that the guess decides."""
-    shaped = floats(work.slip)[2] != 0.0
+    shaped = floats(work.settings)[SHAPED] != 0.0
     if shaped and is_implicit(chain):
         prepare_at(chain.prepare)(chain, inputs, guess, work, past, out)
     sweep(chain, inputs, guess, work, past, out, shaped)
+
+
+@compiled
+def tendon_moment(chain, work, i, moment_arms, scale):
+    """Moment (x, y) [N·m] of the tendons on cell i and the sum of their tensions [N]."""
+    tensions, lever, tendon = floats(work.tensions), floats(moment_arms), words(chain.tendon)
+    mx, my, total = 0.0, 0.0, 0.0
+    for k in range(chain.k):
+        if i < tendon[2 * k]:
+            at = chain.k * i + k
+            t = tensions[at]
+            mx += t * lever[2 * at]
+            my += t * lever[2 * at + 1]
+            total += t
+    return scale * mx, scale * my, total
+
+
+@compiled
+def moment_arms_of(chain, work):
+    """Address of the tendons' moment arms (n, k, 2) [m], and the factor on them [1]."""
+    if follows_shape(chain):
+        return work.moment_arms, 1.0
+    return chain.offset, offset_scale(1.0, chain, 0)
+
+
+@entry(PLACE)
+def place_travel(chain, bend, work):
+    """Fill work with what the tendons travel at a state, and with their moment arms."""
+    half_turns(chain, bend, work)
+    if eyelet_acts(chain) or follows_shape(chain):
+        tendon_travel(chain, bend, offset_scale(1.0, chain, 0), work)
+    if eyelet_acts(chain) and friction_travel_acts(chain):
+        travel_beyond(chain, work)
+
+
+@compiled
+def place_forces(chain, inputs, bend, work, past):
+    """Fill work with tensions, frames and loads at a state; travel and moment arms are known."""
+    friction, _, wraps, slides, remembers = active_stages(chain, YES)
+    moment_arms, scale = moment_arms_of(chain, work)
+    flags = (friction, YES, wraps, slides, remembers)  # travel is that of these bends
+    carry_tensions(chain, inputs, bend, work, past, flags, moment_arms, scale)
+    if loaded(chain):
+        scale_lengths(chain, work)
+        chain_frames(chain, bend, work)
+        load_moments_at(chain.load_moments)(chain, bend, work)
+
+
+@compiled
+def imbalance(chain, bend, work, past, out):
+    """Fill `out` [rad]: the state minus what its moments, known to `work`, ask for."""
+    bends, load, f = floats(bend), floats(work.load), floats(out)
+    moment_arms, scale = moment_arms_of(chain, work)
+    loads = loaded(chain)
+    for i in range(chain.n):
+        mx, my, total = tendon_moment(chain, work, i, moment_arms, scale)
+        if loads:
+            mx += load[2 * i]
+            my += load[2 * i + 1]
+        bx, by = bend_cell(chain, past, i, mx, my, total)
+        f[2 * i] = bends[2 * i] - bx
+        f[2 * i + 1] = bends[2 * i + 1] - by
+    if torsion_acts(chain):
+        for j in range(chain.n):
+            about = tendons_about(chain, work, j)
+            if loads:
+                about += floats(work.torque)[j]
+            f[2 * chain.n + j] = bends[2 * chain.n + j] - twist_of(chain, j, about)
+
+
+@entry(STEP)
+def balance(chain, inputs, bend, work, past, out):
+    """Fill `out` [rad], the residual at a state whose travel is known, and work with forces."""
+    place_forces(chain, inputs, bend, work, past)
+    imbalance(chain, bend, work, past, out)
+
+
+@entry(STEP)
+def residual(chain, inputs, bend, work, past, out):
+    """Fill `out` [rad], the residual at a state, and work with all that the state gives."""
+    place_travel_at(chain.place_travel)(chain, bend, work)
+    balance_at(chain.balance)(chain, inputs, bend, work, past, out)
+
+
+@entry(STEP)
+def prepare(chain, inputs, guess, work, past, out):
+    """Fill moment arms, travel, travel beyond and load moments at a guess; `out` is scratch."""
+    if loaded(chain) and length_acts(chain):  # lengths follow the tensions there
+        residual_at(chain.residual)(chain, inputs, guess, work, past, out)
+        return
+    friction, straight, wraps, slides, _ = active_stages(chain, YES)
+    slides = friction and slides
+    if straight or wraps or loaded(chain):
+        half_turns(chain, guess, work)
+    if straight or slides:
+        tendon_travel(chain, guess, offset_scale(1.0, chain, 0), work)
+    if slides:
+        travel_beyond(chain, work)
+    if loaded(chain):
+        if lies_flat(chain, guess, work):
+            flat_moments_at(chain.flat_moments)(chain, guess, work)
+        else:
+            chain_frames(chain, guess, work)
+            load_moments_at(chain.load_moments)(chain, guess, work)

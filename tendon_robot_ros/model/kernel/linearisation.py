@@ -1,0 +1,587 @@
+"""
+Derivatives of every cell's own laws: what the elimination of the chain is made of.
+
+The residual of cell i depends on its own bend, on the tensions in it, on how the frame that it
+starts from is turned, and on the torque of the loads beyond it. What it passes on, tensions and
+turning towards the tip, travel and torque towards the base, depends on the same. The composed
+laws are differentiated as they stand, by central differences of scalars.
+"""
+
+import math
+
+from .cells import (
+    arc_factor,
+    axial_moment,
+    bend_cell,
+    bending_frame,
+    cell_stiffness,
+    end_of,
+    follows_shape,
+    half_turn,
+    is_general,
+    is_linear,
+    leans,
+    twist_in,
+    twist_of,
+)
+from .geometry import moment_of_leaning, moment_of_tendons
+from .layout import (
+    BEFORE,
+    BY_TENSION,
+    BY_TORQUE,
+    BY_TURN,
+    DIFFERENCE_STEP,
+    HERE,
+    HINGE,
+    LAGS,
+    LEANING_SLOPES,
+    LOAD_SCALE,
+    LOAD_SLOPES,
+    OWN,
+    PASSED,
+    PULLS,
+    SIZE,
+    SLIDES,
+    TENDON,
+    TINY,
+    TORQUE_BY_OWN,
+    TORQUE_BY_TURN,
+    TRAVELS,
+    TURNS,
+    YES,
+    cell,
+    compiled,
+    entry,
+    floats,
+    inlined,
+    leaning_slopes_at,
+    load_slopes_at,
+    remembered_at,
+    section_of,
+    tangent_of,
+    words,
+)
+from .loads import (
+    NO_LOAD,
+    along_middle,
+    bow_compliance,
+    cell_moment,
+    cross,
+    half_arc,
+    loaded,
+    local,
+    plus,
+    scaled,
+    turn_moment,
+    turned,
+    weight,
+)
+from .stages import eyelet, friction_travel, length, length_acts, offset_scale, torsion_acts, wrap
+from .sweep import (
+    active_stages,
+    moment_arms_of,
+    slip_rate_in,
+    smooth_sign,
+    tendon_moment,
+    tendons_about,
+)
+
+NARROWINGS = (1.0, 1e-3, 1e-6)  # [1] of a difference at a kink: a narrower one would be rounding
+UNEVEN_MAX = 1e-2  # [1] difference of its halves: curvature makes 1e-3, a kink would make 1
+# [1] of the radius, of differences of the memory of friction: far less than the least presliding
+# length, 4e-3, because the law has another slope on its other side
+TRAVEL_STEP = 2e-7
+# [1] square of a direction of friction that no more travel changes: else every eyelet that slips
+# would join the equations of those that stick
+SLIPPING_FROM = 1.0 - 1e-9
+
+
+@compiled
+def loaded_cell(chain, work, i, x, y, loads, bow, general):
+    """
+    Moment (x, y, about) [N·m] on a cell bent by (x, y), where its end and its weight lie [m].
+
+    Parameters
+    ----------
+    x, y : float
+        Bend [rad].
+    loads : tuple
+        Force and torque of all beyond at the cell's end, and its weight, in the frame that bends:
+        (3,) [N], (3,) [N·m], (3,) [N].
+    bow : float
+        `bow_compliance` [m/N]; without it all is linear in the loads.
+    general : bool
+        Whether cells twist or weight lies beside the axis.
+
+    """
+    s, c = half_turn(x * x + y * y)
+    reach, (force, torque, own) = floats(work.lengths)[i], loads
+    mx, my, middle, over = cell_moment(chain, i, x, y, s, c, loads, reach, bow, general)
+    across, along = end_of(x * x + y * y, s, c, reach, cell(chain, i, HINGE))
+    end, about = plus((across * x, across * y, along), over), 0.0
+    if general:
+        start = plus(torque, plus(cross(end, force), cross(middle, own)))
+        about = axial_moment(x, y, 2.0 * s * c, 2.0 * s * s, torque, start)
+    return (mx, my, about), end, middle
+
+
+@compiled
+def difference(h, a, b):
+    """Return (a - b) / (2 h) of two triples."""
+    return scaled(0.5 / h, (a[0] - b[0], a[1] - b[1], a[2] - b[2]))
+
+
+@entry(LOAD_SLOPES)
+def load_slopes(chain, bend, work, i, tangent, total):
+    """
+    Fill what the loads say about cell i, in which the tensions sum up to `total` [N].
+
+    Of the derivatives of the cell, OWN, BY_TURN, BY_TORQUE and BY_TENSION take those of the
+    moment, before they meet the compliance; what tendons say is added to in OWN.
+    """
+    row, general, h = floats(tangent), is_general(chain), DIFFERENCE_STEP
+    x, y = floats(bend)[2 * i], floats(bend)[2 * i + 1]
+    f, wrench = bending_frame(chain, bend, work, i, general), floats(work.wrench + 48 * i)
+    force, torque = (wrench[0], wrench[1], wrench[2]), (wrench[3], wrench[4], wrench[5])
+    own = scaled(floats(work.settings)[LOAD_SCALE], weight(chain, i))
+    loads, bow = (local(f, force), local(f, torque), local(f, own)), bow_compliance(chain, work, i)
+    for a in range(2):
+        dx, dy = (h, 0.0) if a == 0 else (0.0, h)
+        m, up, mid = loaded_cell(chain, work, i, x + dx, y + dy, loads, bow, general)
+        n, low, lowmid = loaded_cell(chain, work, i, x - dx, y - dy, loads, bow, general)
+        add_column(row, a, difference(h, m, n))
+        by_own = plus(
+            cross(turned(f, difference(h, up, low)), force),
+            cross(turned(f, difference(h, mid, lowmid)), own),
+        )
+        for r in range(3):
+            row[TORQUE_BY_OWN + 3 * r + a] = by_own[r]
+    turn_slopes(chain, f, work, i, x, y, force, torque, own, row, general)
+    if bow > 0.0:
+        bow_slopes(f, x, y, half_turn(x * x + y * y), bow, plus(force, scaled(0.5, own)), row)
+    if general:
+        add_column(row, 2, twist_slopes(f, row))
+    if length_acts(chain):
+        compression_slopes(chain, bend, work, i, total, tangent)
+
+
+@inlined
+def add_column(row, a, slopes):
+    """Add the slopes (3,) of a cell's moment by its own bend (0, 1) or twist (2)."""
+    for r in range(3):
+        row[OWN + 3 * r + a] += slopes[r]
+
+
+@compiled
+def turn_slopes(chain, f, work, i, x, y, force, torque, own, row, general):
+    """
+    Fill what a turn of the frame of cell i does, and how its own bend turns the next one.
+
+    Parameters
+    ----------
+    x, y : float
+        Bend [rad].
+    force, torque, own : tuple of float
+        Of all beyond at the cell's end, and its weight, base frame: (3,) [N], [N·m], [N].
+    row : pointer
+        Derivatives of the cell.
+
+    """
+    s, c = half_turn(x * x + y * y)
+    sinc, versine = 2.0 * s * c, 2.0 * s * s
+    leaning = versine - arc_factor(x * x + y * y, s, c)
+    wrench = (local(f, force), local(f, torque), local(f, own))
+    _, end, middle = loaded_cell(chain, work, i, x, y, wrench, 0.0, general)
+    end, middle = turned(f, end), turned(f, middle)
+    for r in range(3):
+        unit = (1.0 if r == 0 else 0.0, 1.0 if r == 1 else 0.0, 1.0 if r == 2 else 0.0)
+        wrench = (cross(force, unit), cross(torque, unit), cross(own, unit))
+        wrench = (local(f, wrench[0]), local(f, wrench[1]), local(f, wrench[2]))
+        m, _, _ = loaded_cell(chain, work, i, x, y, wrench, 0.0, general)
+        unit_here = local(f, unit)
+        tx, ty = turn_moment(x, y, unit_here, sinc, versine, leaning)
+        row[BY_TURN + r], row[BY_TURN + 3 + r] = m[0], m[1]
+        row[BY_TORQUE + r], row[BY_TORQUE + 3 + r] = tx, ty
+        row[TURNS + 3 * r], row[TURNS + 3 * r + 1] = tx, ty
+        if general:
+            about = axial_moment(x, y, sinc, versine, unit_here, unit_here)
+            row[BY_TURN + 6 + r] = m[2]
+            row[BY_TORQUE + 6 + r] = row[TURNS + 3 * r + 2] = about
+        by_turn = plus(cross(cross(unit, end), force), cross(cross(unit, middle), own))
+        for a in range(3):
+            row[TORQUE_BY_TURN + 3 * a + r] = by_turn[a]
+
+
+@compiled
+def bow_slopes(f, x, y, half, bow, force, row):
+    """
+    Add to what a turn of a cell's frame does that the cell bows, to its moment and its torque.
+
+    Parameters
+    ----------
+    f : tuple of float
+        Frame that bends (9,).
+    x, y : float
+        Bend [rad].
+    half : tuple of float
+        Its half angle, see `cells`.
+    bow : float
+        `bow_compliance` [m/N].
+    force : tuple of float
+        Of all beyond the middle, base frame (3,) [N].
+    row : pointer
+        Derivatives of the cell.
+
+    """
+    s, c = half
+    middle, own = (s * x, s * y, c), local(f, force)
+    part = half_arc(x, y, s, c)
+    g, gx, gy = along_middle(x, y, s, c, part, own)
+    turning = cross(middle, own)
+    for r in range(3):
+        unit = (1.0 if r == 0 else 0.0, 1.0 if r == 1 else 0.0, 1.0 if r == 2 else 0.0)
+        change = local(f, cross(force, unit))
+        h, hx, hy = along_middle(x, y, s, c, part, change)
+        row[BY_TURN + r] -= bow * (h * gx + g * hx)
+        row[BY_TURN + 3 + r] -= bow * (h * gy + g * hy)
+        # the torque is -B g m x F: that in the frame that bends, turned with it and by itself
+        own_change = plus(scaled(h, turning), scaled(g, cross(middle, change)))
+        row[BY_TURN + 6 + r] -= 0.5 * bow * own_change[2]
+        torque = plus(turned(f, own_change), scaled(g, cross(unit, turned(f, turning))))
+        for a in range(3):
+            row[TORQUE_BY_TURN + 3 * a + r] -= bow * torque[a]
+
+
+@compiled
+def twist_slopes(f, row):
+    """
+    Fill what the twist of a cell does to the torque at its start; return what to its moment.
+
+    Half a twist turns the frame that bends about its z.
+    """
+    by_twist = (row[BY_TURN], row[BY_TURN + 3], row[BY_TURN + 6])
+    by_twist = scaled(0.5 * f[2], by_twist)
+    for r in range(1, 3):
+        column = (row[BY_TURN + r], row[BY_TURN + 3 + r], row[BY_TURN + 6 + r])
+        by_twist = plus(by_twist, scaled(0.5 * f[3 * r + 2], column))
+    for a in range(3):
+        turn = TORQUE_BY_TURN + 3 * a
+        row[TORQUE_BY_OWN + 3 * a + 2] = 0.5 * (
+            row[turn] * f[2] + row[turn + 1] * f[5] + row[turn + 2] * f[8]
+        )
+    return by_twist
+
+
+@compiled
+def compression_slopes(chain, bend, work, i, total, tangent):
+    """Fill how the loads' moment (x, y, about) and the torque at the start follow tensions."""
+    h, section = DIFFERENCE_STEP * (1.0 + total), section_of(chain, i)
+    rate = length(1.0, total + h, chain, section) - length(1.0, total - h, chain, section)
+    rate /= 2.0 * h * length(1.0, total, chain, section)
+    x, y = floats(bend)[2 * i], floats(bend)[2 * i + 1]
+    f, wrench = bending_frame(chain, bend, work, i, YES), floats(work.wrench + 48 * i)
+    force = (wrench[0], wrench[1], wrench[2])
+    own = scaled(floats(work.settings)[LOAD_SCALE], weight(chain, i))
+    loads, lengths = (local(f, force), NO_LOAD, local(f, own)), floats(work.lengths)
+    m, end, middle = loaded_cell(chain, work, i, x, y, loads, 0.0, YES)
+    reach, lengths[i] = lengths[i], 0.0  # a weight beside the axis stays where it is
+    rest, _, beside = loaded_cell(chain, work, i, x, y, loads, 0.0, YES)
+    lengths[i] = reach
+    m, middle = plus(m, scaled(-1.0, rest)), plus(middle, scaled(-1.0, beside))
+    pull = plus(cross(turned(f, end), force), cross(turned(f, middle), own))
+    for k in range(chain.k):
+        if i < words(chain.tendon)[2 * k]:
+            here = floats(tangent + 8 * (SIZE + TENDON * k))
+            here[BY_TENSION], here[BY_TENSION + 1], here[BY_TENSION + 2] = scaled(rate, m)
+            here[PULLS], here[PULLS + 1], here[PULLS + 2] = scaled(rate, pull)
+
+
+@compiled
+def bend_slope(chain, past, i, moment, toward, x, y):
+    """
+    Differentiate a cell's bend (x, y) along a step of what bends it.
+
+    Friction in a hinge and similar laws have kinks: over one a difference is the slope of neither
+    side, and Newton stalls beside it. So the step narrows until both its halves agree.
+
+    Parameters
+    ----------
+    moment : tuple of float
+        Moment x and y [N·m] and sum of the tensions [N] on the cell.
+    toward : tuple of float
+        Step of them.
+    x, y : float
+        Bend there [rad].
+
+    """
+    ax, ay, bx, by, width = x, y, x, y, 1.0
+    for zoom in NARROWINGS:
+        up, down = plus(moment, scaled(zoom, toward)), plus(moment, scaled(-zoom, toward))
+        ax, ay = bend_cell(chain, past, i, *up)
+        bx, by = bend_cell(chain, past, i, *down)
+        width = zoom
+        uneven = abs(ax + bx - 2.0 * x) + abs(ay + by - 2.0 * y)
+        if not uneven > UNEVEN_MAX * (abs(ax - bx) + abs(ay - by)):
+            break
+    return (ax - bx) / width, (ay - by) / width
+
+
+@compiled
+def compliances(chain, past, i, mx, my, total):
+    """Differentiate a cell's bend (x, y) by moment x and y [rad/(N·m)] and tension [rad/N]."""
+    stiffness = cell_stiffness(chain, i, section_of(chain, i))
+    if is_linear(chain):
+        return 1.0 / stiffness, 0.0, 0.0, 1.0 / stiffness, 0.0, 0.0
+    h, ht, moment = DIFFERENCE_STEP * stiffness, DIFFERENCE_STEP * (1.0 + total), (mx, my, total)
+    x, y = bend_cell(chain, past, i, mx, my, total)
+    a, b = bend_slope(chain, past, i, moment, (h, 0.0, 0.0), x, y)
+    c, d = bend_slope(chain, past, i, moment, (0.0, h, 0.0), x, y)
+    e, f = bend_slope(chain, past, i, moment, (0.0, 0.0, ht), x, y)
+    h, ht = 0.5 / h, 0.5 / ht
+    return a * h, b * h, c * h, d * h, e * ht, f * ht
+
+
+@compiled
+def twist_compliance(chain, i, about):
+    """Differentiate a cell's twist by the moment about its axis [rad/(N·m)]."""
+    h = DIFFERENCE_STEP * cell_stiffness(chain, i, section_of(chain, i))
+    return (twist_of(chain, i, about + h) - twist_of(chain, i, about - h)) / (2.0 * h)
+
+
+@compiled
+def moment_arm_slopes(chain, work, i, x, y, scale):
+    """Differentiate the tendons' moment by the bend, tensions held: (xx, xy, yy) [N·m/rad]."""
+    if not follows_shape(chain):
+        return 0.0, 0.0, 0.0
+    h, tensions = DIFFERENCE_STEP, work.tensions + 8 * chain.k * i
+    ax, ay = moment_of_tendons(chain, i, x + h, y, tensions, scale)
+    bx, by = moment_of_tendons(chain, i, x - h, y, tensions, scale)
+    _, cy = moment_of_tendons(chain, i, x, y + h, tensions, scale)
+    _, dy = moment_of_tendons(chain, i, x, y - h, tensions, scale)
+    return (ax - bx) / (2.0 * h), (ay - by) / (2.0 * h), (cy - dy) / (2.0 * h)
+
+
+@entry(LEANING_SLOPES)
+def leaning_slopes(chain, work, i, x, y, twist, scale, tangent):
+    """Fill how the moment of leaning tendons follows x, y and twist [N·m/rad], into OWN."""
+    h, tensions, row = DIFFERENCE_STEP, work.tensions + 8 * chain.k * i, floats(tangent)
+    for a in range(3):
+        dx, dy, dz = h if a == 0 else 0.0, h if a == 1 else 0.0, h if a == 2 else 0.0
+        up = moment_of_leaning(chain, i, x + dx, y + dy, twist + dz, tensions, scale)
+        low = moment_of_leaning(chain, i, x - dx, y - dy, twist - dz, tensions, scale)
+        by = difference(h, up, low)
+        row[OWN + a], row[OWN + 3 + a], row[OWN + 6 + a] = by
+
+
+@inlined
+def slip_slopes(chain, work, past, at, section, here, slides, remembers):
+    """
+    Direction of friction at an eyelet, and its derivatives by travel here and beyond [1/m].
+
+    Parameters
+    ----------
+    at : int
+        Entry chain.k i + k of the arrays (n, k).
+    here : float
+        Travel of the tendon in cell i [m].
+    slides, remembers : bool
+        Whether the travel beyond counts, and whether friction remembers.
+
+    """
+    beyond = floats(work.beyond)[at] if slides else 0.0
+    by_here, by_beyond = 1.0, 0.0
+    if remembers:
+        sign, last, h = floats(past.sign)[at], floats(past.travel)[at], TRAVEL_STEP * chain.radius
+        if slides:
+            by_here = friction_travel(here + h, beyond, chain, section)
+            by_here = (by_here - friction_travel(here - h, beyond, chain, section)) / (2.0 * h)
+            by_beyond = friction_travel(here, beyond + h, chain, section)
+            by_beyond = (by_beyond - friction_travel(here, beyond - h, chain, section)) / (2.0 * h)
+            here = friction_travel(here, beyond, chain, section)
+        law = remembered_at(chain.remembered)
+        s = law(chain, sign, here - last, section)
+        rate = law(chain, sign, here - last + h, section)
+        rate = (rate - law(chain, sign, here - last - h, section)) / (2.0 * h)
+        return s, by_here * rate, by_beyond * rate
+    rate = slip_rate_in(work)
+    s = smooth_sign(here, rate)
+    by_here = rate * (1.0 - s * s)
+    if slides:
+        t, h = smooth_sign(beyond, rate), DIFFERENCE_STEP
+        up = friction_travel(s + h, t, chain, section)
+        by_here *= (up - friction_travel(s - h, t, chain, section)) / (2.0 * h)
+        up = friction_travel(s, t + h, chain, section)
+        slope = (up - friction_travel(s, t - h, chain, section)) / (2.0 * h)
+        by_beyond = rate * (1.0 - t * t) * slope if t * t < SLIPPING_FROM else 0.0
+        s = friction_travel(s, t, chain, section)
+    return s, by_here, by_beyond
+
+
+@compiled
+def turning_slopes(chain, i, bx, by, next_x, next_y, wraps):
+    """
+    Return what passes the eyelet behind cell i, its derivatives by the bends on both sides.
+
+    Parameters
+    ----------
+    bx, by, next_x, next_y : float
+        Bends of the cells on both sides [rad].
+    wraps : bool
+        Whether the mean of both bends turns the tendon.
+
+    """
+    section, h = section_of(chain, i), DIFFERENCE_STEP
+    q = bx * bx + by * by
+    s, c = half_turn(q)
+    a = math.sqrt(q)
+    turning, slope = a * s, 0.5 * c / max(a, TINY)
+    ox, oy, nx, ny = slope * bx, slope * by, 0.0, 0.0
+    if wraps:
+        x, y = 0.5 * (bx + next_x), 0.5 * (by + next_y)
+        q = x * x + y * y
+        s, c = half_turn(q)
+        a = math.sqrt(q)
+        mean, slope = a * s, 0.25 * c / max(a, TINY)
+        own = wrap(turning + h, mean, chain, section) - wrap(turning - h, mean, chain, section)
+        by_mean = wrap(turning, mean + h, chain, section) - wrap(turning, mean - h, chain, section)
+        slope *= by_mean / (2.0 * h)
+        nx, ny = slope * x, slope * y
+        own /= 2.0 * h
+        ox, oy = own * ox + nx, own * oy + ny
+        turning = wrap(turning, mean, chain, section)
+    passed, low = eyelet(1.0, turning, chain, section), max(turning - h, 0.0)
+    slope = eyelet(1.0, turning + h, chain, section) - eyelet(1.0, low, chain, section)
+    slope /= turning + h - low
+    return passed, slope * ox, slope * oy, slope * nx, slope * ny
+
+
+@compiled
+def eyelet_slopes(chain, bend, work, past, i, flags, tangent):
+    """
+    Fill what the tensions of cell i + 1 depend on: those of cell i, both bends, the travel.
+
+    Parameters
+    ----------
+    bend : address
+        State [rad].
+    flags : tuple of bool
+        `active_stages`.
+    tangent : address
+        Derivatives of all cells.
+
+    """
+    _, _, wraps, slides, remembers = flags
+    bends, tendon, section = floats(bend), words(chain.tendon), section_of(chain, i)
+    bx, by, next_x, next_y = bends[2 * i], bends[2 * i + 1], bends[2 * i + 2], bends[2 * i + 3]
+    passed, ox, oy, nx, ny = turning_slopes(chain, i, bx, by, next_x, next_y, wraps)
+    log_passed = math.log(max(passed, TINY))
+    before = tangent_of(chain, tangent, i) + 8 * SIZE
+    behind = tangent_of(chain, tangent, i + 1) + 8 * SIZE
+    for k in range(chain.k):
+        if i + 1 >= tendon[2 * k]:
+            continue
+        at = chain.k * i + k
+        here = floats(work.travel)[at]
+        s, by_here, by_beyond = slip_slopes(
+            chain, work, past, at, section, here, slides, remembers
+        )
+        row, travels = floats(behind + 8 * TENDON * k), floats(before + 8 * (TENDON * k + TRAVELS))
+        ratio = math.exp(s * log_passed)
+        t = floats(work.tensions)[at] * ratio
+        by_turning, by_here = t * s / passed, t * log_passed * by_here
+        row[PASSED] = ratio
+        row[BEFORE] = by_turning * ox + by_here * travels[0]
+        row[BEFORE + 1] = by_turning * oy + by_here * travels[1]
+        row[BEFORE + 2] = by_here * travels[2]
+        row[HERE], row[HERE + 1] = by_turning * nx, by_turning * ny
+        row[SLIDES] = t * log_passed * by_beyond
+        lag = floats(work.lag)
+        row[LAGS] = by_here * lag[at] + row[SLIDES] * lag[at + chain.n * chain.k]
+
+
+@compiled
+def tendon_slopes(chain, bend, work, i, tangent):
+    """Fill how the tendons' moment follows bend and twist of cell i, tensions held, into OWN."""
+    x, y, scale = floats(bend)[2 * i], floats(bend)[2 * i + 1], offset_scale(1.0, chain, 0)
+    row = floats(tangent)
+    if leans(chain):
+        twist = twist_in(chain, bend, i)
+        leaning_slopes_at(chain.leaning_slopes)(chain, work, i, x, y, twist, scale, tangent)
+    else:
+        xx, xy, yy = moment_arm_slopes(chain, work, i, x, y, scale)
+        row[OWN], row[OWN + 1], row[OWN + 3], row[OWN + 4] = xx, xy, xy, yy
+
+
+@compiled
+def cell_slopes(chain, bend, work, past, i, moment_arms, scale, tangent):
+    """
+    Fill the derivatives of the residual of cell i.
+
+    Those of the moment come first, in the same places; then they meet the compliance.
+
+    Parameters
+    ----------
+    bend : address
+        State [rad].
+    moment_arms, scale : address, float
+        (n, k, 2) [m], and the factor on them [1].
+    tangent : address
+        Derivatives of this cell, SIZE + TENDON k floats that are zero.
+
+    """
+    row, loads = floats(tangent), loaded(chain)
+    mx, my, total = tendon_moment(chain, work, i, moment_arms, scale)
+    tendon_slopes(chain, bend, work, i, tangent)
+    if loads:
+        mx += floats(work.load)[2 * i]
+        my += floats(work.load)[2 * i + 1]
+        load_slopes_at(chain.load_slopes)(chain, bend, work, i, tangent, total)
+    a, b, c, d, e, f = compliances(chain, past, i, mx, my, total)
+    for q in range(9 if loads else 3):
+        start = OWN + 9 * (q // 3) + q % 3  # of OWN, BY_TURN and BY_TORQUE
+        u, v = row[start], row[start + 3]
+        row[start], row[start + 3] = -(a * u + c * v), -(b * u + d * v)
+    row[OWN] += 1.0
+    row[OWN + 4] += 1.0
+    lever, tendon = floats(moment_arms), words(chain.tendon)
+    for k in range(chain.k):
+        if i >= tendon[2 * k]:
+            continue
+        here, at = floats(tangent + 8 * (SIZE + TENDON * k)), 2 * (chain.k * i + k)
+        u, v = scale * lever[at], scale * lever[at + 1]
+        here[TRAVELS], here[TRAVELS + 1] = u, v
+        u, v = u + here[BY_TENSION], v + here[BY_TENSION + 1]
+        here[BY_TENSION], here[BY_TENSION + 1] = -(a * u + c * v + e), -(b * u + d * v + f)
+    if torsion_acts(chain):
+        fill_twist(chain, work, i, tangent, loads)
+
+
+@compiled
+def fill_twist(chain, work, i, tangent, loads):
+    """Fill the derivatives of the residual of the twist of cell i, from those of its moment."""
+    row, about = floats(tangent), tendons_about(chain, work, i)
+    if loads:
+        about += floats(work.torque)[i]
+    yields = twist_compliance(chain, i, about)
+    for b in range(3):
+        row[OWN + 6 + b] *= -yields
+        row[BY_TURN + 6 + b] *= -yields
+        row[BY_TORQUE + 6 + b] *= -yields
+    row[OWN + 8] += 1.0
+    for k in range(chain.k):
+        if i < words(chain.tendon)[2 * k]:
+            here = floats(tangent + 8 * (SIZE + TENDON * k))
+            here[TRAVELS + 2] = floats(work.axial)[chain.k * i + k]
+            here[BY_TENSION + 2] = -yields * (here[TRAVELS + 2] + here[BY_TENSION + 2])
+
+
+@compiled
+def differentiate(chain, bend, work, past, tangent):
+    """Fill the derivatives of all cells at bends (n, 2) whose states `work` holds."""
+    moment_arms, scale = moment_arms_of(chain, work)
+    flags = active_stages(chain, YES)
+    for i in range(chain.n):
+        cell_slopes(chain, bend, work, past, i, moment_arms, scale, tangent_of(chain, tangent, i))
+    if flags[0]:
+        for i in range(chain.n - 1):
+            eyelet_slopes(chain, bend, work, past, i, flags, tangent)
