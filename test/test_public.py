@@ -12,7 +12,7 @@ from source_tree import ROOT
 import tendon_robot_ros
 from tendon_robot_ros import Model, compare, load_dataset, load_robot
 from tendon_robot_ros.common.errors import InputError
-from tendon_robot_ros.model.plot import bending_azimuth, plot_arms, views_of
+from tendon_robot_ros.model.shape import bending_azimuth, plot_arms, views_of
 
 ROBOTS = ROOT / 'config' / 'robots'
 

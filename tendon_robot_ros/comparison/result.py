@@ -210,7 +210,7 @@ class Comparison(Told):
             There is no such posture.
 
         """
-        from ..model.plot import plot_sides
+        from ..model.shape import plot_sides
 
         names = self.measured.postures
         if posture is not None and posture not in names:

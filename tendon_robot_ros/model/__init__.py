@@ -3,14 +3,14 @@ The model: a description and tensions to a shape, and back.
 
 model.py         `Model`, the one object that everybody uses
 forward.py       what it stands on: tensions to shapes, batches and sequences of shapes
-shape.py         what it returns: `Shape`, batches of shapes, markers placed on them, `Reach`
+shape.py         what it returns: `Shape`, batches of shapes, markers placed on them, pictures,
+                 `Reach`
 tip_task.py      what is asked of the tip, from which state of friction, and in what time
 inverse.py       a pose, a target of the tip, to tensions within the limits
 starts.py        the searches that this is made of, and where they start
 redundancy.py    what the freedom of the tensions is used for; the arm kept out of regions
 program.py       one quadratic program with bounds, and the step of the tip that is one
 pulls.py         wire pulls to tensions, with slack wires
-plot.py          arms drawn for notebooks
 derivatives.py   slopes of an equilibrium with respect to tensions and parameters; how stiff the
                  tip is
 compile.py       a robot and its effects as the arrays of the kernel, which is composed from a

@@ -12,7 +12,7 @@ import numpy as np
 from ..common.colours import FLOOR, MEASURED, WARN, look
 from ..common.words import capital, mm
 from ..comparison.result import Comparison, Floats
-from ..model.plot import bending_azimuth, views_of
+from ..model.shape import bending_azimuth, views_of
 from .arm_text import Fault, marks, of_inputs
 from .comparison_text import posture_name
 from .numbers import mm_list, plain
