@@ -48,6 +48,7 @@ def diagnosis(dataset, catalogue):
     return diagnose(dataset, catalogue=catalogue)
 
 
+@pytest.mark.slow  # kernels of its own
 def test_the_diagnosis_names_it_and_the_reports_show_it(diagnosis):
     assert diagnosis.verdict.may_add
     assert [effect.name for effect in diagnosis.effects] == [NAME]
@@ -55,6 +56,7 @@ def test_the_diagnosis_names_it_and_the_reports_show_it(diagnosis):
     assert f'>{NAME}<' in ''.join(diagnosis_page(diagnosis).parts)
 
 
+@pytest.mark.slow
 def test_it_is_added_with_its_interval(dataset, diagnosis, catalogue):
     made = add_effects(dataset, [NAME], None, catalogue, None, diagnosis.effects)
     loss = made.values[NAME]['loss']

@@ -171,20 +171,16 @@ def _from_file(path: Path) -> Effect:
         ) from None
     name = f'tendon_robot_effect_{digest}'  # compiled code is found again by this name
     if name not in sys.modules:
-        _execute(path, name)
+        loader = importlib.machinery.SourceFileLoader(name, str(path))
+        spec = importlib.util.spec_from_loader(name, loader)
+        assert spec is not None
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[name] = module
+        try:
+            loader.exec_module(module)
+        except BaseException as error:  # whatever the user's file raises becomes one line
+            del sys.modules[name]
+            if isinstance(error, Exception) and not isinstance(error, EffectError):
+                raise EffectError(f'{path}: {type(error).__name__}: {error}') from None
+            raise
     return _checked(getattr(sys.modules[name], 'EFFECT', None), str(path))
-
-
-def _execute(path: Path, name: str) -> None:
-    loader = importlib.machinery.SourceFileLoader(name, str(path))
-    spec = importlib.util.spec_from_loader(name, loader)
-    assert spec is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    try:
-        loader.exec_module(module)
-    except BaseException as error:  # whatever the user's file raises becomes one line
-        del sys.modules[name]
-        if isinstance(error, Exception) and not isinstance(error, EffectError):
-            raise EffectError(f'{path}: {type(error).__name__}: {error}') from None
-        raise
