@@ -561,7 +561,7 @@ def continuation(chain, inputs, x, work, past):
         settings[SMOOTHING] = SMOOTHING_LENGTH * WIDE_SMOOTHING ** (1.0 - aim)
         settings[LOAD_SCALE] = aim
         assign(x, last)
-        change = newton_at(chain.newton)(chain, inputs, address(x), work, past, NEAR_STEPS_MAX)
+        change = newton_at(chain.newton)(chain, inputs, address(x), work, past, NEWTON_STEPS_MAX)
         if change < BEND_TOLERANCE:
             done, stride = aim, min(0.5, 1.6 * stride)
             assign(last, x)
