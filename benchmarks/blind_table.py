@@ -24,7 +24,7 @@ from tendon_robot_ros.diagnosis.add import Addition, add_effects
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.result import Diagnosis
 from tendon_robot_ros.diagnosis.verdict import Verdict
-from tendon_robot_ros.report.numbers import described_quantity, quantities
+from tendon_robot_ros.report.sentences import described_quantity, quantities
 
 ROOT = Path(__file__).resolve().parents[1]
 BLIND = ROOT / 'test' / 'data' / 'blind'

@@ -14,7 +14,7 @@ from tendon_robot_ros.cli.options import progress
 from tendon_robot_ros.common.workers import Workers
 from tendon_robot_ros.model.versions import Preparation
 from tendon_robot_ros.studies.campaign import summary
-from tendon_robot_ros.studies.figures import to_json
+from tendon_robot_ros.studies.judge import to_json
 from tendon_robot_ros.studies.plan import plan_of, run_plan
 
 PLANS = Path(__file__).parent / 'plans'

@@ -25,7 +25,7 @@ from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.ros.shared.messages import COMMAND, LATCHED, LISTEN, pose_stamped
 from tendon_robot_ros.ros.shared.runtime import NodeProcess
-from tendon_robot_ros.workspace.constant_view import salient
+from tendon_robot_ros.workspace.view_angle import salient
 
 ROBOT, SPACE = 'kato_10_1', '/plug'
 SETTLED = ('reached', 'nearest', 'at_limit')

@@ -19,7 +19,7 @@ from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.diagnosis.add import add_effects, restore
 from tendon_robot_ros.diagnosis.diagnose import diagnose
-from tendon_robot_ros.report.addition_text import warnings
+from tendon_robot_ros.report.diagnosis_text import addition_warnings
 from tendon_robot_ros.robot import dump_robot, load_robot, parse_robot
 
 ROBOT = replace(simulated.robot(), exact=True)  # as those are that are simulated
@@ -107,7 +107,7 @@ def test_a_diagnosis_and_an_addition_tell_the_same_numbers_of_an_arm_as_built(na
 def test_all_that_the_file_says_otherwise_is_named(name):
     dataset, _, made = diagnosed(name)
     assert made.beside
-    (line,) = [one for one in warnings(made) if one.startswith('after: ')]
+    (line,) = [one for one in addition_warnings(made) if one.startswith('after: ')]
     before, after = dataset.robot, made.robot
     for key in set(before.effects) | set(after.effects):
         changed = before.effects.get(key) != after.effects.get(key)

@@ -18,16 +18,17 @@ from tendon_robot_ros.simulation.hidden import Built
 from tendon_robot_ros.studies import judge
 from tendon_robot_ros.studies.campaign import robot_rows, summary
 from tendon_robot_ros.studies.cases import Case, Chance, Design, hidden_values, simulated
-from tendon_robot_ros.studies.figures import (
+from tendon_robot_ros.studies.judge import (
+    CaseRow,
     Rate,
     coverage,
     powers,
     rates,
     rates_by_hidden,
     rates_by_robot,
+    scatter_held,
     to_json,
 )
-from tendon_robot_ros.studies.judge import CaseRow, scatter_held
 from tendon_robot_ros.studies.plan import earlier_rows, read_plan, run_plan
 from tendon_robot_ros.studies.running import ERROR, GrowingTable
 

@@ -15,7 +15,7 @@ from tendon_robot_ros.cli.describe import description
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.data import default_markers
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.report.robot_picture import draw_robot
+from tendon_robot_ros.report.pictures import draw_robot
 from tendon_robot_ros.robot import load_robot, parse_robot
 from tendon_robot_ros.robot.estimates import handling, sag
 from tendon_robot_ros.robot.urdf import joint_angles, joint_names, transforms, urdf

@@ -10,7 +10,7 @@ import processes
 import pytest
 
 from tendon_robot_ros.cli import main as command_line
-from tendon_robot_ros.cli import progress
+from tendon_robot_ros.cli import options
 from tendon_robot_ros.cli.main import COMMANDS, Parser, main
 from tendon_robot_ros.common.errors import InputError
 from tendon_robot_ros.data import load_dataset, save_dataset
@@ -42,7 +42,7 @@ def run(args):
 def move(monkeypatch, tmp_path):
     """Give the package one more command, in a file as any other."""
     (tmp_path / 'move.py').write_text(MOVE)
-    monkeypatch.setattr(command_line, '_source', lambda module: tmp_path / 'move.py')
+    monkeypatch.setattr(command_line, 'source_of', lambda module: tmp_path / 'move.py')
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setitem(COMMANDS, 'move', 'move')
     monkeypatch.delitem(sys.modules, 'move', raising=False)
@@ -65,7 +65,7 @@ def test_every_module_with_a_command_is_in_the_table():
     folders = ('cli', 'studies', 'ros/*')
     files = [p for folder in folders for p in command_line.PACKAGE.glob(f'{folder}/*.py')]
     commands = {path for path in files if '\nHELP = ' in path.read_text()}
-    assert commands == {command_line._source(module) for module in COMMANDS.values()}
+    assert commands == {command_line.source_of(module) for module in COMMANDS.values()}
 
 
 def test_without_arguments_the_commands_are_listed(capsys, move):
@@ -139,9 +139,9 @@ def test_long_work_says_how_far_it_is_in_a_pipe_and_on_a_screen(monkeypatch, scr
     stream = io.StringIO()
     monkeypatch.setattr(stream, 'isatty', lambda: screen)
     monkeypatch.setattr('sys.stderr', stream)
-    monkeypatch.setattr(progress, 'PIPED_EVERY_S', 0.01)
-    monkeypatch.setattr(progress, 'DRAWN_EVERY_S', 0.01)
-    with progress.progress() as show:
+    monkeypatch.setattr(options, 'LOG_EVERY_S', 0.01)
+    monkeypatch.setattr(options, 'DRAWN_EVERY_S', 0.01)
+    with options.progress() as show:
         _said(stream, '' if screen else 'working, 0 s so far\n')
         for done in range(3):
             show('effects', done, 3)
@@ -150,7 +150,7 @@ def test_long_work_says_how_far_it_is_in_a_pipe_and_on_a_screen(monkeypatch, scr
 
 
 def test_short_work_in_a_pipe_says_nothing(capsys):
-    with progress.progress() as show:
+    with options.progress() as show:
         show('effects', 1, 3)
     assert capsys.readouterr().err == ''
 

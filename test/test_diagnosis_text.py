@@ -22,7 +22,7 @@ from tendon_robot_ros.report.diagnosis_text import (
     untested,
     verdict,
 )
-from tendon_robot_ros.report.numbers import (
+from tendon_robot_ros.report.sentences import (
     load_words,
     quantities,
     quantity,

@@ -15,11 +15,11 @@ from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.diagnosis.verdict import Verdict
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.investigation.choice import (
+    LinearDesign,
     OpenQuestion,
     Room,
-    _added,
-    _LinearDesign,
     choose,
+    information,
     pool,
 )
 from tendon_robot_ros.investigation.goal import (
@@ -49,16 +49,16 @@ def arm(hidden, seed=3, **options):
 
 def test_the_information_of_one_reading_of_one_parameter_is_that_of_a_gaussian_channel():
     signal, noise = 3.0, 0.5
-    added = 0.5 * _added(np.eye(1), np.array([[signal / noise]]))
+    added = 0.5 * information(np.eye(1), np.array([[signal / noise]]))
     assert added == pytest.approx(0.5 * np.log(1.0 + (signal / noise) ** 2))
 
 
 def test_what_an_imperfection_does_as_well_tells_less_and_a_second_reading_tells_less():
-    alone = _added(np.eye(1), np.array([[2.0]]))
+    alone = information(np.eye(1), np.array([[2.0]]))
     both = np.array([[2.0, 5.0]])  # the second column is a nuisance
-    beside = _added(np.eye(2), both) - _added(np.eye(1), both[:, 1:])
+    beside = information(np.eye(2), both) - information(np.eye(1), both[:, 1:])
     assert 0.0 < beside < 0.2 * alone
-    again = _added(np.eye(1) + 4.0, np.array([[2.0]]))
+    again = information(np.eye(1) + 4.0, np.array([[2.0]]))
     assert again < alone
 
 
@@ -89,7 +89,7 @@ def test_once_only_an_interval_is_too_wide_the_posture_that_narrows_it_is_chosen
     narrows = replace(question, narrows=True)
 
     def widest(choice):
-        design = _LinearDesign(question, empty, catalogue)
+        design = LinearDesign(question, empty, catalogue)
         shown = dict(zip(map(tuple, rows.tolist()), design.offered(rows)[0], strict=True))
         precision = np.eye(design.size)
         for one in choice:

@@ -10,11 +10,10 @@ from source_tree import ROOT
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
-from tendon_robot_ros.studies import paper_motion, paper_pulls, paper_tensions
-from tendon_robot_ros.studies.paper import arrangements
+from tendon_robot_ros.studies import paper_motion, paper_postures
+from tendon_robot_ros.studies.paper import Number, arrangements
 from tendon_robot_ros.studies.paper_motion import Arrangement, at_view, pcca, with_cells
-from tendon_robot_ros.studies.paper_numbers import Number
-from tendon_robot_ros.workspace.grid import find_workspace, pairs_of
+from tendon_robot_ros.workspace.view_angle import find_workspace, pairs_of
 
 
 def kato(name):
@@ -54,7 +53,7 @@ def test_tensions_at_a_view_angle_give_that_angle():
 def test_opposite_wires_bring_the_models_as_far_apart_as_published_errors_require():
     robot = kato('10_1')
     opposite = next(pair for pair in pairs_of(robot) if pair.kind == 'opposite sides')
-    heights = paper_pulls.find_heights(robot, opposite)
+    heights = paper_postures.find_heights(robot, opposite)
     assert heights.apart.min() >= 17.8e-3
     assert heights.apart.max() <= 29.6e-3
     assert (np.diff(heights.tips[:, 2]) < 0.0).all()
@@ -65,7 +64,7 @@ def test_constant_curvature_meets_the_pulls():
     pair = pairs_of(robot)[0]
     pulls = np.zeros((1, 4))
     pulls[0, list(pair.indices)] = 4e-3, 5e-3
-    tips, tensions = paper_pulls.constant_curvature(robot, pair, pulls)
+    tips, tensions = paper_postures.constant_curvature(robot, pair, pulls)
     given = np.zeros((1, 4))
     given[0, list(pair.indices)] = tensions[0]
     shape = Model(pcca(robot)).shapes(given)
@@ -74,7 +73,7 @@ def test_constant_curvature_meets_the_pulls():
 
 
 def test_taut_wires_hold_the_sum_over_each_section():
-    turns = paper_pulls.held(np.random.default_rng(1).normal(size=(5, 30)), kato('10_1'))
+    turns = paper_postures.held(np.random.default_rng(1).normal(size=(5, 30)), kato('10_1'))
     np.testing.assert_allclose(turns[:, :15].sum(axis=1), 0.0, atol=1e-12)
     np.testing.assert_allclose(turns[:, 15:].sum(axis=1), 0.0, atol=1e-12)
 
@@ -83,7 +82,7 @@ def test_a_turned_cell_keeps_lengths_and_moves_only_what_lies_beyond():
     straight = np.array([[0.0, 0.0, 0.01 * (i + 1)] for i in range(5)])
     turns = np.zeros(5)
     turns[2] = 0.3
-    moved = paper_pulls.turned(straight, turns)
+    moved = paper_postures.turned(straight, turns)
     np.testing.assert_allclose(moved[:2], straight[:2])
     np.testing.assert_allclose(np.linalg.norm(np.diff(moved, axis=0), axis=1), 0.01)
     assert moved[4, 0] == pytest.approx(0.03 * np.sin(0.3))
@@ -122,7 +121,7 @@ def test_more_cells_keep_length_and_bending_of_a_section():
 
 
 def test_at_90_degrees_the_models_differ_as_published_at_equal_tension():
-    gap, _ = paper_tensions.gap(kato('2_1'))
+    gap, _ = paper_postures.gap(kato('2_1'))
     assert gap.tension == pytest.approx(7.6e-3, rel=0.15)
     assert gap.pull < gap.tension
 

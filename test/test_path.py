@@ -16,7 +16,7 @@ from tendon_robot_ros.paths.path import (
     tip_path,
 )
 from tendon_robot_ros.robot import load_robot
-from tendon_robot_ros.workspace.constant_view import look_around
+from tendon_robot_ros.workspace.view_angle import look_around
 
 PLACES = np.array([[0.0, 0.0, 0.2], [0.06, 0.0, 0.17], [0.08, 0.0, 0.14]])
 NONE = np.full((3, 3), np.nan)

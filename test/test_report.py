@@ -18,15 +18,15 @@ from tendon_robot_ros.comparison.compare import compare
 from tendon_robot_ros.comparison.result import load_comparison
 from tendon_robot_ros.data import Marker, load_dataset
 from tendon_robot_ros.report import page as page_module
-from tendon_robot_ros.report.comparison_page import comparison_page, write_comparison
-from tendon_robot_ros.report.error_plots import Step, staircase
-from tendon_robot_ros.report.page import Figure, Page
-from tendon_robot_ros.report.shape_plots import (
-    POSTURES_DRAWN_MAX,
+from tendon_robot_ros.report.comparison_page import (
     chosen_postures,
+    comparison_page,
     is_planar,
     shape_figures,
+    write_comparison,
 )
+from tendon_robot_ros.report.error_plots import Step, staircase
+from tendon_robot_ros.report.page import Figure, Page, Shown
 
 SECTIONS = ('Where the models are off', 'Shapes', 'Angular displacement')
 
@@ -154,7 +154,7 @@ def test_few_postures_have_boxes_of_their_own():
 def test_many_postures_show_the_worst():
     found = compared(ROOT / 'data' / 'tentacle', pcca=False)
     chosen = chosen_postures(found)
-    assert len(chosen) == POSTURES_DRAWN_MAX == 12
+    assert len(chosen) == Shown.POSTURES == 12
     left = np.setdiff1d(np.arange(16), chosen)
     errors = found.best.per_posture_rms
     assert errors[left].max() <= errors[chosen].min()

@@ -15,7 +15,7 @@ from tendon_robot_ros.diagnosis.intervals import SizeIntervals
 from tendon_robot_ros.diagnosis.marginal import LOGARITHMS, RandomEffects
 from tendon_robot_ros.diagnosis.report_rows import arm_report
 from tendon_robot_ros.diagnosis.session import Session
-from tendon_robot_ros.report.arm_text import as_built
+from tendon_robot_ros.report.sentences import as_built
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.measurements import simulate

@@ -56,7 +56,7 @@ READERS = {
     'motors': (f'calibrate dynamixel {{}} --robot arm.yaml {CALIBRATE}', '.yaml'),
     'board': (f'calibrate serial {{}} --robot arm.yaml {CALIBRATE}', '.yaml'),
     'lines of other tendons': (
-        f'calibrate dynamixel motors.yaml --robot arm.yaml --out {{}} {CALIBRATE}', '.yaml',
+        f'calibrate dynamixel motors.yaml --robot arm.yaml --output {{}} {CALIBRATE}', '.yaml',
     ),
 }  # fmt: skip
 KINDS = ('missing', 'folder', 'empty', 'binary', 'cut short')
@@ -240,7 +240,7 @@ OUTPUTS = {
     'picture of a path': 'follow nothing.csv --picture {}',
     'picture of a recording': 'import-bag nothing.mcap --output new --picture {}',
     'motors': 'emulate dynamixel --robot nothing.yaml --write-config {}',
-    'calibration': f'calibrate serial nothing.yaml --robot arm.yaml --out {{}} {CALIBRATE}',
+    'calibration': f'calibrate serial nothing.yaml --robot arm.yaml --output {{}} {CALIBRATE}',
 }
 FOLDERS = ('data set', 'check', 'recording', 'table')
 

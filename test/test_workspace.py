@@ -14,8 +14,8 @@ from tendon_robot_ros.common.workers import Workers
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import dump_robot
 from tendon_robot_ros.workspace.cubes import LOOKS, Cubes, folds
-from tendon_robot_ros.workspace.grid import find_workspace, pairs_of
-from tendon_robot_ros.workspace.volume import find_volume
+from tendon_robot_ros.workspace.view_angle import find_workspace, pairs_of
+from tendon_robot_ros.workspace.volume import Sampling, find_volume
 
 FRICTION = {'tendon_friction': {'friction_coefficient': 0.3}}
 
@@ -52,7 +52,7 @@ def test_chunks_do_not_change_what_is_found(monkeypatch):
     model = Model(two_sections(effects=FRICTION))
     whole = find_workspace(model, [1.0], step=0.5, tolerance=0.1)
     calls = []
-    monkeypatch.setattr('tendon_robot_ros.workspace.grid.POSTURES_AT_ONCE', 50)
+    monkeypatch.setattr('tendon_robot_ros.workspace.view_angle.POSTURES_AT_ONCE', 50)
     parts = find_workspace(
         model, [1.0], step=0.5, tolerance=0.1, progress=lambda *a: calls.append(a)
     )
@@ -119,10 +119,6 @@ def test_the_command_writes_table_arrays_and_page(tmp_path, capsys):
     assert 'use --overwrite' in capsys.readouterr().err
 
 
-# -----------------------------------------------------------------------------
-# All tendons at once.
-
-
 def single(effects=None, cells=8):
     """Return one section with three tendons all around."""
     robot = spatial(cells=cells, effects=effects)
@@ -135,7 +131,7 @@ def single(effects=None, cells=8):
 
 def test_without_friction_the_tips_of_one_section_lie_on_the_arcs_of_all_bends():
     robot = single()
-    volume = find_volume(Model(robot), 4000, seed=1)
+    volume = find_volume(Sampling.of(Model(robot), 4000, seed=1))
     reached, cells, length = volume.reached, robot.cells, robot.sections[0].cell_length
     assert volume.frictionless is None
     assert len(reached) > 200
@@ -152,24 +148,22 @@ def test_without_friction_the_tips_of_one_section_lie_on_the_arcs_of_all_bends()
 
 def test_a_volume_is_the_same_bit_for_bit_from_processes_and_after_an_interruption(tmp_path):
     robot = two_sections(effects=FRICTION)
-    whole = find_volume(Model(robot), 9000, views=[1.0])
+    sampling = Sampling.of(Model(robot), 9000, [1.0])
+    whole = find_volume(sampling)
 
     def stop(what, done, total):
         if done > 5000:
             raise KeyboardInterrupt
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr('tendon_robot_ros.workspace.streamed.SAVED_EVERY_S', 0.0)
+        patch.setattr('tendon_robot_ros.workspace.volume.SAVED_EVERY_S', 0.0)
         with pytest.raises(KeyboardInterrupt):
-            find_volume(Model(robot), 9000, views=[1.0], progress=stop, kept=tmp_path)
+            find_volume(sampling, stop, kept=tmp_path)
     with pytest.raises(InputError, match='is of another robot or other options; delete it'):
-        find_volume(Model(robot), 9001, views=[1.0], kept=tmp_path)
+        find_volume(Sampling.of(Model(robot), 9001, [1.0]), kept=tmp_path)
     seen = []
     with Workers(2) as workers:
-        spread = find_volume(
-            Model(robot), 9000, views=[1.0], workers=workers, kept=tmp_path,
-            progress=lambda *told: seen.append(told),
-        )  # fmt: skip
+        spread = find_volume(sampling, lambda *told: seen.append(told), workers, tmp_path)
     assert seen[0][1] > 5000
     assert_array_equal(spread.reached.tensions, whole.reached.tensions)
     assert_array_equal(spread.views[1.0].looks, whole.views[1.0].looks)
@@ -193,7 +187,7 @@ def test_arms_that_hardly_turn_are_not_looked_at_for_folds_and_none_of_them_fold
 
 
 def test_tips_on_a_curve_have_a_hull_and_no_area():
-    reached = find_volume(Model(planar()), 5000).reached
+    reached = find_volume(Sampling.of(Model(planar()), 5000)).reached
     assert reached.is_flat
     assert reached.size < 0.1 * reached.hull[2]
 
@@ -214,10 +208,10 @@ def test_cubes_hold_the_volume_of_a_ball():
 def test_a_cube_keeps_the_posture_of_least_tension_and_all_directions():
     random = np.random.default_rng(0)
     tips, tensions = random.uniform(-0.02, 0.02, size=(5000, 3)), random.random((5000, 2))
-    ways = tips / np.linalg.norm(tips, axis=1, keepdims=True)
+    directions = tips / np.linalg.norm(tips, axis=1, keepdims=True)
     cubes = Cubes(planar(), 0.01)
     for rows in np.array_split(np.arange(5000), 7):
-        cubes.add(tensions[rows], tips[rows], ways[rows])
+        cubes.add(tensions[rows], tips[rows], directions[rows])
     reached = cubes.reached()
     assert (len(reached), reached.postures) == (4**3, 5000)
     for row, cell in enumerate(reached.cells):
@@ -239,7 +233,7 @@ def test_an_arm_that_closes_a_ring_runs_into_itself():
 
 
 def test_friction_takes_places_and_adds_others():
-    volume = find_volume(Model(single(effects=FRICTION, cells=12)), 6000, views=[1.0])
+    volume = find_volume(Sampling.of(Model(single(effects=FRICTION, cells=12)), 6000, views=[1.0]))
     assert volume.frictionless is not None
     assert volume.given > 0.0
     # bent near the base and straight farther out, it reaches farther to the side
@@ -264,16 +258,16 @@ def test_friction_takes_places_and_adds_others():
 )
 def test_volumes_that_make_no_sense_are_refused(options, message):
     with pytest.raises(InputError, match=message):
-        find_volume(Model(planar()), **options)
+        Sampling.of(Model(planar()), **options)
 
 
 def test_cubes_are_as_small_as_the_shell_of_one_section_lets_them():
     """Ten postures come to each: tips of one section lie on a sheet, of two in a space."""
     one, two = single(cells=4), spatial(cells=4)
-    found = find_volume(Model(one), postures=4000)
+    found = find_volume(Sampling.of(Model(one), postures=4000))
     assert found.reached.edge == pytest.approx(one.length / np.sqrt(4000 / 10 / 4.0))
     assert 4000 / len(found.reached) == pytest.approx(10.0, rel=0.7)
-    assert find_volume(Model(two), postures=6000).reached.edge == pytest.approx(two.length / 8.0)
+    assert Sampling.of(Model(two), postures=6000).edge == pytest.approx(two.length / 8.0)
 
 
 def test_the_command_shows_all_tendons_of_an_arm_in_space(tmp_path, capsys):

@@ -28,7 +28,7 @@ from effect_shapes import (
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from tendon_robot_ros.report.numbers import described_quantity
+from tendon_robot_ros.report.sentences import described_quantity
 
 PAGE = ROOT / 'docs' / 'effects.md'
 PICTURES = ROOT / 'docs' / 'images' / 'effects'

@@ -18,22 +18,21 @@ import argparse
 
 from ..common.files import file_to_write
 from ..diagnosis.add import add_effects
-from ..report.addition_text import NOT_WRITTEN, addition_lines
+from ..report.diagnosis_text import NOT_WRITTEN, addition_lines
 from .options import (
     REFUSED_EXIT_CODE,
+    add_check,
     add_data,
     add_effect_files,
     add_json,
     add_overwrite,
-    effects_of,
     emit,
-    load_check,
-    load_measurements,
+    load_judged,
     next_step,
+    progress,
     refuse_existing,
     write_description,
 )
-from .progress import progress
 
 HELP = 'add a physical effect to a robot description, fitted on measurements'
 
@@ -46,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add('--robot', metavar='ROBOT', help='description to add to (default: the one of DATA)')
     to = file_to_write('--output')
     add('--output', type=to, required=True, metavar='NEW', help='the new description')
-    add('--check', metavar='DATA2', help='other postures, to judge the effect by')
+    add_check(parser, 'to judge the effect by')
     add_json(parser)
     add_overwrite(parser)
     add_effect_files(parser)
@@ -56,9 +55,7 @@ def run(args: argparse.Namespace) -> int:
     """Fit, write, print."""
     refuse_existing('--output', args.output, args.overwrite)
     with progress() as show:
-        dataset = load_measurements(args.data, args.robot, show)
-        check = load_check(args.check, dataset, show)
-        catalogue = effects_of(args)
+        dataset, check, catalogue = load_judged(args, show)
         show(f'fitting {" and ".join(args.effects)}', 0, 0)
         made = add_effects(dataset, args.effects, None, catalogue, check)
     content = {**made.to_json(), 'written': args.output if made.helps else None}

@@ -38,55 +38,50 @@ from ..robot import load_robot
 
 if TYPE_CHECKING:
     from ..drivers.dynamixel.bus import Bus
-    from ..drivers.dynamixel.calibration import CurrentFit, CurrentPoint
+    from ..drivers.dynamixel.calibration import CurrentFit
     from ..drivers.dynamixel.motor import Motor
     from ..drivers.serial_board.calibration import CountsPoint
 
-NAME = 'calibrate'
 HELP = 'calibrate tension with known weights; --check: which tendon has crept'
 KINDS = {'dynamixel': 'motors', 'serial': 'tendons'}  # and what such a configuration has
-CHECK_SHARE = 0.2  # [1] of the highest tension: taut, and far from what may break
+# [1] of the highest tension, of a check: taut, and so low that nothing would break
+CHECK_FRACTION = 0.2
+# [s] of reading, so that the mean of a cell is known better than its noise
+SECONDS_PER_WEIGHT = 2.0
+CELL_UNITS = 'tendon: tension = (counts - zero) * newtons_per_count [N]; errors are 1 sd'
 MOTOR_UNITS = 'tendon: [intercept A, slope A/N] of current over tension'
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument('kind', nargs='?', choices=tuple(KINDS))
-    parser.add_argument('config', nargs='?', help="the driver's configuration (YAML)")
-    parser.add_argument('--robot', help='robot description (YAML)')
-    parser.add_argument('--tendon', help='the input whose motor is calibrated')
-    parser.add_argument('--weights', nargs='+', type=float, metavar='KG')
-    parser.add_argument('--check', action='store_true', help='only look which tendon has crept')
-    parser.add_argument(
-        '--tension', type=float, metavar='N', help='of the check (default: a fifth of the limit)'
-    )
-    parser.add_argument(
-        '--reference',
-        type=file_to_write('--reference'),
-        metavar='FILE',
-        default='tendons.yaml',
-        help='what the check compares with (default %(default)s)',
-    )
-    parser.add_argument('--renew', action='store_true', help='make this check the reference')
-    parser.add_argument('--travel', type=float, default=20.0, metavar='MM')
-    parser.add_argument('--speed', type=float, default=5.0, metavar='MM/S')
-    parser.add_argument(
-        '--out',
-        type=file_to_write('--out'),
-        metavar='FILE',
-        default='calibration.yaml',
-        help='lines of other tendons in it are kept (default %(default)s)',
-    )
-    to = file_to_write('--picture')
-    parser.add_argument('--picture', type=to, metavar='FILE', help='default: beside OUT, as PNG')
-    parser.add_argument('--yes', action='store_true', help='do not wait for Enter')
+    add = parser.add_argument
+    add('kind', nargs='?', choices=tuple(KINDS))
+    add('config', nargs='?', help="the driver's configuration (YAML)")
+    add('--robot', help='robot description (YAML)')
+    add('--tendon', help='the input whose motor is calibrated')
+    add('--weights', nargs='+', type=float, metavar='KG')
+    add('--check', action='store_true', help='only look which tendon has crept')
+    what = 'of the check (default: a fifth of the limit)'
+    add('--tension', type=float, metavar='N', help=what)
+    to, what = file_to_write('--reference'), 'what the check compares with (default %(default)s)'
+    add('--reference', type=to, metavar='FILE', default='tendons.yaml', help=what)
+    add('--renew', action='store_true', help='make this check the reference')
+    add('--travel', type=float, default=20.0, metavar='MM')
+    add('--speed', type=float, default=5.0, metavar='MM/S')
+    to = file_to_write('--output')
+    what = 'lines of other tendons in it are kept (default %(default)s)'
+    file = 'calibration.yaml'
+    add('--output', '--out', type=to, metavar='FILE', default=file, help=what)
+    to, what = file_to_write('--picture'), 'default: beside the output, as PNG'
+    add('--picture', type=to, metavar='FILE', help=what)
+    add('--yes', action='store_true', help='do not wait for Enter')
 
 
 def run(args: argparse.Namespace) -> int:
     """Measure, fit, write, say what was found."""
     if args.check:
-        _find_files(args)
-        return _check(args)
+        find_files(args)
+        return check_tendons(args)
     if None in (args.kind, args.config, args.robot):
         raise InputError(
             'calibrate: expected dynamixel or serial, a configuration, and --robot; or --check'
@@ -95,19 +90,19 @@ def run(args: argparse.Namespace) -> int:
         raise InputError('calibrate: expected --tendon and --weights, or --check')
     if min(args.weights) <= 0.0 or max(args.weights) > 50.0:
         raise InputError(f'--weights: expected masses from 0 to 50 kg, got {args.weights}')
-    if Path(args.out).exists():
-        _content(args.out)  # lines of other tendons in it are kept
+    if Path(args.output).exists():
+        _content(args.output)  # lines of other tendons in it are kept
     try:
         if args.kind == 'serial':
-            _write(Path(args.out), args.tendon, measure_cell(args), CELL_UNITS)
-            print(f'written: {args.out}')
+            _write(Path(args.output), args.tendon, measure_cell(args), CELL_UNITS)
+            print(f'written: {args.output}')
             return 0
-        return _calibrate_motor(args)
+        return calibrate_motor(args)
     except ModuleNotFoundError as error:
         raise MissingExtraError(error.name or args.kind, args.kind) from None
 
 
-def _find_files(args: argparse.Namespace) -> None:
+def find_files(args: argparse.Namespace) -> None:
     """Set what was not said from the files in this folder: they must be the only ones."""
     if args.robot is not None and args.config is not None and args.kind is not None:
         return
@@ -135,14 +130,14 @@ def _find_files(args: argparse.Namespace) -> None:
 
 def _only(names: list[str], what: str, said: str) -> str:
     if len(names) != 1:
-        found = f'{len(names)} of them ({", ".join(names)})' if names else 'none'
+        came = f'{len(names)} of them ({", ".join(names)})' if names else 'none'
         raise InputError(
-            f'calibrate --check: expected {what} in this folder, got {found}; say {said}'
+            f'calibrate --check: expected {what} in this folder, got {came}; say {said}'
         )
     return names[0]
 
 
-def _check(args: argparse.Namespace) -> int:
+def check_tendons(args: argparse.Namespace) -> int:
     """Compare the tendons with the last time; 1 where one has crept."""
     from ..drivers import make_driver
     from ..drivers.tendon_check import changes, measure_reference, read_reference, save_reference
@@ -155,7 +150,7 @@ def _check(args: argparse.Namespace) -> int:
         raise InputError(f'--tension: {path} was made at {before.tension:g} N; or use --renew')
     with make_driver(args.kind, robot, content, mode='tension', source=args.config) as driver:
         if tension is None:
-            tension = CHECK_SHARE * float(driver.limits[:, 1].min())
+            tension = CHECK_FRACTION * float(driver.limits[:, 1].min())
         print(f'pulling all tendons with {tension:g} N; keep hands away', file=sys.stderr)
         if not args.yes:
             input('press Enter when ready ')
@@ -164,9 +159,9 @@ def _check(args: argparse.Namespace) -> int:
         save_reference(path, now)
         print(f'written: {path}; the next check compares with it')
         return 0
-    found = changes(before, now)
-    said = [text for change in found if (text := change.said(tension))]
-    worst = max(abs(change.pull) for change in found)
+    crept = changes(before, now)
+    said = [text for change in crept if (text := change.said(tension))]
+    worst = max(abs(change.pull) for change in crept)
     print('\n'.join(said) or f'no tendon has crept (at most {1e3 * worst:.2f} mm)')
     print(f'since {before.date}, at {tension:g} N')
     if said:
@@ -190,19 +185,36 @@ def _content(path: str) -> dict[str, Any]:
     return content
 
 
-def _calibrate_motor(args: argparse.Namespace) -> int:
+def calibrate_motor(args: argparse.Namespace) -> int:
+    """Measure currents under weights, fit two lines, write and draw them."""
     from ..drivers.dynamixel import calibration
 
     if not (1.0 <= args.travel <= 1000.0 and 0.1 <= args.speed <= 200.0):
         raise InputError('--travel, --speed: expected 1 to 1000 mm and 0.1 to 200 mm/s')
-    bus, motor, cap = _prepare(args, STANDARD_GRAVITY)
+    bus, motor, cap = open_motor(args, STANDARD_GRAVITY)
     try:
-        points = [_weigh(args, bus, motor, mass, calibration) for mass in args.weights]
+        points = []
+        for mass in args.weights:
+            print(
+                f'hang {mass:g} kg on {args.tendon}: it stands on the ground, the wire is just '
+                'taut; keep hands away',
+                file=sys.stderr,
+            )
+            if not args.yes:
+                input('press Enter when ready ')
+            weight = mass * STANDARD_GRAVITY
+            point = calibration.measure(bus, motor, weight, 1e-3 * args.travel, 1e-3 * args.speed)
+            print(
+                f'  {point.tension:.3f} N: winding {point.wind:.4f} A, '
+                f'paying out {point.pay_out:.4f} A',
+                file=sys.stderr,
+            )
+            points.append(point)
     finally:
         bus.close()
     result = calibration.fit_current(points)
-    _write(Path(args.out), args.tendon, calibration.to_mapping(result, cap), MOTOR_UNITS)
-    picture = Path(args.picture or f'{Path(args.out).with_suffix("")}_{args.tendon}.png')
+    _write(Path(args.output), args.tendon, calibration.to_mapping(result, cap), MOTOR_UNITS)
+    picture = Path(args.picture or f'{Path(args.output).with_suffix("")}_{args.tendon}.png')
     draw(result, args.tendon, picture)
     for what, line in (
         ('winding', result.calibration.wind),
@@ -210,11 +222,11 @@ def _calibrate_motor(args: argparse.Namespace) -> int:
     ):
         print(f'{args.tendon}: {what} I = {line.intercept:.4f} A + {line.slope:.4f} A/N T')
     print(f'half the gap: {result.half_gap:.3f} N: that is how well the current tells the tension')
-    print(f'written: {args.out}, {picture}')
+    print(f'written: {args.output}, {picture}')
     return 0
 
 
-def _prepare(args: argparse.Namespace, gravity: float) -> tuple[Bus, Motor, Any]:
+def open_motor(args: argparse.Namespace, gravity: float) -> tuple[Bus, Motor, Any]:
     """Open the bus and find the motor; its current may lift twice the heaviest weight."""
     from ..drivers.dynamixel.bus import Bus
     from ..drivers.dynamixel.config import read_config
@@ -238,26 +250,6 @@ def _prepare(args: argparse.Namespace, gravity: float) -> tuple[Bus, Motor, Any]
     return bus, motor, wire
 
 
-def _weigh(
-    args: argparse.Namespace, bus: Bus, motor: Motor, mass: float, calibration: Any
-) -> CurrentPoint:
-    print(
-        f'hang {mass:g} kg on {args.tendon}: it stands on the ground, the wire is just taut; '
-        'keep hands away',
-        file=sys.stderr,
-    )
-    if not args.yes:
-        input('press Enter when ready ')
-    point: CurrentPoint = calibration.measure(
-        bus, motor, mass * STANDARD_GRAVITY, 1e-3 * args.travel, 1e-3 * args.speed
-    )
-    print(
-        f'  {point.tension:.3f} N: winding {point.wind:.4f} A, paying out {point.pay_out:.4f} A',
-        file=sys.stderr,
-    )
-    return point
-
-
 def _write(path: Path, tendon: str, lines: dict[str, Any], units: str) -> None:
     """Put the lines of a tendon into the file, keep those of the others."""
     content = {**(_content(str(path)) if path.exists() else {}), tendon: lines}
@@ -268,15 +260,20 @@ def _write(path: Path, tendon: str, lines: dict[str, Any], units: str) -> None:
 
 def draw(result: CurrentFit, tendon: str, path: Path) -> None:
     """Draw currents and lines over tension."""
-    import matplotlib
+    from matplotlib.figure import Figure
 
-    matplotlib.use('Agg')
-    from matplotlib import pyplot
+    from ..common.colours import ERROR, MEASURED, PREDICTED
+    from ..report.pictures import STYLES
 
-    figure, axes = pyplot.subplots(figsize=(6.0, 4.0), layout='constrained')
+    size, dots, _ = STYLES['lines']
+    figure = Figure(figsize=size, layout='constrained')
+    axes = figure.add_subplot()
     tensions = [point.tension for point in result.points]
     ends = [0.0, 1.05 * max(tensions)]
-    for name, words, colour in (('wind', 'winding', 'C1'), ('pay_out', 'paying out', 'C0')):
+    for name, words, colour in (
+        ('wind', 'winding', MEASURED),
+        ('pay_out', 'paying out', PREDICTED),
+    ):
         line = getattr(result.calibration, name)
         currents = [getattr(point, name) for point in result.points]
         axes.plot(tensions, currents, 'o', color=colour, label=words)
@@ -286,20 +283,14 @@ def draw(result: CurrentFit, tendon: str, path: Path) -> None:
         ends,
         [mean.current(t) for t in ends],
         '--',
-        color='0.5',
+        color=ERROR,
         label=f'mean, ±{result.half_gap:.2g} N',
     )
     axes.set(xlabel='tension [N]', ylabel='current [A]', title=f'{tendon}: calibration')
     axes.legend()
     axes.grid(alpha=0.3)
     with new_file(path) as draft:
-        figure.savefig(draft, dpi=150)
-    pyplot.close(figure)
-
-
-# [s] of reading, so that the mean of a cell is known better than its noise
-SECONDS_PER_WEIGHT = 2.0
-CELL_UNITS = 'tendon: tension = (counts - zero) * newtons_per_count [N]; errors are 1 sd'
+        figure.savefig(draft, dpi=dots)
 
 
 def measure_cell(args: argparse.Namespace) -> dict[str, Any]:

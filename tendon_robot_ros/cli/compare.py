@@ -34,8 +34,8 @@ from .options import (
     effects_of,
     emit,
     load_measurements,
+    progress,
 )
-from .progress import progress
 
 HELP = 'compare models with measurements'
 
@@ -43,21 +43,12 @@ HELP = 'compare models with measurements'
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add_data(parser, 'data')
-    parser.add_argument(
-        '--model',
-        nargs='+',
-        action='extend',
-        default=[],
-        metavar='ROBOT',
-        help='robot descriptions to compare (default: the one of the data set)',
-    )
-    parser.add_argument('--pcca', action='store_true', help='also the model without any effect')
-    parser.add_argument(
-        '--error',
-        choices=ERRORS,
-        default='ci',
-        help='what ± means: 95 %% t-interval of the mean (default), or its standard error',
-    )
+    add = parser.add_argument
+    what = 'robot descriptions to compare (default: the one of the data set)'
+    add('--model', nargs='+', action='extend', default=[], metavar='ROBOT', help=what)
+    add('--pcca', action='store_true', help='also the model without any effect')
+    what = 'what ± means: 95 %% t-interval of the mean (default), or its standard error'
+    add('--error', choices=ERRORS, default='ci', help=what)
     add_json(parser)
     add_report(parser)
     add_effect_files(parser)
@@ -68,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
     with progress() as show:
         dataset = load_measurements(args.data, args.model[0] if args.model else None, show)
         catalogue = effects_of(args)
-        models = _models(args, dataset)
+        models = named_models(args, dataset)
         comparison = compare(dataset, models, catalogue, args.error, progress=show)
     lines = [table(comparison), *sentences(comparison)]
     if args.report:
@@ -79,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _models(args: argparse.Namespace, dataset: DataSet) -> list[tuple[str, Robot]]:
+def named_models(args: argparse.Namespace, dataset: DataSet) -> list[tuple[str, Robot]]:
     """Name the models: by the robot, or by their files where robots have the same name."""
     robots = [load_robot(path) for path in args.model] or [dataset.robot]
     names = [robot.name for robot in robots]

@@ -18,7 +18,6 @@ from ..robot import Robot, load_robot
 from ..robot.description import XY
 from ..robot.estimates import handling
 
-NAME = 'describe'
 HELP = 'print a robot description, or a URDF of it'
 
 
@@ -57,7 +56,7 @@ def description(robot: Robot) -> str:
     ]
     if robot.gravity is not None:
         lines.append(f'gravity: {", ".join(f"{g:g}" for g in robot.gravity)} m/s²')
-    lines += ['', _sections(robot), '', _tendons(robot), '', *handling(robot), '']
+    lines += ['', section_table(robot), '', tendon_table(robot), '', *handling(robot), '']
     lines.append('effects:' if robot.effects else 'effects: none')
     for name, values in robot.effects.items():
         told = ', '.join(
@@ -87,7 +86,8 @@ def _count(number: int, what: str) -> str:
     return f'{number} {what}{"" if number == 1 else "s"}'
 
 
-def _sections(robot: Robot) -> str:
+def section_table(robot: Robot) -> str:
+    """Return a row for every section."""
     beside = any(section.mass_offset for section in robot.sections)
     rows = [['section', 'cells', 'cell [mm]', 'stiffness [N·m/rad]', 'bends as']]
     rows[0] += ['weight at x, y [mm]'] * beside
@@ -106,7 +106,8 @@ def _route(offsets: tuple[XY, ...]) -> str:
     return first if first == last else f'{first} to {last}'
 
 
-def _tendons(robot: Robot) -> str:
+def tendon_table(robot: Robot) -> str:
+    """Return a row for every tendon."""
     rows = [['tendon', 'offset x, y [mm]', 'ends in', 'pulled by']]
     for tendon in robot.tendons:
         offset = _route((tendon.base, tendon.end))

@@ -19,32 +19,31 @@ import sys
 from dataclasses import replace
 from typing import Any
 
-from ..common.errors import InputError, Progress
+from ..common.errors import InputError
 from ..common.files import file_to_write
-from ..data import DataSet
 from ..diagnosis.add import Addition, add_effects
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import Diagnosis
 from ..diagnosis.verdict import Verdict
-from ..report import addition_text
 from ..report.diagnosis_page import pictures_of, write_diagnosis
-from ..report.diagnosis_text import lines, trust_lines
+from ..report.diagnosis_text import NOT_WRITTEN, addition_warnings, lines, never_used, trust_lines
 from .options import (
     REFUSED_EXIT_CODE,
+    add_check,
     add_data,
     add_effect_files,
     add_json,
     add_overwrite,
     add_report,
-    effects_of,
+    add_workers,
+    check_workers,
     emit,
-    load_check,
-    load_measurements,
+    load_judged,
     next_step,
+    progress,
     refuse_existing,
     write_description,
 )
-from .progress import progress
 
 HELP = 'name the physical effect that a model lacks'
 
@@ -55,22 +54,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_data(parser, 'data')
     add('--robot', metavar='ROBOT', help='description to judge (default: the one of DATA)')
     add_json(parser)
-    add(
-        '--add',
-        type=file_to_write('--add'),
-        metavar='NEW',
-        help='write a description with the effect',
-    )
+    what = 'write a description with the effect'
+    add('--add', type=file_to_write('--add'), metavar='NEW', help=what)
     add_report(parser)
     add('--partial', action='store_true', help='add it even if more is at work')
-    add('--check', metavar='DATA2', help='other postures, to judge the effect by')
-    add(
-        '--trust',
-        action='store_true',
-        help='simulate your postures: how often a false alarm, how small an effect is seen '
-        '(about a minute more)',
+    add_check(parser, 'to judge the effect by')
+    what = (
+        'simulate your postures: how often a false alarm, how small an effect is seen (about a '
+        'minute more)'
     )
-    add('--workers', type=int, default=2, metavar='N', help='at a time (default: 2)')
+    add('--trust', action='store_true', help=what)
+    add_workers(parser)
     add_overwrite(parser)
     add_effect_files(parser)
 
@@ -79,30 +73,32 @@ def run(args: argparse.Namespace) -> int:
     """Diagnose, add, print."""
     if args.partial and not args.add:
         raise InputError('--partial: expected together with --add')
-    if args.workers < 1:
-        raise InputError(f'--workers: expected at least 1, got {args.workers}')
+    check_workers(args)
     refuse_existing('--add', args.add, args.overwrite)
     with progress() as show:
-        dataset = load_measurements(args.data, args.robot, show)
-        check = load_check(args.check, dataset, show)
-        catalogue = effects_of(args)
+        dataset, check, catalogue = load_judged(args, show)
         diagnosis = diagnose(dataset, None, catalogue, args.workers, show)
         if args.trust:
-            diagnosis = _assessed(args, diagnosis, dataset, show)
+            from ..diagnosis.trust import SECONDS, assess
+
+            print(f'simulating your postures; that takes about {SECONDS:.0f} s', file=sys.stderr)
+            trust = assess(dataset, args.effect_file, args.workers, progress=show)
+            details = {**diagnosis.details, 'trust': None if trust is None else trust.to_json()}
+            diagnosis = replace(diagnosis, details=details)
         show('fitting what was found', 0, 0)
         outside = diagnosis.verdict is Verdict.OUTSIDE_CATALOGUE
         may_add = bool(diagnosis.effects) and (diagnosis.adds or (outside and args.partial))
         made = None
         if diagnosis.effects and (args.check or (args.add and may_add)):
-            found = diagnosis.effects
-            names = [effect.name for effect in found]
-            made = add_effects(dataset, names, None, catalogue, check, found, partial=outside)
+            effects = diagnosis.effects
+            names = [effect.name for effect in effects]
+            made = add_effects(dataset, names, None, catalogue, check, effects, partial=outside)
     report_lines = [*lines(diagnosis), *trust_lines(diagnosis)]
     content: dict[str, Any] = diagnosis.to_json()
     if made is not None:
-        report_lines += [addition_text.never_used(made), *addition_text.warnings(made)]
+        report_lines += [never_used(made), *addition_warnings(made)]
         content['added'] = made.to_json()
-    outcome = _outcome(args.add, diagnosis, made, may_add) if args.add else ''
+    outcome = outcome_of(args.add, diagnosis, made, may_add) if args.add else ''
     report_lines += [outcome] if outcome else []
     if args.report:
         better = None if made is None else made.robot
@@ -118,22 +114,10 @@ def run(args: argparse.Namespace) -> int:
     return REFUSED_EXIT_CODE if args.add and not written and outside else 0
 
 
-def _assessed(
-    args: argparse.Namespace, diagnosis: Diagnosis, dataset: DataSet, show: Progress
-) -> Diagnosis:
-    """Put what a bootstrap says beside the verdict."""
-    from ..diagnosis.trust import SECONDS, assess
-
-    print(f'simulating your postures; that takes about {SECONDS:.0f} s', file=sys.stderr)
-    trust = assess(dataset, args.effect_file, args.workers, progress=show)
-    details = {**diagnosis.details, 'trust': None if trust is None else trust.to_json()}
-    return replace(diagnosis, details=details)
-
-
-def _outcome(new: str, diagnosis: Diagnosis, made: Addition | None, may_add: bool) -> str:
+def outcome_of(new: str, diagnosis: Diagnosis, made: Addition | None, may_add: bool) -> str:
     """Say what becomes of the file that --add names."""
     if made is not None and not made.helps:
-        return addition_text.NOT_WRITTEN
+        return NOT_WRITTEN
     if may_add:
         return next_step(new)
     if diagnosis.effects:

@@ -34,10 +34,10 @@ from ..emulator.rig import Arm, ElasticArm, HangingWeights, Rig, SpringArm, Wire
 from ..emulator.servo import Servo
 from ..robot import Robot, load_robot
 
-NAME = 'emulate'
 HELP = 'emulate motors on a port of their own, with faults on request'
 ARMS = ('plant', 'springs', 'weights')
-# [N/m] of the spring that each motor winds against: a thin wire with an arm behind it
+# [N/m] of the spring that each motor winds against: soft, so that a millimetre of wire changes the
+# tension by less than the tension limits of a small arm are apart
 SPRING_STIFFNESS = 200.0
 
 
@@ -52,49 +52,30 @@ class Emulated:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument('kind', choices=('dynamixel', 'serial'), help='what is emulated')
-    parser.add_argument(
-        '--robot', required=True, help='robot description (YAML), or the name of one'
-    )
-    parser.add_argument('--model', default='XL330-M077', choices=tuple(MODELS))
-    parser.add_argument(
-        '--spool-radius',
-        type=float,
-        metavar='MM',
-        help='default: the smallest that is not too coarse for the robot',
-    )
-    parser.add_argument(
-        '--baudrate', type=int, default=1_000_000, choices=tuple(BAUD_RATES.values())
-    )
-    parser.add_argument(
-        '--arm',
-        default='plant',
-        choices=ARMS,
-        help='what the wires pull: the mock arm, springs, or weights to hang',
-    )
-    parser.add_argument(
-        '--slack',
-        type=float,
-        default=2.0,
-        metavar='MM',
-        help='loose wire at the start (default 2)',
-    )
-    parser.add_argument('--port', metavar='PATH', help='where the port appears (default: made up)')
-    parser.add_argument(
-        '--ends-with-input', action='store_true', help='end when the standard input ends'
-    )
-    parser.add_argument(
-        '--write-config',
-        type=file_to_write('--write-config'),
-        metavar='FILE',
-        help='write a configuration for the driver',
-    )
+    add = parser.add_argument
+    add('kind', choices=('dynamixel', 'serial'), help='what is emulated')
+    add('--robot', required=True, help='robot description (YAML), or the name of one')
+    add('--model', default='XL330-M077', choices=tuple(MODELS))
+    what = 'default: the smallest that is not too coarse for the robot'
+    add('--spool-radius', type=float, metavar='MM', help=what)
+    add('--baudrate', type=int, default=1_000_000, choices=tuple(BAUD_RATES.values()))
+    what = 'what the wires pull: the mock arm, springs, or weights to hang'
+    add('--arm', default='plant', choices=ARMS, help=what)
+    what = 'loose wire at the start (default 2)'
+    add('--slack', type=float, default=2.0, metavar='MM', help=what)
+    add('--port', metavar='PATH', help='where the port appears (default: made up)')
+    what = 'end when the standard input ends'
+    add('--ends-with-input', action='store_true', help=what)
+    to, what = file_to_write('--write-config'), 'write a configuration for the driver'
+    add('--write-config', type=to, metavar='FILE', help=what)
 
 
 def run(args: argparse.Namespace) -> int:
     """Serve until the input says quit or a signal comes."""
     robot = load_robot(args.robot)
-    made = _servos(args, robot) if args.kind == 'dynamixel' else _board(args, robot)
+    made = (
+        emulated_servos(args, robot) if args.kind == 'dynamixel' else emulated_board(args, robot)
+    )
     ending = threading.Event()
 
     def end(number: int, frame: FrameType | None) -> None:
@@ -102,14 +83,14 @@ def run(args: argparse.Namespace) -> int:
 
     before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        _serve(args, made, ending)
+        serve(args, made, ending)
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
     return 0
 
 
-def _serve(args: argparse.Namespace, made: Emulated, ending: threading.Event) -> None:
+def serve(args: argparse.Namespace, made: Emulated, ending: threading.Event) -> None:
     """Write the configuration and say where the port is, then wait for the end."""
     with made.line as line:
         if args.write_config:
@@ -119,12 +100,11 @@ def _serve(args: argparse.Namespace, made: Emulated, ending: threading.Event) ->
         print(line.port, flush=True)
         print(f'{made.words}; type help for faults', file=sys.stderr)
         more = (line.obey, ending, args.ends_with_input)
-        listener = threading.Thread(target=_listen, args=more, daemon=True)
-        listener.start()
+        threading.Thread(target=listen, args=more, daemon=True).start()
         ending.wait()
 
 
-def _listen(obey: Callable[[str], str], ending: threading.Event, to_the_end: bool) -> None:
+def listen(obey: Callable[[str], str], ending: threading.Event, to_the_end: bool) -> None:
     """Obey what comes in on the standard input."""
     for text in sys.stdin:
         if not text.strip():
@@ -140,7 +120,8 @@ def _listen(obey: Callable[[str], str], ending: threading.Event, to_the_end: boo
         ending.set()
 
 
-def _servos(args: argparse.Namespace, robot: Robot) -> Emulated:
+def emulated_servos(args: argparse.Namespace, robot: Robot) -> Emulated:
+    """Return servos on a bus, one for every input."""
     many = range(1, len(robot.inputs) + 1)
     typed = None if args.spool_radius is None else args.spool_radius / 1e3
     radius = typed or smallest_spool(MODELS[args.model], robot.tension_limits[1])
@@ -159,7 +140,8 @@ def _servos(args: argparse.Namespace, robot: Robot) -> Emulated:
     return Emulated(line, config, words)
 
 
-def _board(args: argparse.Namespace, robot: Robot) -> Emulated:
+def emulated_board(args: argparse.Namespace, robot: Robot) -> Emulated:
+    """Return a board with a motor and a load cell for every input."""
     rig = BoardRig(_arm(args, robot), len(robot.inputs))
     line = EmulatedBoard(rig, args.port)
     words = f'a board with {rig.channels} motors and load cells, channels 0 to {rig.channels - 1}'

@@ -14,9 +14,8 @@ import argparse
 from ..common.errors import InputError
 from ..data import load_dataset
 from ..data.recording.writer import STORAGES, Timing, export_bag
-from .progress import progress
+from .options import progress
 
-NAME = 'export-bag'
 HELP = 'write a data set as a ROS 2 recording'
 
 

@@ -24,10 +24,8 @@ from ..data.recording.importing import Imported, draw_segments, import_bag, summ
 from ..data.recording.reader import Topics, is_base
 from ..data.recording.still_segments import Rule
 from ..tables.recipe import METHODS, UPS, FrameChoice, Recipe
-from .options import input_size, pairs
-from .progress import progress
+from .options import input_size, pairs, progress
 
-NAME = 'import-bag'
 HELP = 'make a data set from a ROS 2 recording'
 
 
@@ -104,7 +102,7 @@ def run(args: argparse.Namespace) -> int:
             print('left out:', line, file=sys.stderr)
         print(summary(imported))
         show('looking at the frame', 1, 2)
-        dataset, lines = _placed(imported, args.frame, args.up)
+        dataset, lines = placed(imported, args.frame, args.up)
     for line in lines:
         print(line)
     print(f'written: {save_dataset(dataset, args.output, args.overwrite)}')
@@ -113,7 +111,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _placed(imported: Imported, method: str | None, up: str | None) -> tuple[DataSet, list[str]]:
+def placed(imported: Imported, method: str | None, up: str | None) -> tuple[DataSet, list[str]]:
     """Return the data set in the base frame, and what to say of how it came there."""
     from ..effects import load_catalogue
     from ..tables.imported import frame_lines, told
@@ -122,13 +120,13 @@ def _placed(imported: Imported, method: str | None, up: str | None) -> tuple[Dat
     known = is_base(imported.frame)
     choice = FrameChoice(method or ('base' if known else None))
     try:
-        placed = place(imported.dataset, Recipe(up=up, frame=choice), load_catalogue(()))
+        placing = place(imported.dataset, Recipe(up=up, frame=choice), load_catalogue(()))
     except InputError as error:
         if not known or method is not None:
             raise
         return imported.dataset, [f'the frame was not checked: {error}']
     if choice.method == 'base':  # as it is; what contradicts it is said
-        return imported.dataset, told('LOOK', placed.frame_look)
+        return imported.dataset, told('LOOK', placing.frame_look)
     lines = told('frame', [f'{imported.frame!r}, which no transform joins with the base'])
-    lines += told('', frame_lines(placed.frame, placed.dataset.robot))
-    return placed.dataset, lines + told('dropped', placed.dropped) + told('LOOK', placed.look)
+    lines += told('', frame_lines(placing.frame, placing.dataset.robot))
+    return placing.dataset, lines + told('dropped', placing.dropped) + told('LOOK', placing.look)

@@ -30,8 +30,7 @@ from ..tables import import_table
 from ..tables.columns import ColumnUse
 from ..tables.markers import CHOICES
 from ..tables.recipe import METHODS, UPS, FrameChoice, Recipe, load_recipe
-from .options import add_effect_files, input_size, length, pairs
-from .progress import progress
+from .options import add_effect_files, input_size, length, pairs, progress
 
 HELP = 'make a data set of a table of tensions and markers over time'
 INPUT_KINDS = ('force', 'length', 'angle', 'counts', 'current')
@@ -46,12 +45,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add('--overwrite', action='store_true', help='replace a data set in DIR')
     add('--recipe', metavar='YAML', help='an import.yaml; other options go before what it says')
     add_effect_files(parser)
-    _add_columns(parser.add_argument_group('columns and units'))
-    _add_arm(parser.add_argument_group('markers and frame'))
-    _add_still(parser.add_argument_group('what is a measurement'))
+    add_columns(parser.add_argument_group('columns and units'))
+    add_arm(parser.add_argument_group('markers and frame'))
+    add_still(parser.add_argument_group('what is a measurement'))
 
 
-def _add_columns(group: argparse._ArgumentGroup) -> None:
+def add_columns(group: argparse._ArgumentGroup) -> None:
+    """Declare which column is what, and its unit."""
     add = group.add_argument
     what = 'column of an input, or of time; may be repeated'
     add('--column', action='append', default=[], metavar='INPUT=COLUMN', help=what)
@@ -64,7 +64,8 @@ def _add_columns(group: argparse._ArgumentGroup) -> None:
     add('--zero', action='store_true', default=None, help=what)
 
 
-def _add_arm(group: argparse._ArgumentGroup) -> None:
+def add_arm(group: argparse._ArgumentGroup) -> None:
+    """Declare where markers are, and how the frame of the tracker is found."""
     add = group.add_argument
     add('--up', choices=UPS, help='axis of the tracker that points up: gravity is known then')
     what = (
@@ -87,7 +88,8 @@ def _add_arm(group: argparse._ArgumentGroup) -> None:
     add('--frame', choices=METHODS, help=what)
 
 
-def _add_still(group: argparse._ArgumentGroup) -> None:
+def add_still(group: argparse._ArgumentGroup) -> None:
+    """Declare where the arm stood still, and what is one posture."""
     add = group.add_argument
     add('--speed', type=float, metavar='MM/S', help='slower is still (default: 2, or the noise)')
     add('--duration', type=float, metavar='S', help='at least so long (default: 1)')
@@ -108,7 +110,7 @@ def run(args: argparse.Namespace) -> int:
     """Import, tell, write."""
     from ..effects import load_catalogue
 
-    _refuse_swapped(args)
+    refuse_swapped(args)
     refuse_dataset_in(args.output, args.overwrite)
     recipe = load_recipe(args.recipe) if args.recipe else Recipe()
     if args.raw:  # another recording: its trials are others, and its clocks began at other times
@@ -117,8 +119,8 @@ def run(args: argparse.Namespace) -> int:
     if robot_path is None:
         raise InputError('--robot: describe the arm with new-robot, then name its file')
     robot = load_robot(robot_path)
-    recipe = _with_arm(_with_columns(recipe, args, robot.inputs), args)
-    recipe = _with_measurements(recipe, args)
+    recipe = with_arm(with_columns(recipe, args, robot.inputs), args)
+    recipe = with_measurements(recipe, args)
     catalogue = load_catalogue(args.effect_file)
     with progress() as show:
         imported = import_table(args.raw, robot, recipe, catalogue, show)
@@ -129,7 +131,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _refuse_swapped(args: argparse.Namespace) -> None:
+def refuse_swapped(args: argparse.Namespace) -> None:
     """Raise InputError, before any work, where a file or folder stands in place of another."""
     for path in args.raw:
         if path.lower().endswith(YAML_ENDINGS):
@@ -164,7 +166,8 @@ def _refuse_swapped(args: argparse.Namespace) -> None:
         )
 
 
-def _with_columns(recipe: Recipe, args: argparse.Namespace, inputs: tuple[str, ...]) -> Recipe:
+def with_columns(recipe: Recipe, args: argparse.Namespace, inputs: tuple[str, ...]) -> Recipe:
+    """Return a recipe with the columns and units that were typed."""
     columns, units = pairs('--column', args.column), pairs('--unit', args.unit)
     for name in columns:
         if name != 'time' and name not in inputs:
@@ -190,7 +193,7 @@ def _with_columns(recipe: Recipe, args: argparse.Namespace, inputs: tuple[str, .
         ('torque_constant', args.torque_constant),
     ):
         if value is not None:
-            _check('--' + key.replace('_', '-').replace('radius', 'spool'), value, 0.0)
+            refuse_outside('--' + key.replace('_', '-').replace('radius', 'spool'), value, 0.0)
             spool[key] = value
     return replace(
         recipe,
@@ -202,7 +205,8 @@ def _with_columns(recipe: Recipe, args: argparse.Namespace, inputs: tuple[str, .
     )
 
 
-def _with_arm(recipe: Recipe, args: argparse.Namespace) -> Recipe:
+def with_arm(recipe: Recipe, args: argparse.Namespace) -> Recipe:
+    """Return a recipe with the markers and the frame that were typed."""
     if args.markers:
         places = _lengths('--markers', args.markers)
         if any(b <= a for a, b in pairwise(places)):
@@ -226,7 +230,8 @@ def _lengths(option: str, text: str) -> tuple[float, ...]:
     return tuple(length(option, part, 'mm') for part in text.split(','))
 
 
-def _with_measurements(recipe: Recipe, args: argparse.Namespace) -> Recipe:
+def with_measurements(recipe: Recipe, args: argparse.Namespace) -> Recipe:
+    """Return a recipe with what was typed of still segments and postures."""
     given: dict[str, Any] = {}
     for key, value in (
         ('speed', None if args.speed is None else 1e-3 * args.speed),
@@ -235,13 +240,14 @@ def _with_measurements(recipe: Recipe, args: argparse.Namespace) -> Recipe:
         ('rest', input_size('--rest', args.rest)),
     ):
         if value is not None:
-            _check(f'--{key}', value, 0.0 if key != 'rest' else -1.0)
+            refuse_outside(f'--{key}', value, 0.0 if key != 'rest' else -1.0)
             given[key] = value
     given |= {} if args.delay is None else {'delay': (args.delay,)}
     given |= {} if args.path is None else {'path': args.path}
     return replace(recipe, **given)
 
 
-def _check(option: str, value: float, low: float) -> None:
+def refuse_outside(option: str, value: float, low: float) -> None:
+    """Raise InputError where a number is not above a bound, or beyond all sense."""
     if not low < value < 1e9:
         raise InputError(f'{option}: expected a number above {low:g}, got {value:g}')

@@ -16,26 +16,26 @@ from __future__ import annotations
 
 import argparse
 
-from ..common.errors import InputError
 from ..common.files import file_to_write
 from ..diagnosis.improve import improve
 from ..report.improvement_page import NOT_WRITTEN, improvement_lines
 from .options import (
     REFUSED_EXIT_CODE,
+    add_check,
     add_data,
     add_effect_files,
     add_json,
     add_overwrite,
     add_report,
-    effects_of,
+    add_workers,
+    check_workers,
     emit,
-    load_check,
-    load_measurements,
+    load_judged,
     next_step,
+    progress,
     refuse_existing,
     write_description,
 )
-from .progress import progress
 
 HELP = 'add effects one by one while the error on left-out postures falls'
 
@@ -47,9 +47,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add('--robot', metavar='ROBOT', help='description to improve (default: the one of DATA)')
     to = file_to_write('--output')
     add('--output', type=to, required=True, metavar='NEW', help='the improved description')
-    add('--check', metavar='DATA2', help='other postures, whose error is shown at every step')
+    add_check(parser, 'whose error is shown at every step')
     add_report(parser)
-    add('--workers', type=int, default=2, metavar='N', help='at a time (default: 2)')
+    add_workers(parser)
     add_json(parser)
     add_overwrite(parser)
     add_effect_files(parser)
@@ -57,25 +57,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Search, write, print."""
-    if args.workers < 1:
-        raise InputError(f'--workers: expected at least 1, got {args.workers}')
+    check_workers(args)
     refuse_existing('--output', args.output, args.overwrite)
     with progress(remaining=True) as show:
-        dataset = load_measurements(args.data, args.robot, show)
-        check = load_check(args.check, dataset, show)
-        catalogue = effects_of(args)
-        found = improve(dataset, None, catalogue, check, args.workers, show)
-    report_lines = improvement_lines(found)
-    if found.taken:
-        write_description(found.robot, args.output)
+        dataset, check, catalogue = load_judged(args, show)
+        improvement = improve(dataset, None, catalogue, check, args.workers, show)
+    report_lines = improvement_lines(improvement)
+    if improvement.taken:
+        write_description(improvement.robot, args.output)
         report_lines.append(next_step(args.output))
     else:
         report_lines.append(NOT_WRITTEN)
     if args.report:
         from ..report.improvement_page import write_improvement
 
-        page = write_improvement(found, dataset, catalogue, args.report)
+        page = write_improvement(improvement, dataset, catalogue, args.report)
         report_lines.append(f'report: {page}')
-    content = {**found.to_json(), 'written': args.output if found.taken else None}
+    content = {**improvement.to_json(), 'written': args.output if improvement.taken else None}
     emit(args, content, '\n'.join(report_lines))
-    return 0 if found.taken else REFUSED_EXIT_CODE
+    return 0 if improvement.taken else REFUSED_EXIT_CODE

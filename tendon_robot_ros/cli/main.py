@@ -66,7 +66,7 @@ COMMANDS: dict[str, str] = {
     'calibrate': 'tendon_robot_ros.cli.calibrate',
 }
 
-PACKAGE = Path(__file__).parents[1]
+PACKAGE = Path(__file__).parent.parent
 NODE_OPTIONS = '[--ros-args [-p PARAMETER:=VALUE] [--params-file FILE] [-r FROM:=TO] ...]'
 
 
@@ -107,7 +107,7 @@ def _guarded(name: str, arguments: list[str], program: str) -> int:
     """Run a command; a known error becomes one line and exit code 1."""
     keep_bytecode()
     try:
-        code = _run(name, arguments, program)
+        code = run_command(name, arguments, program)
         sys.stdout.flush()
     except BrokenPipeError:  # the reader, such as head, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -115,38 +115,40 @@ def _guarded(name: str, arguments: list[str], program: str) -> int:
     except KeyboardInterrupt:
         return 130
     except (TendonRobotError, OSError) as error:
-        print('error:', ' '.join(_message(error).split()), file=sys.stderr)
+        message = str(error)
+        if isinstance(error, OSError) and error.filename:
+            message = f'{error.filename}: {error.strerror}'
+        print('error:', ' '.join(message.split()), file=sys.stderr)
         return 1
     return code
 
 
-def _message(error: Exception) -> str:
-    if isinstance(error, OSError) and error.filename:
-        return f'{error.filename}: {error.strerror}'
-    return str(error)
-
-
-def _run(name: str, arguments: list[str], program: str) -> int:
+def run_command(name: str, arguments: list[str], program: str) -> int:
+    """Run a command; return its exit code."""
     if name in ('-h', '--help'):
-        print(_overview())
+        width = max((len(command) for command in COMMANDS), default=0)
+        print(f'usage: {PROGRAM} COMMAND [ARGUMENTS]\n\ncommands:')
+        for command, module_name in COMMANDS.items():
+            print(f'  {command:{width}}  {_help_line(module_name)}')
         return 0
-    module_name = COMMANDS.get(name)
-    if module_name is None:
+    if name not in COMMANDS:
         hint = meant(name, COMMANDS)
         raise InputError(f'no command {name!r}; {hint}known: {", ".join(COMMANDS)}')
+    module_name = COMMANDS[name]
     if '.ros.' in module_name:
-        return _run_node(module_name, arguments, program)
+        return run_node(module_name, arguments, program)
     module = importlib.import_module(module_name)
     parser = Parser(prog=program, description=_documentation(module_name))
     module.add_arguments(parser)
     return int(module.run(parser.parse_args(arguments)))
 
 
-def _run_node(module_name: str, arguments: list[str], program: str) -> int:
+def run_node(module_name: str, arguments: list[str], program: str) -> int:
+    """Run a command of ROS; of its arguments, those from --ros-args on are for ROS."""
     at = arguments.index('--ros-args') if '--ros-args' in arguments else len(arguments)
     own, ros_arguments = arguments[:at], arguments[at:]
     missing = importlib.util.find_spec('rclpy') is None
-    takes_more = 'def add_arguments(' in _source(module_name).read_text(encoding='utf-8')
+    takes_more = 'def add_arguments(' in source_of(module_name).read_text(encoding='utf-8')
     if ('-h' in own or '--help' in own) and (missing or not takes_more):
         print(f'usage: {program} {NODE_OPTIONS}\n\n{_documentation(module_name)}')
         return 0
@@ -163,20 +165,13 @@ def _run_node(module_name: str, arguments: list[str], program: str) -> int:
     return int(module.run(parser.parse_args(own), ros_arguments))
 
 
-def _overview() -> str:
-    """List the commands with one line each."""
-    width = max((len(name) for name in COMMANDS), default=0)
-    lines = [f'  {name:{width}}  {_help_line(COMMANDS[name])}' for name in COMMANDS]
-    return '\n'.join([f'usage: {PROGRAM} COMMAND [ARGUMENTS]', '', 'commands:', *lines])
-
-
-def _source(module_name: str) -> Path:
+def source_of(module_name: str) -> Path:
     """Find the file of a command's module without importing the packages around it."""
     return PACKAGE.joinpath(*module_name.split('.')[1:]).with_suffix('.py')
 
 
 def _tree(module_name: str) -> ast.Module:
-    return ast.parse(_source(module_name).read_text(encoding='utf-8'))
+    return ast.parse(source_of(module_name).read_text(encoding='utf-8'))
 
 
 def _help_line(module_name: str) -> str:

@@ -15,13 +15,15 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Any, TextIO
 
 import yaml
 
+from ..common.errors import InputError
 from ..common.files import file_to_write, new_file
 from ..common.words import STANDARD_GRAVITY
 from ..robot import Robot, dump_robot, parse_robot
@@ -33,13 +35,16 @@ from ..robot.estimates import (
 )
 from .describe import description
 from .options import refuse_existing
-from .questions import FIRST_WORDS, Questions
 
-NAME = 'new-robot'
 HELP = 'ask about a robot, write its description and draw it'
 
+FIRST_WORDS = 'An empty answer takes the value in brackets; < goes back to the question before.'
+BACK = ('<', 'back')  # answers that go to the question before
+# [m/s²] along z, of an arm that points up, down, or horizontally (along x then); 9.81 and not the
+# standard gravity, so that the file is easily read
 GRAVITY_ALONG_Z = {'up': -9.81, 'down': 9.81, 'horizontal': 9.81}
-# a cell that is stiff and has no length: behind it lies the first eyelet (docs/robot_file.md)
+# [m], [N·m/rad] a cell that is stiff and has no length, so that the first eyelet lies behind it
+# (docs/robot_file.md)
 PLATE = {'name': 'plate', 'cells': 1, 'cell_length': 1e-5, 'bending_stiffness': 1000.0}
 SEEN_FROM_TIP = """\
 Look at the tip of the level arm from the front, so that it points at you:
@@ -54,12 +59,8 @@ FILE_HEAD = '# Written by new-robot. In m and N; +z points along the straight ar
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument(
-        '--output',
-        type=file_to_write('--output'),
-        metavar='FILE',
-        help='the description (default: NAME.yaml)',
-    )
+    to, what = file_to_write('--output'), 'the description (default: NAME.yaml)'
+    parser.add_argument('--output', type=to, metavar='FILE', help=what)
     parser.add_argument('--overwrite', action='store_true', help='replace a file that is there')
 
 
@@ -68,34 +69,28 @@ def run(args: argparse.Namespace) -> int:
     refuse_existing('--output', args.output, args.overwrite)
     questions = Questions(sys.stdin, sys.stderr)
     questions.tell(FIRST_WORDS)
-    path, robot = questions.until_answered(lambda: _described(questions, args))
+
+    def ask_all() -> tuple[Path, Robot]:
+        name = questions.text('Name of the robot', 'my_robot')
+        path = Path(args.output or f'{name.replace(" ", "_").replace("/", "_")}.yaml')
+        refuse_existing('--output', str(path), args.overwrite)
+        return path, parse_robot(yaml.safe_dump(ask(questions, name)), str(path))
+
+    path, robot = questions.until_answered(ask_all)
     with new_file(path) as draft:
         draft.write_text(FILE_HEAD + dump_robot(robot), encoding='utf-8')
     print(description(robot))
     picture = path.with_suffix('.png')
-    _draw(robot, picture)
+    from ..model.model import Model
+    from ..report.pictures import draw_robot
+
+    print('drawing (the first model ever is compiled before)', file=sys.stderr)
+    with new_file(picture) as draft:
+        draw_robot(Model(robot), draft)
     print(f'\nwritten: {path}   picture: {picture}')
     first = robot.inputs[0]
     print(f'next: python -m tendon_robot_ros shape {path} --tensions {first}=1')
     return 0
-
-
-def _described(questions: Questions, args: argparse.Namespace) -> tuple[Path, Robot]:
-    """Ask for everything; return where the description goes, and what it says."""
-    name = questions.text('Name of the robot', 'my_robot')
-    path = Path(args.output or f'{name.replace(" ", "_").replace("/", "_")}.yaml')
-    refuse_existing('--output', str(path), args.overwrite)
-    return path, parse_robot(yaml.safe_dump(ask(questions, name)), str(path))
-
-
-def _draw(robot: Robot, picture: Path) -> None:
-    from ..model.model import Model
-    from ..report.robot_picture import draw_robot
-
-    print('drawing (the first model ever is compiled before)', file=sys.stderr)
-    model = Model(robot)
-    with new_file(picture) as draft:
-        draw_robot(model, draft)
 
 
 def ask(questions: Questions, name: str) -> dict[str, Any]:
@@ -103,14 +98,14 @@ def ask(questions: Questions, name: str) -> dict[str, Any]:
     count = questions.whole('How many sections', 2, 1, 20)
     cells = questions.whole('Cells (guide to guide) per section', 15, 1, 1000)
     length = 1e-3 * questions.number('Length of a cell [mm]', 7.0, 1e-3, 1e4)
-    stiff = _ask_stiffness(questions, count * cells * length)
+    stiff = ask_stiffness(questions, count * cells * length)
     bends = questions.choice('Cells bend as', ('arc', 'hinge'))
     many = questions.whole('Tendons per section (2: planar)', 2, 1, 12)
     radius = 1e-3 * questions.number('Tendons are off the centre by [mm]', 5.5, 1e-3, 1e3)
     low = questions.number('Lowest tension [N]', 0.1, 0.0, 1e4)
     high = questions.number('Highest tension [N]', max(5.0, 10.0 * low), low, 1e5, above=True)
     friction = questions.number('Friction of tendon on eyelet, coefficient', 0.3, 0.0, 1.0)
-    size = _Size(count, cells, length, radius, high)
+    size = Size(count, cells, length, radius, high)
     names = {1: ['arm'], 2: ['proximal', 'distal']}.get(count)
     names = names or [f'section_{i + 1}' for i in range(count)]
     stiffness = float(f'{stiff.of_cell(size):.4g}')
@@ -118,20 +113,20 @@ def ask(questions: Questions, name: str) -> dict[str, Any]:
     content: dict[str, Any] = {
         'name': name,
         'sections': [{'name': s, **section, 'bends_as': bends} for s in names],
-        'tendons': [t for i, s in enumerate(names) for t in _tendons(s, i, many, radius, count)],
+        'tendons': [t for i, s in enumerate(names) for t in tendons_of(s, i, many, radius, count)],
         'tension_limits': [low, high],
         'effects': {'tendon_friction': {'friction_coefficient': friction}} if friction else {},
     }
-    content |= _ask_weight(questions, count * cells * length, content['effects'])
-    content |= _ask_tolerances(questions, stiff, friction)
-    _ask_guides(questions, content['effects'])
-    content |= _ask_down(questions, content.get('gravity', (0.0, 0.0, 0.0)), content['tendons'])
+    content |= ask_weight(questions, count * cells * length, content['effects'])
+    content |= ask_tolerances(questions, stiff, friction)
+    ask_guides(questions, content['effects'])
+    content |= ask_down(questions, content.get('gravity', (0.0, 0.0, 0.0)), content['tendons'])
     if 'eyelet_wrap' in content['effects']:  # friction may begin below the first cell
         question = 'The base plate has holes in which tendons rub'
         if questions.choice(question, ('no', 'yes')) == 'yes':
             content['sections'].insert(0, dict(PLATE))
     if many > 2 and not any(content.get('gravity', ())[:2]):  # else gravity tells it
-        _ask_turn(questions, content['tendons'])
+        ask_turn(questions, content['tendons'])
     known = [tendon['name'] for tendon in content['tendons']]
     called = questions.names('Names of the tendons', known)
     for tendon, name in zip(content['tendons'], called, strict=True):
@@ -139,7 +134,7 @@ def ask(questions: Questions, name: str) -> dict[str, Any]:
     return content
 
 
-def _ask_weight(questions: Questions, length: float, effects: dict[str, Any]) -> dict[str, Any]:
+def ask_weight(questions: Questions, length: float, effects: dict[str, Any]) -> dict[str, Any]:
     """Ask where the arm points and what it weighs; its weight becomes an effect."""
     along = questions.choice(
         'The straight arm points (for gravity)', ('unknown', 'up', 'down', 'horizontal')
@@ -156,8 +151,8 @@ def _ask_weight(questions: Questions, length: float, effects: dict[str, Any]) ->
     return {'gravity': [0.0, 0.0, acceleration]}
 
 
-def _ask_tolerances(questions: Questions, known: _Stiffness, friction: float) -> dict[str, Any]:
-    """Ask what is how sure; a diagnosis moves it so far before it calls something missing."""
+def ask_tolerances(questions: Questions, known: Stiffness, friction: float) -> dict[str, Any]:
+    """Ask how sure values are; a diagnosis moves them so far before it calls something missing."""
     percent = questions.number('How sure is the stiffness [± %]', known.percent, 0, 90)
     tolerances = {'bending_stiffness': percent / 100.0} if percent else {}
     if friction and (percent := questions.number('How sure is the friction [± %]', 20, 0, 90)):
@@ -165,17 +160,16 @@ def _ask_tolerances(questions: Questions, known: _Stiffness, friction: float) ->
     return {'tolerances': tolerances} if tolerances else {}
 
 
-def _ask_guides(questions: Questions, effects: dict[str, Any]) -> None:
+def ask_guides(questions: Questions, effects: dict[str, Any]) -> None:
     """Ask how tendons run; what follows where they run free from hole to hole is no guess."""
     question = 'Between two guides the tendons run (free: straight, channel: led)'
-    way = questions.choice(question, ('free', 'channel'))
-    if way == 'free':
+    if questions.choice(question, ('free', 'channel')) == 'free':
         effects['straight_tendon'] = {'fraction': 1.0}
         if 'tendon_friction' in effects:
             effects |= {'eyelet_wrap': {'fraction': 1.0}, 'tendon_travel': {'fraction': 1.0}}
 
 
-def _ask_down(
+def ask_down(
     questions: Questions, gravity: Sequence[float], tendons: Sequence[dict[str, Any]]
 ) -> dict[str, list[float]]:
     """Ask where the first tendon of a level arm lies, as seen from its tip."""
@@ -196,7 +190,7 @@ def _ask_down(
     return {'gravity': [round(down[0], 4) + 0.0, round(down[1], 4) + 0.0, 0.0]}
 
 
-def _ask_turn(questions: Questions, tendons: list[dict[str, Any]]) -> None:
+def ask_turn(questions: Questions, tendons: list[dict[str, Any]]) -> None:
     """Ask where the first tendon lies in a base frame of the user's own; all turn with it."""
     first = tendons[0]['name']
     question = f'In your base frame {first} lies at [° from x towards y]'
@@ -208,7 +202,7 @@ def _ask_turn(questions: Questions, tendons: list[dict[str, Any]]) -> None:
 
 
 @dataclass(frozen=True)
-class _Size:
+class Size:
     """What a stiffness is worked out for."""
 
     sections: int
@@ -219,21 +213,21 @@ class _Size:
 
 
 @dataclass(frozen=True)
-class _Stiffness:
+class Stiffness:
     """How the stiffness is known, and how well, usually."""
 
-    of_cell: Callable[[_Size], float]  # [N·m/rad]
+    of_cell: Callable[[Size], float]  # [N·m/rad]
     percent: float
 
 
-def _ask_stiffness(questions: Questions, length: float) -> _Stiffness:
+def ask_stiffness(questions: Questions, length: float) -> Stiffness:
     """Ask for the stiffness of a cell, or for what it follows from; the arm is so long [m]."""
     source = questions.choice(
         'The bending stiffness is known as', ('number', 'rod', 'tube', 'sag', 'bend', 'unknown')
     )
     if source == 'number':
         value = questions.number('Bending stiffness of a cell [N·m/rad]', 0.027, 1e-9, 1e6)
-        return _Stiffness(lambda size: value, 5.0)
+        return Stiffness(lambda size: value, 5.0)
     if source in ('rod', 'tube'):
         outer = 1e-3 * questions.number('Outer diameter [mm]', 1.0, 1e-3, 1e3)
         inner = 0.0
@@ -242,7 +236,7 @@ def _ask_stiffness(questions: Questions, length: float) -> _Stiffness:
             inner = outer - 2e-3 * wall
         known = 'nitinol 60, steel 200, glass fibre 40, PEEK 3.6, nylon 2'
         modulus = 1e9 * questions.number(f'Modulus E [GPa] ({known})', 60.0, 1e-6, 1e4)
-        return _Stiffness(lambda size: rod_stiffness(modulus, outer, inner, size.length), 10.0)
+        return Stiffness(lambda size: rod_stiffness(modulus, outer, inner, size.length), 10.0)
     if source == 'sag':
         grams = questions.number('Hold the arm level, weight at its tip [g]', 10.0, 1e-3, 1e6)
         most = 1e3 * SAG_SHARE_MAX * length
@@ -251,22 +245,22 @@ def _ask_stiffness(questions: Questions, length: float) -> _Stiffness:
             'Its tip then sags by [mm]', min(5.0, 0.5 * most), 1e-3, most, why=why
         )
         force, drop = 1e-3 * STANDARD_GRAVITY * grams, 1e-3 * sags
-        return _Stiffness(
+        return Stiffness(
             lambda size: stiffness_from_sag(force, drop, size.sections * size.cells, size.length),
             10.0,
         )
     if source == 'bend':
         tension = questions.number('One tendon alone, tension [N]', 1.0, 1e-6, 1e5)
         angle = math.radians(questions.number('Its section then bends by [°]', 45.0, 1e-3, 1e4))
-        return _Stiffness(
+        return Stiffness(
             lambda size: stiffness_from_bend(tension, angle, size.cells, size.radius), 20.0
         )
-    return _Stiffness(
+    return Stiffness(
         lambda size: stiffness_from_bend(size.highest, math.pi, size.cells, size.radius), 50.0
     )
 
 
-def _tendons(
+def tendons_of(
     section: str, index: int, many: int, radius: float, sections: int
 ) -> list[dict[str, Any]]:
     """Spread the tendons of a section evenly; each section's stand between those of the last."""
@@ -287,3 +281,124 @@ def _tendons(
         }
         for j, a in enumerate(angles)
     ]
+
+
+class WentBack(Exception):
+    """Somebody wants to answer the question before once more."""
+
+
+class Questions:
+    """Asks one question per line; an empty answer takes the default, `<` goes back."""
+
+    def __init__(self, answers: TextIO, prompts: TextIO) -> None:
+        """Answers come from one stream, prompts go to another."""
+        self._answers, self._prompts = answers, prompts
+        self._person = answers.isatty()
+        self._given: list[str] = []  # answers, in order
+        self._turn = 0  # of the next question
+        self._before: dict[str, str] = {}  # question -> what was answered before going back
+
+    def until_answered[T](self, ask: Callable[[], T]) -> T:
+        """Return what `ask` makes of the answers; after a `<` what stays is answered as it was."""
+        while True:
+            self._turn = 0
+            try:
+                return ask()
+            except WentBack:
+                if self._given:
+                    self._given.pop()
+
+    def text(self, question: str, default: str) -> str:
+        """Ask for a name."""
+
+        def read(answer: str) -> str:
+            if set(',=') & set(answer):
+                raise ValueError
+            return answer
+
+        return self.ask(question, default, 'a name without comma or equals sign', read)
+
+    def names(self, question: str, known: Sequence[str]) -> list[str]:
+        """Ask for as many names as are known, with commas between them."""
+
+        def read(answer: str) -> list[str]:
+            names = [name.strip() for name in answer.split(',')]
+            if len(set(names)) < len(known) or len(names) != len(known) or '' in names:
+                raise ValueError
+            if any('=' in name for name in names):
+                raise ValueError
+            return names
+
+        expected = f'{len(known)} different names with commas between them, none with ='
+        return self.ask(question, ','.join(known), expected, read)
+
+    def whole(self, question: str, default: int, low: int, high: int) -> int:
+        """Ask for a whole number within bounds."""
+
+        def read(answer: str) -> int:
+            value = int(answer)
+            if not low <= value <= high:
+                raise ValueError
+            return value
+
+        return self.ask(question, str(default), f'a whole number from {low} to {high}', read)
+
+    def tell(self, text: str) -> None:
+        """Say something before a question, unless that is answered already."""
+        if self._turn == len(self._given):
+            print(text, file=self._prompts)
+
+    def number(
+        self,
+        question: str,
+        default: float,
+        low: float,
+        high: float,
+        words: Mapping[str, float] = MappingProxyType({}),
+        above: bool = False,
+        why: str = '',
+    ) -> float:
+        """Ask for a number within bounds (or above `low`), or for a word that stands for one."""
+
+        def read(answer: str) -> float:
+            value = words[answer] if answer in words else float(answer)
+            if not low <= value <= high or (above and value == low):
+                raise ValueError
+            return value
+
+        bounds = f'a number {"above" if above else "from"} {low:g} to {high:g}'
+        expected = ' or '.join([f'{bounds} ({why})' if why else bounds, *words])
+        return self.ask(question, f'{default:g}', expected, read)
+
+    def choice(self, question: str, known: tuple[str, ...]) -> str:
+        """Ask for one of some words; the first is the default."""
+
+        def read(answer: str) -> str:
+            return known[known.index(answer)]
+
+        return self.ask(f'{question}: {", ".join(known)}', known[0], ' or '.join(known), read)
+
+    def ask[T](self, question: str, default: str, expected: str, read: Callable[[str], T]) -> T:
+        """Ask until `read` takes the answer; a pipe is asked once."""
+        self._turn += 1
+        if self._turn <= len(self._given):
+            return read(self._given[self._turn - 1])
+        default = self._before.get(question, default)
+        while True:
+            print(f'{question} [{default}]: ', end='', file=self._prompts, flush=True)
+            answer = self._answers.readline().strip()
+            if not self._person:
+                print(answer, file=self._prompts)
+            if answer in BACK:
+                raise WentBack
+            try:
+                value = read(answer or default)
+            except ValueError:
+                message = f'{question}: expected {expected}, got {answer!r}'
+                if not self._person:
+                    raise InputError(message) from None
+                print(message, file=self._prompts)
+                continue
+            self._given.append(answer or default)
+            self._before[question] = answer or default
+            return value

@@ -1,4 +1,4 @@
-"""Arguments that several commands share, the measurements they name, where results go."""
+"""Arguments that several commands share, measurements, progress, and where results go."""
 
 from __future__ import annotations
 
@@ -7,31 +7,40 @@ import json
 import math
 import os
 import sys
-from contextlib import suppress
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tqdm import tqdm
+
 from ..common.errors import InputError, Progress, TendonRobotError, listener
 from ..common.files import file_to_write, new_file
 from ..common.words import TYPED_LENGTHS, digits, other_unit, read_quantity
-from ..robot import load_robot
-
-if TYPE_CHECKING:
-    from ..effects import Catalogue
-    from ..model.model import Model
-from collections.abc import Sequence
-
 from ..data import DataSet, join, load_dataset
 from ..data.folder import described_robot
 from ..data.recording.importing import import_bag, summary
 from ..data.recording.reader import is_bag
-from ..robot import Robot, dump_robot
+from ..robot import Robot, dump_robot, load_robot
 
-# lengths of the arm: a target farther off, or nearer to the base, is in another unit
-FAR_LENGTHS, NEAR_LENGTHS = 10.0, 0.01
+if TYPE_CHECKING:
+    from ..effects import Catalogue
+    from ..model.model import Model
+
+# [1] lengths of the arm: a target nearer to the base, or farther off, is in another unit, because
+# metres, centimetres and millimetres are at least a factor of ten apart
+TARGET_LENGTHS = (0.01, 10.0)
+# [s] between two lines of a log; work that takes less stays silent. Later lines come when a tenth
+# of the time so far has passed, so that the log stays short
+LOG_EVERY_S = 5.0
+# [s] between two bars, so that the seconds in them pass
+DRAWN_EVERY_S = 1.0
+REFUSED_EXIT_CODE = 2  # [1] nothing was written because that would not help
 FRAME_TOLERANCES = ('position', 'rotation')  # of the tracker, in a robot.yaml
-REFUSED_EXIT_CODE = 2  # nothing was written because that would not help
+DATA_HELP = 'data set (folder), or a recording (rosbag2 folder, .mcap or .db3 file)'
 
 
 def add_robot(parser: argparse.ArgumentParser) -> None:
@@ -42,13 +51,9 @@ def add_robot(parser: argparse.ArgumentParser) -> None:
 
 def add_effect_files(parser: argparse.ArgumentParser) -> None:
     """Declare --effect-file."""
-    parser.add_argument(
-        '--effect-file',
-        action='append',
-        default=[],
-        metavar='FILE',
-        help='Python file with an effect of your own (is executed; may be given several times)',
-    )
+    what = 'Python file with an effect of your own (is executed; may be given several times)'
+    add = parser.add_argument
+    add('--effect-file', action='append', default=[], metavar='FILE', help=what)
 
 
 def add_report(parser: argparse.ArgumentParser) -> None:
@@ -59,29 +64,19 @@ def add_report(parser: argparse.ArgumentParser) -> None:
 
 def add_json(parser: argparse.ArgumentParser) -> None:
     """Declare --json."""
-    parser.add_argument(
-        '--json',
-        type=file_to_write('--json'),
-        nargs='?',
-        const='-',
-        metavar='OUT',
-        help='write the result as JSON to OUT; without OUT print it instead of the table',
-    )
+    to, add = file_to_write('--json'), parser.add_argument
+    what = 'write the result as JSON to OUT; without OUT print it instead of the table'
+    add('--json', type=to, nargs='?', const='-', metavar='OUT', help=what)
 
 
 def add_cluster(parser: argparse.ArgumentParser) -> None:
     """Declare where work is spread: processes of this machine, or a cluster."""
     add = parser.add_argument
     cores = len(os.sched_getaffinity(0))
-    add(
-        '--workers', type=int, default=cores, metavar='N', help='processes (default: one per core)'
-    )
-    add(
-        '--cluster',
-        default='',
-        metavar='ADDRESS',
-        help='of a dask scheduler instead: tcp://host:8786, or tls:// as its settings say',
-    )
+    what = 'processes (default: one per core)'
+    add('--workers', type=int, default=cores, metavar='N', help=what)
+    what = 'of a dask scheduler instead: tcp://host:8786, or tls:// as its settings say'
+    add('--cluster', default='', metavar='ADDRESS', help=what)
 
 
 def effects_of(args: argparse.Namespace) -> Catalogue:
@@ -146,12 +141,8 @@ def named_numbers(option: str, text: str, unit: str) -> dict[str, float]:
 
 def add_unit(parser: argparse.ArgumentParser) -> None:
     """Declare the unit of the lengths that a person types."""
-    parser.add_argument(
-        '--unit',
-        choices=TYPED_LENGTHS,
-        default=TYPED_LENGTHS[0],
-        help='of the lengths that you type (default: mm); a number may have its own: 0.03m',
-    )
+    what = 'of the lengths that you type (default: mm); a number may have its own: 0.03m'
+    parser.add_argument('--unit', choices=TYPED_LENGTHS, default=TYPED_LENGTHS[0], help=what)
 
 
 def length(option: str, text: str, unit: str) -> float:
@@ -211,8 +202,9 @@ def position(option: str, text: str | None, unit: str, reach: float) -> list[flo
         raise InputError(f'{option}: expected three lengths x,y,z, got {text!r}')
     values = [length(option, part, unit) for part in parts]
     away = math.hypot(*values)
-    if away > FAR_LENGTHS * reach or 0.0 < away < NEAR_LENGTHS * reach:
-        mend = other_unit(text, away, unit, NEAR_LENGTHS * reach, FAR_LENGTHS * reach)
+    nearest, farthest = (lengths * reach for lengths in TARGET_LENGTHS)
+    if away > farthest or 0.0 < away < nearest:
+        mend = other_unit(text, away, unit, nearest, farthest)
         raise InputError(
             f'{option}: {text} {unit} is {digits(1e3 * away, 4)} mm from the base of an arm of '
             f'{1e3 * reach:.4g} mm{mend}'
@@ -270,16 +262,13 @@ def pairs(option: str, texts: Sequence[str], what: str = 'VALUE') -> dict[str, s
         It reads otherwise, or names something twice.
 
     """
-    found: dict[str, str] = {}
+    values: dict[str, str] = {}
     for text in texts:
         name, _, value = (part.strip() for part in text.partition('='))
-        if not name or not value or name in found:
+        if not name or not value or name in values:
             raise InputError(f'{option} {text}: write NAME={what}, each name once')
-        found[name] = value
-    return found
-
-
-DATA_HELP = 'data set (folder), or a recording (rosbag2 folder, .mcap or .db3 file)'
+        values[name] = value
+    return values
 
 
 def add_data(parser: argparse.ArgumentParser, *names: str, to: str = '', **options: Any) -> None:
@@ -301,15 +290,22 @@ def load_measurements(
 
     """
     given = [paths] if isinstance(paths, str) else paths
-    read, show = [], listener(progress)
+    sets, show = [], listener(progress)
     for done, path in enumerate(given):
         show(f'reading {path}', done, len(given))
-        read.append(_measurements(path, robot))
-    dataset = join(read)
-    return dataset if robot is None else _with_frame(dataset, given)
+        if not is_bag(path):
+            sets.append(load_dataset(path, robot))
+            continue
+        imported = import_bag(path, robot)
+        for line in imported.left_out:
+            print('left out:', line, file=sys.stderr)
+        print(f'{path}: {summary(imported)}', file=sys.stderr)
+        sets.append(imported.dataset)
+    dataset = join(sets)
+    return dataset if robot is None else keep_frame_tolerances(dataset, given)
 
 
-def _with_frame(dataset: DataSet, paths: Sequence[str]) -> DataSet:
+def keep_frame_tolerances(dataset: DataSet, paths: Sequence[str]) -> DataSet:
     """
     Let the frame of the tracker move as far as the data sets say, whatever description is judged.
 
@@ -331,15 +327,31 @@ def _with_frame(dataset: DataSet, paths: Sequence[str]) -> DataSet:
     return replace(dataset, robot=robot)
 
 
-def _measurements(path: str, robot: Robot | str | None) -> DataSet:
-    """Read one data set, or the still segments of one recording."""
-    if not is_bag(path):
-        return load_dataset(path, robot)
-    imported = import_bag(path, robot)
-    for line in imported.left_out:
-        print('left out:', line, file=sys.stderr)
-    print(f'{path}: {summary(imported)}', file=sys.stderr)
-    return imported.dataset
+def load_judged(
+    args: argparse.Namespace, show: Progress
+) -> tuple[DataSet, DataSet | None, Catalogue]:
+    """Read the measurements, those of --check with the same robot, and the catalogue."""
+    dataset = load_measurements(args.data, args.robot, show)
+    check = None if args.check is None else load_measurements(args.check, dataset.robot, show)
+    return dataset, check, effects_of(args)
+
+
+def add_check(parser: argparse.ArgumentParser, what: str) -> None:
+    """Declare --check."""
+    parser.add_argument('--check', metavar='DATA2', help=f'other postures, {what}')
+
+
+def add_workers(parser: argparse.ArgumentParser) -> None:
+    """Declare --workers of a fit."""
+    parser.add_argument(
+        '--workers', type=int, default=2, metavar='N', help='at a time (default: 2)'
+    )
+
+
+def check_workers(args: argparse.Namespace) -> None:
+    """Raise InputError where --workers is no number of processes."""
+    if args.workers < 1:
+        raise InputError(f'--workers: expected at least 1, got {args.workers}')
 
 
 def add_overwrite(parser: argparse.ArgumentParser) -> None:
@@ -359,11 +371,53 @@ def write_description(robot: Robot, path: str) -> None:
         draft.write_text(dump_robot(robot), encoding='utf-8')
 
 
-def load_check(path: str | None, dataset: DataSet, show: Progress) -> DataSet | None:
-    """Read a check set with the robot of a data set."""
-    return None if path is None else load_measurements(path, dataset.robot, show)
-
-
 def next_step(path: str) -> str:
     """Say what to do with a new description."""
     return f'written: {path}    send it to the robot: controller parameter model := {path}'
+
+
+@contextmanager
+def progress(remaining: bool = False) -> Iterator[Progress]:
+    """
+    Give a function that shows (what, done, total) on stderr: a bar, or lines in a pipe.
+
+    A thread shows how long a step has taken so far. `remaining` shows the time left as well, where
+    all of the work is counted as one.
+    """
+    form = '{desc} {n_fmt}/{total_fmt} |{bar}| {elapsed}' + (
+        ', {remaining} left' if remaining else ''
+    )
+    start, ended = time.monotonic(), threading.Event()
+    now = ('working', 0, 0)  # what was told last
+
+    def show(what: str, done: int, total: int) -> None:
+        nonlocal now
+        now = (what, done, total)
+
+    with tqdm(disable=None, leave=False, bar_format=form) as bar:
+
+        def line() -> str:
+            what, done, total = now
+            took = time.monotonic() - start
+            left = took / max(done, 1) * (total - done)
+            end = f', {left / 60.0:.1f} min left' if remaining and done else ''
+            count = f' {done:,}/{total:,}' if total else ''
+            return f'{what}{count}, {took:.0f} s so far{end}'
+
+        def tell() -> None:
+            pause = LOG_EVERY_S if bar.disable else DRAWN_EVERY_S
+            while not ended.wait(pause):
+                if bar.disable:
+                    print(line(), file=sys.stderr, flush=True)
+                    pause = max(LOG_EVERY_S, 0.1 * (time.monotonic() - start))
+                else:
+                    what, bar.n, bar.total = now
+                    bar.set_description_str(what)
+
+        teller = threading.Thread(target=tell, name='progress', daemon=True)
+        teller.start()
+        try:
+            yield show
+        finally:
+            ended.set()
+            teller.join()

@@ -15,8 +15,8 @@ from ..common.errors import InputError
 from ..common.files import file_to_write, refuse_ending
 from ..data.path_files import Moves, Places, read_moves
 from ..paths.path import PathRun
-from ..report.path_run import draw_run
-from .progress import progress
+from ..report.pictures import draw_run
+from .options import progress
 
 HELP = 'draw a recording: tip, targets, commands'
 
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
 
 def as_run(moves: Moves) -> PathRun:
     """Return a recording as a run; a target stands until the next one."""
-    targets = _standing(moves, float(moves.tips.times[-1]))
+    targets = standing_targets(moves, float(moves.tips.times[-1]))
     return PathRun(
         inputs=moves.inputs,
         asked_times=targets.times,
@@ -67,7 +67,7 @@ def as_run(moves: Moves) -> PathRun:
     )
 
 
-def _standing(moves: Moves, end: float) -> Places:
+def standing_targets(moves: Moves, end: float) -> Places:
     """Return every target when it came, at its end, and right after it (NaN: nothing is asked)."""
     targets = moves.targets
     if not len(targets):

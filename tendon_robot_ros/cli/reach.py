@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from ..model.model import Model
     from ..model.shape import Reach
 
-NAME = 'reach'
 WEIGHTS = 'low_tension', 'stiffness', 'slack', 'limit'
 HELP = 'find tensions for a target of the tip'
 
@@ -78,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
     wants = preferences(args.prefer)
     regions = load_keep_out(args.keep_out) if args.keep_out else None
     reach = model.reach(target, direction, preferences=wants, keep_out=regions)
-    emit(args, reach_content(model, reach), _table(model, reach))
+    emit(args, reach_content(model, reach), reach_table(model, reach))
     return 0
 
 
@@ -116,7 +115,8 @@ def reach_content(model: Model, reach: Reach) -> dict[str, Any]:
     }
 
 
-def _table(model: Model, reach: Reach) -> str:
+def reach_table(model: Model, reach: Reach) -> str:
+    """Return what a person reads: status, tip, stiffness, tensions and wire pulls."""
     limit = f' ({", ".join(reach.at_limit)} at the limit)' if reach.at_limit else ''
     limit += f' (kept out of {reach.region})' if reach.region else ''
     stiff = stiffness_content(model, reach)

@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from ..model.model import Model
     from ..model.shape import Shape
 
-NAME = 'shape'
 HELP = 'predict the shape under tensions or wire pulls'
-PULL_MIN_M = 5e-5  # [m] a pull that nobody asks for: metres are meant
+# [m] less is no pull that a motor would make, but a number in metres
+PULL_MIN_M = 5e-5
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
                 f'{1e3 * reach:.4g} mm{mend}'
             )
         shape = model.pull_shape(pulls)
-    emit(args, shape_content(model, shape), _table(model, shape))
+    emit(args, shape_content(model, shape), shape_table(model, shape))
     return 0
 
 
@@ -99,7 +99,8 @@ def tip_line(shape: Shape) -> str:
     return f'tip at ({at}) mm, direction ({along})'
 
 
-def _table(model: Model, shape: Shape) -> str:
+def shape_table(model: Model, shape: Shape) -> str:
+    """Return what a person reads: tip, bends of the sections, tensions and wire pulls."""
     robot, lines = model.robot, [tip_line(shape)]
     start = 0
     for section in robot.sections:

@@ -16,7 +16,7 @@ example: python -m tendon_robot_ros simulate robot.yaml --output rehearsal
 from __future__ import annotations
 
 import argparse
-from dataclasses import fields, replace
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 
 from ..common.errors import InputError, whole
@@ -31,11 +31,10 @@ from ..simulation.hidden import Workmanship
 from ..simulation.measurements import SimulatedNoise, raw_table, simulate, write_table
 from ..simulation.plant import Plant, make_plant
 from ..workspace.postures import default_postures
-from .options import add_effect_files, named_numbers, numbers, refuse_existing, vector
-from .progress import progress
+from .options import add_effect_files, named_numbers, numbers, progress, refuse_existing, vector
 
-NOISE_SCALES = {'position': 1e3}  # typed in mm
-POSITION_NOISE_MIN_MM = 0.001  # no tracker is better: less is in another unit
+# [mm] noise of a tracker: none is better, so that less is in another unit
+POSITION_NOISE_MIN_MM = 0.001
 HELP = 'write measurements of a robot with hidden effects, to rehearse with'
 
 
@@ -56,11 +55,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     to, what = file_to_write('--table'), 'instead: a table over time as laboratories have them'
     add('--table', type=to, metavar='CSV', help=what)
     add('--overwrite', action='store_true', help='replace data sets')
-    _add_measuring(parser)
+    add_measuring(parser)
     add_effect_files(parser)
 
 
-def _add_measuring(parser: argparse.ArgumentParser) -> None:
+def add_measuring(parser: argparse.ArgumentParser) -> None:
     """Declare how it is measured."""
     usual = SimulatedNoise()
     add = parser.add_argument
@@ -72,8 +71,8 @@ def _add_measuring(parser: argparse.ArgumentParser) -> None:
         '1 sd of position [mm], setting (relative, shared by the trials of a posture), trial '
         '(relative); default: '
         + ','.join(
-            f'{f.name}={getattr(usual, f.name) * NOISE_SCALES.get(f.name, 1.0):g}'
-            for f in fields(usual)
+            f'{name}={1e3 * value if name == "position" else value:g}'
+            for name, value in asdict(usual).items()
         )
     )
     add('--noise', default='', metavar='NAME=VALUE,...', help=noise)
@@ -105,9 +104,11 @@ def run(args: argparse.Namespace) -> int:
         for folder in filter(None, (args.output, args.check)):
             refuse_dataset_in(folder, args.overwrite)
     catalogue = load_catalogue(args.effect_file)
-    plant = make_plant(robot, hidden, seed=args.seed, catalogue=catalogue, work=_work(args))
+    work = Workmanship().times(0.0 if args.exact else args.level)
+    work = work if args.scatter is None else replace(work, stiffness=args.scatter)
+    plant = make_plant(robot, hidden, seed=args.seed, catalogue=catalogue, work=work)
     if args.table:
-        return _write_tables(args, plant)
+        return write_tables(args, plant)
     made = [(args.output, _measured(args, plant, 0))]
     if args.check:
         made.append((args.check, _measured(args, plant, 1)))
@@ -127,7 +128,7 @@ def _tell(args: argparse.Namespace, plant: Plant) -> None:
         print(f'built:   {line}')
 
 
-def _write_tables(args: argparse.Namespace, plant: Plant) -> int:
+def write_tables(args: argparse.Namespace, plant: Plant) -> int:
     """Write a table over time, and that of a check."""
     if args.input != 'tension' or args.path != 'from_straight':
         raise InputError('--table: of tensions and from straight only')
@@ -150,12 +151,6 @@ def _write_tables(args: argparse.Namespace, plant: Plant) -> int:
     _tell(args, plant)
     print(f'next:    python -m tendon_robot_ros import-table {args.table} --robot {args.robot}')
     return 0
-
-
-def _work(args: argparse.Namespace) -> Workmanship:
-    """Read how well the robot is built."""
-    work = Workmanship().times(0.0 if args.exact else args.level)
-    return work if args.scatter is None else replace(work, stiffness=args.scatter)
 
 
 def _measured(args: argparse.Namespace, plant: Plant, which: int) -> DataSet:
@@ -197,8 +192,8 @@ def hidden_effect(text: str) -> tuple[str, dict[str, float | tuple[float, ...]]]
         if not equals:
             comma = ' (a decimal comma? write a point)' if part[:1].isdigit() else ''
             raise InputError(f'hidden {name}: expected NAME=VALUE, got {part!r}{comma}')
-        found = numbers(f'{name}: {key}', value, '/')
-        values[key] = found if len(found) > 1 else found[0]
+        read = numbers(f'{name}: {key}', value, '/')
+        values[key] = read if len(read) > 1 else read[0]
     return name, values
 
 
@@ -213,7 +208,7 @@ def simulated_noise(text: str) -> SimulatedNoise:
         raise InputError(
             f'--noise: position={values["position"]:g} mm is no noise of a tracker; write mm'
         )
-    return SimulatedNoise(**{k: v / NOISE_SCALES.get(k, 1.0) for k, v in values.items()})
+    return SimulatedNoise(**{k: 1e-3 * v if k == 'position' else v for k, v in values.items()})
 
 
 def _markers(text: str | None, robot: Robot) -> tuple[Marker, ...] | None:

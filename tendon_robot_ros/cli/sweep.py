@@ -19,11 +19,11 @@ import numpy as np
 from ..common.errors import InputError
 from ..common.files import file_to_write, new_file
 from ..data.path_files import TendonRows, TipRows, write_path
-from .options import add_robot, load_model
-from .progress import progress
+from .options import add_robot, load_model, progress
 
 HELP = 'write a path that keeps the view angle: looking around'
-TENSION_RATE_N_PER_S = 0.5  # [N/s] at which a path of tensions is timed
+# [N/s] at which a path of tensions is timed: slow, so that a person can follow it and stop
+TENSION_RATE_N_PER_S = 0.5
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,19 +32,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--view', type=float, default=180.0, help='angle [°] (default: 180)')
     parser.add_argument('--steps', type=int, default=40, help='rows (default: 40)')
     parser.add_argument('--tensions', action='store_true', help='tensions instead of tip targets')
-    parser.add_argument(
-        '--output',
-        type=file_to_write('--output'),
-        default='sweep.csv',
-        metavar='CSV',
-        help='(default: sweep.csv)',
-    )
+    to, what = file_to_write('--output'), '(default: sweep.csv)'
+    parser.add_argument('--output', type=to, default='sweep.csv', metavar='CSV', help=what)
 
 
 def run(args: argparse.Namespace) -> int:
     """Find the postures and write them."""
     from ..paths.path import stretched
-    from ..workspace.constant_view import look_around
+    from ..workspace.view_angle import look_around
 
     if not 0.0 < args.view <= 180.0:
         raise InputError(f'--view: expected more than 0° and at most 180°, got {args.view:g}')

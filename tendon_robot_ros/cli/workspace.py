@@ -30,42 +30,30 @@ from ..common.errors import InputError
 from ..common.files import new_folder
 from ..common.words import columns
 from ..robot.description import tendon_offsets
-from .options import add_cluster, add_json, add_robot, add_unit, emit, length, load_model
-from .progress import progress
+from .options import add_cluster, add_json, add_robot, add_unit, emit, length, load_model, progress
 
 if TYPE_CHECKING:
     from ..model.model import Model
-    from ..workspace.grid import Workspace
+    from ..workspace.view_angle import Workspace
 
 HELP = 'where the tip can be: over all tendons, or over pairs at a view angle'
 FILES = ('postures.csv', 'workspace.npz', 'workspace.html')
-Found = tuple[dict[str, Any], list[str], Callable[[Path], None]]
+Result = tuple[dict[str, Any], list[str], Callable[[Path], None]]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add_robot(parser)
     add = parser.add_argument
-    add(
-        '--view',
-        action='append',
-        type=float,
-        default=[],
-        metavar='DEGREES',
-        help='view angle (may be given several times)',
-    )
+    what = 'view angle (may be given several times)'
+    add('--view', action='append', type=float, default=[], metavar='DEGREES', help=what)
     add('--postures', type=int, metavar='N', help='of all tendons, to sample (default: 100000)')
     add('--cubes', metavar='LENGTH', help='their edge (default: for ten postures in each)')
     add('--step', type=float, metavar='N', help='of the tensions of pairs (default: 0.1 N)')
     add('--pretension', type=float, metavar='N', help="default: the robot's lower limit")
     add('--limit', type=float, metavar='N', help="highest tension (default: the robot's)")
-    add(
-        '--tolerance',
-        type=float,
-        default=2.5,
-        metavar='DEGREES',
-        help='the view angle may be missed by this (default: 2.5)',
-    )
+    what = 'the view angle may be missed by this (default: 2.5)'
+    add('--tolerance', type=float, default=2.5, metavar='DEGREES', help=what)
     add('--output', metavar='DIR', help='folder for the results: CSV, npz and a page')
     add('--overwrite', action='store_true', help='replace results in that folder')
     add_cluster(parser)
@@ -76,8 +64,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Sample or sweep, print, write."""
     folder = Path(args.output) if args.output else None
-    if folder and not args.overwrite and _finished(folder):
-        raise InputError(f'{folder}: is not empty; use --overwrite or another --output')
+    if folder and folder.exists() and not args.overwrite:
+        from ..workspace.volume import KEPT
+
+        if any(path.name not in KEPT for path in folder.iterdir()):  # more than to go on from
+            raise InputError(f'{folder}: is not empty; use --overwrite or another --output')
     model = load_model(args)
     in_pairs = bool(args.view) and not tendon_offsets(model.robot)[..., 1].any()
     unused = ('postures', 'cubes') if in_pairs else ('step',)
@@ -87,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
                 f'--{name}: --view of an arm in a plane sweeps pairs in steps (--step); all else '
                 'samples all tendons (--postures, --cubes)'
             )
-    content, lines, write = _pairs(args, model) if in_pairs else _all_tendons(args, model)
+    content, lines, write = sweep_pairs(args, model) if in_pairs else sample_all(args, model)
     if folder:
         write(folder)
         lines.append(f'written: {", ".join(str(folder / name) for name in FILES)}')
@@ -95,16 +86,9 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _finished(folder: Path) -> bool:
-    """Tell whether a folder holds more than what an earlier run has left to go on from."""
-    from ..workspace.volume import KEPT
-
-    return folder.exists() and any(path.name not in KEPT for path in folder.iterdir())
-
-
-def _pairs(args: argparse.Namespace, model: Model) -> Found:
+def sweep_pairs(args: argparse.Namespace, model: Model) -> Result:
     """Sweep pairs of inputs at view angles."""
-    from ..workspace.grid import find_workspace, save_workspace
+    from ..workspace.view_angle import find_workspace, save_workspace
 
     with progress() as show:
         workspace = find_workspace(
@@ -143,12 +127,12 @@ def text(workspace: Workspace) -> list[str]:
     return lines
 
 
-def _all_tendons(args: argparse.Namespace, model: Model) -> Found:
+def sample_all(args: argparse.Namespace, model: Model) -> Result:
     """Sample all tendons."""
     from ..common.workers import Workers
     from ..model.versions import Preparation, UserEffect
     from ..report.workspace_page import summary, volume_page
-    from ..workspace.volume import KEPT, find_volume, save_volume
+    from ..workspace.volume import KEPT, Sampling, find_volume, save_volume
 
     low, high = model.robot.tension_limits
     kept = Path(args.output) if args.output else None
@@ -159,7 +143,7 @@ def _all_tendons(args: argparse.Namespace, model: Model) -> Found:
         progress(remaining=True) as show,
         Workers(args.workers, args.cluster, prepare) as workers,
     ):
-        volume = find_volume(
+        sampling = Sampling.of(
             model,
             postures=100_000 if args.postures is None else args.postures,
             views=[math.radians(view) for view in args.view],
@@ -169,10 +153,8 @@ def _all_tendons(args: argparse.Namespace, model: Model) -> Found:
                 high if args.limit is None else args.limit,
             ),
             edge=None if args.cubes is None else length('--cubes', args.cubes, args.unit),
-            progress=show,
-            workers=workers,
-            kept=kept,
         )
+        volume = find_volume(sampling, show, workers, kept)
 
     def write(folder: Path) -> None:
         page = volume_page(volume)

@@ -29,6 +29,8 @@ LOSSES_MAX = 8  # workers that may die over a chunk before it counts as the chun
 CHUNK_S = 2.0  # [s] of work in a chunk, because handing one out takes some milliseconds
 AHEAD = 2  # chunks that wait at a scheduler for each of its threads
 CONNECT_S = 10.0  # [s] in which a scheduler answers
+# [s] between two saves of unfinished work, so that a lost computer costs no more than this
+SAVED_EVERY_S = 5.0
 IDLE_S = 5.0  # [s] between two looks at how many workers a scheduler has
 
 _LOG = logging.getLogger(__name__)
@@ -52,13 +54,11 @@ class ChunkSize:
     ----------
     slots : int
         Chunks at work at a time.
-    most : int
-        Pieces in a chunk.
 
     """
 
-    def __init__(self, slots: int, most: int) -> None:
-        self.slots, self.most = slots, most
+    def __init__(self, slots: int) -> None:
+        self.slots = slots
         self.seconds = 0.0  # for a piece; 0: not yet known
 
     def of(self, left: int) -> int:
@@ -66,7 +66,7 @@ class ChunkSize:
         # a quarter of a slot's share, so that no worker waits for long at the end
         fair = max(left // (4 * self.slots), 1)
         wanted = max(int(CHUNK_S / self.seconds), 1) if self.seconds else 1
-        return min(wanted, fair, self.most)
+        return min(wanted, fair)
 
     def took(self, seconds: float, pieces: int) -> None:
         """Learn from a chunk; the last five or so count, because like pieces come together."""

@@ -1,13 +1,11 @@
 """
 An arm that finds out by itself what its description lacks.
 
-loop.py           choose, measure, diagnose, until enough is known; verify
-changed.py        after a drift alarm: the postures that separate what has changed
-measuring.py      measure a posture, again if it breaks; skip it, say so
+loop.py           choose, measure, diagnose, until enough is known; verify; the files at the end
+measuring.py      measure a posture, again if it breaks; skip it, say so; after a drift alarm: the
+                  postures that separate what has changed
 choice.py         the posture that tells most (expected information), and which may be chosen:
                   tension, bend, regions kept out
 goal.py           what is asked, and what it may spend; when it is enough, what is in question
-arm.py            what it needs of an arm
-record.py         what was measured, on disk after every posture; resume
-results.py        the files at the end: data, recording, description, report
+record.py         what it needs of an arm; what was measured, on disk after every posture; resume
 """

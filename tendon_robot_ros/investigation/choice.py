@@ -26,7 +26,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from ..common.errors import InputError, NoEquilibriumError
+from ..common.errors import InputError, NoEquilibriumError, TendonRobotError
 from ..comparison.noise import Noise, Whitener, input_slopes
 from ..comparison.predict import FreeParameter, Point, Predictor, frees_of
 from ..data import DataSet
@@ -43,15 +43,19 @@ from ..workspace.postures import default_postures
 from .goal import Goal
 
 Floats = npt.NDArray[np.float64]
-
-# -----------------------------------------------------------------------------
-# Postures that may be chosen: within tension, bend and the regions that are kept out.
-
+# [1] postures to choose from; a third of these of wire pulls, because each is a search
 POOL_POSTURES = 120
-PULL_POSTURES = 40  # of wire pulls: those take longer
-FRESH_SEED = 7919  # of the postures to verify on: none of the pool
-WAY_POINTS = 16  # that are looked at on the way to a posture
-MARGIN_SHARE = 0.05  # of the length: how far an arm may be from an untried model
+# [1] places on the path to a posture at which the arm has to keep clear of regions; between two of
+# them a point may come closer by half of its motion, so that more places leave more room
+PATH_POINTS = 16
+# [1] of the arm's length, how far it may be from an untried model, so that regions stay free
+MARGIN_FRACTION = 0.05
+# [1] of a typical size, steps of a parameter for its derivative: the first, so that laws with a
+# threshold show; the second where the model has no equilibrium at the first
+STEP_FRACTIONS = (0.3, 0.03)
+# [1] typical sizes, 1 sd of the prior of an effect in question: wide, so that the measurements and
+# not the prior decide
+PRIOR_SD = 3.0
 
 
 @dataclass(frozen=True)
@@ -63,16 +67,33 @@ class Room:
 
     def keeps(self, points: Floats) -> bool:
         """
-        Tell whether an arm keeps clear on a way (w, n, 3) [m] of its points, base first.
+        Tell whether an arm keeps clear on a path (w, n, 3) [m] of its points, base first.
 
-        The model may be off the more the farther from the base; between two steps of the way a
-        point goes at most half of what it moved.
+        The model may be off the more the farther from the base; between two places of the path a
+        point leaves both by at most half of the distance between them.
         """
         if not self.regions:
             return True
         off = self.margin * np.linspace(0.0, 1.0, points.shape[1])
         moved = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=0, initial=0.0)
         return bool((self.regions.distances(points) >= off + 0.5 * moved).all())
+
+    def refuse_inside(self, positions: Floats) -> None:
+        """
+        Refuse a posture in which a marker (..., 3) [m] was seen in a region that is kept out.
+
+        Raises
+        ------
+        TendonRobotError
+
+        """
+        clear = self.regions.clearance(positions[np.isfinite(positions).all(axis=-1)])
+        if clear.distance < 0.0:
+            raise TendonRobotError(
+                f'a marker was seen {1e3 * -clear.distance:.1f} mm inside {clear.region}, where '
+                'the model says that it is not: the arm was released; look at the robot, and at '
+                'where the tracker says its base is'
+            )
 
 
 def pool(
@@ -100,7 +121,7 @@ def pool(
         Where the arm comes from; default: it was let go.
 
     """
-    count = PULL_POSTURES if input == 'displacement' else POOL_POSTURES
+    count = POOL_POSTURES // 3 if input == 'displacement' else POOL_POSTURES
     singles = default_postures(robot, max(count // 5, 3), 0, input)
     rows = np.vstack(
         [singles, default_postures(robot, count - len(singles), 1 + goal.seed, input)]
@@ -112,53 +133,47 @@ def pool(
 
 
 def fresh(robot: Robot, goal: Goal, input: str, model: Model, room: Room) -> Floats:
-    """Return allowed postures that no pool has, to verify on."""
-    rows = default_postures(robot, 4 * goal.checks + 4, FRESH_SEED + goal.seed, input)
+    """Return allowed postures that the pool of this goal does not have, to verify on."""
+    rows = default_postures(robot, 4 * goal.checks + 4, 3 + goal.seed, input)
     return allowed(rows, goal, input, model, room)
 
 
 def allowed(
     rows: Floats, goal: Goal, input: str, model: Model, room: Room, start: Floats | None = None
 ) -> Floats:
-    """Return the postures whose tensions and whose shape, and the way to it, may be."""
+    """Return the postures whose tensions and shape are allowed, and the path to it."""
     if input == 'tension':
         rows = rows[(rows <= goal.tension_max + 1e-9).all(axis=1)]
     elif np.isfinite(goal.tension_max):
-        rows = np.array([row for row in rows if _pulls_gently(model, row, goal.tension_max)])
+        tensions = [_tension_of(model, row) for row in rows]
+        rows = rows[np.array(tensions) <= goal.tension_max]
     rows = rows.reshape(-1, len(model.inputs))
     if not room.regions or not len(rows):
         return rows
-    return rows[[_stays(model, row, input, room, start) for row in rows]]
+    return rows[[_keeps_out(model, row, input, room, start) for row in rows]]
 
 
-def _pulls_gently(model: Model, pulls: Floats, most: float) -> bool:
-    """Tell whether wire pulls take no more tension [N]."""
+def _tension_of(model: Model, pulls: Floats) -> float:
+    """Return the highest tension [N] that wire pulls take; infinite where there is no shape."""
     try:
-        return bool(model.pull_shape(pulls).inputs.max() <= most)
+        return float(model.pull_shape(pulls).inputs.max())
     except (NoEquilibriumError, InputError):
-        return False
+        return np.inf
 
 
-def _stays(model: Model, row: Floats, input: str, room: Room, start: Floats | None) -> bool:
-    """Tell whether the arm keeps out on its straight way to a posture."""
+def _keeps_out(model: Model, row: Floats, input: str, room: Room, start: Floats | None) -> bool:
+    """Tell whether the arm keeps out of the regions on its straight path to a posture."""
     begin = model.limits[:, 0] if input == 'tension' else np.where(np.isnan(row), np.nan, 0.0)
     if start is not None:
         begin = start
-    shares = np.linspace(0.0, 1.0, WAY_POINTS)[:, None]
-    way = np.where(np.isnan(row), np.nan, begin + shares * (row - begin))
+    fractions = np.linspace(0.0, 1.0, PATH_POINTS)[:, None]
+    path = np.where(np.isnan(row), np.nan, begin + fractions * (row - begin))
     try:
-        shapes = model.shapes(way) if input == 'tension' else pull_shapes(model, way)
+        shapes = model.shapes(path) if input == 'tension' else pull_shapes(model, path)
     except (NoEquilibriumError, InputError):
         return False
-    points = np.concatenate([np.zeros((len(way), 1, 3)), shapes.positions], axis=1)
+    points = np.concatenate([np.zeros((len(path), 1, 3)), shapes.positions], axis=1)
     return room.keeps(points)
-
-
-# -----------------------------------------------------------------------------
-# Which of them tells most.
-
-STEP_SHARES = (0.3, 0.03)  # of a typical size, that a parameter moves for its derivative
-WIDE = 3.0  # typical sizes of 1 sd that an effect in question may have
 
 
 @dataclass(frozen=True)
@@ -208,7 +223,7 @@ def choose(
         The model has no shape where it was measured.
 
     """
-    design = _LinearDesign(question, measured, catalogue)
+    design = LinearDesign(question, measured, catalogue)
     offered, where = design.offered(pool)
     precision = np.eye(design.size)
     for rows in design.rows(measured) if len(measured.postures) else ():
@@ -223,7 +238,7 @@ def choose(
     return choices
 
 
-class _LinearDesign:
+class LinearDesign:
     """The linear picture of a question: columns in units of their prior, effects first."""
 
     def __init__(self, question: OpenQuestion, measured: DataSet, catalogue: Catalogue) -> None:
@@ -235,7 +250,7 @@ class _LinearDesign:
 
     def offered(self, pool: Floats) -> tuple[list[Floats], list[int]]:
         """Return what each posture of the pool shows, and which of them have an equilibrium."""
-        as_if, shown = self._as_if(pool)
+        as_if, shown = self.as_if_measured(pool)
         predictor = Predictor(as_if, self.robot, self.catalogue)
         if predictor.markers(self.question.point) is None:
             if shown != slice(None):
@@ -255,15 +270,17 @@ class _LinearDesign:
         here = predictor.markers(point)
         if here is None:
             return []
-        slopes = [
-            self._prior(free, predictor) * self._slope(predictor, free, here)
-            for free in self.frees
-        ]
+        slopes = []
+        for free in self.frees:
+            offset = abs(point.get(free, predictor.value(free)) - free.parameter.neutral)
+            prior = PRIOR_SD * max(free.parameter.typical, offset)
+            slopes.append(prior * self._slope(predictor, free, here))
         slopes += [
             n.spread * self._slope(predictor, n.free, here)
             for n in nuisances_of(self.robot, self.catalogue, predictor)
         ]
-        slopes += self._as_built(dataset)
+        if not self.robot.exact:
+            slopes += self.as_built(dataset)
         self.size = len(slopes)
         whitener = Whitener(dataset, self.question.noise, input_slopes(predictor, point))
         columns = np.array(slopes).reshape(len(slopes), len(here), -1)
@@ -273,12 +290,16 @@ class _LinearDesign:
         """Information [nat] about the effects that a posture adds to a precision."""
         k = len(self.frees)
         if self.question.narrows:
-            before, after = (_largest(p, k) for p in (precision, precision + rows.T @ rows))
+            units = np.eye(len(precision))[:, :k]
+            before, after = (
+                np.diag(np.linalg.solve(one, units)).max()
+                for one in (precision, precision + rows.T @ rows)
+            )
             return 0.5 * float(np.log(before / after))
-        return 0.5 * (_added(precision, rows) - _added(precision[k:, k:], rows[:, k:]))
+        return 0.5 * (information(precision, rows) - information(precision[k:, k:], rows[:, k:]))
 
-    def _as_if(self, pool: Floats) -> tuple[DataSet, slice]:
-        """Return a data set of the pool as if measured, and which of its postures are the pool."""
+    def as_if_measured(self, pool: Floats) -> tuple[DataSet, slice]:
+        """Return the pool as a data set, and which postures of it are those of the pool."""
         old, inputs, shown = self.measured, pool, slice(None)
         if old.path == 'sequence' and len(old.postures):
             last = np.broadcast_to(np.nan_to_num(old.inputs[-1]), pool.shape)
@@ -296,17 +317,12 @@ class _LinearDesign:
         )
         return made, shown
 
-    def _prior(self, free: FreeParameter, predictor: Predictor) -> float:
-        """Return 1 sd that a parameter in question may be off the guess."""
-        value = self.question.point.get(free, predictor.value(free))
-        return WIDE * max(free.parameter.typical, abs(value - free.parameter.neutral))
-
     def _slope(self, predictor: Predictor, free: FreeParameter, here: Floats) -> Floats:
         """Return the derivative (P, J, 3) [m per unit] of the markers by a parameter."""
         point, parameter = self.question.point, free.parameter
         value = point.get(free, predictor.value(free))
-        for share in STEP_SHARES:
-            step = share * parameter.typical
+        for fraction in STEP_FRACTIONS:
+            step = fraction * parameter.typical
             if value + step > parameter.high:
                 step = -step
             moved = predictor.markers({**point, free: value + step})
@@ -314,10 +330,8 @@ class _LinearDesign:
                 return (moved - here) / step
         return np.zeros_like(here)
 
-    def _as_built(self, dataset: DataSet) -> list[Floats]:
-        """Return what each imperfection of a plausible size does (P, J, 3) [m]."""
-        if self.robot.exact:
-            return []
+    def as_built(self, dataset: DataSet) -> list[Floats]:
+        """Return the displacement (P, J, 3) [m] by each imperfection of a plausible size."""
         unmeasured = replace(dataset, positions=np.full_like(dataset.positions, np.nan))
         split = SplitPredictor(Predictor(unmeasured, self.robot, self.catalogue))
         built = imperfections(split, self.question.point)
@@ -328,13 +342,7 @@ class _LinearDesign:
         return list(built.moves * np.repeat(sizes, members)[:, None, None, None])
 
 
-def _largest(precision: Floats, count: int) -> float:
-    """Return the largest variance of the first so many."""
-    units = np.eye(len(precision))[:, :count]
-    return float(np.diag(np.linalg.solve(precision, units)).max())
-
-
-def _added(precision: Floats, rows: Floats) -> float:
+def information(precision: Floats, rows: Floats) -> float:
     """Return by how much the log determinant of a precision grows with rows."""
     if not precision.size:
         return 0.0

@@ -63,28 +63,33 @@ class Goal:
 
 
 def add_goal(parser: argparse.ArgumentParser, trials: int) -> None:
-    """Declare the goal; `trials` is the default."""
+    """Declare the goal, where results go, and what is kept out; `trials` is the default."""
     default = Goal()
     add = parser.add_argument
-    text = 'half a 95 %% interval that is narrow enough, of the value or of a typical size'
-    add('--interval', type=float, default=100.0 * default.interval, metavar='PERCENT',
-        help=f'{text} (default: {100.0 * default.interval:g})')  # fmt: skip
-    text = 'tip motion of the length: adequate is a model when no effect may make more unseen'
-    add('--visible', type=float, default=100.0 * default.visible, metavar='PERCENT',
-        help=f'{text} (default: {100.0 * default.visible:g})')  # fmt: skip
-    for name, value, meta, text in (
-        ('postures', default.postures, 'N', 'at most so many'),
-        ('start', default.start, 'N', 'so many before the first diagnosis'),
-        ('at-once', default.at_once, 'N', 'so many between two diagnoses'),
-        ('trials', trials, 'N', 'of every posture'),
-        ('checks', default.checks, 'N', 'fresh postures to verify on'),
+    narrow = 'half a 95 %% interval that is narrow enough, of the value or of a typical size'
+    visible = 'tip motion of the length: adequate is a model when no effect may make more unseen'
+    for name, fraction, text in (
+        ('interval', default.interval, narrow),
+        ('visible', default.visible, visible),
     ):
-        add(f'--{name}', type=int, default=value, metavar=meta, help=f'{text} (default: {value})')
+        value, text = 100.0 * fraction, f'{text} (default: {100.0 * fraction:g})'
+        add(f'--{name}', type=float, default=value, metavar='PERCENT', help=text)
+    for name, count, text in (
+        ('postures', default.postures, 'at most so many'),
+        ('start', default.start, 'so many before the first diagnosis'),
+        ('at-once', default.at_once, 'so many between two diagnoses'),
+        ('trials', trials, 'of every posture'),
+        ('checks', default.checks, 'fresh postures to verify on'),
+    ):
+        add(f'--{name}', type=int, default=count, metavar='N', help=f'{text} (default: {count})')
     add('--minutes', type=float, default=math.inf, metavar='M', help='at most so long')
-    add('--tension-max', type=float, default=math.inf, metavar='N',
-        help='[N] besides the limits of the description')  # fmt: skip
-    add('--add', action='store_true',
-        help='write what is found though a class or more is left')  # fmt: skip
+    text = '[N] besides the limits of the description'
+    add('--tension-max', type=float, default=math.inf, metavar='N', help=text)
+    text = 'write what is found though a class or more is left'
+    add('--add', action='store_true', help=text)
+    add('--output', required=True, metavar='DIR', help='new folder')
+    add('--resume', action='store_true', help='go on with what DIR has')
+    add('--keep-out', metavar='YAML', help='regions where no part of the arm may be')
 
 
 def goal_of(args: argparse.Namespace, effect_files: tuple[str, ...] = ()) -> Goal:
@@ -106,14 +111,14 @@ def goal_of(args: argparse.Namespace, effect_files: tuple[str, ...] = ()) -> Goa
     )
 
 
-# -----------------------------------------------------------------------------
-# When it knows enough, and what is still in question.
-
 REJECTED = 'rejected'  # status of a candidate that is out
-IN_QUESTION_MAX = 6  # effects that the next posture is chosen for
+# [1] effects that the next posture is chosen for: more would cost a derivative each, and the
+# likeliest come first
+IN_QUESTION_MAX = 6
 NAMING = (Verdict.MISSING_EFFECT, Verdict.WRONG_PARAMETER, Verdict.SEVERAL)
-POSTURES_MANY = 8  # from which what cannot be narrowed is said instead
-AGAIN_FOR_CLASS = 3  # diagnoses in a row that name the same class before it counts as inseparable
+# [1] diagnoses in a row that name the same class before it counts as inseparable; two in a row
+# would also come by chance
+CLASS_ROUNDS = 3
 
 
 class InvestigationEnd(StrEnum):
@@ -267,7 +272,7 @@ def adequate_again(rounds: Sequence[Round]) -> bool:
 
 def _inseparable(diagnosis: Diagnosis, rounds: Sequence[Round]) -> bool:
     """Tell whether a class stays what it is: nothing separates it, or three rounds did not."""
-    last = [one.names for one in rounds[-AGAIN_FOR_CLASS:]]
+    last = [one.names for one in rounds[-CLASS_ROUNDS:]]
     same = len(last) > 1 and last[-1] == last[-2]
     following = diagnosis.next_measurement
     alike = (
@@ -275,7 +280,7 @@ def _inseparable(diagnosis: Diagnosis, rounds: Sequence[Round]) -> bool:
         or following.gravity is not None  # the arm would have to be turned
         or following.difference < SEPARABLE_FROM_SD * following.noise
     )
-    always = len(last) == AGAIN_FOR_CLASS and all(names == last[0] for names in last)
+    always = len(last) == CLASS_ROUNDS and all(names == last[0] for names in last)
     return same and (alike or always)
 
 

@@ -1,14 +1,16 @@
 """
 The loop: choose the posture that tells most, measure it, diagnose, until enough is known.
 
-After a drift alarm the first postures are those that tell the change most (`changed.py`).
+After a drift alarm the first postures are those that separate what may have changed.
 It ends when one name is left with an interval as narrow as asked, when what is left cannot be
 separated, when the model is adequate, when nothing in the catalogue fits, or when the budget is
-spent. Then what was found is verified on postures that were never chosen for it.
+spent. Then what was found is verified on postures that were never chosen for it, and everything
+is written: data, recording, diagnosis, page, description.
 """
 
 from __future__ import annotations
 
+import importlib.util
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,10 +20,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ..common.files import new_file
 from ..common.words import digits, listed
 from ..comparison.noise import Noise
 from ..comparison.predict import FreeParameter, frees_of
-from ..data import DataSet
+from ..data import DataSet, save_dataset
+from ..data.recording.writer import export_bag
 from ..diagnosis.add import Addition, add_effects
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import Diagnosis
@@ -29,16 +33,14 @@ from ..diagnosis.verdict import Verdict
 from ..effects import Catalogue, Effect, load_catalogue
 from ..model.model import Model
 from ..monitoring.change import ChangeFinder
-from ..report.diagnosis_page import with_effects
-from ..robot import Robot
+from ..report.diagnosis_page import pictures_of, with_effects, write_diagnosis
+from ..report.diagnosis_text import addition_warnings, lines, never_used
+from ..robot import Robot, dump_robot
 from ..robot.estimates import natural_sizes
 from ..robot.keep_out import KeepOut
-from .arm import MeasurableArm
-from .changed import look_after, no_effect
-from .choice import MARGIN_SHARE, Choice, OpenQuestion, Room, choose, fresh, pool
+from .choice import MARGIN_FRACTION, Choice, OpenQuestion, Room, choose, fresh, pool
 from .goal import (
     IN_QUESTION_MAX,
-    POSTURES_MANY,
     SENTENCES,
     Goal,
     InvestigationEnd,
@@ -52,12 +54,27 @@ from .goal import (
     short,
     widest,
 )
-from .measuring import Measurer, News, Tell
-from .record import CHECK, Record, Round, empty_dataset, with_posture
+from .measuring import Measurer, News, Tell, no_effect, separate_changes
+from .record import (
+    BETTER,
+    CHECK,
+    DATA,
+    MeasurableArm,
+    Record,
+    Round,
+    empty_dataset,
+    with_posture,
+)
 
 Floats = npt.NDArray[np.float64]
-GAIN_MIN = 0.02  # [nat] below which a posture tells nothing
-NARROWING_MIN = 0.5  # [nat] below which it hardly narrows what may act unseen
+RECORDING, RESULT, REPORT = 'recording.mcap', 'diagnosis.json', 'report.html'
+# [nat] information below which a posture tells nothing: an interval that it narrows would become
+# shorter by 2 %
+GAIN_MIN = 0.02
+# [nat] information below which a posture hardly narrows what may act unseen (docs/investigate.md)
+NARROWING_MIN = 0.5
+# [1] postures from which that ends the search of an adequate model (docs/investigate.md)
+NARROWING_FROM = 8
 
 
 @dataclass(frozen=True)
@@ -121,7 +138,7 @@ class Investigation:
         self.record = begin(arm, folder, trials)  # type: ignore[arg-type]
         self.diagnosis: Diagnosis | None = None
         self._suspected: list[str] = []  # effects that have appeared since an alarm
-        room = Room(regions or KeepOut(), MARGIN_SHARE * arm.robot.length)
+        room = Room(regions or KeepOut(), MARGIN_FRACTION * arm.robot.length)
         self.measurer = Measurer(arm, self.record, room, trials, goal.postures, tell)
         self._deadline = time.monotonic() + 60.0 * goal.minutes
 
@@ -137,24 +154,26 @@ class Investigation:
 
         """
         try:
-            outcome = self._ask()
-            self._end(outcome)
-            return self._verified(outcome)
+            outcome = self.ask()
+            self.tell_end(outcome)
+            return self.verified(outcome)
         finally:
             self.record.save()
             self.arm.release()
 
-    # -------------------------------------------------------------------------
-    # Asking.
-
-    def _ask(self) -> InvestigationEnd:
+    def ask(self) -> InvestigationEnd:
         """Measure and diagnose until it is enough."""
-        if self.change is not None and self._change_named(self.change):
-            return InvestigationEnd.CHANGED
+        if self.change is not None:
+            left = separate_changes(self.change, self.measurer, self.offered)
+            self.record.changed = [vars(suspect) for suspect in left]
+            self.record.save()
+            self._suspected = [suspect.name for suspect in left if suspect.is_effect]
+            if no_effect(left):
+                return InvestigationEnd.CHANGED
         while True:
             have = len(self.record.dataset.postures)
             if have >= self.goal.start:
-                outcome = self._diagnose()
+                outcome = self.judge()
                 if outcome is not None:
                     return outcome
             if have >= self.goal.postures or time.monotonic() > self._deadline:
@@ -164,13 +183,17 @@ class Investigation:
                 wanted = 1
             choices = self.choices(min(wanted, self.goal.postures - have))
             gain = choices[0].gain if choices else 0.0
-            many = have >= POSTURES_MANY
+            many = have >= NARROWING_FROM
             if adequate_again(self.record.rounds) and gain < (NARROWING_MIN if many else GAIN_MIN):
                 return InvestigationEnd.ADEQUATE
             if not choices or (have >= self.goal.start and gain < GAIN_MIN):
                 return InvestigationEnd.POOL
+            sought = self.sought
+            names = listed(sought, 'or') if len(sought) <= 3 else f'{len(sought)} effects'
+            what = f'the widest interval of {names}' if self._only_wide else names
             for choice in choices:
-                self._measure(choice)
+                why = f'tells {digits(choice.gain)} nat of {what}'
+                self.measurer.next(choice.inputs, why, {'gain': choice.gain, 'asked': sought})
 
     def choices(self, count: int) -> list[Choice]:
         """Choose the next postures."""
@@ -189,14 +212,6 @@ class Investigation:
         rows = pool(robot, self.goal, self.arm.input, self.arm.path, model, room, start)
         return self.measurer.untried(rows)
 
-    def _change_named(self, change: ChangeFinder) -> bool:
-        """Look after a change; tell whether it is named, and none that a description can have."""
-        left = look_after(change, self.measurer, self.offered)
-        self.record.changed = [vars(suspect) for suspect in left]
-        self.record.save()
-        self._suspected = [suspect.name for suspect in left if suspect.is_effect]
-        return no_effect(left)
-
     def question(self) -> OpenQuestion:
         """Return what is not known yet."""
         found: Sequence[Any] = () if self.diagnosis is None else self.diagnosis.effects
@@ -210,7 +225,7 @@ class Investigation:
             for free in frees_of([e.name for e in found], self.catalogue, self.arm.robot)
             if (free.effect, free.key) in values
         }
-        return OpenQuestion(tuple(self.asked), point, self._noise(), self._only_wide)
+        return OpenQuestion(tuple(self.sought), point, self.noise, self._only_wide)
 
     @property
     def _only_wide(self) -> bool:
@@ -219,8 +234,8 @@ class Investigation:
         return self.diagnosis is not None and only_wide(self.diagnosis, rounds, self.goal)
 
     @property
-    def asked(self) -> list[str]:
-        """Names of the effects that the next posture is to tell of."""
+    def sought(self) -> list[str]:
+        """Names of the effects on which the next posture is to give information."""
         if self.diagnosis is not None and self._only_wide:
             return [effect.name for effect in self.diagnosis.effects]
         if self.diagnosis is None and self._suspected:
@@ -230,7 +245,7 @@ class Investigation:
         if left:
             return list(left)[:IN_QUESTION_MAX]
         if not names or (self.diagnosis is not None and not self.diagnosis.effects):
-            names += [e.name for e in self.catalogue if e.name not in names and self._shows(e)]
+            names += [e.name for e in self.catalogue if e.name not in names and self.shows(e)]
         return names
 
     @property
@@ -239,7 +254,7 @@ class Investigation:
         robot = self.arm.robot
         return robot if self.diagnosis is None else with_effects(self.diagnosis, robot)
 
-    def _shows(self, effect: Effect) -> bool:
+    def shows(self, effect: Effect) -> bool:
         """Tell whether an effect can show at all on this arm."""
         robot = self.arm.robot
         if effect.acts_on and effect.acts_on not in robot.effects:
@@ -250,31 +265,27 @@ class Investigation:
             'gravity': robot.gravity is not None and bool(np.any(robot.gravity)),
         }.get(effect.needs or '', True)
 
-    def _noise(self) -> Noise:
-        """Return the noise to plan with."""
+    @property
+    def noise(self) -> Noise:
+        """The noise to plan with."""
         setting, trial = self.arm.input_noise
         position = self.arm.position_noise or self.goal.tracker_noise
         if self.diagnosis is not None and self.diagnosis.verdict.judged:
             position = self.diagnosis.details['noise']['position'] or position
         return Noise(position, trial, setting, np.inf, 'declared')
 
-    def _measure(self, choice: Choice) -> None:
-        """Measure a posture that was chosen."""
-        asked = self.asked
-        names = listed(asked, 'or') if len(asked) <= 3 else f'{len(asked)} effects'
-        what = f'the widest interval of {names}' if self._only_wide else names
-        why = f'tells {digits(choice.gain)} nat of {what}'
-        self.measurer.next(choice.inputs, why, {'gain': choice.gain, 'asked': asked})
-
-    # -------------------------------------------------------------------------
-    # Judging.
-
-    def _diagnose(self) -> InvestigationEnd | None:
+    def judge(self) -> InvestigationEnd | None:
         """Diagnose what there is, and tell whether it is enough."""
         dataset = self.record.dataset
         found = diagnose(dataset, None, self.catalogue, 1)
         self.diagnosis = found
-        self._narrow_margin(found)
+        length, left = self.arm.robot.length, dict[str, float]()
+        if found.verdict.judged and np.isfinite(found.error_after):
+            # as far from the regions as the best model is off (3 sd), but no farther than before
+            margin = min(3.0 * found.error_after, MARGIN_FRACTION * length)
+            self.measurer.room = Room(self.measurer.room.regions, margin)
+        if found.verdict is Verdict.ADEQUATE:
+            left = possible(found, dataset, self.catalogue, self.goal.visible * length)
         now = Round(
             len(dataset.postures),
             str(found.verdict),
@@ -282,7 +293,7 @@ class Investigation:
             in_question(found),
             widest(found, self.catalogue),
             short(found),
-            self._possible(found),
+            left,
         )
         self.record.rounds.append(now)
         self.record.save()
@@ -292,45 +303,28 @@ class Investigation:
         self.tell(News('diagnosis', text, {**vars(now), 'enough': outcome is not None}))
         return outcome
 
-    def _possible(self, found: Diagnosis) -> dict[str, float]:
-        """Return what may act unseen though the model is adequate [m] at the tip."""
-        if found.verdict is not Verdict.ADEQUATE:
-            return {}
-        visible = self.goal.visible * self.arm.robot.length
-        return possible(found, self.record.dataset, self.catalogue, visible)
-
-    def _narrow_margin(self, found: Diagnosis) -> None:
-        """Keep as far from the regions as the best model is off, and more."""
-        if found.verdict.judged and np.isfinite(found.error_after):
-            tips = 3.0 * found.error_after
-            margin = min(tips, MARGIN_SHARE * self.arm.robot.length)
-            self.measurer.room = Room(self.measurer.room.regions, margin)
-
-    def _end(self, outcome: InvestigationEnd) -> None:
-        """Say why it ended."""
+    def tell_end(self, outcome: InvestigationEnd) -> None:
+        """Record and say why it ended."""
         record, named = self.record, [] if self.diagnosis is None else names_of(self.diagnosis)
         if outcome is InvestigationEnd.CHANGED:
             named = [one['name'] for one in record.changed]
-        record.outcome = {'why': str(outcome), 'names': named,
-                          'postures': len(record.dataset.postures)}  # fmt: skip
-        sentence = f'{len(record.dataset.postures)} postures: {SENTENCES[outcome]}'
+        postures = len(record.dataset.postures)
+        record.outcome = {'why': str(outcome), 'names': named, 'postures': postures}
+        sentence = f'{postures} postures: {SENTENCES[outcome]}'
         if record.rounds:
             sentence += may_act(record.rounds[-1])
         if record.skipped:
             sentence += f'; {len(record.skipped)} could not be measured'
         self.tell(News('end', sentence, record.outcome))
 
-    # -------------------------------------------------------------------------
-    # Verifying.
-
-    def _verified(self, outcome: InvestigationEnd) -> Findings:
+    def verified(self, outcome: InvestigationEnd) -> Findings:
         """Fit what was found and see what it does on fresh postures."""
         found, dataset = self.diagnosis, self.record.dataset
         adds = found is not None and bool(found.effects) and found.verdict.may_add
         sure = outcome is InvestigationEnd.NAMED or self.goal.add
         if found is None or not adds or not sure:
             return Findings(outcome, found, dataset, self.record)
-        check = self._fresh() if self.goal.checks else None
+        check = self.measure_fresh() if self.goal.checks else None
         names = [effect.name for effect in found.effects]
         made = add_effects(dataset, names, None, self.catalogue, check, found.effects)
         self.tell(
@@ -343,7 +337,7 @@ class Investigation:
         )
         return Findings(outcome, found, dataset, self.record, made, check)
 
-    def _fresh(self) -> DataSet | None:
+    def measure_fresh(self) -> DataSet | None:
         """Measure postures that were not chosen for anything."""
         self.arm.release()
         model = Model(self.guess, self.catalogue)
@@ -357,3 +351,46 @@ class Investigation:
                 check = with_posture(check, row, measured, self.arm.position_noise)
                 self.tell(News('check', f'  fresh posture {len(check.postures)} measured'))
         return check if len(check.postures) else None
+
+
+def write_results(findings: Findings, folder: Path, catalogue: Catalogue, add: bool) -> list[str]:
+    """
+    Write everything beside the data; return the lines to print.
+
+    Recording and report need their extras (rosbags, plotly) and are left out without.
+
+    Parameters
+    ----------
+    findings : Findings
+    folder : Path
+    catalogue : Catalogue
+    add : bool
+        Write the description even where the verdict is a class, or the intervals are wide.
+
+    """
+    found, made = findings.diagnosis, findings.made
+    written = [DATA] if len(findings.dataset.postures) else []
+    if findings.check is not None:
+        save_dataset(findings.check, folder / CHECK, True)
+        written.append(CHECK)
+    if written and importlib.util.find_spec('rosbags') is not None:
+        (folder / RECORDING).unlink(missing_ok=True)
+        export_bag(findings.dataset, folder / RECORDING)
+        written.append(RECORDING)
+    text = [] if found is None else ['', *lines(found)]
+    if found is not None:
+        found.save(folder / RESULT)
+        written.append(RESULT)
+        if importlib.util.find_spec('plotly') is not None:
+            better = with_effects(found, findings.dataset.robot) if made is None else made.robot
+            pictures = pictures_of(found, findings.dataset, catalogue, better)
+            write_diagnosis(found, pictures, folder / REPORT, made)
+            written.append(REPORT)
+    if made is not None:
+        text += [never_used(made), *addition_warnings(made)]
+        if made.helps and (findings.may_add or add):
+            with new_file(folder / BETTER) as draft:
+                draft.write_text(dump_robot(made.robot), encoding='utf-8')
+            written.append(BETTER)
+            text.append(f'controller parameter model := {folder / BETTER}')
+    return [*text, f'written: {folder}: {", ".join(written)}']

@@ -1,9 +1,13 @@
-"""Measuring a posture: what breaks is tried again, then skipped and said; regions stay free."""
+"""
+Measuring postures: what breaks is tried once more, then skipped; regions are kept out.
+
+After a drift alarm, the postures that separate what has changed.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -11,13 +15,16 @@ import numpy.typing as npt
 
 from ..common.errors import TendonRobotError
 from ..common.words import commands
-from .arm import BrokenMeasurementError, MeasurableArm, PostureMeasured, checked
+from ..monitoring.change import APART_PROBABILITY, ChangeFinder, Suspect, described
 from .choice import Room
-from .record import Record
+from .record import BrokenMeasurementError, MeasurableArm, PostureMeasured, Record
 
 Floats = npt.NDArray[np.float64]
-ATTEMPTS = 2  # at a posture, before it is skipped
-SKIPPED_MAX = 5  # postures in a row, after which something is wrong with the robot
+# [1] postures more that were skipped than measured: something is wrong with the robot then, and
+# every further attempt would move it in vain
+SKIPPED_MAX = 5
+# [1] postures after an alarm at most (docs/investigate.md); then an investigation goes on anyway
+ASKED_MAX = 12
 
 
 @dataclass(frozen=True)
@@ -67,14 +74,14 @@ class Measurer:
 
         """
         reason = ''
-        for attempt in range(ATTEMPTS):
+        for is_last in (False, True):
             try:
                 measured = checked(self.arm.measure(inputs, self.trials))
-                self._refuse_forbidden(measured)
+                self.room.refuse_inside(measured.positions)
                 return measured
             except BrokenMeasurementError as error:
                 reason = str(error)
-                if attempt + 1 < ATTEMPTS:
+                if not is_last:
                     self.tell(News('broken', f'  not measured: {reason}; once more'))
         self.record.skip(inputs, reason)
         self.tell(News('skipped', f'  skipped: {reason}'))
@@ -95,13 +102,99 @@ class Measurer:
             offered = offered[~same]
         return offered
 
-    def _refuse_forbidden(self, measured: PostureMeasured) -> None:
-        """Raise where a marker was seen in a region that is kept out."""
-        points = measured.positions[np.isfinite(measured.positions).all(axis=2)]
-        clear = self.room.regions.clearance(points)
-        if clear.distance < 0.0:
-            raise TendonRobotError(
-                f'a marker was seen {1e3 * -clear.distance:.1f} mm inside {clear.region}, where '
-                'the model says that it is not: the arm was released; look at the robot, and at '
-                'where the tracker says its base is'
-            )
+
+def checked(measured: PostureMeasured) -> PostureMeasured:
+    """
+    Refuse a measurement that lacks most of its markers.
+
+    Raises
+    ------
+    BrokenMeasurementError
+
+    """
+    seen = np.isfinite(measured.positions).all(axis=2)  # (Q, J)
+    good = seen.mean(axis=1) >= 0.5
+    if not good.any():
+        lost = 100.0 * (1.0 - seen.mean())
+        raise BrokenMeasurementError(f'the tracker lost {lost:.0f} % of the markers')
+    positions = np.where(good[:, None, None], measured.positions, np.nan)
+    return replace(measured, positions=positions)
+
+
+def separate_changes(
+    finder: ChangeFinder, measurer: Measurer, offered: Callable[[], Floats]
+) -> list[Suspect]:
+    """
+    Measure the postures that separate what may have changed since a drift alarm.
+
+    The monitor knows what it may be after the postures that happened to come. Here the arm is
+    driven to the posture at which the likely changes lie farthest apart, until one of them is
+    likely enough, nothing separates the rest, or the postures are used up. They are the first
+    postures of the investigation that follows; after each it is said what the change looks like.
+
+    Parameters
+    ----------
+    finder : ChangeFinder
+        With the postures since the alarm; those that are measured are added.
+    measurer : Measurer
+    offered : callable
+        Returns the tensions (b, m) [N] that may be chosen now.
+
+    Returns
+    -------
+    list of Suspect
+        The changes that remain: the likeliest first, together likely enough.
+
+    """
+    suspects = finder.suspects()
+    tell_suspects(measurer, suspects)
+    for _ in range(min(ASKED_MAX, measurer.most)):
+        rows = offered()
+        best = finder.most_telling(rows) if len(rows) else None
+        if best is None:
+            break
+        names = [suspect.name for suspect in likely(suspects)]
+        more = f' and {len(names) - 3} more' if len(names) > 3 else ''
+        first = ', '.join(names[:3])
+        why = f'separates {first}{more}' if len(names) > 1 else f'is to confirm {first}'
+        measured = measurer.next(rows[best], why, {'asked': names})
+        if measured is not None:
+            taken, seen = rows[best], np.isfinite(measured.positions)
+            if measured.inputs is not None:
+                taken = np.nanmean(measured.inputs, axis=0)
+            count = np.where(seen.any(axis=0), seen.sum(axis=0), np.nan)
+            # all trials of a posture are one measurement
+            finder.take(taken, np.nansum(measured.positions, axis=0) / count, measured.frames)
+            suspects = finder.suspects()
+            tell_suspects(measurer, suspects)
+    left = likely(suspects)
+    if left:
+        have = len(measurer.record.dataset.postures)
+        content = {'names': [suspect.name for suspect in left], 'postures': have}
+        measurer.tell(News('changed', f'  {have} postures: has changed: {sizes(left)}', content))
+    return left
+
+
+def likely(suspects: Sequence[Suspect]) -> list[Suspect]:
+    """Return the likeliest changes that are together likely enough."""
+    sums = np.cumsum([suspect.probability for suspect in suspects])
+    return list(suspects[: int(np.searchsorted(sums, APART_PROBABILITY)) + 1])
+
+
+def no_effect(suspects: Sequence[Suspect]) -> bool:
+    """Tell whether something has changed that no description has: a cell, a gain, the tracker."""
+    return bool(suspects) and not any(suspect.is_effect for suspect in suspects)
+
+
+def sizes(suspects: Sequence[Suspect]) -> str:
+    """Say what has changed, and by how much; several look alike."""
+    said = [f'{suspect.name} ({suspect.size})' for suspect in suspects[:3]]
+    more = f' or {len(suspects) - 3} more' if len(suspects) > 3 else ''
+    return ' or '.join(said) + more
+
+
+def tell_suspects(measurer: Measurer, suspects: Sequence[Suspect]) -> None:
+    """Tell what the change looks like after the postures so far."""
+    have = len(measurer.record.dataset.postures)
+    content = {'suspects': [vars(suspect) for suspect in likely(suspects)], 'postures': have}
+    measurer.tell(News('change', f'  looks like {described(suspects)}', content))

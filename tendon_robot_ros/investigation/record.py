@@ -1,4 +1,8 @@
-"""What an investigation has measured so far: a data set that grows, on disk all the time."""
+"""
+What an investigation needs of an arm, simulated or real, and the record of what it measured.
+
+The record is a data set that grows; it is on disk after every posture.
+"""
 
 from __future__ import annotations
 
@@ -6,20 +10,76 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from ..common.errors import InputError
+from ..common.errors import InputError, TendonRobotError
 from ..common.files import new_file, read_text
-from ..data import DataSet, load_dataset, save_dataset
-from ..robot import dump_robot
-from .arm import MeasurableArm, PostureMeasured
+from ..data import DataSet, Marker, load_dataset, save_dataset
+from ..robot import Robot, dump_robot
 
 Floats = npt.NDArray[np.float64]
 DATA, CHECK, LOG, BETTER = 'data', 'check', 'investigation.json', 'better.yaml'
 FORMAT = 'tendon_robot_ros/investigation@1'
+
+
+class BrokenMeasurementError(TendonRobotError):
+    """A posture was not measured: lost tracker, an arm that does not stand, a slipped tendon."""
+
+
+@dataclass(frozen=True)
+class PostureMeasured:
+    """One posture as it was measured."""
+
+    positions: Floats  # (Q, J, 3) [m], nan where a marker was not seen
+    inputs: Floats | None = None  # (Q, m) [N] or [m] as measured; None: as commanded
+    frames: int = 1  # of the tracker, of all trials together
+
+
+class MeasurableArm(Protocol):
+    """An arm that can be asked; it looks after its own limits, stop and watchdog."""
+
+    @property
+    def robot(self) -> Robot:
+        """The description that is to be judged."""
+
+    @property
+    def markers(self) -> Sequence[Marker]:
+        """What the tracker sees."""
+
+    @property
+    def input(self) -> str:
+        """'tension' or 'displacement': what the motors set."""
+
+    @property
+    def path(self) -> str:
+        """'from_straight' (it lets go before every posture) or 'sequence'."""
+
+    @property
+    def position_noise(self) -> float | None:
+        """Standard deviation [m] of a coordinate of one trial, if it is known."""
+
+    @property
+    def input_noise(self) -> tuple[float, float]:
+        """Relative 1 sd of an input: shared by the trials of a posture, and per trial."""
+
+    def measure(self, inputs: Floats, trials: int) -> PostureMeasured:
+        """
+        Go to a posture, wait until it stands, and record trials.
+
+        Raises
+        ------
+        BrokenMeasurementError
+            It was not measured; another attempt may do.
+        TendonRobotError
+            The robot is stopped or gone.
+
+        """
+
+    def release(self) -> None:
+        """Let the arm go: the safe state, whatever happened."""
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ from ..diagnosis.imperfections import GAIN, SplitPredictor
 from ..diagnosis.intervals import load_of, vector_rows
 from ..diagnosis.slopes import imperfections
 from ..effects import Catalogue
-from ..report.numbers import load_words
+from ..report.sentences import load_words
 from ..robot import dump_robot, parse_robot
 from .built_arm import ODD_PROBABILITY, BuiltArm
 

@@ -8,12 +8,14 @@ from ..common.words import PROGRAM, columns, commands, digits, mm, postures, pro
 from ..comparison.result import Comparison, ModelErrors
 from ..comparison.statistics import Estimate, PairedT
 from ..data.dataset import at_rest
-from .arm_text import left_out
+from .sentences import left_out
 
-GOOD_WITHIN_FLOORS = 1.3  # times the noise floor: as good as the measurements can tell
-# Of what markers move: a noise floor above lets a model pass that is off by a tenth of the motion;
-# measurements of an arm with a tracker have a hundredth.
-FLOOR_SHARE_MAX = 0.1
+# [1] noise floors: as good as the measurements can tell, because the rms over 12 postures in three
+# coordinates scatters by 12 % (1 sd) by chance
+GOOD_WITHIN_FLOORS = 1.3
+# [1] of the motion of the markers: with a noise floor above this a model would pass that is off by
+# a tenth of the motion; measurements of an arm with a tracker have a hundredth
+FLOOR_FRACTION_MAX = 0.1
 
 
 def table(comparison: Comparison) -> str:
@@ -154,7 +156,7 @@ def _drowned(comparison: Comparison) -> bool:
     """Tell whether the noise floor is a large share of the motion, if there is any."""
     measured, floor = comparison.measured, comparison.noise_floor
     several = int((measured.trials > 0).sum()) > 1
-    return several and floor is not None and floor > FLOOR_SHARE_MAX * measured.motion
+    return several and floor is not None and floor > FLOOR_FRACTION_MAX * measured.motion
 
 
 def next_step(comparison: Comparison) -> str:

@@ -19,13 +19,12 @@ from ..diagnosis.verdict import P_SINGLE_MIN, Verdict
 from ..effects import Catalogue, load_catalogue
 from ..robot import Robot
 from ..robot.description import EffectValues
-from . import addition_text, diagnosis_text
-from .arm_text import Fault, where_wrong
+from . import diagnosis_text
 from .comparison_page import add_shapes
 from .diagnosis_text import next_measurement, trust_lines
 from .error_plots import Step, heat_maps, moments, per_marker, per_posture, staircase
-from .numbers import quantities
-from .page import Page
+from .page import HEIGHTS_PX, Page
+from .sentences import Fault, quantities, where_wrong
 
 BEFORE = 'as described'
 GROUPS = {
@@ -189,7 +188,7 @@ def add_staircase(page: Page, diagnosis: Diagnosis, made: Addition | None) -> No
             Step('noise floor', diagnosis.noise_floor, 'floor'),
         ]
     else:
-        never_used = addition_text.never_used(made).replace('->', '→').replace('  ', ' ')
+        never_used = diagnosis_text.never_used(made).replace('->', '→').replace('  ', ' ')
         page.text(f'{capital(never_used)}.')
         steps = []
         for errors in (made.fitted, made.check):
@@ -200,8 +199,8 @@ def add_staircase(page: Page, diagnosis: Diagnosis, made: Addition | None) -> No
             steps.append(Step('after', errors.after, 'after', group))
             if errors.floor is not None:
                 steps.append(Step('noise floor', errors.floor, 'floor', group))
-        page.text(*map(capital, addition_text.warnings(made)))
-    page.figures([staircase(steps, height=300)])
+        page.text(*map(capital, diagnosis_text.addition_warnings(made)))
+    page.figures([staircase(steps, height=HEIGHTS_PX['low'])])
 
 
 def add_alternatives(page: Page, diagnosis: Diagnosis) -> None:
@@ -220,8 +219,8 @@ def add_alternatives(page: Page, diagnosis: Diagnosis) -> None:
         rows.append(candidate_row(row))
         kinds.append({'best': 'strong', 'rejected': 'faint'}.get(row.status, ''))
     if rows:
-        found = diagnosis_text.with_arm(diagnosis)
-        with_what = 'the effect and the arm as it was found' if found else 'the effect'
+        with_arm = diagnosis_text.with_arm(diagnosis)
+        with_what = 'the effect and the arm as it was found' if with_arm else 'the effect'
         page.table(CANDIDATE_HEAD, rows, kinds, left=(5, 6))
         page.text(
             '“Explains” is the share of the error above the noise floor that goes away; “error '

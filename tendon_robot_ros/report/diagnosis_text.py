@@ -1,18 +1,36 @@
-"""What a diagnosis says in words; every sentence comes from fields of the result."""
+"""
+What a diagnosis says in words, and what was added by it.
+
+Every sentence comes from fields of the result.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from string import Formatter
 
 import numpy as np
 
-from ..common.words import commands, digits, listed, mm, percent, postures
+from ..common.words import columns, commands, digits, listed, mm, percent, postures
+from ..diagnosis.add import Addition
 from ..diagnosis.crossval import share_gone
 from ..diagnosis.result import Diagnosis, NextMeasurement
-from ..diagnosis.verdict import NOISE_WITHIN_FLOORS, P_SINGLE_MIN, SEPARABLE_FROM_SD, Verdict
-from .arm_text import as_built, left_out, where_wrong
-from .numbers import described_quantity, load_words, quantities, short_quantities
+from ..diagnosis.verdict import (
+    NOISE_WITHIN_FLOORS,
+    P_SINGLE_MIN,
+    SEPARABLE_FROM_SD,
+    Verdict,
+)
+from .sentences import (
+    as_built,
+    described_quantity,
+    left_out,
+    load_words,
+    quantities,
+    short_quantities,
+    where_wrong,
+)
 
 # a fit without physics that beat the effects, by its name
 PATTERNS = {
@@ -22,7 +40,9 @@ PATTERNS = {
     'gain_per_posture': 'a factor of its own on the inputs of every posture',
     'rotation_per_posture': 'a rotation of its own of every posture',
 }
-TRIALS_ADVISED = 5  # of a posture: so many halve the noise, and show their spread
+# [1] trials of a posture that are advised: so many halve the noise, so that its spread shows too
+TRIALS_ADVISED = 5
+NOT_WRITTEN = 'Nothing was written: the error on postures that were not used would rise.'
 
 
 def lines(diagnosis: Diagnosis) -> list[str]:
@@ -107,7 +127,7 @@ def verdict(diagnosis: Diagnosis) -> str:
     return sentence.format(**{name: _FIELDS[name](diagnosis) for name in names})
 
 
-def _share(diagnosis: Diagnosis) -> str:
+def explained_part(diagnosis: Diagnosis) -> str:
     """Say how much of the explainable error goes away, with the arm as it was found or without."""
     share = percent(diagnosis.effects[0].explained)
     if not with_arm(diagnosis):
@@ -138,7 +158,7 @@ def errors(diagnosis: Diagnosis) -> list[str]:
     ]
 
 
-def _what_is_off(diagnosis: Diagnosis) -> str:
+def what_is_off(diagnosis: Diagnosis) -> str:
     """Say which quantity moved beyond its tolerance, or which values are off."""
     if diagnosis.out_of_tolerance:
         moved = diagnosis.details.get('moved', {})
@@ -152,7 +172,7 @@ def _what_is_off(diagnosis: Diagnosis) -> str:
     return 'no effect is missing, but a value is off'
 
 
-def _instead(diagnosis: Diagnosis) -> str:
+def instead(diagnosis: Diagnosis) -> str:
     """Say what the description says instead, and how much the new value explains."""
     if diagnosis.out_of_tolerance:
         return ''
@@ -163,10 +183,10 @@ def _instead(diagnosis: Diagnosis) -> str:
         described_quantity(key, units.get(key, '1'), np.atleast_1d(value).tolist())
         for key, value in before.items()
     )
-    return f' (the description says {was or "nothing"}).\nIt explains {_share(diagnosis)}'
+    return f' (the description says {was or "nothing"}).\nIt explains {explained_part(diagnosis)}'
 
 
-def _what_remains(diagnosis: Diagnosis) -> str:
+def what_remains(diagnosis: Diagnosis) -> str:
     """Say how far the best effects come, and what is left or fits better without physics."""
     floor = diagnosis.noise_floor
     if not diagnosis.effects:
@@ -194,7 +214,8 @@ def _what_remains(diagnosis: Diagnosis) -> str:
     return f'{text}what remains is {size}{sure}'
 
 
-# what the sentences of `diagnosis.verdict.Verdict` name
+# field of a sentence of `diagnosis.verdict.Verdict` -> what stands there, so that a sentence names
+# what it needs
 _FIELDS: dict[str, Callable[[Diagnosis], str]] = {
     'alike': lambda diagnosis: listed(diagnosis.cannot_tell_apart, 'or'),
     'best': lambda diagnosis: diagnosis.effects[0].name,
@@ -204,7 +225,7 @@ _FIELDS: dict[str, Callable[[Diagnosis], str]] = {
     'for_accuracy': lambda diagnosis: (
         f' FOR {mm(accuracy, 2)}' if (accuracy := diagnosis.details.get('accuracy')) else ''
     ),
-    'instead': _instead,
+    'instead': instead,
     'judged_by': lambda diagnosis: (
         'matters at that accuracy'
         if diagnosis.details.get('accuracy')
@@ -212,7 +233,7 @@ _FIELDS: dict[str, Callable[[Diagnosis], str]] = {
     ),
     'names': lambda diagnosis: ' AND '.join(e.name for e in diagnosis.effects),
     'remainder': lambda diagnosis: diagnosis.remainder,
-    'share': _share,
+    'share': explained_part,
     'these_postures': lambda diagnosis: (
         f'these {count} postures'
         if (count := diagnosis.details.get('postures'))
@@ -221,8 +242,8 @@ _FIELDS: dict[str, Callable[[Diagnosis], str]] = {
     'values': lambda diagnosis: '; '.join(
         f'{e.name}: {quantities(e.parameters, e.load)}' for e in diagnosis.effects
     ),
-    'what_is_off': _what_is_off,
-    'what_remains': _what_remains,
+    'what_is_off': what_is_off,
+    'what_remains': what_remains,
 }
 
 
@@ -296,10 +317,10 @@ def next_measurement(diagnosis: Diagnosis) -> str:
         where += f', with the base turned so that gravity is [{down}] m/s²'
     if step.after is not None:
         where += f', coming from {commands(dict(step.after), kind)}'
-    return f'Measure this next: {where}, {TRIALS_ADVISED} trials. {_predicted(step)}'
+    return f'Measure this next: {where}, {TRIALS_ADVISED} trials. {predicted_apart(step)}'
 
 
-def _predicted(step: NextMeasurement) -> str:
+def predicted_apart(step: NextMeasurement) -> str:
     """Say which prediction stands apart from the others, and by how much."""
     names, tips = list(step.predictions), np.array(list(step.predictions.values()))
     end = f'your noise there is {mm(step.noise, 2)}.'
@@ -358,5 +379,99 @@ def trust_lines(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.verdict is Verdict.OUTSIDE_CATALOGUE:
         sentences.append(
             'All of this is about effects of the catalogue; of a cause outside it it says nothing.'
+        )
+    return sentences
+
+
+def addition_lines(made: Addition) -> list[str]:
+    """Return values, errors, tolerances and warnings."""
+    lines = [
+        f'{name}: {quantities(values, made.loads.get(name))}'
+        for name, values in made.values.items()
+    ]
+    lines.append(error_table(made))
+    lines += addition_warnings(made)
+    return lines
+
+
+def error_table(made: Addition) -> str:
+    """Return the table of errors before, after, and of a perfect model."""
+    alone = ['effects alone'] if made.beside else []
+    table = [['error (rms)', 'before', *alone, 'after', 'noise floor', 'gone']]
+    for errors in (made.fitted, made.check):
+        count = f'{errors.postures} posture{"" if errors.postures == 1 else "s"}'
+        numbers = [mm(errors.before), mm(errors.after), mm(errors.floor)]
+        if made.beside:  # the effects alone; without the arm as found there may be no shape
+            known = errors.alone is not None and math.isfinite(errors.alone)
+            numbers.insert(1, mm(errors.alone) if known else 'no equilibrium')
+        gone = '' if errors.gone is None else percent(errors.gone)
+        table.append([f'{errors.kind}: {count} of {errors.data}', *numbers, gone])
+    return columns(table)
+
+
+def never_used(made: Addition) -> str:
+    """Say in one line what became of the error on postures that were not fitted."""
+    check = made.check
+    floor = '' if check.floor is None else f'  (floor {mm(check.floor)})'
+    which = 'never used' if check.kind == 'check' else 'left out in turn'
+    return f'error on postures {which}: {mm(check.before)} -> {mm(check.after)}{floor}'
+
+
+def also_written(made: Addition) -> list[str]:
+    """Name what the file says otherwise than the description before, beside the effects added."""
+    robot, before = made.robot, made.described
+    if before is None:
+        return []
+    said = []
+    stiffness = _changes(
+        [k for s in before.sections for k in s.bending_stiffness],
+        [k for s in robot.sections for k in s.bending_stiffness],
+    )
+    if stiffness:
+        said.append(f'stiffness of {_count(stiffness, "cell")}')
+    offsets = _changes(*([np.hypot(*t.base) for t in one.tendons] for one in (before, robot)))
+    if offsets:
+        said.append(f'offset of {_count(offsets, "tendon")}')
+    said += [
+        name
+        for name, values in robot.effects.items()
+        if name not in made.values and values != before.effects.get(name)
+    ]
+    return [*said, 'gravity'] if robot.gravity != before.gravity else said
+
+
+def _changes(before: Sequence[float], after: Sequence[float]) -> list[float]:
+    """Return the relative changes of those values that changed."""
+    pairs = zip(before, after, strict=True)
+    return [float(new / old - 1.0) for old, new in pairs if new != old and old]
+
+
+def _count(changes: Sequence[float], what: str) -> str:
+    """Say how many changed, and between which changes."""
+    low, high = (f'{100.0 * change:+.2g}' for change in (min(changes), max(changes)))
+    size = f'{low} %' if low == high else f'{low} to {high} %'
+    return f'{len(changes)} {what}{"" if len(changes) == 1 else "s"} ({size})'
+
+
+def addition_warnings(made: Addition) -> list[str]:
+    """Say what else is written and at work, which tolerances moved, when a check got worse."""
+    sentences = []
+    if made.beside:
+        also = also_written(made)
+        sentences.append(
+            'after: with the effects and the arm as it was found beside them; '
+            f'the file holds that, too: {listed(also)}'
+        )
+    if made.moved:
+        moves = ', '.join(f'{name} by {digits(z)} sd' for name, z in made.moved.items())
+        where = 'in the file, too' if made.beside else 'not in the file'
+        sentences.append(f'declared tolerances moved in the fit: {moves} ({where})')
+    if made.accuracy:
+        sentences.append(f'weighed by the declared accuracy of {mm(made.accuracy, 2)}')
+    if made.more_at_work:
+        sentences.append(f'note: {made.more_at_work}')
+    if made.check.after > made.check.before:
+        sentences.append(
+            'note: the error on postures that were not fitted grew; do not use these values'
         )
     return sentences

@@ -14,15 +14,26 @@ from ..common.words import capital, mm
 from ..comparison.result import Comparison
 from ..diagnosis.missing_moment import MissingMoment
 from .comparison_text import posture_name
-from .numbers import LOG_AXIS, degrees_list, error_bars, mm_list, plain
-from .page import Figure, curve, titled
+from .page import (
+    HEIGHTS_PX,
+    LOG_AXIS,
+    Figure,
+    Shown,
+    curve,
+    degrees_list,
+    error_bars,
+    mm_list,
+    plain,
+    titled,
+    trace,
+)
 
-POSTURES_WITH_OWN_BOXES = 6  # postures up to which each has its own boxes, else they are too thin
-BOX_POINTS_MAX = 200  # trials up to which each is drawn beside its box, else they cover it
-LOG_AXIS_FROM_FLOORS = 25.0  # times the noise floor from which it would lie on the zero line
-# [noise sd] between which the largest deviation must lie for colours to end there, so that noise
+# [1] noise floors of an error above which the floor would lie on the zero line: 15 px of a figure
+LOG_AXIS_FROM_FLOORS = 25.0
+# [1] noise sd between which the largest deviation must lie for colours to end there, so that noise
 # stays pale and one wild posture does not take the colour off all others
 COLOURS_END_SD = (4.0, 30.0)
+FILLED = {'fill': 'tozeroy', 'fillcolor': BAND}
 # what the missing moment may follow, and what that means
 CAUSES = {
     'total tension [N]': 'A straight line through zero is friction in the hinges.',
@@ -50,16 +61,9 @@ def per_marker(comparison: Comparison) -> Figure:
     data: list[dict[str, Any]] = []
     floor = measured.floor_per_marker
     if floor is not None:
+        line = {'color': FLOOR, 'width': 1}
         data.append(
-            {
-                'x': along,
-                'y': mm_list(floor),
-                'name': 'repeatability (a perfect model)',
-                'fill': 'tozeroy',
-                'fillcolor': BAND,
-                'mode': 'lines',
-                'line': {'color': FLOOR, 'width': 1},
-            }
+            trace(along, mm_list(floor), 'repeatability (a perfect model)', line=line, **FILLED)
         )
     for i, model in enumerate(comparison.models):
         data.append(curve(along, mm_list(model.per_marker_rms), model.name, look(i), size=7))
@@ -77,36 +81,17 @@ def per_posture(comparison: Comparison) -> Figure:
     names = [escape(measured.postures[p]) for p in seen]
     data: list[dict[str, Any]] = []
     for i, model in enumerate(comparison.models):
-        data.append(
-            {
-                'x': names,
-                'y': mm_list(model.per_posture_rms[seen]),
-                'text': [escape(posture_name(comparison, p)) for p in seen],
-                'name': escape(model.name),
-                'mode': 'markers',
-                'marker': {
-                    'color': look(i).colour,
-                    'symbol': look(i).symbol,
-                    'size': 9,
-                    'line': {'width': 2},
-                },
-            }
-        )
+        marker = {'color': look(i).colour, 'symbol': look(i).symbol, 'size': 9}
+        marker |= {'line': {'width': 2}}
+        text = [escape(posture_name(comparison, p)) for p in seen]
+        errors = mm_list(model.per_posture_rms[seen])
+        data.append(trace(names, errors, model.name, 'markers', text=text, marker=marker))
     if measured.floor is not None:
         floor = np.sqrt(np.nanmean(measured.floor[seen], axis=1))
-        data.append(
-            {
-                'x': names,
-                'y': mm_list(floor),
-                'name': 'repeatability',
-                'mode': 'lines',
-                'line': {'color': FLOOR, 'width': 1, 'shape': 'hvh'},
-                'fill': 'tozeroy',
-                'fillcolor': BAND,
-            }
-        )
+        line = {'color': FLOOR, 'width': 1, 'shape': 'hvh'}
+        data.append(trace(names, mm_list(floor), 'repeatability', line=line, **FILLED))
     layout = {
-        'xaxis': {'title': {'text': 'posture'}, 'type': 'category'},
+        'xaxis': titled('posture', type='category'),
         'yaxis': _error_axis(comparison, 'error, rms over markers [mm]'),
     }
     return Figure(data, layout, 'Error posture by posture', '')
@@ -123,16 +108,10 @@ def angles(comparison: Comparison, p: int) -> Figure:
         assert model.angles is not None
         data.append(curve(along, degrees_list(model.angles[p]), model.name, look(i), 2.5))
     what = '95 %' if comparison.error == 'ci' else 'standard error'
-    data.append(
-        {
-            'x': along,
-            'y': degrees_list(mean[p]),
-            'error_y': error_bars(degrees_list(half[p])),
-            'name': f'measured, mean ± {what}',
-            'mode': 'markers',
-            'marker': {'color': MEASURED, 'size': 5},
-        }
-    )
+    marker, bars = {'color': MEASURED, 'size': 5}, error_bars(degrees_list(half[p]))
+    points = along, degrees_list(mean[p])
+    name = f'measured, mean ± {what}'
+    data.append(trace(*points, name, 'markers', error_y=bars, marker=marker))
     layout = {
         'xaxis': titled(place_title(comparison)),
         'yaxis': titled('angular displacement [°]'),
@@ -144,7 +123,7 @@ def tip_boxes(comparison: Comparison) -> Figure:
     """Tip error over all trials, as figure 15: median, quartiles, data within 1.5 of them."""
     measured = comparison.measured
     seen = [p for p in range(len(measured.postures)) if measured.trials[p]]
-    apart = len(seen) <= POSTURES_WITH_OWN_BOXES and len(comparison.models) > 1
+    apart = len(seen) <= Shown.OWN_BOXES and len(comparison.models) > 1
     data: list[dict[str, Any]] = []
     for i, model in enumerate(comparison.models):
         values = model.tip_errors[seen]
@@ -158,14 +137,14 @@ def tip_boxes(comparison: Comparison) -> Figure:
                 'y': mm_list(values[good]),
                 'name': escape(model.name),
                 'marker': {'color': look(i).colour, 'symbol': look(i).symbol},
-                'boxpoints': 'all' if good.sum() <= BOX_POINTS_MAX else 'outliers',
+                'boxpoints': 'all' if good.sum() <= Shown.BOX_POINTS else 'outliers',
                 'jitter': 0.4,
                 'pointpos': 0.0,
             }
         )
     layout: dict[str, Any] = {
-        'xaxis': {'title': {'text': 'posture' if apart else 'model'}, 'type': 'category'},
-        'yaxis': {'title': {'text': 'tip error [mm]'}, 'rangemode': 'tozero'},
+        'xaxis': titled('posture' if apart else 'model', type='category'),
+        'yaxis': titled('tip error [mm]', rangemode='tozero'),
         'showlegend': apart,
     }
     if apart:
@@ -174,7 +153,9 @@ def tip_boxes(comparison: Comparison) -> Figure:
     return Figure(data, layout, 'Tip error', caption)
 
 
-def staircase(steps: Sequence[Step], title: str = '', height: int = 360) -> Figure:
+def staircase(
+    steps: Sequence[Step], title: str = '', height: int = HEIGHTS_PX['normal']
+) -> Figure:
     """Errors that fall step by step towards the noise floor; groups beside each other."""
     groups = list(dict.fromkeys(step.group for step in steps))
     data: list[dict[str, Any]] = []
@@ -199,7 +180,7 @@ def staircase(steps: Sequence[Step], title: str = '', height: int = 360) -> Figu
         'bargap': 0.35 if len(groups) == 1 else 0.12,
         'margin': {'l': 56, 'r': 16, 't': 30, 'b': 44},
         'xaxis': {'type': 'category'},
-        'yaxis': {'title': {'text': 'error, rms [mm]'}, 'rangemode': 'tozero'},
+        'yaxis': titled('error, rms [mm]', rangemode='tozero'),
     }
     return Figure(data, layout, title, '', height)
 
@@ -248,10 +229,11 @@ def heat_maps(
         }
         layout = {
             'xaxis': titled(place_title(comparison)),
-            'yaxis': {'title': {'text': 'posture'}, 'type': 'category', 'autorange': 'reversed'},
+            'yaxis': titled('posture', type='category', autorange='reversed'),
             'margin': {'l': 56, 'r': 8, 't': 8, 'b': 44},
         }
-        height = int(np.clip(150 + 18 * len(rows), 260, 560))
+        # a line of text for every posture, within what a screen shows
+        height = int(np.clip(150 + 18 * len(rows), HEIGHTS_PX['low'], HEIGHTS_PX['scene']))
         figures.append(Figure([heat], layout, f'Deviation, {model.name}', '', height))
     return figures
 
@@ -262,20 +244,15 @@ def moments(lacks: MissingMoment) -> list[Figure]:
     causes = (lacks.total_tension, lacks.tension_difference, bend, 1e3 * lacks.lever)
     figures = []
     for cause, (title, caption) in zip(causes, CAUSES.items(), strict=True):
-        data: list[dict[str, Any]] = [
-            {
-                'x': plain(cause[:, b]),
-                'y': plain(lacks.moment[:, b], 1e3),
-                'error_y': error_bars(plain(1.96 * lacks.moment_sd[:, b], 1e3), width=0),
-                'name': escape(name),
-                'mode': 'markers',
-                'marker': {'color': look(b).colour, 'symbol': look(b).symbol, 'size': 8},
-            }
-            for b, name in enumerate(lacks.blocks)
-        ]
+        data = []
+        for b, name in enumerate(lacks.blocks):
+            bars = error_bars(plain(1.96 * lacks.moment_sd[:, b], 1e3), width=0)
+            marker = {'color': look(b).colour, 'symbol': look(b).symbol, 'size': 8}
+            points = plain(cause[:, b]), plain(lacks.moment[:, b], 1e3)
+            data.append(trace(*points, name, 'markers', error_y=bars, marker=marker))
         layout = {
-            'xaxis': {'title': {'text': title}, 'rangemode': 'tozero'},
-            'yaxis': {'title': {'text': 'missing moment [mN·m]'}, 'zeroline': True},
+            'xaxis': titled(title, rangemode='tozero'),
+            'yaxis': titled('missing moment [mN·m]', zeroline=True),
         }
         figures.append(Figure(data, layout, '', caption))
     return figures

@@ -5,8 +5,6 @@ from __future__ import annotations
 from functools import singledispatch
 from html import escape
 
-import numpy as np
-
 from ..common.results import Told
 from ..common.words import columns, digits
 from ..comparison.result import Comparison
@@ -15,12 +13,12 @@ from ..diagnosis.add import Addition
 from ..diagnosis.result import Diagnosis, Improvement
 from ..model.shape import Reach, Shape
 from ..robot import Robot
-from . import addition_text, comparison_text, diagnosis_text
+from . import comparison_text, diagnosis_text
 from .diagnosis_page import CANDIDATE_HEAD, candidate_row
 from .diagnosis_text import trust_lines
 from .improvement_page import improvement_lines
+from .page import Shown
 
-POSTURES_SHOWN = 20  # rows of a data set in a notebook; `frame()` has all
 Rows = list[list[str]]
 
 
@@ -73,7 +71,7 @@ def _(result: Diagnosis) -> Rows:
 
 @text.register
 def _(result: Addition) -> str:
-    return '\n'.join(addition_text.addition_lines(result))
+    return '\n'.join(diagnosis_text.addition_lines(result))
 
 
 @text.register
@@ -87,12 +85,12 @@ def _(result: DataSet) -> Rows:
     scale = 1.0 if unit == 'N' else 1e3
     inputs = [f'{name} [{unit}]' for name in result.input_names]
     table = [['posture', *inputs, 'trials', 'markers seen', 'last marker at [mm]']]
-    for p, posture in enumerate(result.postures[:POSTURES_SHOWN]):
+    for p, posture in enumerate(result.postures[: Shown.ROWS]):
         values = [digits(scale * value, 3) for value in result.inputs[p].tolist()]
         seen = f'{int((result.counts[p] > 0).sum())} of {len(result.markers)}'
         tip = ', '.join(f'{1e3 * x:.1f}' for x in result.mean[p, -1].tolist())
         table.append([posture, *values, str(result.trials[p]), seen, tip])
-    more = len(result.postures) - POSTURES_SHOWN
+    more = len(result.postures) - Shown.ROWS
     return [*table, [f'and {more} more']] if more > 0 else table
 
 
@@ -109,15 +107,12 @@ def _(result: Robot) -> Rows:
 def _(result: Shape) -> Rows:
     tensions, pulls = result.inputs.tolist(), result.pulls.tolist()
     table = [['input', 'tension [N]', 'wire pull [mm]']]
+    names = map(str, range(1, len(tensions) + 1))
     numbers = zip(tensions, pulls, strict=True)
     return table + [
         [name, f'{tension:.4g}', f'{1e3 * pull:.4g}']
-        for name, (tension, pull) in zip(_names(result), numbers, strict=True)
+        for name, (tension, pull) in zip(names, numbers, strict=True)
     ]
-
-
-def _names(shape: Shape) -> list[str]:
-    return [str(i + 1) for i in range(np.size(shape.inputs))]
 
 
 @rows.register

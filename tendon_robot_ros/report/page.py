@@ -11,6 +11,9 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from ..common.colours import ERROR, INK, KINDS, Look
 from ..common.errors import MissingExtraError
 from ..common.files import new_file
@@ -18,12 +21,58 @@ from ..common.files import new_file
 Trace = dict[str, Any]  # what plotly draws, or a part of its layout
 FOLDER = Path(__file__).parent
 KEYS = 'Tab comes here, arrow keys show the next.'
+# how high figures are [px], so that two rows fit on a screen and a shape keeps its proportions
+HEIGHTS_PX = {'low': 280, 'normal': 360, 'tall': 460, 'scene': 520}
+# [1] of the length of an arm: shapes that leave the x-z plane by less are drawn as flat, because
+# another view would show a line
+FLAT_FRACTION = 0.03
 FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "DejaVu Sans", sans-serif'
+
+
+def plain(values: npt.ArrayLike, scale: float = 1.0, places: int = 4) -> list[float | None]:
+    """Return numbers (n,) times a scale, rounded; None for NaN."""
+    array = np.round(np.asarray(values, dtype=float) * scale, places)
+    return [float(value) if np.isfinite(value) else None for value in array]
+
+
+# [1] labelled values of a logarithmic axis, because plotly's own are too many on a narrow screen
+TICKS = [a * 10.0**b for b in range(-3, 4) for a in (1, 2, 5)]
+LOG_AXIS = {'type': 'log', 'tickvals': TICKS, 'ticktext': [f'{tick:g}' for tick in TICKS]}
+
+
+def mm_list(metres: npt.ArrayLike) -> list[float | None]:
+    """Return lengths in mm."""
+    return plain(metres, 1e3)
+
+
+def degrees_list(radians: npt.ArrayLike) -> list[float | None]:
+    """Return angles in degrees."""
+    return plain(radians, 180.0 / np.pi)
+
+
+def coordinates(points: npt.NDArray[np.float64]) -> Trace:
+    """Return points (n, 3) [m] as x, y and z in mm."""
+    return {axis: mm_list(points[:, i]) for i, axis in enumerate('xyz')}
+
+
+def error_bars(
+    up: Sequence[float | None], down: Sequence[float | None] | None = None, width: int = 2
+) -> dict[str, Any]:
+    """Return bars of so much above and below, else of the same size, as plotly draws them."""
+    bars: dict[str, Any] = {'type': 'data', 'array': up, 'thickness': 1, 'width': width}
+    return bars if down is None else bars | {'symmetric': False, 'arrayminus': down}
 
 
 def titled(title: str, **more: Any) -> Trace:
     """Return an axis with a title."""
     return {'title': {'text': title}, **more}
+
+
+def trace(
+    x: Sequence[Any], y: Sequence[Any], name: str, mode: str = 'lines', **more: Any
+) -> Trace:
+    """Return what is drawn of x and y, as lines, markers or both; its name is escaped."""
+    return {'x': x, 'y': y, 'name': escape(name), 'mode': mode, **more}
 
 
 def curve(
@@ -37,10 +86,28 @@ def curve(
 ) -> Trace:
     """Draw a curve in the look of a model; with symbols of a size [px], if any."""
     line = {'color': style.colour, 'dash': style.dash, 'width': width}
-    made = {'x': x, 'y': y, 'name': escape(name), 'mode': 'lines', 'line': line}
     if size:
-        made |= {'mode': 'lines+markers', 'marker': {'symbol': style.symbol, 'size': size}}
-    return {**made, **more}
+        more = {'marker': {'symbol': style.symbol, 'size': size}, **more}
+    return trace(x, y, name, 'lines+markers' if size else 'lines', line=line, **more)
+
+
+class Shown:
+    """How many of a kind are shown at most; the others are in tables and files."""
+
+    FIGURES = 4  # of a kind: two rows, so that the next heading is seen
+    POSTURES = 12  # as pictures, so that the page opens at once
+    OWN_BOXES = 6  # postures with boxes of their own, else these are too thin
+    BOX_POINTS = 200  # trials beside their box, else they cover it
+    MARKERS = 4  # with a number of their own, else a row of the table does not fit
+    READINGS = 6  # that are named one by one, so that the line is read
+    WORST = 3  # postures that are named, so that the line is read
+    NAME = 40  # letters of a posture in a menu: what a phone shows
+    ROWS = 30  # of a printed table: a screen
+    MARKED_ROWS = 60  # of a path, else marks hide it
+    ARROWS = 15  # directions along a path, so that they do not cross
+    DRAWN_POINTS = 2_000  # of a flat figure: a phone still draws them
+    CLOUD_POINTS = 12_000  # of a scene in space: a phone still turns them
+    SLICES = 31  # places of a slider: each is a picture in the page
 
 
 @dataclass(frozen=True)
@@ -51,7 +118,7 @@ class Figure:
     layout: dict[str, Any]
     title: str = ''
     caption: str = ''
-    height: int = 360  # [px]
+    height: int = HEIGHTS_PX['normal']
 
     def html(self) -> str:
         """Return the figure as a part of a page; page.js draws what it holds."""

@@ -15,24 +15,33 @@ import numpy.typing as npt
 from ..common.colours import ERROR, FLOOR, INK, PREDICTED, look
 from ..common.words import commands, digits, listed
 from ..workspace.cubes import LOOKS, Floats, Numbers, Reached
-from ..workspace.grid import Family, Workspace
+from ..workspace.view_angle import Family, Workspace
 from ..workspace.volume import Volume, bends_as_one
-from .numbers import degrees_list, mm_list
-from .page import Figure, Page, Trace, curve, titled
+from .page import (
+    HEIGHTS_PX,
+    Figure,
+    Page,
+    Shown,
+    Trace,
+    coordinates,
+    curve,
+    degrees_list,
+    mm_list,
+    titled,
+)
 
 HEIGHT_NAMES = ('highest tip', 'median tip', 'lowest tip')
-AT_LIMIT_WITHIN_N = 1e-6  # [N] of rounding, in which a tension is that of the limit
-FAMILIES_DRAWN_MAX = 4  # of a view that are drawn: all others are in the table
-TIPS_DRAWN_MAX = 2000  # of a family: a phone still turns them
 FAMILY_COLUMNS = (
     *('view', 'pair', 'towards', 'postures', 'tips across', 'tips along z', 'largest tension'),
 )
-
-CLOUD_MAX = 12_000  # points that are drawn: a phone still turns them
-SLICES_MAX = 31  # places of the slider: each is a picture in the page
-LATE_MAX = 0.02  # [1] of the cubes found late, from which more postures are asked for
-THIN_SHARE = 0.1  # [1] of the cubes are full, at most: what they hold is thinner than they are
-DIRECTION_SHARE = 0.08  # [1] of the arm's length, of the lines that show where tips look
+# [1] of the cubes that the last tenth of the postures added (about one for every cube): where more
+# than one in 50 was new, the cloud still grows, so that more postures would change its size
+LATE_MAX = 0.02
+# [1] of the cubes that are full: where fewer are, tips lie on a sheet or a line, and the volume of
+# the cubes would be that of the cubes' size
+THIN_FRACTION = 0.1
+# [1] of the arm's length, lines that show where tips look: short, so that they do not cross
+DIRECTION_FRACTION = 0.08
 GREY = '#d3d7dc'  # of what only an arm without friction reaches
 SCALE = 'Cividis'  # read alike by all eyes, and in grey
 
@@ -42,7 +51,7 @@ def rows(workspace: Workspace) -> list[list[str]]:
     made = []
     for family in workspace.families:
         tension = float(family.tensions.max())
-        full = ' (the limit)' if tension > workspace.limit - AT_LIMIT_WITHIN_N else ''
+        full = ' (the limit)' if np.isclose(tension, workspace.limit) else ''
         made.append(
             [
                 degree(family.view),
@@ -101,7 +110,7 @@ def postures(family: Family) -> Figure:
         line = {'color': style.colour, 'dash': style.dash, 'width': 2 if planar else 5}
         trace = {**_places(points, planar), 'name': HEIGHT_NAMES[i], 'mode': 'lines+markers'}
         data.append({**trace, 'line': line, 'marker': marker})
-    kept = thinned(family.tips, TIPS_DRAWN_MAX)
+    kept = thinned(family.tips, Shown.DRAWN_POINTS)
     marker = {'color': FLOOR, 'size': 5 if planar else 2, 'opacity': 0.6}
     tips = {**_places(kept, planar), 'name': 'all tips', 'mode': 'markers', 'marker': marker}
     data.append(tips)
@@ -115,12 +124,12 @@ def postures(family: Family) -> Figure:
             'scene': {'aspectmode': 'data', **axes},
             'margin': {'l': 0, 'r': 0, 't': 0, 'b': 0},
         }
-        return Figure(data, scene, title, caption + ' Drag to turn.', height=460)
+        return Figure(data, scene, title, caption + ' Drag to turn.', height=HEIGHTS_PX['tall'])
     layout = {
         'xaxis': titled('x [mm]'),
-        'yaxis': {'title': {'text': 'z [mm]'}, 'scaleanchor': 'x'},
+        'yaxis': titled('z [mm]', scaleanchor='x'),
     }
-    return Figure(data, layout, title, caption, height=460)
+    return Figure(data, layout, title, caption, height=HEIGHTS_PX['tall'])
 
 
 def displacement(family: Family) -> Figure:
@@ -141,7 +150,9 @@ def displacement(family: Family) -> Figure:
         values = family.tensions[b, list(family.pair.indices)].tolist()
         pulled.append(f'{name}: {commands(dict(zip(family.pair.inputs, values, strict=True)))}')
     caption = '; '.join(pulled)
-    return Figure(data, layout, 'Angular displacement per cell', caption, height=460)
+    return Figure(
+        data, layout, 'Angular displacement per cell', caption, height=HEIGHTS_PX['tall']
+    )
 
 
 def _places(points: Floats, planar: bool) -> Trace:
@@ -149,11 +160,6 @@ def _places(points: Floats, planar: bool) -> Trace:
     if planar:
         return {'x': mm_list(points[:, 0]), 'y': mm_list(points[:, 2])}
     return {'type': 'scatter3d', **coordinates(points)}
-
-
-def coordinates(points: Floats) -> Trace:
-    """Return points (n, 3) [m] in space."""
-    return {axis: mm_list(points[:, i]) for i, axis in enumerate('xyz')}
 
 
 def thinned[T: np.generic](rows: npt.NDArray[T], most: int) -> npt.NDArray[T]:
@@ -179,9 +185,9 @@ def workspace_page(workspace: Workspace) -> Page:
         if not families:
             continue
         page.heading(f'{degree(view)} view')
-        if len(families) > FAMILIES_DRAWN_MAX:
-            page.text(f'The {FAMILIES_DRAWN_MAX} of {len(families)} families with most postures.')
-        for family in families[:FAMILIES_DRAWN_MAX]:
+        if len(families) > Shown.FIGURES:
+            page.text(f'The {Shown.FIGURES} of {len(families)} families with most postures.')
+        for family in families[: Shown.FIGURES]:
             page.figures(view_figures(family), 'two')
     return page
 
@@ -249,7 +255,7 @@ def _size(reached: Reached, size: float) -> str:
 
 def _fill(reached: Reached) -> str:
     """Say how much space tips fill; of a surface in space none that cubes can tell."""
-    if reached.size < THIN_SHARE * len(reached) * reached.edge ** (2 if reached.is_flat else 3):
+    if reached.size < THIN_FRACTION * len(reached) * reached.edge ** (2 if reached.is_flat else 3):
         return 'a curve' if reached.is_flat else 'a thin shell'
     return _size(reached, reached.size)
 
@@ -272,17 +278,17 @@ def volume_page(volume: Volume) -> Page:
     if late:
         page.box(late, 'warn')
     if not volume.reached.is_flat:
-        page.figures([_cloud(volume)])
+        page.figures([cloud_figure(volume)])
     page.heading('Sections')
     values, title = _values(volume)
     if volume.reached.is_flat:
-        page.figures([_sections(volume, values, title, 1)])
+        page.figures([section_figure(volume, values, title, 1)])
     else:
-        page.figures([_sections(volume, values, title, axis) for axis in (1, 2)], 'two')
+        page.figures([section_figure(volume, values, title, axis) for axis in (1, 2)], 'two')
     for view, part in volume.views.items():
         if len(part):
             page.heading(f'{degree(view)} view')
-            page.figures([_view(part, view)])
+            page.figures([direction_figure(part, view)])
     page.text(
         'Collisions with anything but the arm itself are not known here. Every place is that of '
         'the posture with the lowest highest tension found; `workspace.npz` has all of them.'
@@ -304,29 +310,24 @@ def _scene() -> dict[str, Any]:
     return {'scene': scene, 'legend': legend, 'margin': {'l': 0, 'r': 0, 't': 0, 'b': 0}}
 
 
-def _cloud(volume: Volume) -> Figure:
+def cloud_figure(volume: Volume) -> Figure:
     """Tips at the outside of what is reached, the hull, and the straight arm."""
     reached, inputs = volume.reached, volume.robot.inputs
     values, title = _values(volume)
-    rows = thinned(np.flatnonzero(reached.outside), CLOUD_MAX)
+    rows = thinned(np.flatnonzero(reached.outside), Shown.CLOUD_POINTS)
     pulled = [
         ', '.join(f'{name} {digits(value)} N' for name, value in zip(inputs, row, strict=True))
         for row in reached.tensions[rows].tolist()
     ]
-    tips = {
-        'type': 'scatter3d',
-        'mode': 'markers',
-        'name': 'tips at the outside',
-        **coordinates(reached.tips[rows]),
-        'text': pulled,
-        'hoverinfo': 'x+y+z+text',
-        'marker': {
-            'size': 2.5,
-            'color': [float(f'{value:.3g}') for value in values[rows]],
-            'colorscale': SCALE,
-            'colorbar': {'title': {'text': title}, 'thickness': 12, 'len': 0.6},
-        },
+    marker = {
+        'size': 2.5,
+        'color': [float(f'{value:.3g}') for value in values[rows]],
+        'colorscale': SCALE,
+        'colorbar': titled(title, thickness=12, len=0.6),
     }
+    tips: Trace = {'type': 'scatter3d', 'mode': 'markers', 'name': 'tips at the outside'}
+    tips |= {**coordinates(reached.tips[rows]), 'text': pulled, 'hoverinfo': 'x+y+z+text'}
+    tips['marker'] = marker
     corners, faces, _ = reached.hull
     hull = {
         'type': 'mesh3d',
@@ -352,7 +353,7 @@ def _cloud(volume: Volume) -> Figure:
     return Figure([tips, hull, arm], _scene(), 'Where the tip can be', caption, height=560)
 
 
-def _sections(volume: Volume, values: Floats, title: str, axis: int) -> Figure:
+def section_figure(volume: Volume, values: Floats, title: str, axis: int) -> Figure:
     """Cut through the cubes across y (axis 1) or z (2); a slider moves the cut."""
     reached, other = volume.reached, volume.frictionless
     across, up = (0, 2) if axis == 1 else (0, 1)
@@ -360,11 +361,11 @@ def _sections(volume: Volume, values: Floats, title: str, axis: int) -> Figure:
     corners = np.array([(c.min(axis=0), c.max(axis=0)) for c in cells], dtype=np.int64)
     low: Numbers = corners[:, 0].min(axis=0)
     high: Numbers = corners[:, 1].max(axis=0)
-    places = np.unique(np.linspace(low[axis], high[axis], SLICES_MAX).round().astype(int))
+    places = np.unique(np.linspace(low[axis], high[axis], Shown.SLICES).round().astype(int))
     middle = int(np.argmin(np.abs(places - (0 if axis == 1 else (low[2] + high[2]) // 2))))
     frame = (low[[across, up]], high[[across, up]], reached.edge)
     grey = {'colorscale': [[0.0, GREY], [1.0, GREY]], 'showscale': False, 'hoverinfo': 'skip'}
-    bar = {'title': {'text': title}, 'thickness': 12}
+    bar = titled(title, thickness=12)
     shown = {'colorscale': SCALE, 'zmin': 0.0, 'zmax': float(values.max()), 'colorbar': bar}
     parts = [(reached, values, shown)]
     if other is not None:  # below it
@@ -373,12 +374,12 @@ def _sections(volume: Volume, values: Floats, title: str, axis: int) -> Figure:
     for i, place in enumerate(places):
         for part, heights, colours in parts:
             here = part.cells[:, axis] == place
-            cut = _heat(frame, part.cells[here][:, [across, up]], heights[here])
+            cut = heat_map(frame, part.cells[here][:, [across, up]], heights[here])
             data.append({**cut, 'visible': i == middle, **colours})
     name, other_name = 'xyz'[up], 'xyz'[axis]
     layout: dict[str, Any] = {
-        'xaxis': {'title': {'text': 'x [mm]'}, 'constrain': 'domain'},
-        'yaxis': {'title': {'text': f'{name} [mm]'}, 'scaleanchor': 'x'},
+        'xaxis': titled('x [mm]', constrain='domain'),
+        'yaxis': titled(f'{name} [mm]', scaleanchor='x'),
     }
     if len(places) > 1:
         steps = [
@@ -395,10 +396,12 @@ def _sections(volume: Volume, values: Floats, title: str, axis: int) -> Figure:
         layout['margin'] = {'l': 56, 'r': 16, 't': 12, 'b': 90}
     caption = 'Grey: reached without friction only.' if other is not None else ''
     plane = 'x-z' if axis == 1 else 'x-y'
-    return Figure(data, layout, f'Section along the {plane} plane', caption, height=520)
+    return Figure(
+        data, layout, f'Section along the {plane} plane', caption, height=HEIGHTS_PX['scene']
+    )
 
 
-def _heat(frame: tuple[Numbers, Numbers, float], cells: Numbers, values: Floats) -> Trace:
+def heat_map(frame: tuple[Numbers, Numbers, float], cells: Numbers, values: Floats) -> Trace:
     """Return a picture of cubes (c, 2) in a plane; what none fills stays empty."""
     low, high, edge = frame
     shape = high - low + 1
@@ -417,10 +420,10 @@ def _heat(frame: tuple[Numbers, Numbers, float], cells: Numbers, values: Floats)
     }
 
 
-def _view(part: Reached, view: float) -> Figure:
+def direction_figure(part: Reached, view: float) -> Figure:
     """Tips that look at an angle, and which way."""
-    rows = thinned(np.arange(len(part)), CLOUD_MAX)
-    length = DIRECTION_SHARE * part.robot.length
+    rows = thinned(np.arange(len(part)), Shown.CLOUD_POINTS)
+    length = DIRECTION_FRACTION * part.robot.length
     tips, ends = part.tips[rows], part.tips[rows] + length * part.directions[rows]
     lines = np.stack([tips, ends, np.full_like(tips, np.nan)], axis=1).reshape(-1, 3)
     points: Trace = {'type': 'scatter3d', 'mode': 'markers', 'name': 'tips', **coordinates(tips)}
@@ -431,4 +434,4 @@ def _view(part: Reached, view: float) -> Figure:
         | {'hoverinfo': 'skip'},
     ]
     caption = f'{len(part):,} cubes whose tips look {degree(view)} away from the base.'
-    return Figure(data, _scene(), '', caption, height=460)
+    return Figure(data, _scene(), '', caption, height=HEIGHTS_PX['tall'])

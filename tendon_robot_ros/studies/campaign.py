@@ -24,18 +24,18 @@ from typing import Any
 
 import numpy as np
 
-from ..cli.options import add_cluster, add_effect_files, add_json, emit
-from ..cli.progress import progress
+from ..cli.options import add_cluster, add_effect_files, add_json, emit, progress
 from ..common.colours import BAND, ERROR, PREDICTED, look
 from ..common.words import columns, digits
 from ..common.workers import Workers
 from ..diagnosis.verdict import Verdict
 from ..model.versions import Preparation
-from ..report.numbers import error_bars
-from ..report.page import Figure, Page, Trace, curve
+from ..report.page import Figure, Page, Trace, curve, error_bars, titled, trace
 from ..simulation.hidden import CAUSES
 from .cases import NOTHING
-from .figures import (
+from .judge import (
+    NAMING,
+    CaseRow,
     Power,
     Rate,
     clean_rows,
@@ -48,7 +48,6 @@ from .figures import (
     rates_by_robot,
     to_json,
 )
-from .judge import NAMING, CaseRow
 from .plan import earlier_rows, read_plan, run_plan, table_of
 
 HELP = 'simulate and diagnose many robots: what would be seen, how often is it right'
@@ -167,12 +166,12 @@ def summary(rows: Sequence[CaseRow]) -> list[str]:
 
 def robot_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
     """Return the rates robot by robot, with a header; nothing where there is one robot."""
-    found = rates_by_robot(rows)
-    if len(found) < 2:
+    by_robot = rates_by_robot(rows)
+    if len(by_robot) < 2:
         return []
     names = [name for name, rate in rates(rows).items() if rate.runs]
-    lines = [[name, *(str(each[name]) for each in found.values())] for name in names]
-    return [['by robot', *found], *lines]
+    lines = [[name, *(str(each[name]) for each in by_robot.values())] for name in names]
+    return [['by robot', *by_robot], *lines]
 
 
 def interval_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
@@ -264,28 +263,28 @@ def campaign_page(
     return page
 
 
-def power_figure(name: str, found: Sequence[Power]) -> Figure:
+def power_figure(name: str, powers_of_it: Sequence[Power]) -> Figure:
     """Draw how often one effect is named, over its size; a curve per robot and way."""
-    several = len({power.robot for power in found}) > 1
+    several = len({power.robot for power in powers_of_it}) > 1
     data: list[dict[str, Any]] = []
-    for i, power in enumerate(found):
+    for i, power in enumerate(powers_of_it):
         label = '; '.join(filter(None, (power.robot if several else '', power.way)))
         shares = [100.0 * (rate.share or 0.0) for rate in power.right]
         bars, size = rate_bars(power.right), 7 + 3 * min(i, 3)  # none hides another
         made = curve(list(power.sizes), shares, label, look(i), size=size, error_y=bars)
-        data.append({**made, 'showlegend': len(found) > 1})
+        data.append({**made, 'showlegend': len(powers_of_it) > 1})
     layout = {
-        'xaxis': {'type': 'log', 'title': {'text': 'size, times the typical one'}},
-        'yaxis': {'title': {'text': 'named [%]'}, 'range': [-4, 104]},
+        'xaxis': titled('size, times the typical one', type='log'),
+        'yaxis': titled('named [%]', range=[-4, 104]),
         'legend': {'orientation': 'h', 'y': -0.35, 'x': 0.0, 'font': {'size': 11}},
     }
     caption = 'bars: 95 % intervals of the rates; a size of 1 is the typical one of the catalogue'
     return Figure(data, layout, name, caption, 300 + 24 * len(data))
 
 
-def rate_bars(found: Sequence[Rate]) -> dict[str, Any]:
+def rate_bars(counted: Sequence[Rate]) -> dict[str, Any]:
     """Return the 95 % intervals of rates [%]."""
-    both = [(rate.share or 0.0, *rate.interval) for rate in found]
+    both = [(rate.share or 0.0, *rate.interval) for rate in counted]
     up = [100.0 * (high - share) for share, _, high in both]
     return error_bars(up, [100.0 * (share - low) for share, low, _ in both], width=3)
 
@@ -308,11 +307,7 @@ def confusion_figure(rows: Sequence[CaseRow]) -> Figure:
     }
     layout = {
         'xaxis': {'tickangle': -60, 'type': 'category'},
-        'yaxis': {
-            'title': {'text': 'hidden', 'standoff': 8},
-            'autorange': 'reversed',
-            'type': 'category',
-        },
+        'yaxis': titled('hidden', autorange='reversed', type='category'),
     }
     caption = 'cases; a class of effects that cannot be told apart counts as the hidden member'
     title = 'What was said (columns) of what was hidden (rows)'
@@ -321,41 +316,24 @@ def confusion_figure(rows: Sequence[CaseRow]) -> Figure:
 
 def coverage_figure(rows: Sequence[CaseRow]) -> Figure:
     """Draw how many intervals hold the true value against how many should."""
-    found = coverage(rows)
-    held = [rate for _, rate in found]
+    counted = coverage(rows)
+    held = [rate for _, rate in counted]
     shares = [100.0 * (rate.share or 0.0) for rate in held]
     low = max(0.0, min([40.0, *(share - 15.0 for share in shares)]))
-    too_narrow = {
-        'x': [low, 104.0, 104.0],
-        'y': [low, 104.0, low],
-        'mode': 'lines',
-        'fill': 'toself',
-        'fillcolor': BAND,
-        'name': 'too narrow',
-        'hoverinfo': 'skip',
-        'line': {'width': 0},
-    }
-    as_promised = {
-        'x': [low, 104.0],
-        'y': [low, 104.0],
-        'mode': 'lines',
-        'name': 'as promised',
-        'line': {'color': ERROR, 'width': 2, 'dash': 'dot'},
-    }
-    as_found = {
-        'x': [100.0 * share for share, _ in found],
-        'y': shares,
-        'text': [f'{share:.0f} %' for share in shares],
-        'textposition': 'top left',
-        'name': 'found',
-        'mode': 'lines+markers+text',
-        'line': {'color': PREDICTED},
-        'marker': {'size': 8},
-        'error_y': rate_bars(held),
-    }
+    ends, promised = [low, 104.0], [100.0 * nominal for nominal, _ in counted]
+    line = {'color': ERROR, 'width': 2, 'dash': 'dot'}
+    area: Trace = {'fill': 'toself', 'fillcolor': BAND, 'hoverinfo': 'skip', 'line': {'width': 0}}
+    style: Trace = {'line': {'color': PREDICTED}, 'marker': {'size': 8}}
+    style |= {'text': [f'{share:.0f} %' for share in shares], 'textposition': 'top left'}
+    style['error_y'] = rate_bars(held)
+    traces = [
+        trace([low, 104.0, 104.0], [low, 104.0, low], 'too narrow', **area),
+        trace(ends, ends, 'as promised', line=line),
+        trace(promised, shares, 'found', 'lines+markers+text', **style),
+    ]
     layout = {
-        'xaxis': {'title': {'text': 'intervals promise [%]'}, 'range': [low, 104.0]},
-        'yaxis': {'title': {'text': 'hold the true value [%]'}, 'range': [low, 104.0]},
+        'xaxis': titled('intervals promise [%]', range=ends),
+        'yaxis': titled('hold the true value [%]', range=ends),
     }
     caption = (
         'Of all intervals of 95 %, 95 in 100 should hold the true value. A point on the dotted '
@@ -363,5 +341,4 @@ def coverage_figure(rows: Sequence[CaseRow]) -> Figure:
         f'needed. {held[0].runs} intervals of named effects, narrower ones scaled from those of '
         '95 %; bars: how well the shares are known (95 %).'
     )
-    traces: list[Trace] = [too_narrow, as_promised, as_found]
     return Figure(traces, layout, 'Do intervals hold the true value?', caption, 400)

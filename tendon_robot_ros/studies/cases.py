@@ -30,14 +30,20 @@ NOTHING = 'none'
 # [1] whitened squared change of the markers that stands out of the noise: as chi² of three
 # parameters it comes about once in a million by chance
 VISIBLE_FROM_CHI2 = 30.0
-SEQUENCE_FACTOR = 5.0 / 3.0  # postures of a sequence for each of others: it goes up and down
-# as a laboratory's tracker does: shares of the readings that are lost or wild; [m] 1 sd of these
-LOST_SHARE, WILD_SHARE, WILD_SD_M = 0.03, 0.005, 5e-3
-SOFT_CELL_LOSS = 0.45  # [1] of the stiffness of a soft cell of size 1
-# [1] of the members of a vector, whose signs are drawn: so that it points anywhere
-VECTOR_SHARES = (0.4, 1.0)
-# [1] of the typical size, section by section: they differ, or it would be another effect
-SECTION_SHARES = (1.5, -1.0)
+# [1] postures of a sequence for each of others, because two of five in a cycle only go down again
+SEQUENCE_FACTOR = 5.0 / 3.0
+# [1] of the readings that are lost, because markers of a laboratory's arm hide one another
+LOST_FRACTION = 0.03
+# [1] of the readings that are wild: about one in a data set, else none would try the diagnosis
+WILD_FRACTION = 0.005
+# [m] 1 sd of a wild reading: a cell or so, as where a tracker would take one marker for the next
+WILD_SD_M = 5e-3
+# [1] of the stiffness that a soft cell of size 1 lacks: nearly half, so that a person would see it
+SOFT_CELL_LOSS = 0.45
+# [1] of a typical size, each member of a vector, whose signs are drawn: so that it points anywhere
+VECTOR_FRACTIONS = (0.4, 1.0)
+# [1] of the typical size, section by section: they differ, or else it would be another effect
+SECTION_FACTORS = (1.5, -1.0)
 
 
 @dataclass(frozen=True)
@@ -185,10 +191,10 @@ def hidden_values(
         value = parameter.neutral if parameter.has_default else parameter.typical * size
         if parameter.low <= -parameter.typical:  # may have either sign
             value *= float(random.choice([-1.0, 1.0]))
-            value *= float(random.uniform(*VECTOR_SHARES)) if vector else 1.0
+            value *= float(random.uniform(*VECTOR_FRACTIONS)) if vector else 1.0
         if parameter.per_section and len(robot.sections) > 1 and parameter.low < 0.0:
-            shares = itertools.islice(itertools.cycle(SECTION_SHARES), len(robot.sections))
-            values[parameter.name] = [abs(value) * share for share in shares]
+            factors = itertools.islice(itertools.cycle(SECTION_FACTORS), len(robot.sections))
+            values[parameter.name] = [abs(value) * factor for factor in factors]
         else:
             values[parameter.name] = float(np.clip(value, parameter.low, parameter.high))
     return values
@@ -240,7 +246,7 @@ def simulated(
     )
     sets = []
     for which, own in enumerate((chance.fit, chance.check)):
-        inputs, kind, path = _postures(case, robot, design, catalogue, which)
+        inputs, kind, path = postures_of(case, robot, design, catalogue, which)
         trials = design.trials if design.data is None else int(design.data.positions.shape[1])
         one = simulate(
             plant,
@@ -252,11 +258,11 @@ def simulated(
             input=kind,
             path=path,
         )
-        sets.append(_disturbed(one, own) if case.level else one)
+        sets.append(with_lost_readings(one, own) if case.level else one)
     return Simulated(robot, sets[0], sets[1], values, plant.built, catalogue)
 
 
-def _postures(
+def postures_of(
     case: Case, robot: Robot, design: Design, catalogue: Catalogue, which: int
 ) -> tuple[Floats, str, str]:
     """Return the inputs, what they are and how postures are reached."""
@@ -272,13 +278,13 @@ def _postures(
     return default_postures(robot, count, which, kind, path), kind, path
 
 
-def _disturbed(dataset: DataSet, seed: int) -> DataSet:
+def with_lost_readings(dataset: DataSet, seed: int) -> DataSet:
     """Lose some of the readings of the markers, and put a few of them far off."""
     random = np.random.default_rng([seed, 19])
     positions = dataset.positions.copy()
-    wild = random.random(positions.shape[:3]) < WILD_SHARE
+    wild = random.random(positions.shape[:3]) < WILD_FRACTION
     positions[wild] += random.normal(0.0, WILD_SD_M, (int(wild.sum()), 3))
-    lost = random.random(positions.shape[:3]) < LOST_SHARE
+    lost = random.random(positions.shape[:3]) < LOST_FRACTION
     lost[:, 0, 0] = False  # every posture keeps a reading
     positions[lost] = np.nan
     return replace(dataset, positions=positions)
@@ -302,10 +308,10 @@ def is_visible(case: Case, made: Simulated) -> bool:
         return True
     whitener = Whitener(made.fit, noise, slopes)
     white = whitener.white(after - markers)
-    found = None if case.exact else imperfections(SplitPredictor(before), {})
-    if found is None:
+    built = None if case.exact else imperfections(SplitPredictor(before), {})
+    if built is None:
         return float(white @ white) > VISIBLE_FROM_CHI2
-    random = RandomEffects(whitener.white(found.moves).T, found.owners, found.kinds)
+    random = RandomEffects(whitener.white(built.moves).T, built.owners, built.kinds)
     sizes = case.level * np.where(np.isfinite(random.plausible), random.plausible, 0.0)
     left = random.lift(random.root(sizes), white)
     return float(left @ left) > VISIBLE_FROM_CHI2
@@ -326,10 +332,10 @@ def true_values(case: Case, made: Simulated) -> dict[str, float | tuple[float, .
 
 def truth_of(case: Case, made: Simulated, keys: Mapping[str, object]) -> dict[str, float]:
     """Return the true value of every fitted parameter, by its key: `name` or `name[section]`."""
-    found = {}
+    truth = {}
     for key in keys:
         bare, _, member = key.partition('[')
         value = np.atleast_1d(made.values[bare])
         names = [f'{section.name}]' for section in made.robot.sections]
-        found[key] = float(value[names.index(member)] if len(value) > 1 else value[0])
-    return found
+        truth[key] = float(value[names.index(member)] if len(value) > 1 else value[0])
+    return truth

@@ -22,8 +22,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from ..cli.options import add_cluster, add_effect_files, add_json, emit
-from ..cli.progress import progress
+from ..cli.options import add_cluster, add_effect_files, add_json, emit, progress
 from ..common.colours import BEFORE, FLOOR, PREDICTED
 from ..common.errors import InputError, Progress, TendonRobotError
 from ..common.words import columns, digits, listed, mm, scale_of
@@ -36,8 +35,7 @@ from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import CandidateRow, Diagnosis, EffectFinding, Value
 from ..diagnosis.verdict import Verdict
 from ..model.versions import Preparation, UserEffect, catalogue_of
-from ..report.numbers import error_bars
-from ..report.page import Figure, Page, titled
+from ..report.page import Figure, Page, error_bars, titled, trace
 from ..robot import dump_robot
 from .judge import fitted_values, told_by
 from .running import ERROR, TABLE, GrowingTable, Row, judge_all
@@ -45,7 +43,8 @@ from .running import ERROR, TABLE, GrowingTable, Row, judge_all
 HELP = 'diagnose all recordings of many robots, and say what changed when'
 PAGE = 'fleet.html'
 DATED = re.compile(r'(?<!\d)(20\d\d)[-_.]?([01]\d)[-_.]?([0-3]\d)(?!\d)')
-# [1] error of the description over that of the recording before, from which it is said
+# [1] error of the description over that of the recording before, from which it is said; smaller
+# ratios come by chance, with a dozen postures
 WORSE_FACTOR = 1.5
 
 
@@ -137,8 +136,8 @@ class Fleet:
         try:
             bag = is_bag(case.path)
             dataset = import_bag(case.path).dataset if bag else load_dataset(case.path)
-            found = diagnose(dataset, catalogue=catalogue_of(self.effects), workers=1)
-            return case.row(**_told(dataset, found))
+            diagnosis = diagnose(dataset, catalogue=catalogue_of(self.effects), workers=1)
+            return case.row(**told_of(dataset, diagnosis))
         except TendonRobotError as error:
             return case.refused(str(error))
         except Exception as error:  # the other measurements are diagnosed all the same
@@ -149,10 +148,10 @@ class Fleet:
         return case.refused(f'{workers} processes died over it')
 
 
-def _told(dataset: DataSet, found: Diagnosis) -> dict[str, Any]:
+def told_of(dataset: DataSet, diagnosis: Diagnosis) -> dict[str, Any]:
     """Return what a row holds of a data set and its diagnosis."""
     fitted: dict[str, Value] = {}
-    candidates: list[CandidateRow | EffectFinding] = [*found.candidates, *found.effects]
+    candidates: list[CandidateRow | EffectFinding] = [*diagnosis.candidates, *diagnosis.effects]
     for candidate in candidates:  # what was named beside others counts last
         if ' + ' not in candidate.name:
             for key, value in candidate.parameters.items():
@@ -160,12 +159,12 @@ def _told(dataset: DataSet, found: Diagnosis) -> dict[str, Any]:
     sizes = zip(('postures', 'trials', 'markers'), dataset.positions.shape, strict=False)
     return {
         **dict(sizes),
-        **told_by(found),
+        **told_by(diagnosis),
         **fitted_values(fitted),
         'unit': tuple(value.unit for value in fitted.values()),
         'robot': dataset.robot.name,
         'description': hashlib.sha256(dump_robot(dataset.robot).encode()).hexdigest()[:8],
-        'remainder': found.remainder,
+        'remainder': diagnosis.remainder,
     }
 
 
@@ -181,15 +180,15 @@ def found_below(folder: Path) -> list[Path]:
     """
     if not folder.is_dir():
         raise InputError(f'{folder}: is no folder; name one with recordings or data sets below it')
-    found = {path.parent for path in folder.rglob('dataset.yaml')}
+    places = {path.parent for path in folder.rglob('dataset.yaml')}
     bags = {path.parent for path in folder.rglob('metadata.yaml')}
     loose = {path for ending in ('*.mcap', '*.db3') for path in folder.rglob(ending)}
-    found |= bags | {path for path in loose if path.parent not in bags}
-    if not found:
+    places |= bags | {path for path in loose if path.parent not in bags}
+    if not places:
         raise InputError(
             f'{folder}: no data set (dataset.yaml) and no recording (.mcap, .db3) below it'
         )
-    return sorted(found)
+    return sorted(places)
 
 
 def run_fleet(
@@ -261,13 +260,13 @@ class Change:
 
 def histories(rows: Iterable[FleetRow]) -> dict[str, list[FleetRow]]:
     """Collect what could be read by robot, in the order of time."""
-    found: dict[str, list[FleetRow]] = {}
+    by_robot: dict[str, list[FleetRow]] = {}
     for row in rows:
         if row.verdict != ERROR:
-            found.setdefault(row.robot, []).append(row)
-    for own in found.values():
+            by_robot.setdefault(row.robot, []).append(row)
+    for own in by_robot.values():
         own.sort(key=lambda row: (row.when, row.place))
-    return found
+    return by_robot
 
 
 def tracked(rows: Sequence[FleetRow]) -> list[str]:
@@ -283,11 +282,11 @@ def changes(rows: Sequence[FleetRow]) -> list[Change]:
         Change(robot, old.when, new.when, text)
         for robot, own in histories(rows).items()
         for old, new in itertools.pairwise(own)
-        for text in _differences(old, new)
+        for text in differences_of(old, new)
     ]
 
 
-def _differences(old: FleetRow, new: FleetRow) -> list[str]:
+def differences_of(old: FleetRow, new: FleetRow) -> list[str]:
     """Say what is different between two recordings of a robot."""
     told = []
     if old.description != new.description:
@@ -391,46 +390,35 @@ def error_figure(history: Sequence[FleetRow]) -> Figure:
         ('with what was named', PREDICTED, [row.after for row in history]),
         ('noise floor', FLOOR, [row.floor for row in history]),
     )
-    data: list[dict[str, Any]] = [
-        {
-            'x': when,
-            'y': [None if error is None else 1e3 * error for error in errors],
-            'text': [escape(words_of(row)) for row in history],
-            'name': name,
-            'mode': 'lines+markers',
-            'line': {'color': colour},
-        }
-        for name, colour, errors in kinds
-    ]
+    text, data = [escape(words_of(row)) for row in history], []
+    for name, colour, errors in kinds:
+        points = when, [None if error is None else 1e3 * error for error in errors]
+        line = {'color': colour}
+        data.append(trace(*points, name, 'lines+markers', text=text, line=line))
     layout = {
         'xaxis': {'type': 'date'},
-        'yaxis': {'title': {'text': 'error, rms [mm]'}, 'rangemode': 'tozero'},
+        'yaxis': titled('error, rms [mm]', rangemode='tozero'),
     }
-    return Figure(data, layout, 'Errors over time', '', 320)
+    return Figure(data, layout, 'Errors over time')
 
 
 def map_parameters(history: Sequence[FleetRow]) -> list[Figure]:
     """Draw every parameter of what was ever named of a robot, over time."""
     figures = []
     for name in tracked(history):
-        found = [(row, row.fitted(name)) for row in history]
-        told = [(row, values) for row, values in found if values is not None]
+        fitted = [(row, row.fitted(name)) for row in history]
+        told = [(row, values) for row, values in fitted if values is not None]
         unit = next(row.unit[row.parameter.index(name)] for row, _ in told)
         largest = max(max(map(abs, values)) for _, values in told)
         factor, unit = scale_of(unit, largest, name.rpartition(' ')[2])
-        data = [
-            {
-                'x': [row.when for row, _ in told],
-                'y': [factor * value for _, (value, _, _) in told],
-                'mode': 'lines+markers',
-                'line': {'color': PREDICTED},
-                'error_y': error_bars(
-                    [factor * max(high - value, 0.0) for _, (value, _, high) in told],
-                    [factor * max(value - low, 0.0) for _, (value, low, _) in told],
-                ),
-            }
-        ]
+        bars = error_bars(
+            [factor * max(high - value, 0.0) for _, (value, _, high) in told],
+            [factor * max(value - low, 0.0) for _, (value, low, _) in told],
+        )
+        points = [row.when for row, _ in told], [factor * value for _, (value, _, _) in told]
+        line = {'color': PREDICTED}
+        data = [trace(*points, '', 'lines+markers', line=line, error_y=bars)]
         layout = {'xaxis': {'type': 'date'}, 'yaxis': titled(f'[{unit or 1}]')}
         caption = '95 % intervals, fitted alone or with what was named beside it'
-        figures.append(Figure(data, layout, name, caption, 320))
+        figures.append(Figure(data, layout, name, caption))
     return figures

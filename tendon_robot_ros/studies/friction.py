@@ -16,6 +16,7 @@ import argparse
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -40,14 +41,11 @@ from ..robot.description import EffectValues
 HELP = 'friction coefficient from slip angles, into a robot description'
 
 COLUMNS = ('measurement', 'angle_deg')
-# robust standard deviations from the median: an outlier (Iglewicz and Hoaglin 1993)
+# [1] robust standard deviations from the median, of an outlier (Iglewicz and Hoaglin 1993)
 OUTLIER_FROM_SD = 3.5
-ROBUST_SD = 1.4826  # [1] standard deviation over median deviation of a normal distribution
-ANGLES_MIN = 3  # fewer say nothing of their spread
-RADIANS_BELOW_DEG = 2.25  # [°] no wire is that smooth: if all angles are below, they are radians
-PUBLISHED_FRICTION = {'2:1': (0.31, 18), '10:1': (0.33, 30)}  # scale: coefficient, measurements
-ANGLE_SD = 0.03  # [1] of the tangent of one measurement: assumed, Table II is lost
-ANGLE_READING_DEG = 0.1  # [°] of the rotational stage: assumed
+ANGLES_MIN = 3  # [1] angles, because fewer say nothing of their spread
+# [°] below which a wire would be smoother than any (coefficient 0.04): all below are radians
+RADIANS_BELOW_DEG = 2.25
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -78,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def lines(friction: SlipFriction) -> list[str]:
-    """Say what was found."""
+    """Say the coefficient, its interval, and the outliers."""
     text = [
         f'friction coefficient: {friction.mean:.3f} ± {friction.sd:.3f} '
         f'(mean ± SD of the tangent, n = {friction.n})',
@@ -162,7 +160,7 @@ def slip_friction(names: tuple[str, ...], angles: npt.ArrayLike) -> SlipFriction
         )
     mean = estimate(tangents)
     away = np.abs(tangents - np.median(tangents))
-    spread = ROBUST_SD * float(np.median(away))
+    spread = float(np.median(away)) / NormalDist().inv_cdf(0.75)  # 1 sd if they are normal
     far = away > OUTLIER_FROM_SD * spread if spread > 0.0 else np.zeros(len(away), dtype=bool)
     return SlipFriction(
         mean=mean.mean,
@@ -195,18 +193,3 @@ def with_friction(robot: Robot, friction: SlipFriction, data: str, date: str) ->
     made = robot.with_effect('tendon_friction', values, origin)
     relative = round((friction.high - friction.low) / (2.0 * 1.96) / friction.mean, 4)
     return replace(made, tolerances={**robot.tolerances, 'friction_coefficient': relative})
-
-
-def rehearsals(seed: int = 0) -> dict[str, SlipFriction]:
-    """
-    Draw slip angles of the published coefficients and evaluate them, scale by scale (IV.A).
-
-    The measured ones are not printed.
-    """
-    frictions = {}
-    for scale, (coefficient, n) in PUBLISHED_FRICTION.items():
-        random = np.random.default_rng([seed, n])
-        degrees = np.degrees(np.arctan(coefficient + ANGLE_SD * random.normal(size=n)))
-        angles = np.radians(np.round(degrees / ANGLE_READING_DEG) * ANGLE_READING_DEG)
-        frictions[scale] = slip_friction(tuple(map(str, range(1, n + 1))), angles)
-    return frictions

@@ -1,10 +1,16 @@
-"""A case, diagnosed, held against the truth: a row of the table."""
+"""
+A simulated case, diagnosed, held against the truth: a row of the table.
+
+From the rows: power, confusion, intervals, false alarms and costs.
+"""
 
 from __future__ import annotations
 
+import collections
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -14,7 +20,9 @@ from ..comparison.predict import Predictor, frees_of
 from ..diagnosis.add import add_effects
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import Diagnosis, Value
+from ..diagnosis.trust import DETECTED_SHARE, wilson
 from ..diagnosis.verdict import Verdict
+from ..effects import load_catalogue
 from ..model.model import Model
 from ..model.versions import UserEffect, catalogue_of
 from ..simulation.hidden import CAUSES, Built
@@ -25,8 +33,15 @@ from .running import ERROR, Row
 DIAGNOSIS, INTERVALS = 'diagnosis', 'intervals'
 QUESTIONS = (DIAGNOSIS, INTERVALS)
 NAMING = tuple(verdict for verdict in Verdict if verdict.may_add)
-# [1] error over the noise floor below which nothing is left of which a share could be gone
+# [1] error over the noise floor; below it the fraction of their difference would be that of noise
 ERROR_STANDS_OUT = 1.2
+# [1] nominal probability of the intervals whose coverage is counted
+NOMINAL = (0.5, 0.8, 0.9, 0.95, 0.99)
+# [1] bins, on a logarithmic scale, of sizes that were drawn, so that each holds many cases; sizes
+# are drawn where there are more than twice as many, because nobody lists so many
+BINS = 6
+# [1] of the error on other postures that an effect must take off to count (docs/campaigns.md)
+GONE_FRACTION = 0.9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,8 +58,8 @@ class CaseRow(Row):
     wrong_name: bool = False
     alarm: bool = False
     visible: bool = True  # the truth stands out of the noise
-    gone: float | None = None  # share of (before - floor) gone on postures not used
-    scatter_inside: float | None = None  # share of the kinds whose true size is in its interval
+    gone: float | None = None  # fraction of (before - floor) gone on postures not used
+    scatter_inside: float | None = None  # fraction of the kinds whose true size is in its interval
     scatter_told: int = 0  # such kinds whose size was printed
     seconds: float = 0.0  # of processor time, for the diagnosis alone
     truth: tuple[float, ...] = ()
@@ -98,17 +113,18 @@ class Setup:
                 own_model=self.question == INTERVALS,
             )
             start = time.process_time()
-            found = {DIAGNOSIS: _diagnosed, INTERVALS: _fitted}[self.question](case, made)
+            judge = diagnosed if self.question == DIAGNOSIS else fitted
+            result = judge(case, made)
         except Exception as error:  # whatever a case meets, the others go on and it is counted
-            found = {'verdict': ERROR, 'problem': f'{type(error).__name__}: {error}'}
-        return self._row(case, {'seconds': time.process_time() - start, **found})
+            result = {'verdict': ERROR, 'problem': f'{type(error).__name__}: {error}'}
+        return self._row(case, {'seconds': time.process_time() - start, **result})
 
     def lost(self, case: Case, workers: int) -> CaseRow:
         """Return the row of a case at which every worker died."""
         told = {'verdict': ERROR, 'problem': f'{workers} workers died over it'}
         return self._row(case, told)
 
-    def _row(self, case: Case, found: Mapping[str, Any]) -> CaseRow:
+    def _row(self, case: Case, result: Mapping[str, Any]) -> CaseRow:
         return CaseRow(
             key=case.key,
             robot=case.robot,
@@ -118,21 +134,21 @@ class Setup:
             design=self.designs[case.design].name,
             noise=self.noises[case.noise][0],
             level=case.level,
-            **found,
+            **result,
         )
 
 
-def told_by(found: Diagnosis) -> dict[str, Any]:
+def told_by(diagnosis: Diagnosis) -> dict[str, Any]:
     """Return what a row holds of a diagnosis."""
     errors = {
-        'before': found.error_before,
-        'after': found.error_after,
-        'floor': found.noise_floor,
+        'before': diagnosis.error_before,
+        'after': diagnosis.error_after,
+        'floor': diagnosis.noise_floor,
     }
     return {
-        'verdict': str(found.verdict),
-        'effects': tuple(effect.name for effect in found.effects),
-        'group': found.cannot_tell_apart,
+        'verdict': str(diagnosis.verdict),
+        'effects': tuple(effect.name for effect in diagnosis.effects),
+        'group': diagnosis.cannot_tell_apart,
         **{name: float(error) if np.isfinite(error) else None for name, error in errors.items()},
     }
 
@@ -147,39 +163,40 @@ def fitted_values(values: Mapping[str, Value]) -> dict[str, Any]:
     }
 
 
-def _diagnosed(case: Case, made: Simulated) -> dict[str, Any]:
+def diagnosed(case: Case, made: Simulated) -> dict[str, Any]:
+    """Diagnose, and say what was right: name, interval, error on other postures, scatter."""
     start = time.process_time()
-    found = diagnose(made.fit, catalogue=made.catalogue, workers=1)
+    diagnosis = diagnose(made.fit, catalogue=made.catalogue, workers=1)
     seconds = time.process_time() - start
-    listed = {*(effect.name for effect in found.effects), *found.cannot_tell_apart}
-    named = found.verdict in NAMING
+    listed = {*(effect.name for effect in diagnosis.effects), *diagnosis.cannot_tell_apart}
+    named = diagnosis.verdict in NAMING
     if case.hidden == NOTHING:
-        right = found.verdict is Verdict.ADEQUATE
+        right = diagnosis.verdict is Verdict.ADEQUATE
     elif case.hidden in CAUSES:
-        right = found.verdict is Verdict.OUTSIDE_CATALOGUE
+        right = diagnosis.verdict is Verdict.OUTSIDE_CATALOGUE
     else:
         right = named and case.hidden in listed
     row = {
-        **told_by(found),
+        **told_by(diagnosis),
         'right': right,
         'wrong_name': named and case.hidden not in listed,
-        'alarm': found.verdict is not Verdict.ADEQUATE,
+        'alarm': diagnosis.verdict is not Verdict.ADEQUATE,
         'visible': is_visible(case, made),
-        'gone': error_gone(found, made) if named else None,
+        'gone': error_gone(diagnosis, made) if named else None,
         'seconds': seconds,
     }
     if case.level and right and case.hidden not in CAUSES:
-        held = scatter_held(found.details.get('as_built'), made.built)
+        held = scatter_held(diagnosis.details.get('as_built'), made.built)
         row['scatter_inside'] = float(np.mean(held)) if held else None
         row['scatter_told'] = len(held)
-    own = next((effect for effect in found.effects if effect.name == case.hidden), None)
+    own = next((effect for effect in diagnosis.effects if effect.name == case.hidden), None)
     if named and own is not None:
         row |= _beside_truth(case, made, own.parameters)
     return row
 
 
-def _fitted(case: Case, made: Simulated) -> dict[str, Any]:
-    """Fit the hidden effect alone: whether its intervals hold."""
+def fitted(case: Case, made: Simulated) -> dict[str, Any]:
+    """Fit the hidden effect alone, to see whether its intervals hold the true values."""
     added = add_effects(made.fit, [case.hidden], None, made.catalogue, made.fit)
     errors = added.fitted
     return {
@@ -199,15 +216,15 @@ def _beside_truth(case: Case, made: Simulated, values: Mapping[str, Value]) -> d
     return {**fitted_values(values), 'truth': truth}
 
 
-def error_gone(found: Diagnosis, made: Simulated) -> float | None:
-    """Share of (before - floor) that the named effects remove on postures not used."""
+def error_gone(diagnosis: Diagnosis, made: Simulated) -> float | None:
+    """Return the fraction of (before - floor) that the named effects remove elsewhere."""
     keys = {
         (free.effect, free.key): free
-        for free in frees_of([e.name for e in found.effects], made.catalogue, made.robot)
+        for free in frees_of([e.name for e in diagnosis.effects], made.catalogue, made.robot)
     }
     point = {
         keys[effect.name, key]: value.value
-        for effect in found.effects
+        for effect in diagnosis.effects
         for key, value in effect.parameters.items()
     }
     errors = []
@@ -216,7 +233,7 @@ def error_gone(found: Diagnosis, made: Simulated) -> float | None:
         if markers is None:
             return None
         errors.append(rms(made.check.mean - markers))
-    before, after, floor = *errors, found.noise_floor
+    before, after, floor = *errors, diagnosis.noise_floor
     return (before - after) / (before - floor) if before > ERROR_STANDS_OUT * floor else None
 
 
@@ -237,3 +254,259 @@ def built_sizes(built: Built) -> dict[str, float]:
         'cell_kink': built.kink[:, built.kink.any(axis=0)],
     }
     return {name: float(np.sqrt(np.mean(np.square(one)))) for name, one in members.items()}
+
+
+@dataclass(frozen=True)
+class Rate:
+    """So many of so many, with the 95 % interval of Wilson."""
+
+    hits: int
+    runs: int
+
+    @classmethod
+    def of(cls, flags: Iterable[bool]) -> Rate:
+        """Count."""
+        listed = [bool(flag) for flag in flags]
+        return cls(sum(listed), len(listed))
+
+    @property
+    def share(self) -> float | None:
+        """Return the rate; None of nothing."""
+        return self.hits / self.runs if self.runs else None
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Return its 95 % interval."""
+        return wilson(self.hits, self.runs)
+
+    def __str__(self) -> str:
+        if not self.runs:
+            return '–'
+        low, high = self.interval
+        share = 100.0 * self.hits / self.runs
+        return f'{share:.0f} % ({100 * low:.0f} to {100 * high:.0f}; {self.hits} of {self.runs})'
+
+
+@dataclass(frozen=True)
+class Power:
+    """How often an effect was seen and named, over its size."""
+
+    robot: str
+    hidden: str
+    way: str  # design, noise and imperfections
+    sizes: tuple[float, ...]  # times the typical one
+    alarms: tuple[Rate, ...]  # anything said at all
+    right: tuple[Rate, ...]  # it, or the class that it is in
+
+    @property
+    def smallest(self) -> float | None:
+        """Return the size that is named in four of five cases, between those tried."""
+        shares = [rate.share or 0.0 for rate in self.right]
+        for i, share in enumerate(shares):
+            if min(shares[i:]) >= DETECTED_SHARE:
+                if i == 0:
+                    return self.sizes[0]
+                part = (DETECTED_SHARE - shares[i - 1]) / max(share - shares[i - 1], 1e-12)
+                ends = np.log([self.sizes[i - 1], self.sizes[i]])
+                return float(np.exp(ends[0] + part * (ends[1] - ends[0])))
+        return None
+
+
+def methods(rows: Sequence[CaseRow]) -> Callable[[CaseRow], str]:
+    """Return what says how a case was measured and built, as far as that differs in a table."""
+    parts: dict[str, Callable[[CaseRow], str]] = {
+        'design': lambda row: row.design,
+        'noise': lambda row: f'noise {row.noise}',
+        'level': lambda row: f'imperfections x {row.level:g}',
+    }
+    told = [say for name, say in parts.items() if len({getattr(r, name) for r in rows}) > 1]
+    return lambda row: '; '.join(say(row) for say in told)
+
+
+def powers(rows: Sequence[CaseRow]) -> list[Power]:
+    """Count how often every effect was seen, size by size."""
+    method_of = methods(rows)
+    hidden = [row for row in rows if row.hidden != NOTHING]
+    made = []
+    for key, members in grouped(hidden, lambda r: (r.robot, r.hidden, method_of(r))).items():
+        by_size = grouped(binned(members), lambda row: row.size)
+        sizes = sorted(by_size)
+        alarms = tuple(Rate.of(row.alarm for row in by_size[size]) for size in sizes)
+        right = tuple(Rate.of(row.right for row in by_size[size]) for size in sizes)
+        made.append(Power(*key, tuple(sizes), alarms, right))
+    return made
+
+
+def binned(rows: Sequence[CaseRow]) -> list[CaseRow]:
+    """Put sizes that were drawn into bins; sizes that were listed stay."""
+    if len({row.size for row in rows}) <= 2 * BINS:
+        return list(rows)
+    logs = np.log([row.size for row in rows])
+    edges = np.linspace(logs.min(), logs.max() + 1e-9, BINS + 1)
+    which = np.searchsorted(edges, logs, side='right') - 1
+    middles = np.exp(0.5 * (edges[:-1] + edges[1:]))
+    return [replace(row, size=float(middles[i])) for row, i in zip(rows, which, strict=True)]
+
+
+def said(row: CaseRow) -> str:
+    """Say in one word what a diagnosis said: the class's first member where it names one."""
+    if row.verdict in NAMING and row.effects:
+        return row.hidden if row.right else ' + '.join(row.effects)
+    return row.verdict.replace('_', ' ')
+
+
+def confusion(rows: Sequence[CaseRow]) -> tuple[list[str], list[str], list[list[int]]]:
+    """Return what was hidden, what was said, and how often."""
+    counts = collections.Counter((row.hidden, said(row)) for row in rows)
+    hidden = list(dict.fromkeys(row.hidden for row in rows))
+    names = {name for _, name in counts}
+    words = [name for name in hidden if name in names] + sorted(names - set(hidden))
+    return hidden, words, [[counts[one, word] for word in words] for one in hidden]
+
+
+def coverage(rows: Sequence[CaseRow]) -> list[tuple[float, Rate]]:
+    """Return how many intervals hold the truth, for several nominal shares."""
+    z = []
+    for row in rows:
+        for true, value, low, high in zip(row.truth, row.value, row.low, row.high, strict=True):
+            half = (high - value) if true > value else (value - low)
+            z.append(abs(true - value) / half if half > 0.0 else float(true != value) * np.inf)
+    full = NormalDist().inv_cdf(0.975)
+    limits = [(share, NormalDist().inv_cdf(0.5 + 0.5 * share) / full) for share in NOMINAL]
+    return [(share, Rate.of(one <= limit for one in z)) for share, limit in limits]
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What a way to measure brings, and what it costs."""
+
+    way: str
+    alarms: Rate  # of hidden effects seen
+    right: Rate  # and named
+    quiet: Rate  # clean sets that were called so
+    seconds: float  # [s] of processor time for a diagnosis, median
+
+
+def costs(rows: Sequence[CaseRow]) -> list[Cost]:
+    """Compare the ways to measure: the same arms, all effects and sizes."""
+    made = []
+    for method, members in grouped(rows, methods(rows)).items():
+        hidden = [row for row in members if row.hidden != NOTHING and row.hidden not in CAUSES]
+        made.append(
+            Cost(
+                method,
+                Rate.of(row.alarm for row in hidden),
+                Rate.of(row.right for row in hidden),
+                Rate.of(row.right for row in members if row.hidden == NOTHING),
+                float(np.median([row.seconds for row in members])),
+            )
+        )
+    return made
+
+
+def clean_rows(rows: Sequence[CaseRow]) -> list[tuple[str, str, Rate, Rate]]:
+    """Return (robot, way, alarms, named) of the sets with nothing hidden."""
+    method_of = methods(rows)
+    clean = [row for row in rows if row.hidden == NOTHING]
+    return [
+        (*key, Rate.of(r.alarm for r in members), Rate.of(r.verdict in NAMING for r in members))
+        for key, members in grouped(clean, lambda row: (row.robot, method_of(row))).items()
+    ]
+
+
+def rates(rows: Sequence[CaseRow]) -> dict[str, Rate]:
+    """Return the rates that the diagnosis is judged by."""
+    effects = [row for row in rows if row.hidden not in (*CAUSES, NOTHING)]
+    named = [row for row in effects if row.right]
+    causes = [row for row in rows if row.hidden in CAUSES]
+    clean = [row for row in rows if row.hidden == NOTHING]
+    twins = {effect.name for effect in load_catalogue() if effect.scales_bends}
+    single = [row for row in named if row.hidden not in twins]
+    return {
+        'right, of all effects': Rate.of(row.right for row in effects),
+        'right, of those that stand out of the noise': Rate.of(
+            row.right for row in effects if row.visible
+        ),
+        'wrong names, of all effects': Rate.of(row.wrong_name for row in effects),
+        'a single name, effects without a twin': Rate.of(len(row.group) <= 1 for row in single),
+        'true values inside their 95 % intervals': Rate.of(
+            held for row in effects for held in row.held
+        ),
+        'named effects that take 90 % of the error off other postures': Rate.of(
+            row.gone >= GONE_FRACTION for row in named if row.gone is not None
+        ),
+        'scatter inside its interval, where it is told': Rate.of(
+            held for row in rows for held in row.scatter_held
+        ),
+        'causes called outside, of those that raise an alarm': Rate.of(
+            row.right for row in causes if row.verdict != Verdict.ADEQUATE
+        ),
+        'clean sets with an effect named': Rate.of(row.verdict in NAMING for row in clean),
+        'clean sets with any alarm': Rate.of(not row.right for row in clean),
+        'cases that ended in an error': Rate.of(row.verdict == ERROR for row in rows),
+    }
+
+
+def rates_by_robot(rows: Sequence[CaseRow]) -> dict[str, dict[str, Rate]]:
+    """Return the rates of every robot."""
+    return {robot: rates(members) for robot, members in grouped(rows, lambda r: r.robot).items()}
+
+
+@dataclass(frozen=True)
+class HiddenRates:
+    """What was said where one thing was hidden in one robot."""
+
+    robot: str
+    hidden: str
+    right: Rate  # of all sizes
+    right_if_seen: Rate  # of those that stand out of the noise
+    wrong_names: Rate
+    inside: Rate  # true values inside their 95 % intervals
+
+
+def rates_by_hidden(rows: Sequence[CaseRow]) -> list[HiddenRates]:
+    """Return the rates of everything that was hidden, robot by robot."""
+    return [
+        HiddenRates(
+            robot,
+            hidden,
+            Rate.of(row.right for row in members),
+            Rate.of(row.right for row in members if row.visible),
+            Rate.of(row.wrong_name for row in members),
+            Rate.of(held for row in members for held in row.held),
+        )
+        for (robot, hidden), members in grouped(rows, lambda r: (r.robot, r.hidden)).items()
+    ]
+
+
+def grouped[K](rows: Iterable[CaseRow], by: Callable[[CaseRow], K]) -> dict[K, list[CaseRow]]:
+    """Collect rows that share something."""
+    groups: dict[K, list[CaseRow]] = {}
+    for row in rows:
+        groups.setdefault(by(row), []).append(row)
+    return groups
+
+
+def to_json(rows: Sequence[CaseRow]) -> dict[str, Any]:
+    """Return all figures as plain data."""
+    return {
+        'cases': len(rows),
+        'rates': _plain(rates(rows)),
+        'rates_by_robot': _plain(rates_by_robot(rows)),
+        'rates_by_hidden': _plain(rates_by_hidden(rows)),
+        'power': [{**_plain(one), 'smallest': one.smallest} for one in powers(rows)],
+        'coverage': [{'nominal': share, **_plain(rate)} for share, rate in coverage(rows)],
+        'seconds': float(np.median([row.seconds for row in rows])) if rows else None,
+    }
+
+
+def _plain(value: Any) -> Any:
+    """Return figures as JSON holds them; a rate as its share, 95 % interval and counts."""
+    if isinstance(value, Rate):
+        low, high = value.interval
+        return {'share': value.share, 'low': low, 'high': high, **asdict(value)}
+    if is_dataclass(value):
+        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, dict):
+        return {key: _plain(one) for key, one in value.items()}
+    return [_plain(one) for one in value] if isinstance(value, (list, tuple)) else value

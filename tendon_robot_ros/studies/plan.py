@@ -31,10 +31,14 @@ from .cases import NOTHING, Case, Design, PlannedRobot, needs
 from .judge import DIAGNOSIS, INTERVALS, QUESTIONS, CaseRow, Setup
 from .running import TABLE, GrowingTable, judge_all
 
-SIZE_MIN, SIZE_MAX = 1e-3, 10.0  # times the typical size of an effect
-CAUSE_SIZE_MIN = 0.5  # a cause outside the catalogue below it is nothing
-COUNT_MAX = 1000  # postures, trials or markers of a design: more is a mistake in the plan
-SEEDS_MAX = 1_000_000  # of every combination: more is a mistake in the plan
+# [1] times the typical size of an effect; others would be in another unit
+SIZES = (1e-3, 10.0)
+# [1] size of a cause outside the catalogue; smaller ones would be nothing
+CAUSE_SIZE_MIN = 0.5
+# [1] postures, trials or markers of a design; more would run for days, and is a mistake
+COUNT_MAX = 1000
+# [1] cases of every combination; more would run for years, and is a mistake
+SEEDS_MAX = 1_000_000
 ALL, ALL_CAUSES = 'all', 'causes'
 KEYS = (
     *('question', 'seed', 'seeds', 'clean', 'robots', 'hidden', 'sizes', 'drawn', 'full_size'),
@@ -129,9 +133,9 @@ def plan_of(
     catalogue = catalogue_of(effects)
     skipped: dict[str, list[str]] = {}
     setup = Setup(
-        arms=tuple(_arms(top, folder, catalogue, skipped)),
-        designs=tuple(_designs(top, folder)) or (Design('12 postures'),),
-        noises=tuple(_noises(top)) or (('0.2 mm', SimulatedNoise()),),
+        arms=tuple(arms_of(top, folder, catalogue, skipped)),
+        designs=tuple(designs_of(top, folder)) or (Design('12 postures'),),
+        noises=tuple(noises_of(top)) or (('0.2 mm', SimulatedNoise()),),
         seed=top.count('seed', 0, high=2**32 - 1),
         question=top.choice('question', QUESTIONS, DIAGNOSIS),
         effects=effects,
@@ -144,15 +148,16 @@ def plan_of(
                     f'measurements of the inputs of {arm.name}, {", ".join(arm.robot.inputs)}',
                     ', '.join(design.data.robot.inputs),
                 )
-    cases = tuple(_cases(top, setup, catalogue, skipped))
+    cases = tuple(cases_of(top, setup, catalogue, skipped))
     if not cases:
         raise top.error('seeds', 'at least one case: seeds of effects, or clean sets', 0)
     return CampaignPlan(source, setup, cases)
 
 
-def _arms(
+def arms_of(
     top: PlanReader, folder: Path, catalogue: Catalogue, skipped: dict[str, list[str]]
 ) -> Iterator[PlannedRobot]:
+    """Yield the robots of a plan; note which effects each of them skips."""
     value, names = top.content.get('robots'), []
     if not isinstance(value, list) or not value:
         raise top.error('robots', 'a list of robot descriptions', value)
@@ -172,7 +177,8 @@ def _arms(
     top.unique('robots', names)
 
 
-def _designs(top: PlanReader, folder: Path) -> Iterator[Design]:
+def designs_of(top: PlanReader, folder: Path) -> Iterator[Design]:
+    """Yield the designs of a plan."""
     names = []
     for entry in top.items('designs') if top.has('designs') else ():
         entry.only('name', 'postures', 'trials', 'markers', 'data')
@@ -193,7 +199,8 @@ def _designs(top: PlanReader, folder: Path) -> Iterator[Design]:
     top.unique('designs', names)
 
 
-def _noises(top: PlanReader) -> Iterator[tuple[str, SimulatedNoise]]:
+def noises_of(top: PlanReader) -> Iterator[tuple[str, SimulatedNoise]]:
+    """Yield the noises of a plan, by name."""
     names = []
     for entry in top.items('noise') if top.has('noise') else ():
         known = tuple(field.name for field in fields(SimulatedNoise))
@@ -208,7 +215,7 @@ def _noises(top: PlanReader) -> Iterator[tuple[str, SimulatedNoise]]:
     top.unique('noise', names)
 
 
-def _cases(
+def cases_of(
     top: PlanReader, setup: Setup, catalogue: Catalogue, skipped: Mapping[str, list[str]]
 ) -> Iterator[Case]:
     """List the cases: seeds outermost, so that what is done first says something of all."""
@@ -225,30 +232,34 @@ def _cases(
     if top.has('scatter'):
         scatter = top.number('scatter', 0.0, 0.2)
     seeds, clean = top.count('seeds', 20), top.count('clean', 0)
-    sizes = _sizes(top)
+    sizes = sizes_of(top)
     shared: dict[str, Any] = {'exact': exact, 'scatter': scatter, 'declared': top.flag('declared')}
-    ways = list(itertools.product(range(len(setup.designs)), range(len(setup.noises)), levels))
+    methods = list(itertools.product(range(len(setup.designs)), range(len(setup.noises)), levels))
     for number in range(max(seeds, clean)):
         for arm in setup.arms:
             if number < clean:
-                yield from (Case(arm.name, NOTHING, 0.0, number, *way, **shared) for way in ways)
+                yield from (
+                    Case(arm.name, NOTHING, 0.0, number, *method, **shared) for method in methods
+                )
             if number >= seeds:
                 continue
             for name in hidden:
-                if name in skipped[arm.name] or not _can_show(name, arm, setup, catalogue):
+                if name in skipped[arm.name] or not can_show(name, arm, setup, catalogue):
                     continue
                 for size in [1.0] if name in full else sizes(setup.seed, number, name):
-                    yield from (Case(arm.name, name, size, number, *way, **shared) for way in ways)
+                    yield from (
+                        Case(arm.name, name, size, number, *method, **shared) for method in methods
+                    )
 
 
-def _sizes(top: PlanReader) -> Callable[[int, int, str], list[float]]:
+def sizes_of(top: PlanReader) -> Callable[[int, int, str], list[float]]:
     """Return a function of (seed, number, name) that says which sizes are hidden."""
     if top.has('sizes') and top.has('drawn'):
         raise top.error('drawn', 'either sizes or drawn', top.content['drawn'])
     if not top.has('drawn'):
-        listed = top.numbers_in('sizes', SIZE_MIN, SIZE_MAX, (0.1, 0.3, 1.0))
+        listed = top.numbers_in('sizes', *SIZES, (0.1, 0.3, 1.0))
         return lambda seed, number, name: listed
-    bounds = top.numbers_in('drawn', SIZE_MIN, SIZE_MAX, ())
+    bounds = top.numbers_in('drawn', *SIZES, ())
     if len(bounds) != 2 or bounds[0] >= bounds[1]:
         raise top.error('drawn', '[smallest, largest] size', bounds)
     low, high = np.log(bounds)
@@ -261,7 +272,7 @@ def _sizes(top: PlanReader) -> Callable[[int, int, str], list[float]]:
     return drawn
 
 
-def _can_show(name: str, arm: PlannedRobot, setup: Setup, catalogue: Catalogue) -> bool:
+def can_show(name: str, arm: PlannedRobot, setup: Setup, catalogue: Catalogue) -> bool:
     """Tell whether an effect can do anything on an arm that is measured so."""
     if name not in catalogue:
         return True

@@ -28,10 +28,9 @@ from ..common.errors import InputError, NoEquilibriumError
 from ..data import Marker, default_markers
 from ..data.dataset import INPUTS, LOADINGS
 from ..effects import load_catalogue
-from ..investigation.arm import BrokenMeasurementError, PostureMeasured
 from ..investigation.goal import add_goal, goal_of
-from ..investigation.loop import Investigation
-from ..investigation.results import add_folder, write_results
+from ..investigation.loop import Investigation, write_results
+from ..investigation.record import BrokenMeasurementError, PostureMeasured
 from ..robot import Robot, load_robot
 from ..robot.keep_out import KeepOut, load_keep_out
 from ..simulation.hidden import Workmanship
@@ -39,8 +38,10 @@ from ..simulation.measurements import SimulatedNoise
 from ..simulation.plant import Plant, make_plant
 
 HELP = 'investigate a simulated robot that hides something, as the real one will be'
-TRIALS = 3  # of a posture: the fewest whose spread says what noise is
-READINGS = 5  # of a posture of a sequence, which is measured once
+# [1] trials of a posture: with fewer, their spread would not say what noise is
+TRIALS = 3
+# [1] readings of a posture of a sequence, because it is measured once
+READINGS = 5
 Floats = npt.NDArray[np.float64]
 
 
@@ -56,7 +57,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add('--path', choices=LOADINGS, default='from_straight', help='how postures are reached')
     add('--lost', type=float, default=0.0, metavar='SHARE', help='of measurements that break')
     add_goal(parser, TRIALS)
-    add_folder(parser)
     add_effect_files(parser)
 
 
@@ -94,7 +94,7 @@ class SimulatedArm:
     input, path : str
         As of a data set.
     lost : float
-        Share of the measurements that break.
+        Fraction of the measurements that break.
 
     """
 
@@ -141,7 +141,7 @@ class SimulatedArm:
             1.0 + self.noise.trial * self._random.normal(size=(trials, *inputs.shape))
         )
         try:
-            seen = self._markers(inputs * np.maximum(factors, 0.0))
+            seen = self.markers_after(inputs * np.maximum(factors, 0.0))
         except (NoEquilibriumError, InputError) as error:
             raise BrokenMeasurementError(f'the arm does not stand: {error}') from None
         size = float(self.position_noise or 0.0)
@@ -153,8 +153,8 @@ class SimulatedArm:
         self.released += 1
         self.plant.forget()
 
-    def _markers(self, rows: Floats) -> Floats:
-        """Where the markers are (r, j, 3) [m] after inputs (r, m)."""
+    def markers_after(self, rows: Floats) -> Floats:
+        """Return the markers (r, j, 3) [m] after inputs (r, m)."""
         arcs = np.array([marker.arc_length for marker in self.markers])
         offsets = np.array([marker.offset for marker in self.markers])
         pulls = self.input == 'displacement'

@@ -14,12 +14,11 @@ from typing import Any, Protocol
 from ..common.errors import DataSetError, Progress, listener
 from ..common.files import new_file
 from ..common.results import arrow
-from ..common.workers import ChunkSize, LostWork, Workers
+from ..common.workers import SAVED_EVERY_S, ChunkSize, LostWork, Workers
 from ..model.versions import UserEffect, compiled_once
 
-PARTS_MAX = 64  # files of a table before they become one: reading the keys opens every file
-CHUNK_MAX = 256  # cases in a chunk: all of them are lost if every worker dies over one
-WRITTEN_EVERY_S = 5.0  # [s] the most that is computed again after a loss of power
+# [1] files of a table before they become one, because reading the keys opens every file
+PARTS_MAX = 64
 TABLE = 'table'  # in the folder of a study
 ERROR = 'error'  # in place of a verdict
 
@@ -135,10 +134,10 @@ def judge_all[C: Keyed, R: Row](
     buffer: list[R] = []
     done, written = 0, time.monotonic()
     try:
-        for rows in _chunk_by_chunk(study, left, workers):
+        for rows in chunk_by_chunk(study, left, workers):
             buffer += rows
             done += len(rows)
-            if time.monotonic() > written + WRITTEN_EVERY_S:
+            if time.monotonic() > written + SAVED_EVERY_S:
                 table.append(buffer)
                 buffer, written = [], time.monotonic()
             show(what, done, len(left))
@@ -148,11 +147,11 @@ def judge_all[C: Keyed, R: Row](
     return table.rows_of(cases)
 
 
-def _chunk_by_chunk[C: Keyed, R: Row](
+def chunk_by_chunk[C: Keyed, R: Row](
     study: Study[C, R], left: Sequence[C], workers: Workers
 ) -> Iterator[list[R]]:
     """Yield the rows of chunks as they come."""
-    pace = ChunkSize(workers.slots, CHUNK_MAX)
+    pace = ChunkSize(workers.slots)
     handed: list[Chunk[C, R]] = []
 
     def chunks() -> Iterator[Chunk[C, R]]:
@@ -181,10 +180,11 @@ class GrowingTable[R: Row]:
 
     def __init__(self, folder: Path, kind: type[R]) -> None:
         self.folder, self.kind, self.arrow = folder, kind, arrow()
-        self.schema = self.arrow.schema(list(self._columns()))
+        self.schema = self.arrow.schema(list(self.columns()))
         folder.mkdir(parents=True, exist_ok=True)
 
-    def _columns(self) -> Iterator[Any]:
+    def columns(self) -> Iterator[Any]:
+        """Yield the fields of the schema."""
         types = typing.get_type_hints(self.kind)
         a = self.arrow
         plain = {str: a.string(), float: a.float64(), int: a.int64(), bool: a.bool_()}
@@ -217,15 +217,15 @@ class GrowingTable[R: Row]:
             A file is none that this program has written.
 
         """
-        found: dict[str, R] = {}
+        rows: dict[str, R] = {}
         for path in self.files():
             for plain in self._read(path).to_pylist():
                 made: dict[str, Any] = {
                     name: tuple(value) if isinstance(value, list) else value
                     for name, value in plain.items()
                 }
-                found[plain['key']] = self.kind(**made)
-        return list(found.values())
+                rows[plain['key']] = self.kind(**made)
+        return list(rows.values())
 
     def rows_of(self, cases: Sequence[Keyed]) -> list[R]:
         """Return the rows that are there of some cases, in their order."""

@@ -15,13 +15,10 @@ from ..robot import Robot
 
 Floats = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.int64]
-# A line that turns by less than an angle in all has ends farther apart than cos(angle / 2) of its
-# length (Schur): up to here more than 2/pi of it, also where bent cells are a tenth shorter.
-TURNED_MIN_RAD = 0.5 * math.pi
-PAIRS_AT_ONCE = 100_000  # pairs of places, because so many stay in the cache
-STRETCH_MAX = 1.05  # [1] of its length that an arm may have: loads may stretch it a little
-HEIGHTS, TURNS = 6, 8  # equal areas of the sphere of directions: by height, and around the base
-LOOKS = HEIGHTS * TURNS
+# [1] equal areas of the sphere of directions, by height and around the base: 48, so that a bit for
+# each fits into 64
+SPHERE_PARTS = (6, 8)
+LOOKS = math.prod(SPHERE_PARTS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,12 +71,12 @@ class Reached:
 
         points = self.tips[:, [0, 2]] if self.is_flat else self.tips
         try:
-            found = ConvexHull(points)
+            hull = ConvexHull(points)
         except (QhullError, ValueError):  # too few, or all on a line or in a plane
             return self.tips[:0], np.zeros((0, points.shape[1]), dtype=np.int64), 0.0
         names = np.full(len(points), -1)
-        names[found.vertices] = np.arange(len(found.vertices))
-        return self.tips[found.vertices], names[found.simplices], float(found.volume)
+        names[hull.vertices] = np.arange(len(hull.vertices))
+        return self.tips[hull.vertices], names[hull.simplices], float(hull.volume)
 
     @property
     def edge_tensions(self) -> Floats:
@@ -112,7 +109,8 @@ class Cubes:
 
     def __init__(self, robot: Robot, edge: float) -> None:
         self.robot, self.edge = robot, edge
-        self.half = int(np.ceil(STRETCH_MAX * robot.length / edge))
+        # loads may stretch an arm, but never to twice its length
+        self.half = 2 * int(np.ceil(robot.length / edge))
         self.side = 2 * self.half
         self.postures = 0
         self.lows, self.highs = np.full(3, np.inf), np.full(3, -np.inf)
@@ -136,7 +134,7 @@ class Cubes:
         self._put(Rows(where, looks, content))
 
     def _put(self, rows: Rows) -> None:
-        """Take rows along; sort them in when they are as many as what is known."""
+        """Keep rows; sort them in when they are as many as what is known."""
         self._coming.append(rows)
         if sum(len(one.where) for one in self._coming) > len(self._known.where):
             self._sort_in()
@@ -213,8 +211,8 @@ class Rows(NamedTuple):
 
 
 def sphere_part(directions: Floats, finer: int) -> Numbers:
-    """Return in which of HEIGHTS x TURNS x finer² equal parts of the sphere directions lie."""
-    heights, turns = HEIGHTS * finer, TURNS * finer
+    """Return in which of LOOKS times finer² equal parts of the sphere directions (b, 3) lie."""
+    heights, turns = (finer * count for count in SPHERE_PARTS)
     up = np.clip(0.5 * (directions[:, 2] + 1.0) * heights, 0, heights - 1).astype(np.int64)
     turn = np.arctan2(directions[:, 1], directions[:, 0]) / (2.0 * np.pi) + 0.5
     return up * turns + np.clip(turn * turns, 0, turns - 1).astype(np.int64)
@@ -268,19 +266,25 @@ def folds(positions: Floats, thickness: Floats, lengths: Floats) -> npt.NDArray[
     """
     ends = np.concatenate([np.zeros_like(positions[:, :1]), positions], axis=1)
     pieces = np.diff(ends, axis=1)
-    pieces /= np.linalg.norm(pieces, axis=2, keepdims=True)
-    turns = np.arccos(np.clip((pieces[:, :-1] * pieces[:, 1:]).sum(axis=2), -1.0, 1.0))
+    sizes = np.sqrt(np.einsum('bnx,bnx->bn', pieces, pieces))
+    products = np.einsum('bnx,bnx->bn', pieces[:, :-1], pieces[:, 1:])
+    cosines = products / (sizes[:, :-1] * sizes[:, 1:])
+    turned = np.arccos(np.clip(cosines, -1.0, 1.0)).sum(axis=1)
     along = np.cumsum(lengths) - 0.5 * lengths
-    i, j = np.triu_indices(len(lengths), 1)
-    apart = thickness[i] + thickness[j]
-    turns_round = along[j] - along[i] > 0.5 * math.pi * apart
-    i, j, apart = i[turns_round], j[turns_round], apart[turns_round]
+    apart = np.add.outer(thickness, thickness)
+    turns_round = np.subtract.outer(along, along) > 0.5 * math.pi * apart
     hit = np.zeros(len(positions), dtype=np.bool_)
-    turned = np.flatnonzero(turns.sum(axis=1) >= TURNED_MIN_RAD)
-    for rows in np.array_split(turned, 1 + len(turned) * len(i) // PAIRS_AT_ONCE):
-        middles = 0.5 * (ends[rows, :-1] + ends[rows, 1:])
-        squares = np.zeros((len(rows), len(i)))
-        for x in range(3):
-            squares += (middles[:, j, x] - middles[:, i, x]) ** 2
-        hit[rows] = (squares < apart**2).any(axis=1)
+    limit = np.where(turns_round, apart**2, -1.0)  # (n, n) [m²]
+    # A line that turns by less than an angle in all has ends farther apart than cos(angle / 2) of
+    # its length (Schur 1921): up to a quarter turn that is more than the 2/pi of it at which
+    # places may touch, also where bent cells are a tenth shorter.
+    bent = np.flatnonzero(turned >= 0.5 * math.pi)
+    for part in np.array_split(bent, len(lengths)):  # small enough to stay in the cache
+        middles = 0.5 * (ends[part, :-1] + ends[part, 1:])
+        squares = np.einsum('bnx,bnx->bn', middles, middles)[:, :, None]
+        ones = np.ones_like(squares)
+        # |a|² - 2 a·b + |b|² of all pairs is one product of matrices
+        a = np.concatenate([-2.0 * middles, squares, ones], axis=2)
+        b = np.concatenate([middles, ones, squares], axis=2)
+        hit[part] = (a @ b.transpose(0, 2, 1) < limit).any(axis=(1, 2))
     return hit

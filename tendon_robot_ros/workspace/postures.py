@@ -13,13 +13,22 @@ from ..robot.estimates import bend_rates, end_sections
 Floats = npt.NDArray[np.float64]
 INPUTS = ('tension', 'displacement')
 PATHS = ('from_straight', 'sequence', 'visits')  # of a data set
-SECTION_BEND_MAX_RAD = 2.0  # [rad] largest bend of a section, by the frictionless model: U-shaped
-SINGLE_SHARE = 0.75  # [1] of it, of an input alone
-SQUEEZE_SHARES = (0.3, 1.0)  # [1] of the tension that bends by a radian, of a squeeze
-SIDE_COSINE = 0.2  # below it a tendon lies at the side of a bend and hardly helps
-CYCLE = (0.25, 0.6, 1.0, 0.7, 0.3)  # [1] of a peak: up and down, no step twice
-# [1] of a random bend, of a peak; smaller where the bends of several sections add up
-PEAK_OF_ONE, PEAK_OF_SEVERAL = 1.7, 1.2
+# [rad] largest bend of a section by the frictionless model: U-shaped, so that all of its cells are
+# strained and none touches the next
+SECTION_BEND_MAX_RAD = 2.0
+# [1] of it, the bend by one input alone; less, so that friction may add to it
+SINGLE_FRACTION = 0.75
+# [1] of the tension that bends by a radian, of a squeeze: enough, so that friction differs from
+# posture to posture
+SQUEEZE_FRACTIONS = (0.3, 1.0)
+# [1] cosine between a tendon and a bend below which it would squeeze more than it bends
+SIDE_COSINE = 0.2
+# [1] of a peak, one posture after the other: up and down, because friction shows its memory when a
+# tendon is let go; no value twice
+CYCLE = (0.25, 0.6, 1.0, 0.7, 0.3)
+# [1] peak over a random bend, of arms of one section and of several; smaller there, because the
+# bends of sections add up
+PEAKS = (1.7, 1.2)
 
 
 def default_postures(
@@ -47,7 +56,8 @@ def default_postures(
     input : str
         'tension' [N], or 'displacement' [m] with nan where a wire is slack.
     path : str
-        'from_straight', 'sequence', or 'visits': postures as from straight, in any order.
+        How they are reached: 'from_straight', 'sequence' (one after the other) or 'visits' (the
+        postures of 'from_straight', in any order).
 
     """
     robot, count, seed = load_robot(robot), whole('count', count, 1), whole('seed', seed)
@@ -79,7 +89,7 @@ class _Design:
 
     def singles(self) -> list[Floats]:
         """Each input alone at three quarters of the largest bend."""
-        full = SINGLE_SHARE * SECTION_BEND_MAX_RAD / np.linalg.norm(self.rate, axis=1)
+        full = SINGLE_FRACTION * SECTION_BEND_MAX_RAD / np.linalg.norm(self.rate, axis=1)
         return list(np.diag(full))
 
     def bends(self, count: int) -> list[Floats]:
@@ -104,21 +114,21 @@ class _Design:
         rate = self.rate[members]
         weights = self.random.normal(size=len(members)) @ rate  # a direction that they span
         towards = weights / max(float(np.linalg.norm(weights)), 1e-300)
-        share = np.maximum(rate @ towards / np.linalg.norm(rate, axis=1), 0.0)
-        share[share < SIDE_COSINE] = 0.0
+        cosines = np.maximum(rate @ towards / np.linalg.norm(rate, axis=1), 0.0)
+        cosines[cosines < SIDE_COSINE] = 0.0
         row = np.zeros(self.count)
-        row[members] = share * bend / max(float(np.linalg.norm(share @ rate)), 1e-300)
+        row[members] = cosines * bend / max(float(np.linalg.norm(cosines @ rate)), 1e-300)
         return row
 
     def squeeze(self, s: int) -> Floats:
         """Tensions (m,) [N] of all tendons of a section that leave it straight."""
         members = self.last == s
         size = 1.0 / np.linalg.norm(self.rate[members], axis=1).max()  # [N] for one radian
-        return np.where(members, self.random.uniform(*SQUEEZE_SHARES) * size, 0.0)
+        return np.where(members, self.random.uniform(*SQUEEZE_FRACTIONS) * size, 0.0)
 
     def cycles(self, count: int) -> list[Floats]:
         """Load and let go in even steps, from one random bend to the next."""
-        factor = PEAK_OF_ONE if len(self.sections) == 1 else PEAK_OF_SEVERAL
+        factor = PEAKS[0] if len(self.sections) == 1 else PEAKS[1]
         rows: list[Floats] = []
         while len(rows) < count:
             peak = self.bends(1)[0] * factor

@@ -1,26 +1,356 @@
-"""All places that the tip reaches, over all tendons at once, and where it can look from there."""
+"""
+All places that the tip reaches, over all tendons at once, and where it can look from there.
+
+Postures come in rounds: the first has random tensions; those after it start from postures whose
+tips lie at the edge of what is known then, and change them a little. Every batch has a random
+generator of its own, seeded by its round and number, and is sorted into cubes where it is
+computed; cubes may be merged in any order. So the result does not depend on which process computes
+what and when, and memory does not grow with the number of postures.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+import hashlib
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
+import numpy.typing as npt
 
-from ..common.errors import InputError, Progress
-from ..common.workers import Workers
+from ..common.errors import InputError, Progress, listener
+from ..common.files import new_file
+from ..common.workers import SAVED_EVERY_S, ChunkSize, LostWork, Workers
+from ..effects import load_catalogue
+from ..model import forward
 from ..model.model import Model
-from ..robot import Robot
+from ..model.shape import ShapeBatch
+from ..robot import Robot, dump_robot
 from ..robot.description import tendon_offsets
-from .cubes import Reached, beyond
-from .grid import POSTURES_MAX
-from .streamed import Sampling, Stream
+from .cubes import LOOKS, Cubes, Floats, Reached, beyond, folds, sphere_part
+from .view_angle import POSTURES_AT_ONCE, POSTURES_MAX
 
-POSTURES_PER_CUBE = 10  # wanted: fewer, and cubes stay empty by chance
-CUBES_MIN, CUBES_MAX = 8.0, 100.0  # along the arm: to show a form, and to stay within memory
+# [1] postures wanted for every cube: with fewer some stay empty by chance
+POSTURES_PER_CUBE = 10
+# [1] cubes along the arm, at least and at most: fewer would show no form, more take gigabytes
+CUBES_ALONG = (8.0, 100.0)
+# [1] rounds from the edge of what is known, half of all postures together; in each the edge moves
+# on by a step or so, else corners that few tensions reach would stay empty
+EDGE_ROUNDS = 10
+# [1] of random tensions, those that are the lowest and the highest, because the edge of the
+# workspace is reached where most tendons are slack and some at their limit
+EXTREMES = (0.5, 0.1)
+# [1] of the range of tensions, 1 sd of a step from a posture at the edge; small, so that most of
+# the new postures lie near the edge as well
+STEP_SD = 0.15
+# [1] times finer than LOOKS, along either side, are the parts (of 5°) of all directions that are
+# counted, so that their fraction is known to a percent or so
+FINER = 6
 KEPT = ('unfinished-0.npz', 'unfinished-1.npz')  # with friction, without: not yet ended
+Packed = dict[str, npt.NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """What to sample; goes to the workers. `of` fills and checks it."""
+
+    robot: Robot
+    files: tuple[str, ...]  # the user's own effects
+    postures: int
+    views: tuple[float, ...]  # [rad]
+    tolerance: float  # [rad]
+    limits: tuple[float, float]  # [N]
+    edge: float  # [m] of the cubes
+    seed: int
+
+    @classmethod
+    def of(
+        cls,
+        model: Model,
+        postures: int = 100_000,
+        views: Sequence[float] = (),
+        tolerance: float = np.radians(2.5),
+        limits: tuple[float, float] | None = None,
+        edge: float | None = None,
+        seed: int = 0,
+    ) -> Sampling:
+        """
+        Say what to sample.
+
+        Parameters
+        ----------
+        model : Model
+        postures : int
+            To compute; as many again without friction, if the model has any.
+        views : sequence of float
+            Angles [rad] between the tip's direction and the base's: their tips are collected, too.
+        tolerance : float
+            By which a view angle may be missed [rad].
+        limits : (float, float), optional
+            Lowest and highest tension [N]; by default the robot's.
+        edge : float, optional
+            Of the cubes [m]; by default so that ten postures come to each.
+        seed : int
+            Another seed gives other postures.
+
+        Raises
+        ------
+        InputError
+            The numbers make no sense.
+
+        """
+        robot = model.robot
+        least, most = CUBES_ALONG
+        low, high = limits or (float(model.limits[:, 0].min()), float(model.limits[:, 1].max()))
+        if edge is None:
+            # tips fill about three squares, or four cubes, of the length of the arm; those of one
+            # section in space are a shell of about four squares
+            cubes, flat = postures / POSTURES_PER_CUBE, not tendon_offsets(robot)[..., 1].any()
+            sheet = flat or bends_as_one(robot)
+            count = (max(cubes, 0.0) / (3.0 if flat else 4.0)) ** (1 / 2 if sheet else 1 / 3)
+            edge = robot.length / float(np.clip(count, least, most))
+        if not 0 < postures <= POSTURES_MAX:
+            raise InputError(
+                f'workspace: expected 1 to {POSTURES_MAX:,} postures, got {postures:,}'
+            )
+        if not 0.0 <= low < high:
+            raise InputError(
+                'workspace: expected a pretension from 0 to below the limit, '
+                f'got {low:g} N and {high:g} N'
+            )
+        if (len(views) and min(views) < 0.0) or not tolerance > 0.0:
+            raise InputError(
+                'workspace: expected view angles of 0° or more and a tolerance above 0'
+            )
+        if not robot.length / most <= edge <= robot.length:
+            raise InputError(
+                f'workspace: expected cubes of {1e3 * robot.length / most:.2g} mm to the length '
+                f'of the arm, got {1e3 * edge:.3g} mm'
+            )
+        files = model.catalogue.files
+        return cls(robot, files, postures, tuple(views), tolerance, (low, high), edge, seed)
+
+    @property
+    def rounds(self) -> list[int]:
+        """How many postures each round has."""
+        half = self.postures // 2
+        more = np.diff(np.linspace(0, half, EDGE_ROUNDS + 1).astype(int))
+        return [self.postures - half, *more[more > 0].tolist()]
+
+
+def bends_as_one(robot: Robot) -> bool:
+    """Whether all tendons end in one section: the place of the tip nearly fixes where it looks."""
+    return len({tendon.section for tendon in robot.tendons}) == 1
+
+
+@dataclass(frozen=True)
+class Batches:
+    """A chunk: some batches of a round."""
+
+    sampling: Sampling
+    round: int
+    sizes: tuple[tuple[int, int], ...]  # (number of the batch, its postures)
+    start: Floats = field(repr=False)  # (e, m) [N] at the edge of what is known; none: random
+
+
+class SortedTips:
+    """What became of postures: cubes, and counts that do not grow."""
+
+    def __init__(self, sampling: Sampling) -> None:
+        self.sampling = sampling
+        self.all = Cubes(sampling.robot, sampling.edge)
+        self.views = [Cubes(sampling.robot, sampling.edge) for _ in sampling.views]
+        self.sphere = np.zeros(FINER**2 * LOOKS, dtype=bool)  # directions that were looked into
+        self.counts = np.zeros(3, dtype=np.int64)  # postures, without equilibrium, folded
+        self.largest = np.zeros(1)  # [rad]
+        self.thickness = np.linalg.norm(tendon_offsets(sampling.robot), axis=2).max(axis=1)
+        self.lengths = np.concatenate(
+            [np.full(section.cells, section.cell_length) for section in sampling.robot.sections]
+        )  # (n,) [m]; thickness (n,) [m]: the farthest tendon
+
+    @property
+    def cubes(self) -> list[Cubes]:
+        """All cubes: of all tips, and of those at each view."""
+        return [self.all, *self.views]
+
+    def packed(self) -> Packed:
+        """Return everything as arrays."""
+        arrays = {'sphere': self.sphere, 'counts': self.counts, 'largest': self.largest}
+        for i, cubes in enumerate(self.cubes):
+            arrays |= {f'{i}_{name}': value for name, value in cubes.packed().items()}
+        return arrays
+
+    def merge(self, other: Packed) -> None:
+        """Add what another one has packed."""
+        self.sphere |= other['sphere']
+        self.counts += other['counts']
+        self.largest = np.maximum(self.largest, other['largest'])
+        for i, cubes in enumerate(self.cubes):
+            names = cubes.packed()
+            cubes.merge({name: other[f'{i}_{name}'] for name in names})
+
+    def add(self, batch: ShapeBatch, changes: Floats) -> None:
+        """Put solved postures where they belong, those that the arm cannot have left out."""
+        tips, along = batch.tip_position, batch.tip_direction
+        solved = changes < forward.TOLERANCE
+        free = ~folds(batch.positions, self.thickness, self.lengths)
+        self.counts += np.array([len(tips), (~solved).sum(), (solved & ~free).sum()])
+        good = solved & free
+        inputs, tips, along = batch.inputs[good], tips[good], along[good]
+        angle = np.arccos(np.clip(along[:, 2], -1.0, 1.0))
+        self.largest = np.maximum(self.largest, angle.max(initial=0.0))
+        self.sphere[sphere_part(along, FINER)] = True
+        self.all.add(inputs, tips, along)
+        for view, cubes in zip(self.sampling.views, self.views, strict=True):
+            rows = np.abs(angle - view) <= self.sampling.tolerance
+            cubes.add(inputs[rows], tips[rows], along[rows])
+
+
+def sort_batches(chunk: Batches) -> tuple[Packed, float]:
+    """Solve and sort the batches of a chunk, in a worker; return what is known, and the time."""
+    start, sampling = time.monotonic(), chunk.sampling
+    model, tally = _model_of(sampling), SortedTips(sampling)
+    for number, count in chunk.sizes:
+        entropy = np.random.SeedSequence(sampling.seed, spawn_key=(chunk.round, number))
+        random = np.random.default_rng(entropy)
+        tensions = (near_edge if len(chunk.start) else spread)(random, count, chunk)
+        tally.add(*model.solve(tensions))
+    return tally.packed(), time.monotonic() - start
+
+
+_MODELS: dict[str, Model] = {}  # of the last sampling that this process has worked on
+
+
+def _model_of(sampling: Sampling) -> Model:
+    """Return the model; a process makes it once for all chunks."""
+    key = repr((sampling.robot, sampling.files))
+    if key not in _MODELS:
+        _MODELS.clear()
+        _MODELS[key] = Model(sampling.robot, load_catalogue(sampling.files))
+    return _MODELS[key]
+
+
+def spread(random: np.random.Generator, count: int, chunk: Batches) -> Floats:
+    """Return random tensions (count, m) [N]: many tendons at the lowest, some at the highest."""
+    low, high = chunk.sampling.limits
+    shape = (count, len(chunk.sampling.robot.inputs))
+    fraction, kind = random.random(shape), random.random(shape)
+    fraction[kind < EXTREMES[0]] = 0.0
+    fraction[kind > 1.0 - EXTREMES[1]] = 1.0
+    return low + (high - low) * fraction
+
+
+def near_edge(random: np.random.Generator, count: int, chunk: Batches) -> Floats:
+    """Return tensions (count, m) [N] a random step away from those of postures at the edge."""
+    low, high = chunk.sampling.limits
+    rows = chunk.start[random.integers(len(chunk.start), size=count)]
+    size = STEP_SD * (high - low) * random.random((count, 1))
+    step = size * random.normal(size=rows.shape)
+    step[random.random(rows.shape) < EXTREMES[0]] = 0.0
+    return np.asarray(np.clip(rows + step, low, high))
+
+
+@dataclass
+class Stream:
+    """A sampling under way."""
+
+    sampling: Sampling
+    kept: Path | None = None  # where it is written
+    tally: SortedTips = field(init=False)
+    done: set[tuple[int, int]] = field(default_factory=set)  # (round, batch)
+    start: Floats = field(init=False)  # (e, m) [N] that the round starts from
+    late: int = 0  # cubes when the last tenth of the postures began
+    saved: float = field(default_factory=time.monotonic)
+
+    def __post_init__(self) -> None:
+        """Go on from what is kept."""
+        self.tally = SortedTips(self.sampling)
+        self.start = np.zeros((0, len(self.sampling.robot.inputs)))
+        if self.kept is not None and self.kept.is_file():
+            self.load(self.kept)
+
+    @property
+    def key(self) -> str:
+        """Digest of what is sampled."""
+        sampling = replace(self.sampling, robot=None)  # type: ignore[arg-type]
+        digests = [effect.digest for effect in load_catalogue(sampling.files)]
+        text = f'{dump_robot(self.sampling.robot)} {sampling} {digests}'
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+    def run(self, workers: Workers, show: Progress, begun: int, total: int) -> None:
+        """Sample what is missing; `begun` of `total` postures were computed before."""
+        sizes, chunk_size = self.sampling.rounds, ChunkSize(workers.slots)
+        for number, size in enumerate(sizes):
+            if number == len(sizes) - 2:
+                self.late = self.late or len(self.tally.all)
+            batches = [
+                (i, min(POSTURES_AT_ONCE, size - i * POSTURES_AT_ONCE))
+                for i in range(-(-size // POSTURES_AT_ONCE))
+                if (number, i) not in self.done
+            ]
+            begins = not any(done == number for done, _ in self.done)
+            if number and batches and begins and len(self.tally.all):
+                edge = self.tally.all.reached().edge_tensions
+                # thinned, because the start goes to every worker with every chunk
+                self.start = edge[:: max(len(edge) // (10 * POSTURES_AT_ONCE), 1)]
+            handed: list[Batches] = []
+            for index, result in workers.run(
+                sort_batches, self.chunks(number, batches, chunk_size, handed)
+            ):
+                if isinstance(result, LostWork):
+                    raise InputError(
+                        f'{self.sampling.robot.name}: {result.workers} processes died over the '
+                        'same postures; is there memory for --workers of them?'
+                    )
+                packed, seconds = result
+                chunk_size.took(seconds, len(handed[index].sizes))
+                self.tally.merge(packed)
+                self.done |= {(number, i) for i, _ in handed[index].sizes}
+                if self.kept is not None and time.monotonic() > self.saved + SAVED_EVERY_S:
+                    self.save(self.kept)
+                show('postures', begun + int(self.tally.counts[0]), total)
+
+    def chunks(
+        self,
+        number: int,
+        batches: list[tuple[int, int]],
+        chunk_size: ChunkSize,
+        handed: list[Batches],
+    ) -> Iterator[Batches]:
+        """Cut the batches of a round into chunks; append each to those handed out."""
+        begin = 0
+        while begin < len(batches):
+            end = begin + chunk_size.of(len(batches) - begin)
+            handed.append(Batches(self.sampling, number, tuple(batches[begin:end]), self.start))
+            begin = end
+            yield handed[-1]
+
+    def save(self, path: Path) -> None:
+        """Write what is known."""
+        self.saved = time.monotonic()
+        done = np.array(sorted(self.done), dtype=np.int64)
+        known: dict[str, Any] = self.tally.packed()
+        with new_file(path) as draft, draft.open('wb') as file:
+            np.savez(file, key=self.key, done=done, start=self.start, late=self.late, **known)
+
+    def load(self, path: Path) -> None:
+        """Read what an earlier run has written, and go on from there."""
+        try:
+            with np.load(path) as arrays:
+                content = dict(arrays)
+            key = str(content['key'])
+        except (OSError, ValueError, EOFError, LookupError, TypeError, BadZipFile) as error:
+            raise InputError(f'{path}: cannot be read ({error}); delete it') from None
+        if key != self.key:
+            raise InputError(
+                f'{path}: is of another robot or other options; delete it, or give these again'
+            )
+        self.tally.merge(content)
+        self.done = {(int(r), int(i)) for r, i in content['done']}
+        self.start, self.late = content['start'], int(content['late'])
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,21 +363,21 @@ class Volume:
     unsolved: int  # of them without equilibrium
     folded: int  # of them in which the arm would run into itself
     reached: Reached
-    late: float  # share of the cubes that only the last tenth of the postures found
+    late: float  # fraction of the cubes that only the last tenth of the postures found
     largest: float  # [rad] angle between the tip's direction and the base's
-    sphere: float  # share of all directions that the tip looks into
+    sphere: float  # fraction of all directions that the tip looks into
     views: dict[float, Reached]  # [rad] -> the tips that look at this angle
     frictionless: Reached | None  # the same without friction; None where the model has none
 
     @property
     def taken(self) -> float | None:
-        """Share of the places without friction that are not near one with it."""
+        """Fraction of the places without friction that are not near one with it."""
         other = self.frictionless
         return None if other is None else float(beyond(other.cells, self.reached.cells).mean())
 
     @property
     def given(self) -> float | None:
-        """Share of the places with friction that are not near one without it."""
+        """Fraction of the places with friction that are not near one without it."""
         other = self.frictionless
         return None if other is None else float(beyond(self.reached.cells, other.cells).mean())
 
@@ -64,13 +394,7 @@ class Volume:
 
 
 def find_volume(
-    model: Model,
-    postures: int = 100_000,
-    views: Sequence[float] = (),
-    tolerance: float = np.radians(2.5),
-    limits: tuple[float, float] | None = None,
-    edge: float | None = None,
-    seed: int = 0,
+    sampling: Sampling,
     progress: Progress | None = None,
     workers: Workers | None = None,
     kept: Path | None = None,
@@ -79,23 +403,12 @@ def find_volume(
     Sample postures over all tendons and collect the tips in cubes.
 
     Half of the postures have random tensions; the others start from those whose tips lie at the
-    edge and walk on, so that the edge is found. Memory does not grow with their number. Postures
-    in which the arm would run into itself do not count.
+    edge. Memory does not grow with their number. Postures in which the arm would run into itself
+    do not count.
 
     Parameters
     ----------
-    model : Model
-    postures : int
-        To compute; as many again without friction, if the model has any.
-    views : sequence of float
-        Angles [rad] between the tip's direction and the base's: their tips are collected, too.
-    tolerance : float
-        By which a view angle may be missed [rad].
-    limits : (float, float), optional
-        Lowest and highest tension [N]; by default the robot's.
-    edge : float, optional
-        Of the cubes [m]; by default so that ten postures come to each.
-    seed : int
+    sampling : Sampling
     progress : callable, optional
         Called with what is done, how many, of how many.
     workers : Workers, optional
@@ -106,71 +419,47 @@ def find_volume(
     Raises
     ------
     InputError
-        The numbers make no sense, or no posture is left.
+        No posture is left.
 
     """
-    robot = model.robot
-    low, high = limits or (float(model.limits[:, 0].min()), float(model.limits[:, 1].max()))
-    if edge is None:
-        # tips fill about three squares, or four cubes, of the length of the arm; those of one
-        # section in space are a shell of about four squares
-        cubes, flat = postures / POSTURES_PER_CUBE, not tendon_offsets(robot)[..., 1].any()
-        sheet = flat or bends_as_one(robot)
-        count = (max(cubes, 0.0) / (3.0 if flat else 4.0)) ** (1 / 2 if sheet else 1 / 3)
-        edge = robot.length / float(np.clip(count, CUBES_MIN, CUBES_MAX))
-    if not 0 < postures <= POSTURES_MAX:
-        raise InputError(f'workspace: expected 1 to {POSTURES_MAX:,} postures, got {postures:,}')
-    if not 0.0 <= low < high:
-        raise InputError(
-            'workspace: expected a pretension from 0 to below the limit, '
-            f'got {low:g} N and {high:g} N'
-        )
-    if (len(views) and min(views) < 0.0) or not tolerance > 0.0:
-        raise InputError('workspace: expected view angles of 0° or more and a tolerance above 0')
-    if not robot.length / CUBES_MAX <= edge <= robot.length:
-        raise InputError(
-            f'workspace: expected cubes of {1e3 * robot.length / CUBES_MAX:.2g} mm to the length '
-            f'of the arm, got {1e3 * edge:.3g} mm'
-        )
-    robots, catalogue = [robot], model.catalogue
+    robot, catalogue = sampling.robot, load_catalogue(sampling.files)
+    samplings = [sampling]
     friction = {name for name in robot.effects if catalogue[name].takes_force}
     if friction:
-        lost = {name for name in robot.effects if catalogue[name].acts_on in friction} | friction
-        left = {name: own for name, own in robot.effects.items() if name not in lost}
-        robots.append(replace(robot, effects=left))
-    streams = []
-    for i, each in enumerate(robots):
-        sampling = Sampling(
-            each, catalogue.files, edge, (low, high), tuple(views), tolerance, seed
-        )
-        streams.append(Stream(sampling, postures, None if kept is None else kept / KEPT[i]))
-    own_workers = workers or Workers()
+        without = {
+            name: values
+            for name, values in robot.effects.items()
+            if name not in friction and catalogue[name].acts_on not in friction
+        }
+        samplings.append(replace(sampling, robot=replace(robot, effects=without)))
+    streams = [
+        Stream(each, None if kept is None else kept / name)
+        for each, name in zip(samplings, KEPT, strict=False)
+    ]
+    own_workers, total = workers or Workers(), len(streams) * sampling.postures
     for i, stream in enumerate(streams):
-        stream.run(own_workers, progress, i * postures, len(streams) * postures)
-    found = streams[0].tally
-    reached = found.all.reached()
+        stream.run(own_workers, listener(progress), i * sampling.postures, total)
+    tally = streams[0].tally
+    reached = tally.all.reached()
     if not len(reached):
-        raise InputError(f'{robot.name}: no posture of {postures:,} is one that the arm can have')
+        raise InputError(
+            f'{robot.name}: no posture of {sampling.postures:,} is one that the arm can have'
+        )
     return Volume(
         robot=robot,
-        limits=(low, high),
-        postures=postures,
-        unsolved=int(found.counts[1]),
-        folded=int(found.counts[2]),
+        limits=sampling.limits,
+        postures=sampling.postures,
+        unsolved=int(tally.counts[1]),
+        folded=int(tally.counts[2]),
         reached=reached,
         late=(len(reached) - streams[0].late) / len(reached),
-        largest=float(found.largest[0]),
-        sphere=float(found.sphere.mean()),
+        largest=float(tally.largest[0]),
+        sphere=float(tally.sphere.mean()),
         views={
-            view: cubes.reached() for view, cubes in zip(sampling.views, found.views, strict=True)
+            view: cubes.reached() for view, cubes in zip(sampling.views, tally.views, strict=True)
         },
         frictionless=streams[1].tally.all.reached() if len(streams) > 1 else None,
     )
-
-
-def bends_as_one(robot: Robot) -> bool:
-    """Whether all tendons end in one section: the place of the tip nearly fixes where it looks."""
-    return len({tendon.section for tendon in robot.tendons}) == 1
 
 
 def save_volume(volume: Volume, folder: Path, names: tuple[str, str]) -> None:

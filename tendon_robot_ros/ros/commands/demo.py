@@ -26,7 +26,7 @@ from ...control.loading import load
 from ...effects import load_catalogue
 from ...model.model import Model
 from ...robot import load_robot
-from ...workspace.constant_view import Posture, salient
+from ...workspace.view_angle import Posture, salient
 from ..shared.messages import COMMAND, LISTEN
 from ..shared.robot_client import RobotClient
 from ..shared.runtime import Ending, NodeProcess, ros

@@ -44,7 +44,7 @@ from ...paths.path import (
     thinned,
     tip_path,
 )
-from ...report.path_run import draw_run, lines
+from ...report.pictures import draw_run, path_lines
 from ...robot.keep_out import KeepOut, load_keep_out, text_of
 from ..controller.incoming import POINTS_MAX
 from ..shared.robot_client import Pilot, add_controller
@@ -117,7 +117,7 @@ def _follow(pilot: Pilot, options: argparse.Namespace, pace: Pace) -> int:
         path_run = _tips(pilot, rows, options, pace)
     if path_run is None:
         return 0
-    report_lines = lines(path_run)
+    report_lines = path_lines(path_run)
     print('\n'.join(report_lines))
     title = f'{Path(options.path).name}: asked and reached'
     print(f'picture: {draw_run(path_run, options.picture, title)}', flush=True)

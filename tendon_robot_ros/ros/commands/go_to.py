@@ -13,7 +13,7 @@ import numpy as np
 
 from ...common.errors import InputError
 from ...common.words import TYPED_LENGTHS, other_unit, read_quantity
-from ...report.path_run import place
+from ...report.pictures import place
 from ..shared.robot_client import Pilot, add_controller
 from ..shared.runtime import ros
 

@@ -29,10 +29,9 @@ from std_srvs.srv import Trigger
 from ...common.errors import InputError, TendonRobotError
 from ...data.dataset import LOADINGS
 from ...investigation.goal import add_goal, goal_of
-from ...investigation.loop import Findings, Investigation
+from ...investigation.loop import Findings, Investigation, write_results
 from ...investigation.measuring import News
 from ...investigation.record import BETTER
-from ...investigation.results import add_folder, write_results
 from ...robot.keep_out import KeepOut, load_keep_out
 from ..shared.lifecycle import OK, WARN, Status
 from ..shared.messages import LATCHED, LATCHED_BY_MANY
@@ -49,7 +48,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add = parser.add_argument
     add_goal(parser, TRIALS)
-    add_folder(parser)
     add('--path', choices=LOADINGS, default=LOADINGS[0],
         help='let go before every posture, or go from one to the next')  # fmt: skip
     add('--speed', type=float, default=0.2, metavar='X',

@@ -18,7 +18,7 @@ from ...monitoring import Monitor, StillMeasurement
 from ...monitoring.monitor import FrameMean
 from ...monitoring.tip_force import TipForce
 from ...monitoring.watch import ArmWatch
-from ...report.numbers import load_words
+from ...report.sentences import load_words
 from ..shared.messages import LATCHED, STATE
 from ..shared.parameters import Parameters
 from .parameters import watched

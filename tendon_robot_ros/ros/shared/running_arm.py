@@ -15,7 +15,7 @@ from ...common.errors import InputError, NoEquilibriumError, TendonRobotError
 from ...control.checks import Refusal, by_name
 from ...control.state import Trajectory
 from ...data import Marker, default_markers
-from ...investigation.arm import BrokenMeasurementError, PostureMeasured
+from ...investigation.record import BrokenMeasurementError, PostureMeasured
 from ...model.model import Model
 from ...monitoring import History, StillMeasurement, StillWindow
 from ...monitoring.change import ChangeFinder, load_change

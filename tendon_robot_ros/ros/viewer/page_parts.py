@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ...common.colours import BAD, ERROR, GOOD, INK, KINDS, MEASURED, PREDICTED, WARN, rgb
 from ...common.words import mm, percent
 from ...diagnosis.result import NOT_NEEDED, LoadVector, Value
-from ...report.numbers import load_words, told_quantity
+from ...report.sentences import load_words, told_quantity
 
 Floats = NDArray[np.float32]
 SIDES = 12  # of the cross-section of an arm drawn as a tube

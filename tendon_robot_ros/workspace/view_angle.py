@@ -1,9 +1,14 @@
-"""Where the tip can be while it looks in a direction (Kato et al. 2015, section IV.B)."""
+"""
+Postures at a view angle, the angle between the tip's direction and the base's.
+
+`find_workspace` goes through a grid of tensions and keeps the postures near the angle; `view` and
+`look_around` find those that have it exactly (Kato et al. 2015, section IV.B).
+"""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -15,14 +20,23 @@ import numpy.typing as npt
 from ..common.errors import InputError, Progress, listener
 from ..model.forward import TOLERANCE
 from ..model.model import Model
-from ..model.shape import ShapeBatch
+from ..model.shape import Shape, ShapeBatch
+from ..paths.path import DIRECTION_TOLERANCE_RAD, POSITION_TOLERANCE_M
 from ..robot import Robot
 from ..robot.description import tendon_offsets
 
 Floats = npt.NDArray[np.float64]
-ALIGNED_COSINE = 0.5  # cosine of 60°, from which on two inputs pull to the same side
-POSTURES_AT_ONCE = 20_000  # postures that are solved at once: some ten MB for an arm of many cells
-POSTURES_MAX = 100_000_000  # postures of a grid: more would take days
+# [1] postures of a grid or a cloud; more would take hours, and is a mistyped step as a rule
+POSTURES_MAX = 100_000_000
+# [1] postures solved at once, so that their shapes (some MB) stay in the cache
+POSTURES_AT_ONCE = 2_000
+# [rad] bend of a cell beyond which stacked guides would touch; assumed, the paper tells none
+CELL_BEND_MAX_RAD = np.radians(20.0)
+# [rad] bend of the first section away from the view, so that a person sees an S
+S_BEND_MIN_RAD = np.radians(20.0)
+# [N] between the tensions of postures that a look around chooses from: a millimetre of the tip or
+# so, else the highest and the lowest would be missed
+POSTURE_STEP_N = 0.02
 WORKSPACE_FILES = ('postures.csv', 'workspace.npz')
 
 
@@ -59,7 +73,7 @@ def pairs_of(robot: Robot) -> tuple[Pair, ...]:
         a, b = (i, j) if last[i] <= last[j] else (j, i)
         cosine = float(toward[i] @ toward[j])
         kind = 'across'
-        if abs(cosine) > ALIGNED_COSINE:
+        if abs(cosine) > 0.5:  # within 60°: of six tendons around the axis, a neighbour
             kind = 'same side' if cosine > 0.0 else 'opposite sides'
         pairs.append(Pair((robot.inputs[a], robot.inputs[b]), (a, b), kind))
     return tuple(pairs)
@@ -197,11 +211,14 @@ def find_workspace(
             f'workspace: {total:,} postures are more than {POSTURES_MAX:,}; make the step larger'
         )
     kept = _Kept(tuple(float(view) for view in views), tolerance)
-    done = 0
-    for which, tensions in _chunks(model, chosen, levels, low):
-        kept.add(which, *model.solve(tensions))
-        done += len(tensions)
-        show('postures', done, total)
+    count = len(levels) ** 2
+    for which, pair in enumerate(chosen):
+        for start in range(0, count, POSTURES_AT_ONCE):
+            own = np.arange(start, min(start + POSTURES_AT_ONCE, count))
+            tensions = np.full((len(own), len(model.inputs)), low)
+            tensions[:, pair.indices] = levels[np.stack(np.divmod(own, len(levels)), axis=1)]
+            kept.add(which, *model.solve(tensions))
+            show('postures', which * count + start + len(own), total)
     return Workspace(
         robot=model.robot,
         step=step,
@@ -263,22 +280,6 @@ def tip_angles(bend: Floats, direction: Floats) -> Floats:
     return np.asarray(np.where(flat, total, np.arccos(np.clip(direction[:, 2], -1.0, 1.0))))
 
 
-def _chunks(
-    model: Model, pairs: Sequence[Pair], levels: Floats, low: float
-) -> Iterator[tuple[int, Floats]]:
-    """Yield the index of the pair and tensions (b, m) [N]."""
-    count = len(levels) ** 2
-    for which, pair in enumerate(pairs):
-        for start in range(0, count, POSTURES_AT_ONCE):
-            near, far = np.divmod(
-                np.arange(start, min(start + POSTURES_AT_ONCE, count)), len(levels)
-            )
-            tensions = np.full((len(near), len(model.inputs)), low)
-            tensions[:, pair.indices[0]] = levels[near]
-            tensions[:, pair.indices[1]] = levels[far]
-            yield which, tensions
-
-
 def save_workspace(workspace: Workspace, folder: Path) -> None:
     """
     Write `postures.csv` and `workspace.npz` into a folder.
@@ -296,29 +297,194 @@ def save_workspace(workspace: Workspace, folder: Path) -> None:
             ):
                 numbers = [f'{value:.6g}' for value in (*tensions, angle, *tip)]
                 writer.writerow([f'{family.view:.6g}', ' + '.join(family.pair.inputs), *numbers])
-    np.savez_compressed(folder / WORKSPACE_FILES[1], **_arrays(workspace))  # type: ignore[arg-type]
-
-
-def _arrays(workspace: Workspace) -> dict[str, object]:
+    n, m = workspace.robot.cells, len(inputs)
+    empty = {'tensions': (0, m), 'bend': (0, n, 2), 'positions': (0, n, 3), 'angle': (0,)}
     families = workspace.families
-    n, m = workspace.robot.cells, len(workspace.robot.inputs)
-
-    def joined(name: str, empty: tuple[int, ...]) -> object:
-        parts = [getattr(family, name) for family in families]
-        return np.concatenate(parts) if parts else np.zeros(empty)
-
-    def repeated(values: list[float]) -> object:
-        return np.repeat(values, [len(family) for family in families])
-
-    pairs = [pair.inputs for pair in workspace.pairs]
-    return {
-        'inputs': np.array(workspace.robot.inputs),
-        'pairs': np.array([' + '.join(names) for names in pairs]),
-        'tensions': joined('tensions', (0, m)),
-        'bend': joined('bend', (0, n, 2)),
-        'positions': joined('positions', (0, n, 3)),
-        'angle': joined('angle', (0,)),
-        'view': repeated([family.view for family in families]),
-        'side': repeated([family.side for family in families]),
-        'pair': repeated([pairs.index(family.pair.inputs) for family in families]),
+    arrays: dict[str, Any] = {
+        name: np.concatenate([np.zeros(shape), *(getattr(family, name) for family in families)])
+        for name, shape in empty.items()
     }
+    pairs = [pair.inputs for pair in workspace.pairs]
+    for name, values in (
+        ('view', [family.view for family in families]),
+        ('side', [family.side for family in families]),
+        ('pair', [pairs.index(family.pair.inputs) for family in families]),
+    ):
+        arrays[name] = np.repeat(values, [len(family) for family in families])
+    arrays |= {'inputs': np.array(inputs), 'pairs': np.array([' + '.join(pair) for pair in pairs])}
+    np.savez_compressed(folder / WORKSPACE_FILES[1], **arrays)
+
+
+@dataclass(frozen=True)
+class Posture:
+    """A posture to go to."""
+
+    name: str
+    tensions: Floats  # (m,) [N]
+    position: Floats  # (3,) [m] of the tip
+    direction: Floats  # (3,)
+
+    @classmethod
+    def of(cls, name: str, shape: Shape) -> Posture:
+        """Name a shape."""
+        return cls(name, shape.inputs, shape.tip_position, shape.tip_direction)
+
+
+def salient(model: Model) -> list[Posture]:
+    """
+    Return the highest, the middle and the lowest tip at the 180° view, and an S at 45°.
+
+    As in Kato et al. 2015, IV.B: one tendon of either section pulls and the others hold
+    pretension, the lower limit; the tip's height is its z.
+    """
+    back = view(model, np.pi)
+    order = np.argsort(back.tip_position[:, 2])
+    chosen = [
+        ('highest, 180° view', order[-1]),
+        ('middle, 180° view', order[len(order) // 2]),
+        ('lowest, 180° view', order[0]),
+    ]
+    postures = [Posture.of(name, model.shape(back.inputs[row])) for name, row in chosen]
+    s_shaped = view(model, np.pi / 4)
+    first = model.robot.sections[0].cells
+    opposite = np.flatnonzero(s_shaped.bend[:, :first, 0].sum(axis=1) < -S_BEND_MIN_RAD)
+    if len(opposite) == 0:
+        raise InputError(f'{model.robot.name}: no S-shape at the 45° view within its limits')
+    height = s_shaped.tip_position[opposite, 2]
+    middle = opposite[np.argsort(height)[len(height) // 2]]
+    return [*postures, Posture.of('S-shape, 45° view', model.shape(s_shaped.inputs[middle]))]
+
+
+def view(model: Model, angle: float, step: float = 0.1) -> ShapeBatch:
+    """
+    Return the postures whose tip has turned by an angle [rad] in the x-z plane.
+
+    The tension of the first section goes through both directions in steps [N]; for each, that
+    of the second section is bisected until the view is exact.
+    """
+    low, high = model.limits[:, 0], model.limits[:, 1]
+    prox_left, prox_right, dist_right = _planar_inputs(model)
+    steps = np.arange(-high[prox_left], high[prox_right] + 0.5 * step, step)
+
+    def inputs(dist: float) -> Floats:
+        tensions = np.tile(low, (len(steps), 1))
+        tensions[:, prox_left] = np.clip(-steps, low[prox_left], high[prox_left])
+        tensions[:, prox_right] = np.clip(steps, low[prox_right], high[prox_right])
+        tensions[:, dist_right] = dist
+        return tensions
+
+    def gap_at(tensions: Floats) -> Floats:
+        return np.asarray(model.shapes(tensions).bend[:, :, 0].sum(axis=1) - angle)
+
+    tensions = bisect(gap_at, inputs(low[dist_right]), inputs(high[dist_right]))
+    bend = model.shapes(tensions).bend
+    good = np.abs(bend[:, :, 0].sum(axis=1) - angle) < 1e-9
+    good &= np.abs(bend).max(axis=(1, 2)) < CELL_BEND_MAX_RAD
+    if not good.any():
+        raise InputError(
+            f'{model.robot.name}: no posture at the {np.degrees(angle):.0f}° view '
+            'within its limits'
+        )
+    return model.shapes(tensions[good])
+
+
+def bisect(gap_at: Callable[[Floats], Floats], low: Floats, high: Floats) -> Floats:
+    """
+    Return tensions between two where a gap changes sign.
+
+    Parameters
+    ----------
+    gap_at : callable
+        Of tensions (b, m) [N], returns gaps (b,) of any unit.
+    low, high : (b, m) [N]
+        Tensions at which the gap is below 0, and at which it is not; where that is not so, one of
+        them is approached.
+
+    """
+    for _ in range(np.finfo(float).nmant):  # then the bounds differ by rounding only
+        middle = 0.5 * (low + high)
+        below = (gap_at(middle) < 0.0)[:, None]
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    return high
+
+
+def _planar_inputs(model: Model) -> tuple[int, int, int]:
+    """Return the inputs of a planar two-section robot: prox left, prox right, dist right."""
+    robot = model.robot
+    sides = {}
+    for index, members in enumerate(robot.input_tendons):
+        tendon = robot.tendons[members[0]]
+        sides[tendon.section, tendon.base[0] > 0.0] = index
+    if len(robot.sections) != 2 or len(sides) != 4:
+        raise InputError(f'{robot.name}: expected two sections with a tendon left and right each')
+    first, second = (section.name for section in robot.sections)
+    return sides[first, False], sides[first, True], sides[second, True]
+
+
+def look_around(model: Model, angle: float, steps: int) -> list[Posture]:
+    """
+    Return postures, one after the other, that all look at an angle [rad] from the base axis.
+
+    A robot of two sections in a plane keeps its direction and moves its tip through all postures
+    of section IV.B of the paper, from the highest to the lowest. A spatial robot turns once around
+    the axis of the base.
+
+    Parameters
+    ----------
+    model : Model
+    angle : float
+        Between the approach direction and the axis of the base, 0 to pi [rad].
+    steps : int
+        How many postures, at least 2.
+
+    Raises
+    ------
+    InputError
+        The robot has no such postures within its limits.
+
+    """
+    if all(tendon.base[1] == 0.0 for tendon in model.robot.tendons):
+        return _in_plane(model, angle, steps)
+    return _around(model, angle, steps)
+
+
+def _in_plane(model: Model, angle: float, steps: int) -> list[Posture]:
+    held = view(model, angle, POSTURE_STEP_N)
+    changes = np.abs(np.diff(held.inputs, axis=0)).max(axis=1)
+    distinct = np.concatenate([[True], changes > 1e-6])
+    inputs, places = held.inputs[distinct], held.tip_position[distinct]
+    lengths = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(lengths)])
+    if len(inputs) < 2:
+        raise InputError(
+            f'{model.robot.name}: only one posture at the {np.degrees(angle):.0f}° view'
+        )
+    chosen = np.unique(np.searchsorted(along, np.linspace(0.0, along[-1], steps) - 1e-12))
+    return [Posture.of(str(i), model.shape(inputs[row])) for i, row in enumerate(chosen)]
+
+
+def _around(model: Model, angle: float, steps: int) -> list[Posture]:
+    straight = model.shape(model.limits[:, 0])  # from there, a gentle bend and no curl
+    first = model.reach(
+        direction=[np.sin(angle), 0.0, np.cos(angle)],
+        guess=straight,
+    )
+    postures, shape = [], first.shape
+    for i, turn in enumerate(np.linspace(0.0, 2.0 * np.pi, steps)):
+        c, s = np.cos(turn), np.sin(turn)
+        about = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        place = about @ first.shape.tip_position
+        along = about @ np.array([np.sin(angle), 0.0, np.cos(angle)])
+        solution = model.reach(place, along, guess=shape)
+        if (
+            solution.position_error > POSITION_TOLERANCE_M
+            or solution.direction_error > DIRECTION_TOLERANCE_RAD
+        ):
+            raise InputError(
+                f'{model.robot.name}: the {np.degrees(angle):.0f}° view is out of reach when '
+                f'turned by {np.degrees(turn):.0f}°: nearest {1e3 * solution.position_error:.1f} '
+                f'mm, {np.degrees(solution.direction_error):.1f}°; ask for a smaller angle'
+            )
+        shape = solution.shape
+        postures.append(Posture.of(str(i), shape))
+    return postures

@@ -1,0 +1,428 @@
+"""
+Postures by wire pull and by tension, simulated.
+
+Section IV.C: three tip heights at the 180° view. Section IV.D: one tendon and an antagonistic
+pair, and what they can tell. Section IV.E: a bend of 90°.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from ..common.errors import InputError
+from ..comparison.compare import compare
+from ..comparison.result import Comparison
+from ..data import DataSet, default_markers
+from ..diagnosis.diagnose import diagnose
+from ..diagnosis.result import Diagnosis
+from ..model.model import Model
+from ..robot import Robot
+from ..simulation.measurements import simulate
+from ..simulation.plant import Plant, make_plant
+from ..workspace.view_angle import Pair, pairs_of
+from .paper_motion import Assumed, Floats, Published, at_view, pcca, with_arm, with_cells
+
+HEIGHT_NAMES = ('maximum tip height', 'median tip height', 'minimum tip height')
+HINGE_MODEL = 'FKM + hinge friction'
+
+
+@dataclass(frozen=True)
+class Heights:
+    """Wire pulls for three tip heights at 180°, and how far FKM and PCCA are apart there."""
+
+    pair: Pair
+    arm: float  # [m]
+    tensions: Floats  # (3, m) [N] by the FKM
+    pulls: Floats  # (3, m) [m], NaN = no wire
+    tips: Floats  # (3, 3) [m] by the FKM
+    apart: Floats  # (3,) [m] between the tips of FKM and PCCA
+    everywhere: tuple[float, float]  # [m] smallest and largest `apart` of all such postures
+
+
+@dataclass(frozen=True)
+class Spread:
+    """A tip error [m]: mean over prototypes, and the 5th and 95th percentile among them."""
+
+    mean: float
+    low: float
+    high: float
+    sd: float  # over the trials of a prototype, root mean square
+    # its 5th percentile where cells do not change from trial to trial, and its 95th where they
+    # change as much as they scatter
+    sd_range: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class DisplacementExperiment:
+    """Section IV.C."""
+
+    heights: Heights  # opposite sides
+    others: tuple[Heights, ...]  # other arrangements and arms
+    data: DataSet  # of one simulated prototype
+    comparison: Comparison
+    lever: float  # [m]
+    hinge_shift: float  # [m] largest tip shift that the hinge friction makes at these pulls
+    errors: dict[tuple[str, str], Spread]  # height, model: over many prototypes
+    scatter: float  # [rad] of the mean angles of the cells about the FKM, in the comparison
+
+
+def displacement_experiment(
+    robot: Robot, lever: float = Assumed.HINGE_LEVER_M, seed: int = 0
+) -> DisplacementExperiment:
+    """
+    Simulate section IV.C on a robot of two sections.
+
+    Parameters
+    ----------
+    robot : Robot
+        As its owner describes it (the FKM), planar.
+    lever : float
+        Hinge friction that the simulated prototype has [m].
+    seed : int
+        Of the prototype and its trials.
+
+    """
+    pairs = {pair.kind: pair for pair in reversed(pairs_of(robot))}
+    heights = find_heights(robot, pairs['opposite sides'])
+    if heights is None:
+        raise InputError(
+            f'{robot.source}: no posture at the 180° view with wires on opposite sides; '
+            'raise the tension limits'
+        )
+    others = [
+        find_heights(with_arm(robot, arm), pair)
+        for pair in pairs.values()
+        for arm in Assumed.MOMENT_ARMS_M
+    ]
+    plant = make_plant(robot, {'hinge_friction': {'lever': lever}}, scatter=0.0, seed=seed)
+    settled = plant.shapes(heights.pulls, displacement=True).tip_position
+    data = trials(plant, heights, seed)
+    models = [('FKM', robot), ('PCCA', pcca(robot))]
+    comparison = compare(data, models, leave_out=False)  # as published
+    bands, fkm = comparison.angle_bands(), comparison.models[0].angles
+    assert bands is not None and fkm is not None
+    return DisplacementExperiment(
+        heights=heights,
+        data=data,
+        others=tuple(one for one in others if one is not None),
+        comparison=comparison,
+        lever=lever,
+        hinge_shift=float(np.linalg.norm(settled - heights.tips, axis=1).max()),
+        errors=many_prototypes(plant, heights, comparison),
+        scatter=float(np.sqrt(np.mean((bands[0] - fkm) ** 2))),
+    )
+
+
+def find_heights(robot: Robot, pair: Pair) -> Heights | None:
+    """
+    Find the postures with highest, median and lowest tip at 180° and the pulls of two wires.
+
+    Among proximal tensions in steps of 0.1 N, all other wires taken out; both wires are taut in
+    both models, and every cell bends towards the view: no S-shape. None where there is none.
+    """
+    fkm = Model(robot)
+    distal = robot.tendons[robot.input_tendons[pair.indices[1]][0]]
+    side = 1 if distal.base[0] > 0.0 else -1  # sign of the tip angle towards which it bends
+    near = np.arange(Published.TENSION_STEP_N, robot.tension_limits[1], Published.TENSION_STEP_N)
+    tensions = at_view(fkm, pair.indices, near, Published.VIEW_ANGLES_RAD[0], side)
+    if not len(tensions):
+        return None
+    shapes = fkm.shapes(tensions)
+    constant, needed = constant_curvature(robot, pair, shapes.pulls)
+    good = (needed > 0.0).all(axis=1) & (side * shapes.bend[..., 0] > -1e-9).all(axis=1)
+    good &= np.abs(shapes.pulls[:, pair.indices[0]]) > Assumed.CLEAR_PULL_M
+    if not good.any():
+        return None
+    kept = np.flatnonzero(good)
+    kept = kept[np.argsort(-shapes.tip_position[kept, 2], kind='stable')]
+    chosen = kept[[0, len(kept) // 2, -1]]
+    apart = np.linalg.norm(shapes.tip_position - constant, axis=1)
+    pulls = np.full((3, len(fkm.inputs)), np.nan)
+    pulls[:, list(pair.indices)] = shapes.pulls[chosen][:, list(pair.indices)]
+    return Heights(
+        pair=pair,
+        arm=abs(robot.tendons[0].base[0]),
+        tensions=tensions[chosen],
+        pulls=pulls,
+        tips=shapes.tip_position[chosen],
+        apart=apart[chosen],
+        everywhere=(float(apart[kept].min()), float(apart[kept].max())),
+    )
+
+
+def constant_curvature(robot: Robot, pair: Pair, pulls: Floats) -> tuple[Floats, Floats]:
+    """Return PCCA's tips (b, 3) [m] for the pulls (b, m) of two wires, and their tensions [N]."""
+    model, two = Model(pcca(robot)), list(pair.indices)
+    per_newton = model.solve(np.eye(len(model.inputs)))[0].pulls[np.ix_(two, two)]
+    needed = np.zeros_like(pulls)
+    needed[:, two] = np.linalg.solve(per_newton.T, pulls[:, two].T).T
+    return model.solve(needed)[0].tip_position, needed[:, two]
+
+
+def trials(plant: Plant, heights: Heights, seed: int) -> DataSet:
+    """Pull the wires by hand, photograph: 15, 15 and 20 trials, (3, 20, n, 3) [m]."""
+    random, robot = np.random.default_rng(seed), plant.robot
+    # of this prototype, in all its trials
+    play = Published.CELL_SCATTER_RAD * random.normal(size=robot.cells)
+    positions = np.full((3, max(Published.TRIALS_PER_HEIGHT), robot.cells, 3), np.nan)
+    for p, count in enumerate(Published.TRIALS_PER_HEIGHT):
+        pulls = heights.pulls[p] + Assumed.CALIPER_SD_M * random.normal(
+            size=(count, len(robot.inputs))
+        )
+        shapes = plant.shapes(pulls, displacement=True).positions
+        own = play + Assumed.TRIAL_SCATTERS_RAD[1] * random.normal(size=(count, robot.cells))
+        seen = turned(shapes, held(own, robot))
+        seen[..., [0, 2]] += Assumed.PIXEL_M * random.normal(size=(*seen.shape[:2], 2))
+        positions[p, :count] = seen
+    return DataSet(
+        name='section IV.C, simulated',
+        robot=robot,
+        markers=default_markers(robot),
+        postures=HEIGHT_NAMES,
+        inputs=heights.pulls,
+        positions=positions,
+        input='displacement',
+    )
+
+
+def many_prototypes(
+    plant: Plant, heights: Heights, comparison: Comparison
+) -> dict[tuple[str, str], Spread]:
+    """Tip errors of the models over many prototypes that differ in the play of their cells."""
+    random, robot = np.random.default_rng(0), plant.robot
+    spreads: dict[tuple[str, str], Spread] = {}
+    play = Published.CELL_SCATTER_RAD * random.normal(size=(Assumed.PROTOTYPES, 1, robot.cells))
+    for p, count in enumerate(Published.TRIALS_PER_HEIGHT):
+        pulls = heights.pulls[p] + Assumed.CALIPER_SD_M * random.normal(
+            size=(count, len(robot.inputs))
+        )
+        shapes = plant.shapes(pulls, displacement=True).positions
+        change = random.normal(size=(Assumed.PROTOTYPES, count, robot.cells))
+        tips = [
+            turned(np.broadcast_to(shapes, (Assumed.PROTOTYPES, *shapes.shape)), held(own, robot))[
+                :, :, -1
+            ]
+            for own in (play + size * change for size in Assumed.TRIAL_SCATTERS_RAD)
+        ]
+        for model in comparison.models:
+            tip = model.markers[p, -1]
+            errors = [np.linalg.norm(one - tip, axis=2) for one in tips]
+            means, sds = errors[1].mean(axis=1), [one.std(axis=1, ddof=1) for one in errors]
+            low, high = np.percentile(means, [5.0, 95.0]).tolist()
+            spreads[HEIGHT_NAMES[p], model.name] = Spread(
+                mean=float(means.mean()),
+                low=low,
+                high=high,
+                sd=float(np.sqrt((sds[1] ** 2).mean())),
+                sd_range=(float(np.percentile(sds[0], 5)), float(np.percentile(sds[-1], 95))),
+            )
+    return spreads
+
+
+def held(play: Floats, robot: Robot) -> Floats:
+    """Take the mean of every section off the play (..., n) [rad]: taut wires hold the sum."""
+    parts = np.split(play, np.cumsum([s.cells for s in robot.sections])[:-1], axis=-1)
+    return np.concatenate([part - part.mean(axis=-1, keepdims=True) for part in parts], axis=-1)
+
+
+def turned(positions: Floats, play: Floats) -> Floats:
+    """
+    Turn every cell about its proximal end, with all that lies beyond it.
+
+    Parameters
+    ----------
+    positions : (..., n, 3) [m]
+        Ends of the cells.
+    play : (..., n) [rad]
+        Turns in the x-z plane, towards +x.
+
+    """
+    moved = np.array(positions, dtype=float)
+    joints = np.concatenate([np.zeros_like(moved[..., :1, :]), moved[..., :-1, :]], axis=-2)
+    for i in reversed(range(moved.shape[-2])):  # what lies nearer to the base is still in place
+        away = moved[..., i:, :] - joints[..., i : i + 1, :]
+        c, s = np.cos(play[..., i, None]), np.sin(play[..., i, None])
+        moved[..., i:, 0] = joints[..., i, None, 0] + c * away[..., 0] + s * away[..., 2]
+        moved[..., i:, 2] = joints[..., i, None, 2] - s * away[..., 0] + c * away[..., 2]
+    return moved
+
+
+@dataclass(frozen=True, eq=False)
+class TensionExperiment:
+    """Simulated trials under tension against the models, and what diagnose says about them."""
+
+    data: DataSet
+    comparison: Comparison  # FKM, PCCA, FKM + hinge friction; the two postures
+    lever: float  # [m] that the simulated prototype hides
+    largest: dict[tuple[str, str], float]  # posture, model: largest error [m]
+    low: dict[tuple[str, str], float]  # the same over levers from 0.35 to 0.45 mm
+    high: dict[tuple[str, str], float]
+    same: float  # [m] between PCCA's shapes for 0.51 N alone and for 0.51 N more on one side
+    alone: Diagnosis  # of the two postures
+    more: tuple[Diagnosis, ...]  # with the posture that the diagnosis before proposes, and so on
+    redrawn: tuple[Diagnosis, ...]  # where that ends with other noise
+
+
+def tension_experiment(
+    robot: Robot, lever: float = Assumed.HINGE_LEVER_M, seed: int = 0
+) -> TensionExperiment:
+    """
+    Simulate section IV.D on a robot of one section with inputs left and right.
+
+    Parameters
+    ----------
+    robot : Robot
+        As its owner describes it (the FKM).
+    lever : float
+        Hinge friction that the simulated prototype has [m].
+    seed : int
+        Of the noise.
+
+    """
+    robot = replace(robot, tolerances=Assumed.TOLERANCES)
+    data = paper_postures(robot, lever, seed)
+    models = models_of(robot, lever)
+    comparison = compare(data, models, error='sem', leave_out=False)  # as published
+    largest = {
+        (posture, model.name): float(np.nanmax(model.distance[p]))
+        for p, posture in enumerate(Published.POSTURES_N)
+        for model in comparison.models
+    }
+    levers = [errors_of_lever(robot, factor * lever) for factor in Assumed.LEVER_FACTORS]
+    (_, alone), (left, right) = Published.POSTURES_N.values()
+    tips = Model(pcca(robot)).shapes([[0.0, alone], [left, right]]).tip_position
+    diagnoses = diagnose_and_measure(robot, data, lever, seed)
+    return TensionExperiment(
+        data=data,
+        comparison=comparison,
+        lever=lever,
+        largest=largest,
+        low={key: min(one[key] for one in levers) for key in levers[0]},
+        high={key: max(one[key] for one in levers) for key in levers[0]},
+        same=float(np.linalg.norm(tips[0] - tips[1])),
+        alone=diagnoses[0],
+        more=diagnoses[1:],
+        redrawn=tuple(
+            diagnose_and_measure(robot, paper_postures(robot, lever, other), lever, other)[-1]
+            for other in range(seed + 1, seed + 1 + Assumed.NOISE_DRAWS)
+        ),
+    )
+
+
+def measured(
+    robot: Robot,
+    inputs: list[tuple[float, ...]],
+    names: tuple[str, ...],
+    lever: float,
+    seed: int,
+) -> DataSet:
+    """Simulate ten trials of postures of the prototype that has friction in its hinges."""
+    plant = make_plant(robot, {'hinge_friction': {'lever': lever}}, scatter=0.0, seed=seed)
+    data = simulate(
+        plant, inputs, noise=Assumed.NOISE, trials=Published.TRIALS, seed=seed, postures=names
+    )
+    return replace(data, name='section IV.D, simulated', setting_noise=Assumed.SETTING_NOISE)
+
+
+def paper_postures(robot: Robot, lever: float, seed: int) -> DataSet:
+    """Simulate the two published postures."""
+    names = tuple(Published.POSTURES_N)
+    return measured(robot, list(Published.POSTURES_N.values()), names, lever, seed)
+
+
+def models_of(robot: Robot, lever: float) -> list[tuple[str, Robot]]:
+    """Return the FKM, PCCA, and the FKM with friction in its hinges."""
+    hinge = robot.with_effect('hinge_friction', {'lever': lever})
+    return [('FKM', robot), ('PCCA', pcca(robot)), (HINGE_MODEL, hinge)]
+
+
+def errors_of_lever(robot: Robot, lever: float) -> dict[tuple[str, str], float]:
+    """Largest distance [m] of FKM and PCCA from the model with hinge friction, without noise."""
+    inputs = list(Published.POSTURES_N.values())
+    fkm, constant, real = (
+        Model(one).shapes(inputs).positions for _, one in models_of(robot, lever)
+    )
+    return {
+        (posture, name): float(np.linalg.norm(model[p] - real[p], axis=1).max())
+        for name, model in (('FKM', fkm), ('PCCA', constant))
+        for p, posture in enumerate(Published.POSTURES_N)
+    }
+
+
+def diagnose_and_measure(
+    robot: Robot, data: DataSet, lever: float, seed: int
+) -> tuple[Diagnosis, ...]:
+    """Diagnose, measure the posture that the diagnosis proposes, and again, a few times."""
+    rows: list[tuple[float, ...]] = list(Published.POSTURES_N.values())
+    names, diagnoses = tuple(Published.POSTURES_N), [diagnose(data)]
+    while len(diagnoses) <= Assumed.DIAGNOSIS_ROUNDS:
+        following = diagnoses[-1].next_measurement
+        if following is None:
+            break
+        rows = [*rows, tuple(following.input[name] for name in robot.inputs)]
+        names = (*names, f'asked for {len(diagnoses)}')
+        diagnoses.append(diagnose(measured(robot, rows, names, lever, seed)))
+    return tuple(diagnoses)
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Distances [m] between tips at 90°."""
+
+    tension: float  # FKM to PCCA at equal tension
+    pull: float  # FKM to PCCA at equal wire pull, which is equal tip angle
+    hinge: float  # FKM to FKM with scaled hinge friction, at equal tension
+
+
+@dataclass(frozen=True)
+class SmallExperiment:
+    """Section IV.E."""
+
+    as_assumed: Gap
+    low: Gap  # over arms, cells and friction that the paper leaves open
+    high: Gap
+    lever: float  # [m] of the hinges, scaled with the arm
+    tension: float  # [N] at which the FKM predicts 90°
+
+
+def small_experiment(robot: Robot) -> SmallExperiment:
+    """Compare the models of a robot of one section with inputs left and right."""
+    gaps = []
+    for arm, cells, friction in product(
+        Assumed.SMALL_ARMS_M, Assumed.CELL_COUNTS, Assumed.FRICTION_COEFFICIENTS
+    ):
+        one = with_cells(with_arm(robot, arm), cells)
+        gaps.append(gap(one.with_effect('tendon_friction', {'friction_coefficient': friction}))[0])
+    fields = ('tension', 'pull', 'hinge')
+    assumed, tension, lever = *gap(robot), scaled_lever(robot)
+    return SmallExperiment(
+        assumed,
+        Gap(*(min(getattr(one, name) for one in gaps) for name in fields)),
+        Gap(*(max(getattr(one, name) for one in gaps) for name in fields)),
+        lever,
+        tension,
+    )
+
+
+def gap(robot: Robot) -> tuple[Gap, float]:
+    """Return the distances between the models' tips, and the tension [N]."""
+    fkm, constant = Model(robot), Model(pcca(robot))
+    hinge = Model(robot.with_effect('hinge_friction', {'lever': scaled_lever(robot)}))
+    (tensions,) = at_view(fkm, (0, 1), np.zeros(1), Published.BEND_ANGLE_RAD, 1)
+    (equal,) = at_view(constant, (0, 1), np.zeros(1), Published.BEND_ANGLE_RAD, 1)
+    tip = fkm.shape(tensions).tip_position
+    others = (
+        constant.shape(tensions).tip_position,
+        constant.shape(equal).tip_position,
+        hinge.shape(tensions).tip_position,
+    )
+    distances = [float(np.linalg.norm(other - tip)) for other in others]
+    return Gap(*distances), float(tensions[1])
+
+
+def scaled_lever(robot: Robot) -> float:
+    """Scale the hinge friction of the 10:1 prototype with the arm [m]."""
+    return Assumed.HINGE_LEVER_M * abs(robot.tendons[0].base[0]) / Published.MOMENT_ARM_M
