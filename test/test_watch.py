@@ -329,8 +329,8 @@ def test_the_evidence_for_a_change_that_did_not_happen_is_one_on_average():
         begun = _ChangeBegun(1, np.zeros(0), np.zeros((0, 0)))
         signature = np.array([0.3, -0.2, 0.5])
         for _ in range(5):
-            begun.told += signature @ signature
-            begun.seen += signature @ random.normal(size=3)
+            begun.information += signature @ signature
+            begun.score += signature @ random.normal(size=3)
         ratios.append(np.exp(alarm._log_ratio(begun, 0)))
     assert np.mean(ratios) == pytest.approx(1.0, abs=4 * np.std(ratios) / np.sqrt(len(ratios)))
     assert alarm.threshold == 5000.0

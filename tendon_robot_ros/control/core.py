@@ -180,10 +180,10 @@ class ControllerCore:
         target = self.target
 
         def done(
-            found: tuple[Shape | None, Reach | None] | None, error: TendonRobotError | None
+            solved: tuple[Shape | None, Reach | None] | None, error: TendonRobotError | None
         ) -> None:
-            if found is not None:
-                self._use(model, target, *found)
+            if solved is not None:
+                self._use(model, target, *solved)
             on_done(error)
 
         self.solver.post('model', with_model(self, model), done)
@@ -221,17 +221,17 @@ class ControllerCore:
 
     def _seek(self, target: Target) -> None:
         """Look for the tensions of a target; until they are found the arm goes on as before."""
-        asked = self.target if self.search is None else self.search.target
-        self.search = TargetSearch.begin(self, self._last_search, asked, target)
+        last = self.target if self.search is None else self.search.target
+        self.search = TargetSearch.begin(self, self._last_search, last, target)
         self._last_search = self.search
         self._search(self.search, self.search.first_budget)
 
     def _search(self, search: TargetSearch, budget: float) -> None:
         """Search for a time [s]; what is much nearer is gone to while the search goes on."""
 
-        def report(found: Reach) -> None:
+        def report(solution: Reach) -> None:
             if self.search is search:
-                self._follow(search, Approach.straight(found), False)
+                self._follow(search, Approach.straight(solution), False)
 
         def done(result: SearchResult | None, error: TendonRobotError | None) -> None:
             self._searched(search, result or SearchResult(None, str(error), True))
@@ -244,26 +244,26 @@ class ControllerCore:
         newest, left = self.search, 0.0 if result.in_time else result.left
         if newest is None or newest.stream is not search.stream:
             return
-        found = result.found
+        way = result.approach
         if newest is search and left > 0.0:
-            if found is not None and is_nearer(self, search.target, found.reach):
-                self._follow(search, found, False)
+            if way is not None and is_nearer(self, search.target, way.reach):
+                self._follow(search, way, False)
             self._search(search, left)
             return
         if newest is search:
             self.search = None
-        elif found is None:
+        elif way is None:
             return  # of a stream: the next one may be better
-        if found is not None:  # of a stream an older target, too, is on the way
-            self._follow(search, found, result.in_time)
+        if way is not None:  # of a stream an older target, too, is on the way
+            self._follow(search, way, result.in_time)
             return
         code = 'no_equilibrium' if result.in_time else 'no_time'
         late = '' if result.in_time else f' (the search ended after {search.budget:.3g} s)'
         self.refusals['target'] = Refusal(code, f'target refused: {result.problem}{late}')
 
-    def _follow(self, search: TargetSearch, found: Approach, in_time: bool) -> None:
+    def _follow(self, search: TargetSearch, way: Approach, in_time: bool) -> None:
         ahead = ahead_of(self, search)
-        self.mode = FollowTarget.along(search.target, found, in_time, ahead)
+        self.mode = FollowTarget.along(search.target, way, in_time, ahead)
 
     # What the driver and the tracker say.
 

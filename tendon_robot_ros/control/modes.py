@@ -22,7 +22,7 @@ from .checks import Refusal
 from .driver_side import MeasuredState, Settling
 from .solver import Done, GiveUp, Work
 from .state import Controller, Target, Trajectory, Twist
-from .target_search import question_of
+from .target_search import request_of
 
 if TYPE_CHECKING:
     from ..model.shape import Reach, Shape
@@ -96,9 +96,9 @@ class FollowTarget:
     _settling: Settling = field(default_factory=Settling)
 
     @classmethod
-    def along(cls, target: Target, found: Approach, in_time: bool, ahead: Target) -> FollowTarget:
+    def along(cls, target: Target, way: Approach, in_time: bool, ahead: Target) -> FollowTarget:
         """Follow the approach that was found for a target, or for one ahead of it."""
-        return cls(target, found.reach, list(found.via), ahead.position, in_time)
+        return cls(target, way.reach, list(way.via), ahead.position, in_time)
 
     @property
     def stamp(self) -> str:
@@ -154,13 +154,22 @@ class FollowTwist:
             return None  # stops where it is
         self._due = min(self._due + passed, CYCLE_MAX_S)  # no jump after a late solution
         if self.position is not None and not core.solver.busy('twist'):
-            question = question_of(core, core.model, self._advanced(core), tracking=True)
+            request = request_of(core, core.model, self._advanced(core), tracking=True)
             lead_max = LEAD_LENGTH * core.model.robot.length
 
-            def done(found: Approach | None, error: TendonRobotError | None) -> None:
-                self._found(found, error, lead_max)
+            def done(way: Approach | None, error: TendonRobotError | None) -> None:
+                if way is None:
+                    self.problem = str(error)
+                    return
+                self.reach, shape = way.reach, way.reach.shape
+                self.axes = shape.frames[-1]
+                assert self.position is not None
+                ahead = self.position - shape.tip_position
+                distance = float(np.linalg.norm(ahead))
+                if distance > lead_max:  # what is wanted stays near to where the tip can be
+                    self.position = shape.tip_position + ahead * (lead_max / distance)
 
-            core.solver.post('twist', question.answer, done)
+            core.solver.post('twist', request.answer, done)
         if self.problem:
             return None
         return core.command if self.reach is None else self.reach.tensions
@@ -176,21 +185,6 @@ class FollowTwist:
         self._due = 0.0
         turns = core.settings.hold_direction or bool(angular.any())
         return Target(self.position, self.direction if turns else None)
-
-    def _found(
-        self, found: Approach | None, error: TendonRobotError | None, lead_max: float
-    ) -> None:
-        """Take tensions; what is wanted stays near to where the tip can be."""
-        if found is None:
-            self.problem = str(error)
-            return
-        self.reach, shape = found.reach, found.reach.shape
-        assert self.position is not None
-        ahead = self.position - shape.tip_position
-        distance = float(np.linalg.norm(ahead))
-        if distance > lead_max:
-            self.position = shape.tip_position + ahead * (lead_max / distance)
-        self.axes = shape.frames[-1]
 
     def moving(self, core: Controller) -> bool:
         """Whether the command is not yet where it goes."""
@@ -311,9 +305,9 @@ class PullPath:
         def work(give_up: GiveUp) -> Array:
             return bounded(measured.in_newtons(model, limits, guess, tensions), limits)
 
-        def done(found: Array | None, error: TendonRobotError | None) -> None:
-            if found is not None:
-                self._played = found
+        def done(tensions: Array | None, error: TendonRobotError | None) -> None:
+            if tensions is not None:
+                self._played = tensions
 
         core.solver.post('playing', work, done)
         return self._played

@@ -177,15 +177,15 @@ class NullSpace:
     def _ask(self, core: Standing, target: Target, wants: Preferences, solution: Reach) -> None:
         """Have the solver look for the preferred tensions, and in open loop for the next ones."""
         model, last, acting = core.model, core.track.last, core.acting_tensions()
-        settings, command, asked = core.settings, core.command, target
+        settings, command, wanted = core.settings, core.command, target
         if target.position is not None:
-            asked = replace(target, position=target.position - core.tip_bias(target.position))
+            wanted = replace(target, position=target.position - core.tip_bias(target.position))
         known, wanted_for, closed = self._tensions, self._for, settings.tip_gain > 0.0
         assert command is not None
 
         def work(give_up: GiveUp) -> tuple[Array, float, Reach | None]:
             past = model.follow(last, acting).memory if model.remembers else None
-            task = tip_task(model, settings, asked, past)
+            task = tip_task(model, settings, wanted, past)
             # what is beyond reach is not asked for again
             held = task if solution.status == 'reached' else task.held_at(solution.shape)
             balance = Balance(held, wants, settings.keep_out)
@@ -207,14 +207,14 @@ class NullSpace:
             )
 
         def done(
-            found: tuple[Array, float, Reach | None] | None, error: TendonRobotError | None
+            solved: tuple[Array, float, Reach | None] | None, error: TendonRobotError | None
         ) -> None:
             if core.solution is not solution or self._for is not wanted_for:
                 return
-            if found is None:
+            if solved is None:
                 self._over = True
                 return
-            self._tensions, self._enough, nearer = found
+            self._tensions, self._enough, nearer = solved
             if nearer is not None:
                 self._nearer = solution, nearer
                 return

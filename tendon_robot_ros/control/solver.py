@@ -89,8 +89,16 @@ class _Job:
     done: Done
     give_up: Patience
     urgent: bool
+    kind: str
     result: Any = None
     error: Exception | None = None
+
+    def answer(self, waiting: Counter[str]) -> None:
+        """Hand out the answer; raise what no user's mistake can explain."""
+        waiting[self.kind] -= 1
+        if self.error is not None and not isinstance(self.error, TendonRobotError):
+            raise self.error
+        self.done(self.result, self.error)
 
 
 class Worker:
@@ -109,7 +117,7 @@ class Worker:
         self._wake = wake
         self._changed = threading.Condition()
         self._waiting: dict[str, _Job] = {}
-        self._running: tuple[str, _Job] | None = None
+        self._running: _Job | None = None
         self._answered: deque[Callable[[], None]] = deque()
         self._open: Counter[str] = Counter()
         self._ended = False
@@ -122,13 +130,13 @@ class Worker:
         self, kind: str, work: Work, done: Done, budget: float = math.inf, urgent: bool = False
     ) -> None:
         """Leave a job for the thread."""
-        job = _Job(work, done, Patience(budget), urgent)
+        job = _Job(work, done, Patience(budget), urgent, kind)
         with self._changed:
             if kind not in self._waiting:
                 self._open[kind] += 1
             self._waiting[kind] = job  # keeps the place in the queue of the one it replaces
-            if self._running is not None and self._running[0] == kind:
-                self._running[1].give_up.end()
+            if self._running is not None and self._running.kind == kind:
+                self._running.give_up.end()
             if urgent and self._loan is not None and self._thread.native_id is not None:
                 self._loan.begin(self._thread.native_id)  # also for what runs before it
             self._changed.notify()
@@ -156,12 +164,6 @@ class Worker:
         while self._answered:
             self._answered.popleft()()
 
-    def _answer(self, kind: str, job: _Job) -> None:
-        self._open[kind] -= 1
-        if job.error is not None and not isinstance(job.error, TendonRobotError):
-            raise job.error
-        job.done(job.result, job.error)
-
     def close(self) -> None:
         """End the thread; if it is busy, the end of the process waits for it."""
         self._end()
@@ -172,12 +174,11 @@ class Worker:
             self._ended = True
             self._waiting.clear()
             if self._running is not None:
-                self._running[1].give_up.end()
+                self._running.give_up.end()
             self._changed.notify()
 
     def _work(self) -> None:
-        while (taken := self._next()) is not None:
-            kind, job = taken
+        while (job := self._next()) is not None:
             if self._loan is not None:  # commands wait for it while it holds Python's lock
                 self._loan.begin(threading.get_native_id())
             try:
@@ -186,7 +187,7 @@ class Worker:
                 job.error = error
             with self._changed:
                 self._running = None
-            self._answered.append(partial(self._answer, kind, job))
+            self._answered.append(partial(job.answer, self._open))
             if job.urgent and not self._ended:
                 self._wake()
             with self._changed:
@@ -194,13 +195,12 @@ class Worker:
             if self._loan is not None and not urgent:
                 self._loan.end()
 
-    def _next(self) -> tuple[str, _Job] | None:
+    def _next(self) -> _Job | None:
         with self._changed:
             while not self._waiting and not self._ended:
                 self._changed.wait()
             if self._ended:
                 return None
-            kind = next(iter(self._waiting))
-            self._running = kind, self._waiting.pop(kind)
-            self._running[1].give_up.begin()
-            return self._running
+            self._running = job = self._waiting.pop(next(iter(self._waiting)))
+            job.give_up.begin()
+            return job

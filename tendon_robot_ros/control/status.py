@@ -239,7 +239,14 @@ class MotionGoal:
     def look(self, core: ControllerCore, now: float) -> GoalOutcome | None:
         """Look how the goal is, ask for the next step where one is reached; None: it goes on."""
         if followed(core) != self.step.stamp:
-            return GoalOutcome(*self._replaced(core, now))
+            status = controller_status(core, now)
+            refused = None if followed(core) else core.refusals.get('target')
+            if status.level == ERROR or core.driver.released:
+                return GoalOutcome('ended', self._said(status.message))
+            if refused is not None:
+                return GoalOutcome(refused.code, self._said(str(refused)))
+            why = 'a newer target, trajectory, twist or stop took its place'
+            return GoalOutcome('ended', self._said(why))
         code, message = activity(core, now)[1:]
         if self.tolerance is not None and (off := self._outside(core, now, code)) is not None:
             self.cancel(core, now)
@@ -290,15 +297,6 @@ class MotionGoal:
     def _said(self, message: str) -> str:
         many = f'pose {self.reached + 1} of {len(self.steps)}: ' if len(self.steps) > 1 else ''
         return many + message
-
-    def _replaced(self, core: ControllerCore, now: float) -> tuple[str, str]:
-        """Say why the controller follows something else."""
-        status = controller_status(core, now)
-        if status.level == ERROR or core.driver.released:
-            return 'ended', self._said(status.message)
-        if not followed(core) and (refusal := core.refusals.get('target')) is not None:
-            return refusal.code, self._said(str(refusal))
-        return 'ended', self._said('a newer target, trajectory, twist or stop took its place')
 
     def _error(self, core: ControllerCore, wanted: Array) -> Array:
         """Return by how much (m,) the tendons are off; 0 where they are not observable."""

@@ -65,11 +65,11 @@ class TargetSearch:
 
     @classmethod
     def begin(
-        cls, core: Controller, before: TargetSearch | None, asked: Target | None, target: Target
+        cls, core: Controller, before: TargetSearch | None, last: Target | None, target: Target
     ) -> TargetSearch:
-        """Look whether the target goes on from the search before; `asked` is what was last."""
+        """Look whether the target goes on from the search before; `last` is the last one."""
         now = core.time
-        if before is None or before.target is not asked or not _goes_on(core, before, target):
+        if before is None or before.target is not last or not _goes_on(core, before, target):
             return cls(target, now, NEW_TARGET_BUDGET_S, object())
         passed, velocity = max(now - before.began, 0.01), None
         if target.position is not None and before.target.position is not None:
@@ -89,7 +89,7 @@ class TargetSearch:
 class SearchResult:
     """What a search found; the deadline may have ended it."""
 
-    found: Approach | None
+    approach: Approach | None
     problem: str
     in_time: bool
     left: float = 0.0  # [s] for which it may go on
@@ -105,24 +105,24 @@ def searching(
     begins. In that one the deadline is looked at only between starts, so that one start at least
     comes to its end.
     """
-    solve = question_of(core, core.model, ahead_of(core, search), search.streamed).answer
+    solve = request_of(core, core.model, ahead_of(core, search), search.streamed).answer
     first = budget == FIRST_ANSWER_S
 
     def work(give_up: GiveUp) -> SearchResult:
         left = search.budget - budget if first else 0.0
 
-        def heard(found: Reach) -> None:
+        def heard(solution: Reach) -> None:
             nonlocal left
-            core.solver.tell(lambda: report(found))
+            core.solver.tell(lambda: report(solution))
             if isinstance(give_up, Patience):
                 give_up.prolong(left)
                 left = 0.0
 
         try:
-            found = solve(give_up if first else lambda: give_up(), heard)
+            solution = solve(give_up if first else lambda: give_up(), heard)
         except (NoEquilibriumError, InputError) as error:
             return SearchResult(None, str(error), not give_up(), left)
-        return SearchResult(found, '', not give_up(), left)
+        return SearchResult(solution, '', not give_up(), left)
 
     return work
 
@@ -138,9 +138,9 @@ def ahead_of(core: Controller, search: TargetSearch) -> Target:
 
 
 @dataclass(frozen=True)
-class ReachQuestion:
+class SearchRequest:
     """
-    What the solver is asked: it reads nothing that the commanding thread changes.
+    What the solver searches for: it reads nothing that the commanding thread changes.
 
     Attributes
     ----------
@@ -182,16 +182,16 @@ class ReachQuestion:
         past = here if model.remembers else None
         if settings.tip_gain > 0.0 and not (from_below or settings.keep_out):
             return Approach.straight(self._for_closed_loop(here, give_up, report))
-        found = Approach.straight(self._reach(past, guess or past, give_up, report))
+        way = Approach.straight(self._reach(past, guess or past, give_up, report))
         if from_below:
 
             def from_there(there: Shape) -> Reach:
                 return self._reach(there if model.remembers else None, there, give_up)
 
-            found = forgotten(model, here, found.reach, from_there)
+            way = forgotten(model, here, way.reach, from_there)
         if settings.keep_out:
-            found = cut_short(here, found, self._task(here))
-        return found
+            way = cut_short(here, way, self._task(here))
+        return way
 
     @property
     def _near(self) -> bool:
@@ -249,14 +249,14 @@ class ReachQuestion:
             return self._reach(here, self.guess or here, give_up, report)
         without_bias = replace(self, target=self.as_sent)
         solutions: list[Reach] = []
-        for question, past, heard in (
+        for request, past, heard in (
             (self, None, report),
             (without_bias, None, None),
             (self, here, None),
         ):
             try:
                 if not (solutions and give_up()):
-                    made = question._reach(past, self.guess or past, give_up, heard)
+                    made = request._reach(past, self.guess or past, give_up, heard)
                     solutions.insert(len(solutions) if past is None else 0, made)
             except NoEquilibriumError:
                 if not solutions and past is not None:  # the last one
@@ -276,14 +276,14 @@ def tip_task(
     return TipTask.at(model, target.position, target.direction, weight, memory)
 
 
-def question_of(
+def request_of(
     core: Controller,
     model: Model,
     target: Target,
     streamed: bool = False,
     tracking: bool = False,
-) -> ReachQuestion:
-    """Return the question of the tensions for a target, from where the arm is."""
+) -> SearchRequest:
+    """Return the request of tensions for a target, from where the arm is."""
     guess, last = (
         None if shape is None or len(shape.bend) != model.robot.cells else shape
         for shape in (
@@ -294,7 +294,7 @@ def question_of(
     as_sent, acting = target, core.acting_tensions()
     if target.position is not None:
         target = replace(target, position=target.position - core.tip_bias(target.position))
-    return ReachQuestion(
+    return SearchRequest(
         model, core.settings, target, as_sent, guess, last, acting, streamed, tracking
     )
 
@@ -309,7 +309,7 @@ def with_model(
     """
     command, target, last, before = core.command, core.target, core.track.last, core.model
     other = another_robot(model.robot, before.robot)
-    question = None if target is None or other else question_of(core, model, target)
+    request = None if target is None or other else request_of(core, model, target)
     acting = None if command is None else core.acting_tensions()
 
     def work(give_up: GiveUp) -> tuple[Shape | None, Reach | None]:
@@ -317,9 +317,9 @@ def with_model(
         if command is not None and acting is not None:
             model.shape(command)
             here = None if other else carried(model, before, last, acting)
-        if question is None:
+        if request is None:
             return here, None
-        return here, replace(question, last=here or question.last).answer(give_up).reach
+        return here, replace(request, last=here or request.last).answer(give_up).reach
 
     return work
 
@@ -341,8 +341,8 @@ def _goes_on(core: Controller, before: TargetSearch, target: Target) -> bool:
     return True
 
 
-def is_nearer(core: Controller, target: Target, found: Reach) -> bool:
+def is_nearer(core: Controller, target: Target, solution: Reach) -> bool:
     """Whether tensions bring the tip nearer to a target than it is."""
     last = core.track.last
     task = tip_task(core.model, core.settings, target)
-    return last is None or task.cost(found.shape) < task.cost(last)
+    return last is None or task.cost(solution.shape) < task.cost(last)

@@ -8,7 +8,7 @@ At every posture at which the arm stands the markers are compared with the model
 and `RecursiveEstimate` takes what they say of the parameters theta (prior: the intervals of the
 description) and of the imperfections b of the arm (prior: plausible sizes); f' is exact. The
 description in use follows slowly: only where the estimate differs from it by more than chance,
-by a share of the interval at a time, never beyond it, and only if the error over the last
+by a part of the interval at a time, never beyond it, and only if the error over the last
 postures falls with it. Every change can be undone.
 
 The estimate has Kalman filters side by side, so that the data choose its memory. The state holds p
@@ -84,8 +84,8 @@ class _Filter:
         if self.memory == 1.0:
             return
         here = self.covariance[: self.p, : self.p]
-        told = self.memory * np.linalg.inv(here) + (1.0 - self.memory) * np.eye(self.p)
-        self.covariance[: self.p, : self.p] = np.linalg.inv(told)
+        information = self.memory * np.linalg.inv(here) + (1.0 - self.memory) * np.eye(self.p)
+        self.covariance[: self.p, : self.p] = np.linalg.inv(information)
 
     def learn(self, off: Floats, columns: Floats, noise: Floats) -> tuple[float, float]:
         """Take a residual (r,) around the mean; return predictive log likelihood and chi²."""
@@ -184,17 +184,17 @@ class RecursiveEstimate:
             Least chi² of all filters: how badly the measurement fits at best.
 
         """
-        at, told = self.mean, list[tuple[float, float]]()
+        at, fits = self.mean, list[tuple[float, float]]()
         for one in self._filters:
             one.forget()
             spread = noise + one.remainder**2 * remainder
-            told.append(one.learn(off - columns @ (one.mean - at), columns, spread))
+            fits.append(one.learn(off - columns @ (one.mean - at), columns, spread))
             one.keep_within(self.low, self.high)
-        logs = WEIGHT_MEMORY * np.log(self.weights) + np.array([log for log, _ in told])
+        logs = WEIGHT_MEMORY * np.log(self.weights) + np.array([log for log, _ in fits])
         weights = np.exp(logs - logs.max())
         weights = weights / weights.sum() + WEIGHT_MIN
         self.weights = weights / weights.sum()
-        return min(chi2 for _, chi2 in told)
+        return min(chi2 for _, chi2 in fits)
 
     def fits(self, off: Floats, columns: Floats, noise: Floats, remainder: Floats) -> float:
         """Return the least chi² (degrees of freedom: r) of a measurement, without taking it."""
@@ -338,13 +338,13 @@ class Adaptation:
             )
         if self._estimate is None:
             return 'no posture yet'
-        said, ends = [], []
+        words, ends = [], []
         for one, value, sd in self._values():
             width, unit = INTERVAL_SD * sd, one.free.parameter.unit
-            said.append(with_unit(f'{one.name} {value:.4g} ± {width:.2g}', unit))
+            words.append(with_unit(f'{one.name} {value:.4g} ± {width:.2g}', unit))
             if min(value - one.low, one.high - value) < END * (one.high - one.low):
                 ends.append(f'{one.name} is at the end of its interval: investigate')
-        return '; '.join([*said, *ends])
+        return '; '.join([*words, *ends])
 
     @property
     def memory(self) -> float:
@@ -458,7 +458,7 @@ class Adaptation:
         errors = self._error(before), self._error(after)
         if not errors[1] < errors[0]:
             return None
-        told = tuple(
+        parameters = tuple(
             ParameterChange(
                 one.free.effect,
                 one.free.key,
@@ -470,7 +470,7 @@ class Adaptation:
             )
             for one in self._followed
         )
-        change = ModelChange(self.postures, told, *errors, self.robot)
+        change = ModelChange(self.postures, parameters, *errors, self.robot)
         self.robot = with_values(self.robot, self._catalogue, after.items())
         self.changes.append(change)
         self._changed_at = self.postures

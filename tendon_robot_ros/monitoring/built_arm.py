@@ -5,7 +5,7 @@ Its imperfections b (cells, kinks, gains, the tracker's frame; prior: plausible 
 estimated by an extended Kalman filter: y = f(T, b) + remainder + noise, around those that are
 known by then. What no imperfection explains, another one in every posture and smooth along the
 arm, and the noise of the tensions as read have the sizes with which the filter, linear around
-what it found before, predicts the reference postures best. How much more than it
+its last estimate, predicts the reference postures best. How much more than it
 expects its innovations vary where imperfections show, over one posture and over several in a row,
 is measured there, too (batch means). Tip force and drift alarm stand on it.
 """
@@ -251,8 +251,10 @@ class BuiltArm:
         for _ in range(ROUNDS_MAX):
             before = counts
             base = self._sized(tensions, positions, frames, before)
-            told = [None if one is None else Reference(*self.seen(*one, frames)) for one in base]
-            counts = near & ~contradicted(told, before)
+            references = [
+                None if one is None else Reference(*self.seen(*one, frames)) for one in base
+            ]
+            counts = near & ~contradicted(references, before)
             if np.array_equal(counts, before):
                 break
         self.left_out = tuple(np.flatnonzero(~counts).tolist())
@@ -264,7 +266,7 @@ class BuiltArm:
         self, tensions: Floats, positions: Floats, frames: int, counts: Bools
     ) -> list[_Linear | None]:
         """Set the sizes that predict best those that count; return all of them, linear."""
-        for _ in range(2):  # around what the last found: far from it all looks larger
+        for _ in range(2):  # around the last estimate: far from it all looks larger
             seen = [
                 (self.expected(t), p.ravel()) for t, p in zip(tensions, positions, strict=True)
             ]
@@ -294,7 +296,7 @@ class BuiltArm:
     def _vary(self, base: Sequence[_Linear], frames: int) -> None:
         """Set the sizes of remainder and of the noise of the tensions that predict best."""
         usual = self.plausible[self._gains]
-        remainders = [share * self.robot.length for share in REMAINDERS]
+        remainders = [part * self.robot.length for part in REMAINDERS]
         settings = [size / float(usual[0]) if len(usual) else 0.0 for size in SETTINGS]
         axes: dict[bytes, tuple[Floats, Floats]] = {}
         postures = []
@@ -330,7 +332,7 @@ class BuiltArm:
         """
         Learn posture by posture, each around what is known by then; return the scores.
 
-        As the arm is watched later: linear around what was found in the end, the innovations
+        As the arm is watched later: linear around the last estimate, the innovations
         hang together, because what the postures do not tell is far from there meanwhile.
         """
         scores = list[tuple[Floats, Floats]]()
@@ -356,10 +358,10 @@ class BuiltArm:
         if not self.kinds:
             return np.zeros((size, 0))
         self.split.inputs = inputs
-        found = imperfections(self.split, point, self.members)
-        if found is None:
+        made = imperfections(self.split, point, self.members)
+        if made is None:
             return None
-        moves = found.moves[: len(self.plausible)].reshape(-1, size)
+        moves = made.moves[: len(self.plausible)].reshape(-1, size)
         return np.asarray((self.plausible[:, None] * moves).T)
 
 

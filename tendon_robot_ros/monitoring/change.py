@@ -105,9 +105,9 @@ class PossibleChange:
             return f'{100.0 * values[0]:+.1f} %'
         if rows := vector_rows(self.frees, self.name):
             return load_words(load_of(values[rows], None, self.gravity))
-        shares = [abs(v) / f.parameter.typical for v, f in zip(values, self.frees, strict=True)]
+        sizes = [abs(v) / f.parameter.typical for v, f in zip(values, self.frees, strict=True)]
         parts = []
-        for i in np.argsort(shares)[::-1][:SIZES_TOLD]:
+        for i in np.argsort(sizes)[::-1][:SIZES_TOLD]:
             size = f'{spoken(self.keys[i])} {digits(float(values[i]))}'
             parts.append(with_unit(size, self.frees[i].parameter.unit))
         return ', '.join(parts)
@@ -278,8 +278,8 @@ class ChangeWork:
         no load at all may be none that it has.
         """
         starts = np.vstack([np.diag(fit.change.spread), -np.diag(fit.change.spread)])
-        found = [self._effect(fit.change, start) for start in starts]
-        return max([fit, *(one for one in found if one is not None)], key=lambda one: one.log)
+        fits = [self._effect(fit.change, start) for start in starts]
+        return max([fit, *(one for one in fits if one is not None)], key=lambda one: one.log)
 
     def shown(self, fit: ChangeFit) -> tuple[Floats, Floats] | None:
         """Return markers (P, 3 J) [m] under a change, and their slopes (P, 3 J, k)."""
@@ -301,8 +301,8 @@ class ChangeWork:
             spread = self.arm.widening * (spread + columns @ self.arm.covariance @ columns.T)
             solved = np.linalg.solve(spread, np.column_stack([off[p], other[1][p]]))
             along = other[1][p].T @ solved[:, 0]
-            told = information + other[1][p].T @ solved[:, 1:]
-            far[p] = off[p] @ solved[:, 0] - along @ np.linalg.solve(told, along)
+            both = information + other[1][p].T @ solved[:, 1:]
+            far[p] = off[p] @ solved[:, 0] - along @ np.linalg.solve(both, along)
         return np.maximum(far, 0.0)
 
     def _member(self, change: PossibleChange) -> ChangeFit:
@@ -310,13 +310,13 @@ class ChangeWork:
         weights, slopes = self.weights, self._slopes_of_members(change)
         white = weights.lifted(weights.white(self.seen.positions - self.here))
         columns = weights.lifted(weights.white(slopes))
-        told = weights.product(columns, columns)
+        information = weights.product(columns, columns)
         prior = np.diag((SCALES[-1] * change.spread) ** -2.0)
-        values = np.linalg.solve(told + prior, weights.product(columns, white))
+        values = np.linalg.solve(information + prior, weights.product(columns, white))
         left = white[0] - columns[0] @ values, white[1] - columns[1] @ values
         chi2 = float(weights.product(left, left))
-        log = self._evidence(change, values, chi2, told)
-        return ChangeFit(change, values, log, told + prior, chi2)
+        log = self._evidence(change, values, chi2, information)
+        return ChangeFit(change, values, log, information + prior, chi2)
 
     def _effect(self, change: PossibleChange, start: Floats | None = None) -> ChangeFit | None:
         """Fit an effect by Gauss-Newton, shortened steps, within its bounds."""
@@ -345,19 +345,23 @@ class ChangeWork:
         fit = gauss_newton(start, prior, left, linearised, (low, high))
         if fit is None:
             return None
-        values, _, chi2, told = fit
+        values, _, chi2, information = fit
         return ChangeFit(
-            change, values, self._evidence(change, values, chi2, told), told + prior, chi2
+            change,
+            values,
+            self._evidence(change, values, chi2, information),
+            information + prior,
+            chi2,
         )
 
     def _evidence(
-        self, change: PossibleChange, values: Floats, chi2: float, told: Floats
+        self, change: PossibleChange, values: Floats, chi2: float, information: Floats
     ) -> float:
         """Return log E, every scale of the change as likely as the others."""
         logs = []
         for scale in SCALES:
             spread = scale * change.spread
-            both = np.eye(len(values)) + told * np.outer(spread, spread)
+            both = np.eye(len(values)) + information * np.outer(spread, spread)
             cost = float(((values / spread) ** 2).sum()) + float(np.linalg.slogdet(both)[1])
             logs.append(-0.5 * (chi2 + cost + self.weights.log_determinant))
         return float(np.logaddexp.reduce(logs) - np.log(len(SCALES)))
@@ -389,10 +393,10 @@ class ChangeWork:
         own = self.arm.plausible
         if not len(own):
             return np.zeros((*self.seen.positions.shape, 0))
-        found = imperfections(self.split, point, self.arm.members)
-        if found is None:
+        made = imperfections(self.split, point, self.arm.members)
+        if made is None:
             return None
-        moves = found.moves[: len(own)].reshape(len(own), len(self.seen.tensions), -1)
+        moves = made.moves[: len(own)].reshape(len(own), len(self.seen.tensions), -1)
         return np.moveaxis(own[:, None, None] * moves, 0, 2)
 
 
@@ -435,8 +439,10 @@ class ChangeFinder:
         again = {fit.change.name: work.fit_around(fit) for fit in near}
         fits = [again.get(fit.change.name) or fit for fit in fits]
         self.fits = sorted(fits, key=lambda fit: -fit.log)
-        shares = self._shares()
-        return tuple(fit.suspect(float(p)) for fit, p in zip(self.fits, shares, strict=True))
+        probabilities = self._probabilities()
+        return tuple(
+            fit.suspect(float(p)) for fit, p in zip(self.fits, probabilities, strict=True)
+        )
 
     def most_telling(self, offered: Floats) -> int | None:
         """
@@ -445,10 +451,10 @@ class ChangeFinder:
         None where one is likely enough, on a few postures at least, or nothing that is offered
         separates them.
         """
-        shares, few = self._shares(), len(self.taken) < CONFIRMED_POSTURES
-        if not len(shares) or (shares[0] > APART_PROBABILITY and not few):
+        probabilities, few = self._probabilities(), len(self.taken) < CONFIRMED_POSTURES
+        if not len(probabilities) or (probabilities[0] > APART_PROBABILITY and not few):
             return None
-        likely = [i for i, p in enumerate(shares[:LIKELY_MAX]) if p > LIKELY_MIN]
+        likely = [i for i, p in enumerate(probabilities[:LIKELY_MAX]) if p > LIKELY_MIN]
         blank = np.zeros((len(offered), self.arm.split.dataset.positions.shape[2] * 3))
         usual = self.taken[-1][2] if self.taken else 1
         frames = (usual,) * len(offered)
@@ -462,11 +468,14 @@ class ChangeFinder:
         for i, other in zip(likely[1:], shown[1:], strict=True):
             if other is not None:
                 apart = work.apart(first, other, self.fits[i].information)
-                worth += shares[i] * np.log1p(apart)
-        best, least = int(np.argmax(worth)), np.log1p(HOPELESS_APART) * shares[likely[1:]].sum()
+                worth += probabilities[i] * np.log1p(apart)
+        best, least = (
+            int(np.argmax(worth)),
+            np.log1p(HOPELESS_APART) * probabilities[likely[1:]].sum(),
+        )
         return best if worth[best] > least else None
 
-    def _shares(self) -> Floats:
+    def _probabilities(self) -> Floats:
         logs = np.array([fit.log for fit in self.fits])
         odds = np.exp(logs - logs.max()) if len(logs) else logs
         return np.asarray(odds / odds.sum()) if len(odds) else odds

@@ -109,9 +109,9 @@ def _likelihood(
         taken.append(np.linalg.solve(root, scale[:, None] * known))
     stacked = np.vstack(taken)
     left = both - stacked.T @ stacked
-    told, seen = np.eye(len(left) - 1) + left[:-1, :-1], left[:-1, -1]
-    spread += float(np.linalg.slogdet(told)[1])
-    return -0.5 * float(left[-1, -1] - seen @ np.linalg.solve(told, seen) + spread)
+    information, gradient = np.eye(len(left) - 1) + left[:-1, :-1], left[:-1, -1]
+    spread += float(np.linalg.slogdet(information)[1])
+    return -0.5 * float(left[-1, -1] - gradient @ np.linalg.solve(information, gradient) + spread)
 
 
 @dataclass(frozen=True)
@@ -141,9 +141,9 @@ def contradicted(references: Sequence[Reference | None], counts: Bools) -> Bools
         if one is not None and len(one.off):
             both = np.column_stack([one.columns, one.off])
             parts[i] = one, counts[i] * (one.columns.T @ np.linalg.solve(one.scatter, both))
-    all_of_it = sum(told for _, told in parts.values())
-    for i, (one, told) in parts.items():
-        others = all_of_it - told
+    total = sum(sums for _, sums in parts.values())
+    for i, (one, sums) in parts.items():
+        others = total - sums
         known = np.linalg.inv(np.eye(len(others)) + others[:, :-1])
         off = one.off - one.columns @ known @ others[:, -1]
         spread = one.columns @ known @ one.columns.T + one.scatter
@@ -172,12 +172,14 @@ def widening(scores: Sequence[tuple[Floats, Floats]]) -> float:
         ratios = []
         for i in range(0, len(scores) - length + 1, length):
             batch = scores[i : i + length]
-            seen = np.sum([d for d, _ in batch], axis=0)
-            told = np.sum([v for _, v in batch], axis=0)
-            both = np.linalg.solve(told + np.eye(len(seen)), np.column_stack([seen, told]))
+            score = np.sum([d for d, _ in batch], axis=0)
+            covariance = np.sum([v for _, v in batch], axis=0)
+            both = np.linalg.solve(
+                covariance + np.eye(len(score)), np.column_stack([score, covariance])
+            )
             mean = float(np.trace(both[:, 1:]))
             if mean > 0.0:
-                ratios.append(float(seen @ both[:, 0]) / mean)
+                ratios.append(float(score @ both[:, 0]) / mean)
         if len(ratios) > 2:
             upper = np.mean(ratios) + UPPER_SD * np.std(ratios, ddof=1) / np.sqrt(len(ratios))
             worst = max(worst, float(upper))

@@ -43,7 +43,7 @@ SHIFTED_SD = 0.5
 # [1] of the length: an arm that moved by less has the same noise, because imperfections move it
 # alike
 SAME_LENGTH = 0.02
-# [1] of the prior: an axis that is told better is linear, because the force hardly varies
+# [1] of the prior: an axis that is known better is linear, because the force hardly varies
 LINEAR = 0.01
 # [1] standard deviations to which the posterior is summed up; beyond is 0.3 % by chance
 SPREAD_SD = 3.0
@@ -136,10 +136,10 @@ class TipForceObserver:
             return None
         seen = _Measured(inputs, measured.ravel(), markers, frames)
         for start in (self._last, np.zeros(3)):
-            found = _Fit(self, seen).solve(start)
-            if found is not None:
-                self._last = found.force
-                return found
+            estimate = _Fit(self, seen).solve(start)
+            if estimate is not None:
+                self._last = estimate.force
+                return estimate
         return None
 
     def point(self, force: Floats) -> dict[FreeParameter, float]:
@@ -205,8 +205,8 @@ class _Fit:
         fit = gauss_newton(start, self.prior, left, self._linearised)
         if fit is None:
             return None
-        force, white, chi2, told = fit
-        columns, normal = self.columns, told + self.prior
+        force, white, chi2, information = fit
+        columns, normal = self.columns, information + self.prior
         if self.seen.markers:
             self.observer.slopes = np.zeros((len(self.rows), 3))
             self.observer.slopes[self.rows] = np.linalg.solve(factor, columns)
@@ -222,24 +222,24 @@ class _Fit:
         """
         Return mean [N] and covariance [N²] of the force.
 
-        Along the axis that is told worst the model is far from linear: there the posterior is
+        Along the axis that is known worst the model is far from linear: there the posterior is
         summed up, the other two axes at their best (their estimate is linear).
         """
         values, axes = np.linalg.eigh(wider * np.linalg.inv(normal))
-        told, worst, sd = axes[:, :2], axes[:, 2], float(np.sqrt(values[2]))
+        known, worst, sd = axes[:, :2], axes[:, 2], float(np.sqrt(values[2]))
         if sd < LINEAR * self.observer.prior:
             return force, np.asarray(axes * values @ axes.T)
-        best = np.linalg.pinv(columns @ told)
+        best = np.linalg.pinv(columns @ known)
         for _ in range(2):  # once more around where it was
             places, logs = [], []
-            for share in np.linspace(-SPREAD_SD, SPREAD_SD, SPREAD_POINTS):
-                place = force + share * sd * worst
+            for away in np.linspace(-SPREAD_SD, SPREAD_SD, SPREAD_POINTS):
+                place = force + away * sd * worst
                 white = self._white(place)
                 if white is None:
                     continue
                 aside = best @ white
-                left = white - columns @ (told @ aside)
-                place = place + told @ aside
+                left = white - columns @ (known @ aside)
+                place = place + known @ aside
                 places.append(place)
                 logs.append(-0.5 * (left @ left / wider + place @ self.prior @ place))
             if not places:
@@ -251,7 +251,7 @@ class _Fit:
                 break
         off = np.array(places) - force
         around = off.T @ (weights[:, None] * off)
-        return force, around + (told * values[:2]) @ told.T
+        return force, around + (known * values[:2]) @ known.T
 
     def _elsewhere(
         self, force: Floats, white: Floats, columns: Floats, factor: Floats
@@ -267,7 +267,7 @@ class _Fit:
         if pushed is None:
             return None, None
         basis, _ = np.linalg.qr(columns)
-        found: tuple[int | None, Floats | None] = (None, None)
+        contact: tuple[int | None, Floats | None] = (None, None)
         least = chi2_isf(FALSE_CONTACT_PROBABILITY / len(pushed), 3)
         for i, push in enumerate(pushed):
             own = factor @ push.reshape(3, -1)[:, self.rows].T
@@ -276,8 +276,8 @@ class _Fit:
             gain = float(white @ free @ solved)
             if gain > least:
                 cell = i + 1 - observer.arm.robot.plate_cells
-                found, least = (cell, solved), gain
-        return found
+                contact, least = (cell, solved), gain
+        return contact
 
     def _white(self, force: Floats) -> Floats | None:
         """Return the whitened residual under a force."""

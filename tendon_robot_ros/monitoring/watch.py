@@ -75,33 +75,33 @@ class _ChangeBegun:
     def __init__(self, changes: int, mean: Floats, covariance: Floats, at: int = 0) -> None:
         self.mean, self.covariance, self.at = mean, covariance, at  # of the arm before; posture
         self.followed = np.zeros((len(mean), changes))  # what the filter took for imperfections
-        self.told = np.zeros((changes, changes))
-        self.seen = np.zeros(changes)
-        self.parts = list[tuple[Floats, Floats]]()  # of told and seen, of every posture since
+        self.information = np.zeros((changes, changes))
+        self.score = np.zeros(changes)
+        self.parts = list[tuple[Floats, Floats]]()  # the same of every posture since
 
     @property
     def postures(self) -> int:
         """How many came since."""
         return len(self.parts)
 
-    def take(self, told: Floats, seen: Floats) -> None:
-        """Take what a posture tells (c, c) and shows (c,)."""
-        self.told, self.seen = self.told + told, self.seen + seen
-        self.parts.append((told, seen))
+    def take(self, information: Floats, score: Floats) -> None:
+        """Take the information (c, c) of a posture and its score (c,)."""
+        self.information, self.score = self.information + information, self.score + score
+        self.parts.append((information, score))
 
     def without(self, at: int) -> tuple[Floats, Floats]:
-        """Return what all postures but that of a number tell and show."""
+        """Return information and score of all postures but that of a number."""
         if not 0 <= at - self.at < len(self.parts):
-            return self.told, self.seen
-        told, seen = self.parts[at - self.at]
-        return self.told - told, self.seen - seen
+            return self.information, self.score
+        information, score = self.parts[at - self.at]
+        return self.information - information, self.score - score
 
     def forget(self, at: int) -> None:
         """Let the posture of a number count for nothing."""
         if 0 <= at - self.at < len(self.parts):
-            self.told, self.seen = self.without(at)
-            told, seen = self.parts[at - self.at]
-            self.parts[at - self.at] = 0.0 * told, 0.0 * seen
+            self.information, self.score = self.without(at)
+            information, score = self.parts[at - self.at]
+            self.parts[at - self.at] = 0.0 * information, 0.0 * score
 
 
 @dataclass(frozen=True)
@@ -286,10 +286,10 @@ class DriftAlarm:
     def _log_ratio(self, begun: _ChangeBegun, i: int, without: int = -1) -> float:
         """Return the log likelihood ratio of a change that began there against none."""
         place = self._places[i]
-        scale, (told, seen) = self._spread[place], begun.without(without)
-        told, seen = told[place, place] * np.outer(scale, scale), seen[place] * scale
-        both = told + np.eye(len(seen))
-        gained = float(seen @ np.linalg.solve(both, seen))
+        scale, (information, score) = self._spread[place], begun.without(without)
+        both = information[place, place] * np.outer(scale, scale) + np.eye(len(scale))
+        score = score[place] * scale
+        gained = float(score @ np.linalg.solve(both, score))
         return 0.5 * gained - 0.5 * float(np.linalg.slogdet(both)[1])
 
     def _signatures(self, tensions: Floats, built: Floats) -> Floats | None:
