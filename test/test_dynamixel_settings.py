@@ -5,6 +5,7 @@ import os
 import sys
 import threading
 import time
+from dataclasses import replace
 
 import emulated
 import emulated_board
@@ -112,12 +113,12 @@ def test_an_old_firmware_has_no_startup_configuration():
 
 def test_a_register_that_does_not_keep_what_is_written_is_refused(monkeypatch):
     with emulated.line() as line, emulated.driver_for(line) as driver:
-        servo, write = line.servo(3), line.servo(3)._write_one
+        servo, accept = line.servo(3), line.servo(3)._accept
         servo.put('profile_velocity', 3)
         monkeypatch.setattr(
             servo,
-            '_write_one',
-            lambda name, *rest: 0 if name == 'profile_velocity' else write(name, *rest),
+            '_accept',
+            lambda name, value: None if name == 'profile_velocity' else accept(name, value),
         )
         monkeypatch.setattr(servo, '_mode_to_defaults', lambda: None)
         with pytest.raises(DriverError, match=r'velocity \(address 112\): 0 was written, 3'):
@@ -300,9 +301,7 @@ def test_models_are_known_by_their_label_and_others_refused_with_what_else_there
 def test_motors_without_current_control_are_refused_with_what_else_there_is(number):
     with emulated.line() as line:
         line.servo(2).put('model_number', number)
-        line.servo(2).model = type(line.servo(2).model)(
-            **{**vars(line.servo(2).model), 'number': number}
-        )
+        line.servo(2).model = replace(line.servo(2).model, number=number)
         with pytest.raises(DriverError, match='pull mode through backend: ros2_control') as told:
             emulated.driver_for(line).open()
         assert 'found 2: ' in str(told.value)

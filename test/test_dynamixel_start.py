@@ -4,6 +4,7 @@ import os
 import threading
 import time
 import tty
+from dataclasses import replace
 
 import emulated
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 
 from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.drivers import make_driver
+from tendon_robot_ros.drivers.dynamixel.control_table import FRICTION_CURRENT
 from tendon_robot_ros.drivers.ports import write_all
 from tendon_robot_ros.emulator.rig import SpringArm
 
@@ -213,10 +215,8 @@ def test_a_wire_that_never_pulls_is_refused_and_the_torque_is_off():
 
 def test_a_motor_that_does_not_turn_is_refused_and_the_torque_is_off():
     with emulated.line() as line, driver_for(line, 'pull', home_tension=0.3) as driver:
-        stiff = line.servo(3).model.__class__(
-            **{**vars(line.servo(3).model), 'friction_current': 0.5}
-        )
-        line.servo(3).motion.model = stiff
+        motion = line.servo(3).motion  # its gear does not move below 0.5 A
+        motion.model = replace(motion.model, stall_current=0.5 / FRICTION_CURRENT)
         with pytest.raises(DriverError, match=r'west \(id 3\): does not turn with 0\.1\d\d A'):
             driver.enable()
         assert not any(servo.torque for servo in line.rig.servos.values())
