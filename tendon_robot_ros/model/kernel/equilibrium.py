@@ -101,7 +101,10 @@ SHRINK_FACTORS = (0.3, 0.5)
 KINKED_STEPS_MAX = np.int64(30)
 STEP_SHRINKING_RAD = 0.1  # [rad] a good step, because slopes hardly change over it
 STEP_NEAR_RAD = 1e-4  # [rad] last step, so that Newton converges from there without own travel
-SLIPPING_TRAVEL = 5.0  # [1] of the smoothing length: a tendon slips, because tanh(5) is 0.9999
+SLIPPING_FROM = 0.9999  # [1] direction of friction of a tendon that slips, because tanh is never 1
+# [1] of the smoothing length, travel of a tendon whose direction of friction no step changes: tanh
+# is 1 - 2e-7, so that what it lags does not count
+CLEAR_TRAVEL = 8.0
 SLIP_START_TRAVEL = 3.0  # [1] of a tendon that begins to slip, so that it may stick again
 STRIDE_MIN = 1e-2  # [1] of the path of a continuation: shorter ones would take more than 100 steps
 # [1] of Euler's load, above which stability is checked: less than the bound of `load_ratio`,
@@ -331,10 +334,10 @@ def march(chain, inputs, bend, work, past):
 def next_travel(z, travel, width, new_width):
     """Travel [m] that an eyelet takes over, from its last one and what the step says it is."""
     s = math.copysign(1.0, z)
-    if abs(z) < SLIPPING_TRAVEL * width:
+    if abs(z) <= CLEAR_TRAVEL * width:
         s = math.tanh(z / width)
         s += (1.0 - s * s) * (travel - z) / width
-        if abs(s) < math.tanh(SLIPPING_TRAVEL):
+        if abs(s) < SLIPPING_FROM:
             return new_width * math.atanh(s)
     if s * travel <= 0.0:
         return 0.0

@@ -115,7 +115,8 @@ Workspace = namedtuple('Workspace', 'work past now bend near before pulls means'
 for _kind in (Chain, Memory, Work, Workspace):
     _kind.__name__ += '_' + __name__.partition('.')[0].rpartition('_')[2]
 
-EPSILON, TINY = float(np.finfo(np.float64).eps), float(np.finfo(np.float64).tiny)
+EPSILON = float(np.finfo(np.float64).eps)
+TINY = 1e-300  # [1] divisor instead of 0, so that the square of a number over its root is finite
 # [rad] largest change of a bend at which an equilibrium has converged, so that the tip of an arm
 # of 100 cells and 1 m is within 10 nm
 BEND_TOLERANCE = 1e-10

@@ -93,7 +93,7 @@ UNEVEN_MAX = 1e-2  # [1] difference of its halves: curvature makes 1e-3, a kink 
 TRAVEL_STEP = 2e-7
 # [1] square of a direction of friction that no more travel changes: else every eyelet that slips
 # would join the equations of those that stick
-SLIPPING_FROM = 1.0 - 1e-9
+SATURATED_FROM = 1.0 - 1e-9
 
 
 @compiled
@@ -412,7 +412,7 @@ def slip_slopes(chain, work, past, at, section, here, slides, remembers):
         by_here *= (up - friction_travel(s - h, t, chain, section)) / (2.0 * h)
         up = friction_travel(s, t + h, chain, section)
         slope = (up - friction_travel(s, t - h, chain, section)) / (2.0 * h)
-        by_beyond = rate * (1.0 - t * t) * slope if t * t < SLIPPING_FROM else 0.0
+        by_beyond = rate * (1.0 - t * t) * slope if t * t < SATURATED_FROM else 0.0
         s = friction_travel(s, t, chain, section)
     return s, by_here, by_beyond
 
