@@ -55,10 +55,10 @@ def tip_slopes(model: ForwardModel, shape: Shape, past: Floats) -> Floats:
         That of the shape itself gives the mean of both directions in which tendons may slide on.
 
     """
-    return tip_ways(model, shape, past)[0]
+    return tip_and_state_slopes(model, shape, past)[0]
 
 
-def tip_ways(model: ForwardModel, shape: Shape, past: Floats) -> tuple[Floats, Floats]:
+def tip_and_state_slopes(model: ForwardModel, shape: Shape, past: Floats) -> tuple[Floats, Floats]:
     """Return `tip_slopes` (6, m), and how the state follows the tensions (m, u) [rad/N]."""
     m = len(shape.inputs)
     slopes, state_slopes = np.empty((6, m)), np.empty((m, _unknowns(model)))
@@ -79,7 +79,7 @@ def take_sides(model: ForwardModel, shape: Shape, past: Floats, step: Floats) ->
         Friction memory of the posture before, changed in place: the slopes of an eyelet that has
         not slid since are then those of the side to which it will. See the kernel's `derivatives`.
     step : (u,) [rad]
-        How the state goes on, by `tip_ways`.
+        How the state goes on, by `tip_and_state_slopes`.
 
     """
     states, part = np.array([shape.state, shape.state]), model.arrays.part('derivatives')

@@ -1,16 +1,16 @@
 """
-What the freedom of antagonistic tendons is used for: a quadratic program after another.
+What the freedom of antagonistic tendons is used for: a sequence of quadratic programs.
 
 Each program linearises the tip about an equilibrium and weighs what is preferred, over the change
-u of the tensions in shares of their range R = high - low:
+u of the tensions in fractions of their range R = high - low:
 
     min  W/2 |f + J R u|² + sum of weight x preference (quadratic, or its slope)
     s.t. low <= T + R u <= high, |u| <= trust,  d_i + n_i . P_i R u >= 0 near keep-out regions
 
 with f the weighted error of the tip (6,), J its Jacobian, P_i the motion of a point of the arm
-that is d_i [m] from a region in direction n_i. A step that does not pay is tried again with half
-the trust. Where friction remembers, J is that of the way to which the step lets eyelets slide: the
-program says the way, and J the program. What a step in vain did corrects J (Broyden 1965).
+that is d_i [m] from a region in direction n_i. A step that does not lower the cost is repeated
+with half the trust. Where friction remembers, J depends on the side to which each eyelet slides
+next, and that on the step: both are iterated. A rejected step corrects J (Broyden 1965).
 """
 
 from __future__ import annotations
@@ -24,41 +24,51 @@ import numpy.typing as npt
 
 from ..common.errors import NoEquilibriumError
 from ..robot.keep_out import KeepOut
-from .derivatives import derivatives, take_sides, tip_stiffness, tip_ways
+from .derivatives import (
+    DIFFERENCE_STEP,
+    derivatives,
+    take_sides,
+    tip_and_state_slopes,
+    tip_stiffness,
+)
 from .program import solved, within
 from .tip_task import Preferences, TipTask
 
 if TYPE_CHECKING:
-    from .shape import Shape, ShapeBatch
+    from .shape import Shape
 
 Floats = npt.NDArray[np.float64]
-# [1] of the square of the tip's error in lengths of the robot, against preferences of about 1: one
-# that asks for a whole range moves the tip by some 1/600 of the length where tendons hardly lead
-# it, else by next to nothing; and by how much more counts what is inside a region
-TIP_WEIGHT, KEEP_OUT_RATIO = 4e5, 1e3
-NEAR_SHARE = 0.25  # of the arm's length: further regions bind no step
-POINTS_MAX = 8  # of the arm that are held away from a region at once
-TRUST, TRUST_MIN = 0.15, 1e-4  # [1] of a tension's range
-STEP_DONE = 3e-5  # [1] of a tension's range: a step that is none
-CO_CONTRACTIONS = 0.1, 0.3  # [1] of the range, more on all tendons
-DAMPING = 1e-4  # [1] keeps tensions where nothing speaks for a change
-SLOPE_SHARE = 2e-3  # [1] of a tension's range, for the slope of the stiffness
-CORRECTIONS_MAX, CORRECTED_SHARE = 3, 1e-5  # after a step: how often, from what error on [1] of L
-POINT_STEP_M = 1e-6  # [m] for the direction away from a region
-# How often a step is looked for anew as eyelets turn; share [1] of them that may do so unseen
-TURNS_MAX, TURNED_SHARE = 3, 0.1
-LEARNS_WITHIN = 5e-3  # [1] of a range: a longer correction in vain says nothing of slopes here
+# [1] weight of the square of the tip's error in lengths of the robot, against preferences of about
+# 1, so that one that asks for a whole range moves the tip by 1/600 of the length at most
+TIP_WEIGHT = 4e5
+KEEP_OUT_RATIO = 1e3  # [1] of that weight, of points inside a region, so that no target keeps them
+NEAR_LENGTH = 0.25  # [1] of the length, so that only regions near the arm take time
+POINTS_MAX = 8  # [1] of the arm held away from a region at once, because neighbours move alike
+TRUST = 0.15  # [1] of a tension's range, the longest step, because slopes change beyond
+TRUST_MIN = 1e-4  # [1] of a range: shorter steps would change less than a motor's resolution
+STEP_DONE = 3e-5  # [1] of a range, a step that is none: it would change no command
+# [1] of a range, more on all tendons: further starts for a stiff tip, because friction may hold
+# the arm so that every small change makes it softer
+CO_CONTRACTIONS = (0.1, 0.3)
+DAMPING = 1e-4  # [1] against preferences of about 1, so that tensions stay without any
+# [1] of a range, of differences of the stiffness: it is one itself, and shorter would be noise
+STIFFNESS_STEP = 2e-3
+CORRECTIONS_MAX = 3  # [1] of the tip after a step, because its error is squared by each
+CORRECTED_LENGTH = 1e-5  # [1] of the length, an error that stays, because the next step makes more
+SIDES_ITERATIONS_MAX = 3  # [1] of a step and its sides, because it then runs along a kink
+SIDES_FRACTION = 0.1  # [1] of eyelets that may change sides unseen: slopes would hardly change
+LEARNS_WITHIN = 5e-3  # [1] of a range: a longer step would tell of slopes elsewhere
 
 
 @dataclass
 class Linearised:
-    """An equilibrium on the way, and what is known there."""
+    """An equilibrium, and what is known there."""
 
     shape: Shape
     error: Floats  # (6,) weighted [m]
     past: Floats  # friction memory from which tensions go on, with the side of eyelets at rest
-    slopes: Floats | None = None  # (6, m) of the weighted error by shares of the range [m]
-    ways: Floats | None = None  # (m, u) of the state by tensions [rad/N]
+    slopes: Floats | None = None  # (6, m) of the weighted error by fractions of the range [m]
+    state_slopes: Floats | None = None  # (m, u) of the state by tensions [rad/N]
     preferred: tuple[Floats, Floats] | None = None  # see `Balance._preferred`
 
 
@@ -84,7 +94,7 @@ class Balance:
         self.tip_weight = TIP_WEIGHT / self.task.model.robot.length**2
 
     def begin(self, shape: Shape) -> Linearised:
-        """Look at an equilibrium."""
+        """Return an equilibrium with its error."""
         return Linearised(shape, self.error(shape), self.task.past)
 
     def error(self, shape: Shape) -> Floats:
@@ -92,15 +102,15 @@ class Balance:
         return self.weights * self.task.off(shape)
 
     def slopes(self, at: Linearised) -> Floats:
-        """Return the slopes of the weighted error (6, m) by shares of the range [m]."""
+        """Return the slopes of the weighted error (6, m) by fractions of the range [m]."""
         if at.slopes is None:
-            at.slopes, at.ways = self._slopes_after(at.shape, at.past)
+            at.slopes, at.state_slopes = self._slopes_after(at.shape, at.past)
         return at.slopes
 
     def _slopes_after(self, shape: Shape, past: Floats) -> tuple[Floats, Floats]:
-        """Return slopes (6, m) of the weighted error, and ways (m, u) of the state [rad/N]."""
-        slopes, ways = tip_ways(self.task.model, shape, past)
-        return self.weights[:, None] * slopes * self.range, ways
+        """Return slopes (6, m) of the weighted error, and (m, u) of the state [rad/N]."""
+        slopes, state_slopes = tip_and_state_slopes(self.task.model, shape, past)
+        return self.weights[:, None] * slopes * self.range, state_slopes
 
     def cost(self, shape: Shape, error: Floats, stiffness: bool = True) -> float:
         """Return what a posture costs [1]."""
@@ -133,11 +143,11 @@ class Balance:
         return float(np.log(min(max(stiff, 1e-12), enough)))
 
     def stiffness_slope(self, shape: Shape) -> Floats:
-        """Return how that logarithm follows shares of the range, (m,), by differences."""
+        """Return the slopes (m,) of that logarithm by fractions of the range, by differences."""
         slope = np.zeros(len(self.range))
         base = self.log_stiffness(shape)
         for j, width in enumerate(self.range):
-            step = SLOPE_SHARE * width
+            step = STIFFNESS_STEP * width
             if shape.inputs[j] + step > self.low[j] + width:
                 step = -step
             moved = shape.inputs.copy()
@@ -150,7 +160,7 @@ class Balance:
         return slope
 
     def quadratic(self, at: Linearised) -> tuple[Floats, Floats]:
-        """Return matrix (m, m) and slope (m,) of the cost of a step in shares of the range."""
+        """Return matrix (m, m) and slope (m,) of the cost of a step in fractions of the range."""
         if at.preferred is None:
             at.preferred = self._preferred(at)
         slopes, (diagonal, slope) = self.slopes(at), at.preferred
@@ -160,7 +170,7 @@ class Balance:
         return matrix, slope + weighted @ at.error
 
     def _preferred(self, at: Linearised) -> tuple[Floats, Floats]:
-        """Return diagonal (m,) and slope (m,) of what is preferred, in shares of the range."""
+        """Return diagonal (m,) and slope (m,) of the preferences, in fractions of the range."""
         wants, u = self.preferences, (at.shape.inputs - self.low) / self.range
         diagonal = np.full(len(u), DAMPING + wants.low_tension + wants.smooth)
         slope = wants.low_tension * u
@@ -181,29 +191,24 @@ class Balance:
         """
         Return the tensions (m,) [N] of the program about a posture.
 
-        Where friction remembers, slopes are those of the way there: it says to which side each
-        eyelet slides, and the slopes on these sides say the way. Where they go to and fro, it runs
-        along a kink, and the mean of the slopes on its sides counts.
+        Where friction remembers, slopes are those of the sides to which eyelets slide on this
+        step: both are iterated. Where sides alternate, the step runs along a kink, and the mean of
+        the slopes on its sides counts.
         """
-        tensions = self._program(at, trust)
-        for turn in range(TURNS_MAX if self.task.model.remembers else 0):
-            if not self._turned(at, tensions, 1.0 / (turn + 1)):
+        tensions, model = self._program(at, trust), self.task.model
+        for count in range(SIDES_ITERATIONS_MAX if model.remembers else 0):
+            assert at.slopes is not None and at.state_slopes is not None
+            past, fraction = at.past.copy(), 1.0 / (count + 1)
+            step = (tensions - at.shape.inputs) @ at.state_slopes
+            changed = take_sides(model, at.shape, past, step)
+            if changed <= SIDES_FRACTION * model.arrays.chain.n * model.arrays.chain.k:
                 break
+            at.past = past
+            slopes, state_slopes = self._slopes_after(at.shape, past)
+            at.slopes = at.slopes + fraction * (slopes - at.slopes)
+            at.state_slopes = at.state_slopes + fraction * (state_slopes - at.state_slopes)
             tensions = self._program(at, trust)
         return tensions
-
-    def _turned(self, at: Linearised, tensions: Floats, share: float) -> bool:
-        """Move slopes by a share to those of the way there, if too many eyelets turn on it."""
-        model, slopes, ways, past = self.task.model, at.slopes, at.ways, at.past.copy()
-        assert slopes is not None and ways is not None
-        turned = take_sides(model, at.shape, past, (tensions - at.shape.inputs) @ ways)
-        if turned <= TURNED_SHARE * model.arrays.chain.n * model.arrays.chain.k:
-            return False
-        at.past = past
-        new_slopes, new_ways = self._slopes_after(at.shape, past)
-        at.slopes = slopes + share * (new_slopes - slopes)
-        at.ways = ways + share * (new_ways - ways)
-        return True
 
     def _program(self, at: Linearised, trust: float) -> Floats:
         matrix, slope = self.quadratic(at)
@@ -213,7 +218,7 @@ class Balance:
         if self.keep_out:
             rows, room = self._walls(at)
             inside = room > 0.0
-            if inside.any():  # there the way out is a matter of cost: all at once may be too much
+            if inside.any():  # getting out is a matter of cost: all at once may be too much
                 out = rows[inside]
                 matrix = matrix + KEEP_OUT_RATIO * self.tip_weight * out.T @ out
                 slope = slope - KEEP_OUT_RATIO * self.tip_weight * out.T @ room[inside]
@@ -222,38 +227,35 @@ class Balance:
         return within(u + made, 0.0, 1.0) * self.range + self.low
 
     def improve(self, at: Linearised, trust: float) -> tuple[Linearised | None, float]:
-        """Make one step that pays; None where none does. Returns the trust of the next one."""
+        """Step to a lower cost, or None; also return the trust of the next step."""
         cost = self.cost(at.shape, at.error)
         while trust > TRUST_MIN:
             tensions = self.step(at, trust)
             size = float(np.abs((tensions - at.shape.inputs) / self.range).max())
             if size < STEP_DONE:
                 return None, trust
-            looked = self.look(at, tensions)
-            if looked is not None:
-                costs = [(self.cost(one.shape, one.error), one) for one in self.ways_on(looked)]
-                least, made = min(costs, key=lambda one: one[0])
-                if least < cost:
-                    return made, min(2.0 * trust, TRUST)
-                self._learned(at, looked)
+            there = self.look(at, tensions)
+            if there is not None:
+                # with its tip brought back, and as it is where regions may forbid that
+                corrected = self.corrected(there)
+                ends = (corrected, there) if self.keep_out else (corrected,)
+                costs = [self.cost(end.shape, end.error) for end in ends]
+                if min(costs) < cost:
+                    return ends[int(np.argmin(costs))], min(2.0 * trust, TRUST)
+                self._learned(at, there)
             trust = 0.5 * min(trust, size)
         return None, trust
 
     def _learned(self, at: Linearised, there: Linearised) -> bool:
-        """Take from a step in vain what it did, where friction remembers; tell whether it does."""
+        """Correct slopes by a rejected step where friction remembers; tell whether it does."""
         if self.task.model.remembers:
-            share = (there.shape.inputs - at.shape.inputs) / self.range
-            at.slopes = broyden(self.slopes(at), share, there.error - at.error)
+            step = (there.shape.inputs - at.shape.inputs) / self.range
+            at.slopes = broyden(self.slopes(at), step, there.error - at.error)
         return self.task.model.remembers
 
-    def ways_on(self, looked: Linearised) -> tuple[Linearised, ...]:
-        """Return a posture with its tip brought back, and as it is where regions may forbid it."""
-        corrected = self.corrected(looked)
-        return (corrected, looked) if self.keep_out else (corrected,)
-
     def corrected(self, at: Linearised) -> Linearised:
-        """Bring the tip back to where it should be by least changes, as far as these do."""
-        near = CORRECTED_SHARE * self.task.model.robot.length
+        """Bring the tip back to its target by least changes of tension, as far as these do."""
+        near = CORRECTED_LENGTH * self.task.model.robot.length
         for _ in range(CORRECTIONS_MAX):
             if float(at.error @ at.error) < near**2:
                 break
@@ -278,17 +280,21 @@ class Balance:
 
     def _walls(self, at: Linearised) -> tuple[Floats, Floats]:
         """Return rows (r, m) and room (r,) [m]: rows @ step >= room is out; room > 0: inside."""
-        model, shape, near = self.task.model, at.shape, NEAR_SHARE * self.task.model.robot.length
+        model, shape, near = self.task.model, at.shape, NEAR_LENGTH * self.task.model.robot.length
         rows: list[Floats] = []
         room: list[float] = []
         away = self.keep_out.distances(shape.positions)
         if away.min() < near:
             past = at.past if model.remembers else None
-            moves = derivatives(model, shape.batch, model.inputs, _positions, past)[0]
+            moves = derivatives(model, shape.batch, model.inputs, lambda b: b.positions, past)[0]
             for region, far in zip(self.keep_out.regions, away, strict=True):
                 nearest = np.argsort(far)[:POINTS_MAX]
                 for i in nearest[far[nearest] < near]:
-                    normal = _outward(region.solid.distance, shape.positions[i])
+                    point, distance = shape.positions[i], region.solid.distance
+                    step = DIFFERENCE_STEP * np.eye(3)  # [m]
+                    normal = (distance(point + step) - distance(point - step)) / (
+                        2.0 * DIFFERENCE_STEP
+                    )
                     rows.append(normal @ moves[i] * self.range)
                     room.append(-float(far[i]))
         return np.array(rows).reshape(-1, len(self.range)), np.array(room)
@@ -302,12 +308,12 @@ def balanced(
     trust: float = TRUST,
 ) -> Shape:
     """
-    Return the best posture after up to so many programs from an equilibrium.
+    Return the posture of lowest cost after up to so many programs from an equilibrium.
 
-    For a stiff tip also from more tension all over: friction may hold the arm where it is so that
-    every small change makes it softer, and a larger one stiffer.
+    For a stiff tip also from more tension on all tendons: friction may hold the arm so that every
+    small change makes it softer, and a larger one stiffer.
     """
-    found = []
+    ends = []
     for start in _beginnings(balance, balance.begin(shape)):
         at, width = start, trust
         for _ in range(steps):
@@ -317,10 +323,10 @@ def balanced(
             if made is None:
                 break
             at = made
-        found.append((balance.cost(at.shape, at.error), at))
+        ends.append((balance.cost(at.shape, at.error), at))
         if give_up():
             break
-    return min(found, key=lambda one: one[0])[1].shape
+    return min(ends, key=lambda one: one[0])[1].shape
 
 
 def _beginnings(balance: Balance, at: Linearised) -> Iterator[Linearised]:
@@ -343,14 +349,3 @@ def broyden(slopes: Floats, step: Floats, change: Floats) -> Floats:
     if size < 1e-24:
         return slopes
     return np.asarray(slopes + np.outer(change - slopes @ step, step) / size)
-
-
-def _outward(distance: Callable[[Floats], Floats], point: Floats) -> Floats:
-    """Return the direction (3,) in which a point gets away from a solid, by differences."""
-    step = POINT_STEP_M * np.eye(3)
-    return np.asarray((distance(point + step) - distance(point - step)) / (2.0 * POINT_STEP_M))
-
-
-def _positions(batch: ShapeBatch) -> Floats:
-    """Return the ends of the cells (b, n, 3) [m]."""
-    return batch.positions
