@@ -27,7 +27,9 @@ GAP_ACCEPTED_M = 5e-6
 # [1] stretch of the wires over the arm's compliance: from so soft that each wire finds its tension
 # to so stiff that only 1e-4 of the pulls stretches, each so that the next search begins near
 SPRING_COMPLIANCES = (1e-1, 1e-2, 1e-3, 1e-4)
-PRETENSION = 0.25  # [1] of the limits, of a last search, because slack wires tell no direction
+# [1] of the limits, of a last search; measured: it solves 4 of 40 postures of spatial_3 with
+# friction memory that no other search does
+PRETENSION = 0.25
 HELD_WITHIN_N = 1e-3  # [N] difference of tensions that counts as held: so that a gap of 5 µm does
 SLACK_BELOW_N = 1e-6  # [N] a wire below holds no length, because its tension is rounding
 SEARCH_STEPS_MAX = 20  # [1] of Newton, where tensions may start far: more would not converge
@@ -175,7 +177,8 @@ def beginnings(
 
     Springs that stretch by less than the travel over which friction changes sign (some µm) may
     have no solution; wires that do not stretch have one there all the same, if not always the same
-    tensions: they come last.
+    tensions: they come last. Of 980 postures of six robots without a guess, springs solve 906,
+    wires that do not stretch 35, from more tension 15, both at last 14 and 4; 6 have no solution.
     """
     if start is not None:
         yield _Beginning(*start, SPRING_COMPLIANCES[-1:], NEAR_SEARCH_STEPS_MAX, GAP_ACCEPTED_M)
