@@ -48,7 +48,7 @@ LIBRARY_NEIGHBOURS = 128
 START_TENSION_WEIGHT = 0.1
 # [1] weight of tensions while bends and tensions are found at once (docs/model.md)
 SEEKING_WEIGHT = 100.0 * LOW_TENSION_WEIGHT
-# [1] of the slip length, with which such a search begins (docs/model.md)
+# [1] of the smoothing length, with which such a search begins (docs/model.md)
 SEEKING_WIDTH = 1e3
 # [1] by which it shrinks in a step: ten steps from that width, so that fifteen in all do
 # (docs/model.md)
@@ -150,8 +150,8 @@ def seek(
     """
     Improve inputs in place from far away; return the cost [m²] and the bends of the equilibrium.
 
-    For tendons that stick and slip: bends and tensions are found at once, with a slip length that
-    starts `width` times its own.
+    For tendons that stick and slip: bends and tensions are solved for at once, with a smoothing
+    length of friction that starts `width` times its own.
     """
     bends = np.array([bend, bend])
     begin, end = _kernel_arguments(task, inputs, bends, limits)
