@@ -32,8 +32,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 
 from tendon_robot_ros.ros.shared.messages import STATE, seconds
-from tendon_robot_ros.ros.shared.runtime import NodeProcess
-from tendon_robot_ros.ros.shared.transport import TRANSPORTS, without_shared_memory
+from tendon_robot_ros.ros.shared.runtime import TRANSPORTS, NodeProcess, without_shared_memory
 
 ROBOT, VICTIMS, LIFE_S, PAUSE_S = 'kato_10_1', 2, 0.4, 0.5
 LONG_S = 0.1  # [s] a silence that counts: no watchdog waits so long

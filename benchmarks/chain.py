@@ -38,8 +38,7 @@ from tendon_robot_ros.emulator.process import EmulatorProcess
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.ros.shared.messages import COMMAND, LATCHED, LISTEN
-from tendon_robot_ros.ros.shared.runtime import ros_arguments
-from tendon_robot_ros.ros.shared.transport import without_shared_memory
+from tendon_robot_ros.ros.shared.runtime import ros_arguments, without_shared_memory
 
 ANSWER = 0.03  # [s]; emulated servos are late when the machine is busy
 LONG = 4.0  # [s] off: it does not activate itself

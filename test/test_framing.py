@@ -5,7 +5,7 @@ import pytest
 
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
-from tendon_robot_ros.ros.viewer.framing import framed
+from tendon_robot_ros.ros.viewer.page import Picture, framed
 
 FOV = np.deg2rad(75.0)
 # of the scene beside the panel, width and height [px], and what the panel leaves free of it:
@@ -41,7 +41,7 @@ def test_the_ball_in_which_an_arm_moves_fills_what_the_panel_leaves_free(width, 
     width, height, free = WINDOWS[width]
     points = np.random.default_rng(0).normal(size=(20000, 3))
     points *= length / np.linalg.norm(points, axis=1)[:, None]
-    places = seen(framed(length, FOV, width, height), points, width, height)
+    places = seen(framed(length, Picture(FOV, width, height)), points, width, height)
     assert inside(places, free)
     share = np.ptp(places, axis=0) / [free[1] - free[0], free[3] - free[2]]
     assert share.max() > 0.97, 'no nearer view holds it'
@@ -53,5 +53,5 @@ def test_all_shapes_of_an_arm_are_in_sight(name, width):
     width, height, free = WINDOWS[width]
     model = Model(load_robot(name))
     swept = model.library.positions.reshape(-1, 3)
-    view = framed(model.robot.length, FOV, width, height)
+    view = framed(model.robot.length, Picture(FOV, width, height))
     assert inside(seen(view, np.vstack([np.zeros(3), swept]), width, height), free)

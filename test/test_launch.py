@@ -16,7 +16,7 @@ from tendon_robot_ros.cli.main import COMMANDS
 from tendon_robot_ros.common.processes import PARENT
 from tendon_robot_ros.ros.commands import robot_model
 from tendon_robot_ros.ros.controller import parameters as controller_setup
-from tendon_robot_ros.ros.driver import parameters as driver_setup
+from tendon_robot_ros.ros.driver import node as driver_setup
 
 LAUNCH = sorted((ROOT / 'launch').glob('*.launch.py'))
 FILE_SPECS = {'controller': controller_setup.SPECS, 'driver': driver_setup.SPECS}

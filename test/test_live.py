@@ -47,7 +47,7 @@ def test_the_arm_finds_out_by_itself():
 def test_beside_the_page_the_terminal_says_every_posture(capsys):
     from std_msgs.msg import String
 
-    from tendon_robot_ros.ros.commands.director import Director
+    from tendon_robot_ros.ros.commands.live import Director
     from tendon_robot_ros.ros.shared.messages import LATCHED_BY_MANY
     from tendon_robot_ros.ros.shared.runtime import ros
 
@@ -69,7 +69,7 @@ def test_beside_the_page_the_terminal_says_every_posture(capsys):
 
 
 def test_a_node_that_ends_while_all_others_start_is_named_at_once():
-    from tendon_robot_ros.ros.commands.director import Director
+    from tendon_robot_ros.ros.commands.live import Director
     from tendon_robot_ros.ros.shared.runtime import ros
 
     with ros([]) as ending:

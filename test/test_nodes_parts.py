@@ -31,14 +31,13 @@ from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.paths.path import Pace
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.ros.commands import follow
-from tendon_robot_ros.ros.commands.director import Director
+from tendon_robot_ros.ros.commands.live import Director
 from tendon_robot_ros.ros.driver import backend as driver_backend
 from tendon_robot_ros.ros.shared import lifecycle, robot_client
-from tendon_robot_ros.ros.shared.files import read_mapping
 from tendon_robot_ros.ros.shared.messages import Frames, matrix, quaternion
-from tendon_robot_ros.ros.shared.parameters import Spec
+from tendon_robot_ros.ros.shared.parameters import Spec, read_mapping
 from tendon_robot_ros.ros.shared.robot_client import Pilot
-from tendon_robot_ros.ros.shared.runtime import Ending, _yaml
+from tendon_robot_ros.ros.shared.runtime import Ending, ros_arguments
 
 parts = st.floats(-1.0, 1.0)
 
@@ -136,14 +135,13 @@ def status(monkeypatch):
     """Make the status of a node without ROS: `told`, what was logged, `sent` and `now` [s]."""
     told, sent, now = [], [], [0.0]
     log = SimpleNamespace(info=told.append, warning=told.append, error=told.append)
-    stamp = SimpleNamespace(now=lambda: SimpleNamespace(to_msg=Time))
     node = SimpleNamespace(
         get_fully_qualified_name=lambda: '/driver',
         get_name=lambda: 'driver',
         create_publisher=lambda *given: SimpleNamespace(publish=sent.append),
         get_logger=lambda: log,
-        get_clock=lambda: stamp,
     )
+    monkeypatch.setattr(lifecycle, 'stamp_now', lambda node: Time())
     monkeypatch.setattr(lifecycle, 'time', SimpleNamespace(monotonic=lambda: now[0]))
     made = lifecycle.Status(node, 'tendon driver')
     made.told, made.sent, made.now = told, sent, now
@@ -292,7 +290,8 @@ def test_a_configuration_comes_from_a_name_or_text():
 def test_text_passes_the_command_line_as_text(text):
     import yaml
 
-    assert yaml.safe_load(_yaml(text)) == text
+    *_, argument = ros_arguments({'said': text}, '/')
+    assert yaml.safe_load(argument.removeprefix('said:=')) == text
 
 
 def test_a_loader_tells_what_takes_so_long(monkeypatch, tmp_path):

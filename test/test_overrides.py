@@ -3,7 +3,7 @@
 import pytest
 
 from tendon_robot_ros.common.errors import InputError
-from tendon_robot_ros.ros.shared.overrides import check_files, check_overrides
+from tendon_robot_ros.ros.shared.parameters import check_files, check_overrides
 
 KNOWN = ('command_mode', 'command_timeout', 'rate', 'robot')
 

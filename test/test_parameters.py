@@ -14,8 +14,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from tendon_robot_ros.ros.controller import parameters as controller
-from tendon_robot_ros.ros.driver import parameters as driver
-from tendon_robot_ros.ros.monitor import parameters as monitor
+from tendon_robot_ros.ros.driver import node as driver
+from tendon_robot_ros.ros.monitor import node as monitor
 from tendon_robot_ros.ros.shared.parameters import Parameters
 
 pytestmark = pytest.mark.ros

@@ -29,7 +29,7 @@ from tendon_robot_ros.control import Refusal
 from tendon_robot_ros.control.state import Trajectory
 from tendon_robot_ros.control.status import GoalOutcome, MotionGoal, Progress
 from tendon_robot_ros.ros.controller import actions
-from tendon_robot_ros.ros.controller.incoming import Incoming
+from tendon_robot_ros.ros.controller.topics import Incoming
 from tendon_robot_ros.ros.shared.runtime import make_executor, repeat
 
 pytestmark = pytest.mark.ros

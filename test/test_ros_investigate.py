@@ -26,9 +26,9 @@ from tendon_robot_ros.investigation.record import BrokenMeasurementError
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.monitoring import StillMeasurement
 from tendon_robot_ros.robot import dump_robot, load_robot
-from tendon_robot_ros.ros.shared import running_arm
+from tendon_robot_ros.ros.commands import investigate
+from tendon_robot_ros.ros.commands.investigate import RunningArm
 from tendon_robot_ros.ros.shared.messages import LISTEN
-from tendon_robot_ros.ros.shared.running_arm import RunningArm
 from tendon_robot_ros.simulation.plant import make_plant
 
 pytestmark = pytest.mark.ros
@@ -225,7 +225,7 @@ def test_a_load_that_nobody_described_leaves_a_slack_wire_slack(pull):
 
 def test_a_slack_wire_that_a_load_pulls_taut_is_recorded_at_its_length(monkeypatch):
     """Let out by less than the load takes it is taut: its posture is another one."""
-    monkeypatch.setattr(running_arm, 'SLACK_TURN', 0.2)
+    monkeypatch.setattr(investigate, 'SLACK_ANGLE', 0.2)
     arm = Unloaded('spatial_3')
     inputs = np.array([np.nan, 0.0035, np.nan])
     assert arm.truth.pull_shape(arm._command(inputs)).inputs[2] > 0.0

@@ -16,7 +16,7 @@ from std_msgs.msg import Bool
 
 from tendon_robot_ros.common.files import shared_file
 from tendon_robot_ros.emulator.process import EmulatorProcess
-from tendon_robot_ros.ros.shared.lifecycle import RETRY_PERIOD_S
+from tendon_robot_ros.ros.shared.timing import RETRY_PERIOD_S
 
 pytestmark = pytest.mark.ros
 ROBOT = 'kato_10_1'

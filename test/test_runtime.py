@@ -24,10 +24,9 @@ from std_srvs.srv import Trigger
 
 from tendon_robot_ros.common.processes import FIRST_NICENESS
 from tendon_robot_ros.drivers.safety import StopLatch
-from tendon_robot_ros.ros.controller import model as model_loading
+from tendon_robot_ros.ros.controller import parameters as model_loading
 from tendon_robot_ros.ros.controller.node import ControllerNode
 from tendon_robot_ros.ros.driver.node import DriverNode
-from tendon_robot_ros.ros.shared.lifecycle import NEWS_INTERVAL_MIN_S
 from tendon_robot_ros.ros.shared.messages import COMMAND, LATCHED
 from tendon_robot_ros.ros.shared.runtime import (
     SIGNAL_ECHO_S,
@@ -36,6 +35,7 @@ from tendon_robot_ros.ros.shared.runtime import (
     run,
     when_asked_to_end,
 )
+from tendon_robot_ros.ros.shared.timing import NEWS_PERIOD_S
 
 pytestmark = pytest.mark.ros
 NAMES = ['prox_left', 'prox_right', 'dist_left', 'dist_right']
@@ -76,7 +76,7 @@ def test_commands_and_stops_reach_the_motors_while_no_callback_is_served(context
         stops.publish(Bool(data=True))
         until(lambda: driver.loop.supervisor.latch, 'the stop')
     finally:
-        driver.end(lambda seconds: None)
+        driver.end()
         driver.destroy_node()
         sender.destroy_node()
 
@@ -113,7 +113,7 @@ def test_the_service_stop_answers_while_no_callback_is_served(context):
         assert call(executor, client).success
         assert driver.loop.supervisor.latch.reasons == ['stop was called']
     finally:
-        driver.end(lambda seconds: None)
+        driver.end()
         driver.destroy_node()
         person.destroy_node()
 
@@ -164,14 +164,14 @@ def test_the_controller_says_at_once_what_it_does_before_it_is_ready(context, mo
         for doing in ('loading', 'compiling', 'building'):
             SlowLoader.doing = doing
             controller.running()
-            time.sleep(NEWS_INTERVAL_MIN_S)
+            time.sleep(NEWS_PERIOD_S)
         assert [(status.values[0].value, status.message) for status in said] == [
             ('loading', 'reading the model'),
             ('compiling', 'compiling the model, once; a minute'),
             ('building', 'building the library of shapes'),
         ]
     finally:
-        controller.end(lambda seconds: None)
+        controller.end()
         controller.destroy_node()
 
 
@@ -199,7 +199,7 @@ def test_the_controllers_stop_is_heard_while_no_callback_is_served(context, monk
         assert not commands[0].name  # the driver lets go
     finally:
         controller.core = None
-        controller.end(lambda seconds: None)
+        controller.end()
         controller.destroy_node()
         person.destroy_node()
 
@@ -223,7 +223,7 @@ def test_nodes_go_on_while_the_clock_of_ros_stands_still(
     finally:
         executor.remove_node(node)
         executor.shutdown(timeout_sec=1.0)
-        node.end(lambda seconds: None)
+        node.end()
         node.destroy_node()
 
 
@@ -281,7 +281,7 @@ class Failing:
     def running(self):
         return True
 
-    def end(self, spin):
+    def end(self):
         self.ended = True
 
 
@@ -308,7 +308,7 @@ class Quiet:
     def running(self):
         return True
 
-    def end(self, spin):
+    def end(self):
         pass
 
 

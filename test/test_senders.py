@@ -22,23 +22,20 @@ from ros_station import Station, last, point, stamp, start, values
 from sensor_msgs.msg import JointState
 
 from tendon_robot_ros.common.processes import child_environment
-from tendon_robot_ros.ros.controller.driver_link import DriverLink
-from tendon_robot_ros.ros.shared.inbox import Inbox
-from tendon_robot_ros.ros.shared.joints import JointReader
-from tendon_robot_ros.ros.shared.messages import LATCHED
+from tendon_robot_ros.ros.controller.topics import DriverLink
+from tendon_robot_ros.ros.shared.inbox import UNTOLD, Inbox, Received
+from tendon_robot_ros.ros.shared.messages import LATCHED, seconds
 from tendon_robot_ros.ros.shared.senders import (
-    GONE_AFTER_S,
     NAMED_MAX,
-    UNTOLD,
+    OwnPublisher,
     PublisherNames,
-    PublisherSocket,
-    Received,
     SenderProcess,
     Senders,
     gid_of,
     gid_text,
     process_of,
 )
+from tendon_robot_ros.ros.shared.timing import SILENCE_S
 
 NAMED_S = 0.5  # [s] after which all name another who commands
 EVERY = QoSProfile(depth=10_000)
@@ -59,13 +56,13 @@ def test_the_first_is_followed_until_it_is_gone():
     assert senders.first(0.02) == ONE
     assert senders.others(0.02) == [TWO]
     assert senders.counts(0.5, said_by(ONE))
-    assert not senders.counts(0.5 + GONE_AFTER_S, said_by(TWO))
-    assert senders.counts(0.6 + GONE_AFTER_S, said_by(TWO))
+    assert not senders.counts(0.5 + SILENCE_S, said_by(TWO))
+    assert senders.counts(0.6 + SILENCE_S, said_by(TWO))
     assert not senders.new, 'it has commanded all the time'
-    assert senders.first(0.6 + GONE_AFTER_S) == TWO
-    assert senders.others(0.6 + GONE_AFTER_S) == []
-    assert senders.first(0.7 + 2.0 * GONE_AFTER_S) is None
-    assert senders.counts(1.0 + 2.0 * GONE_AFTER_S, said_by(THREE))
+    assert senders.first(0.6 + SILENCE_S) == TWO
+    assert senders.others(0.6 + SILENCE_S) == []
+    assert senders.first(0.7 + 2.0 * SILENCE_S) is None
+    assert senders.counts(1.0 + 2.0 * SILENCE_S, said_by(THREE))
     assert senders.new
 
 
@@ -87,7 +84,7 @@ def test_a_middleware_that_does_not_number_messages_is_no_hindrance(publisher):
 def test_who_comes_is_named_in_place_of_those_who_have_gone():
     senders, now = Senders(), 0.0
     for i in range(3 * NAMED_MAX):  # as many people, each with `ros2 topic pub --once`
-        now += 0.5 * GONE_AFTER_S
+        now += 0.5 * SILENCE_S
         assert senders.counts(now, said_by(ONE))
         assert not senders.counts(now, said_by(bytes([100 + i]) * 16))
         assert bytes([100 + i]) * 16 in senders.others(now)
@@ -116,11 +113,11 @@ PUBLISHES = """
 import sys, threading
 import rclpy
 from std_msgs.msg import Bool
-from tendon_robot_ros.ros.shared.senders import PublisherSocket, gid_of
+from tendon_robot_ros.ros.shared.senders import OwnPublisher
 rclpy.init()
-publisher = rclpy.create_node('someone').create_publisher(Bool, 'word', 1)
-socket = PublisherSocket(publisher)
-print(gid_of(publisher).hex(), flush=True)
+node = rclpy.create_node('someone')
+own = OwnPublisher(node, node.create_publisher(Bool, 'word', 1))
+print(own.gid.hex(), flush=True)
 threading.Event().wait()
 """
 
@@ -163,7 +160,7 @@ def test_a_controller_knows_by_the_gid_whether_the_driver_follows_it(own, follow
     link = DriverLink(None, '', own, lambda *said_: said.append(said_))
     told = {'follows': '/controller (process 7)', 'follows_gid': follows}
     pairs = [KeyValue(key=key, value=value) for key, value in told.items()]
-    link._status(DiagnosticStatus(values=pairs))
+    link.hear(DiagnosticStatus(values=pairs))
     assert said == [('', '', 0, other)]
 
 
@@ -175,11 +172,11 @@ def test_a_publisher_is_found_by_its_gid_among_those_of_its_topic_with_the_name_
         names, gid = PublisherNames(node, 'tendon_command'), gid_of(publisher)
         assert gid_text(gid).count('.') == len(gid) - 1
         assert names.of([]) == ''
-        socket = PublisherSocket(publisher)
+        own = OwnPublisher(node, publisher)
         end = time.monotonic() + 30.0
         while names.of([gid]) != f'/named/one (process {os.getpid()})':
             assert time.monotonic() < end, names.of([gid])
-        socket.close()
+        own.close()
         assert names.known(gid)
         assert 'not discovered' in names.of([TWO])
     finally:
@@ -220,7 +217,9 @@ def assert_named_soon(robot, inbox, heard, *named):
     words = []
 
     def of_the_second():
-        words.extend(word.message.stamp for word in inbox.take() if word.publisher == gid)
+        words.extend(
+            seconds(word.message.header.stamp) for word in inbox.take() if word.publisher == gid
+        )
         return words
 
     robot.until(of_the_second, 'a word of the second')
@@ -245,7 +244,7 @@ def test_a_second_controller_is_not_followed_until_the_first_is_gone(robot):
     robot.go_to_point(0.06, 0.17)
     second = robot.hear(DiagnosticStatus, 'second/status', LATCHED)
     heard = robot.hear(DiagnosticArray, '/diagnostics', EVERY)
-    commands = Inbox(robot.node, JointState, 'tendon_command', EVERY, JointReader())
+    commands = Inbox(robot.node, JointState, 'tendon_command', EVERY)
     intruder = robot.run('controller', extra=('-r', '__node:=second'), autostart=False)
     robot.until_code(second, 'unconfigured', timeout=120.0)
     robot.until(
@@ -291,7 +290,7 @@ def test_a_second_driver_is_named_by_all(robot):
     robot.run('controller')
     robot.until_code(robot.controller, 'holding', timeout=120.0)
     second = robot.hear(DiagnosticStatus, 'second/status', LATCHED)
-    states = Inbox(robot.node, JointState, 'tendon_states', EVERY, JointReader())
+    states = Inbox(robot.node, JointState, 'tendon_states', EVERY)
     heard = robot.hear(DiagnosticArray, '/diagnostics', EVERY)
     robot.run('driver', extra=('-r', '__node:=second'), autostart=False)
     own = robot.namespace

@@ -10,7 +10,7 @@ pytest.importorskip('rclpy')
 from compiling import ROOT
 from processes import PIPE, Process
 
-from tendon_robot_ros.ros.shared import transport
+from tendon_robot_ros.ros.shared import runtime
 
 pytestmark = pytest.mark.ros
 SAYS = """
@@ -63,11 +63,11 @@ def test_a_node_hears_a_user_with_shared_memory_and_has_none(environment):
     assert int(shared) == 0, 'a killed process would hold it up'
 
 
-@pytest.mark.parametrize('name', [transport.TRANSPORTS, transport.PROFILES])
+@pytest.mark.parametrize('name', [runtime.TRANSPORTS, runtime.PROFILES])
 def test_transports_of_the_user_are_kept(name, monkeypatch):
-    for key in (transport.TRANSPORTS, transport.PROFILES):
+    for key in (runtime.TRANSPORTS, runtime.PROFILES):
         monkeypatch.delenv(key, raising=False)
     monkeypatch.setenv(name, 'own')
     before = dict(os.environ)
-    transport.without_shared_memory()
+    runtime.without_shared_memory()
     assert dict(os.environ) == before

@@ -2,7 +2,6 @@
 Commands that speak to running nodes, or start them.
 
 demo.py, live.py   whole demonstrations, with their processes
-director.py        takes the arm through postures for live
 follow.py          along a path
 go_to.py           to one place
 investigate.py     the robot chooses its own postures

@@ -36,7 +36,6 @@ from ...paths.path import (
     Pace,
     PathRun,
     Plan,
-    TipPath,
     plan,
     retreat,
     set_points,
@@ -45,14 +44,14 @@ from ...paths.path import (
     tip_path,
 )
 from ...report.pictures import draw_run, path_lines
-from ...robot.keep_out import KeepOut, load_keep_out, text_of
-from ..controller.incoming import POINTS_MAX
-from ..shared.robot_client import Pilot, add_controller
+from ...robot.keep_out import load_keep_out, text_of
+from ..controller.topics import POINTS_MAX
+from ..shared.robot_client import MOVE_MIN_S, Pilot, add_controller
 from ..shared.runtime import ros
+from ..shared.timing import MOVE_TIMEOUT_S, NEWS_PERIOD_S
 
 Array = NDArray[np.float64]
 HELP = 'take the tip along a path, or replay a recording; say what was reached'
-TARGET_RATE_HZ = 50.0  # [Hz] of targets
 FLAGS = {
     'backwards': 'from the last row to the first',
     'retreat': 'at the end go back by the way flown, the whole arm, to where it was before',
@@ -88,43 +87,33 @@ def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
     """Follow and report; Ctrl-C leaves the arm at the target of the moment."""
     pace = _pace(args)
     refuse_ending('--picture', args.picture)
-    _refuse_unreadable(args.path)
+    if is_bag(args.path):  # what cannot be read is said before the arm is asked for
+        with opened(args.path):
+            pass
+    elif not first_line(Path(args.path), NO_PATH).strip():
+        raise DataSetError(args.path, 'is empty', NO_PATH)
     if args.keep_out:
-        load_keep_out(args.keep_out)  # what is wrong in it is said before the arm is asked for
+        load_keep_out(args.keep_out)
     with ros(ros_arguments) as ending:
         pilot = Pilot('follow', args.controller, ending)
         try:
-            return _follow(pilot, args, pace)
+            pilot.connect()
+            rows = _read(args, pilot)
+            if isinstance(rows, TendonRows):
+                path_run = _tendons(pilot, rows, args, pace)
+            else:
+                path_run = _tips(pilot, rows, args, pace)
+            if path_run is None:
+                return 0
+            print(*path_lines(path_run), sep='\n')
+            title = f'{Path(args.path).name}: asked and reached'
+            print(f'picture: {draw_run(path_run, args.picture, title)}', flush=True)
+            if args.retreat:
+                run_back(pilot, pace)
+                print('retreated by the way flown')
+            return 0
         finally:
             pilot.destroy_node()
-
-
-def _refuse_unreadable(path: str) -> None:
-    """Raise DataSetError where there is nothing to follow, before the arm is asked for."""
-    if is_bag(path):
-        with opened(path):
-            pass
-    elif not first_line(Path(path), NO_PATH).strip():
-        raise DataSetError(path, 'is empty', NO_PATH)
-
-
-def _follow(pilot: Pilot, options: argparse.Namespace, pace: Pace) -> int:
-    pilot.connect()
-    rows = _read(options, pilot)
-    if isinstance(rows, TendonRows):
-        path_run = _tendons(pilot, rows, options, pace)
-    else:
-        path_run = _tips(pilot, rows, options, pace)
-    if path_run is None:
-        return 0
-    report_lines = path_lines(path_run)
-    print('\n'.join(report_lines))
-    title = f'{Path(options.path).name}: asked and reached'
-    print(f'picture: {draw_run(path_run, options.picture, title)}', flush=True)
-    if options.retreat:
-        run_back(pilot, pace)
-        print('retreated by the way flown')
-    return 0
 
 
 def _tips(pilot: Pilot, rows: TipRows, options: argparse.Namespace, pace: Pace) -> PathRun | None:
@@ -139,10 +128,14 @@ def _tips(pilot: Pilot, rows: TipRows, options: argparse.Namespace, pace: Pace) 
     if options.backwards:
         path = path.backwards()
     model = pilot.model()
-    start = model.shape(_tensions(pilot, model.limits))
+    # where the search begins; in pull mode nobody says the tensions
+    start = model.shape(model.limits[:, 0] if pilot.pull else pilot.commands()[1][-1])
     regions = load_keep_out(options.keep_out) if options.keep_out else None
     planned = plan(model, path, pace, start, regions)
-    print(_outlook(path, planned, rows.times is not None))
+    length = np.linalg.norm(np.diff(path.positions, axis=0), axis=1).sum()
+    timed = rows.times is not None and planned.duration > planned.asked + 0.01
+    asked = f' instead of {planned.asked:.1f} s, to keep the limits' if timed else ''
+    print(f'{len(path.rows)} rows, {1e3 * length:.0f} mm of path, {planned.duration:.1f} s{asked}')
     if problem := planned.out_of_reach():
         if not (options.anyway or options.plan):
             raise InputError(f'{options.path}: {problem}; nothing moved (--anyway would)')
@@ -151,14 +144,16 @@ def _tips(pilot: Pilot, rows: TipRows, options: argparse.Namespace, pace: Pace) 
         print(detour)
     if regions and not options.anyway:
         here = _standing(pilot, model)
-        if problem := _crossing(model, here, planned, pace.tension, regions):
+        first = np.abs(planned.tensions[0] - here.inputs).max() / pace.tension  # [s] to its start
+        times = planned.path.times + float(first)
+        if refusal := entered(model, here, Trajectory(times, planned.tensions), regions, False):
             if not options.plan:
-                raise InputError(f'{options.path}: {problem}')
-            print(problem)
+                raise InputError(f'{options.path}: {_said(refusal)}')
+            print(_said(refusal))
     if options.plan:
         return None
     with pilot.keeping_out(text_of(options.keep_out)) if regions else nullcontext():
-        return run_tips(pilot, planned, TARGET_RATE_HZ)
+        return run_tips(pilot, planned)
 
 
 def _tendons(
@@ -168,31 +163,17 @@ def _tendons(
     if options.backwards:
         times, values = times[-1] - times[::-1], values[::-1]
     print(f'{len(times)} rows of {"wire pulls" if pilot.pull else "tensions"}, {times[-1]:.1f} s')
-    times = _in_time(pilot, times, values, pace.pull if pilot.pull else pace.tension)
-    if options.keep_out and (problem := _entering(pilot, times, values, options.keep_out)):
-        raise InputError(f'{options.path}: {problem}')
+    rate, here = pace.pull if pilot.pull else pace.tension, pilot.commands()[1][-1]
+    # the time to the first row, and that of the rows where they would be faster than the rate
+    times = max(float(np.abs(values[0] - here).max()) / rate, MOVE_MIN_S) + stretched(
+        times, values, rate
+    )
+    if options.keep_out:
+        model, regions = pilot.model(), load_keep_out(options.keep_out)
+        stands = _standing(pilot, model)
+        if refusal := entered(model, stands, Trajectory(times, values), regions, pilot.pull):
+            raise InputError(f'{options.path}: {_said(refusal)}')
     return None if options.plan else run_tendons(pilot, times, values)
-
-
-def _in_time(pilot: Pilot, times: Array, values: Array, rate: float) -> Array:
-    """Return times (n,) [s] with the way to the first row; see `stretched` for the rate."""
-    here = pilot.commands()[1][-1]
-    first = max(float(np.abs(values[0] - here).max()) / rate, 0.05)
-    return first + stretched(times, values, rate)
-
-
-def _entering(pilot: Pilot, times: Array, values: Array, file: str) -> str:
-    """Say when rows (n, m) of the tendons would take the arm into a region of a file, else ''."""
-    model = pilot.model()
-    here = _standing(pilot, model)
-    return _said(entered(model, here, Trajectory(times, values), load_keep_out(file), pilot.pull))
-
-
-def _crossing(model: Model, here: Shape, planned: Plan, rate: float, regions: KeepOut) -> str:
-    """Say when the arm would enter a region on the way to a path or along it, else ''."""
-    way, times = np.abs(planned.tensions[0] - here.inputs), planned.path.times
-    times = times + float(way.max()) / rate
-    return _said(entered(model, here, Trajectory(times, planned.tensions), regions, False))
 
 
 def _standing(pilot: Pilot, model: Model) -> Shape:
@@ -201,8 +182,8 @@ def _standing(pilot: Pilot, model: Model) -> Shape:
     return model.pull_shape(now) if pilot.pull else model.shape(now)
 
 
-def _said(refusal: Refusal | None) -> str:
-    return '' if refusal is None else str(refusal).removeprefix('tendon_trajectory: ')
+def _said(refusal: Refusal) -> str:
+    return str(refusal).removeprefix('tendon_trajectory: ')
 
 
 def _read(options: argparse.Namespace, pilot: Pilot) -> TipRows | TendonRows:
@@ -226,19 +207,6 @@ def _read(options: argparse.Namespace, pilot: Pilot) -> TipRows | TendonRows:
     )
 
 
-def _tensions(pilot: Pilot, limits: np.ndarray) -> np.ndarray:
-    """Return the tensions at which the search begins; in pull mode nobody says them."""
-    return limits[:, 0] if pilot.pull else pilot.commands()[1][-1]
-
-
-def _outlook(path: TipPath, planned: Plan, timed: bool) -> str:
-    length = np.linalg.norm(np.diff(path.positions, axis=0), axis=1).sum()
-    asked = ''
-    if timed and planned.duration > planned.asked + 0.01:
-        asked = f' instead of {planned.asked:.1f} s, to keep the limits'
-    return f'{len(path.rows)} rows, {1e3 * length:.0f} mm of path, {planned.duration:.1f} s{asked}'
-
-
 def _pace(options: argparse.Namespace) -> Pace:
     paces = options.speed, options.turning, options.tension_rate, options.pull_rate
     names = '--speed', '--turning', '--tension-rate', '--pull-rate'
@@ -249,17 +217,11 @@ def _pace(options: argparse.Namespace) -> Pace:
     return Pace(1e-3 * speed, math.radians(turning), tension, 1e-3 * pull)
 
 
-# -----------------------------------------------------------------------------
-# Runs: a path of the tip or of the tendons sent in time, and what came of it.
-
-APPROACH_TIMEOUT_S = 60.0  # [s] to the first row at most
-
-
-def run_tips(pilot: Pilot, plan: Plan, rate: float) -> PathRun:
+def run_tips(pilot: Pilot, plan: Plan) -> PathRun:
     """Go to the first row of a plan, then send targets in time, and wait until the arm stands."""
     pilot.clear()
     stamp = pilot.send(*plan.at(0.0))
-    pilot.settle(stamp, APPROACH_TIMEOUT_S, 'the arm at the first row')
+    pilot.settle(stamp, MOVE_TIMEOUT_S, 'the arm at the first row')
     pilot.stand()
     began = due = time.monotonic()
     sent: list[tuple[float, Array, Array]] = []
@@ -270,10 +232,10 @@ def run_tips(pilot: Pilot, plan: Plan, rate: float) -> PathRun:
         stamp = pilot.send(position, direction)
         view = np.full(3, np.nan) if direction is None else direction
         sent.append((passed, position, view))
-        due += 1.0 / rate
+        due += NEWS_PERIOD_S
         pilot.spin(max(due - time.monotonic(), 0.001))
         pilot.require_good()
-    pilot.settle(stamp, APPROACH_TIMEOUT_S, 'the arm at the last row')
+    pilot.settle(stamp, MOVE_TIMEOUT_S, 'the arm at the last row')
     pilot.stand()
     sent.append((time.monotonic() - began, *sent[-1][1:]))  # a target stands until the next
     rows = plan.path.times[plan.path.rows].copy()
@@ -287,7 +249,7 @@ def run_tendons(pilot: Pilot, when: Array, values: Array) -> PathRun:
     sent = thinned(when, values) if len(when) > POINTS_MAX else np.arange(len(when))
     began = time.monotonic()
     stamp = pilot.play(Trajectory(when[sent], values[sent]))
-    pilot.settle(stamp, when[-1] + APPROACH_TIMEOUT_S, 'the end of the trajectory')
+    pilot.settle(stamp, when[-1] + MOVE_TIMEOUT_S, 'the end of the trajectory')
     pilot.stand()
     rows = when.copy()
     rows[-1] = time.monotonic() - began
@@ -300,7 +262,7 @@ def run_back(pilot: Pilot, pace: Pace) -> None:
     back = retreat(times, commands, pace.pull if pilot.pull else pace.tension)
     pilot.clear()
     stamp = pilot.play(back)
-    pilot.settle(stamp, back.times[-1] + APPROACH_TIMEOUT_S, 'the arm back where it came from')
+    pilot.settle(stamp, back.times[-1] + MOVE_TIMEOUT_S, 'the arm back where it came from')
 
 
 def _path_run(

@@ -16,10 +16,12 @@ from ...common.words import TYPED_LENGTHS, other_unit, read_quantity
 from ...report.pictures import place
 from ..shared.robot_client import Pilot, add_controller
 from ..shared.runtime import ros
+from ..shared.timing import MOVE_TIMEOUT_S
 
 HELP = 'send the tip to a place, say where it went'
-ARRIVAL_TIMEOUT_S = 60.0  # [s]
-DISTANCES_M = (1e-3, 20.0)  # [m] nearer to its base than the first no tip is, nor farther
+# [m] of a tip from its base, so that a number that is meant in another unit is noticed
+DISTANCE_MIN_M = 1e-3
+DISTANCE_MAX_M = 20.0  # [m] because the largest continuum arms have a few metres
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -53,9 +55,18 @@ def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
         try:
             pilot.connect()
             pilot.clear()
-            pilot.settle(pilot.send(target, along), ARRIVAL_TIMEOUT_S, 'the arm to stand there')
+            pilot.settle(pilot.send(target, along), MOVE_TIMEOUT_S, 'the arm to stand there')
             pilot.stand()
-            return _report(pilot, target, along)
+            tip, looks = pilot.tip()
+            miss = f'{1e3 * np.linalg.norm(tip - target):.2f} mm'
+            if along is not None:
+                miss += f' and {np.degrees(np.arccos(np.clip(looks @ along, -1.0, 1.0))):.2f}°'
+            measured = pilot.tips()[0]
+            print(
+                f'tip at ({place(tip)}) mm{"" if measured else ", as the model sees it"}: '
+                f'{miss} from the target; {pilot.status["message"]}'
+            )
+            return 0
         finally:
             pilot.destroy_node()
 
@@ -65,22 +76,9 @@ def _target(texts: Sequence[str], unit: str) -> np.ndarray:
     pairs = zip('xyz', texts, strict=True)
     target = np.array([read_quantity(axis, text, unit, 'length') for axis, text in pairs])
     away = float(np.linalg.norm(target))
-    if not DISTANCES_M[0] < away < DISTANCES_M[1]:
-        mend = other_unit(','.join(texts), away, unit, *DISTANCES_M)
+    if not DISTANCE_MIN_M < away < DISTANCE_MAX_M:
+        mend = other_unit(','.join(texts), away, unit, DISTANCE_MIN_M, DISTANCE_MAX_M)
         raise InputError(
             f'target: {" ".join(texts)} {unit} is {1e3 * away:.4g} mm from the base{mend}'
         )
     return target
-
-
-def _report(pilot: Pilot, target: np.ndarray, along: np.ndarray | None) -> int:
-    tip, looks = pilot.tip()
-    measured = pilot.tips()[0]
-    miss = f'{1e3 * np.linalg.norm(tip - target):.2f} mm'
-    if along is not None:
-        miss += f' and {np.degrees(np.arccos(np.clip(looks @ along, -1.0, 1.0))):.2f}°'
-    print(
-        f'tip at ({place(tip)}) mm{"" if measured else ", as the model sees it"}: '
-        f'{miss} from the target; {pilot.status["message"]}'
-    )
-    return 0

@@ -20,38 +20,342 @@ import argparse
 import json
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from geometry_msgs.msg import PoseArray
+from numpy.typing import NDArray
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 
-from ...common.errors import InputError, TendonRobotError
+from ...common.errors import InputError, NoEquilibriumError, TendonRobotError
+from ...control.checks import Refusal
+from ...control.state import Trajectory
+from ...data import Marker, default_markers
 from ...data.dataset import LOADINGS
 from ...investigation.goal import add_goal, goal_of
 from ...investigation.loop import Findings, Investigation, write_results
 from ...investigation.measuring import News
-from ...investigation.record import BETTER
+from ...investigation.record import BETTER, BrokenMeasurementError, PostureMeasured
+from ...model.model import Model
+from ...monitoring import History, MonitorSettings, StillMeasurement, StillWindow
+from ...monitoring.change import ChangeFinder, load_change
+from ...monitoring.monitor import read_markers
+from ...robot import Robot
+from ...robot.estimates import natural_sizes
 from ...robot.keep_out import KeepOut, load_keep_out
 from ..shared.lifecycle import OK, WARN, Status
-from ..shared.messages import LATCHED, LATCHED_BY_MANY
-from ..shared.parameters import RemoteText
-from ..shared.robot_client import add_controller
-from ..shared.running_arm import RunningArm
-from ..shared.runtime import repeat, ros
+from ..shared.messages import (
+    LATCHED,
+    LATCHED_BY_MANY,
+    LISTEN,
+    STATE,
+    points_of,
+    seconds,
+    tensions_and_pulls,
+    time_now,
+)
+from ..shared.parameters import parsed
+from ..shared.robot_client import (
+    HEARD_MAX,
+    MOVE_MIN_S,
+    WORKING_CODES,
+    Pilot,
+    add_controller,
+)
+from ..shared.runtime import SPIN_S, Ending, repeat, ros
+from ..shared.timing import NODE_TIMEOUT_S, SILENCE_S, STAND_TIMEOUT_S, STATUS_PERIOD_S
 
 HELP = 'the running robot chooses postures by itself until it knows what its model lacks'
-TRIALS = 1
+Array = NDArray[np.float64]
+DRIVER = 'driver'  # name of the node whose status says how tensions are told
+BY_GEARS = 'current'  # tensions that motors tell by their current: gear friction hides them
+# [1/s] of an input, in its largest tension (in pull mode a tenth of the arm's length), so that a
+# posture is reached in some seconds
+SPEED = 0.2
+# [rad] that an arm may bend beyond its description until a slack wire is taut: what the
+# description lacks would else pull the wire, and the posture were another one
+SLACK_ANGLE = 0.6
+# [1] of a requested tension: a motor that is off by more is broken, because neither friction of a
+# transmission nor noise of a load cell takes half
+OFF_MAX = 0.5
+# [1] of the tension limit, besides, so that a request near zero is not judged by noise
+OFF_LIMIT_MAX = 0.02
+SLIP_HINT = 'did its tendon slip, or does its motor stick?'
+GEARS_HINT = (
+    'the friction of its gears hides so little: start driver and controller with command_mode '
+    'pull, then postures are wire lengths'
+)
+
+
+class StoppedError(TendonRobotError):
+    """Somebody asked to end it."""
+
+
+class RunningArm(Pilot):
+    """
+    A `MeasurableArm` of a running controller, driver and monitor.
+
+    Where the driver measures tensions, postures are tensions, whatever it commands; else wire
+    lengths, also where it commands lengths and tells tensions by the current of geared motors.
+    A wire that a posture leaves slack is let out by what the described arm needs and a little
+    more. What the description lacks may pull it taut all the same: its length is measured, too.
+    Every posture is reached from the released arm (`from_straight`), or one after the
+    other (`sequence`).
+
+    Parameters
+    ----------
+    controller, monitor : str
+        Names of the nodes.
+    ending : Ending
+    namespace : str, optional
+    path : str
+    speed : float
+        Of an input, in shares of its largest tension per second [1/s].
+
+    """
+
+    def __init__(
+        self,
+        controller: str,
+        monitor: str,
+        ending: Ending,
+        namespace: str | None = None,
+        path: str = 'from_straight',
+        speed: float = SPEED,
+    ) -> None:
+        """Connect."""
+        super().__init__('investigate', controller, ending, namespace, (DRIVER, monitor))
+        self.path, self.stop_asked = path, False
+        self._monitor, self.speed = monitor, speed
+        self._frames: list[tuple[float, Array]] = []
+        self._states, self._kinds = History(8.0), set[str]()
+
+        def frame(message: PoseArray) -> None:
+            self._frames.append((seconds(message.header.stamp), points_of(message)))
+            del self._frames[:-HEARD_MAX]
+
+        self.create_subscription(PoseArray, f'{monitor}/measured', frame, STATE)
+        self.create_subscription(JointState, 'tendon_states', self._hear_states, LISTEN)
+        self._own: Model | None = None
+        self.input = 'tension'
+        self._variances: list[float] = []  # [m²] of the means so far
+
+    def begin(self) -> None:
+        """
+        Wait for the robot and take its model and markers.
+
+        Raises
+        ------
+        TendonRobotError
+            A node does not come, or does not work.
+
+        """
+        self.connect()
+        self._own = self.model()
+        rows = parsed(self.parameter('markers', self._monitor), 'markers', list)
+        own: Sequence[Marker] = read_markers(rows, self.robot)
+        self.markers = own or default_markers(self.robot)
+        self._frames.clear()
+        self.wait(
+            lambda: self._frames and self._kinds,
+            NODE_TIMEOUT_S,
+            f'{self._monitor}/measured and tendon_states: does the tracker see the arm?',
+        )
+        self.spin(SILENCE_S)  # a reading of a cell may be missing now and then
+        measured = 'tension' in self._kinds and not (self.pull and self._by_gears)
+        self.input = 'tension' if measured else 'displacement'
+
+    def change(self) -> ChangeFinder | None:
+        """Return what the monitor knows of a change; None where it has no alarm."""
+        self.wait(lambda: self.statuses[self._monitor], SILENCE_S, 'its status', strict=False)
+        if self.statuses[self._monitor].get('drift') != 'true' or self.input != 'tension':
+            return None
+        assert self._own is not None
+        told = self.triggered(f'{self._monitor}/change')
+        return load_change(told, self._own.catalogue)
+
+    @property
+    def robot(self) -> Robot:
+        """The description that the controller uses."""
+        assert self._own is not None
+        return self._own.robot
+
+    @property
+    def position_noise(self) -> float | None:
+        """Standard deviation [m] of a coordinate of a trial: of the frames of those so far."""
+        return max(float(np.sqrt(np.mean(self._variances))), 1e-6) if self._variances else None
+
+    @property
+    def input_noise(self) -> tuple[float, float]:
+        """Relative 1 sd of an input."""
+        return MonitorSettings().setting_noise, 0.0
+
+    def measure(self, inputs: Array, trials: int) -> PostureMeasured:
+        """Go there, wait until it stands, and record; from rest every time."""
+        try:
+            return self._measured(inputs, trials)
+        except (StoppedError, BrokenMeasurementError, InputError):
+            raise
+        except TendonRobotError as error:
+            if not self._goes_on():
+                raise
+            raise BrokenMeasurementError(f'{error}; it goes on') from None
+
+    def _goes_on(self) -> bool:
+        """Tell whether the controller takes commands, or does so again soon: a driver was late."""
+
+        def works() -> bool:
+            return self.status.get('code') in (*WORKING_CODES, 'released')
+
+        late = self.status.get('code') == 'no_driver'
+        return works() or (late and self.wait(works, NODE_TIMEOUT_S, 'the driver', strict=False))
+
+    def _measured(self, inputs: Array, trials: int) -> PostureMeasured:
+        """Measure once."""
+        stood = []
+        for _ in range(trials):
+            if self.path == 'from_straight':
+                self._go(self._rest())
+            self._go(self._command(inputs))
+            stood.append(self._stand())
+        for one in stood if self.input == 'tension' else ():
+            # motors that do not pull what is requested: a slipped tendon, a motor that sticks
+            off = np.abs(one.inputs - inputs) - OFF_MAX * inputs
+            worst = int(np.argmax(off))
+            if off[worst] > OFF_LIMIT_MAX * self.robot.tension_limits[1]:
+                raise BrokenMeasurementError(
+                    f'{self.robot.inputs[worst]} pulls {one.inputs[worst]:.2f} N instead of '
+                    f'{inputs[worst]:.2f} N: {GEARS_HINT if self._by_gears else SLIP_HINT}'
+                )
+        self._variances += [one.spread**2 / one.frames for one in stood]
+        least = 0.0 if self.input == 'tension' else -np.inf  # a cell near none reads below it, too
+        taken = np.array([np.maximum(one.inputs, least) for one in stood])
+        frames = sum(one.frames for one in stood)
+        return PostureMeasured(np.array([one.positions for one in stood]), taken, frames)
+
+    def release(self) -> None:
+        """Let go, even after a signal; a controller that is stopped has let go already."""
+        if self._own is None or not self._commands:
+            return
+        stamp = self.play(self._move(self._rest()))
+        end = time.monotonic() + STAND_TIMEOUT_S
+        while time.monotonic() < end and not self.settled(stamp, ('played',)):
+            self._executor.spin_once(timeout_sec=SPIN_S)
+            if self.status.get('code') == 'stopped':
+                return
+
+    def spin_once(self, timeout: float) -> None:
+        """Serve one message; end when somebody asked for it."""
+        super().spin_once(timeout)
+        if self.stop_asked:
+            raise StoppedError('the investigation was stopped')
+
+    def _rest(self) -> Array:
+        """Return the command (m,) [N] or [m] of the released arm."""
+        assert self._own is not None
+        lowest = self._own.limits[:, 0]
+        return np.asarray(self._own.shape(lowest).pulls) if self.pull else lowest
+
+    def _command(self, inputs: Array) -> Array:
+        """Return what to command for a posture: tensions [N], or wire pulls [m]."""
+        assert self._own is not None
+        low, high = self._own.limits.T
+        if self.input == 'tension':
+            tensions = np.clip(inputs, low, high)
+            if not self.pull:
+                return tensions
+            try:
+                return np.asarray(self._own.shape(tensions).pulls)
+            except NoEquilibriumError as error:
+                raise BrokenMeasurementError(f'no shape at these tensions: {error}') from None
+        if not self.pull:
+            raise InputError(
+                'the driver takes tensions and does not measure them: nothing can be told'
+            )
+        try:
+            pulls = self._own.pull_shape(inputs).pulls
+        except (NoEquilibriumError, InputError) as error:
+            raise BrokenMeasurementError(f'no shape at these wire pulls: {error}') from None
+        out = SLACK_ANGLE * natural_sizes(self.robot)['radius']
+        return np.where(np.isnan(inputs), pulls - out, inputs)
+
+    def _move(self, target: Array) -> Trajectory:
+        """Return the straight path from the present command, as fast as is allowed."""
+        assert self._own is not None
+        here = self._commands[-1][1]
+        most = self._own.limits[:, 1] if not self.pull else 0.1 * self.robot.length
+        share = float(np.max(np.abs(target - here) / most))
+        return Trajectory(np.array([max(share / self.speed, MOVE_MIN_S)]), target[None])
+
+    def _go(self, target: Array) -> None:
+        """Drive there and wait until the controller says so."""
+        path = self._move(target)
+        stamp = self.play(path)
+        self.settle(stamp, path.times[-1] + STAND_TIMEOUT_S, 'the arm to get there')
+
+    def _stand(self) -> StillMeasurement:
+        """Wait until the arm stands and is seen."""
+        robot = self.robot
+        tension = self.input == 'tension'
+        change = 0.01 * robot.tension_limits[1] if tension else 0.002 * robot.length
+        still = MonitorSettings()
+        window = StillWindow(still.still_time, still.still_speed, change)
+        self._frames.clear()
+        since, end = time_now(self), time.monotonic() + STAND_TIMEOUT_S
+        seen = 0
+        while time.monotonic() < end:
+            self.spin_once(SPIN_S)
+            self.require_good()
+            for at, positions in self._frames:
+                inputs = self._states.at(at)
+                if at < since or inputs is None or positions.shape[0] != len(self.markers):
+                    continue
+                seen += bool(np.isfinite(positions).any())
+                window.put(at, self._own_half(inputs), positions)
+            self._frames.clear()
+            settled = window.settled()
+            if settled is not None:
+                mean = self._states.mean(settled.begin, settled.end)
+                inputs = settled.inputs if mean is None else self._own_half(mean)
+                return replace(settled, inputs=inputs)
+        if not seen:
+            raise BrokenMeasurementError(f'the tracker saw nothing for {STAND_TIMEOUT_S:g} s')
+        raise BrokenMeasurementError(f'the arm did not stand within {STAND_TIMEOUT_S:g} s')
+
+    @property
+    def _by_gears(self) -> bool:
+        """Whether geared motors tell tensions by their current."""
+        return self.statuses[DRIVER].get('tension_source') == BY_GEARS
+
+    def _own_half(self, state: Array) -> Array:
+        """Return the tensions, or the wire pulls, of a state."""
+        return np.split(state, 2)[0 if self.input == 'tension' else 1]
+
+    def _hear_states(self, message: JointState) -> None:
+        if self._own is None:
+            return
+        try:
+            tensions, pulls = tensions_and_pulls(message, self._own.inputs)
+        except Refusal:
+            return
+        self._kinds.add('tension' if np.isfinite(tensions).all() else 'displacement')
+        state = np.concatenate([tensions, pulls])
+        if np.isfinite(self._own_half(state)).all():
+            self._states.put(seconds(message.header.stamp), state)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add = parser.add_argument
-    add_goal(parser, TRIALS)
-    add('--path', choices=LOADINGS, default=LOADINGS[0],
-        help='let go before every posture, or go from one to the next')  # fmt: skip
-    add('--speed', type=float, default=0.2, metavar='X',
-        help='of an input, in largest tensions per second (default: 0.2)')  # fmt: skip
+    add_goal(parser, 1)
+    path = 'let go before every posture, or go from one to the next'
+    add('--path', choices=LOADINGS, default=LOADINGS[0], help=path)
+    speed = f'of an input, in largest tensions per second (default: {SPEED:g})'
+    add('--speed', type=float, default=SPEED, metavar='X', help=speed)
     add('--keep', action='store_true', help='do not send the controller what was found')
     add('--wait', action='store_true', help='wait for investigate/start; DIR gets a folder each')
     add('--monitor', default='monitor', metavar='NAME', help='of the node (default: monitor)')
@@ -89,10 +393,9 @@ class Investigator:
         self._status = Status(arm, 'investigation')
         self._progress = arm.create_publisher(String, '~/progress', LATCHED_BY_MANY)
         self._tour = arm.create_publisher(Bool, 'tour', LATCHED)
-        self._model = RemoteText(arm, args.controller, 'model')
         arm.create_service(Trigger, '~/start', self._start)
         arm.create_service(Trigger, '~/stop', self._stop)
-        repeat(arm, 1.0, self._say)
+        repeat(arm, STATUS_PERIOD_S, self._say)
 
     def serve(self) -> None:
         """Investigate whenever it is asked, until a signal comes."""
@@ -122,7 +425,10 @@ class Investigator:
             lines = write_results(findings, folder, investigation.catalogue, args.add)
             print(*lines, sep='\n', flush=True)
             if (folder / BETTER).exists() and not args.keep:
-                self._send(folder / BETTER)
+                better = str((folder / BETTER).resolve())
+                taken, why = self.arm.put('model', better, 2.0 * NODE_TIMEOUT_S)
+                said = 'the controller uses it' if taken else f'the controller refuses it: {why}'
+                self.tell(News('sent', said, {'taken': taken}))
             return findings
         finally:
             self._busy = False
@@ -134,15 +440,6 @@ class Investigator:
         print(news.text, flush=True)
         content: dict[str, Any] = {'kind': news.kind, 'text': news.text, **news.content}
         self._progress.publish(String(data=json.dumps(content)))
-
-    def _send(self, path: Path) -> None:
-        """Give the controller the better description."""
-        answers: list[tuple[bool, str]] = []
-        self._model.put(str(path.resolve()), lambda taken, why: answers.append((taken, why)))
-        self.arm.wait(lambda: answers, 30.0, 'an answer of the controller', strict=False)
-        taken, why = answers[0] if answers else (False, 'it does not answer')
-        said = 'the controller uses it' if taken else f'the controller refuses it: {why}'
-        self.tell(News('sent', said, {'taken': taken}))
 
     def _say(self) -> None:
         """Publish how it is."""

@@ -16,164 +16,156 @@ Opens a page: two arms in two colours do not coincide; find out why by clicking.
 from __future__ import annotations
 
 import argparse
+import importlib.util
+import json
 import os
 import shlex
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import yaml
+from geometry_msgs.msg import PoseStamped, Vector3Stamped
 from numpy.typing import NDArray
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, String
 
 from ...common.errors import InputError, MissingExtraError, NoEquilibriumError, TendonRobotError
 from ...common.words import mm
 from ...control.loading import load
-from ...effects import Catalogue, load_catalogue
+from ...effects import load_catalogue
 from ...model.model import Model
 from ...robot import Robot, dump_robot, load_robot
 from ...robot.keep_out import KeepOut
-from ...simulation.rehearsal import STIFFNESS_SCATTER, Hidden, Story, draw, refined, reveal, tour
-from ..shared.running_arm import RunningArm
-from ..shared.runtime import NodeProcess, ros
+from ...simulation.rehearsal import (
+    STIFFNESS_SCATTER,
+    Hidden,
+    Story,
+    TourPosture,
+    draw,
+    refined,
+    reveal,
+    tour,
+)
+from ..shared.messages import LATCHED, LATCHED_BY_MANY, LISTEN, STATE, seconds, time_now
+from ..shared.robot_client import HEARD_MAX, TIP_AVERAGE_S, RobotClient
+from ..shared.runtime import Ending, NodeProcess, ros
+from ..shared.timing import MOVE_TIMEOUT_S, STAND_TIMEOUT_S, WORK_TIMEOUT_S
 from . import investigate as investigation
-from .director import Director
 
 HELP = 'a mock robot that hides something: watch, diagnose, add, see the error fall'
+Array = NDArray[np.float64]
 LOG = 'nodes.log'
-WATCHED: dict[str, object] = {
-    'path': 'from_straight',
-    'force_rate': 5.0,
-    'reference_postures': 20.0,
-}
 INVESTIGATION = ('--add', '--speed', '2', '--output')  # how the mock is investigated, and where
-HEADLESS_RATE_HZ = 100.0  # of controller and driver, where nobody looks
-TRACKER_NOISE_M = 0.0002  # [m] 1 sd of the mock's tracker
+# [1] messages of each kind over which a mean is taken, so that the noise of a tracker falls to a
+# quarter: half a second at 30 Hz
+MESSAGES_MIN = 15
+STARTING_CODES = (None, 'loading', 'compiling', 'building', 'not_ready')
+
+
+@dataclass
+class Performance:
+    """What is played: the robot as described, what the mock hides, and the options of a person."""
+
+    options: argparse.Namespace
+    robot: Robot
+    hidden: Hidden
+    seed: int
+    folder: Path  # of all files that are written
+
+    def start(self, stack: ExitStack, director: Director) -> None:
+        """Start the nodes; the stack ends them in the opposite order."""
+        folder, headless = self.folder.resolve(), self.options.headless
+        described = folder / 'paper.yaml'
+        described.write_text(dump_robot(self.robot), encoding='utf-8')
+        log = stack.enter_context((folder / LOG).open('w', encoding='utf-8'))
+        config = {
+            'plant': {
+                'hidden': self.hidden.plant,
+                'scatter': STIFFNESS_SCATTER,
+                'seed': self.seed,
+            },
+            'lag': 0.02,
+            'tension_noise': 0.002,
+            'pull_noise': 2e-5,
+            'seed': self.seed,
+            'tracker': {'rate': 30.0, 'noise': 2e-4, 'seed': self.seed + 1},
+        }
+        plain = yaml.safe_dump(json.loads(json.dumps(config)))  # lists in place of tuples
+        rate = {'rate': 100.0} if headless else {}  # [Hz] a busy machine has time for the others
+        watched = {'path': 'from_straight', 'force_rate': 5.0, 'reference_postures': 20.0}
+        own = ['--wait', *INVESTIGATION, str(folder / 'found')]
+        nodes: list[tuple[str, dict[str, object], list[str]]] = [
+            ('driver', {'robot': str(described), 'config': plain, **rate}, []),
+            ('controller', {'model': str(described), **rate}, []),
+            ('monitor', {'folder': str(folder / 'recordings'), **watched}, []),
+        ]
+        if not headless:
+            nodes += [('viewer', {'port': self.options.port}, []), ('investigate', {}, own)]
+        for name, parameters, arguments in nodes:
+            process = NodeProcess(name, parameters, director.get_namespace(), log, own=arguments)
+            director.nodes.append(stack.enter_context(process))
+
+    def play(self, director: Director, model: Model, story: Story) -> int:
+        """Serve the page until it is ended, or tell the story as text; return the exit code."""
+        options = self.options
+        director.wait_until_up()
+        if not options.headless:
+            print(f'open http://127.0.0.1:{options.port}   (Ctrl-C ends)', flush=True)
+            director.print_investigation()
+            if options.investigate:
+                print(director.triggered('investigate/start'), flush=True)
+            tour_forever(director, model, options.postures)
+        elif options.investigate:
+            investigate(director, story, self.folder)
+        else:
+            tell(director, model, story, options.postures)
+        print(story.end())
+        return 1 if story.problem else 0
 
 
 def main(arguments: Sequence[str]) -> int:
     """Run the page, or the story as text."""
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    own, ros_arguments = _split(arguments)
-    options = _options(own)
-    if not options.headless:
-        _require_viser()
+    words = list(arguments)
+    at = words.index('--ros-args') if '--ros-args' in words else len(words)
+    options = _options(words[:at])
+    if not options.headless and importlib.util.find_spec('viser') is None:
+        raise MissingExtraError('viser', 'viewer')
     catalogue = load_catalogue()
     robot = refined(load_robot(options.robot))
     seed = int(time.time()) % 100000 if options.seed is None else options.seed
     print('loading the model (the first time it is compiled: a minute)', file=sys.stderr)
     model = load(robot, catalogue)
     hidden = draw(robot, catalogue, options.hidden, seed)
-    with ros(ros_arguments) as ending, ExitStack() as stack:
+    with ros(words[at:]) as ending, ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix='tendon_live_')))
         if not options.headless:
             folder = Path('live') / time.strftime('%Y-%m-%d_%H-%M-%S')
         folder.mkdir(parents=True, exist_ok=True)
-        space = f'/live_{os.getpid()}'
-        director = Director(space, f'{robot.name}_base', ending)
+        director = Director(f'/live_{os.getpid()}', f'{robot.name}_base', ending)
         stack.callback(director.destroy_node)
-        _start(stack, director, space, folder, robot, hidden, seed, options)
+        performance = Performance(options, robot, hidden, seed, folder)
+        performance.start(stack, director)
         try:
-            code = _run(director, model, options, Story(hidden), folder)
+            code = performance.play(director, model, Story(hidden))
         except KeyboardInterrupt:
             code = 0
         except TendonRobotError as error:
-            print('error:', error, *_last_words(folder), sep='\n  ', file=sys.stderr)
+            text = (folder / LOG).read_text(encoding='utf-8', errors='replace')
+            last_lines = text.strip().splitlines()[-12:]  # of the nodes: why they do not work
+            print('error:', error, *last_lines, sep='\n  ', file=sys.stderr)
             code = 1
         if options.reveal:
-            print(reveal(hidden, _units(catalogue, hidden)))
+            effect = catalogue[hidden.name].parameters if hidden.values else ()
+            print(reveal(hidden, {parameter.name: parameter.unit for parameter in effect}))
     return code
-
-
-def _last_words(folder: Path) -> list[str]:
-    """Return what the nodes said last, for a person to see why they do not work."""
-    text = (folder / LOG).read_text(encoding='utf-8', errors='replace')
-    return text.strip().splitlines()[-12:]
-
-
-def _run(
-    director: Director, model: Model, options: argparse.Namespace, story: Story, folder: Path
-) -> int:
-    if not options.headless:
-        director.wait_until_up()
-        print(f'open http://127.0.0.1:{options.port}   (Ctrl-C ends)', flush=True)
-        director.print_investigation()
-        if options.investigate:
-            print(director.triggered('investigate/start'), flush=True)
-        tour_forever(director, model, options.postures)
-        return 0
-    if options.investigate:
-        investigate(director, story, folder)
-    else:
-        play(director, model, story, options.postures)
-    print(story.end())
-    return 1 if story.problem else 0
-
-
-def _start(
-    stack: ExitStack,
-    director: Director,
-    space: str,
-    folder: Path,
-    robot: Robot,
-    hidden: Hidden,
-    seed: int,
-    options: argparse.Namespace,
-) -> None:
-    """Start the nodes; the stack ends them in the opposite order."""
-    described = folder / 'paper.yaml'
-    described.write_text(dump_robot(robot), encoding='utf-8')
-    model = str(described.resolve())
-    log = stack.enter_context((folder / LOG).open('w', encoding='utf-8'))
-    rehearsed = {'hidden': hidden.plant, 'scatter': STIFFNESS_SCATTER, 'seed': seed}
-    config = {
-        'plant': rehearsed,
-        'lag': 0.02,
-        'tension_noise': 0.002,
-        'pull_noise': 2e-5,
-        'seed': seed,
-        'tracker': {'rate': 30.0, 'noise': TRACKER_NOISE_M, 'seed': seed + 1},
-    }
-    rate = {'rate': HEADLESS_RATE_HZ} if options.headless else {}
-    nodes: list[tuple[str, dict[str, object]]] = [
-        ('driver', {'robot': model, 'config': _yaml(config), **rate}),
-        ('controller', {'model': model, **rate}),
-        ('monitor', {'folder': str(folder.resolve() / 'recordings'), **WATCHED}),
-    ]
-    if not options.headless:
-        nodes.append(('viewer', {'port': options.port}))
-    own = {'investigate': ['--wait', *INVESTIGATION, str(folder.resolve() / 'found')]}
-    if not options.headless:
-        nodes.append(('investigate', {}))
-    for name, parameters in nodes:
-        process = NodeProcess(name, parameters, space, log, own=own.get(name, ()))
-        director.nodes.append(stack.enter_context(process))
-
-
-def _yaml(content: object) -> str:
-    import yaml
-
-    return yaml.safe_dump(_plain(content))
-
-
-def _plain(content: object) -> object:
-    if isinstance(content, dict):
-        return {key: _plain(value) for key, value in content.items()}
-    return list(content) if isinstance(content, tuple) else content
-
-
-def _units(catalogue: Catalogue, hidden: Hidden) -> dict[str, str]:
-    if not hidden.values:
-        return {}
-    return {p.name: p.unit for p in catalogue[hidden.name].parameters}
-
-
-def _split(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
-    words = list(arguments)
-    at = words.index('--ros-args') if '--ros-args' in words else len(words)
-    return words[:at], words[at:]
 
 
 def _options(arguments: list[str]) -> argparse.Namespace:
@@ -197,24 +189,137 @@ def _options(arguments: list[str]) -> argparse.Namespace:
     return options
 
 
-def _require_viser() -> None:
-    import importlib.util
+class Director(RobotClient):
+    """Speaks to controller, driver and monitor as any other node could."""
 
-    if importlib.util.find_spec('viser') is None:
-        raise MissingExtraError('viser', 'viewer')
+    def __init__(self, namespace: str, base: str, ending: Ending) -> None:
+        """Connect."""
+        super().__init__('tour', ending, namespace, base, watched=('monitor',))
+        self.progress, self.verdict = '', dict[str, Any]()
+        self.touring = True  # the page may switch it off
+        self._stands_since = np.inf  # [s] by the stamps of messages
+        self.nodes: list[NodeProcess] = []  # that were started for it
+        self._tips: list[tuple[float, Array]] = []
+        self._errors: list[tuple[float, Array]] = []
+        self._tensions: list[tuple[float, Array]] = []
+
+        def xyz(point: Any) -> list[float]:
+            return [point.x, point.y, point.z]
+
+        def verdict(message: String) -> None:
+            self.verdict = json.loads(message.data)
+
+        def keep(name: str) -> Callable[[Any], None]:
+            return lambda message: setattr(self, name, message.data)
+
+        def put(heard: list[tuple[float, Array]], values: Callable[[Any], Any]) -> Any:
+            def hear(message: Any) -> None:
+                heard.append((seconds(message.header.stamp), np.array(values(message))))
+                del heard[:-HEARD_MAX]
+
+            return hear
+
+        tip = put(self._tips, lambda m: xyz(m.pose.position))
+        error = put(self._errors, lambda m: xyz(m.vector))
+        tensions = put(self._tensions, lambda m: m.effort)
+        self.create_subscription(PoseStamped, 'measured_tip', tip, LISTEN)
+        self.create_subscription(Vector3Stamped, 'monitor/error', error, LISTEN)
+        self.create_subscription(JointState, 'tendon_states', tensions, LISTEN)
+        self.create_subscription(String, 'monitor/progress', keep('progress'), STATE)
+        self.create_subscription(String, 'monitor/verdict', verdict, LATCHED)
+        self.create_subscription(Bool, 'tour', keep('touring'), LATCHED)
+
+    def print_investigation(self) -> None:
+        """Print from now on what an investigation says of each posture, as the page shows it."""
+
+        def heard(message: String) -> None:
+            print(json.loads(message.data)['text'], flush=True)
+
+        self.create_subscription(String, 'investigate/progress', heard, LATCHED_BY_MANY)
+
+    def wait_until_up(self) -> None:
+        """Wait for all nodes, however slow the computer is, as long as none has ended."""
+
+        def up() -> bool:
+            for node in self.nodes:
+                if (code := node.process.poll()) is not None:
+                    raise TendonRobotError(f'the {node.name} has ended with code {code}')
+            starting = self.status.get('code') in STARTING_CODES
+            compares = self.statuses['monitor'].get('code') == 'comparing'
+            return not starting and compares and bool(self._errors) and self.has_listener
+
+        self.wait(up, WORK_TIMEOUT_S, 'controller, driver and monitor to start')
+
+    def go(self, stop: TourPosture) -> bool:
+        """
+        Send a target and wait until the arm has stood there, seen often enough.
+
+        Returns
+        -------
+        bool
+            Whether it did, and was seen; what `tip` and `tensions` say is then of this posture.
+
+        """
+        self._stands_since, stamp = np.inf, self.send(stop.position, stop.direction)
+
+        def stood() -> bool:
+            now = time_now(self)
+            settled = self.settled(stamp)
+            self._stands_since = (
+                min(self._stands_since, now + TIP_AVERAGE_S) if settled else np.inf
+            )
+            return self._seen() or not self.touring
+
+        return self.wait(stood, STAND_TIMEOUT_S, 'the arm to stand', strict=False) and self.touring
+
+    def record(self, stop: TourPosture) -> bool:
+        """Go to a posture and wait until the monitor has recorded it; return whether it did."""
+        before = self.recorded
+        if not self.go(stop):
+            return False
+        return self.wait(
+            lambda: self.recorded > before, STAND_TIMEOUT_S, 'a recording', strict=False
+        )
+
+    @property
+    def recorded(self) -> int:
+        """How many postures the monitor has."""
+        return int(self.statuses['monitor'].get('postures', '0'))
+
+    def uses(self, effects: Sequence[str]) -> bool:
+        """Whether controller and monitor have these effects in their model."""
+        models = [values.get('model', '') for values in self.statuses.values()]
+        return all(name in model for name in effects for model in models)
+
+    def tip(self) -> Array:
+        """Return the mean measured tip (3,) [m] since the arm stands."""
+        return self._mean(self._tips)
+
+    def error(self) -> float:
+        """Return how far the tip is off [m]: the mean error since the arm stands."""
+        return float(np.linalg.norm(self._mean(self._errors)))
+
+    def tensions(self) -> Array:
+        """Return the mean measured tensions (m,) [N] since the arm stands."""
+        return self._mean(self._tensions)
+
+    def _standing(self, heard: Sequence[tuple[float, Array]]) -> list[Array]:
+        """Return what was measured since the arm stands: a busy machine hears late, and less."""
+        return [
+            value for at, value in heard if at > self._stands_since and np.isfinite(value).all()
+        ]
+
+    def _seen(self) -> bool:
+        kinds = (self._tips, self._errors, self._tensions)
+        return all(len(self._standing(heard)) >= MESSAGES_MIN for heard in kinds)
+
+    def _mean(self, heard: Sequence[tuple[float, Array]]) -> Array:
+        values = self._standing(heard)
+        return np.array(np.mean(values, axis=0)) if values else np.full(3, np.nan)
 
 
-# -----------------------------------------------------------------------------
-# The story of `make live`, told in text, and the tour behind the page.
-
-Array = NDArray[np.float64]
-CHECK_POSTURES = 6  # postures that are not recorded
-DIAGNOSIS_TIMEOUT_S = 600.0  # [s]
-
-
-def play(director: Director, model: Model, story: Story, postures: int) -> None:
+def tell(director: Director, model: Model, story: Story, postures: int) -> None:
     """Record, diagnose, add, look again; fill in the story and print it as it happens."""
-    director.wait_until_up()
     robot = model.robot
     print(
         f'robot {robot.name}: {robot.cells} cells, {len(robot.tendons)} tendons   model: '
@@ -228,30 +333,31 @@ def play(director: Director, model: Model, story: Story, postures: int) -> None:
     shown = f'{mm(_rms(errors))} rms, {mm(max(errors))} at worst' if errors else 'unknown'
     print(f'{director.recorded} postures recorded   tip error {shown}')
     print(director.triggered('monitor/diagnose'), flush=True)
-    director.wait(lambda: director.verdict, DIAGNOSIS_TIMEOUT_S, 'the verdict')
+    director.wait(lambda: director.verdict, WORK_TIMEOUT_S, 'the verdict')
     story.verdict = director.verdict
     print(story.verdict['sentence'])
     print(story.verdict['remainder'])
     if not story.verdict['may_add']:
         return
-    _add_and_look(director, model, story)
-
-
-def _add_and_look(director: Director, model: Model, story: Story) -> None:
-    """Add what was found and go to postures that were never used."""
+    # add what was found, and go to postures that were never used
     director.triggered('monitor/add')
     director.wait(
-        lambda: director.statuses['monitor'].get('added') == '1', DIAGNOSIS_TIMEOUT_S, 'the adding'
+        lambda: director.statuses['monitor'].get('added') == '1', WORK_TIMEOUT_S, 'the adding'
     )
     names = [effect['name'] for effect in story.verdict['effects']]
-    story.added = director.wait(lambda: director.uses(names), 60.0, 'the reload', strict=False)
+    story.added = director.wait(
+        lambda: director.uses(names), MOVE_TIMEOUT_S, 'the reload', strict=False
+    )
     print(f'{director.progress}\ncontroller: {director.status.get("model")}')
     before, after = [], []
-    for stop in tour(model, CHECK_POSTURES, 1):
+    for stop in tour(model, postures // 2, 1):
         if not director.go(stop):
             continue
-        off = director.tip() - _old_tip(model, director.tensions())
-        before.append(float(np.linalg.norm(off)))
+        try:  # where the description before the addition has the tip
+            old = model.shape(np.maximum(director.tensions(), 0.0)).tip_position
+        except NoEquilibriumError:
+            old = np.full(3, np.nan)
+        before.append(float(np.linalg.norm(director.tip() - old)))
         after.append(director.error())
     if after:
         story.before, story.after = _rms(before), _rms(after)
@@ -259,11 +365,12 @@ def _add_and_look(director: Director, model: Model, story: Story) -> None:
 
 def investigate(director: Director, story: Story, folder: Path) -> None:
     """Let the arm find out by itself; fill in the story."""
-    director.wait_until_up()
     parser = argparse.ArgumentParser()
     investigation.add_arguments(parser)
     args = parser.parse_args([*INVESTIGATION, str(folder / 'found')])
-    arm = RunningArm('controller', 'monitor', director.ending, director.get_namespace())
+    arm = investigation.RunningArm(
+        'controller', 'monitor', director.ending, director.get_namespace()
+    )
     arm.speed = args.speed
     try:
         findings = investigation.Investigator(arm, args, KeepOut()).once(Path(args.output), False)
@@ -272,7 +379,9 @@ def investigate(director: Director, story: Story, folder: Path) -> None:
     story.verdict = {} if findings.diagnosis is None else findings.diagnosis.to_json()
     if findings.made is not None and findings.diagnosis is not None:
         names = [effect.name for effect in findings.diagnosis.effects]
-        story.added = director.wait(lambda: director.uses(names), 60.0, 'the reload', strict=False)
+        story.added = director.wait(
+            lambda: director.uses(names), MOVE_TIMEOUT_S, 'the reload', strict=False
+        )
         story.before, story.after = findings.made.check.before, findings.made.check.after
 
 
@@ -282,14 +391,6 @@ def tour_forever(director: Director, model: Model, postures: int) -> None:
         for stop in tour(model, postures, 0):
             director.wait(lambda: director.touring, float('inf'), 'the tour')
             director.go(stop)
-
-
-def _old_tip(model: Model, tensions: Array) -> Array:
-    """Return where the description before the addition has the tip [m]."""
-    try:
-        return model.shape(np.maximum(tensions, 0.0)).tip_position
-    except NoEquilibriumError:
-        return np.full(3, np.nan)
 
 
 def _rms(values: Sequence[float]) -> float:

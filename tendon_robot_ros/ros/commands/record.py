@@ -23,7 +23,7 @@ from typing import Any
 from rclpy.callback_groups import CallbackGroup
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
 from ...common.errors import InputError, TendonRobotError
 from ...common.files import told_of
@@ -37,16 +37,17 @@ from ...data.recording.writer import (
     need_rosbags,
 )
 from ...robot import dump_robot, load_robot
-from ..shared.parameters import RemoteText
+from ..shared.messages import quality
+from ..shared.parameters import RemoteParameter
 from ..shared.robot_client import add_controller
 from ..shared.runtime import repeat, ros
+from ..shared.timing import NEWS_PERIOD_S, VALUES_PERIOD_S
 
 HELP = 'record the running robot to an mcap file'
 TOPICS_LEFT_OUT = ('/rosout', '/parameter_events')
 TOPICS_OF_ALL = ('/tf', '/tf_static', '/diagnostics')  # of every namespace
-TOPIC_LOOK_PERIOD_S = 0.5  # [s] between looks for new topics
-POLL_PERIOD_S = 0.02  # [s]
-QUEUE_DEPTH = 2000  # messages of a topic that may wait
+# [1] messages of a topic that may wait: two seconds of 1 kHz, so that a busy machine loses none
+QUEUE_DEPTH = 2000
 # a robot that moves from posture to posture; its tensions are known to 0.2 %, as in the monitor
 DATASET_DEFAULTS = 'path: sequence\ntension_noise: {setting: 0.002}\n'
 
@@ -84,7 +85,7 @@ def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
         began = time.monotonic()
         try:
             while not ending.signal:
-                executor.spin_once(timeout_sec=POLL_PERIOD_S)
+                executor.spin_once(timeout_sec=NEWS_PERIOD_S)
                 recorder.drain()
                 passed = time.monotonic() - began
                 if args.duration is not None and passed >= args.duration:
@@ -127,12 +128,12 @@ class Recorder(Node):
         self._only = {self.resolve_topic_name(topic) for topic in topics}
         self._seen: set[str] = set()
         self._polled, self._ears = Polled(), list[tuple[str, Any]]()
-        self._robot = RemoteText(self, controller, 'model')
+        self._robot = RemoteParameter(self, controller, 'model')
         self._robot_written = False
         for topic in (DESCRIPTION, ROBOT):
             writer.add_topic(topic, STRING, latched=True)
         self._write_text(DESCRIPTION, DATASET_DEFAULTS)
-        repeat(self, TOPIC_LOOK_PERIOD_S, self._look)
+        repeat(self, VALUES_PERIOD_S, self._look)
         self._look()
 
     def summary(self, output: str, seconds: float) -> str:
@@ -155,8 +156,18 @@ class Recorder(Node):
                 if publishers:
                     self._seen.add(topic)
                     self._subscribe(topic, kinds[0], publishers)
+
+        def write(text: str) -> None:
+            if self._robot_written:
+                return
+            self._robot_written = True
+            try:
+                self._write_text(ROBOT, dump_robot(load_robot(text)))
+            except (TendonRobotError, OSError) as error:
+                print(f'the robot cannot be read: {error}', file=sys.stderr)
+
         if not self._robot_written:
-            self._robot.ask(self._write_robot)
+            self._robot.ask(write)
 
     def _subscribe(self, topic: str, kind: str, publishers: Sequence[Any]) -> None:
         package, _, name = kind.partition('/msg/')
@@ -169,16 +180,7 @@ class Recorder(Node):
         except Exception as error:  # a type that is not installed, or that rosbags does not know
             print(f'left out: {topic}: {kind} is not known here ({error})', file=sys.stderr)
             return
-        qos = QoSProfile(
-            history=HistoryPolicy.KEEP_LAST,
-            depth=QUEUE_DEPTH,
-            reliability=(
-                ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
-            ),
-            durability=(
-                DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
-            ),
-        )
+        qos = quality(QUEUE_DEPTH, reliable=reliable, latched=latched)
         ear = self.create_subscription(
             message, topic, print, qos, raw=True, callback_group=self._polled
         )
@@ -193,17 +195,6 @@ class Recorder(Node):
                     time = about['received_timestamp'] or about['source_timestamp']
                     self.counts[topic] = self.counts.get(topic, 0) + 1
                     self._writer.write(topic, time or self.get_clock().now().nanoseconds, data)
-
-    def _write_robot(self, text: str) -> None:
-        if self._robot_written:
-            return
-        self._robot_written = True
-        try:
-            robot = dump_robot(load_robot(text))
-        except (TendonRobotError, OSError) as error:
-            print(f'the robot cannot be read: {error}', file=sys.stderr)
-            return
-        self._write_text(ROBOT, robot)
 
     def _write_text(self, topic: str, text: str) -> None:
         message = Builder(self._writer.types).string(text)

@@ -8,7 +8,7 @@ Topics: controller/predicted_shape (subscribed); robot_description (latched), ce
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -22,8 +22,9 @@ from ...common.errors import TendonRobotError
 from ...robot import Robot, load_robot
 from ...robot.urdf import joint_angles, joint_names, transforms, urdf
 from ..shared.messages import LATCHED, LISTEN, STATE, joint_state, matrix, quaternion
-from ..shared.parameters import Parameters, RemoteText, Spec
-from ..shared.runtime import repeat, run
+from ..shared.parameters import CONTROLLER, FRAME_PREFIX, Parameters, RemoteParameter, Spec
+from ..shared.runtime import Runnable, repeat, run
+from ..shared.timing import STATUS_PERIOD_S
 
 HELP = 'show RViz and Foxglove the robot: URDF, joints, frames'
 SPECS = (
@@ -34,15 +35,14 @@ SPECS = (
         'that of the controller',
         read_only=True,
     ),
-    Spec('controller', 'controller', 'name of the controller node', read_only=True),
-    Spec('frame_prefix', '', 'put before frame names', read_only=True),
+    CONTROLLER,
+    FRAME_PREFIX,
     Spec('publish_tf', True, 'frames of all cells, where tf2_ros is installed', read_only=True),
 )
-ASK_PERIOD_S = 1.0  # [s] between two questions to the controller
 Array = NDArray[np.float64]
 
 
-class RobotModelNode(Node):
+class RobotModelNode(Runnable, Node):
     """Turns predicted shapes into joints and frames of the URDF."""
 
     def __init__(self) -> None:
@@ -60,41 +60,30 @@ class RobotModelNode(Node):
 
             self._broadcaster = TransformBroadcaster(self)
         self.create_subscription(PoseArray, f'{controller}/predicted_shape', self._shape, LISTEN)
-        self._remote = RemoteText(self, controller, 'model')
+        self._remote = RemoteParameter(self, controller, 'model')
         if self.parameters['robot']:
             self._take(self.parameters['robot'])
         else:
-            repeat(self, ASK_PERIOD_S, self._ask)
-
-    @property
-    def node(self) -> Node:
-        """Return itself, for `run`."""
-        return self
+            repeat(self, STATUS_PERIOD_S, self._ask)
 
     def start(self) -> None:
         """Say where the frames are."""
         if self._broadcaster is None:
             self.get_logger().info('no tf2_ros, or publish_tf is false: frames are not published')
 
-    def running(self) -> bool:
-        """Go on until a signal comes."""
-        return True
-
-    def end(self, spin: Callable[[float], None]) -> None:
-        """End at once."""
-
     def _ask(self) -> None:
         """Ask the controller for its model; effects may change at run time, cells may not."""
-        if self._robot is None:
-            self._remote.ask(self._hear)
 
-    def _hear(self, text: str) -> None:
-        try:
-            self._take(text)
-        except (TendonRobotError, OSError) as error:
-            if str(error) != self._problem:
-                self._problem = str(error)
-                self.get_logger().error(f'the model of the controller: {error}')
+        def hear(text: str) -> None:
+            try:
+                self._take(text)
+            except (TendonRobotError, OSError) as error:
+                if str(error) != self._problem:
+                    self._problem = str(error)
+                    self.get_logger().error(f'the model of the controller: {error}')
+
+        if self._robot is None:
+            self._remote.ask(hear)
 
     def _take(self, text: str) -> None:
         robot = load_robot(text)

@@ -19,9 +19,9 @@ from collections.abc import Sequence
 from ...common.errors import InputError, TendonRobotError
 from ...common.local_stop import stop_local
 from ...common.processes import go_first
+from ..shared.timing import STOP_ANSWER_S
 
 HELP = 'stop every controller and driver, say whether they have stopped'
-LOCAL_TIMEOUT_S = 0.3  # [s] sixty cycles; who is slower is asked through ROS, too
 NO_SOFTWARE = 'use the switch in the supply of the motors'
 
 
@@ -38,8 +38,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
     """Stop all that is found."""
     go_first()
-    below, domain = '/' + args.namespace.strip('/'), _domain()
-    local = stop_local(domain, below, LOCAL_TIMEOUT_S)
+    below, text = '/' + args.namespace.strip('/'), os.environ.get('ROS_DOMAIN_ID') or '0'
+    if not text.isdecimal():
+        raise InputError(f'ROS_DOMAIN_ID: expected a number, got {text!r}')
+    domain = int(text)
+    local = stop_local(domain, below, STOP_ANSWER_S)
     from ..shared.stopping import stop_found  # what takes long to import comes after that
 
     print(verdict(stop_found(ros_arguments, below, local), below, domain))
@@ -80,10 +83,3 @@ def verdict(found: dict[str, tuple[bool, str]], below: str, domain: int) -> str:
                 f'stopped: {names}; but no driver was found beside {name}; {NO_SOFTWARE}'
             )
     return f'stopped: {names} (call reset of each to go on)'
-
-
-def _domain() -> int:
-    text = os.environ.get('ROS_DOMAIN_ID') or '0'
-    if not text.isdecimal():
-        raise InputError(f'ROS_DOMAIN_ID: expected a number, got {text!r}')
-    return int(text)

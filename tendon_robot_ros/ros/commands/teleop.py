@@ -13,7 +13,7 @@ import sys
 import termios
 import time
 import tty
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -23,29 +23,30 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from ...common.errors import InputError
-from ..shared.messages import COMMAND, LATCHED
-from ..shared.parameters import Parameters, Spec
-from ..shared.runtime import repeat, run
+from ..shared.messages import COMMAND, LATCHED, stamp_now, status_values
+from ..shared.parameters import CONTROLLER, FRAME_PREFIX, Parameters, Spec
+from ..shared.runtime import Runnable, repeat, run
+from ..shared.timing import NEWS_PERIOD_S
 
 HELP = 'move the tip with the keyboard'
+# [1] defaults and ranges, each with its unit: docs/ros_interface.md
 SPECS = (
-    Spec('controller', 'controller', 'name of the controller node', read_only=True),
+    CONTROLLER,
     Spec(
         'robot',
         'kato_10_1',
         'name of the robot: its frames are <robot>_base and <robot>_tip',
         read_only=True,
     ),
-    Spec('frame_prefix', '', 'put before frame names', read_only=True),
+    FRAME_PREFIX,
     Spec('linear_speed', 0.01, 'speed of the tip', 'm/s', 0.0001, 0.5),
     Spec('angular_speed', 0.3, 'turning speed of the tip', 'rad/s', 0.001, 5.0),
     Spec('hold', 0.15, 'time after the last repeat of a key until the tip stops', 's', 0.05, 1.0),
 )
 KEPT_FROM_MOVING = 'stopped', 'driver_stopped', 'released', 'no_driver', 'not_ready'
-TWIST_RATE_HZ = 50.0  # [Hz]
 
 
-class TeleopNode(Node):
+class TeleopNode(Runnable, Node):
     """Keys in, twists out."""
 
     def __init__(self) -> None:
@@ -66,12 +67,7 @@ class TeleopNode(Node):
         self._factor, self._in_tip, self._quit, self._moved = 1.0, False, False, False
         self._keyboard = keyboard()
         self._keyboard.__enter__()
-        repeat(self, 1.0 / TWIST_RATE_HZ, self._cycle)
-
-    @property
-    def node(self) -> Node:
-        """Return itself, for `run`."""
-        return self
+        repeat(self, NEWS_PERIOD_S, self._cycle)
 
     def start(self) -> None:
         """Tell the keys."""
@@ -81,7 +77,7 @@ class TeleopNode(Node):
         """Go on until q."""
         return not self._quit
 
-    def end(self, spin: Callable[[float], None]) -> None:
+    def end(self) -> None:
         """Stop the tip and give the terminal back."""
         self._send([0.0] * 6)
         self._keyboard.__exit__(None, None, None)
@@ -114,7 +110,7 @@ class TeleopNode(Node):
 
     def _hear(self, status: DiagnosticStatus) -> None:
         """Tell why the tip does not move: twists in frames of another robot are refused."""
-        code = next((item.value for item in status.values if item.key == 'code'), '')
+        code = status_values(status).get('code', '')
         problem = ''
         if code.startswith('refused_') or code in KEPT_FROM_MOVING:
             problem = f'{code}: {status.message}'
@@ -133,7 +129,7 @@ class TeleopNode(Node):
 
     def _send(self, velocity: list[float]) -> None:
         message = TwistStamped()
-        message.header.stamp = self.get_clock().now().to_msg()
+        message.header.stamp = stamp_now(self)
         axes = 'tip' if self._in_tip else 'base'
         message.header.frame_id = (
             f'{self.parameters["frame_prefix"]}{self.parameters["robot"]}_{axes}'
@@ -150,9 +146,6 @@ def main(arguments: Sequence[str]) -> int:
     """Run the node until q or a signal."""
     return run(TeleopNode, arguments)
 
-
-# -----------------------------------------------------------------------------
-# Keys of the teleop: which velocity they mean, and for how long.
 
 # key -> (linear x y z, angular x y z), in units of the speeds
 MOVES = {

@@ -21,13 +21,13 @@ from rclpy.node import Node
 from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectoryPoint
 
-from ...control import ControllerCore, Refusal, Target
+from ...control import ControllerCore, Refusal
 from ...control.status import GoalOutcome, MotionGoal, Progress, Tolerance
 from ..shared.messages import duration, pose, seconds, stamp_now
-from .incoming import Incoming
+from ..shared.timing import VALUES_PERIOD_S
+from .topics import Incoming
 
 Array = NDArray[np.float64]
-FEEDBACK_PERIOD_S = 0.1  # [s] as often as a status whose values change
 
 
 class ActionKind(Protocol):
@@ -45,19 +45,20 @@ class ActionKind(Protocol):
         """Write how a goal ended."""
 
 
-# error_code of control_msgs/FollowJointTrajectory; INVALID_GOAL for what is not here
-INVALID_GOAL = -1
-TRAJECTORY_ERRORS = {
-    '': 0,
-    'canceled': 0,  # the status of the goal tells, as with joint_trajectory_controller
-    'names': -2,  # INVALID_JOINTS
-    'stale': -3,  # OLD_HEADER_TIMESTAMP
-    'path_tolerance': -4,  # PATH_TOLERANCE_VIOLATED
-    'goal_tolerance': -5,  # GOAL_TOLERANCE_VIOLATED
+# error_code of a goal, by the code of its outcome ('': reached; None: any other), as in
+# docs/ros_interface.md; those of nav2 itself begin at 100
+ERROR_CODES: dict[str, dict[str | None, int]] = {
+    'control_msgs': {
+        None: -1,  # INVALID_GOAL
+        '': 0,
+        'canceled': 0,  # the status of the goal tells, as with joint_trajectory_controller
+        'names': -2,  # INVALID_JOINTS
+        'stale': -3,  # OLD_HEADER_TIMESTAMP
+        'path_tolerance': -4,  # PATH_TOLERANCE_VIOLATED
+        'goal_tolerance': -5,  # GOAL_TOLERANCE_VIOLATED
+    },
+    'nav2_msgs': {None: 3, '': 0, 'nearest': 1, 'at_limit': 1, 'ended': 2, 'canceled': 2},
 }
-# error_code of nav2_msgs/NavigateToPose and NavigateThroughPoses; those of nav2 begin at 100
-POSE_REFUSED = 3
-POSE_ERRORS = {'': 0, 'nearest': 1, 'at_limit': 1, 'ended': 2, 'canceled': 2}
 
 
 class TendonTrajectory:
@@ -75,31 +76,30 @@ class TendonTrajectory:
         playing = incoming.trajectory(request.trajectory)
         if playing is None:
             raise Refusal('length', 'trajectory: expected points, got none')
-        self._inputs, self._pull = incoming.inputs, incoming.pull
-        tolerance = self._tolerance(request) if self._pull else None
+        inputs, pull = incoming.inputs, incoming.pull
+        self._inputs, self._pull, tolerance = inputs, pull, None
         asked = [*request.path_tolerance, *request.goal_tolerance]
-        if not self._pull and any(one.position > 0.0 for one in asked):
+        if not pull and any(one.position > 0.0 for one in asked):
             raise Refusal(
-                'mode', 'path_tolerance, goal_tolerance: they are of positions; expected none, or '
-                'a controller in pull mode'
-            )  # fmt: skip
+                'mode',
+                'path_tolerance, goal_tolerance: they are of positions; expected none, or a '
+                'controller in pull mode',
+            )
+        if pull:
+            allowed = {}
+            for what in ('path_tolerance', 'goal_tolerance'):
+                allowed[what] = np.full(len(inputs), np.inf)
+                for one in getattr(request, what):
+                    if one.name not in inputs:
+                        known = ', '.join(inputs)
+                        raise Refusal(
+                            'names', f'{what}: unknown {one.name!r}; expected one of {known}'
+                        )
+                    if one.position > 0.0:  # 0: not given, -1: erased; there is no default
+                        allowed[what][inputs.index(one.name)] = one.position
+            late = seconds(request.goal_time_tolerance) or np.inf
+            tolerance = Tolerance(allowed['path_tolerance'], allowed['goal_tolerance'], late)
         return MotionGoal([replace(playing, stamp=stamp)], tolerance)
-
-    def _tolerance(self, request: Any) -> Tolerance:
-        given = []
-        for what in ('path_tolerance', 'goal_tolerance'):
-            allowed = np.full(len(self._inputs), np.inf)
-            for one in getattr(request, what):
-                if one.name not in self._inputs:
-                    raise Refusal(
-                        'names', f'{what}: unknown {one.name!r}; expected one of '
-                        f'{", ".join(self._inputs)}'
-                    )  # fmt: skip
-                if one.position > 0.0:  # 0: not given, -1: erased; there is no default
-                    allowed[self._inputs.index(one.name)] = one.position
-            given.append(allowed)
-        path, goal = given
-        return Tolerance(path, goal, seconds(request.goal_time_tolerance) or np.inf)
 
     def feedback(self, progress: Progress, header: Header) -> Any:
         """Write how far a goal is."""
@@ -118,7 +118,8 @@ class TendonTrajectory:
 
     def result(self, outcome: GoalOutcome) -> Any:
         """Write how a goal ended."""
-        code = TRAJECTORY_ERRORS.get(outcome.code, INVALID_GOAL)
+        codes = ERROR_CODES['control_msgs']
+        code = codes.get(outcome.code, codes[None])
         return self.type.Result(error_code=code, error_string=outcome.message)
 
 
@@ -139,22 +140,17 @@ class TipPoses:
         poses = getattr(request.poses, 'goals', request.poses) if many else [request.pose]
         if not poses:
             raise Refusal('length', 'poses: expected some, got none')
-        return MotionGoal([
-            replace(
-                self._target(one, incoming, f'pose {i + 1} of {len(poses)}' if many else 'pose'),
-                stamp=f'{stamp}/{i + 1}',
-            )
-            for i, one in enumerate(poses)
-        ])  # fmt: skip
-
-    @staticmethod
-    def _target(message: PoseStamped, incoming: Incoming, what: str) -> Target:
-        q = message.pose.orientation
-        if any((q.x, q.y, q.z, q.w)):
-            return incoming.pose(message, what)
-        return incoming.point(
-            PointStamped(header=message.header, point=message.pose.position), what
-        )
+        targets = []
+        for i, one in enumerate(poses):
+            what = f'pose {i + 1} of {len(poses)}' if many else 'pose'
+            q, point = one.pose.orientation, PointStamped(header=one.header)
+            if any((q.x, q.y, q.z, q.w)):
+                target = incoming.pose(one, what)
+            else:
+                point.point = one.pose.position
+                target = incoming.point(point, what)
+            targets.append(replace(target, stamp=f'{stamp}/{i + 1}'))
+        return MotionGoal(targets)
 
     def feedback(self, progress: Progress, header: Header) -> Any:
         """Write how far a goal is."""
@@ -172,7 +168,8 @@ class TipPoses:
 
     def result(self, outcome: GoalOutcome) -> Any:
         """Write how a goal ended."""
-        message, code = self.type.Result(), POSE_ERRORS.get(outcome.code, POSE_REFUSED)
+        message, codes = self.type.Result(), ERROR_CODES['nav2_msgs']
+        code = codes.get(outcome.code, codes[None])
         _fill(message, error_code=code, error_msg=outcome.message)
         return message
 
@@ -269,10 +266,15 @@ class Actions:
                     one.goal.cancel(core, now)
                 self._end(one, GoalOutcome('canceled', 'canceled; the arm holds'))
             elif one.goal is None:
-                self._begin(one, now, core, incoming)
+                try:  # what is refused ends with the reason and changes nothing else
+                    stamp = bytes(one.handle.goal_id.uuid).hex()
+                    one.goal = one.kind.goal(one.handle.request, incoming, stamp)
+                    one.goal.begin(core, now)
+                except Refusal as refusal:
+                    self._end(one, GoalOutcome(refusal.code, str(refusal)))
             elif (outcome := one.goal.look(core, now)) is not None:
                 self._end(one, outcome)
-            elif now - one.told >= FEEDBACK_PERIOD_S:
+            elif now - one.told >= VALUES_PERIOD_S:
                 one.told = now
                 header = Header(frame_id=incoming.base, stamp=stamp_now(self._node))
                 progress = one.goal.progress(core, now)
@@ -282,15 +284,6 @@ class Actions:
         """End all goals: the controller commands nothing."""
         for one in list(self._pursued):
             self._end(one, GoalOutcome('ended', reason))
-
-    def _begin(self, one: Pursued, now: float, core: ControllerCore, incoming: Incoming) -> None:
-        """Ask for a goal; one that is refused ends with the reason and changes nothing else."""
-        try:
-            stamp = bytes(one.handle.goal_id.uuid).hex()
-            one.goal = one.kind.goal(one.handle.request, incoming, stamp)
-            one.goal.begin(core, now)
-        except Refusal as refusal:
-            self._end(one, GoalOutcome(refusal.code, str(refusal)))
 
     def _end(self, one: Pursued, outcome: GoalOutcome) -> None:
         self._pursued.remove(one)

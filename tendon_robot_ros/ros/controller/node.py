@@ -13,6 +13,8 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
 
 from geometry_msgs.msg import PointStamped, PoseStamped, TwistStamped
 from rclpy.subscription import Subscription
@@ -22,48 +24,29 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from ...common.errors import TendonRobotError
-from ...common.local_stop import StopListener, Stoppable
 from ...common.processes import REALTIME_PRIORITY_SECOND, go_realtime, in_realtime
 from ...control import ControllerCore, Refusal
 from ...control.checks import another_robot
 from ...control.solver import SOLVER, Worker
 from ...control.status import controller_status
+from ...drivers.safety import StopLatch
 from ...model.model import Model
 from ...robot.keep_out import KeepOut
-from ..shared.inbox import STOP_REASON, Inbox, LateService, Service, StopTopic, hear_anybody
-from ..shared.joints import JointReader, Joints
-from ..shared.lifecycle import LEVELS, ManagedNode, Status
-from ..shared.messages import (
-    COMMAND,
-    JOINTS,
-    LISTEN,
-    passing_subscription,
-    refilled,
-    stamp_now,
-)
+from ..shared.inbox import Inbox, Received, Service, hear_anybody
+from ..shared.lifecycle import LEVELS, Status, StoppableNode
+from ..shared.messages import COMMAND, JOINTS, LISTEN, passing_subscription, refilled, stamp_now
 from ..shared.parameters import Parameters
 from ..shared.runtime import goes_first, repeat, run
-from ..shared.senders import (
-    OtherPublishers,
-    PublisherNames,
-    PublisherSocket,
-    Received,
-    Senders,
-    gid_of,
-    gid_text,
-)
+from ..shared.senders import OwnPublisher, PublisherNames, Senders, gid_text
+from ..shared.timing import NEWS_PERIOD_S
 from . import parameters
 from .actions import Actions
-from .driver_link import DriverLink
-from .incoming import Incoming
-from .model import ModelLoading, Prediction
+from .parameters import ModelLoading
+from .topics import DriverLink, Incoming, Prediction
 
 HELP = 'move the tip to targets: poses, points or twists in, tendon commands out'
 
-STATUS_LOOK_PERIOD_S = 0.02  # [s]
-STOP_CALLED = 'stop was called'
 NOT_READY = 'the controller is not configured', 'the stop is over; there is no model'
-SAID_IN_S = 0.02  # [s] a word is lost when its publisher leaves before it is heard
 STARTING_WORDS = {
     'loading': 'reading the model',
     'compiling': 'compiling the model, once; a minute',
@@ -71,26 +54,26 @@ STARTING_WORDS = {
 }
 
 
-class ControllerNode(ManagedNode):
+class ControllerNode(StoppableNode):
     """ROS around the controller core: one thread, and one that hears stops."""
 
     def __init__(self) -> None:
         """Declare parameters and begin to load the model; nothing is commanded yet."""
-        super().__init__('controller')
+        super().__init__('controller', drives=False)
         self.parameters = Parameters(self, parameters.SPECS)
         self.status = Status(self, 'control')
         self.core: ControllerCore | None = None
         self._loading = ModelLoading(self.parameters)
+        self._keep_out = KeepOut()
         checks: dict[str, Callable[[str], object]] = {
             'model': self._loading.change,
             'keep_out': self._fence,
             'prefer_stiffness_along': parameters.direction_of,
         }
-        self._keep_out, self._stopped = KeepOut(), False  # before there was anything to stop
         self.parameters.watch(checks, self._retune)
         self._incoming: Incoming | None = None
         self._prediction: Prediction | None = None
-        self._latency = self._told = self._asked = 0.0
+        self._latency = self._told = self._asked = 0.0  # [s]
         self._solver: Worker | None = None
         self._targets: list[Subscription] = []
         self._actions: Actions | None = None
@@ -98,27 +81,30 @@ class ControllerNode(ManagedNode):
         self._speaking = threading.Lock()
         self._command = JointState()
         self._commands = self.create_publisher(JointState, 'tendon_command', COMMAND)
-        self._socket = PublisherSocket(self._commands)
-        self._controllers = OtherPublishers(self, self._commands)
-        self._measured = Inbox(self, JointState, 'tendon_states', JOINTS, JointReader())
+        self._own = OwnPublisher(self, self._commands)
+        self._measured = Inbox(self, JointState, 'tendon_states', JOINTS)
         self._tracker: Subscription | None = None
         self._hear_tip()
-        self._driver = DriverLink(
-            self,
-            self.parameters['driver_status'],
-            gid_text(gid_of(self._commands)),
-            self._driver_said,
-        )
-        stop = Service(self, Trigger, '~/stop', self._stop)
-        reset = LateService(self, Trigger, '~/reset', self._asked_to_reset)
-        self._stop_topic = StopTopic(self, self._stop_said, self._stop_gone, [stop, reset])
-        self._local_stop = StopListener(
-            self.context.get_domain_id(),
-            Stoppable(self.get_fully_qualified_name(), drives=False),
-            self._stop_now,
-        )
+        topic, gid = self.parameters['driver_status'], gid_text(self._own.gid)
+
+        def driver_said(*said: Any) -> None:
+            if self.core is not None:
+                self.core.driver_says(*said)
+
+        def predict() -> None:
+            if self.core is not None and self._prediction is not None:
+                self.core.predict(time.monotonic(), self._prediction.publish)
+
+        self._driver = DriverLink(self, topic, gid, driver_said)
+        self.listen(Service(self, Trigger, '~/reset', self._asked_to_reset))
         repeat(self, 1.0 / self.parameters['rate'], self._cycle)
-        repeat(self, 1.0 / self.parameters['shape_rate'], self._predict)
+        repeat(self, 1.0 / self.parameters['shape_rate'], predict)
+
+    @property
+    def latch(self) -> StopLatch | None:
+        """What holds the stops; None while there is no model."""
+        core = self.core  # any thread may ask
+        return None if core is None else core.latch
 
     def ready(self) -> bool:
         """Whether the model is compiled, so that `configure` returns soon."""
@@ -139,10 +125,7 @@ class ControllerNode(ManagedNode):
         settings = parameters.settings(self.parameters, self._keep_out)
         self.core = ControllerCore(model, settings, self._solver)
         self.core.driver_says(*self._driver.said)
-        if self._stop_topic.says:
-            self._stop_said(STOP_REASON)
-        if self._stopped:
-            self.core.latch.stop('stop', STOP_CALLED)
+        self.stop_as_told()
         self._incoming = Incoming(self, self.parameters, model)
         self._prediction = Prediction(self, self._incoming.base, model)
         if goes_first():
@@ -154,13 +137,23 @@ class ControllerNode(ManagedNode):
         """Begin to hear targets: who waits for a subscriber sends none in vain."""
         if self._actions is None:
             self._actions = Actions(self)
+
+        target = partial(partial, self._take, 'target')
+        pose = target(lambda core, new, message: core.aim(new.pose(message)))
+        point = target(lambda core, new, message: core.aim(new.point(message)))
+        now = time.monotonic
+        twist = target(lambda core, new, message: core.twist(now(), new.twist(message)))
+        play = target(lambda core, new, message: core.play(now(), new.trajectory(message)))
+
+        def too_long(problem: str) -> None:
+            if self.core is not None:
+                self.core.refusals['target'] = Refusal('length', problem)
+
         self._targets = [
-            *hear_anybody(self, PoseStamped, '~/target_pose', self._pose, self._too_long),
-            *hear_anybody(self, PointStamped, '~/target_point', self._point, self._too_long),
-            passing_subscription(self, TwistStamped, '~/delta_twist', self._twist, LISTEN),
-            *hear_anybody(
-                self, JointTrajectory, '~/tendon_trajectory', self._trajectory, self._too_long
-            ),
+            *hear_anybody(self, PoseStamped, '~/target_pose', pose, too_long),
+            *hear_anybody(self, PointStamped, '~/target_point', point, too_long),
+            passing_subscription(self, TwistStamped, '~/delta_twist', twist, LISTEN),
+            *hear_anybody(self, JointTrajectory, '~/tendon_trajectory', play, too_long),
         ]
 
     def deactivate(self) -> None:
@@ -178,108 +171,83 @@ class ControllerNode(ManagedNode):
         self.core = self._incoming = self._prediction = self._solver = None
         self._loading.forget()
 
-    def end(self, spin: Callable[[float], None]) -> None:
+    def end(self) -> None:
         """End; the driver is told to release the arm, and hears no commands."""
         self._loading.cancel()
-        super().end(spin)
-        time.sleep(SAID_IN_S)
+        super().end()
+        time.sleep(NEWS_PERIOD_S)  # a message is lost when its publisher leaves before it is heard
 
     def destroy_node(self) -> None:
         """Hear no more."""
-        self._stop_topic.close()
-        self._local_stop.close()
         self._measured.close()
-        self._socket.close()
+        self._own.close()
         super().destroy_node()
-
-    def problem(self, message: str) -> None:
-        """Say why a transition was refused."""
-        self.status.say(LEVELS['error'], 'not_ready', message, once=True)
-
-    def _pose(self, message: PoseStamped) -> None:
-        self._take('target', lambda core, incoming: core.aim(incoming.pose(message)))
-
-    def _point(self, message: PointStamped) -> None:
-        self._take('target', lambda core, incoming: core.aim(incoming.point(message)))
-
-    def _twist(self, message: TwistStamped) -> None:
-        self._take('target', lambda core, new: core.twist(time.monotonic(), new.twist(message)))
-
-    def _trajectory(self, message: JointTrajectory) -> None:
-        self._take(
-            'target', lambda core, new: core.play(time.monotonic(), new.trajectory(message))
-        )
-
-    def _too_long(self, problem: str) -> None:
-        if self.core is not None:
-            self.core.refusals['target'] = Refusal('length', problem)
-
-    def _states(self, heard: Received[Joints]) -> None:
-        def take(core: ControllerCore, incoming: Incoming) -> None:
-            now, measured = time.monotonic(), incoming.states(heard.message)
-            if self._drivers.counts(now, heard):
-                core.measured(now, *measured)
-
-        self._take('states', take)
-
-    def _tip(self, message: PoseStamped) -> None:
-        def take(core: ControllerCore, incoming: Incoming) -> None:
-            core.tip_measured(time.monotonic(), incoming.measured_tip(message))
-
-        self._take('tip', take)
 
     def _hear_tip(self) -> None:
         """Subscribe to the tracker while the loop is closed: nobody is woken in vain."""
-        if (self.parameters['tip_gain'] > 0.0) == (self._tracker is not None):
-            return
-        if self._tracker is not None:
+        closed = self.parameters['tip_gain'] > 0.0
+        if self._tracker is not None and not closed:
             self.destroy_subscription(self._tracker)
             self._tracker = None
-        else:
+        elif self._tracker is None and closed:
+
+            def tip(core: ControllerCore, incoming: Incoming, message: PoseStamped) -> None:
+                core.tip_measured(time.monotonic(), incoming.measured_tip(message))
+
             self._tracker = passing_subscription(
-                self, PoseStamped, 'measured_tip', self._tip, LISTEN
+                self, PoseStamped, 'measured_tip', partial(self._take, 'tip', tip), LISTEN
             )
 
-    def _take(self, kind: str, action: Callable[[ControllerCore, Incoming], None]) -> None:
+    def _take(
+        self, kind: str, action: Callable[[ControllerCore, Incoming, Any], None], message: Any
+    ) -> None:
         """Use a message, or say why not."""
-        core, target = self.core, kind == 'target'
+        core = self.core
         if core is None or self._incoming is None:
             return
         began = time.monotonic()
         try:
-            action(core, self._incoming)
+            action(core, self._incoming, message)
         except Refusal as refusal:
             core.refusals[kind] = refusal
             return
         core.refusals.pop(kind, None)
-        if target:
+        if kind == 'target':
             core.refusals.pop('model', None)  # has been said
             self._asked = began
 
-    def _wake(self) -> None:
-        """Have a target that is solved answered before the next cycle; called by the solver."""
-        if self.executor is not None:
-            self.executor.create_task(self._answer)
+    def _states(
+        self, core: ControllerCore, incoming: Incoming, heard: Received[JointState]
+    ) -> None:
+        """Take what the driver measures, if it is the one to follow."""
+        now, measured = time.monotonic(), incoming.states(heard.message)
+        if self._drivers.counts(now, heard):
+            core.measured(now, *measured)
 
-    def _answer(self) -> None:
-        """Command what was found at once."""
-        core = self.core
-        if core is None:
-            return
-        before = core.solution
-        core.solver.serve()
-        if core.solution is not before:
-            self._cycle()
-            self._latency = time.monotonic() - self._asked
+    def _wake(self) -> None:
+        """Have a target that is solved commanded before the next cycle; called by the solver."""
+
+        def answer() -> None:
+            if (core := self.core) is None:
+                return
+            before = core.solution
+            core.solver.serve()
+            if core.solution is not before:
+                self._cycle()
+                self._latency = time.monotonic() - self._asked
+
+        if self.executor is not None:
+            self.executor.create_task(answer)
 
     def _cycle(self) -> None:
         """Hear stops and states, publish a command."""
-        self._stop_topic.poll()
+        self.stop_topic.poll()
         if self._solver is not None:
             self._solver.limit_realtime()
+        core = self.core
         for heard in self._measured.take():
-            self._states(heard)
-        core, now = self.core, time.monotonic()
+            self._take('states', self._states, heard)
+        now = time.monotonic()
         if (problem := self._measured.refused()) and core is not None:
             core.refusals['states'] = Refusal('length', problem)
         if core is None or self.phase != 'active':
@@ -301,7 +269,7 @@ class ControllerNode(ManagedNode):
                     self._commands.publish(
                         refilled(self._command, stamp_now(self), pulls, tensions)
                     )
-        if now - self._told >= STATUS_LOOK_PERIOD_S:
+        if now - self._told >= NEWS_PERIOD_S:
             self._told = now
             self._tell(core, now)
 
@@ -314,7 +282,7 @@ class ControllerNode(ManagedNode):
         """Publish that it waits for a transition: the last status would go on being heard."""
         if self._actions is not None:
             self._actions.drop('the controller is not active')
-        if now - self._told < STATUS_LOOK_PERIOD_S:
+        if now - self._told < NEWS_PERIOD_S:
             return
         self._told = now
         if self.phase == 'inactive':
@@ -330,7 +298,7 @@ class ControllerNode(ManagedNode):
         status.values['target_to_command (s)'] = f'{self._latency:.5f}'
         level, message = LEVELS[status.level], status.message
         drivers = self._names.of(self._drivers.others(now))
-        controllers = self._controllers.names(now)
+        controllers = self._own.others(now)
         if drivers or controllers:
             level = max(level, LEVELS['warn'])
             message += f'; ignores tendon_states of {drivers}' if drivers else ''
@@ -342,38 +310,31 @@ class ControllerNode(ManagedNode):
         """Take a model that was asked for and is loaded by now."""
         if not (self._loading.asked and self._loading.done):
             return
+
+        def refuse(error: TendonRobotError) -> None:
+            self._loading.refuse()
+            core.refusals['model'] = Refusal('model', f'the old model stays: {error}')
+
+        def swapped(model: Model, error: TendonRobotError | None) -> None:
+            """Hear that the model works where the arm is, or why not."""
+            if error is not None:
+                refuse(error)
+            elif self._incoming is not None and self._prediction is not None:
+                if another_robot(model.robot, self._incoming.robot):
+                    self.get_logger().warning('another robot: the target is void, the arm holds')
+                self._incoming.use(model)
+                self._prediction.use(self._incoming.base, model)
+                self._loading.accept(model)
+                self.status.arm = model.robot.name
+                core.refusals.pop('model', None)
+                self.get_logger().info(f'model loaded: {self._loading.note}')
+
         try:
             model = self._loading.result()
         except TendonRobotError as error:
-            self._refuse(core, error)
-            return
-        core.set_model(model, lambda error: self._swapped(core, model, error))
-
-    def _swapped(self, core: ControllerCore, model: Model, error: TendonRobotError | None) -> None:
-        """Hear that the model works where the arm is, or why not."""
-        if error is not None:
-            self._refuse(core, error)
-        elif self._incoming is not None and self._prediction is not None:
-            if another_robot(model.robot, self._incoming.robot):
-                self.get_logger().warning('another robot: the target is void, the arm holds')
-            self._incoming.use(model)
-            self._prediction.use(self._incoming.base, model)
-            self._loading.accept(model)
-            self.status.arm = model.robot.name
-            core.refusals.pop('model', None)
-            self.get_logger().info(f'model loaded: {self._loading.note}')
-
-    def _refuse(self, core: ControllerCore, error: TendonRobotError) -> None:
-        self._loading.refuse()
-        core.refusals['model'] = Refusal('model', f'the old model stays: {error}')
-
-    def _predict(self) -> None:
-        if self.core is not None and self._prediction is not None:
-            self.core.predict(time.monotonic(), self._prediction.publish)
-
-    def _driver_said(self, stopped: str, released: str, releases: int, other: str) -> None:
-        if self.core is not None:
-            self.core.driver_says(stopped, released, releases, other)
+            refuse(error)
+        else:
+            core.set_model(model, lambda error: swapped(model, error))
 
     def _resumed(self, follows: bool, why: str) -> None:
         """Hear whether the driver follows again."""
@@ -382,35 +343,30 @@ class ControllerNode(ManagedNode):
         elif self.core is not None:
             self.core.not_resumed(why)
 
-    def _stop_said(self, reason: str) -> None:
+    def stop_said(self, reason: str) -> None:
+        """Stop and have the arm let go: the topic says so."""
         if self.core is not None:
             self.core.stop('stop topic', reason, lasting=True)
             self._let_go()
 
-    def _stop_gone(self) -> None:
+    def stop_now(self) -> None:
+        """Stop at once, in the thread that hears of it; the core drops its target next."""
+        super().stop_now()
         if self.core is not None:
-            self.core.latch.cause_gone('stop topic')
+            self._let_go()
 
-    def _stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._stop_now()
-        another = self._driver.said[-1]  # is followed by the driver
+    def stop_called(self) -> Trigger.Response:
+        """Stop, and answer who has called the service."""
+        self.stop_now()
         if self.core is None:
             told = 'it has no model and commands nothing, so the driver is told nothing'
-        elif another:
+        elif another := self._driver.another:
             told = f'the driver does not hear it, {another}'
         elif not self._commands.get_subscription_count():
             told = 'no driver hears it'
         else:
             told = 'the driver releases the arm'
-        response.success, response.message = True, f'stopped; {told}; call reset to go on'
-        return response
-
-    def _stop_now(self) -> None:
-        """Stop at once, in the thread that hears of it; the core drops its target next."""
-        self._stopped = True
-        if (core := self.core) is not None:
-            core.latch.stop('stop', STOP_CALLED)
-            self._let_go()
+        return Trigger.Response(success=True, message=f'stopped; {told}; call reset to go on')
 
     def _asked_to_reset(self, request: Trigger.Request, send: Callable[[object], None]) -> None:
         """Have the executor reset; the thread that hears stops does not wait for the driver."""
@@ -441,8 +397,7 @@ class ControllerNode(ManagedNode):
                 why = f'reset refused: the driver is stopped: {why}'
                 send(Trigger.Response(success=False, message=why))
 
-        another = self._driver.said[-1]  # is followed by the driver
-        if another or not self._driver.resume(answered):
+        if self._driver.another or not self._driver.resume(answered):
             reset()
 
     def _retune(self) -> None:

@@ -1,19 +1,31 @@
-"""The parameters of the controller node."""
+"""The parameters of the controller node, and the model that one of them names."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import fields
 
-from ...common.errors import InputError
+from ...common.errors import InputError, TendonRobotError
 from ...control import Settings
 from ...control.approach import APPROACHES
+from ...control.checks import check_inputs
+from ...control.loading import Loader
+from ...effects import load_catalogue
+from ...model.model import Model
 from ...model.tip_task import Preferences
+from ...robot import load_robot
+from ...robot.description import DESCRIPTION_MAX
 from ...robot.keep_out import KeepOut, parse_keep_out, text_of
+from ...robot.loading import robot_file
 from ..shared.lifecycle import AUTOSTART
-from ..shared.parameters import COMMAND_MODE, Parameters, Spec
+from ..shared.parameters import BASE_FRAME, COMMAND_MODE, FRAME_PREFIX, Parameters, Spec
 
-REGIONS_MAX = 50  # every one is looked at on every way
-PREFERRED = 'low_tension', 'stiffness', 'slack', 'limit', 'smooth'
+# [1] regions to keep out of, because each is checked along every path that is planned
+REGIONS_MAX = 50
+# [1] characters of a description that is read before the parameter is accepted: a longer one would
+# hold up the commands while it is read
+READ_AT_ONCE_MAX = 4_000
+# [1] defaults and ranges, each with its unit: docs/ros_interface.md
 SPECS = (
     Spec(
         'model',
@@ -114,9 +126,9 @@ SPECS = (
     Spec('prefer_limit', 0.0, 'weight of distance from the highest tension', '1', 0.0, 1e3),
     Spec('prefer_smooth', 0.0, 'weight of little change of the tensions', '1', 0.0, 1e3),
     Spec('prefer_margin', 0.1, 'distance wanted, as a share of the range', '1', 0.001, 0.5),
-    Spec('base_frame', '', 'frame of the base; empty: <robot>_base', read_only=True),
+    BASE_FRAME,
     Spec('tip_frame', '', 'frame of the tip; empty: <robot>_tip', read_only=True),
-    Spec('frame_prefix', '', 'put before frame names', read_only=True),
+    FRAME_PREFIX,
     Spec(
         'driver_status',
         'driver/status',
@@ -151,35 +163,107 @@ def direction_of(text: str) -> tuple[float, float, float]:
     return x, y, z
 
 
-def preferences(parameters: Parameters) -> Preferences | None:
-    """Return what is preferred; None: all weights are 0."""
-    weights = {name: parameters[f'prefer_{name}'] for name in PREFERRED}
-    if not any(weights.values()):
-        return None
-    return Preferences(
-        **weights,
-        margin=parameters['prefer_margin'],
-        stiffness_direction=direction_of(parameters['prefer_stiffness_along']),
-        stiffness_enough=parameters['prefer_stiffness_enough'],
-    )
+# weights of what may be preferred of tensions, as named in `Preferences`
+WEIGHTS = 'low_tension', 'stiffness', 'slack', 'limit', 'smooth'
+# settings of the core that are parameters of the same name, as they are
+SAME = {s.name for s in SPECS} & {f.name for f in fields(Settings)} - {'keep_out'}
 
 
 def settings(parameters: Parameters, keep_out: KeepOut) -> Settings:
-    """Return what the core is told."""
+    """Return what the core is told; nothing is preferred while all weights are 0."""
+    weights = {name: parameters[f'prefer_{name}'] for name in WEIGHTS}
+    preferences = None
+    if any(weights.values()):
+        preferences = Preferences(
+            **weights,
+            margin=parameters['prefer_margin'],
+            stiffness_direction=direction_of(parameters['prefer_stiffness_along']),
+            stiffness_enough=parameters['prefer_stiffness_enough'],
+        )
     return Settings(
-        rate_limit=parameters['rate_limit'],
-        state_timeout=parameters['state_timeout'],
-        twist_timeout=parameters['twist_timeout'],
+        **{name: parameters[name] for name in SAME},
         patience=parameters['no_equilibrium_timeout'],
-        hold_direction=parameters['hold_direction'],
-        direction_weight=parameters['direction_weight'],
         pull_mode=parameters['command_mode'] == 'pull',
-        tip_gain=parameters['tip_gain'],
-        resume=parameters['resume'],
-        approach=parameters['approach'],
-        preferences=preferences(parameters),
+        preferences=preferences,
         keep_out=keep_out,
-        look_ahead=parameters['look_ahead'],
-        drive_lag=parameters['drive_lag'],
-        tracker_delay=parameters['tracker_delay'],
     )
+
+
+class ModelLoading:
+    """Loads the model that the parameter names; another one at run time."""
+
+    def __init__(self, parameters: Parameters) -> None:
+        """Begin with what the node was started with."""
+        self._parameters = parameters
+        self._loader: Loader | None = None
+        self._in_use = self._wanted = self._taken = ''
+        self._inputs: tuple[str, ...] = ()  # of the model in use
+        self.asked = False  # another model, at run time
+        self.note = ''
+        self._begun()
+
+    @property
+    def doing(self) -> str:
+        """What takes so long: loading, compiling or building."""
+        return self._begun().doing
+
+    @property
+    def done(self) -> bool:
+        """Whether `result` returns soon; asking begins to load."""
+        return self._begun().done
+
+    def forget(self) -> None:
+        """Load what the parameter says the next time."""
+        self.cancel()
+        self._loader, self._inputs, self.asked = None, (), False
+
+    def change(self, text: str) -> None:
+        """Begin to load another model; raise what is quickly found wrong with it."""
+        file, size = robot_file(text), len(text)
+        if file is not None and file.exists():  # what is no file, as a pipe, takes time
+            size = file.stat().st_size if file.is_file() else DESCRIPTION_MAX
+        if not READ_AT_ONCE_MAX < size <= DESCRIPTION_MAX:  # read, or refused, in no time
+            robot = load_robot(text)
+            if self._inputs:
+                check_inputs(robot.inputs, self._inputs)
+            if not self._parameters['effects']:
+                catalogue = load_catalogue([])
+                for name in robot.effects:
+                    catalogue[name]
+        self.cancel()
+        self._loader, self._wanted, self.asked = self._begin(text), text, True
+
+    def result(self) -> Model:
+        """Return the model; raise when there is none."""
+        loader = self._begun()
+        self.asked, self._taken = False, self._wanted
+        try:
+            return loader.result()
+        except TendonRobotError:
+            if not self._inputs:
+                self.forget()  # the file may be right the next time
+            raise
+
+    def accept(self, model: Model) -> None:
+        """Keep the model that was taken last."""
+        self._in_use, self._inputs = self._taken, model.inputs
+        self.note = f'{model.robot.name} ({", ".join(model.robot.effects) or "PCCA"})'
+
+    def refuse(self) -> None:
+        """Go back to the model before: the parameter names the one in use, or one to come."""
+        if not self.asked:
+            self._parameters.put_back('model', self._in_use)
+
+    def cancel(self) -> None:
+        """End what is being loaded."""
+        if self._loader is not None:
+            self._loader.cancel()
+
+    def _begun(self) -> Loader:
+        if self._loader is None:
+            self._in_use = self._wanted = self._parameters['model']
+            self._loader = self._begin(self._wanted)
+        return self._loader
+
+    def _begin(self, text: str) -> Loader:
+        return Loader(lambda: load_robot(text), self._parameters['effects'], self._inputs)

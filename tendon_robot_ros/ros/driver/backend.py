@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any
 
@@ -27,7 +28,6 @@ from ...drivers.safety import SafetyRules
 from ...model.model import Model
 from ...model.shape import Shape
 from ...robot import Robot
-from ..shared.files import read_mapping
 from ..shared.messages import (
     COMMAND,
     JOINTS,
@@ -36,8 +36,9 @@ from ..shared.messages import (
     passing_subscription,
     pose_array,
     pose_stamped,
+    stamp_now,
 )
-from ..shared.parameters import Parameters
+from ..shared.parameters import Parameters, base_frame, read_mapping
 from ..shared.runtime import repeat
 
 Array = NDArray[np.float64]
@@ -62,37 +63,42 @@ class Twin:
         return self._last
 
 
-# -----------------------------------------------------------------------------
-# A tracker for the mock arm: its tip and its shape as cameras would see them.
+@dataclass(frozen=True)
+class TrackerConfig:
+    """What a configuration may say of the tracker of the mock arm; a camera by default."""
 
-# rate [Hz], noise [m] 1 sd; shares [1] of markers and of whole frames that are not seen
-DEFAULTS = {'rate': 30.0, 'noise': 0.0, 'seed': 0, 'missing': 0.0, 'lost': 0.0}
-DIRECTION_POINT_AHEAD_M = 1e-3  # [m] from the tip to the point that tells its direction
+    rate: float = 30.0  # [Hz]
+    noise: float = 0.0  # [m] 1 sd
+    seed: float = 0.0
+    missing: float = 0.0  # [1] of the markers is not seen
+    lost: float = 0.0  # [1] of the frames
 
 
 class MockTracker:
-    """Publishes measured_tip and measured_shape: one marker at the end of every cell."""
+    """
+    Publishes what cameras would see of the mock arm: measured_tip and measured_shape.
+
+    The shape has one marker at the end of every cell.
+    """
 
     def __init__(
         self, node: Node, driver: MockDriver, config: Mapping[str, Any], parameters: Parameters
     ) -> None:
         """Begin to publish."""
+        known = [field.name for field in fields(TrackerConfig)]
         for key in config:
-            if key not in DEFAULTS:
-                raise InputError(f'config: tracker: expected {", ".join(DEFAULTS)}, got {key!r}')
-        options = {**DEFAULTS, **config}
-        self._node, self._driver, self._noise = node, driver, float(options['noise'])
-        self._missing, self._lost = float(options['missing']), float(options['lost'])
-        self._random = np.random.default_rng(options['seed'])
+            if key not in known:
+                raise InputError(f'config: tracker: expected {", ".join(known)}, got {key!r}')
+        self._node, self._driver = node, driver
+        self._config = TrackerConfig(**{key: float(value) for key, value in config.items()})
+        self._random = np.random.default_rng(int(self._config.seed))
         robot = driver.robot
-        self._frame = parameters['frame_prefix'] + (
-            parameters['base_frame'] or f'{robot.name}_base'
-        )
+        self._frame = base_frame(parameters, robot.name)
         lengths = [section.cell_length for section in robot.sections for _ in range(section.cells)]
         self._arc_lengths = np.cumsum(lengths)
         self._tip = passing_publisher(node, PoseStamped, 'measured_tip', STATE)
         self._shape = passing_publisher(node, PoseArray, 'measured_shape', STATE)
-        self._timer = repeat(node, 1.0 / float(options['rate']), self._publish)
+        self._timer = repeat(node, 1.0 / self._config.rate, self._publish)
 
     def close(self) -> None:
         """Stop to publish."""
@@ -104,71 +110,63 @@ class MockTracker:
         arm: Any = self._driver.truth
         tip_heard = self._tip.get_subscription_count() > 0
         shape_heard = self._shape.get_subscription_count() > 0
-        if arm is None or not (tip_heard or shape_heard) or self._random.random() < self._lost:
+        if (
+            arm is None
+            or not (tip_heard or shape_heard)
+            or self._random.random() < self._config.lost
+        ):
             return
-        header = Header(frame_id=self._frame, stamp=self._node.get_clock().now().to_msg())
+        header = Header(frame_id=self._frame, stamp=stamp_now(self._node))
         n = len(self._arc_lengths)
         points = arm.markers(self._arc_lengths, np.zeros((n, 3)))  # a plant's: as it is tracked
         tip = arm.tip_position
-        ahead = self._seen(
-            np.stack([tip, tip + DIRECTION_POINT_AHEAD_M * arm.tip_direction]), arm.inputs
-        )
-        along = (ahead[1] - ahead[0]) / DIRECTION_POINT_AHEAD_M
-        positions = points + self._random.normal(0.0, self._noise, (n, 3))
-        positions[self._random.random(n) < self._missing] = np.nan
+        ahead = np.stack([tip, tip + arm.tip_direction])
+        tracked = getattr(self._driver.plant, 'tracked', None)
+        if tracked is not None:  # the frame of the tracker may be rotated
+            ahead = tracked(ahead[None], arm.inputs[None])[0]
+        along = ahead[1] - ahead[0]
+        positions = points + self._random.normal(0.0, self._config.noise, (n, 3))
+        positions[self._random.random(n) < self._config.missing] = np.nan
         if shape_heard:
-            rotations = np.tile(np.eye(3), (n, 1, 1))  # markers are points
-            self._shape.publish(pose_array(header, positions, rotations))
+            self._shape.publish(pose_array(header, positions))
         if tip_heard and np.isfinite(positions[-1]).all():
             along /= np.linalg.norm(along)
             self._tip.publish(pose_stamped(header, positions[-1], towards(along)))
 
-    def _seen(self, points: Any, inputs: Any) -> Any:
-        """Return points (n, 3) [m] in the frame of the tracker, which may be turned."""
-        tracked = getattr(self._driver.plant, 'tracked', None)
-        return points if tracked is None else tracked(points[None], inputs[None])[0]
-
 
 MOCK_KEYS = {'plant', 'tracker', 'lag'}  # what no other backend has in its configuration
-TWIN_COMPLIANCE, WIRE_COMPLIANCE = 1e-5, 1e-4  # [1/N] strain of a mock arm's wires
+# [1/N] strain of the wires of a mock arm, because stiff wires pull against each other without
+# bound: 1 / (E A) of steel wires of 0.25 mm (E = 200 GPa)
+WIRE_COMPLIANCE = 1e-4
+# [1/N] of an arm that is the controller's own model, so that its tip is where that model has it
+TWIN_COMPLIANCE = 0.1 * WIRE_COMPLIANCE
 
 
 def make(robot: Robot, parameters: Parameters, node: Node) -> tuple[Driver, dict[str, Any]]:
     """Make the driver, not open yet; also return what its tracker is told (backend mock)."""
-    config = read_mapping(parameters['config'], 'config')
-    mode, backend = parameters['command_mode'], parameters['backend']
-    text = parameters['config']
+    text, mode, backend = (parameters[key] for key in ('config', 'command_mode', 'backend'))
+    config = read_mapping(text, 'config')
     source = text if text and '\n' not in text and ':' not in text else 'config'
-    if backend != 'mock':
-        _check_whose(backend, mode, config, source)
-    if backend == 'ros2_control':
-        link = partial(Ros2ControlLink, node)
-        return make_driver(backend, robot, config, mode=mode, source=source, link=link), {}
-    if backend != 'mock':
-        return make_driver(backend, robot, config, mode=mode, source=source), {}
-    tracker = config.pop('tracker', None) or {}
-    plant = _plant(robot, mode, config.pop('plant', None) or {}, f'{source}: plant')
-    return make_driver(backend, robot, config, mode=mode, source=source, plant=plant), tracker
-
-
-def _check_whose(backend: str, mode: str, config: dict[str, Any], source: str) -> None:
-    """Refuse no configuration, and that of the mock arm, for motors."""
+    if backend == 'mock':
+        tracker = config.pop('tracker', None) or {}
+        plant = _plant(robot, mode, config.pop('plant', None) or {}, f'{source}: plant')
+        return make_driver(backend, robot, config, mode=mode, source=source, plant=plant), tracker
     of_mock = bool(MOCK_KEYS & set(config))
-    if config and not of_mock:
-        return
-    got = f'that of the mock arm ({source})' if of_mock else 'none'
-    example = BACKENDS[backend].example.format(mode=mode)
-    raise InputError(
-        f'config: expected the configuration of the motors for backend {backend}, got {got}; copy '
-        f'config/{example}.yaml, put in your motors, and give that file as config'
-    )
+    if of_mock or not config:
+        got = f'that of the mock arm ({source})' if of_mock else 'none'
+        example = BACKENDS[backend].example.format(mode=mode)
+        raise InputError(
+            f'config: expected the configuration of the motors for backend {backend}, got {got}; '
+            f'copy config/{example}.yaml, put in your motors, and give that file as config'
+        )
+    link = {'link': partial(Ros2ControlLink, node)} if backend == 'ros2_control' else {}
+    return make_driver(backend, robot, config, mode=mode, source=source, **link), {}
 
 
 def _plant(robot: Robot, mode: str, config: dict[str, Any], source: str) -> Any:
     """Make the mock arm; imported here because drivers of hardware load no compiler."""
     twin = config.pop('twin', False)
     if mode == 'pull' and not {'tendon_elongation', 'wire_spring'} & set(robot.effects):
-        # stiff wires pull against each other without bound; theirs give a little
         compliance = TWIN_COMPLIANCE if twin else WIRE_COMPLIANCE
         robot = robot.with_effect('tendon_elongation', {'compliance': compliance})
     if twin:
@@ -183,7 +181,6 @@ def _plant(robot: Robot, mode: str, config: dict[str, Any], source: str) -> Any:
 
 def rules(robot: Robot, driver: Driver, parameters: Parameters) -> SafetyRules:
     """Combine the limits of robot, driver and parameters; the narrowest holds."""
-    m = len(robot.inputs)
     limits = np.array(driver.limits, dtype=float)
     if driver.mode == 'tension':
         low, high = robot.tension_limits
@@ -192,9 +189,9 @@ def rules(robot: Robot, driver: Driver, parameters: Parameters) -> SafetyRules:
         high = parameters['pull_limit'] or np.inf
         low, rate, release = -high, parameters['pull_rate_limit'], parameters['pull_release_rate']
     limits = np.column_stack([np.maximum(limits[:, 0], low), np.minimum(limits[:, 1], high)])
-    rest, give_way, wanted = np.zeros(m), None, parameters['pretension']
+    rest, give_way, wanted = np.zeros(len(limits)), None, parameters['pretension']
     if driver.mode == 'tension':
-        rest = limits[:, 0].copy() if wanted < 0.0 else np.full(m, wanted)
+        rest = limits[:, 0].copy() if wanted < 0.0 else np.full(len(limits), wanted)
     elif driver.gives_way:
         give_way = robot.tension_limits[0] if wanted < 0.0 else wanted
     soon = driver.mode == 'tension' or driver.gives_way
@@ -212,9 +209,6 @@ def rules(robot: Robot, driver: Driver, parameters: Parameters) -> SafetyRules:
         give_way=give_way,
     )
 
-
-# -----------------------------------------------------------------------------
-# Topics of ros2_control: commands of a group controller, states of the joints.
 
 State = tuple[float, float, float]
 

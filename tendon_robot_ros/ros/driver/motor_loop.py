@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +19,15 @@ from ...drivers.safety import Decision
 from ...drivers.supervisor import FOLLOWING, LIMP, OFF, RELEASED, Supervisor
 
 Array = NDArray[np.float64]
-T = TypeVar('T')
-ENABLE_TIMEOUT_S = 120.0  # [s] a driver may look for the slack of its wires first
-RAMP_SETTLE_S = 0.1  # [s] that motors lag behind the end of the ramp
+# [s] to switch torque on, because a driver may look for the slack of its wires first: else each of
+# a dozen wires would have to be found within 10 s
+ENABLE_TIMEOUT_S = 120.0
+# [s] for the motors to do what is asked of them, or to be ramped down after a failure, because a
+# Dynamixel that restarts answers after up to 2 s
+CALL_TIMEOUT_S = 5.0
+# [s] that motors may lag behind the end of the ramp: twenty cycles at the default rate, else
+# torque would be switched off while they still move
+RAMP_SETTLE_S = 0.1
 
 
 @dataclass(frozen=True)
@@ -82,7 +87,7 @@ class MotorLoop:
         self._command = None
         self.supervisor.let_go(reason)
 
-    def call(self, function: Callable[[], T], timeout: float = 5.0) -> T:
+    def call[T](self, function: Callable[[], T], timeout: float = CALL_TIMEOUT_S) -> T:
         """Run a function in the thread; raise what it raises."""
         if not self._thread.is_alive():
             raise DriverError(f'the motor thread has ended: {self.crashed or "closed"}')
@@ -225,7 +230,7 @@ class MotorLoop:
         """After an error nobody foresaw: ramp down if the driver still works, else torque off."""
         try:
             self.supervisor.latch.stop('crash', f'the driver process failed: {self.crashed}')
-            for _ in range(round(5.0 / self._period)):
+            for _ in range(round(CALL_TIMEOUT_S / self._period)):
                 decision = self.supervisor.step(time.monotonic(), None, self.driver.read())
                 if decision.state not in (OFF, LIMP):
                     self._write(decision)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,28 +18,22 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from ...common.errors import TendonRobotError
-from ...common.local_stop import StopListener, Stoppable
 from ...common.processes import REALTIME_PRIORITY, REALTIME_PRIORITY_MOCK, go_realtime
 from ...control.checks import Refusal, by_name, check_stamp, finite
+from ...drivers.interface import BACKENDS
 from ...drivers.mock import MockDriver
+from ...drivers.safety import STOP_TIME_MIN_S, StopLatch
 from ...drivers.supervisor import FOLLOWING, HOLDING, LIMP, OFF, RELEASED, Supervisor
 from ...drivers.tendon_check import due
 from ...robot import load_robot
-from ..shared.inbox import STOP_REASON, Inbox, Service, StopTopic
-from ..shared.joints import JointReader, Joints
-from ..shared.lifecycle import ERROR, OK, WARN, ManagedNode, Status
-from ..shared.messages import JOINTS, STATE, nanoseconds_now, refilled, stamp_now
-from ..shared.parameters import Parameters
+from ..shared.inbox import Inbox, Received
+from ..shared.lifecycle import AUTOSTART, ERROR, OK, WARN, Status, StoppableNode
+from ..shared.messages import JOINTS, STATE, refilled, seconds, stamp_now, time_now
+from ..shared.parameters import BASE_FRAME, COMMAND_MODE, Parameters, Spec
 from ..shared.runtime import asked_to_end, goes_first, repeat, run, when_asked_to_end
-from ..shared.senders import (
-    OtherPublishers,
-    PublisherNames,
-    PublisherSocket,
-    Received,
-    Senders,
-    gid_text,
-)
-from . import backend, parameters
+from ..shared.senders import OwnPublisher, PublisherNames, Senders, gid_text
+from ..shared.timing import SILENCE_S
+from . import backend
 from .backend import MockTracker
 from .motor_loop import Cycle, MotorLoop
 
@@ -52,44 +47,129 @@ STATE_WORDS = {
     'releasing': 'releasing',
 }
 GO_ON = 'a new target of the controller, or reset, goes on'
-STOP_CALLED = 'stop was called'
 NO_MORE = 'the sender of the commands lets go'
 INACTIVE, INACTIVE_REASON = 'inactive', 'the node is not active'
 
+STATUS_LOOK_PERIOD_S = 0.05  # [s] so that a person who presses stop sees at once that it holds
+# [1] defaults and ranges, each with its unit: docs/ros_interface.md
+SPECS = (
+    Spec(
+        'robot',
+        '',
+        'robot description: a path, the name of a robot in config/robots, or YAML text',
+        read_only=True,
+    ),
+    Spec('backend', 'mock', 'what is behind the driver', read_only=True, choices=tuple(BACKENDS)),
+    Spec(
+        'config',
+        '',
+        'configuration of the backend: a path, the name of a file in config, or YAML text',
+        read_only=True,
+    ),
+    COMMAND_MODE,
+    Spec('rate', 200.0, 'cycles of command and reading', 'Hz', 10.0, 1000.0, read_only=True),
+    Spec('command_timeout', 0.1, 'silence after which the arm is released', 's', 0.01, 10.0),
+    Spec('rate_limit', 20.0, 'largest change of a commanded tension', 'N/s', 0.01, 1000.0),
+    Spec(
+        'release_rate', 10.0, 'largest change of a tension during a release', 'N/s', 0.01, 1000.0
+    ),
+    Spec(
+        'stop_time',
+        0.06,
+        'after a stop no motor pulls more than pretension so much later (docs/safety.md)',
+        's',
+        STOP_TIME_MIN_S,
+        10.0,
+    ),
+    Spec(
+        'release_to',
+        'pretension',
+        'end of a release: hold pretension, or torque off',
+        choices=('pretension', 'limp'),
+    ),
+    Spec(
+        'pretension',
+        -1.0,
+        'tension held after a release; -1: the lower tension limit',
+        'N',
+        -1.0,
+        100.0,
+        read_only=True,
+    ),
+    Spec(
+        'pull_limit',
+        0.0,
+        'largest wire pull either way; 0: that of the backend',
+        'm',
+        0.0,
+        1.0,
+        read_only=True,
+    ),
+    Spec('pull_rate_limit', 0.05, 'largest change of a commanded wire pull', 'm/s', 1e-5, 10.0),
+    Spec(
+        'pull_release_rate',
+        0.02,
+        'largest change of a wire pull during a release',
+        'm/s',
+        1e-5,
+        10.0,
+    ),
+    Spec(
+        'stamp_tolerance',
+        0.5,
+        'largest age, and largest lead, of a stamped command',
+        's',
+        0.01,
+        60.0,
+    ),
+    Spec('frame_prefix', '', 'put before frame names (backend mock: its tracker)', read_only=True),
+    BASE_FRAME,
+    Spec(
+        'tendon_reference',
+        '',
+        'file of calibrate --check; after the power was off the status asks for the check; '
+        'empty: nobody asks',
+        read_only=True,
+    ),
+    Spec('mock_fault', '', 'backend mock: fault to inject, as overload:NAME,NAME; empty: none'),
+    AUTOSTART,
+)
 
-class DriverNode(ManagedNode):
+
+class DriverNode(StoppableNode):
     """ROS around a driver: the motor thread moves the motors, this thread hears and tells."""
 
     def __init__(self) -> None:
         """Declare parameters; nothing is opened yet."""
-        super().__init__('driver')
-        self.parameters = Parameters(self, parameters.SPECS)
+        super().__init__('driver', drives=True)
+        self.parameters = Parameters(self, SPECS)
         self.parameters.watch({'mock_fault': self._inject}, self._retune)
         self.status = Status(self, 'motors')
         self.loop: MotorLoop | None = None
         self._tracker: MockTracker | None = None
         self._refusal: Refusal | None = None
         self._check_due = ''  # why the tendons are to be checked
-        self._stopped = False  # by `~/stop`, before there was anything to stop
         self._cycle: Cycle | None = None
         self._senders, self._names = Senders(), PublisherNames(self, 'tendon_command')
         self._state = JointState()
         self._states = self.create_publisher(JointState, 'tendon_states', STATE)
-        self._socket = PublisherSocket(self._states)
-        self._drivers = OtherPublishers(self, self._states)
-        self._commands = Inbox(self, JointState, 'tendon_command', JOINTS, JointReader())
-        stop = Service(self, Trigger, '~/stop', self._stop)  # answers while torque comes on, too
-        self._stop_topic = StopTopic(self, self._stop_said, self._stop_gone, [stop])
-        self._local_stop = StopListener(
-            self.context.get_domain_id(),
-            Stoppable(self.get_fully_qualified_name(), drives=True),
-            self._stop_now,
-        )
+        self._own = OwnPublisher(self, self._states)
+        self._commands = Inbox(self, JointState, 'tendon_command', JOINTS)
+        self.listen()
         self.create_service(Trigger, '~/reset', self._reset)
-        self.create_service(Trigger, '~/resume', self._resume)
-        self.create_service(Trigger, '~/reboot', self._reboot)
-        repeat(self, 0.05, self._tell)
+        for name, act, done in (
+            ('resume', lambda loop: loop.supervisor.resume(), 'waiting for commands'),
+            ('reboot', MotorLoop.reboot, 'rebooted; call reset next'),
+        ):
+            self.create_service(Trigger, f'~/{name}', partial(self._try, act, done))
+        repeat(self, STATUS_LOOK_PERIOD_S, self._tell)
         when_asked_to_end(self._let_go)
+
+    @property
+    def latch(self) -> StopLatch | None:
+        """What holds the stops; None while no motors are open."""
+        loop = self.loop  # any thread may ask
+        return None if loop is None else loop.supervisor.latch
 
     def configure(self) -> None:
         """Read the robot, open the port, begin to read."""
@@ -111,10 +191,7 @@ class DriverNode(ManagedNode):
         )
         if isinstance(driver, MockDriver):
             self._tracker = MockTracker(self, driver, tracker, self.parameters)
-        if self._stop_topic.says:
-            self._stop_said(STOP_REASON)
-        if self._stopped:
-            supervisor.latch.stop('stop', STOP_CALLED)
+        self.stop_as_told()
         self.loop.start()
         if goes_first():  # a mock arm computes: motors of another robot go before it
             mock = isinstance(driver, MockDriver)
@@ -134,15 +211,17 @@ class DriverNode(ManagedNode):
 
     def _let_go(self) -> None:
         """Begin to release: the node is asked to end, `deactivate` comes when it can."""
-        if self.loop is not None:
-            self.loop.supervisor.latch.stop(INACTIVE, INACTIVE_REASON)
+        if (latch := self.latch) is not None:
+            latch.stop(INACTIVE, INACTIVE_REASON)
 
     def deactivate(self) -> None:
         """Ramp to pretension, then torque off if so told."""
         assert self.loop is not None
         if self.loop.crashed is not None:  # the thread has already done what it could
             return
-        if not self.loop.release(INACTIVE, INACTIVE_REASON, self._release_time()):
+        rules = self.loop.supervisor.rules
+        longest = float(np.max(np.ptp(rules.limits, axis=1)) / rules.release_rate) + SILENCE_S
+        if not self.loop.release(INACTIVE, INACTIVE_REASON, longest):
             self.get_logger().error('the release did not end in time; torque off')
             self.loop.call(self.loop.driver.disable)
 
@@ -162,48 +241,44 @@ class DriverNode(ManagedNode):
 
     def destroy_node(self) -> None:
         """Hear no more."""
-        self._stop_topic.close()
-        self._local_stop.close()
         self._commands.close()
-        self._socket.close()
+        self._own.close()
         super().destroy_node()
 
-    def problem(self, message: str) -> None:
-        """Say why a transition was refused."""
-        self.status.say(ERROR, 'not_ready', message, once=True)
+    def _hear(self) -> None:
+        """Hear what cannot wait; runs in the motor thread before every cycle."""
+        self.stop_topic.poll()
+        for heard in self._commands.take():
+            try:
+                self._take(heard)
+            except Refusal as refusal:
+                self._refusal = refusal
+        if problem := self._commands.refused():
+            self._refusal = Refusal('length', problem)
+        if self._senders.died() and self.loop is not None:
+            self.loop.let_go('the sender of the commands has died')
 
-    def _release_time(self) -> float:
-        assert self.loop is not None
-        rules = self.loop.supervisor.rules
-        return float(np.max(np.ptp(rules.limits, axis=1)) / rules.release_rate) + 1.0
-
-    def _command(self, heard: Received[Joints]) -> None:
-        if self.loop is None:
+    def _take(self, heard: Received[JointState]) -> None:
+        """Follow a command, if its publisher is the one to follow; Refusal: it is wrong."""
+        loop, message, what = self.loop, heard.message, 'tendon_command'
+        if loop is None:
             return
-        message = heard.message
-        try:
-            now = 1e-9 * nanoseconds_now(self)
-            tolerance = self.parameters['stamp_tolerance']
-            check_stamp(message.stamp, now, tolerance, 'tendon_command')
-            if not message.names:
-                if self._senders.counts(time.monotonic(), heard):
-                    self.loop.let_go(NO_MORE)
-                return
-            tension = self.loop.driver.mode == 'tension'
-            quantity, values = (
-                ('effort', message.effort) if tension else ('position', message.position)
-            )
-            ordered = by_name(
-                message.names, values, self.loop.driver.inputs, 'tendon_command', quantity
-            )
-            command = finite(ordered.tolist(), 'tendon_command')
+        tolerance = self.parameters['stamp_tolerance']
+        check_stamp(seconds(message.header.stamp), time_now(self), tolerance, what)
+        if not message.name:
             if self._senders.counts(time.monotonic(), heard):
-                if self._senders.new:
-                    self.loop.newcomer()
-                self.loop.put(command)
-                self._refusal = None
-        except Refusal as refusal:
-            self._refusal = refusal
+                loop.let_go(NO_MORE)
+            return
+        tension = loop.driver.mode == 'tension'
+        quantity = 'effort' if tension else 'position'
+        values = message.effort if tension else message.position
+        ordered = by_name(message.name, values, loop.driver.inputs, what, quantity)
+        command = finite(ordered.tolist(), what)
+        if self._senders.counts(time.monotonic(), heard):
+            if self._senders.new:
+                loop.newcomer()
+            loop.put(command)
+            self._refusal = None
 
     def _report(self, cycle: Cycle) -> None:
         """Publish a state; runs in the motor thread."""
@@ -220,7 +295,7 @@ class DriverNode(ManagedNode):
         """Publish the status."""
         cycle, loop = self._cycle, self.loop
         if loop is None:
-            self._stop_topic.poll()
+            self.stop_topic.poll()
         if cycle is None or loop is None:
             if self.phase == 'unconfigured' and not self.parameters['autostart']:
                 self.status.say(WARN, 'unconfigured', 'waits to be configured')
@@ -236,9 +311,14 @@ class DriverNode(ManagedNode):
         if self._refusal is not None:
             level, code = max(level, WARN), f'refused_{self._refusal.code}'
             message = f'{self._refusal}; {message}'
-        beside, senders = self._others()
-        if beside:
-            level, message = max(level, WARN), f'{message}; {beside}'
+        now = time.monotonic()
+        first, others = self._senders.first(now), self._senders.others(now)
+        follows = '' if first is None else self._names.of([first])
+        ignored, drivers = self._names.of(others), self._own.others(now)
+        notes = [f'follows {follows}, ignores tendon_command of {ignored}'] if ignored else []
+        notes += [f'another publishes tendon_states: {drivers}'] if drivers else []
+        if notes:
+            level, message = max(level, WARN), '; '.join([message, *notes])
         values = {
             'state': state,
             'tendon_check': self._check_due,
@@ -251,65 +331,27 @@ class DriverNode(ManagedNode):
             'clipped': ', '.join(decision.clipped),
             'torque_off': ', '.join(loop.off),
             'faults': ', '.join(fault.code for fault in cycle.faults),
-            **senders,
-            **loop.driver.describe(),
-        }
-        self.status.say(level, code, message, values)
-
-    def _others(self) -> tuple[str, dict[str, str]]:
-        """Say who else sends commands or states, as a sentence and as values."""
-        now = time.monotonic()
-        first, others = self._senders.first(now), self._senders.others(now)
-        follows = '' if first is None else self._names.of([first])
-        ignored, drivers = self._names.of(others), self._drivers.names(now)
-        notes = [f'follows {follows}, ignores tendon_command of {ignored}'] if ignored else []
-        notes += [f'another publishes tendon_states: {drivers}'] if drivers else []
-        return '; '.join(notes), {
             'follows': follows,
             # not of a middleware whose messages carry another gid than its graph
             'follows_gid': gid_text(first) if first and self._names.known(first) else '',
             'ignored': ignored,
             'other_drivers': drivers,
+            **loop.driver.describe(),
         }
-
-    def _hear(self) -> None:
-        """Hear what cannot wait; runs in the motor thread before every cycle."""
-        self._stop_topic.poll()
-        for heard in self._commands.take():
-            self._command(heard)
-        if problem := self._commands.refused():
-            self._refusal = Refusal('length', problem)
-        if self._senders.died() and self.loop is not None:
-            self.loop.let_go('the sender of the commands has died')
+        self.status.say(level, code, message, values)
 
     def _cancelled(self) -> bool:
         """Whether to end a search for slack; asked in the motor thread."""
-        self._stop_topic.poll()
-        return asked_to_end() or (self.loop is not None and bool(self.loop.supervisor.latch))
+        self.stop_topic.poll()
+        return asked_to_end() or bool(self.latch)
 
-    def _stop_said(self, reason: str) -> None:
-        if self.loop is not None:
-            self.loop.supervisor.latch.stop('stop topic', reason, lasting=True)
-
-    def _stop_gone(self) -> None:
-        if self.loop is not None:
-            self.loop.supervisor.latch.cause_gone('stop topic')
-
-    def _stop_now(self) -> None:
-        """Latch a stop; called by any thread."""
-        self._stopped = True
-        if self.loop is not None:
-            self.loop.supervisor.latch.stop('stop', STOP_CALLED)
-
-    def _stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._stop_now()
+    def stop_called(self) -> Trigger.Response:
+        """Stop, and answer who has called the service."""
+        self.stop_now()
         does = 'releasing' if self.loop is not None else 'stopped; no motors are open'
-        response.success, response.message = True, f'{does}; call reset to go on'
-        return response
+        return Trigger.Response(success=True, message=f'{does}; call reset to go on')
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        done = 'waiting for commands' if self.phase == 'active' else 'activate it next'
-
         def reset(loop: MotorLoop) -> None:
             loop.reset()
             self._stopped = False
@@ -318,24 +360,24 @@ class DriverNode(ManagedNode):
             self._stopped = False
             response.success, response.message = True, 'the stop is over; no motors are open'
             return response
-        return self._try(response, reset, done)
-
-    def _resume(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return self._try(response, lambda loop: loop.supervisor.resume(), 'waiting for commands')
-
-    def _reboot(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return self._try(response, lambda loop: loop.reboot(), 'rebooted; call reset next')
+        done = 'waiting for commands' if self.phase == 'active' else 'activate it next'
+        return self._try(reset, done, request, response)
 
     def _try(
-        self, response: Trigger.Response, action: Callable[[MotorLoop], None], done: str
+        self,
+        action: Callable[[MotorLoop], None],
+        done: str,
+        request: Trigger.Request,
+        response: Trigger.Response,
     ) -> Trigger.Response:
-        response.success, response.message = self.loop is not None, done
+        """Have the motor thread do something; answer that it is done, or why not."""
+        loop = self.loop
+        response.success, response.message = loop is not None, done
+        if loop is None:
+            response.message = 'the driver is not configured'
+            return response
         try:
-            if self.loop is not None:
-                loop = self.loop
-                loop.call(lambda: action(loop))
-            else:
-                response.message = 'the driver is not configured'
+            loop.call(lambda: action(loop))
         except TendonRobotError as error:
             response.success, response.message = False, ' '.join(str(error).split())
         return response

@@ -1,4 +1,4 @@
-"""What a tracker sends, as positions of the markers in the base frame."""
+"""What a tracker sends, as markers in the base frame; how far the model is off, as messages."""
 
 from __future__ import annotations
 
@@ -6,22 +6,37 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from geometry_msgs.msg import PoseArray, PoseStamped, Quaternion
+from geometry_msgs.msg import PoseArray, PoseStamped, Quaternion, Vector3, Vector3Stamped
 from numpy.typing import NDArray
 from rclpy.node import Node
-from std_msgs.msg import Header
+from std_msgs.msg import Float64, Float64MultiArray, Header
 
 from ...common.errors import InputError
 from ...control.checks import Refusal, check_stamp
 from ...data.tracker_faults import not_there
 from ...monitoring import Monitor
-from ..shared.messages import LISTEN, Frames, matrix, seconds
-from ..shared.parameters import Parameters
-from .parameters import parsed
+from ...monitoring.monitor import Compared
+from ..shared.messages import (
+    LISTEN,
+    STATE,
+    Frames,
+    matrix,
+    points_of,
+    pose_array,
+    seconds,
+    stamp_now,
+    time_now,
+)
+from ..shared.parameters import Parameters, parsed
+from ..shared.timing import SILENCE_S
 
 Array = NDArray[np.float64]
-STATES_LATE_S = 0.1  # [s] that states may lag before the monitor is told: the driver is silent
-ONE_FRAME_WITHIN_S = 0.02  # [s] stamps of markers on topics of their own that belong to one frame
+# [s] that states may lag behind a frame, because a driver that is silent for longer is to be
+# noticed: the default of its command_timeout
+STATES_LATE_S = 0.1
+# [s] between the stamps of markers on topics of their own that belong to one frame: less than a
+# frame at 30 Hz, else two frames would be taken for one
+FRAME_SPAN_S = 0.02
 
 
 class MarkerInput:
@@ -56,7 +71,7 @@ class MarkerInput:
         self._waiting: tuple[float, Array] | None = None
         self._frames = Frames(node, base)
         self._fixed = _transform(parameters['tracker_transform'])
-        topics = parsed(parameters, 'measured_markers', dict)
+        topics = parsed(parameters['measured_markers'], 'measured_markers', dict)
         self._frame: tuple[float, Array] | None = None
         if topics:
             places = {marker.name: index for index, marker in enumerate(self.markers)}
@@ -85,20 +100,20 @@ class MarkerInput:
         self.hand_over()
 
     def _shape(self, message: PoseArray) -> None:
-        points = np.array([[p.position.x, p.position.y, p.position.z] for p in message.poses])
+        points = points_of(message)
         if len(points) != len(self.markers):
             self.problem = (
                 f'measured_shape: expected {len(self.markers)} poses, one for each of the markers '
                 f'(nan where it was not seen), got {len(points)}'
             )
             return
-        self._shape_at = self._now()
+        self._shape_at = time_now(self._node)
         self._give(message.header, points, 'measured_shape')
 
     def _tip(self, message: PoseStamped) -> None:
-        if self._now() - self._shape_at < 1.0:  # the shape says more
-            return
-        self._give(message.header, self._only(len(self.markers) - 1, message), 'measured_tip')
+        if time_now(self._node) - self._shape_at >= SILENCE_S:  # else the shape says more
+            points = self._only(len(self.markers) - 1, message)
+            self._give(message.header, points, 'measured_tip')
 
     def _marker(self, index: int, message: PoseStamped) -> None:
         """Gather markers that come one by one into frames."""
@@ -106,7 +121,7 @@ class MarkerInput:
         points = self._in_base(message.header, self._only(index, message), 'measured_markers')
         if points is None:
             return
-        if self._frame is not None and abs(at - self._frame[0]) > ONE_FRAME_WITHIN_S:
+        if self._frame is not None and abs(at - self._frame[0]) > FRAME_SPAN_S:
             self._take(*self._frame)
             self._frame = None
         if self._frame is None:
@@ -115,6 +130,7 @@ class MarkerInput:
             self._frame[1][index] = points[index]
 
     def _only(self, index: int, message: PoseStamped) -> Array:
+        """Return positions (J, 3) [m] of which only one is known."""
         points = np.full((len(self.markers), 3), np.nan)
         p = message.pose.position
         points[index] = p.x, p.y, p.z
@@ -128,7 +144,7 @@ class MarkerInput:
     def _in_base(self, header: Header, points: Array, what: str) -> Array | None:
         try:
             tolerance = self._parameters['stamp_tolerance']
-            stamp, now = seconds(header.stamp), self._now()
+            stamp, now = seconds(header.stamp), time_now(self._node)
             check_stamp(stamp, now, tolerance, what)
             turn, shift = self._fixed or self._frames.to_base(
                 header.frame_id, what, stamp, now, tolerance
@@ -141,13 +157,11 @@ class MarkerInput:
         return points @ turn.T + shift
 
     def _time(self, header: Header) -> float:
-        return seconds(header.stamp) or self._now()
-
-    def _now(self) -> float:
-        return 1e-9 * float(self._node.get_clock().now().nanoseconds)
+        return seconds(header.stamp) or time_now(self._node)
 
 
 def _transform(text: str) -> tuple[Array, Array] | None:
+    """Read rotation (3, 3) and translation (3,) [m] of the tracker in the base; None: not told."""
     if not text.strip():
         return None
     try:
@@ -162,3 +176,27 @@ def _transform(text: str) -> tuple[Array, Array] | None:
             f'got {text!r}'
         )
     return matrix(turn), np.array([x, y, z])
+
+
+class MonitorOutput:
+    """Errors, and both shapes at the markers."""
+
+    def __init__(self, node: Node) -> None:
+        """Make the publishers."""
+        self._node, publish = node, node.create_publisher
+        self._error = publish(Vector3Stamped, '~/error', STATE)
+        self._rolling = publish(Float64, '~/rolling_error', STATE)
+        self._per_marker = publish(Float64MultiArray, '~/marker_errors', STATE)
+        self._measured = publish(PoseArray, '~/measured', STATE)
+        self._predicted = publish(PoseArray, '~/predicted', STATE)
+
+    def publish(self, frame: str, compared: Compared) -> None:
+        """Publish a frame; what was not seen is nan."""
+        header = Header(frame_id=frame, stamp=stamp_now(self._node))
+        errors = compared.errors
+        x, y, z = errors[-1].tolist()
+        self._error.publish(Vector3Stamped(header=header, vector=Vector3(x=x, y=y, z=z)))
+        self._rolling.publish(Float64(data=compared.rolling))
+        self._per_marker.publish(Float64MultiArray(data=np.linalg.norm(errors, axis=1).tolist()))
+        self._measured.publish(pose_array(header, compared.measured))
+        self._predicted.publish(pose_array(header, compared.predicted))

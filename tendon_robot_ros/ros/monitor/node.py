@@ -11,44 +11,154 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-from geometry_msgs.msg import PoseArray, Vector3, Vector3Stamped
 from numpy.typing import NDArray
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64, Float64MultiArray, Header, String
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from ...common.errors import InputError, TendonRobotError
 from ...control import Refusal
-from ...control.checks import by_name
 from ...control.loading import Loader
 from ...data import save_dataset
-from ...model.model import Model
-from ...monitoring import Monitor
+from ...monitoring import Monitor, MonitorSettings
 from ...monitoring.job import Work
-from ...monitoring.monitor import Compared, read_markers
-from ...monitoring.watch import ArmWatch
+from ...monitoring.monitor import read_markers
+from ...monitoring.watch import ALARM_POSTURES, ArmWatch
 from ...robot import load_robot
 from ..shared.lifecycle import ERROR, OK, WARN, Status
-from ..shared.messages import LATCHED, LISTEN, STATE, pose_array, seconds
-from ..shared.parameters import Parameters, RemoteText
-from ..shared.runtime import repeat, run
-from .adapting import Adapting
-from .measured import MarkerInput
-from .parameters import SPECS, parsed, settings
-from .watching import Watching
+from ..shared.messages import LATCHED, LISTEN, seconds, tensions_and_pulls, time_now
+from ..shared.parameters import (
+    BASE_FRAME,
+    CONTROLLER,
+    FRAME_PREFIX,
+    Parameters,
+    RemoteParameter,
+    Spec,
+    base_frame,
+    parsed,
+)
+from ..shared.runtime import Runnable, repeat, run
+from ..shared.timing import SILENCE_S, STATUS_PERIOD_S, VALUES_PERIOD_S
+from .measured import MarkerInput, MonitorOutput
+from .watching import Adapting, Watching
 
 HELP = 'compare the running robot with its model; record, diagnose, add what is missing'
 Array = NDArray[np.float64]
-BLIND_AFTER_S = 1.0  # [s] without the tracker, after which wire pulls tell the force
+# [1] defaults and ranges, each with its unit: docs/ros_interface.md
+SPECS = (
+    Spec(
+        'model',
+        '',
+        'robot description to compare with: a path, the name of a robot in config/robots, or YAML '
+        'text; empty: that of the controller',
+        read_only=True,
+    ),
+    Spec('effects', [''], 'Python files with effects of your own (they are executed)'),
+    CONTROLLER,
+    Spec(
+        'markers',
+        '',
+        'YAML list of {name, arc_length, offset} in metres, as poses[i] of measured_shape; empty: '
+        'one at the end of every cell',
+        read_only=True,
+    ),
+    Spec(
+        'measured_markers',
+        '',
+        'YAML mapping {marker: topic} of PoseStamped topics; empty: measured_shape, or '
+        'measured_tip where there is no shape',
+        read_only=True,
+    ),
+    Spec('folder', 'monitor', 'where recordings go, a folder each', read_only=True),
+    Spec('partial', False, 'add what was found even if more is at work'),
+    Spec('still_time', 0.6, 'time to stand still before a posture counts', 's', 0.1, 30.0, True),
+    Spec('still_speed', 0.002, 'speed below which the arm is still', 'm/s', 1e-6, 1.0, True),
+    Spec('rolling', 1.0, 'time over which the rolling error is taken', 's', 0.05, 600.0, True),
+    Spec(
+        'position_noise',
+        0.0,
+        '1 sd of a recorded mean position; 0: from the frames of the posture',
+        'm',
+        0.0,
+        0.1,
+        True,
+    ),
+    Spec('setting_noise', 0.002, 'relative 1 sd of a measured input', '', 0.0, 0.5, True),
+    Spec(
+        'path',
+        'sequence',
+        'how recorded postures are taken: one after the other, or each by itself, which is faster '
+        'and cannot test friction_memory',
+        choices=('sequence', 'from_straight'),
+        read_only=True,
+    ),
+    Spec(
+        'force_rate',
+        0.0,
+        'times a second that the force at the tip is estimated; 0: never',
+        'Hz',
+        0.0,
+        100.0,
+        True,
+    ),
+    Spec(
+        'force_time',
+        3.0,
+        'longest time over which frames are averaged for it, while neither tensions nor the arm '
+        'change by more than chance',
+        's',
+        0.0,
+        60.0,
+        True,
+    ),
+    Spec(
+        'reference_postures',
+        0.0,
+        'postures at which the arm is learned, free of any touch, before drift is watched; 0: not '
+        'watched',
+        '',
+        0.0,
+        10000.0,
+        True,
+    ),
+    Spec(
+        'alarm_postures',
+        ALARM_POSTURES,
+        'without a change no alarm before so many postures, on average',
+        '',
+        10.0,
+        1e9,
+        True,
+    ),
+    Spec(
+        'adapt',
+        False,
+        'parameters of the added effects follow the arm slowly, within their intervals',
+    ),
+    Spec('tracker_noise', 2e-4, '1 sd of a coordinate of a marker', 'm', 1e-7, 0.1, True),
+    BASE_FRAME,
+    FRAME_PREFIX,
+    Spec('stamp_tolerance', 0.5, 'largest age, and largest lead, of a stamp', 's', 0.01, 60.0),
+    Spec(
+        'tracker_transform',
+        '',
+        'x y z qx qy qz qw of the frame of the tracker in that of the base [m]; empty: the '
+        'tracker measures in the base frame, or TF knows',
+        read_only=True,
+    ),
+)
+
+SETTINGS = 'still_time', 'still_speed', 'rolling', 'position_noise', 'setting_noise', 'path'
 
 
-class MonitorNode(Node):
+class MonitorNode(Runnable, Node):
     """ROS around the monitor; diagnosis runs in a child process."""
 
     def __init__(self) -> None:
@@ -62,7 +172,7 @@ class MonitorNode(Node):
         self._in_use = self._loading = self._base = self._said = ''
         self._measured: MarkerInput | None = None
         self._last_error = self._frame_at = float('nan')
-        self._remote = RemoteText(self, self.parameters['controller'], 'model')
+        self._remote = RemoteParameter(self, self.parameters['controller'], 'model')
         publish = self.create_publisher
         self._output = MonitorOutput(self)
         self.watching: Watching | None = None
@@ -70,32 +180,28 @@ class MonitorNode(Node):
         self._progress = publish(String, '~/progress', LATCHED)
         self._verdict = publish(String, '~/verdict', LATCHED)
         self.create_subscription(JointState, 'tendon_states', self._states, LISTEN)
-        for name in ('record', 'diagnose', 'add', 'learn', 'undo', 'change'):
-            self.create_service(Trigger, f'~/{name}', getattr(self, f'_{name}'))
-        repeat(self, 0.1, self._cycle)
-        repeat(self, 1.0, self._look_at_controller)
-
-    @property
-    def node(self) -> Node:
-        """Return itself, for `run`."""
-        return self
+        services: dict[str, Callable[[], str]] = {
+            'record': self.record,
+            'diagnose': self.diagnose,
+            'add': lambda: self.work.add(self.parameters['partial']),
+            'learn': self.learn,
+            'undo': self.undo,
+            'change': lambda: self._watched().change(),  # what is known of one, to `investigate`
+        }
+        for name, act in services.items():
+            self.create_service(Trigger, f'~/{name}', partial(self._answer, name, act))
+        repeat(self, VALUES_PERIOD_S, self._cycle)
+        if not self.parameters['model']:
+            repeat(self, STATUS_PERIOD_S, lambda: self._remote.ask(self._load))
 
     def start(self) -> None:
         """Take the model that is given; else that of the controller, when it answers."""
         if self.parameters['model']:
             self._load(self.parameters['model'])
 
-    def running(self) -> bool:
-        """Go on."""
-        return True
-
-    def end(self, spin: object) -> None:
+    def end(self) -> None:
         """End what runs."""
         self.work.cancel()
-
-    def _look_at_controller(self) -> None:
-        if not self.parameters['model']:
-            self._remote.ask(self._load)
 
     def _load(self, text: str) -> None:
         """Begin to load a description, unless it is the one in use."""
@@ -119,10 +225,10 @@ class MonitorNode(Node):
             model = loader.result()
             if self.monitor is None:
                 robot = model.robot
-                markers = read_markers(parsed(self.parameters, 'markers', list), robot)
-                self.monitor = Monitor(model, markers, settings(self.parameters))
-                name = self.parameters['base_frame'] or f'{robot.name}_base'
-                self._base = self.parameters['frame_prefix'] + name
+                markers = parsed(self.parameters['markers'], 'markers', list)
+                settings = MonitorSettings(**{name: self.parameters[name] for name in SETTINGS})
+                self.monitor = Monitor(model, read_markers(markers, robot), settings)
+                self._base = base_frame(self.parameters, robot.name)
                 self._measured = MarkerInput(
                     self, self.parameters, self._base, self.monitor, self._frame
                 )
@@ -131,33 +237,26 @@ class MonitorNode(Node):
                     self, self.parameters, self.monitor, self._loading, self._remote.put
                 )
             else:
-                self._change_model(self.monitor, model)
+                self.monitor.set_model(model)
+                # the arm is still watched where the description has only followed it
+                anew = self.adapting is None or self.adapting.set_model(model, self._loading)
+                if anew and self.watching is not None:
+                    self.watching.set_model(model)
         except TendonRobotError as error:
             self._said = f'model: {error}'
         else:
             self._in_use, self._said = self._loading, ''
             self.get_logger().info(f'comparing with {", ".join(model.robot.effects) or "PCCA"}')
 
-    def _change_model(self, monitor: Monitor, model: Model) -> None:
-        """Compare with another description; the arm is still watched where it only followed."""
-        monitor.set_model(model)
-        anew = self.adapting is None or self.adapting.set_model(model, self._loading)
-        if anew and self.watching is not None:
-            self.watching.set_model(model)
-
     def _states(self, message: JointState) -> None:
         if self.monitor is None:
             return
-        inputs, names = self.monitor.model.inputs, message.name
-        blank = [float('nan')] * len(names)
         try:
-            tensions = by_name(names, message.effort or blank, inputs, 'tendon_states', 'effort')
-            pulls = by_name(names, message.position or blank, inputs, 'tendon_states', 'position')
+            measured = tensions_and_pulls(message, self.monitor.model.inputs)
         except Refusal as refusal:
             self._said = str(refusal)
             return
-        now = 1e-9 * self.get_clock().now().nanoseconds
-        self.monitor.put_states(seconds(message.header.stamp) or now, tensions, pulls)
+        self.monitor.put_states(seconds(message.header.stamp) or time_now(self), *measured)
         if self._measured is not None:
             self._measured.hand_over()
 
@@ -182,13 +281,16 @@ class MonitorNode(Node):
     def _cycle(self) -> None:
         """Take what the child says; tell how things are."""
         self._take_model()
-        if self.watching is not None and time.monotonic() - self._frame_at > BLIND_AFTER_S:
+        if self.watching is not None and time.monotonic() - self._frame_at > SILENCE_S:
+            # wire pulls tell the force
             self.watching.blind(self._base)
         for news in self.work.news():
             if news['kind'] == 'verdict':
                 self._verdict.publish(String(data=json.dumps(news['content'])))
             if news['kind'] == 'add':
-                self._remote.put(news['file'], self._added)
+                self._remote.put(
+                    news['file'], lambda *answer: self._tell_progress(self.work.answered(*answer))
+                )
             if news['text']:
                 self._tell_progress(news['text'])
         level, code, message = self._condition()
@@ -204,7 +306,7 @@ class MonitorNode(Node):
             return WARN, 'refused', self._measured.problem
         if self.monitor.problem:
             return WARN, 'not_compared', self.monitor.problem
-        if not time.monotonic() - self._frame_at < 1.0:
+        if not time.monotonic() - self._frame_at < SILENCE_S:
             return WARN, 'no_tracker', 'no measured_shape and no measured_tip for a second'
         if self.watching is not None and self.watching.drifted:
             return WARN, 'drifted', f'the arm is {self.watching.watch.text}'
@@ -231,38 +333,14 @@ class MonitorNode(Node):
     def _tell_progress(self, text: str) -> None:
         self._progress.publish(String(data=text))
 
-    def _added(self, taken: bool, reason: str) -> None:
-        self._tell_progress(self.work.answered(taken, reason))
-
-    def _record(self, request: object, response: Trigger.Response) -> Trigger.Response:
-        return self._answer(response, self._begin_or_stop_recording)
-
-    def _diagnose(self, request: object, response: Trigger.Response) -> Trigger.Response:
-        return self._answer(response, self._begin_diagnosis)
-
-    def _add(self, request: object, response: Trigger.Response) -> Trigger.Response:
-        return self._answer(response, lambda: self.work.add(self.parameters['partial']))
-
-    def _learn(self, request: object, response: Trigger.Response) -> Trigger.Response:
-        return self._answer(response, self._learn_anew)
-
-    def _undo(self, request: object, response: Trigger.Response) -> Trigger.Response:
-        return self._answer(response, self._take_back)
-
-    def _change(self, request: object, response: Trigger.Response) -> Trigger.Response:
-        """Hand over what is known of a change, to `investigate`."""
-        try:
-            response.message, response.success = self._watched().change(), True
-        except TendonRobotError as error:
-            response.success, response.message = False, str(error)
-        return response
-
-    def _take_back(self) -> str:
+    def undo(self) -> str:
+        """Take the last change of the controller's model back."""
         self._require_monitor()
         assert self.adapting is not None
         return self.adapting.undo()
 
-    def _learn_anew(self) -> str:
+    def learn(self) -> str:
+        """Learn the arm anew."""
         self._watched().learn_anew()
         return self._watched().text
 
@@ -271,7 +349,8 @@ class MonitorNode(Node):
             raise InputError('nothing is watched: see the parameter reference_postures')
         return self.watching.watch
 
-    def _begin_or_stop_recording(self) -> str:
+    def record(self) -> str:
+        """Begin to record postures, or stop."""
         monitor = self._require_monitor()
         count = len(monitor.recorded)
         if monitor.recording:
@@ -283,7 +362,8 @@ class MonitorNode(Node):
             return f'recording on, {count} postures are kept; call record to stop, then diagnose'
         return 'recording every posture in which the arm stands still; then call diagnose'
 
-    def _begin_diagnosis(self) -> str:
+    def diagnose(self) -> str:
+        """Begin to diagnose what was recorded."""
         monitor = self._require_monitor()
         if self.work.running:
             raise InputError('a diagnosis runs already')
@@ -299,45 +379,19 @@ class MonitorNode(Node):
             raise InputError('no model yet: is the controller running?')
         return self.monitor
 
-    def _answer(self, response: Trigger.Response, act: object) -> Trigger.Response:
+    def _answer(
+        self, name: str, act: Callable[[], str], request: object, response: Trigger.Response
+    ) -> Trigger.Response:
+        """Do what a service asks for; answer and publish what came of it, or why not."""
         try:
-            response.message = act()  # type: ignore[operator]
-            response.success = True
+            response.message, response.success = act(), True
         except TendonRobotError as error:
             response.success, response.message = False, ' '.join(str(error).split())
-        self._tell_progress(response.message)
+        if name != 'change':  # a file, which nobody reads
+            self._tell_progress(response.message)
         return response
 
 
 def main(arguments: Sequence[str]) -> int:
     """Run the node until a signal comes."""
     return run(MonitorNode, arguments)
-
-
-# -----------------------------------------------------------------------------
-# What the monitor publishes for every frame of the tracker.
-
-
-class MonitorOutput:
-    """Errors, and both shapes at the markers."""
-
-    def __init__(self, node: Node) -> None:
-        """Make the publishers."""
-        self._node, publish = node, node.create_publisher
-        self._error = publish(Vector3Stamped, '~/error', STATE)
-        self._rolling = publish(Float64, '~/rolling_error', STATE)
-        self._per_marker = publish(Float64MultiArray, '~/marker_errors', STATE)
-        self._measured = publish(PoseArray, '~/measured', STATE)
-        self._predicted = publish(PoseArray, '~/predicted', STATE)
-
-    def publish(self, frame: str, compared: Compared) -> None:
-        """Publish a frame; what was not seen is nan."""
-        header = Header(frame_id=frame, stamp=self._node.get_clock().now().to_msg())
-        errors = compared.errors
-        x, y, z = errors[-1].tolist()
-        self._error.publish(Vector3Stamped(header=header, vector=Vector3(x=x, y=y, z=z)))
-        self._rolling.publish(Float64(data=compared.rolling))
-        self._per_marker.publish(Float64MultiArray(data=np.linalg.norm(errors, axis=1).tolist()))
-        turns = np.tile(np.eye(3), (len(errors), 1, 1))
-        self._measured.publish(pose_array(header, compared.measured, turns))
-        self._predicted.publish(pose_array(header, compared.predicted, turns))

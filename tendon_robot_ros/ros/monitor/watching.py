@@ -1,9 +1,12 @@
-"""Drift and tip force of the monitor: what it publishes of them, and when."""
+"""Drift, tip force and adaptation of the monitor: when they are asked, and what is published."""
 
 from __future__ import annotations
 
 import json
 import time
+from collections.abc import Callable
+from datetime import datetime
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,19 +15,26 @@ from numpy.typing import NDArray
 from rclpy.node import Node
 from std_msgs.msg import Float64MultiArray, Header, String
 
+from ...common.errors import InputError
+from ...common.words import with_unit
 from ...diagnosis.intervals import load_of
 from ...model.model import Model
 from ...monitoring import Monitor, StillMeasurement
+from ...monitoring.adaptation import Adaptation, ModelChange
 from ...monitoring.monitor import FrameMean
 from ...monitoring.tip_force import TipForce
-from ...monitoring.watch import ArmWatch
+from ...monitoring.watch import ArmWatch, WatchSettings
 from ...report.sentences import load_words
-from ..shared.messages import LATCHED, STATE
+from ...robot import Robot, dump_robot
+from ..shared.messages import LATCHED, STATE, stamp_now
 from ..shared.parameters import Parameters
-from .parameters import watched
 
 Array = NDArray[np.float64]
-SAME_TENSION_SHARE = 0.01  # of the largest: frames under tensions that differ by less are averaged
+# [1] of the largest tension: frames under tensions that differ by less are averaged, so that the
+# noise of a load cell does not begin a new mean
+SAME_TENSION = 0.01
+LOG = 'adaptation.jsonl'  # in the folder of the monitor: a line for every change
+Send = Callable[[str, Callable[[bool, str], None]], None]
 
 
 class Watching:
@@ -33,14 +43,18 @@ class Watching:
     def __init__(self, node: Node, parameters: Parameters, monitor: Monitor) -> None:
         """Begin to learn the arm."""
         self._node, self._monitor = node, monitor
-        self.watch = ArmWatch(monitor.model, monitor.markers, watched(parameters))
+        postures = int(parameters['reference_postures']) or WatchSettings.reference_postures
+        settings = WatchSettings(
+            postures, parameters['alarm_postures'], parameters['tracker_noise']
+        )
+        self.watch = ArmWatch(monitor.model, monitor.markers, settings)
         self._drift = parameters['reference_postures'] > 0.0
         rate = parameters['force_rate']
         self._period = 1.0 / rate if rate > 0.0 else np.inf
         self._due, self.force = 0.0, None
         high = monitor.model.robot.tension_limits[1]
         self._frames = FrameMean(
-            parameters['tracker_noise'], SAME_TENSION_SHARE * high, parameters['force_time']
+            parameters['tracker_noise'], SAME_TENSION * high, parameters['force_time']
         )
         publish = node.create_publisher
         self._wrench = publish(WrenchStamped, '~/tip_force', STATE)
@@ -69,8 +83,9 @@ class Watching:
 
     def values(self) -> dict[str, str]:
         """Return what the status says."""
-        said = {} if not self._drift else {'drift': str(self.drifted).lower(),
-                                           'watch': self.watch.text}  # fmt: skip
+        said = {}
+        if self._drift:
+            said = {'drift': str(self.drifted).lower(), 'watch': self.watch.text}
         if self.force is not None:
             gravity = self.watch.model.robot.gravity
             load = load_of(self.force.force, self.force.covariance, gravity)
@@ -110,19 +125,14 @@ class Watching:
         return bool(np.isfinite(self._period))
 
     def _publish(
-        self,
-        base: str,
-        tensions: Array,
-        positions: Array | None,
-        frames: int,
-        pulls: Array | None,
+        self, base: str, tensions: Array, positions: Array | None, frames: int, pulls: Array | None
     ) -> None:
         if not np.isfinite(tensions).all():
             return
         self.force = self.watch.force(tensions, positions, pulls, frames)
         if self.force is None:
             return
-        header = Header(frame_id=base, stamp=self._node.get_clock().now().to_msg())
+        header = Header(frame_id=base, stamp=stamp_now(self._node))
         x, y, z = self.force.force.tolist()
         message = WrenchStamped(header=header)
         message.wrench.force = Vector3(x=x, y=y, z=z)
@@ -142,3 +152,117 @@ class Watching:
         if text != self._told:
             self._told = text
             self._state.publish(String(data=text))
+
+
+class Adapting:
+    """Hands postures to the estimate, and its changes to the controller."""
+
+    def __init__(
+        self, node: Node, parameters: Parameters, monitor: Monitor, text: str, send: Send
+    ) -> None:
+        """Begin with the model in use and its text; `send` gives the controller another one."""
+        self._node, self._parameters, self._monitor = node, parameters, monitor
+        self._send, self._sent, self._waiting = send, text, False
+        self._publisher = node.create_publisher(String, '~/adaptation', LATCHED)
+        self._begin(monitor.model)
+
+    def set_model(self, model: Model, text: str) -> bool:
+        """Begin anew with another description, unless it came from here; return whether."""
+        if text == self._sent:
+            return False
+        self._sent = text
+        self._begin(model)
+        return True
+
+    def values(self) -> dict[str, str]:
+        """Return what the status says."""
+        on, made = bool(self._parameters['adapt']), len(self._adaptation.changes)
+        said = {'adapt': str(on).lower(), 'adapted': str(made)}
+        return said | ({'follows': self._adaptation.text} if on else {})
+
+    def stands(self, stood: StillMeasurement) -> None:
+        """Take a posture at which the arm stands."""
+        change = self._parameters['adapt']
+        if self._waiting or not (change or self._parameters['reference_postures']):
+            return
+        made = self._adaptation.stands(stood.inputs, stood.positions, change, stood.frames)
+        if made is not None:
+            self._tell('changed', made)
+            self._put(self._adaptation.robot)
+        else:
+            self._publish()
+
+    def undo(self) -> str:
+        """
+        Take the last change back and follow no longer.
+
+        Raises
+        ------
+        InputError
+            Nothing was changed, or the controller has not answered yet.
+
+        """
+        if self._waiting:
+            raise InputError('the last change is still on its way to the controller')
+        undone = self._adaptation.undo()
+        if undone is None:
+            raise InputError('nothing was changed since this description was taken')
+        self._parameters.put_back('adapt', False)
+        self._tell('undone', undone)
+        self._put(self._adaptation.robot)
+        said = '; '.join(
+            f'{one.effect}.{one.parameter} is {with_unit(f"{one.after:.4g}", one.unit)} again'
+            for one in undone.parameters
+        )
+        return f'{said}; adapt is false now'
+
+    def _begin(self, model: Model) -> None:
+        noise = self._parameters['tracker_noise']
+        self._adaptation = Adaptation(model, self._monitor.markers, noise)
+        if self._parameters['model']:
+            self._adaptation.problem = (
+                'nothing can follow: the monitor compares with a model of its own (model)'
+            )
+
+    def _put(self, robot: Robot) -> None:
+        """Send a description to the controller; one that it refuses is taken back."""
+        before, self._sent, self._waiting = self._sent, dump_robot(robot), True
+
+        def answered(taken: bool, reason: str) -> None:
+            self._waiting = False
+            if not taken:
+                self._sent = before
+                self._adaptation.undo()
+                self._node.get_logger().warning(f'the controller keeps its model: {reason}')
+
+        self._send(self._sent, answered)
+
+    def _tell(self, what: str, change: ModelChange) -> None:
+        """Log a change: to the console, the topic, and the file."""
+        for one in change.parameters:
+            self._node.get_logger().info(f'{what}: {one}')
+        now = datetime.now().astimezone().isoformat(timespec='seconds')
+        self._publish({'what': what, 'time': now, **change.to_json()})
+        path = Path(self._parameters['folder']) / LOG
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with path.open('a', encoding='utf-8') as log:
+                log.write(json.dumps({'what': what, 'time': now, **change.to_json()}) + '\n')
+        except OSError as error:  # the arm goes on: a full disk
+            self._node.get_logger().warning(f'{path}: cannot be written ({error.strerror})')
+
+    def _publish(self, last: dict[str, object] | None = None) -> None:
+        """Publish the estimate, and the last change."""
+        made = self._adaptation
+        content: dict[str, object] = {
+            'text': made.text,
+            'postures': made.postures,
+            'memory_postures': made.memory if made.memory < 1e9 else None,
+            'parameters': {
+                key: {'value': value, 'sd': sd} for key, (value, sd) in made.values().items()
+            },
+            'changes': len(made.changes),
+        }
+        if last is not None:
+            content['last'] = last
+        self._publisher.publish(String(data=json.dumps(content)))

@@ -1,13 +1,20 @@
-"""Subscriptions and services that whoever needs them asks, in a thread of its own choice."""
+"""
+Subscriptions and services that whoever needs them asks, in a thread of its own choice.
+
+Every message comes with the gid of its publisher (rmw: globally unique identifier). rclpy does not
+hand it on, the C library below it does.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import re
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -28,7 +35,65 @@ from .messages import (
     LISTEN_ALL,
     passing_subscription,
 )
-from .senders import MESSAGE_BYTES_MAX, UNTOLD, Received, Taker, too_long, unreadable
+from .timing import SILENCE_S, VALUES_PERIOD_S
+
+UNTOLD = b''  # publisher of a message where the middleware does not say
+# [B] of a message that is read beside the commands: measured, 10 MB take seconds
+MESSAGE_BYTES_MAX = 250_000
+# [1] manual of rmw, rmw/types.h: RMW_MESSAGE_INFO_SEQUENCE_NUMBER_UNSUPPORTED
+NOT_COUNTED = 2**64 - 1
+# [B] behind each structure, because a newer library may write a longer one
+SPARE_BYTES = 256
+
+
+@dataclass(frozen=True)
+class Received[M]:
+    """A message, and what the middleware says of it."""
+
+    message: M
+    sent: int  # [ns] clock of the publisher
+    number: int  # counts the messages of its publisher; 0 where the middleware does not
+    publisher: bytes = UNTOLD  # as `endpoint_gid` in what a node knows of the publishers
+
+    def repeats(self, last: Received[M]) -> bool:
+        """Whether it is no newer than the last one of the same publisher."""
+        if self.number:
+            return self.number <= last.number
+        return self.sent == last.sent
+
+
+class _Allocator(ctypes.Structure):
+    """rcutils_allocator_t."""
+
+    _fields_ = tuple(
+        (name, ctypes.c_void_p) for name in ('give', 'take', 'change', 'zero', 'state')
+    )
+
+
+class _Bytes(ctypes.Structure):
+    """rcutils_uint8_array_t."""
+
+    _fields_ = (
+        ('buffer', ctypes.c_void_p),
+        ('length', ctypes.c_size_t),
+        ('capacity', ctypes.c_size_t),
+        ('allocator', _Allocator),
+        ('spare', ctypes.c_uint8 * SPARE_BYTES),
+    )
+
+
+class _Info(ctypes.Structure):
+    """rmw_message_info_t."""
+
+    _fields_ = (
+        ('sent', ctypes.c_int64),
+        ('received', ctypes.c_int64),
+        ('number', ctypes.c_uint64),
+        ('received_number', ctypes.c_uint64),
+        ('middleware', ctypes.c_char_p),
+        ('publisher', ctypes.c_uint8 * 16),
+        ('spare', ctypes.c_uint8 * SPARE_BYTES),
+    )
 
 
 class Inbox[M]:
@@ -42,63 +107,98 @@ class Inbox[M]:
     same topic may have another inbox for them.
     """
 
-    def __init__(
-        self, node: Node, kind: type, topic: str, qos: QoSProfile, read: Callable[[bytes], M]
-    ) -> None:
-        """Subscribe; `read` makes of bytes what is taken."""
+    def __init__(self, node: Node, kind: type[M], topic: str, qos: QoSProfile) -> None:
+        """Subscribe."""
         check_is_valid_msg_type(kind)
-        self.topic = topic
+        self.topic, self._kind, self._problem = topic, kind, ''
         with node.handle:
             self.handle = _rclpy.Subscription(node.handle, kind, topic, qos.get_c_qos_profile())
-        self._take = Taker(self.handle, kind, read)
+        self._info = _Info()  # of the last message
+        try:
+            self._take_bytes = ctypes.CDLL('librcl.so').rcl_take_serialized_message
+            self._free = ctypes.CDLL('librcutils.so').rcutils_uint8_array_fini
+            allocator = ctypes.CDLL('librcutils.so').rcutils_get_default_allocator
+            allocator.restype = _Allocator
+            self._bytes: _Bytes | None = _Bytes(allocator=allocator())
+        except (OSError, AttributeError):  # messages then come without their publisher
+            self._bytes = None
 
     def take(self) -> list[Received[M]]:
         """Give the messages that came since the last time, oldest first, that can be read."""
+        taken: list[Received[M]] = []
         with self.handle:
-            return list(iter(self._take, None))
+            while (raw := self._next()) is not None:
+                problem, message = _read(raw.message, self._kind)
+                if problem:
+                    self._problem = problem
+                else:
+                    taken.append(Received(message, raw.sent, raw.number, raw.publisher))
+        return taken
+
+    def _next(self) -> Received[bytes] | None:
+        """Return the next message as bytes; the handle must be entered."""
+        if self._bytes is None:
+            taken = self.handle.take_message(self._kind, True)
+            if taken is None:
+                return None
+            data, about = taken
+            number = about['publication_sequence_number'] or 0
+            return Received(data, about['source_timestamp'], number)
+        info, pointer = self._info, ctypes.c_void_p(self.handle.pointer)
+        failed = self._take_bytes(pointer, ctypes.byref(self._bytes), ctypes.byref(info), None)
+        if failed:  # there is none
+            return None
+        data = ctypes.string_at(self._bytes.buffer, self._bytes.length)
+        number = info.number if info.number < NOT_COUNTED else 0
+        return Received(data, info.sent, number, bytes(info.publisher))
 
     def refused(self) -> str:
         """Say why a message since the last time was not read, '' for none."""
-        problem, self._take.refused = self._take.refused, ''
+        problem, self._problem = self._problem, ''
         return problem and f'{self.topic}: {problem}'
 
     def close(self) -> None:
         """Unsubscribe."""
-        self._take.close()
+        if self._bytes is not None:
+            self._free(ctypes.byref(self._bytes))
+            self._bytes = None
         self.handle.destroy_when_not_in_use()
 
 
+def _read(data: bytes, kind: type) -> tuple[str, Any]:
+    """Return why bytes are not read as a message, '' if they are, and the message."""
+    if len(data) > MESSAGE_BYTES_MAX:
+        return f'expected at most {MESSAGE_BYTES_MAX:,} bytes, got {len(data):,}', None
+    try:
+        return '', deserialize_message(data, kind)
+    except _rclpy.RMWError:
+        name = kind.__name__
+        return f'expected a message {name}, got {len(data):,} bytes that are none', None
+
+
+Answer = Callable[[object], None]
+
+
 class Service:
-    """A service that answers when it is asked to, whatever its node's executor is doing."""
+    """
+    A service that answers when it is asked to, whatever its node's executor is doing.
+
+    Parameters
+    ----------
+    answer : callable
+        Gets a request, and a function that sends the response, now or when it is known.
+
+    """
 
     def __init__(
-        self, node: Node, kind: Any, name: str, answer: Callable[[Any, Any], Any]
+        self, node: Node, kind: Any, name: str, answer: Callable[[Any, Answer], object]
     ) -> None:
-        """Offer the service; `answer` gets request and response, and returns the response."""
+        """Offer the service."""
         self._kind, self._answer = kind, answer
         check_is_valid_srv_type(kind)
         with node.handle:
             qos = qos_profile_services_default.get_c_qos_profile()
             self.handle = _rclpy.Service(node.handle, kind, name, qos)
-
-    def serve(self) -> None:
-        """Answer the requests that came since the last time."""
-        while True:
-            with self.handle:
-                request, header = self.handle.service_take_request(self._kind.Request)
-                if header is None:
-                    return
-                response = self._answer(request, self._kind.Response())
-                with contextlib.suppress(_rclpy.RCLError):  # who asked has gone
-                    self.handle.service_send_response(response, header.request_id)
-
-    def close(self) -> None:
-        """Offer it no more."""
-        self.handle.destroy_when_not_in_use()
-
-
-class LateService(Service):
-    """A service whose answer comes when it is known: `answer` gets request and how to send it."""
 
     def serve(self) -> None:
         """Hand on the requests that came since the last time."""
@@ -109,9 +209,14 @@ class LateService(Service):
                 return
             self._answer(request, partial(self._send, header.request_id))
 
-    def _send(self, request_id: Any, response: Any) -> None:
+    def _send(self, request_id: Any, response: object) -> None:
+        """Send a response, unless who asked, or this service, has gone."""
         with contextlib.suppress(_rclpy.RCLError, _rclpy.InvalidHandle), self.handle:
             self.handle.service_send_response(response, request_id)
+
+    def close(self) -> None:
+        """Offer it no more."""
+        self.handle.destroy_when_not_in_use()
 
 
 class Waiting:
@@ -143,18 +248,8 @@ class Waiting:
         self._guard.destroy()
 
 
-# -----------------------------------------------------------------------------
-# Messages of any publisher by the executor of a node.
-
-PAIR_S = 1.0  # [s] in which the same message comes by both ways
-
-
 def hear_anybody[M](
-    node: Node,
-    kind: type[M],
-    topic: str,
-    hear: Callable[[M], None],
-    refuse: Callable[[str], None],
+    node: Node, kind: type[M], topic: str, hear: Callable[[M], None], refuse: Callable[[str], None]
 ) -> list[Subscription]:
     """
     Subscribe to publishers of any quality of service; return the subscriptions.
@@ -164,37 +259,28 @@ def hear_anybody[M](
     """
     waiting: tuple[deque[tuple[float, bytes]], deque[tuple[float, bytes]]] = deque(), deque()
 
-    def come(message: bytes, way: int) -> None:
-        now, own, other = time.monotonic(), waiting[way], waiting[1 - way]
+    def come(message: bytes, path: int) -> None:
+        now, own, other = time.monotonic(), waiting[path], waiting[1 - path]
         for queue in waiting:
-            while queue and now - queue[0][0] > PAIR_S:
+            while queue and now - queue[0][0] > SILENCE_S:
                 queue.popleft()
         same = next((pair for pair in other if pair[1] == message), None)
         if same is not None:
             other.remove(same)
             return
         own.append((now, message))
-        what = topic.removeprefix('~/')
-        if len(message) > MESSAGE_BYTES_MAX:
-            refuse(f'{what}: {too_long(len(message))}')
-            return
-        try:
-            read = deserialize_message(message, kind)
-        except _rclpy.RMWError:
-            refuse(f'{what}: {unreadable(kind, len(message))}')
+        problem, read = _read(message, kind)
+        if problem:
+            refuse(f'{topic.removeprefix("~/")}: {problem}')
         else:
             hear(read)
 
     return [
-        passing_subscription(node, kind, topic, partial(come, way=way), qos, raw=True)
-        for way, qos in enumerate((COMMAND, LISTEN))
+        passing_subscription(node, kind, topic, partial(come, path=path), qos, raw=True)
+        for path, qos in enumerate((COMMAND, LISTEN))
     ]
 
 
-# -----------------------------------------------------------------------------
-# The topic `stop`: whoever says true stops the arm; who may say that the cause is gone.
-
-LOOK_PERIOD_S = 0.2  # [s] after which it is looked again whether who said true is still there
 PASSED_ON = '_stop_heard'  # hidden, as ROS has it
 WORD = re.compile(
     r'(?P<publisher>([0-9a-f]{2}){0,32}) (?P<number>\d{1,20}) (?P<sent>-?\d{1,20}) '
@@ -203,7 +289,7 @@ WORD = re.compile(
 STOP_REASON = 'topic stop says true (publish false on it to end that)'
 
 
-def _passed(word: Received[Bool]) -> String:
+def _written(word: Received[Bool]) -> String:
     """Write down a word and whose it is."""
     says = 'true' if word.message.data else 'false'
     return String(data=f'{word.publisher.hex()} {word.number} {word.sent} {says}')
@@ -211,12 +297,12 @@ def _passed(word: Received[Bool]) -> String:
 
 def _received(message: String) -> Received[Bool] | None:
     """Read what was written down; None where it is something else."""
-    found = WORD.fullmatch(message.data)
-    if found is None:
+    word = WORD.fullmatch(message.data)
+    if word is None:
         return None
-    number, sent = int(found['number']), int(found['sent'])
-    who = bytes.fromhex(found['publisher'])
-    return Received(Bool(data=found['says'] == 'true'), sent, number, who)
+    number, sent = int(word['number']), int(word['sent'])
+    who = bytes.fromhex(word['publisher'])
+    return Received(Bool(data=word['says'] == 'true'), sent, number, who)
 
 
 class StopTopic:
@@ -268,8 +354,18 @@ class StopTopic:
     def poll(self) -> None:
         """Act on what was said since the last time, in the thread of the caller."""
         while self._heard:
-            self._take(self._heard.popleft())
-        if self.says and self._denied and time.monotonic() - self._looked > LOOK_PERIOD_S:
+            word = self._heard.popleft()
+            last = self._last.get(word.publisher)
+            if last is not None and word.repeats(last):
+                continue  # it came by another subscription before
+            self._last[word.publisher] = word
+            if word.message.data:
+                self.says, self._denied = True, False
+                self._stop(STOP_REASON)
+            elif self.says:
+                self._denied = True
+                self._look()
+        if self.says and self._denied and time.monotonic() - self._looked > VALUES_PERIOD_S:
             self._look()
 
     def close(self) -> None:
@@ -286,15 +382,14 @@ class StopTopic:
         A word that waits is lost when its publisher leaves: Fast DDS takes it back.
         """
         kinds = LISTEN_ALL, COMMAND_ALL, LATCHED_BY_MANY
-        read, read_text = (partial(deserialize_message, message_type=m) for m in (Bool, String))
-        inboxes = [Inbox(self._node, Bool, 'stop', qos, read) for qos in kinds]
-        passed = Inbox(self._node, String, PASSED_ON, COMMAND_ALL, read_text)
+        inboxes = [Inbox(self._node, Bool, 'stop', qos) for qos in kinds]
+        passed = Inbox(self._node, String, PASSED_ON, COMMAND_ALL)
         told = String()
         while not self._closed:
             for inbox in inboxes:
                 for word in inbox.take():
                     self._heard.append(word)
-                    before, told = told, _passed(word)
+                    before, told = told, _written(word)
                     if told != before:
                         self._passing.publish(told)
             self._heard += filter(None, (_received(told.message) for told in passed.take()))
@@ -305,18 +400,6 @@ class StopTopic:
             inbox.close()
         for service in self._services:
             service.close()
-
-    def _take(self, word: Received[Bool]) -> None:
-        last = self._last.get(word.publisher)
-        if last is not None and word.repeats(last):
-            return  # it came by another way before
-        self._last[word.publisher] = word
-        if word.message.data:
-            self.says, self._denied = True, False
-            self._stop(STOP_REASON)
-        elif self.says:
-            self._denied = True
-            self._look()
 
     def _look(self) -> None:
         """Look whether anybody is there who has not taken back a true."""

@@ -1,4 +1,4 @@
-"""Lifecycle nodes that start by themselves and keep trying; the status of a node."""
+"""Lifecycle nodes that start by themselves and can be stopped; the status of a node."""
 
 from __future__ import annotations
 
@@ -12,10 +12,16 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
+from std_srvs.srv import Trigger
 
 from ...common.errors import MovedError, TendonRobotError
-from .messages import LATCHED, STATE
+from ...common.local_stop import StopListener, Stoppable
+from ...drivers.safety import StopLatch
+from .inbox import STOP_REASON, Service, StopTopic
+from .messages import LATCHED, STATE, stamp_now
 from .parameters import Parameters, Spec
+from .runtime import Runnable
+from .timing import NEWS_PERIOD_S, RETRY_PERIOD_S, STATUS_PERIOD_S, VALUES_PERIOD_S
 
 AUTOSTART = Spec(
     'autostart',
@@ -23,10 +29,12 @@ AUTOSTART = Spec(
     'configure and activate by itself, and try again when that fails',
     read_only=True,
 )
-RETRY_PERIOD_S = 2.0  # [s]
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+LEVELS = {'ok': OK, 'warn': WARN, 'error': ERROR}
+STOP_CALLED = 'stop was called'
 
 
-class ManagedNode(LifecycleNode):
+class ManagedNode(Runnable, LifecycleNode):
     """
     A lifecycle node whose transitions are plain methods.
 
@@ -35,22 +43,27 @@ class ManagedNode(LifecycleNode):
     """
 
     parameters: Parameters
+    status: Status
 
     def __init__(self, name: str) -> None:
         """Begin unconfigured."""
         super().__init__(name)
         service = self._service_change_state
-        self._asked_to_change, service.callback = service.callback, self._change
+        asked_to_change = service.callback
+
+        def change(request: Any, response: Any) -> Any:
+            """Refuse a transition that this state does not have: rclpy ends the process."""
+            try:
+                return asked_to_change(request, response)
+            except RCLError as error:
+                wanted = request.transition.label or f'transition {request.transition.id}'
+                self.get_logger().warning(f'refused: {wanted}: the node is {self.phase}: {error}')
+                response.success = False
+                return response
+
+        service.callback = change
         self.phase = 'unconfigured'
         self._tried = -RETRY_PERIOD_S
-
-    @property
-    def node(self) -> LifecycleNode:
-        """Return itself, for `run`."""
-        return self
-
-    def start(self) -> None:
-        """Do nothing yet: `running` starts it, again and again if need be."""
 
     def running(self) -> bool:
         """Configure and activate when that is due."""
@@ -63,7 +76,7 @@ class ManagedNode(LifecycleNode):
                 self.trigger_activate()
         return True
 
-    def end(self, spin: Callable[[float], None]) -> None:
+    def end(self) -> None:
         """Leave the active state the proper way, then close."""
         if self.phase == 'active':
             self.trigger_deactivate()
@@ -73,16 +86,6 @@ class ManagedNode(LifecycleNode):
     def ready(self) -> bool:
         """Whether it makes sense to configure now."""
         return True
-
-    def _change(self, request: Any, response: Any) -> Any:
-        """Refuse a transition that is not there in this state; rclpy lets it end the process."""
-        try:
-            return self._asked_to_change(request, response)
-        except RCLError as error:
-            wanted = request.transition.label or f'transition {request.transition.id}'
-            self.get_logger().warning(f'refused: {wanted}: the node is {self.phase}: {error}')
-            response.success = False
-            return response
 
     def configure(self) -> None:
         """Read what is needed, open what is needed."""
@@ -146,22 +149,6 @@ class ManagedNode(LifecycleNode):
         return TransitionCallbackReturn.SUCCESS
 
 
-# -----------------------------------------------------------------------------
-# The status of a node: latched on ~/status, and part of /diagnostics.
-
-OK, WARN, ERROR, STALE = (
-    DiagnosticStatus.OK,
-    DiagnosticStatus.WARN,
-    DiagnosticStatus.ERROR,
-    DiagnosticStatus.STALE,
-)
-LEVELS = {'ok': OK, 'warn': WARN, 'error': ERROR}
-STATUS_PERIOD_S = 1.0  # [s] at least so often
-NEWS_INTERVAL_MIN_S = 0.02  # [s] news may come and go with every message
-LOG_PERIOD_S = 2.0  # [s] the same news is logged no more often than this
-VALUES_INTERVAL_MIN_S = 0.1  # [s] values that change all the time are sent no more often than this
-
-
 class Status:
     """
     Publishes a level, a sentence, a code and values.
@@ -204,7 +191,7 @@ class Status:
         Parameters
         ----------
         level : bytes
-            OK, WARN, ERROR or STALE.
+            OK, WARN or ERROR.
         code : str
             Short and stable, for programs; also under the key `code`.
         message : str
@@ -220,7 +207,7 @@ class Status:
         faults = ', '.join(sorted(set((values or {}).get('faults', '').split(', '))))
         key = level, code, message if once else faults
         news = key != self._key
-        wait = 0.0 if once else NEWS_INTERVAL_MIN_S if news else VALUES_INTERVAL_MIN_S
+        wait = 0.0 if once else NEWS_PERIOD_S if news else VALUES_PERIOD_S
         if now - self._sent_at < wait:
             return
         status = DiagnosticStatus(
@@ -236,20 +223,90 @@ class Status:
         if not news and status == self._sent and now - self._sent_at < STATUS_PERIOD_S:
             return
         self._to_log |= news
-        if self._to_log and now - self._logged.get(key, -LOG_PERIOD_S) >= LOG_PERIOD_S:
+        if self._to_log and now - self._logged.get(key, -RETRY_PERIOD_S) >= RETRY_PERIOD_S:
             self._logged[key], self._to_log = now, False
-            self._log(level, f'{code}: {message}')
+            text, logger = f'{code}: {message}', self._node.get_logger()
+            if level == OK:  # rclpy: a line of code logs with one level
+                logger.info(text)
+            elif level == WARN:
+                logger.warning(text)
+            else:
+                logger.error(text)
         self._key, self._sent, self._sent_at = key, status, now
         self._latched.publish(status)
         array = DiagnosticArray(status=[status])
-        array.header.stamp = self._node.get_clock().now().to_msg()
+        array.header.stamp = stamp_now(self._node)
         self._diagnostics.publish(array)
 
-    def _log(self, level: bytes, text: str) -> None:
-        logger = self._node.get_logger()
-        if level == OK:
-            logger.info(text)
-        elif level == WARN:
-            logger.warning(text)
-        else:
-            logger.error(text)
+
+class StoppableNode(ManagedNode):
+    """
+    A node that the service ~/stop, the topic `stop` and the command `stop` stop at once.
+
+    A stop that comes before there is anything to stop counts when there is: a subclass calls
+    `stop_as_told` at the end of its `configure`.
+
+    Parameters
+    ----------
+    name : str
+    drives : bool
+        Whether it drives motors.
+
+    """
+
+    def __init__(self, name: str, drives: bool) -> None:
+        """Begin unconfigured; `listen` begins to hear stops."""
+        super().__init__(name)
+        self._drives, self._stopped = drives, False
+
+    def listen(self, *services: Service) -> None:
+        """Hear stops, and answer services, in a thread that does nothing else."""
+        stop = Service(self, Trigger, '~/stop', lambda _, send: send(self.stop_called()))
+
+        def gone() -> None:
+            if (latch := self.latch) is not None:
+                latch.cause_gone('stop topic')
+
+        self.stop_topic = StopTopic(self, self.stop_said, gone, [stop, *services])
+        self._local_stop = StopListener(
+            self.context.get_domain_id(),
+            Stoppable(self.get_fully_qualified_name(), self._drives),
+            self.stop_now,
+        )
+
+    @property
+    def latch(self) -> StopLatch | None:
+        """What holds the stops; None while there is nothing to stop."""
+        raise NotImplementedError
+
+    def stop_called(self) -> Trigger.Response:
+        """Stop, and answer who has called the service."""
+        raise NotImplementedError
+
+    def stop_said(self, reason: str) -> None:
+        """Stop: the topic says so."""
+        if (latch := self.latch) is not None:
+            latch.stop('stop topic', reason, lasting=True)
+
+    def stop_now(self) -> None:
+        """Latch a stop, in the thread that hears of it."""
+        self._stopped = True
+        if (latch := self.latch) is not None:
+            latch.stop('stop', STOP_CALLED)
+
+    def stop_as_told(self) -> None:
+        """Latch the stops that came before there was anything to stop."""
+        if self.stop_topic.says:
+            self.stop_said(STOP_REASON)
+        if self._stopped:
+            self.stop_now()
+
+    def problem(self, message: str) -> None:
+        """Say why a transition was refused."""
+        self.status.say(ERROR, 'not_ready', message, once=True)
+
+    def destroy_node(self) -> None:
+        """Hear no more."""
+        self.stop_topic.close()
+        self._local_stop.close()
+        super().destroy_node()

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import importlib.util
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Point, Pose, PoseArray, PoseStamped, Quaternion
 from numpy.typing import NDArray
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
@@ -22,7 +24,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from ...common.colours import rgb
 from ...common.rotations import from_quaternion, quaternions
-from ...control.checks import Refusal, check_frame, cut
+from ...control.checks import Refusal, by_name, check_frame, cut
 
 Array = NDArray[np.float64]
 
@@ -32,11 +34,21 @@ def seconds(stamp: Time) -> float:
     return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
 
 
+def stamp_text(stamp: Time) -> str:
+    """Return a stamp as a status names it: seconds with nine decimals."""
+    return f'{stamp.sec}.{stamp.nanosec:09d}'
+
+
 def nanoseconds_now(node: Node) -> int:
     """Return the time of a node's clock [ns]; rclpy makes an object of it that costs more."""
     clock = node.get_clock().handle
     with clock:
         return int(clock.get_now().nanoseconds)
+
+
+def time_now(node: Node) -> float:
+    """Return the time of a node's clock [s]."""
+    return 1e-9 * nanoseconds_now(node)
 
 
 def stamp_now(node: Node) -> Time:
@@ -57,22 +69,35 @@ def quaternion(rotation: Array) -> Quaternion:
     return Quaternion(x=x, y=y, z=z, w=w)
 
 
+def matrix(message: Quaternion) -> Array:
+    """Return the rotation matrix (3, 3) of a quaternion message."""
+    return from_quaternion((message.x, message.y, message.z, message.w))
+
+
 def pose(position: Array, rotation: Array) -> Pose:
     """Return a pose."""
     x, y, z = np.asarray(position).tolist()
     return Pose(position=Point(x=x, y=y, z=z), orientation=quaternion(rotation))
 
 
-def pose_array(header: Header, positions: Array, rotations: Array) -> PoseArray:
-    """Return poses of positions (n, 3) [m] and rotation matrices (n, 3, 3)."""
+def pose_array(header: Header, positions: Array, rotations: Array | None = None) -> PoseArray:
+    """Return poses of positions (n, 3) [m] and rotation matrices (n, 3, 3); None: unrotated."""
+    turns = np.tile([0.0, 0.0, 0.0, 1.0], (len(positions), 1))
+    turns = turns if rotations is None else quaternions(rotations)
     poses = [
         Pose(
             position=Point(x=p[0], y=p[1], z=p[2]),
             orientation=Quaternion(x=q[0], y=q[1], z=q[2], w=q[3]),
         )
-        for p, q in zip(positions.tolist(), quaternions(rotations).tolist(), strict=True)
+        for p, q in zip(positions.tolist(), turns.tolist(), strict=True)
     ]
     return PoseArray(header=header, poses=poses)
+
+
+def points_of(message: PoseArray) -> Array:
+    """Return the positions (n, 3) [m] of poses."""
+    points = [[p.position.x, p.position.y, p.position.z] for p in message.poses]
+    return np.array(points, dtype=float).reshape(-1, 3)
 
 
 def pose_stamped(header: Header, position: Array, rotation: Array) -> PoseStamped:
@@ -97,39 +122,51 @@ def refilled(
     return message
 
 
+def tensions_and_pulls(message: JointState, inputs: Sequence[str]) -> tuple[Array, Array]:
+    """
+    Return tensions (m,) [N] and wire pulls (m,) [m] in the order of the inputs.
+
+    What a message leaves out is nan. Refusal: other names, or another number of values.
+    """
+    names, blank = message.name, [math.nan] * len(message.name)
+    what = 'tendon_states'
+    return (
+        by_name(names, message.effort or blank, inputs, what, 'effort'),
+        by_name(names, message.position or blank, inputs, what, 'position'),
+    )
+
+
+def status_values(message: DiagnosticStatus) -> dict[str, str]:
+    """Return the values of a status by their keys."""
+    return {item.key: item.value for item in message.values}
+
+
 def arm_markers(
-    header: Header,
-    positions: Array,
-    thickness: float,
-    color: str,
-    name: str,
+    header: Header, positions: Array, thickness: float, color: str, name: str
 ) -> MarkerArray:
     """Return a line from the base through positions (n, 3) [m], and a ball at the tip."""
     points = [Point(), *(Point(x=p[0], y=p[1], z=p[2]) for p in positions.tolist())]
     red, green, blue = (level / 255.0 for level in rgb(color))
-    rgba = ColorRGBA(r=red, g=green, b=blue, a=1.0)
-    line = Marker(
-        header=header,
-        ns=name,
-        id=0,
-        type=Marker.LINE_STRIP,
-        action=Marker.ADD,
-        points=points,
-        color=rgba,
-    )
+    both = {'header': header, 'ns': name, 'action': Marker.ADD}
+    both['color'] = ColorRGBA(r=red, g=green, b=blue, a=1.0)
+    line = Marker(id=0, type=Marker.LINE_STRIP, points=points, **both)
     line.pose.orientation.w = 1.0
     line.scale.x = thickness
-    tip = Marker(header=header, ns=name, id=1, type=Marker.SPHERE, action=Marker.ADD, color=rgba)
+    tip = Marker(id=1, type=Marker.SPHERE, **both)
     tip.pose.position, tip.pose.orientation.w = points[-1], 1.0
     tip.scale.x = tip.scale.y = tip.scale.z = 2.0 * thickness
     return MarkerArray(markers=[line, tip])
 
 
-# -----------------------------------------------------------------------------
-# Quality of service of every topic, in one place.
+# [1] messages of a topic that wait, so that a subscriber that is held up for two cycles of the
+# fastest node, or hears joints in a message each, loses none
+DEPTH = 10
+# [1] where every message counts, of whoever comes and goes: as many for each of five publishers,
+# else those of the first would be lost
+DEPTH_ALL = 5 * DEPTH
 
 
-def _keep(depth: int, *, reliable: bool = True, latched: bool = False) -> QoSProfile:
+def quality(depth: int = 1, *, reliable: bool = True, latched: bool = False) -> QoSProfile:
     """Keep the last so many messages; a latched topic also for who comes later."""
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
@@ -139,20 +176,21 @@ def _keep(depth: int, *, reliable: bool = True, latched: bool = False) -> QoSPro
     )
 
 
-# commands and set points: none may be lost, only the newest counts
-COMMAND = _keep(1)
+# commands and setpoints: none may be lost, only the newest counts
+COMMAND = quality()
 # states, shapes and markers as published: suits reliable and best-effort subscribers
-STATE = _keep(10)
+STATE = quality(DEPTH)
 # states of joints that may come in several messages: from reliable publishers, too
-JOINTS = _keep(10, reliable=False)
+JOINTS = quality(DEPTH, reliable=False)
 # states, trackers and velocities as subscribed: hears publishers of either kind
-LISTEN = _keep(1, reliable=False)
+LISTEN = quality(reliable=False)
 # statuses: who comes later still gets the last one
-LATCHED = _keep(1, latched=True)
-# every word counts, of whoever comes and goes
-COMMAND_ALL, LISTEN_ALL = _keep(50), _keep(50, reliable=False)
-# what several publishers keep for who comes later: the last words of all of them
-LATCHED_BY_MANY = _keep(50, latched=True)
+LATCHED = quality(latched=True)
+# every message counts, of whoever comes and goes
+COMMAND_ALL = quality(DEPTH_ALL)
+LISTEN_ALL = quality(DEPTH_ALL, reliable=False)
+# what several publishers keep for who comes later: the last messages of all of them
+LATCHED_BY_MANY = quality(DEPTH_ALL, latched=True)
 
 
 class Frames:
@@ -172,7 +210,7 @@ class Frames:
         self, frame: str, what: str, stamp: float = 0.0, now: float = 0.0, tolerance: float = 0.5
     ) -> tuple[Array, Array]:
         """
-        Return rotation (3, 3) and shift (3,) [m] from a frame to the base frame.
+        Return rotation (3, 3) and translation (3,) [m] from a frame to the base frame.
 
         Parameters
         ----------
@@ -215,18 +253,13 @@ class Frames:
         )
 
 
-def matrix(message: Quaternion) -> Array:
-    """Return the rotation matrix (3, 3) of a quaternion message."""
-    return from_quaternion((message.x, message.y, message.z, message.w))
-
-
-# -----------------------------------------------------------------------------
-# What is destroyed while its node goes on hears no events of the middleware: where one waits (of
-# somebody with another quality of service or type), rclpy's executor of events ends or crashes.
-
-
 def passing_publisher(node: Node, kind: Any, topic: str, qos: QoSProfile) -> Publisher:
-    """Make a publisher that may be destroyed."""
+    """
+    Make a publisher that may be destroyed while its node goes on.
+
+    It hears no events of the middleware: where one waits (of somebody with another quality of
+    service or type) when it is destroyed, rclpy's executor of events ends or crashes.
+    """
     quiet = PublisherEventCallbacks(use_default_callbacks=False)
     return node.create_publisher(kind, topic, qos, event_callbacks=quiet)
 
@@ -239,6 +272,6 @@ def passing_subscription(
     qos: QoSProfile,
     raw: bool = False,
 ) -> Subscription:
-    """Make a subscription that may be destroyed."""
+    """Make a subscription that may be destroyed while its node goes on: see the publisher."""
     quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
     return node.create_subscription(kind, topic, hear, qos, raw=raw, event_callbacks=quiet)

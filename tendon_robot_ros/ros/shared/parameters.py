@@ -1,37 +1,49 @@
-"""Parameters with description, unit, range and read-only flag; refused with a reason."""
+"""
+Parameters: declared with description, unit and range, refused with a reason; those of other nodes.
+
+A setting that a node was started with and does not know is refused, too: ROS would swallow a
+misspelt `-p`, or a file of parameters for nodes of other names, and the node would run with its
+defaults.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import difflib
 import math
+import re
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 from rcl_interfaces.msg import (
     FloatingPointRange,
     ParameterDescriptor,
     ParameterType,
-    ParameterValue,
     SetParametersResult,
 )
-from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.client import Client
 from rclpy.exceptions import ParameterException
 from rclpy.node import Node
-from rclpy.parameter import Parameter
+from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.task import Future
 
 from ...common.errors import InputError, TendonRobotError
-from .overrides import check_files, check_overrides
+from ...common.files import read_text, shared_file
+from ...common.yaml_reading import parse_yaml
+from ...robot.description import DESCRIPTION_MAX
 from .runtime import given
+from .timing import ANSWER_TIMEOUT_S
 
-TYPES = {
-    bool: ParameterType.PARAMETER_BOOL,
-    float: ParameterType.PARAMETER_DOUBLE,
-    str: ParameterType.PARAMETER_STRING,
-    list: ParameterType.PARAMETER_STRING_ARRAY,
+TYPES = {  # of a default: the type of ROS, and what a person is told to give
+    bool: (ParameterType.PARAMETER_BOOL, 'true or false'),
+    float: (ParameterType.PARAMETER_DOUBLE, 'a number'),
+    str: (ParameterType.PARAMETER_STRING, 'text'),
+    list: (ParameterType.PARAMETER_STRING_ARRAY, 'a list of text'),
 }
 
 
@@ -55,17 +67,15 @@ class Spec:
             value = float(value)  # a person writes 10 and means 10.0
         if kind is list and isinstance(value, (list, tuple)):
             value = [str(item) for item in value if str(item)]
+        expected = ''
         if not isinstance(value, kind):
-            names = {bool: 'true or false', float: 'a number', str: 'text', list: 'a list of text'}
-            raise InputError(f'{self.name}: expected {names[kind]}, got {value!r}')
-        if isinstance(value, float) and not self.low <= value <= self.high:
-            raise InputError(
-                f'{self.name}: expected {self.low:g} to {self.high:g} {self.unit}, got {value:g}'
-            )
-        if self.choices and value not in self.choices:
-            raise InputError(
-                f'{self.name}: expected one of {", ".join(self.choices)}, got {value!r}'
-            )
+            expected, value = TYPES[kind][1], repr(value)
+        elif isinstance(value, float) and not self.low <= value <= self.high:
+            expected, value = f'{self.low:g} to {self.high:g} {self.unit}', f'{value:g}'
+        elif self.choices and value not in self.choices:
+            expected, value = f'one of {", ".join(self.choices)}', repr(value)
+        if expected:
+            raise InputError(f'{self.name}: expected {expected}, got {value}')
         return value
 
     def descriptor(self) -> ParameterDescriptor:
@@ -75,7 +85,7 @@ class Spec:
             name=self.name,
             description=self.text + unit,
             read_only=self.read_only,
-            type=TYPES[type(self.default)],
+            type=TYPES[type(self.default)][0],
             dynamic_typing=True,  # `checked` takes 10 for 10.0
             additional_constraints=' | '.join(self.choices),
         )
@@ -93,6 +103,9 @@ COMMAND_MODE = Spec(
     read_only=True,
     choices=('tension', 'pull'),
 )
+BASE_FRAME = Spec('base_frame', '', 'frame of the base; empty: <robot>_base', read_only=True)
+FRAME_PREFIX = Spec('frame_prefix', '', 'put before frame names', read_only=True)
+CONTROLLER = Spec('controller', 'controller', 'name of the controller node', read_only=True)
 
 
 class Parameters:
@@ -144,12 +157,12 @@ class Parameters:
             self._hooks[name] = hook
 
     def _set(self, parameters: Sequence[Parameter]) -> SetParametersResult:
-        accepted = {}
         try:
-            for parameter in parameters:
-                if parameter.name in self._specs:
-                    value = self._specs[parameter.name].checked(parameter.value)
-                    accepted[parameter.name] = value
+            accepted = {
+                parameter.name: self._specs[parameter.name].checked(parameter.value)
+                for parameter in parameters
+                if parameter.name in self._specs
+            }
             for name, value in accepted.items():
                 if name in self._hooks:
                     self._hooks[name](value)
@@ -161,13 +174,146 @@ class Parameters:
         return SetParametersResult(successful=True)
 
 
-# -----------------------------------------------------------------------------
-# Reading and setting the parameters of another node without waiting for it.
+def base_frame(parameters: Parameters | Mapping[str, Any], robot: str) -> str:
+    """Return the frame of the base of a robot of this name."""
+    return str(parameters['frame_prefix'] + (parameters['base_frame'] or f'{robot}_base'))
 
-ANSWER_TIMEOUT_S = 3.0  # [s] for an answer; one may get lost while nodes come and go
+
+NODES = 'driver', 'controller', 'monitor', 'viewer', 'teleop', 'robot_model'  # of launch files
+ALL = '/**'
+SPEC = re.compile(r"\bSpec\(\s*'(\w+)'")
+OF_ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides.')  # any node has them
 
 
-class RemoteText:
+def check_overrides(
+    overrides: Collection[str], known: Collection[str], node: str, arguments: Sequence[str] = ()
+) -> None:
+    """
+    Refuse parameters that a node does not declare.
+
+    Parameters
+    ----------
+    overrides : collection of str
+        Names that the node was started with.
+    known : collection of str
+        Names that it declares.
+    node : str
+        Its name, for the message.
+    arguments : sequence of str
+        The command line, for ROS: a section for all nodes of a file may name parameters of
+        another node of this package.
+
+    """
+    unknown = [name for name in sorted(overrides) if name not in {*known}]
+    unknown = [name for name in unknown if not name.startswith(OF_ROS)]
+    if not unknown:
+        return
+    for_all = {
+        name for _, content in _files(arguments) for name in _sections(content).get(ALL, ())
+    }
+    sources = Path(__file__).parents[1].rglob('*.py')  # to import all nodes takes long
+    of_any = {name for file in sources for name in SPEC.findall(file.read_text(encoding='utf-8'))}
+    for name in unknown:
+        if name not in for_all & of_any:
+            near = difflib.get_close_matches(name, known, n=1)
+            hint = f'did you mean {near[0]}? ' if near else ''
+            raise InputError(
+                f'parameter {name}: {node} has none of that name; {hint}known: '
+                f'{", ".join(sorted(known))}'
+            )
+
+
+def check_files(arguments: Sequence[str], node: str) -> list[str]:
+    """
+    Look for files of parameters that say nothing to a node.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+        The command line, for ROS.
+    node : str
+        Name of the node, with its namespace.
+
+    Returns
+    -------
+    list of str
+        What to warn of: files for other nodes of this package. Launch files may give one file to
+        several nodes.
+
+    Raises
+    ------
+    InputError
+        A file is for no node of this package.
+
+    """
+    warnings = []
+    for file, content in _files(arguments):
+        keys = list(_sections(content))
+        # whether one means this node, as rcl has it
+        escaped = [re.escape(key) for key in keys]
+        patterns = [e.replace(r'/\*\*', '(/.+)?').replace(r'\*', '[^/]+') for e in escaped]
+        if not keys or any(re.fullmatch(pattern, node) for pattern in patterns):
+            continue
+        said = f'{file}: its parameters are for {", ".join(keys)}, not for {node}'
+        names = [key.rpartition('/')[2] for key in keys]
+        if node.rpartition('/')[2] in names or not any(name in NODES for name in names):
+            raise InputError(f'{said}; write {node}: or /**: as the first line')
+        warnings.append(f'{said}, which takes none of them')
+    return warnings
+
+
+def _files(arguments: Sequence[str]) -> Iterator[tuple[str, Any]]:
+    """Read the files of parameters of a command line."""
+    for flag, file in pairwise(arguments):
+        if flag == '--params-file':
+            with contextlib.suppress(OSError, ValueError):  # rclpy has read it
+                yield file, parse_yaml(Path(file).read_text(encoding='utf-8'))
+
+
+def _sections(content: Any, before: str = '') -> dict[str, dict[str, Any]]:
+    """Return node -> parameters; a node is `/namespace/node`, which may have wildcards."""
+    sections: dict[str, dict[str, Any]] = {}
+    for key, inside in content.items() if isinstance(content, dict) else ():
+        if key == 'ros__parameters':
+            sections[before or ALL] = inside if isinstance(inside, dict) else {}
+        else:
+            sections |= _sections(inside, f'{before}/{str(key).strip("/")}')
+    return sections
+
+
+def read_mapping(text: str, what: str) -> dict[str, Any]:
+    """Read a configuration: a path, the name of a file in config, or YAML text; '' is empty."""
+    if text.strip() and '\n' not in text and ':' not in text:
+        own = None if Path(text).is_file() else shared_file(f'config/{text}.yaml')
+        path = own or Path(text)
+
+        def refuse(reason: str) -> InputError:
+            return InputError(f'{what}: {path}: {reason}; expected a YAML file or text')
+
+        text = read_text(path, refuse, DESCRIPTION_MAX + 1)
+    if len(text) > DESCRIPTION_MAX:
+        raise InputError(
+            f'{what}: expected at most {DESCRIPTION_MAX:,} characters, got more than that'
+        )
+    content: dict[str, Any] = parsed(text, what, dict, 'keys with values')
+    return content
+
+
+def parsed(text: str, what: str, kind: type, expected: str = '') -> Any:
+    """Return YAML text of a kind, empty where there is none; InputError where it is not."""
+    try:
+        value = parse_yaml(text)
+    except ValueError as error:
+        raise InputError(f'{what}: not valid YAML: {error}') from None
+    if value is None:
+        return kind()
+    if not isinstance(value, kind):
+        wanted = expected or f'a YAML {kind.__name__}'
+        raise InputError(f'{what}: expected {wanted}, got {value!r}')
+    return value
+
+
+class RemoteParameter:
     """A parameter of another node, a text or a list of them; that node may come and go."""
 
     def __init__(self, node: Node, other: str, name: str) -> None:
@@ -177,35 +323,23 @@ class RemoteText:
         put = node.create_client(SetParametersAtomically, f'{other}/set_parameters_atomically')
         self._get, self._set = Question(get), Question(put)
 
-    def ask(self, answer: Callable[[str], None]) -> None:
+    def ask(self, answer: Callable[[Any], object]) -> None:
         """Ask for the value; call it now and then: what was never answered is said again."""
-        self._ask(ParameterType.PARAMETER_STRING, lambda reply: answer(reply.string_value))
-
-    def ask_list(self, answer: Callable[[list[str]], None]) -> None:
-        """Ask for a list of texts, in the same way."""
-        self._ask(
-            ParameterType.PARAMETER_STRING_ARRAY,
-            lambda reply: answer([text for text in reply.string_array_value if text]),
-        )
-
-    def _ask(self, kind: int, answer: Callable[[ParameterValue], None]) -> None:
         self._set.repeat()
 
         def done(response: GetParameters.Response) -> None:
-            values = response.values
-            if values and values[0].type == kind:
-                answer(values[0])
+            value = parameter_value_to_python(response.values[0]) if response.values else None
+            if value is not None:
+                answer(value)
 
         if not self._get.waiting:
             self._get.ask(GetParameters.Request(names=[self._name]), done)
         self._get.repeat()
 
-    def put(self, value: str, answer: Callable[[bool, str], None]) -> None:
+    def put(self, value: str, answer: Callable[[bool, str], object]) -> None:
         """Set the value; the answer is whether it was taken, and why not."""
-        parameter = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value)
-        request = SetParametersAtomically.Request(
-            parameters=[ParameterMessage(name=self._name, value=parameter)]
-        )
+        message = Parameter(self._name, value=value).to_parameter_msg()
+        request = SetParametersAtomically.Request(parameters=[message])
 
         def done(response: SetParametersAtomically.Response) -> None:
             answer(response.result.successful, response.result.reason)
@@ -222,7 +356,7 @@ class Question:
         self._client = client
         self._future: Future | None = None
         self._request: object = None
-        self._answer: Callable[..., None] | None = None
+        self._answer: Callable[..., object] | None = None
         self._asked = 0.0
 
     @property
@@ -230,9 +364,11 @@ class Question:
         """Whether an answer is still to come."""
         return self._future is not None
 
-    def ask(self, request: object, answer: Callable[..., None]) -> bool:
+    def ask(self, request: object, answer: Callable[..., object]) -> bool:
         """Make a request; return whether the server is there."""
-        self._drop()
+        if self._future is not None:
+            self._client.remove_pending_request(self._future)
+            self._future = None
         if not self._client.service_is_ready():
             return False
         self._request, self._answer = request, answer
@@ -248,15 +384,10 @@ class Question:
     def _send(self) -> None:
         self._asked = time.monotonic()
         future = self._future = self._client.call_async(self._request)
-        future.add_done_callback(self._done)
 
-    def _done(self, future: Future) -> None:
-        if future is not self._future or self._answer is None:
-            return
-        answer, self._future = self._answer, None
-        answer(future.result())
+        def done(answered: Future) -> None:
+            if answered is self._future and self._answer is not None:
+                self._future = None
+                self._answer(answered.result())
 
-    def _drop(self) -> None:
-        if self._future is not None:
-            self._client.remove_pending_request(self._future)
-        self._future = None
+        future.add_done_callback(done)

@@ -6,6 +6,8 @@ import argparse
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
+from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -26,15 +28,36 @@ from ...effects import load_catalogue
 from ...model.model import Model
 from ...robot import load_robot
 from ...robot.keep_out import joined, text_of
-from .messages import COMMAND, LATCHED, LISTEN, duration, pose_stamped
-from .parameters import RemoteText
-from .runtime import Ending
+from .messages import (
+    COMMAND,
+    LATCHED,
+    LISTEN,
+    duration,
+    pose_stamped,
+    stamp_now,
+    stamp_text,
+    status_values,
+)
+from .parameters import RemoteParameter
+from .runtime import SPIN_S, Ending
+from .timing import NODE_TIMEOUT_S
 
 Array = NDArray[np.float64]
 SETTLED_CODES = ('reached', 'nearest', 'at_limit')
 WORKING_CODES = ('holding', 'searching', 'moving', 'playing', 'played', 'jogging', *SETTLED_CODES)
-TIP_AVERAGE_S = 0.3  # [s] over which a standing tip is taken
-STILL_WITHIN_M, STANDING_TIMEOUT_S = 3e-4, 4.0  # [m] in half of that, [s] at most to wait for it
+# [s] over which a standing tip is averaged: ten frames at 30 Hz, so that the noise of a tracker
+# falls to a third
+TIP_AVERAGE_S = 0.3
+# [m] between the mean tips of both halves of that while the arm counts as standing: with a noise
+# of 0.2 mm and five frames each, seven of eight standing arms would pass at once
+STILL_M = 3e-4
+# [s] to wait for an arm to stand, else one that vibrates would never be reported
+STANDING_TIMEOUT_S = 4.0
+# [s] of the shortest move: ten cycles at the default rate, so that nothing is jumped to
+MOVE_MIN_S = 0.05
+# [1] messages of a kind that are kept, so that those of an arm that stands for seconds are among
+# them, and the memory does not grow
+HEARD_MAX = 500
 
 
 def add_controller(parser: argparse.ArgumentParser) -> None:
@@ -76,11 +99,18 @@ class RobotClient(Node):
         self.ending, self._controller, self.base = ending, controller, base
         self.statuses: dict[str, dict[str, str]] = {node: {} for node in (controller, *watched)}
         self._heard_at = 0.0  # [s] when the controller's status came
+        self._remotes: dict[tuple[str, str], RemoteParameter] = {}  # of (node, name)
         self._poses = self.create_publisher(PoseStamped, f'{controller}/target_pose', COMMAND)
         self._points = self.create_publisher(PointStamped, f'{controller}/target_point', COMMAND)
+
+        def hear(node: str, message: DiagnosticStatus) -> None:
+            self.statuses[node] = {**status_values(message), 'message': message.message}
+            if node == controller:
+                self._heard_at = time.monotonic()
+
         for node in self.statuses:
             self.create_subscription(
-                DiagnosticStatus, f'{node}/status', self._hear_status(node), LATCHED
+                DiagnosticStatus, f'{node}/status', partial(hear, node), LATCHED
             )
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self)
@@ -103,14 +133,14 @@ class RobotClient(Node):
     def send(self, position: Array, direction: Array | None) -> str:
         """Send a target; return the stamp by which the controller names it."""
         header = PoseStamped().header
-        header.frame_id, header.stamp = self.base, self.get_clock().now().to_msg()
+        header.frame_id, header.stamp = self.base, stamp_now(self)
         if direction is None:
             point = PointStamped(header=header)
             point.point.x, point.point.y, point.point.z = map(float, position)
             self._points.publish(point)
         else:
             self._poses.publish(pose_stamped(header, position, towards(direction)))
-        return f'{header.stamp.sec}.{header.stamp.nanosec:09d}'
+        return stamp_text(header.stamp)
 
     def settled(self, stamp: str, codes: Sequence[str] = SETTLED_CODES) -> bool:
         """Whether the controller has settled on its answer to what has this stamp."""
@@ -141,7 +171,7 @@ class RobotClient(Node):
                     for node, values in self.statuses.items()
                 )
                 raise TendonRobotError(f'waited {timeout:g} s in vain for {what}; {statuses}')
-            self.spin_once(0.05)
+            self.spin_once(SPIN_S)
         return True
 
     def spin(self, seconds: float) -> None:
@@ -153,9 +183,9 @@ class RobotClient(Node):
     def triggered(self, name: str) -> str:
         """Call a Trigger service; return its message, or raise what it refuses."""
         client = self.create_client(Trigger, name)
-        self.wait(client.service_is_ready, 20.0, f'the service {name}')
+        self.wait(client.service_is_ready, NODE_TIMEOUT_S, f'the service {name}')
         future = client.call_async(Trigger.Request())
-        self.wait(future.done, 20.0, f'an answer of {name}')
+        self.wait(future.done, NODE_TIMEOUT_S, f'an answer of {name}')
         self.destroy_client(client)
         answer = future.result()
         if not answer.success:
@@ -168,14 +198,26 @@ class RobotClient(Node):
             raise KeyboardInterrupt
         self._executor.spin_once(timeout_sec=timeout)
 
-    def _hear_status(self, node: str) -> Callable[[DiagnosticStatus], None]:
-        def hear(message: DiagnosticStatus) -> None:
-            values = {item.key: item.value for item in message.values}
-            self.statuses[node] = {**values, 'message': message.message}
-            if node == self._controller:
-                self._heard_at = time.monotonic()
+    def parameter(self, name: str, node: str = '') -> Any:
+        """Return a parameter of a node, a text or a list of them; default: the controller."""
+        node, values = node or self._controller, list[Any]()
+        remote = self._remotes.setdefault((node, name), RemoteParameter(self, node, name))
 
-        return hear
+        def answered() -> bool:
+            remote.ask(values.append)
+            return bool(values)
+
+        self.wait(answered, NODE_TIMEOUT_S, f'the parameter {name} of {node}: is it running?')
+        return values[0]
+
+    def put(self, name: str, value: str, timeout: float = NODE_TIMEOUT_S) -> tuple[bool, str]:
+        """Set a parameter of the controller that was read before; return if taken, or why not."""
+        answers: list[tuple[bool, str]] = []
+        self._remotes[self._controller, name].put(value, lambda *said: answers.append(said))
+        end = time.monotonic() + timeout
+        while not answers and time.monotonic() < end:
+            self._executor.spin_once(timeout_sec=SPIN_S)  # also after Ctrl-C
+        return answers[0] if answers else (False, f'{self._controller} does not answer')
 
 
 class Pilot(RobotClient):
@@ -193,18 +235,32 @@ class Pilot(RobotClient):
         super().__init__(name, ending, namespace, controller=controller, watched=watched)
         self.inputs: tuple[str, ...] = ()
         self.pull = False
-        self._since = time.monotonic() + 3600.0  # until `clear`
+        self._since = np.inf  # [s] when `clear` was called
         self._tips: dict[str, list[tuple[float, Array, Array]]] = {'measured': [], 'predicted': []}
         self._commands: list[tuple[float, Array]] = []
         self._trajectories = self.create_publisher(
             JointTrajectory, f'{controller}/tendon_trajectory', COMMAND
         )
-        subscribe = self.create_subscription
-        subscribe(PoseStamped, f'{controller}/predicted_tip', self._hear_predicted, LISTEN)
-        subscribe(PoseStamped, 'measured_tip', self._hear_measured, LISTEN)
-        subscribe(JointState, 'tendon_command', self._hear_command, COMMAND)
 
-    def connect(self, timeout: float = 15.0) -> None:
+        def predicted(message: PoseStamped) -> None:
+            self.base = message.header.frame_id
+            self._keep('predicted', message)
+
+        def measured(message: PoseStamped) -> None:
+            if message.header.frame_id == self.base:
+                self._keep('measured', message)
+
+        def command(message: JointState) -> None:
+            self.inputs, self.pull = tuple(message.name), not message.effort
+            values = message.position if self.pull else message.effort
+            self._commands.append((time.monotonic(), np.array(values)))
+
+        subscribe = self.create_subscription
+        subscribe(PoseStamped, f'{controller}/predicted_tip', predicted, LISTEN)
+        subscribe(PoseStamped, 'measured_tip', measured, LISTEN)
+        subscribe(JointState, 'tendon_command', command, COMMAND)
+
+    def connect(self, timeout: float = NODE_TIMEOUT_S) -> None:
         """
         Wait for the controller.
 
@@ -247,60 +303,37 @@ class Pilot(RobotClient):
 
     def model(self) -> Model:
         """Load the model that the controller uses, with its effects."""
-        files: list[list[str]] = []
-        text, effects = self._text('model'), RemoteText(self, self._controller, 'effects')
-
-        def asked() -> bool:
-            effects.ask_list(files.append)
-            return bool(files)
-
-        self.wait(asked, 10.0, f'the parameter effects of {self._controller}')
-        return load(load_robot(text), load_catalogue(files[0]))
+        text, effects = self.parameter('model'), self.parameter('effects')
+        return load(load_robot(text), load_catalogue([file for file in effects if file]))
 
     @contextmanager
     def keeping_out(self, regions: str) -> Iterator[None]:
         """Have the controller keep the arm out of regions, YAML text, besides its own."""
-        remote, own = RemoteText(self, self._controller, 'keep_out'), self._text('keep_out')
-        self._put(remote, joined(text_of(own), regions))
+
+        def put(text: str) -> None:
+            taken, why = self.put('keep_out', text)
+            if not taken:
+                node = self._controller
+                raise TendonRobotError(f'the regions of {node} were not changed: {why}')
+
+        own = self.parameter('keep_out')
+        put(joined(text_of(own), regions))
         try:
             yield
         finally:
-            self._put(remote, own)
-
-    def _text(self, parameter: str) -> str:
-        """Return a text parameter of the controller."""
-        texts: list[str] = []
-        remote = RemoteText(self, self._controller, parameter)
-
-        def asked() -> bool:
-            remote.ask(texts.append)
-            return bool(texts)
-
-        self.wait(asked, 10.0, f'the parameter {parameter} of {self._controller}')
-        return texts[0]
-
-    def _put(self, remote: RemoteText, value: str) -> None:
-        """Set a parameter of the controller, or raise why it is not taken."""
-        answers: list[tuple[bool, str]] = []
-        remote.put(value, lambda taken, why: answers.append((taken, why)))
-        end = time.monotonic() + 10.0
-        while not answers and time.monotonic() < end:
-            self._executor.spin_once(timeout_sec=0.05)  # also after Ctrl-C
-        taken, why = answers[0] if answers else (False, f'{self._controller} does not answer')
-        if not taken:
-            raise TendonRobotError(f'the regions of {self._controller} were not changed: {why}')
+            put(own)
 
     def play(self, trajectory: Trajectory) -> str:
         """Send a trajectory of the tendons; return its stamp."""
         message = JointTrajectory(joint_names=list(self.inputs))
-        message.header.stamp = stamp = self.get_clock().now().to_msg()
+        message.header.stamp = stamp = stamp_now(self)
         field = 'positions' if self.pull else 'effort'
         for at, values in zip(trajectory.times, trajectory.values, strict=True):
             point = JointTrajectoryPoint(time_from_start=duration(at))
             setattr(point, field, values.tolist())
             message.points.append(point)
         self._trajectories.publish(message)
-        return f'{stamp.sec}.{stamp.nanosec:09d}'
+        return stamp_text(stamp)
 
     def settle(self, stamp: str, timeout: float, what: str) -> None:
         """Wait until the controller has settled on its answer to a target or a trajectory."""
@@ -322,7 +355,7 @@ class Pilot(RobotClient):
             if not (early & ~late).any():
                 continue
             moved = places[late].mean(axis=0) - places[early & ~late].mean(axis=0)
-            if np.linalg.norm(moved) < STILL_WITHIN_M:
+            if np.linalg.norm(moved) < STILL_M:
                 self.spin(TIP_AVERAGE_S)  # `tip` then takes none of what was still on its way
                 return
 
@@ -352,14 +385,6 @@ class Pilot(RobotClient):
         along = views[recent].mean(axis=0)
         return places[recent].mean(axis=0), along / np.linalg.norm(along)
 
-    def _hear_predicted(self, message: PoseStamped) -> None:
-        self.base = message.header.frame_id
-        self._keep('predicted', message)
-
-    def _hear_measured(self, message: PoseStamped) -> None:
-        if message.header.frame_id == self.base:
-            self._keep('measured', message)
-
     def _keep(self, which: str, message: PoseStamped) -> None:
         p, q = message.pose.position, message.pose.orientation
         try:
@@ -367,8 +392,3 @@ class Pilot(RobotClient):
         except InputError:
             return
         self._tips[which].append((time.monotonic(), np.array([p.x, p.y, p.z]), view))
-
-    def _hear_command(self, message: JointState) -> None:
-        self.inputs, self.pull = tuple(message.name), not message.effort
-        values = message.position if self.pull else message.effort
-        self._commands.append((time.monotonic(), np.array(values)))

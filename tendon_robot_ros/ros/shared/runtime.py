@@ -1,9 +1,19 @@
-"""Running a node so that it ends safe: own signal handling, one executor, a safe end."""
+"""
+Running a node so that it ends safe: own signal handling, one executor, a safe end.
+
+Nodes reach each other by UDP, on one machine too. Fast DDS, the usual middleware of Jazzy, has a
+shared-memory transport besides. A process that is killed while it holds a lock there, or leaves a
+port behind, keeps every other process that sends to it from going on: for 0.3 to 1 s each time,
+5.5 s at worst, with all its threads, because rclpy keeps Python's lock while it sends
+(eProsima/Fast-DDS#6535, `benchmarks/bench_killed.py`). Neither a stop nor a watchdog would be
+heard in that time. A node that has no shared memory does not wait.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import gc
+import json
 import os
 import signal
 import socket
@@ -13,7 +23,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import IO, Any, Protocol, Self
+from typing import IO, Any, Self, cast
 
 import rclpy
 import rclpy.utilities
@@ -24,6 +34,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from ...common.errors import InputError, TendonRobotError
+from ...common.files import shared_file
 from ...common.processes import (
     child_environment,
     end_with_parent,
@@ -32,11 +43,19 @@ from ...common.processes import (
     print_without_waiting,
     switch_often,
 )
-from .transport import without_shared_memory
+from .timing import SILENCE_S
 
 given: list[str] = []  # what this process was told on its command line, for ROS
-# [s] launch passes on the signal that the terminal or systemd has sent to all, too
-SIGNAL_ECHO_S = 1.0
+RANGE, ONLY_HERE = 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_LOCALHOST_ONLY'
+TRANSPORTS, PROFILES = 'FASTDDS_BUILTIN_TRANSPORTS', 'FASTRTPS_DEFAULT_PROFILES_FILE'
+# [s] because launch passes on the signal that the terminal or systemd has sent to all, too: an
+# echo that comes so soon would else end a node before it has let the arm go
+SIGNAL_ECHO_S = SILENCE_S
+# [s] of one spin of the executor, so that `running` is asked ten times a second
+SPIN_S = 0.1
+# [s] for a process to end, else its starter would wait for ever: a release of 5 N at the default
+# release_rate of 10 N/s takes 0.5 s of it
+END_TIMEOUT_S = 5.0
 
 
 class Ending:
@@ -120,21 +139,43 @@ def when_asked_to_end(action: Callable[[], object]) -> None:
         Ending.current.then(action)
 
 
-class Runnable(Protocol):
-    """What `run` needs of a node."""
+class Runnable:
+    """What `run` asks of a node; a node inherits it before its class of rclpy."""
 
     @property
     def node(self) -> Node:
-        """The node to spin."""
+        """The node to spin: itself."""
+        return cast(Node, self)
 
     def start(self) -> None:
         """Begin; called once before the first spin."""
 
     def running(self) -> bool:
         """Whether to go on; asked after every spin."""
+        return True
 
-    def end(self, spin: Callable[[float], None]) -> None:
-        """End safe, while messages still go out; `spin` serves callbacks for some seconds."""
+    def end(self) -> None:
+        """End safe, while messages still go out."""
+
+
+def without_shared_memory() -> None:
+    """
+    Have the nodes of this process, and of its children, do without the shared memory of Fast DDS.
+
+    To be called before the first node. Who has set transports or a profile of his own keeps them;
+    other middlewares do not read these variables. rmw_fastrtps adds the shared memory by itself
+    where `ROS_AUTOMATIC_DISCOVERY_RANGE` is LOCALHOST; a profile then says what that means. With
+    `ROS_STATIC_PEERS` it cannot, and the shared memory stays.
+    """
+    if os.environ.get(TRANSPORTS) or os.environ.get(PROFILES):
+        return
+    os.environ[TRANSPORTS] = 'UDPv4'
+    here = os.environ.get(RANGE) == 'LOCALHOST' or os.environ.get(ONLY_HERE) == '1'
+    profile = shared_file('config/fastdds_localhost.xml')
+    if here and profile is not None and not os.environ.get('ROS_STATIC_PEERS'):
+        os.environ[PROFILES] = str(profile)
+        os.environ[RANGE] = 'SYSTEM_DEFAULT'
+        os.environ.pop(ONLY_HERE, None)
 
 
 @contextlib.contextmanager
@@ -221,7 +262,7 @@ def run(make: Callable[[], Runnable], arguments: Sequence[str], first: bool = Fa
             runnable.start()
             gc.freeze()  # what is imported stays: a collection need not look at it
             while not ending.signal and runnable.running():
-                executor.spin_once(timeout_sec=0.1)
+                executor.spin_once(timeout_sec=SPIN_S)
         except TendonRobotError as error:
             print('error:', ' '.join(str(error).split()), file=sys.stderr)
             code = 1
@@ -230,26 +271,15 @@ def run(make: Callable[[], Runnable], arguments: Sequence[str], first: bool = Fa
             code = 1
         finally:
             if runnable is not None:
-                _end(runnable, executor)
+                try:
+                    runnable.end()
+                except Exception:  # the end must go on
+                    traceback.print_exc()
+                executor.remove_node(runnable.node)
+                runnable.node.destroy_node()
             executor.shutdown(timeout_sec=1.0)
             ending.over = bool(ending.signal)
     return code
-
-
-def _end(runnable: Runnable, executor: Executor) -> None:
-    def spin(seconds: float) -> None:
-        executor.spin_once(timeout_sec=seconds)
-
-    try:
-        runnable.end(spin)
-    except Exception:  # the end must go on
-        traceback.print_exc()
-    executor.remove_node(runnable.node)
-    runnable.node.destroy_node()
-
-
-# -----------------------------------------------------------------------------
-# Nodes as processes of their own, ended for certain when their starter ends.
 
 
 class NodeProcess:
@@ -293,7 +323,7 @@ class NodeProcess:
             start_new_session=True,
         )
 
-    def end(self, timeout: float = 5.0) -> int:
+    def end(self, timeout: float = END_TIMEOUT_S) -> int:
         """Ask it to end safe, wait, and kill it if it does not; return the exit code."""
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
@@ -313,16 +343,9 @@ class NodeProcess:
 
 
 def ros_arguments(parameters: Mapping[str, object], namespace: str) -> list[str]:
-    """Return what a command line says of parameters and namespace."""
+    """Return what a command line says of parameters, as YAML, and namespace."""
     arguments = ['--ros-args', '-r', f'__ns:={namespace}']
     for key, value in parameters.items():
-        arguments += ['-p', f'{key}:={_yaml(value)}']
+        # JSON is YAML: text stays text, whatever is in it
+        arguments += ['-p', f'{key}:={json.dumps(value, ensure_ascii=False, default=str)}']
     return arguments
-
-
-def _yaml(value: object) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str):
-        return '"' + value.replace('\\', '\\\\').replace('"', '\\"').replace('\n', '\\n') + '"'
-    return str(value)

@@ -20,15 +20,19 @@ from std_srvs.srv import Trigger
 from ...common.local_stop import Stoppable
 from ...common.processes import go_realtime
 from .runtime import ros
+from .timing import NEWS_PERIOD_S, STOP_ANSWER_S
 
-# matches subscribers of every kind, without a warning of one that it does not
+# [1] the last message, also for who comes later: matches subscribers of every kind, without a
+# warning; not from messages.py, because that takes 0.9 s to import (measured)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 TRIGGER, BOOL = 'std_srvs/srv/Trigger', 'std_msgs/msg/Bool'
 STATUS = 'diagnostic_msgs/msg/DiagnosticStatus'
-ALL_IN_S = 1.8  # [s] of discovery: on a busy machine some are found a second after others
-LOOK_PERIOD_S = 0.02  # [s] four cycles of a driver
-AGAIN_S = 0.3  # [s] after which an answer counts as lost and is asked for again
-ACKNOWLEDGED_S = 0.2  # [s] for all who hear the topic: 2 s in all
+# [s] for all to be found and to answer, as docs/safety.md says: on a busy machine some are found a
+# second after others
+STOP_S = 2.0
+# [s] of that for all who hear the topic to acknowledge that the cause is gone, so that no false is
+# lost when its publisher leaves: forty cycles at the default rate
+ACKNOWLEDGE_S = 0.1 * STOP_S
 
 
 def stop_found(
@@ -87,7 +91,7 @@ class Stopping:
 
     def ask(self, now: float) -> None:
         """Call its service, again where the answer is overdue."""
-        if self.why and now - self.asked > AGAIN_S and self.client.service_is_ready():
+        if self.why and now - self.asked > STOP_ANSWER_S and self.client.service_is_ready():
             self.asked = now
             self.futures.append(self.client.call_async(Trigger.Request()))
 
@@ -109,14 +113,23 @@ class Person(Node):
 
     def stop(self, stopped: Set[str]) -> None:
         """Stop what is found as soon as it is found, until the time is over; some have said so."""
-        while (now := time.monotonic()) - self._began < ALL_IN_S:
+        while (now := time.monotonic()) - self._began < STOP_S - ACKNOWLEDGE_S:
             self._look()
             for one in self._found.values():
                 one.ask(now)
-            self._publish()
-            self._spinning.spin_once(timeout_sec=LOOK_PERIOD_S)
+            for topic, publisher in self._topics.items():
+                count = publisher.get_subscription_count()
+                if count > self._heard.get(topic, 0):  # somebody new listens
+                    publisher.publish(Bool(data=True))
+                self._heard[topic] = count
+            self._spinning.spin_once(timeout_sec=NEWS_PERIOD_S)
         if not any(one.why for name, one in self._found.items() if name not in stopped):
-            self._take_back()
+            # the services have latched the stop: the cause is gone, as the topics say then
+            for topic, publisher in self._topics.items():
+                if self._heard.get(topic):
+                    publisher.publish(Bool(data=False))
+            for publisher in self._topics.values():
+                publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGE_S))
 
     def said(self) -> dict[str, tuple[bool, str]]:
         """Return of every node whether it drives, and why it has not stopped."""
@@ -152,19 +165,3 @@ class Person(Node):
         except Exception:  # rclpy: its name is not known yet, or no longer
             heard = []
         return topics + [topic for topic, kinds in heard if BOOL in kinds and topic not in topics]
-
-    def _publish(self) -> None:
-        """Say true whenever somebody new listens."""
-        for topic, publisher in self._topics.items():
-            count = publisher.get_subscription_count()
-            if count > self._heard.get(topic, 0):
-                publisher.publish(Bool(data=True))
-            self._heard[topic] = count
-
-    def _take_back(self) -> None:
-        """Say on the topics that the cause is gone: the services have latched the stop."""
-        for topic, publisher in self._topics.items():
-            if self._heard.get(topic):
-                publisher.publish(Bool(data=False))
-        for publisher in self._topics.values():
-            publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGED_S))

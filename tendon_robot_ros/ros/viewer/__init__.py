@@ -3,7 +3,6 @@ The live page in the browser.
 
 node.py         topics and parameters of the viewer
 state.py        what the page shows, gathered from the topics
-page.py         scene and panel, by viser
-framing.py      where the scene is looked at from: all that the arm reaches, beside the panel
+page.py         scene, cameras and panel, by viser
 page_parts.py   bars, curves and tables of the page; an arm as a tube
 """

@@ -13,11 +13,11 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped, PoseArray, WrenchStamped
-from numpy.typing import NDArray
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
@@ -25,27 +25,45 @@ from std_srvs.srv import Trigger
 
 from ...robot import load_robot
 from ..shared.lifecycle import OK, Status
-from ..shared.messages import COMMAND, LATCHED, LATCHED_BY_MANY, LISTEN, STATE
-from ..shared.parameters import Parameters, RemoteText, Spec
-from ..shared.runtime import repeat, run
+from ..shared.messages import (
+    COMMAND,
+    LATCHED,
+    LATCHED_BY_MANY,
+    LISTEN,
+    STATE,
+    points_of,
+    stamp_now,
+    status_values,
+)
+from ..shared.parameters import CONTROLLER, Parameters, RemoteParameter, Spec
+from ..shared.runtime import Runnable, repeat, run
+from ..shared.timing import STATUS_PERIOD_S
 from .page import LivePage
-from .state import ViewState
+from .state import PANEL_PERIOD_S, ViewState
 
 HELP = 'the live page in the browser (extra: viewer)'
-Array = NDArray[np.float64]
+# [1] defaults and ranges, each with its unit: docs/ros_interface.md
 SPECS = (
-    Spec('host', '127.0.0.1', 'address to serve on; beyond this machine a token is needed',
-         read_only=True),
+    Spec(
+        'host',
+        '127.0.0.1',
+        'address to serve on; beyond this machine a token is needed',
+        read_only=True,
+    ),
     Spec('port', 8080.0, 'port of the page', '', 1.0, 65535.0, read_only=True),
-    Spec('token', '', 'what a browser must give before it may command; empty: none on this '
-         'machine, else drawn and logged', read_only=True),
-    Spec('controller', 'controller', 'name of the controller node', read_only=True),
+    Spec(
+        'token',
+        '',
+        'what a browser must give before it may command; empty: none on this '
+        'machine, else drawn and logged',
+        read_only=True,
+    ),
+    CONTROLLER,
     Spec('driver', 'driver', 'name of the driver node', read_only=True),
     Spec('monitor', 'monitor', 'name of the monitor node', read_only=True),
     Spec('investigate', 'investigate', 'name of the node that investigates', read_only=True),
     Spec('rate', 25.0, 'frames per second', 'Hz', 1.0, 60.0, read_only=True),
-)  # fmt: skip
-PANEL_PERIOD_S = 0.25  # [s]
+)
 SERVICES = {
     'record': ('monitor',),
     'diagnose': ('monitor',),
@@ -56,7 +74,7 @@ SERVICES = {
 }
 
 
-class ViewerNode(Node):
+class ViewerNode(Runnable, Node):
     """Topics in, page out; what people click becomes messages and service calls."""
 
     def __init__(self) -> None:
@@ -67,13 +85,11 @@ class ViewerNode(Node):
         nodes = ('controller', 'driver', 'monitor', 'investigate')
         names = {key: self.parameters[key] for key in nodes}
         host, token = self.parameters['host'], self.parameters['token']
-        if not token and not _is_local(host):
+        if not token and not is_local(host):
             token = secrets.token_urlsafe(9)
             self.get_logger().warning(f'token for commands from the page: {token}')
-        port = int(self.parameters['port'])
-        self.page = LivePage(host, port, token)
-        self._base = ''
-        self._told = 0.0
+        self.page = LivePage(host, int(self.parameters['port']), token)
+        self._base, self._told = '', 0.0
         self._status_out = Status(self, 'page')
         self._frames: deque[float] = deque(maxlen=100)  # when the arm was drawn
         self._listen(names)
@@ -81,46 +97,85 @@ class ViewerNode(Node):
             PointStamped, f'{names["controller"]}/target_point', COMMAND
         )
         self._tour = self.create_publisher(Bool, 'tour', LATCHED)
-        self._remote = RemoteText(self, names['controller'], 'model')
+        self._remote = RemoteParameter(self, names['controller'], 'model')
         self._triggers = {
             (name, owner): self.create_client(Trigger, f'{names[owner]}/{name}')
             for name, owners in SERVICES.items()
             for owner in owners
         }
         repeat(self, 1.0 / self.parameters['rate'], self._cycle)
-        repeat(self, 2.0, lambda: self._remote.ask(self._hear_model))
 
-    @property
-    def node(self) -> Node:
-        """Return itself, for `run`."""
-        return self
+        def model(text: str) -> None:
+            robot = load_robot(text)
+            self.state.limits = robot.tension_limits
+            self.page.resize(robot.length)
+
+        repeat(self, STATUS_PERIOD_S, lambda: self._remote.ask(model))
 
     def start(self) -> None:
         """Say where the page is."""
         self.get_logger().info(f'open http://{self.parameters["host"]}:{self.page.port}')
 
-    def running(self) -> bool:
-        """Go on."""
-        return True
-
-    def end(self, spin: Callable[[float], None]) -> None:
+    def end(self) -> None:
         """Close the page."""
         self.page.close()
 
     def _listen(self, names: dict[str, str]) -> None:
-        subscribe, monitor = self.create_subscription, names['monitor']
+        """Gather what the nodes say in the state of the page."""
+        state, now, monitor = self.state, time.monotonic, names['monitor']
+
+        def status(key: str, message: DiagnosticStatus) -> None:
+            level, values = int.from_bytes(message.level, 'little'), status_values(message)
+            state.hear_status(now(), key, level, message.message, values)
+
+        def states(message: JointState) -> None:
+            state.inputs = tuple(message.name)
+            state.tensions = tuple(message.effort or [float('nan')] * len(message.name))
+
+        def measured(message: PoseArray) -> None:
+            state.measured = points_of(message)
+            self._base = self._base or message.header.frame_id
+
+        def force(message: WrenchStamped) -> None:
+            f = message.wrench.force
+            state.force, state.force_at = np.array([f.x, f.y, f.z]), now()
+
+        def keep(name: str, value: Callable[[Any], object]) -> Callable[[Any], None]:
+            return lambda message: setattr(state, name, value(message))
+
         for key, name in names.items():
-            subscribe(DiagnosticStatus, f'{name}/status', partial(self._status, key), LATCHED)
-        subscribe(JointState, 'tendon_states', self._states, LISTEN)
-        subscribe(PoseArray, 'measured_shape', partial(self._shape, 'measured'), LISTEN)
-        subscribe(PoseArray, f'{monitor}/predicted', partial(self._shape, 'predicted'), LISTEN)
-        subscribe(WrenchStamped, f'{monitor}/tip_force', self._force, LISTEN)
-        subscribe(Float64, f'{monitor}/rolling_error', self._error, LISTEN)
-        subscribe(Float64MultiArray, f'{monitor}/marker_errors', self._per_marker, LISTEN)
-        subscribe(String, f'{monitor}/progress', self._progress, STATE)
-        subscribe(String, f'{monitor}/verdict', self._verdict, LATCHED)
-        subscribe(Bool, 'tour', self._touring, LATCHED)
-        subscribe(String, f'{names["investigate"]}/progress', self._news, LATCHED_BY_MANY)
+            self.create_subscription(
+                DiagnosticStatus, f'{name}/status', partial(status, key), LATCHED
+            )
+        heard: tuple[tuple[type, str, Callable[[Any], None], Any], ...] = (
+            (JointState, 'tendon_states', states, LISTEN),
+            (PoseArray, 'measured_shape', measured, LISTEN),
+            (PoseArray, f'{monitor}/predicted', keep('predicted', points_of), LISTEN),
+            (WrenchStamped, f'{monitor}/tip_force', force, LISTEN),
+            (
+                Float64,
+                f'{monitor}/rolling_error',
+                lambda message: state.hear_error(now(), message.data),
+                LISTEN,
+            ),
+            (
+                Float64MultiArray,
+                f'{monitor}/marker_errors',
+                lambda message: state.hear_markers(now(), message.data),
+                LISTEN,
+            ),
+            (String, f'{monitor}/progress', keep('progress', lambda m: m.data), STATE),
+            (String, f'{monitor}/verdict', lambda m: state.hear_verdict(m.data), LATCHED),
+            (Bool, 'tour', keep('touring', lambda m: m.data), LATCHED),
+            (
+                String,
+                f'{names["investigate"]}/progress',
+                lambda message: state.hear_investigation(message.data),
+                LATCHED_BY_MANY,
+            ),
+        )
+        for kind, topic, hear, quality in heard:
+            self.create_subscription(kind, topic, hear, quality)
 
     def _cycle(self) -> None:
         """Take clicks, draw, and now and then update the panel."""
@@ -132,41 +187,32 @@ class ViewerNode(Node):
         if now - self._told >= PANEL_PERIOD_S:
             self._told = now
             self.page.tell(self.state, now)
-            self._say(now)
-
-    def _say(self, now: float) -> None:
-        """Publish how the page is."""
-        frames = sum(now - at <= 2.0 for at in self._frames) / 2.0
-        statuses = self.state.statuses(now)
-        values = {
-            'browsers': str(self.page.clients),
-            'frames (Hz)': f'{frames:.1f}',
-            'hears': ', '.join(name for name, (level, _) in statuses.items() if level != 'silent'),
-        }
-        self._status_out.say(OK, 'serving', f'page on port {self.page.port}', values)
+            frames = sum(now - at <= 2.0 for at in self._frames) / 2.0
+            statuses = self.state.statuses(now).items()
+            values = {
+                'browsers': str(self.page.clients),
+                'frames (Hz)': f'{frames:.1f}',
+                'hears': ', '.join(name for name, (level, _) in statuses if level != 'silent'),
+            }
+            self._status_out.say(OK, 'serving', f'page on port {self.page.port}', values)
 
     def _command(self, name: str, value: object) -> None:
-        if name == 'target':
-            self._send_target(np.asarray(value))
-        elif name == 'tour':
-            self.state.held = not value
-            self._tour.publish(Bool(data=bool(value)))
-        else:
+        """Do what somebody has clicked."""
+        if name in SERVICES:
             for owner in SERVICES[name]:
                 self._call(name, owner)
-
-    def _send_target(self, place: Array) -> None:
-        if not self.state.held:
-            self.state.held = True
-            self._tour.publish(Bool(data=False))
-        if not self._base:
-            self.state.progress = 'no controller yet: the target was not sent'
             return
-        message = PointStamped()
-        message.header.frame_id = self._base
-        message.header.stamp = self.get_clock().now().to_msg()
-        message.point.x, message.point.y, message.point.z = place.tolist()
-        self._targets.publish(message)
+        if name == 'tour' or not self.state.held:
+            touring = name == 'tour' and bool(value)
+            self.state.held = not touring
+            self._tour.publish(Bool(data=touring))
+        if name == 'target' and not self._base:
+            self.state.progress = 'no controller yet: the target was not sent'
+        elif name == 'target':
+            message = PointStamped()
+            message.header.frame_id, message.header.stamp = self._base, stamp_now(self)
+            message.point.x, message.point.y, message.point.z = np.asarray(value).tolist()
+            self._targets.publish(message)
 
     def _call(self, name: str, owner: str) -> None:
         client = self._triggers[name, owner]
@@ -179,51 +225,9 @@ class ViewerNode(Node):
 
         client.call_async(Trigger.Request()).add_done_callback(done)
 
-    def _status(self, key: str, message: DiagnosticStatus) -> None:
-        values = {item.key: item.value for item in message.values}
-        level = int.from_bytes(message.level, 'little')
-        self.state.hear_status(time.monotonic(), key, level, message.message, values)
 
-    def _states(self, message: JointState) -> None:
-        blank = [float('nan')] * len(message.name)
-        self.state.inputs = tuple(message.name)
-        self.state.tensions = tuple(message.effort or blank)
-
-    def _shape(self, which: str, message: PoseArray) -> None:
-        points = [[p.position.x, p.position.y, p.position.z] for p in message.poses]
-        setattr(self.state, which, np.array(points).reshape(-1, 3))
-        if which == 'measured' and not self._base:
-            self._base = message.header.frame_id
-
-    def _force(self, message: WrenchStamped) -> None:
-        f = message.wrench.force
-        self.state.force, self.state.force_at = np.array([f.x, f.y, f.z]), time.monotonic()
-
-    def _error(self, message: Float64) -> None:
-        self.state.hear_error(time.monotonic(), message.data)
-
-    def _per_marker(self, message: Float64MultiArray) -> None:
-        self.state.hear_markers(time.monotonic(), message.data)
-
-    def _progress(self, message: String) -> None:
-        self.state.progress = message.data
-
-    def _verdict(self, message: String) -> None:
-        self.state.hear_verdict(message.data)
-
-    def _news(self, message: String) -> None:
-        self.state.hear_investigation(message.data)
-
-    def _touring(self, message: Bool) -> None:
-        self.state.touring = message.data
-
-    def _hear_model(self, text: str) -> None:
-        robot = load_robot(text)
-        self.state.limits = robot.tension_limits
-        self.page.resize(robot.length)
-
-
-def _is_local(host: str) -> bool:
+def is_local(host: str) -> bool:
+    """Whether only this machine reaches an address."""
     try:
         return host == 'localhost' or ipaddress.ip_address(host).is_loopback
     except ValueError:

@@ -6,7 +6,8 @@ import hmac
 import queue
 import time
 from collections.abc import Callable
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +15,7 @@ from numpy.typing import NDArray
 from ...common.colours import BAD, ERROR, GOOD, INK, MEASURED, ORANGE, PREDICTED, rgb
 from ...common.errors import DriverError, MissingExtraError
 from . import page_parts
-from .framing import View, framed
-from .page_parts import tube_faces, tube_vertices
+from .page_parts import MEASURED_OPACITY, tube_faces, tube_vertices
 from .state import ViewState
 
 Array = NDArray[np.float64]
@@ -27,13 +27,73 @@ BUTTONS: tuple[tuple[str, str, str, str], ...] = (  # name, label, hint, colour
     ('stop', 'STOP', 'release the arm; not a safety-rated stop', BAD),
     ('reset', 'Reset', 'after a stop', ERROR),
 )
-# of the robot's length: the measured arm is wide and translucent, the predicted one thin, so that
-# neither hides the other where they coincide
-MEASURED_WIDTH, PREDICTED_WIDTH = 0.034, 0.011
-MEASURED_OPACITY = 0.4
-FIRST_VIEW = float(np.deg2rad(75.0)), 1200.0, 900.0  # viser's own [rad], and a desktop's [px]
-FIRST_LENGTH_M = 0.2  # [m] of the arm, until it is known: some arm of a laboratory
-VIEW_KEPT = 0.01  # [1] of the robot's length: a camera so near to where it was placed is not moved
+# [1] of the robot's length: the measured arm is wide and translucent, the predicted one a third of
+# that, so that neither hides the other where they coincide
+MEASURED_WIDTH = 0.034
+# [m] of the arm until it is known, as some arm of a laboratory, else nothing would be seen
+FIRST_LENGTH_M = 0.2
+# [1] of the robot's length: so near to where a camera was placed nobody has moved it,
+# because a browser rounds
+VIEW_TOLERANCE = 0.01
+# [1] direction of sight: from the side, so that bends in the plane x-z are seen in full, and a
+# little from above, so that the grid is seen
+ALONG = np.array([0.0, 0.99, -0.14])
+# [1] of the height of a phone that viser's panel may cover, at the lower edge: `max-height` in its
+# manual; on a desktop the panel is docked beside the scene
+PANEL_OF_PHONES = 0.6
+# [1] width over height of a scene, below which it is a phone's, because desktops are wider
+PHONE_ASPECT = 0.8
+
+
+class Picture(NamedTuple):
+    """What a camera sees: the angle from the lower to the upper edge [rad], and the size [px]."""
+
+    fov: float = float(np.deg2rad(75.0))  # viser's own; a desktop's size
+    width: float = 1200.0
+    height: float = 900.0
+
+    @classmethod
+    def of(cls, camera: Any) -> Picture:
+        """Return that of a browser's camera."""
+        return cls(float(camera.fov), float(camera.image_width), float(camera.image_height))
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera: where it is, and what is in the middle of its picture, (3,) [m] each."""
+
+    position: Array
+    look_at: Array
+
+
+def framed(radius: float, picture: Picture) -> View:
+    """
+    Return the nearest view of a ball about the base that the panel does not cover.
+
+    No part of an arm is further from its base than it is long, however it bends: that is the
+    radius. The ball touches a side of what is free of the picture from within where its distance
+    to the plane through the camera and that side is the radius; two sides that face each other
+    say how far away the camera is, and where the ball is between them.
+
+    Parameters
+    ----------
+    radius : float [m]
+    picture : Picture
+
+    """
+    half = np.tan(0.5 * picture.fov)
+    aspect = picture.width / picture.height
+    lowest = 2.0 * PANEL_OF_PHONES - 1.0 if aspect < PHONE_ASPECT else -1.0
+    sides = half * np.array([[-aspect, aspect], [lowest, 1.0]])  # at depth 1
+    margins = radius * np.sqrt(1.0 + sides**2)
+    depth = float((margins.sum(axis=1) / (sides[:, 1] - sides[:, 0])).max())
+    across = 0.5 * (sides.sum(axis=1) * depth + margins[:, 0] - margins[:, 1])
+    along = ALONG / np.linalg.norm(ALONG)
+    right = np.cross(along, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    up = np.cross(right, along)
+    position = -across[0] * right - across[1] * up - depth * along
+    return View(position, position + depth * along)
 
 
 class LivePage:
@@ -64,7 +124,7 @@ class LivePage:
         self.commands: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
         self._token, self._allowed, self._size = token, set[int](), size
         # client -> its picture for which it was placed, and where
-        self._views: dict[int, tuple[tuple[float, ...], View]] = {}
+        self._views: dict[int, tuple[Picture | None, View]] = {}
         self._shown: dict[str, str] = {}
         self._scene()
         self._panel()
@@ -124,8 +184,7 @@ class LivePage:
         self._html('statuses', page_parts.statuses(state.statuses(now)))
         self._html('error', page_parts.big_error(state.rolling(now), state.per_marker()))
         self._html(
-            'curve',
-            page_parts.curve(times, list(state.rollings), now, state.marks, state.floor),
+            'curve', page_parts.curve(times, list(state.rollings), now, state.marks, state.floor)
         )
         low, high = state.limits
         self._html('bars', page_parts.bars(state.inputs, state.tensions, low, high))
@@ -152,19 +211,25 @@ class LivePage:
         scene, size = self._server.scene, self._size
         scene.set_up_direction('+z')
         camera = self._server.initial_camera
-        self._first = framed(self._radius, *FIRST_VIEW)
+        self._first = framed(self._radius, Picture())
         camera.position, camera.look_at = self._first.position, self._first.look_at
         camera.near = 0.01 * size
         self._square = page_parts.round_length(0.15 * size)
-        scene.add_grid('/grid', width=2.0 * size, height=2.0 * size, cell_size=self._square,
-                       section_size=5.0 * self._square)  # fmt: skip
+        whole, square = 2.0 * size, self._square
+        scene.add_grid(
+            '/grid', width=whole, height=whole, cell_size=square, section_size=5.0 * square
+        )
         self._lines: dict[str, Any] = {}
         self._measured: Any = None  # the tube
         self._target = scene.add_transform_controls(
-            '/target', scale=0.22 * size, disable_rotations=True, disable_sliders=True,
+            '/target',
+            scale=0.22 * size,
             line_width=3.0,
-        )  # fmt: skip
-        self._target.on_update(self._dragged)
+            disable_rotations=True,
+            disable_sliders=True,
+        )
+        place = self._guarded('target', lambda: np.array(self._target.position))
+        self._target.on_update(place)
 
     def _line(self, name: str, segments: Array) -> None:
         """Show segments (s, 2, 3) [m]; as long as their number stays, only points are sent."""
@@ -174,7 +239,7 @@ class LivePage:
             line.points = points
             return
         colour = rgb({'predicted': PREDICTED, 'error': ERROR, 'force': GOOD}[name])
-        thickness = {'predicted': PREDICTED_WIDTH}.get(name, 0.004) * self._size
+        thickness = (MEASURED_WIDTH / 3.0 if name == 'predicted' else 0.004) * self._size
         self._lines[name] = self._server.scene.add_line_segments(
             f'/{name}', points, colour, thickness=thickness, thickness_units='world'
         )
@@ -188,9 +253,14 @@ class LivePage:
             self._measured.vertices = vertices
             return
         self._measured = self._server.scene.add_mesh_simple(
-            '/measured', vertices, tube_faces(len(nodes)), color=rgb(MEASURED),
-            opacity=MEASURED_OPACITY, cast_shadow=False, receive_shadow=False,
-        )  # fmt: skip
+            '/measured',
+            vertices,
+            tube_faces(len(nodes)),
+            color=rgb(MEASURED),
+            opacity=MEASURED_OPACITY,
+            cast_shadow=False,
+            receive_shadow=False,
+        )
 
     def _panel(self) -> None:
         gui = self._server.gui
@@ -203,21 +273,17 @@ class LivePage:
         for name in ('scene', 'error', 'curve', 'guide'):
             self._boxes[name] = gui.add_html('')
         self._buttons: dict[str, Any] = {}
-        for button in BUTTONS:
-            self._add_button(*button)
-        for name in ('investigation', 'verdict'):
+        for name, label, hint, colour in BUTTONS:
+            if name == 'stop':
+                gui.add_html(f'<div id="{page_parts.STOP_MARK}"></div>')
+            button = gui.add_button(label, hint=hint, color=rgb(colour))
+            button.on_click(self._guarded(name, lambda: None))
+            self._buttons[name] = button
+        for name in ('investigation', 'verdict', 'bars'):
             self._boxes[name] = gui.add_html('')
-        self._boxes['bars'] = gui.add_html('')
         self._tour: Any = gui.add_checkbox('tour through postures', True)
         self._tour.on_update(self._guarded('tour', lambda: bool(self._tour.value)))
         self._boxes['statuses'] = gui.add_html('')
-
-    def _add_button(self, name: str, label: str, hint: str, colour: str) -> None:
-        if name == 'stop':
-            self._server.gui.add_html(f'<div id="{page_parts.STOP_MARK}"></div>')
-        button = self._server.gui.add_button(label, hint=hint, color=rgb(colour))
-        button.on_click(self._guarded(name, lambda: None))
-        self._buttons[name] = button
 
     def _guarded(self, name: str, value: Callable[[], Any]) -> Callable[[Any], None]:
         """Return a callback that takes a command of a browser that may give it."""
@@ -235,9 +301,6 @@ class LivePage:
 
         return clicked
 
-    def _dragged(self, event: Any) -> None:
-        self._guarded('target', lambda: np.array(self._target.position))(event)
-
     def _welcome(self, client: Any) -> None:
         """Show a browser all that the arm can reach; ask it for the token, if any."""
         self._place(client)
@@ -245,37 +308,38 @@ class LivePage:
             return
         field = client.gui.add_text('token', '', order=-1.0)
 
-        @field.on_update
-        def _(event: Any) -> None:
+        def typed(event: Any) -> None:
             if hmac.compare_digest(field.value.encode(), self._token.encode()):
                 self._allowed.add(client.client_id)
                 field.remove()
 
+        field.on_update(typed)
+
     def _place(self, client: Any) -> None:
         """Look at all that the arm can reach."""
-        picture = _picture(client.camera)
-        view = framed(self._radius, *picture)
+        picture = Picture.of(client.camera)
+        view = framed(self._radius, picture)
         self._views[client.client_id] = picture, view
         client.camera.position, client.camera.look_at = view.position, view.look_at
 
     def _hold_views(self) -> None:
         """Place cameras anew in windows of another shape, and those that took the first view."""
         for number, client in self._server.get_clients().items():
-            picture, view = self._views.get(number, ((), self._first))
+            picture, view = self._views.get(number, (None, self._first))
             if self._holds(client) and (
-                not self._is_at(client, view) or _picture(client.camera) != picture
+                not self._is_at(client, view) or Picture.of(client.camera) != picture
             ):
                 self._place(client)
 
     def _holds(self, client: Any) -> bool:
         """Whether a camera is where it was placed, or as it is at first."""
-        _, view = self._views.get(client.client_id, ((), self._first))
+        _, view = self._views.get(client.client_id, (None, self._first))
         return self._is_at(client, view) or self._is_at(client, self._first)
 
     def _is_at(self, client: Any, view: View) -> bool:
         """Whether nobody has moved a camera since it took a view."""
         away = np.linalg.norm(client.camera.position - view.position)
-        return bool(away < VIEW_KEPT * self._size)
+        return bool(away < VIEW_TOLERANCE * self._size)
 
     @property
     def _radius(self) -> float:
@@ -286,11 +350,6 @@ class LivePage:
         if self._shown.get(name) != content:
             self._shown[name] = content
             self._boxes[name].content = content
-
-
-def _picture(camera: Any) -> tuple[float, float, float]:
-    """Return a picture's angle from edge to edge [rad], its width and its height [px]."""
-    return float(camera.fov), float(camera.image_width), float(camera.image_height)
 
 
 def _nodes(points: Array) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from html import escape
 from typing import Any
 
@@ -15,12 +16,15 @@ from ...common.colours import BAD, ERROR, GOOD, INK, KINDS, MEASURED, PREDICTED,
 from ...common.words import mm, percent
 from ...diagnosis.result import NOT_NEEDED, LoadVector, Value
 from ...report.sentences import load_words, told_quantity
+from .state import CURVE_SPAN_S
 
 Floats = NDArray[np.float32]
-SIDES = 12  # of the cross-section of an arm drawn as a tube
-WIDTH, HEIGHT, LEFT, BOTTOM = 360, 140, 40, 22  # [px] of the curve, and of its margins
-CURVE_SPAN_S = 120.0  # [s] that the curve shows
-USUAL_SHARE, PEAK = 0.75, 2.0  # of the time, times: the arm moves now and then; such peaks are cut
+# [1] so that the predicted arm, which is thinner, is seen inside the measured one
+MEASURED_OPACITY = 0.4
+SIDES = 12  # [1] of the cross-section of an arm drawn as a tube: with fewer it would look edged
+# [1] times the upper quartile of the errors: larger peaks are cut off, because the arm moves now
+# and then, and the error of a standing arm would else be a flat line
+PEAK = 2.0
 FITTING = 'fitting '  # how long that takes is not known: the bar moves and has no end
 STOP_MARK = 'stop-mark'  # id of what stands before the button that is always seen
 HIDDEN = 'position:absolute;width:1px;height:1px;overflow:hidden;clip-path:inset(50%)'
@@ -46,9 +50,10 @@ NARROW = f"""<style>
 def legend(square: float) -> str:
     """Say which colour is which, and how long a square [m] of the grid is."""
     line = '<span style="display:inline-block;width:22px;border-top:{} {}"></span> {}'
+    translucent = f'rgba{(*rgb(MEASURED), MEASURED_OPACITY)}'
     return (
         f'{NARROW}<div style="{STYLE}">'
-        + line.format('10px solid', f'rgba{(*rgb(MEASURED), 0.45)}', 'measured &nbsp; ')
+        + line.format('10px solid', translucent, 'measured &nbsp; ')
         + line.format('4px solid', PREDICTED, 'predicted &nbsp; ')
         + line.format('2px dashed', ERROR, 'error')
         + f'<br><span id="scale">a square of the grid: {1e3 * square:g} mm</span>'
@@ -58,7 +63,10 @@ def legend(square: float) -> str:
 
 def scene(measured: NDArray[np.float64] | None, predicted: NDArray[np.float64] | None) -> str:
     """Say in words what the scene draws of the arms (J, 3) [m], for who does not see it."""
-    tips = [None if arm is None else _last_seen(arm) for arm in (measured, predicted)]
+    tips = []
+    for arm in (measured, predicted):
+        seen = np.zeros((0, 3)) if arm is None else arm[np.isfinite(arm).all(axis=1)]
+        tips.append(seen[-1] if len(seen) else None)
     said = 'Scene in space: the arm stands on a grid, its base at the origin, z up'
     for tip, who in zip(tips, ('measured', 'predicted'), strict=True):
         where = (
@@ -75,12 +83,6 @@ def scene(measured: NDArray[np.float64] | None, predicted: NDArray[np.float64] |
     if tips[0] is not None and tips[1] is not None:
         said += f'; {mm(float(np.linalg.norm(tips[0] - tips[1])), 2)} apart'
     return f'<div role="img" aria-label="{escape(said)}" style="{HIDDEN}"></div>'
-
-
-def _last_seen(arm: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Return the last point (3,) of an arm (J, 3) that is known."""
-    seen = arm[np.isfinite(arm).all(axis=1)]
-    return seen[-1] if len(seen) else None
 
 
 def guide(next_step: str, progress: str) -> str:
@@ -114,9 +116,12 @@ def big_error(rolling: float, tip: str) -> str:
 
 
 def curve(
-    times: Sequence[float], errors: Sequence[float], now: float,
-    marks: Sequence[tuple[float, str]], floor: float | None,
-) -> str:  # fmt: skip
+    times: Sequence[float],
+    errors: Sequence[float],
+    now: float,
+    marks: Sequence[tuple[float, str]],
+    floor: float | None,
+) -> str:
     """
     Draw the rolling error over the last two minutes.
 
@@ -138,57 +143,69 @@ def curve(
         if now - t <= CURVE_SPAN_S and np.isfinite(e)
     ]
     sizes = [e for _, e in shown] or [0.0]
-    usual = PEAK * float(np.quantile(sizes, USUAL_SHARE))
-    top = max(1.15 * min(max(sizes), usual), 0.6)  # [mm]
-    points = ' '.join(f'{_x(age):.1f},{_y(min(e, top), top):.1f}' for age, e in shown)
-    cut = f', peaks up to {max(sizes):.2g} are cut off' if max(sizes) > top else ''
-    line = f'<polyline points="{points}" fill="none" stroke="{MEASURED}" stroke-width="2"/>'
-    recent = [(now - at, text) for at, text in marks if now - at <= CURVE_SPAN_S]
-    parts = [*_axes(top, floor), line, *(_mark(age, text) for age, text in recent)]
+    usual = PEAK * float(np.quantile(sizes, 0.75))
+    axes = _Axes(max(1.15 * min(max(sizes), usual), 0.6))
+    points = ' '.join(f'{axes.x(age):.1f},{axes.y(min(e, axes.top)):.1f}' for age, e in shown)
+    cut = f', peaks up to {max(sizes):.2g} are cut off' if max(sizes) > axes.top else ''
+    parts = axes.grid(floor)
+    parts.append(f'<polyline points="{points}" fill="none" stroke="{MEASURED}" stroke-width="2"/>')
+    for at, text in marks:  # when an effect was added
+        if (age := now - at) <= CURVE_SPAN_S:
+            parts.append(
+                f'<path d="M{axes.x(age):.1f} 4V{axes.base + 4}" stroke="{PREDICTED}" '
+                f'stroke-width="2" stroke-dasharray="5 3"/><text x="{axes.x(age) - 4:.1f}" y="16" '
+                f'text-anchor="end" fill="{PREDICTED}">added {escape(text)}</text>'
+            )
     return (
-        f'<div style="{STYLE}">tip error [mm]{cut}<svg viewBox="0 0 {WIDTH} {HEIGHT}" '
+        f'<div style="{STYLE}">tip error [mm]{cut}<svg viewBox="0 0 {axes.width} {axes.height}" '
         f'role="img" aria-label="tip error of the last two minutes, now {sizes[-1]:.2g} mm" '
         f'style="width:100%;font-size:12px;overflow:visible">'
         f'{"".join(parts)}</svg></div>'
     )
 
 
-def _x(age: float) -> float:
-    return LEFT + (WIDTH - LEFT) * max(1.0 - age / CURVE_SPAN_S, 0.0)
+@dataclass(frozen=True)
+class _Axes:
+    """The axes of the curve: its place on the page [px]; `top` is the largest error [mm]."""
 
+    top: float
+    width: int = 360
+    height: int = 140
+    left: int = 40  # of which so much for the numbers, and the rest of the height for the time
+    base: int = 118
 
-def _y(value: float, top: float) -> float:
-    return (HEIGHT - BOTTOM) * (1.0 - value / top) + 4
+    def x(self, age: float) -> float:
+        """Return where a time is that is so long ago [s]."""
+        return self.left + (self.width - self.left) * max(1.0 - age / CURVE_SPAN_S, 0.0)
 
+    def y(self, error: float) -> float:
+        """Return where an error [mm] is."""
+        return self.base * (1.0 - error / self.top) + 4
 
-def _axes(top: float, floor: float | None) -> list[str]:
-    """Draw the grid, and the noise floor [m] as a band; `top` is in mm."""
-    parts = []
-    if floor is not None and np.isfinite(floor):
-        band = _y(0.0, top) - _y(min(1e3 * floor, top), top)
-        parts.append(
-            f'<rect x="{LEFT}" y="{_y(0.0, top) - band:.1f}" width="{WIDTH - LEFT}" '
-            f'height="{band:.1f}" fill="{ERROR}" opacity="0.25"/>'
-            f'<text x="{LEFT + 4}" y="{_y(0.0, top) - 4:.1f}" fill="{INK}" '
-            'stroke="#fff" stroke-width="3" paint-order="stroke">repeatability</text>'
-        )
-    for value in _ticks(top):
-        parts.append(
-            f'<path d="M{LEFT} {_y(value, top):.1f}H{WIDTH}" stroke="#e0e4e8"/><text '
-            f'x="{LEFT - 5}" y="{_y(value, top) + 4:.1f}" text-anchor="end">{value:g}</text>'
-        )
-    parts.append(f'<text x="{WIDTH}" y="{HEIGHT - 4}" text-anchor="end">now</text>')
-    parts.append(f'<text x="{LEFT}" y="{HEIGHT - 4}">2 minutes ago</text>')
-    return parts
-
-
-def _mark(age: float, text: str) -> str:
-    """Mark when an effect was added."""
-    return (
-        f'<path d="M{_x(age):.1f} 4V{HEIGHT - BOTTOM + 4}" stroke="{PREDICTED}" stroke-width="2" '
-        f'stroke-dasharray="5 3"/><text x="{_x(age) - 4:.1f}" y="16" text-anchor="end" '
-        f'fill="{PREDICTED}">added {escape(text)}</text>'
-    )
+    def grid(self, floor: float | None) -> list[str]:
+        """Draw the grid, and the noise floor [m] as a band."""
+        parts, zero = [], self.y(0.0)
+        if floor is not None and np.isfinite(floor):
+            band = zero - self.y(min(1e3 * floor, self.top))
+            parts.append(
+                f'<rect x="{self.left}" y="{zero - band:.1f}" width="{self.width - self.left}" '
+                f'height="{band:.1f}" fill="{ERROR}" opacity="0.25"/>'
+                f'<text x="{self.left + 4}" y="{zero - 4:.1f}" fill="{INK}" '
+                'stroke="#fff" stroke-width="3" paint-order="stroke">repeatability</text>'
+            )
+        step = 10.0 ** np.floor(np.log10(self.top / 2.0))
+        step *= next(f for f in (1, 2, 5, 10) if self.top / (f * step) <= 4.5)
+        for i in range(int(self.top / step) + 1):
+            tick = self.y(i * step)
+            parts.append(
+                f'<path d="M{self.left} {tick:.1f}H{self.width}" stroke="#e0e4e8"/><text '
+                f'x="{self.left - 5}" y="{tick + 4:.1f}" text-anchor="end">'
+                f'{round(i * step, 6):g}</text>'
+            )
+        below = f'y="{self.height - 4}"'
+        parts.append(f'<text x="{self.width}" {below} text-anchor="end">now</text>')
+        parts.append(f'<text x="{self.left}" {below}>2 minutes ago</text>')
+        return parts
 
 
 def bars(names: Sequence[str], tensions: Sequence[float], low: float, high: float) -> str:
@@ -228,7 +245,14 @@ def verdict(diagnosis: Mapping[str, Any], count: int = 6) -> str:
             if v.get('value') is not None
         )
         if row.get('load'):
-            values += f'; together {load_words(_load_of(row["load"]))}'
+            load = row['load']
+            size, axis, gravity = (
+                None if load[key] is None else _value_of(load[key])
+                for key in ('size', 'from_axis', 'from_gravity')
+            )
+            assert size is not None
+            told = load_words(LoadVector(size, axis, load['around_axis'], gravity))
+            values += f'; together {told}'
         explained = None if row['status'] == NOT_NEEDED else row.get('explained')
         share = '–' if explained is None else percent(explained)
         rows.append(
@@ -251,16 +275,6 @@ def _value_of(json: Mapping[str, Any]) -> Value:
     """Return a value as a diagnosis publishes it; an end that nothing determines is none."""
     low, high = (math.inf if json[key] is None else json[key] for key in ('low', 'high'))
     return Value(json['value'], low, high, json['unit'])
-
-
-def _load_of(json: Mapping[str, Any]) -> LoadVector:
-    """Return a load as a diagnosis publishes it."""
-    size, axis, gravity = (
-        None if json[key] is None else _value_of(json[key])
-        for key in ('size', 'from_axis', 'from_gravity')
-    )
-    assert size is not None
-    return LoadVector(size, axis, json['around_axis'], gravity)
 
 
 def investigation(news: Sequence[Mapping[str, Any]]) -> str:
@@ -298,12 +312,6 @@ def round_length(length: float) -> float:
     """Return the nearest of 1, 2, 5, 10, ... below a length [m]."""
     power = 10.0 ** math.floor(math.log10(length))
     return power * next(step for step in (5.0, 2.0, 1.0) if step * power <= 1.0001 * length)
-
-
-def _ticks(top: float) -> list[float]:
-    step = 10.0 ** np.floor(np.log10(top / 2.0))
-    step *= next(f for f in (1, 2, 5, 10) if top / (f * step) <= 4.5)
-    return [round(i * step, 6) for i in range(int(top / step) + 1)]
 
 
 def tube_faces(nodes: int) -> NDArray[np.uint32]:

@@ -12,17 +12,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...common.words import listed, mm
+from ..shared.timing import ANSWER_TIMEOUT_S, SILENCE_S
 
 Array = NDArray[np.float64]
-SILENT_AFTER_S = 3.0  # [s] after which a node counts as gone
-CURVE_PERIOD_S = 0.2  # [s]
-STEADY_S = 1.5  # [s] over which numbers are medians, so that they can be read
-FORCE_FRESH_S = 1.0  # [s] that a force is shown
-FORCE_SHARE, FORCE_HALF_N = 0.6, 0.01  # length of its arrow in the arm's; half of that at [N]
-POSTURES_ADVISED = 8  # postures for a good diagnosis
+# [s] between two points of the curve, and two states of the panel: faster would be read by nobody
+PANEL_PERIOD_S = 0.2
+# [s] over which numbers are medians, so that they can be read
+STEADY_S = 1.5
+# [s] that the curve shows, so that a recording of a dozen postures is in sight
+CURVE_SPAN_S = 120.0
+# [N] of a force whose arrow has half of its largest length, because forces of a hundredth and of a
+# whole newton are to be seen in one scene
+FORCE_HALF_N = 0.01
+# [1] postures that a diagnosis should have, else more effects explain them equally well
+POSTURES_ADVISED = 8
 CHANGED_HINT = 'Click Investigate: it goes to the postures that tell what has changed.'
+COINCIDE = (
+    'The model now has {}. The two arms should coincide; what is left of the error is noise.'
+)
 RECORD_AGAIN_HINT = 'Click 1 to record again.'
-LEVEL_NAMES = {0: 'ok', 1: 'warn', 2: 'error', 3: 'silent'}
+LEVEL_NAMES = 'ok', 'warn', 'error', 'silent'  # as DiagnosticStatus counts them
+
+
+def _curve() -> deque[float]:
+    return deque(maxlen=round(CURVE_SPAN_S / PANEL_PERIOD_S) + 1)
 
 
 @dataclass
@@ -37,8 +50,8 @@ class ViewState:
     force: Array | None = None  # (3,) [N] at the tip
     force_at: float = -np.inf
     marker_errors: deque[tuple[float, Array]] = field(default_factory=deque)  # [s], (J,) [m]
-    times: deque[float] = field(default_factory=lambda: deque(maxlen=700))
-    rollings: deque[float] = field(default_factory=lambda: deque(maxlen=700))
+    times: deque[float] = field(default_factory=_curve)
+    rollings: deque[float] = field(default_factory=_curve)
     marks: list[tuple[float, str]] = field(default_factory=list)
     verdict: dict[str, Any] = field(default_factory=dict)
     progress: str = ''
@@ -110,7 +123,8 @@ class ViewState:
         self, now: float, name: str, level: int, text: str, values: dict[str, str]
     ) -> None:
         """Take what a node says of itself."""
-        self.nodes[name] = now, LEVEL_NAMES.get(level, 'warn'), text, values
+        known = LEVEL_NAMES[level] if level < len(LEVEL_NAMES) else 'warn'
+        self.nodes[name] = now, known, text, values
         if name == 'monitor':
             if values.get('diagnosing') == 'true' and self._diagnosing != 'true':
                 self.verdict = {}
@@ -123,7 +137,7 @@ class ViewState:
 
     def hear_error(self, now: float, rolling: float) -> None:
         """Take the rolling error [m]."""
-        if not self.times or now - self.times[-1] >= CURVE_PERIOD_S:
+        if not self.times or now - self.times[-1] >= PANEL_PERIOD_S:
             self.times.append(now)
             self.rollings.append(rolling)
 
@@ -169,12 +183,12 @@ class ViewState:
 
     def force_line(self, now: float, size: float) -> Array | None:
         """Return an arrow of the force as segments (1, 2, 3) [m]; None without a fresh one."""
-        if self.force is None or now - self.force_at > FORCE_FRESH_S or self.measured is None:
+        if self.force is None or now - self.force_at > SILENCE_S or self.measured is None:
             return None
         tip, length = self.measured[-1], float(np.linalg.norm(self.force))
         if not np.isfinite(tip).all() or length == 0.0:
             return None
-        long = FORCE_SHARE * size * length / (length + FORCE_HALF_N)
+        long = 0.5 * size * length / (length + FORCE_HALF_N)
         return np.array([[tip, tip + long * self.force / length]])
 
     def per_marker(self) -> str:
@@ -195,7 +209,7 @@ class ViewState:
         texts = {}
         for name in ('controller', 'driver', 'monitor'):
             at, level, text, _ = self.nodes.get(name, (-np.inf, '', '', {}))
-            texts[name] = (level, text) if now - at < SILENT_AFTER_S else ('silent', 'not heard')
+            texts[name] = (level, text) if now - at < ANSWER_TIMEOUT_S else ('silent', 'not heard')
         return texts
 
     def guide(self) -> str:
@@ -221,10 +235,7 @@ class ViewState:
         if self.investigation and not self.verdict:
             return self._investigation_guide()
         if self.marks:
-            return (
-                f'The model now has {self.marks[-1][1]}. The two arms should coincide; what is '
-                'left of the error is noise. Click 1 to look for more.'
-            )
+            return f'{COINCIDE.format(self.marks[-1][1])} Click 1 to look for more.'
         if self.monitor.get('diagnosing') == 'true':
             return 'Fitting what was found …'
         if self.verdict:
@@ -239,15 +250,15 @@ class ViewState:
 
     def _investigation_guide(self) -> str:
         """Say how the investigation is, and what to do when it is over."""
-        last, ends = self.investigation[-1], [n for n in self.investigation if n['kind'] == 'end']
+        last = self.investigation[-1]
+        ends = [news for news in self.investigation if news['kind'] == 'end']
+        sent = any(one['kind'] == 'sent' and one['taken'] for one in self.investigation)
         if last['kind'] == 'failed':
-            return f'The investigation ended: {last["text"]}. Click Investigate to begin again.'
+            again = 'Click Investigate to begin again.'
+            return f'The investigation ended: {last["text"]}. {again}'
         if not ends:
             return 'The arm chooses its postures by itself: just wait. STOP ends it.'
-        if any(news['kind'] == 'sent' and news['taken'] for news in self.investigation):
-            return (
-                f'The model now has {listed(ends[-1]["names"])}. The two arms should coincide; '
-                'what is left of the error is noise.'
-            )
-        after = 'Its report is in the folder of the investigation.'
-        return f'The investigation is over after {ends[-1]["text"].strip()}. {after}'
+        if not sent:
+            after = 'Its report is in the folder of the investigation.'
+            return f'The investigation is over after {ends[-1]["text"].strip()}. {after}'
+        return COINCIDE.format(listed(ends[-1]['names']))

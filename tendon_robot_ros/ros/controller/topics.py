@@ -1,0 +1,311 @@
+"""
+What goes over the controller's topics: messages checked and in the base frame, and its prediction.
+
+And what the driver says to the controller, with the one thing that the controller asks of it.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PointStamped, PoseArray, PoseStamped, TwistStamped
+from numpy.typing import NDArray
+from rclpy.client import Client
+from rclpy.node import Node
+from rclpy.task import Future
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory
+from visualization_msgs.msg import MarkerArray
+
+from ...common.colours import PREDICTED
+from ...control import Refusal, Target, Twist
+from ...control.checks import by_name, check_frame, check_stamp, direction, finite, position
+from ...control.state import Trajectory
+from ...data.tracker_faults import not_there
+from ...model.model import Model
+from ...model.shape import Shape
+from ...robot import Robot
+from ..shared.messages import (
+    LATCHED,
+    STATE,
+    Frames,
+    arm_markers,
+    passing_publisher,
+    pose_array,
+    pose_stamped,
+    seconds,
+    stamp_now,
+    stamp_text,
+    status_values,
+    tensions_and_pulls,
+    time_now,
+)
+from ..shared.parameters import Parameters, base_frame
+from ..shared.timing import SILENCE_S, VALUES_PERIOD_S
+
+Array = NDArray[np.float64]
+# [1] points of a trajectory: more would hold up the commands while they are read
+POINTS_MAX = 500
+
+
+class Incoming:
+    """Turns messages into targets, twists and states; raises `Refusal`."""
+
+    def __init__(self, node: Node, parameters: Parameters, model: Model) -> None:
+        """Begin with a model."""
+        self._node, self._parameters = node, parameters
+        self._frames = Frames(node, '')
+        self.use(model)
+
+    def use(self, model: Model) -> None:
+        """Know the names and limits of a model; frames are named after its robot."""
+        parameters, robot = self._parameters, model.robot
+        self.base = base_frame(parameters, robot.name)
+        self.tip = parameters['frame_prefix'] + (parameters['tip_frame'] or f'{robot.name}_tip')
+        self._frames.base, self._model = self.base, model
+        self._farthest = 1.5 * robot.length  # [m]
+
+    @property
+    def robot(self) -> Robot:
+        """Whose frames they are."""
+        return self._model.robot
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The names of the tendons."""
+        return self._model.inputs
+
+    @property
+    def pull(self) -> bool:
+        """Whether wire pulls are commanded."""
+        return bool(self._parameters['command_mode'] == 'pull')
+
+    def pose(self, message: PoseStamped, what: str = 'target_pose') -> Target:
+        """Return a target with position and approach direction (+z of the orientation)."""
+        rotation, shift = self._to_base(message.header, what)
+        p, q = message.pose.position, message.pose.orientation
+        along = direction([q.x, q.y, q.z, q.w], what)
+        place = self._within_reach(rotation @ finite([p.x, p.y, p.z], what) + shift, what)
+        return Target(place, rotation @ along, stamp_text(message.header.stamp))
+
+    def point(self, message: PointStamped, what: str = 'target_point') -> Target:
+        """Return a target with a position alone."""
+        rotation, shift = self._to_base(message.header, what)
+        p = message.point
+        place = self._within_reach(rotation @ finite([p.x, p.y, p.z], what) + shift, what)
+        return Target(place, stamp=stamp_text(message.header.stamp))
+
+    def measured_tip(self, message: PoseStamped) -> Array:
+        """Return a measured tip [m]."""
+        what, p = 'measured_tip', message.pose.position
+        rotation, shift = self._to_base(message.header, what)
+        seen = finite([p.x, p.y, p.z], what)
+        if not_there(seen):  # what trackers send for a marker that they do not see
+            raise Refusal('not_finite', f'measured_tip: {seen.tolist()} says that it is not seen')
+        return self._within_reach(rotation @ seen + shift, what)
+
+    def twist(self, message: TwistStamped) -> Twist:
+        """Return a velocity, in the axes of base or tip."""
+        frame, axes, what = message.header.frame_id, np.eye(3), 'delta_twist'
+        if frame == self.tip:
+            self._fresh(message.header, what)
+        else:
+            try:
+                axes, _ = self._to_base(message.header, what)
+            except Refusal as refusal:
+                if refusal.code == 'frame':
+                    check_frame(frame, [self.base, self.tip], what)
+                raise
+        linear, angular = message.twist.linear, message.twist.angular
+        values = finite([linear.x, linear.y, linear.z, angular.x, angular.y, angular.z], what)
+        if np.abs(values[:3]).max() > 1.0 or np.abs(values[3:]).max() > 10.0:
+            raise Refusal(
+                'too_fast',
+                f'delta_twist: expected at most 1 m/s and 10 rad/s, got {values.tolist()}',
+            )
+        return Twist(axes @ values[:3], axes @ values[3:], frame == self.tip)
+
+    def states(self, message: JointState) -> tuple[Array, Array]:
+        """Return tensions [N] and wire pulls [m]; nan where not observable."""
+        self._fresh(message.header, 'tendon_states')
+        tensions, pulls = tensions_and_pulls(message, self._model.inputs)
+        for quantity, values in (('effort', message.effort), ('position', message.position)):
+            if any(map(math.isinf, values)):
+                raise Refusal('not_finite', f'tendon_states: {quantity} is infinite')
+        if not any(map(math.isfinite, (*message.effort, *message.position))):
+            raise Refusal('not_finite', 'tendon_states: neither effort nor position is a number')
+        return tensions, pulls
+
+    def trajectory(self, message: JointTrajectory) -> Trajectory | None:
+        """Return a trajectory of tensions, or of wire pulls in pull mode; None ends one."""
+        what, pull = 'tendon_trajectory', self.pull
+        self._fresh(message.header, what)
+        if not message.points:
+            return None
+        quantity = 'positions' if pull else 'effort'
+        rows = [list(getattr(point, quantity)) for point in message.points]
+        if not any(rows):
+            mode = self._parameters['command_mode']
+            raise Refusal(
+                'mode', f'{what}: the controller is in {mode} mode: expected {quantity}, got none'
+            )
+        inputs = self._model.inputs
+        if len(rows) > POINTS_MAX or len(set(map(len, rows))) > 1:
+            raise Refusal(
+                'length',
+                f'{what}: expected at most {POINTS_MAX} points with {len(inputs)} values of '
+                f'{quantity} each, got {len(rows)} points with {min(map(len, rows))} to '
+                f'{max(map(len, rows))}',
+            )
+        by_name(message.joint_names, rows[0], inputs, what, quantity)
+        order = [message.joint_names.index(name) for name in inputs]
+        values = np.array(rows)[:, order]
+        times = np.array([seconds(point.time_from_start) for point in message.points])
+        limits = None if pull else self._model.limits
+        stamp = stamp_text(message.header.stamp)
+        return replace(Trajectory.checked(times, values, limits, inputs), stamp=stamp)
+
+    def _within_reach(self, place: Array, what: str) -> Array:
+        """Return a position (3,) [m]; Refusal: it is farther than any tip of this robot."""
+        return position(place.tolist(), self._farthest, what)
+
+    def _to_base(self, header: Header, what: str) -> tuple[Array, Array]:
+        """Return rotation and translation of a message to the base; Refusal: stale, or no TF."""
+        now = self._fresh(header, what)
+        stamp, tolerance = seconds(header.stamp), self._parameters['stamp_tolerance']
+        return self._frames.to_base(header.frame_id, what, stamp, now, tolerance)
+
+    def _fresh(self, header: Header, what: str) -> float:
+        """Refuse a stamp that is old, or of the future; return the time [s]."""
+        now = time_now(self._node)
+        check_stamp(seconds(header.stamp), now, self._parameters['stamp_tolerance'], what)
+        return now
+
+
+class Prediction:
+    """Shape, tip and markers of the predicted arm."""
+
+    def __init__(self, node: Node, frame: str, model: Model) -> None:
+        """Make the publishers."""
+        self._node = node
+        self.use(frame, model)
+        self._shape = passing_publisher(node, PoseArray, '~/predicted_shape', STATE)
+        self._tip = passing_publisher(node, PoseStamped, '~/predicted_tip', STATE)
+        self._markers = passing_publisher(node, MarkerArray, '~/markers', STATE)
+
+    def use(self, frame: str, model: Model) -> None:
+        """Draw the robot of a model, in a frame."""
+        self._frame = frame
+        offsets = [abs(value) for t in model.robot.tendons for value in (*t.base, *t.end)]
+        self._thickness = 2.0 * max(offsets)
+
+    def publish(self, shape: Shape) -> None:
+        """Publish a shape; poses are the distal ends of the cells."""
+        header = Header(frame_id=self._frame, stamp=stamp_now(self._node))
+        if self._shape.get_subscription_count():
+            self._shape.publish(pose_array(header, shape.positions, shape.frames))
+        if self._tip.get_subscription_count():
+            self._tip.publish(pose_stamped(header, shape.tip_position, shape.frames[-1]))
+        if self._markers.get_subscription_count():
+            self._markers.publish(
+                arm_markers(header, shape.positions, self._thickness, PREDICTED, 'predicted')
+            )
+
+    def close(self) -> None:
+        """Stop to publish."""
+        for publisher in (self._shape, self._tip, self._markers):
+            self._node.destroy_publisher(publisher)
+
+
+Resumed = Callable[[bool, str], None]
+STATUS, RESUME = '/status', '/resume'
+
+
+class DriverLink:
+    """
+    Hears the status of the driver; asks it to follow again after a release.
+
+    Parameters
+    ----------
+    node : Node
+    topic : str
+        Of the status; empty: nobody is heard or asked. The service is beside it.
+    own : str
+        Gid of this controller's commands; the driver says whose it follows.
+    hear : callable
+        Called with the arguments of `ControllerCore.driver_says`.
+
+    """
+
+    def __init__(
+        self, node: Node, topic: str, own: str, hear: Callable[[str, str, int, str], None]
+    ) -> None:
+        """Listen."""
+        self.said = '', '', 0, ''
+        self._own, self._hear = own, hear
+        self._client: Client | None = None
+        self._future: Future | None = None
+        self._asked = float('-inf')  # [s]
+        self._answers: list[Resumed] = []
+        if topic:
+            node.create_subscription(DiagnosticStatus, topic, self.hear, LATCHED)
+        if topic.endswith(STATUS):
+            self._client = node.create_client(Trigger, topic.removesuffix(STATUS) + RESUME)
+
+    @property
+    def another(self) -> str:
+        """Whom the driver follows instead of this controller; '' while it does not."""
+        return self.said[-1]
+
+    @property
+    def may_ask(self) -> bool:
+        """Whether to ask again without anybody waiting for it."""
+        return self._future is None and time.monotonic() - self._asked > VALUES_PERIOD_S
+
+    def resume(self, answer: Resumed) -> bool:
+        """Ask the driver to follow commands again; False: there is none that could answer."""
+        if self._client is None or not self._client.service_is_ready():
+            return False
+
+        def done(future: Future) -> None:
+            if future is self._future:
+                told = future.result()
+                self._tell(told.success, told.message)
+
+        self._answers.append(answer)
+        if self._future is None:
+            self._asked = time.monotonic()
+            self._future = self._client.call_async(Trigger.Request())
+            self._future.add_done_callback(done)
+        return True
+
+    def poll(self) -> None:
+        """Give up on an answer that does not come."""
+        if self._future is not None and time.monotonic() - self._asked > SILENCE_S:
+            assert self._client is not None
+            self._client.remove_pending_request(self._future)
+            self._tell(False, f'the driver does not answer within {SILENCE_S:g} s')
+
+    def _tell(self, done: bool, why: str) -> None:
+        answers, self._answers, self._future = self._answers, [], None
+        for answer in answers:
+            answer(done, why)
+
+    def hear(self, message: DiagnosticStatus) -> None:
+        """Take the status of the driver."""
+        values = status_values(message)
+        stopped = values.get('reasons', message.message) if values.get('stopped') == 'true' else ''
+        follows = values.get('follows_gid', '')
+        another = '' not in (follows, self._own) and follows != self._own
+        other = f'it follows {values.get("follows", follows)}' if another else ''
+        releases = values.get('releases', '0')
+        count = int(releases) if releases.isdecimal() else 0
+        self.said = stopped, values.get('released', ''), count, other
+        self._hear(*self.said)
