@@ -87,9 +87,12 @@ def _condition(core: ControllerCore, now: float) -> tuple[str, str, str]:
     if not core.fresh(now):
         if core.command is None:
             return WARN, 'waiting', 'no tendon_states yet: is the driver running?'
-        gone = core.driver.gone(now, core.settings)
-        then = 'no commands until they are back' if gone else 'holding the last command'
-        silent = f'no tendon_states for {core.settings.state_timeout:g} s; {then}'
+        silent = (
+            f'no tendon_states for {core.settings.state_timeout:g} s; holding the last command'
+        )
+        if core.driver.gone(now, core.settings):
+            timeout = core.settings.state_timeout
+            silent = f'no tendon_states for {timeout:g} s; no commands until they are back'
         return ERROR, 'no_driver', silent
     if core.driver.released:
         refusal = core.refusals.get('target')
