@@ -33,7 +33,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
-from tendon_robot_ros.common.processes import REALTIME_PRIORITY_MOCK, go_realtime, in_realtime
+from tendon_robot_ros.common.processes import Realtime, go_realtime, in_realtime
 from tendon_robot_ros.model.forward import TOLERANCE
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
@@ -231,7 +231,7 @@ def main() -> dict[str, object]:
     result: dict[str, object] = {**machine(), 'robot': robot, 'model': model}
     rclpy.init()
     sender = Sender(namespace, robot)
-    go_realtime(REALTIME_PRIORITY_MOCK)
+    go_realtime(Realtime.MOCK_DRIVER)
     result['sender_in_realtime'] = in_realtime()
     with (
         open(os.devnull, 'w') as quiet,

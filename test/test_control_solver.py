@@ -162,10 +162,10 @@ def test_a_search_that_runs_does_not_outlive_the_interpreter(tmp_path):
 
 LENDS = """
 import os, time, threading
-from tendon_robot_ros.common.processes import LOAN_MAX_S, REALTIME_PRIORITY_LENT, go_realtime
+from tendon_robot_ros.common.processes import Realtime, LOAN_MAX_S, go_realtime
 from tendon_robot_ros.control.solver import SOLVER, Worker
 
-LENT = os.SCHED_RR | os.SCHED_RESET_ON_FORK, REALTIME_PRIORITY_LENT
+LENT = os.SCHED_RR | os.SCHED_RESET_ON_FORK, Realtime.COMPUTATION
 worker, said = Worker(), []
 
 
@@ -232,7 +232,7 @@ def test_real_time_is_lent_for_its_share_of_the_time_only(monkeypatch):
         now[0] += 1e-3
         sum_lent += 1e-3 * (lent[-1] > 0)
         loan.limit()
-    assert sum_lent == pytest.approx(processes.LOAN_SHARE * now[0], rel=0.1)
+    assert sum_lent == pytest.approx(processes.LOAN_FRACTION * now[0], rel=0.1)
     loan.begin(1)
     loan.end()
     told = len(lent)
@@ -242,7 +242,7 @@ def test_real_time_is_lent_for_its_share_of_the_time_only(monkeypatch):
     loan.begin(1)
     now[0] += 0.99 * processes.LOAN_MAX_S
     loan.limit()
-    assert lent[-1] == processes.REALTIME_PRIORITY_LENT
+    assert lent[-1] == processes.Realtime.COMPUTATION
     now[0] += 0.02 * processes.LOAN_MAX_S
     loan.limit()
     assert lent[-1] == 0
@@ -250,9 +250,9 @@ def test_real_time_is_lent_for_its_share_of_the_time_only(monkeypatch):
 
 def test_what_computes_comes_after_what_moves_motors():
     order = [
-        processes.REALTIME_PRIORITY_LENT,
-        processes.REALTIME_PRIORITY_MOCK,
-        processes.REALTIME_PRIORITY_SECOND,
-        processes.REALTIME_PRIORITY,
+        processes.Realtime.COMPUTATION,
+        processes.Realtime.MOCK_DRIVER,
+        processes.Realtime.CONTROLLER,
+        processes.Realtime.DRIVER,
     ]
     assert order == sorted(set(order))

@@ -25,7 +25,7 @@ QUICK = Timing(hold=1.0, move=0.2, rate=20.0)
 def assert_same(copy, data):
     """Compare all that a recording carries."""
     for field in dataclasses.fields(data):
-        if field.name not in ('name', 'robot', 'robot_path'):
+        if field.name not in ('name', 'robot'):
             assert_array_equal(getattr(copy, field.name), getattr(data, field.name), field.name)
 
 

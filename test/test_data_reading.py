@@ -26,7 +26,7 @@ def test_a_folder_is_read_with_missing_values_as_nan(tmp_path):
     assert np.isnan(data.positions[1, 1]).all()
     assert (data.path, data.gravity, data.accuracy) == ('from_straight', None, None)
     assert (data.setting_noise, data.trial_noise, data.position_noise) == (0.0, 0.0, None)
-    assert data.robot_path == tmp_path / 'small' / 'robot.yaml'
+    assert data.robot.source == str(tmp_path / 'small' / 'robot.yaml')
 
 
 def test_without_markers_there_is_one_at_the_end_of_every_cell(tmp_path):

@@ -1,6 +1,9 @@
-"""A data set is written whole or not at all, and never over anything else."""
+"""Files and data sets are written whole or not at all, and never over anything else."""
 
 import dataclasses
+import os
+import stat
+import threading
 
 import numpy as np
 import pytest
@@ -9,6 +12,7 @@ from numpy.testing import assert_array_equal
 from small_dataset import INPUTS, write
 
 from tendon_robot_ros.common.errors import DataSetError
+from tendon_robot_ros.common.files import new_file
 from tendon_robot_ros.data import folder as module
 from tendon_robot_ros.data import load_dataset, save_dataset
 
@@ -25,7 +29,7 @@ def test_a_copy_says_the_same(folder, tmp_path):
     data = load_dataset(folder)
     copy = load_dataset(save_dataset(data, tmp_path / 'copy'))
     for field in dataclasses.fields(data):
-        if field.name not in ('name', 'robot', 'robot_path'):
+        if field.name not in ('name', 'robot'):
             assert_array_equal(getattr(copy, field.name), getattr(data, field.name), field.name)
     assert dataclasses.replace(copy.robot, source='') == dataclasses.replace(data.robot, source='')
 
@@ -115,3 +119,43 @@ def test_what_could_not_be_read_back_is_not_written(small, tmp_path):
     with pytest.raises(DataSetError, match="posture '0': has no measurement to write; select"):
         save_dataset(blind, tmp_path / 'out')
     assert not (tmp_path / 'out').exists()
+
+
+def write_file(path, text):
+    with new_file(path) as draft:
+        draft.write_text(text, encoding='utf-8')
+
+
+def test_a_file_that_failed_leaves_the_old_one_and_nothing_beside_it(tmp_path):
+    path = tmp_path / 'page.html'
+    write_file(path, 'old')
+
+    def fail():
+        with new_file(path) as draft:
+            draft.write_text('half', encoding='utf-8')
+            raise ValueError('no more')
+
+    with pytest.raises(ValueError, match='no more'):
+        fail()
+    assert path.read_text(encoding='utf-8') == 'old'
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_link_still_leads_to_what_is_written(tmp_path):
+    path, link = tmp_path / 'robot_3.yaml', tmp_path / 'latest.yaml'
+    path.write_text('old', encoding='utf-8')
+    link.symlink_to(path)
+    write_file(link, 'new')
+    assert link.is_symlink()
+    assert path.read_text(encoding='utf-8') == 'new'
+
+
+def test_a_pipe_is_written_into(tmp_path):
+    path, heard = tmp_path / 'pipe', []
+    os.mkfifo(path)
+    reader = threading.Thread(target=lambda: heard.append(path.read_text(encoding='utf-8')))
+    reader.start()
+    write_file(path, 'through')
+    reader.join(10.0)
+    assert heard == ['through']
+    assert stat.S_ISFIFO(path.stat().st_mode)

@@ -131,7 +131,7 @@ def test_markers_rims_or_bodies_is_a_choice_that_is_told(tmp_path, choice, count
     tables = read(tmp_path, write.motive([*BODIES, *rims_of('marker')]))
     points = choose_points(tables, choice)
     assert len(points.columns) == count
-    assert f'(otherwise say --points {others}' in points.told
+    assert f'(otherwise say --points {others}' in points.note
 
 
 def test_bodies_that_are_more_than_the_markers_are_taken(tmp_path):

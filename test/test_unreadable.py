@@ -183,7 +183,7 @@ def _full():
 
 @pytest.mark.parametrize('writer', WRITERS)
 def test_a_full_disk_is_told_in_one_line_and_leaves_nothing(writer, folder, capsys, monkeypatch):
-    told = files.told_of
+    told = files.write_errors
     monkeypatch.setattr(sys, 'dont_write_bytecode', True)  # Python would leave a part of it
     monkeypatch.setattr('tendon_robot_ros.cli.main.keep_bytecode', lambda: None)
 
@@ -192,7 +192,7 @@ def test_a_full_disk_is_told_in_one_line_and_leaves_nothing(writer, folder, caps
         with told(path), _full():
             yield
 
-    monkeypatch.setattr(files, 'told_of', told_when_full)
+    monkeypatch.setattr(files, 'write_errors', told_when_full)
     before = _there(folder)
     code = main(WRITERS[writer].split())
     err = capsys.readouterr().err
@@ -207,7 +207,7 @@ def test_a_recording_that_runs_into_a_full_disk_is_named(storage, folder):
     """As `record` writes it: message by message."""
 
     def record():
-        with files.told_of(folder / 'run1'), BagWriter(folder / 'run1', storage) as writer:
+        with files.write_errors(folder / 'run1'), BagWriter(folder / 'run1', storage) as writer:
             writer.add_topic('/said', STRING)
             message = Builder(writer.types).string('x' * 10_000)
             with _full():

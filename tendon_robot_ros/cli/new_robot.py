@@ -28,7 +28,7 @@ from ..common.files import file_to_write, new_file
 from ..common.words import STANDARD_GRAVITY
 from ..robot import Robot, dump_robot, parse_robot
 from ..robot.estimates import (
-    SAG_SHARE_MAX,
+    SAG_FRACTION_MAX,
     rod_stiffness,
     stiffness_from_bend,
     stiffness_from_sag,
@@ -239,8 +239,8 @@ def ask_stiffness(questions: Questions, length: float) -> Stiffness:
         return Stiffness(lambda size: rod_stiffness(modulus, outer, inner, size.length), 10.0)
     if source == 'sag':
         grams = questions.number('Hold the arm level, weight at its tip [g]', 10.0, 1e-3, 1e6)
-        most = 1e3 * SAG_SHARE_MAX * length
-        why = f'{100 * SAG_SHARE_MAX:g} % of the arm; if it sags more, take a lighter weight'
+        most = 1e3 * SAG_FRACTION_MAX * length
+        why = f'{100 * SAG_FRACTION_MAX:g} % of the arm; if it sags more, take a lighter weight'
         sags = questions.number(
             'Its tip then sags by [mm]', min(5.0, 0.5 * most), 1e-3, most, why=why
         )

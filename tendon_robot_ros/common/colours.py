@@ -23,9 +23,10 @@ COLOURS = (PREDICTED, GOOD, '#aa4499', '#767618', '#332288', INK)
 DASHES = ('solid', 'dash', 'dot', 'dashdot', 'longdash', 'longdashdot')
 STROKES = ('', '9 4', '3 3', '9 3 3 3', '14 4', '14 4 3 4')  # the same in SVG
 SYMBOLS = ('circle-open', 'triangle-up-open', 'square-open', 'diamond-open', 'cross', 'x')
-# signed values: blue below, white at zero, orange above
-DIVERGING = [[0.0, '#0b5394'], [0.25, '#6fa8dc'], [0.5, '#ffffff'], [0.75, '#f0a75a'],
-             [1.0, ORANGE]]  # fmt: skip
+# of signed values: blue below, white at zero, orange above
+_BELOW_TO_ABOVE = ('#0b5394', '#6fa8dc', '#ffffff', '#f0a75a', ORANGE)
+# [1] places of these colours, even, so that zero is white
+DIVERGING = [[i / (len(_BELOW_TO_ABOVE) - 1), c] for i, c in enumerate(_BELOW_TO_ABOVE)]
 
 
 @dataclass(frozen=True)

@@ -101,7 +101,7 @@ class MissingExtraError(TendonRobotError):
         )
 
 
-Progress = Callable[[str, int, int], None]  # hears what is done, how much of it, of how much
+Progress = Callable[[str, int, int], None]  # called with what is done, steps done, steps in all
 
 
 def refusal(name: str, expected: str, given: object) -> InputError:
@@ -160,7 +160,7 @@ def names(what: str, given: object, count: int) -> tuple[str, ...]:
 
 
 def listener(given: Progress | None) -> Progress:
-    """Return who hears the progress of long work; None: nobody."""
+    """Return the callable that reports the progress of long work; None: one that does nothing."""
     if given is None:
         return lambda what, done, total: None
     if not callable(given):

@@ -27,7 +27,7 @@ def read_text(
     path: str | Path, refuse: Callable[[str], TendonRobotError], characters: int = -1
 ) -> str:
     """
-    Return the text of a file; what cannot be read is refused in one way.
+    Return the text of a file; every file that cannot be read is refused alike.
 
     Parameters
     ----------
@@ -80,10 +80,18 @@ def new_folder(folder: Path, replaceable: tuple[str, ...] = ()) -> Iterator[Path
     try:
         filled = temporary / folder.name
         filled.mkdir()
-        with told_of(shown):
+        with write_errors(shown):
             yield filled
             refuse_taken(shown, replaceable)
-            _replace(folder, filled, temporary / f'{folder.name}.old')
+            old = temporary / f'{folder.name}.old'
+            if folder.exists():
+                folder.rename(old)
+            try:
+                filled.rename(folder)
+            except OSError:
+                if old.exists():
+                    old.rename(folder)
+                raise
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 
@@ -111,8 +119,10 @@ def new_file(path: Path) -> Iterator[Path]:
     """
     path = Path(os.path.realpath(path))
     special = path.exists() and not path.is_file() and not path.is_dir()
-    folder = None if special else _parent(path)
-    with told_of(path), tempfile.TemporaryDirectory(prefix=DRAFT, dir=folder) as temporary:
+    if not special and not path.parent.is_dir():
+        raise DataSetError(str(path.parent), 'is no folder', 'make it or correct the path')
+    folder = None if special else path.parent
+    with write_errors(path), tempfile.TemporaryDirectory(prefix=DRAFT, dir=folder) as temporary:
         draft = Path(temporary) / path.name
         yield draft
         if special:
@@ -123,8 +133,8 @@ def new_file(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def told_of(path: Path) -> Iterator[None]:
-    """Name what is written where the system names nothing, or a file in the draft: a full disk."""
+def write_errors(path: Path) -> Iterator[None]:
+    """Name the destination in errors, such as a full disk, that name none or a temporary file."""
     try:
         yield
     except (OSError, sqlite3.OperationalError) as error:
@@ -136,23 +146,6 @@ def told_of(path: Path) -> Iterator[None]:
             f'cannot be written ({getattr(error, "strerror", None) or error})',
             'make room there or name another place',
         ) from None
-
-
-def _replace(folder: Path, filled: Path, old: Path) -> None:
-    if folder.exists():
-        folder.rename(old)
-    try:
-        filled.rename(folder)
-    except OSError:
-        if old.exists():
-            old.rename(folder)
-        raise
-
-
-def _parent(path: Path) -> Path:
-    if not path.parent.is_dir():
-        raise DataSetError(str(path.parent), 'is no folder', 'make it or correct the path')
-    return path.parent
 
 
 def refuse_ending(option: str, path: str | Path) -> None:

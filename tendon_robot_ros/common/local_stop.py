@@ -24,9 +24,10 @@ SOCKETS = Path('/proc/net/unix')
 NAME = re.compile(
     r'@tendon_robot_ros\.stop\.(?P<domain>\d+)\.\d+\.\d+\.(?P<kind>driver|controller)(?P<node>/.*)'
 )
-NODE_LENGTH_MAX = 50  # characters of 107 that the kernel takes
+NODE_LENGTH_MAX = 50  # [1] characters of a node, because unix(7) takes 107 for the whole name
 STOP, STOPPED = b'stop\n', b'stopped\n'
-WORD_TIMEOUT_S = 1.0  # [s] for a word of who has connected
+# [s] for the word of who has connected, else one that says nothing would keep out all others
+WORD_TIMEOUT_S = 1.0
 _number = itertools.count()
 
 

@@ -13,12 +13,13 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from enum import IntEnum
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
 PARENT = 'TENDON_ROBOT_ROS_PARENT'
-PR_SET_PDEATHSIG = 1
+PR_SET_PDEATHSIG = 1  # [1] option of prctl(2), manual of Linux
 
 
 def child_environment() -> dict[str, str]:
@@ -27,7 +28,7 @@ def child_environment() -> dict[str, str]:
 
 
 def end_with_parent(parent: int = 0, by: signal.Signals = signal.SIGINT) -> None:
-    """Have the kernel send a signal to this process when its parent dies, if it was told so."""
+    """Let the kernel signal this process when its parent dies; `child_environment` asks for it."""
     parent = parent or int(os.environ.pop(PARENT, '0'))
     if not parent or not sys.platform.startswith('linux'):
         return
@@ -36,17 +37,26 @@ def end_with_parent(parent: int = 0, by: signal.Signals = signal.SIGINT) -> None
         os.kill(os.getpid(), by)
 
 
-# -----------------------------------------------------------------------------
-# What controls motors goes before other work of the machine, where that is allowed (Linux).
-
-# [s] a thread that talks to motors waits so long after each of its words (default 5 ms)
+# [s] instead of 5 ms, because a thread that talks to motors waits so long after each of its words
 SWITCH_INTERVAL_S = 0.0005
-FIRST_NICENESS = -15  # nice value; the kernel's own threads stay before it
-# of SCHED_RR, first what moves motors; what the kernel does for devices is at 50
-REALTIME_PRIORITY, REALTIME_PRIORITY_SECOND, REALTIME_PRIORITY_MOCK = 5, 4, 3
-REALTIME_PRIORITY_EMULATED = 20  # the electronics of a motor wait for no program
-REALTIME_PRIORITY_LENT = 2  # after all that moves motors, the mock arm too
-LOAN_MAX_S, LOAN_SHARE = 0.05, 0.5  # [s] lent at once, [1] of the time in the long run
+# [1] nice value of what goes first, so that threads of the kernel, at -20, stay before it
+FIRST_NICENESS = -15
+LOAN_MAX_S = 0.05  # [s] lent at once, else a computation would keep a processor from others
+LOAN_FRACTION = 0.5  # [1] of the time in the long run, so that others have the same share
+
+
+class Realtime(IntEnum):
+    """
+    Priorities under SCHED_RR (sched(7)): a higher one has the processor first.
+
+    All are below 50, where the kernel serves devices.
+    """
+
+    EMULATOR = 20  # the electronics of a motor wait for no program
+    DRIVER = 5
+    CONTROLLER = 4
+    MOCK_DRIVER = 3
+    COMPUTATION = 2  # lent for a while, after all that moves motors
 
 
 def switch_often() -> None:
@@ -72,7 +82,7 @@ def go_first() -> None:
 
 
 def go_realtime(
-    priority: int = REALTIME_PRIORITY, but: Sequence[str] = (), process: int | None = None
+    priority: int = Realtime.DRIVER, but: Sequence[str] = (), process: int | None = None
 ) -> None:
     """
     Have the threads that this process, or another, has now scheduled in real time, if allowed.
@@ -94,10 +104,10 @@ class RealtimeLoan:
     Has a thread that computes scheduled in real time while it does.
 
     Its priority is below that of what moves motors. The allowance runs down while it works and
-    fills up so that it works in real time for `LOAN_SHARE` of the time at most. Whoever is in real
-    time himself calls `limit` often: then no computation that never ends keeps a processor from
-    others. A thread that waits for work keeps what it has: given back at once, it would be while
-    the thread holds Python's lock, which others would have until it has a processor again.
+    fills up so that it works in real time for `LOAN_FRACTION` of the time at most. A thread that
+    is itself in real time calls `limit` often: then a computation that never ends does not keep a
+    processor from others. While the thread waits for work it keeps its priority: taken back at
+    once, it would still hold Python's lock, and others would wait until it has a processor again.
     """
 
     def __init__(self) -> None:
@@ -116,7 +126,7 @@ class RealtimeLoan:
         self._working = True
         if self._borrower is None and self._left > 0.0:
             policy = os.SCHED_RR | os.SCHED_RESET_ON_FORK
-            if _scheduled(thread, policy, REALTIME_PRIORITY_LENT):
+            if _scheduled(thread, policy, Realtime.COMPUTATION):
                 self._borrower = thread
         self._lock.release()
 
@@ -140,7 +150,7 @@ class RealtimeLoan:
         before, self._counted = self._counted, time.monotonic()
         passed = self._counted - before
         lent = self._working and self._borrower is not None
-        more = -1.0 if lent else LOAN_SHARE / (1.0 - LOAN_SHARE)
+        more = -1.0 if lent else LOAN_FRACTION / (1.0 - LOAN_FRACTION)
         self._left = min(self._left + more * passed, LOAN_MAX_S)
 
 
@@ -165,9 +175,6 @@ def go_with_others() -> None:
     if os.getpriority(os.PRIO_PROCESS, 0) < 0:
         os.setpriority(os.PRIO_PROCESS, 0, 0)
 
-
-# -----------------------------------------------------------------------------
-# The end of a command that moves motors, and words for a terminal that takes none.
 
 # Ctrl-C, kill, and a terminal that is closed or whose connection breaks
 ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -199,8 +206,9 @@ def ends_between() -> Iterator[Callable[[], None]]:
     if threading.current_thread() is not threading.main_thread():  # others hear no signals
         yield check
         return
-    before = {one: signal.signal(one, lambda number, _: came.append(number))
-              for one in ending_signals()}  # fmt: skip
+    before = {
+        one: signal.signal(one, lambda number, _: came.append(number)) for one in ending_signals()
+    }
     try:
         yield check
     finally:
@@ -239,10 +247,7 @@ def one_thread() -> Iterator[None]:
         yield
 
 
-# -----------------------------------------------------------------------------
-# Threads that run compiled code: they must not outlive the interpreter.
-
-EXIT_TIMEOUT_S = 4.0  # [s] launch kills after five
+EXIT_TIMEOUT_S = 4.0  # [s] to end by itself, because launch kills after five
 
 
 class ComputingThread(threading.Thread):

@@ -12,16 +12,16 @@ from .errors import MissingExtraError
 WORDS = 'tendon_robot_ros.report.in_words'
 
 
-class Told:
-    """A result with `text()`, what the command line prints, and a table in notebooks."""
+class TextResult:
+    """A result with `text()`, as the command line prints it, and a table in notebooks."""
 
     def text(self) -> str:
-        """Say in words what this is and what follows from it."""
+        """Return in words what this is and what follows from it."""
         words = importlib.import_module(WORDS)
         return str(words.text(self))
 
     def _repr_html_(self) -> str:
-        """Show the same in a notebook, with a table where there is more to see."""
+        """Return the same as HTML for a notebook, with a table where there is more to see."""
         words = importlib.import_module(WORDS)
         return str(words.html(self))
 

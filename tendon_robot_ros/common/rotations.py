@@ -52,6 +52,11 @@ def rotated(vector: Array, rotation: Array) -> Array:
     return turned / np.linalg.norm(turned)
 
 
+def from_rotation_vector(vector: Sequence[float] | Array) -> Array:
+    """Return the rotation matrix (3, 3) of a rotation vector [rad]."""
+    return np.array([rotated(axis, np.asarray(vector, dtype=float)) for axis in np.eye(3)]).T
+
+
 def towards(direction: Array) -> Array:
     """Return a rotation matrix whose z axis is a unit vector, turned there the shortest way."""
     x, y, z = direction
@@ -121,14 +126,22 @@ def rigid_fit(points: Array, onto: Array, weights: Array | None = None) -> tuple
     return turn, there - turn @ middle
 
 
-def upright_fit(points: Array, onto: Array, axis: Array) -> tuple[Array, Array]:
+def upright_fit(
+    points: Array, onto: Array, axis: Array, weights: Array | None = None
+) -> tuple[Array, Array]:
     """Return the same as `rigid_fit` of a rotation about a unit vector (3,), and the shift."""
-    middle, there = points.mean(axis=0), onto.mean(axis=0)
-    a, b = points - middle, onto - there
-    along = (a @ axis) @ (b @ axis)
-    angle = math.atan2(float(axis @ np.cross(a, b).sum(axis=0)), float((a * b).sum() - along))
-    turn = np.array([rotated(unit, angle * axis) for unit in np.eye(3)]).T
+    middle = np.average(points, axis=0, weights=weights)
+    there = np.average(onto, axis=0, weights=weights)
+    scaled = points - middle if weights is None else weights[:, None] * (points - middle)
+    turn = rotation_about(axis, scaled, onto - there)
     return turn, there - turn @ middle
+
+
+def rotation_about(axis: Array, vectors: Array, onto: Array) -> Array:
+    """Return the rotation (3, 3) about a unit vector that lays vectors (n, 3) best onto others."""
+    along = (vectors @ axis) @ (onto @ axis)
+    across = float(axis @ np.cross(vectors, onto).sum(axis=0))
+    return from_rotation_vector(math.atan2(across, float((vectors * onto).sum() - along)) * axis)
 
 
 def turn_angle(turn: Array) -> float:

@@ -11,6 +11,7 @@ from .errors import InputError
 
 TIMES_WORDS = ('no', 'one', 'two', 'three', 'four', 'five', 'six', 'seven', 'eight', 'nine', 'ten',
          'eleven', 'twelve')  # fmt: skip
+# [1] prefixes of SI (brochure of 2019) in which a person reads lengths and forces
 UNIT_PREFIXES = ((1e6, 'M'), (1e3, 'k'), (1.0, ''), (1e-3, 'm'), (1e-6, 'µ'), (1e-9, 'n'))
 PROGRAM = 'python -m tendon_robot_ros'
 
@@ -30,7 +31,7 @@ def scale_of(unit: str, size: float, name: str = '') -> tuple[float, str]:
 
 
 def percent(share: float) -> str:
-    """Show a share; what is not all of it is never 100 %."""
+    """Show a fraction in percent; what is less than all is never 100 %."""
     return f'{int(100.0 * share) if share < 1.0 else 100} %'
 
 
@@ -126,9 +127,9 @@ def columns(rows: Sequence[Sequence[str]]) -> str:
     )
 
 
-STANDARD_GRAVITY = 9.80665  # [m/s²]
-GRAM_FORCE = 1e-3 * STANDARD_GRAVITY  # [N]
-POUND_FORCE = 4.4482216  # [N]
+STANDARD_GRAVITY = 9.80665  # [m/s²] by definition (CGPM 1901)
+GRAM_FORCE = 1e-3 * STANDARD_GRAVITY  # [N] weight of one gram under standard gravity (CGPM 1901)
+POUND_FORCE = 0.45359237e3 * GRAM_FORCE  # [N] of the pound of 1959
 
 # kind of quantity -> unit as written -> factor to SI (angles to radians; counts need a scale)
 UNITS: dict[str, dict[str, float]] = {

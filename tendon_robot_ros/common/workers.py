@@ -25,13 +25,14 @@ from typing import Any, Protocol, Self
 from .errors import ClusterLostError, InputError, MissingExtraError
 from .processes import end_with_parent, one_thread
 
-LOSSES_MAX = 8  # workers that may die over a chunk before it counts as the chunk's fault
+# [1] workers that may die over a chunk, else one that kills its worker would be tried for ever
+LOSSES_MAX = 8
 CHUNK_S = 2.0  # [s] of work in a chunk, because handing one out takes some milliseconds
-AHEAD = 2  # chunks that wait at a scheduler for each of its threads
-CONNECT_S = 10.0  # [s] in which a scheduler answers
+AHEAD = 2  # [1] chunks for each thread of a scheduler, so that one waits while one is at work
+CONNECT_S = 10.0  # [s] in which a scheduler answers, else there is none
 # [s] between two saves of unfinished work, so that a lost computer costs no more than this
 SAVED_EVERY_S = 5.0
-IDLE_S = 5.0  # [s] between two looks at how many workers a scheduler has
+IDLE_S = 5.0  # [s] between two looks for new workers, because each is a message to the scheduler
 
 _LOG = logging.getLogger(__name__)
 Work = Callable[[Any], Any]
@@ -187,8 +188,11 @@ class Workers:
             done, _ = wait(waiting, min(left, IDLE_S), FIRST_COMPLETED)
             for future in done:
                 index, chunk = waiting.pop(future)
-                result = _result_of(future, engine)
-                if isinstance(result, LostWork):
+                try:
+                    result = future.result()
+                except (Exception, CancelledError) as error:
+                    if not engine.is_loss(error):
+                        raise
                     losses[index] = losses.get(index, 0) + 1
                     if losses[index] < LOSSES_MAX:
                         again.append((index, chunk))
@@ -199,16 +203,6 @@ class Workers:
                 finally:  # a cluster that is gone keeps no result back
                     yield index, result
             hand_out()
-
-
-def _result_of(future: Future[Any], engine: Engine) -> Any:
-    """Return a result, or LostWork where the worker died."""
-    try:
-        return future.result()
-    except (Exception, CancelledError) as error:
-        if engine.is_loss(error):
-            return LostWork(1)
-        raise
 
 
 def _call(task: tuple[Prepare | None, Work, Any]) -> Any:
@@ -223,10 +217,6 @@ def _call(task: tuple[Prepare | None, Work, Any]) -> Any:
 @lru_cache(maxsize=8)
 def _prepared(prepare: Prepare) -> None:
     prepare()
-
-
-# -----------------------------------------------------------------------------
-# Processes of this machine: one pool for each, so that one that dies takes its own chunk along.
 
 
 class _Processes:
@@ -300,10 +290,6 @@ def _load(prepare: Prepare | None) -> int:
         if prepare is not None:
             _prepared(prepare)
     return os.getpid()
-
-
-# -----------------------------------------------------------------------------
-# A cluster: whatever has started workers and a scheduler of dask, as its settings say.
 
 
 def _check_certificates(address: str) -> None:
@@ -387,5 +373,5 @@ class _Cluster:
         )
 
     def close(self) -> None:
-        with contextlib.suppress(Exception):  # a scheduler that is gone cannot be told
+        with contextlib.suppress(Exception):  # the scheduler may be gone already
             self.client.close(timeout=2.0)

@@ -10,8 +10,9 @@ import yaml
 
 from .errors import DriverError, RobotDescriptionError, TendonRobotError
 
-NESTING_MAX = 100  # brackets within brackets
-READ_AGAIN_CHARACTERS_MAX = 4_000  # characters that are read once more for a better message
+NESTING_MAX = 100  # [1] brackets within brackets, else compiled code would run out of memory
+# [1] characters that are read once more for a better message, because that takes ten times as long
+READ_AGAIN_CHARACTERS_MAX = 4_000
 Loader: Any = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)  # compiled: a tenth of the time
 
 
@@ -35,8 +36,8 @@ class _Plain(_Counting, Loader):  # type: ignore[misc]
     """Reads."""
 
 
-class _Telling(_Counting, yaml.SafeLoader):
-    """Reads in Python alone, and says better where a mistake is."""
+class _Explaining(_Counting, yaml.SafeLoader):
+    """Reads in Python alone, and knows better where a mistake is."""
 
 
 def parse_yaml(text: str) -> Any:
@@ -52,21 +53,16 @@ def parse_yaml(text: str) -> Any:
     try:
         return yaml.load(text, Loader=_Plain)
     except yaml.MarkedYAMLError as refused:
-        error = _retold(text, refused)
+        error = refused
+        if len(text) <= READ_AGAIN_CHARACTERS_MAX:
+            try:  # the interpreted loader knows better where the mistake is
+                yaml.load(text, Loader=_Explaining)
+            except yaml.MarkedYAMLError as explained:
+                error = explained
         line = error.problem_mark.line + 1 if error.problem_mark else 1
         raise ValueError(f'line {line}: {error.problem}') from None
     except (yaml.YAMLError, ValueError) as error:  # a date such as 2000-99-99 is a ValueError
         raise ValueError(' '.join(str(error).split())) from None
-
-
-def _retold(text: str, error: yaml.MarkedYAMLError) -> yaml.MarkedYAMLError:
-    """Return what the interpreted loader says: it knows better where the mistake is."""
-    if len(text) <= READ_AGAIN_CHARACTERS_MAX:
-        try:
-            yaml.load(text, Loader=_Telling)
-        except yaml.MarkedYAMLError as told:
-            return told
-    return error
 
 
 class Reader:
@@ -228,10 +224,6 @@ class Reader:
 
     def _where(self, key: str) -> str:
         return '.'.join(filter(None, (self.path, key))) or 'file'
-
-
-# -----------------------------------------------------------------------------
-# Checked reading of a configuration of a driver.
 
 
 class ConfigFields(Reader):

@@ -13,7 +13,6 @@ import numpy.typing as npt
 from ..common.errors import InputError, NoEquilibriumError, Progress, choice, listener
 from ..data import DataSet, DataSetLike, default_markers, load_dataset
 from ..effects import Catalogue, CatalogueLike, load_catalogue
-from ..model.model import Model
 from ..model.pulls import pull_shapes
 from ..model.shape import FIELDS, ShapeBatch
 from ..robot import Robot, RobotLike, load_robot
@@ -40,9 +39,20 @@ def equilibria(predictor: Predictor) -> ShapeBatch:
     parts = []
     for part, shapes in predictor.settle({}, predictor.inputs):
         if shapes is None:
-            _shapes(predictor.dataset, predictor.model, predictor.inputs[part.rows])  # says where
+            model, dataset, inputs = (
+                predictor.model,
+                predictor.dataset,
+                predictor.inputs[part.rows],
+            )
+            carry = model.remembers and dataset.path != 'from_straight'
+            if dataset.input == 'displacement':  # each of these says in which posture
+                pull_shapes(model, inputs, memory=model.arrays.fresh_memory() if carry else None)
+            elif carry:
+                model.sequence(inputs)
+            else:
+                model.shapes(inputs)
             raise NoEquilibriumError(
-                f'a posture of {predictor.dataset.name}', predictor.model.implicit_effects, np.inf
+                f'a posture of {dataset.name}', model.implicit_effects, np.inf
             )
         rows = predictor.last_visits(part)
         parts.append(replace(shapes, **{name: getattr(shapes, name)[rows] for name in FIELDS}))
@@ -51,18 +61,6 @@ def equilibria(predictor: Predictor) -> ShapeBatch:
         name: np.concatenate([getattr(batch, name) for batch in parts])[order] for name in FIELDS
     }
     return replace(parts[0], **fields)
-
-
-def _shapes(dataset: DataSet, model: Model, inputs: Floats) -> ShapeBatch:
-    carry = model.remembers and dataset.path != 'from_straight'
-    if dataset.input == 'displacement':
-        memory = model.arrays.fresh_memory() if carry else None
-        return pull_shapes(model, inputs, memory=memory)
-    return model.sequence(inputs) if carry else model.shapes(inputs)
-
-
-# -----------------------------------------------------------------------------
-# Compare models with measurements.
 
 
 def compare(
@@ -111,29 +109,40 @@ def compare(
     if len(set(names)) < len(names):
         raise InputError(f'models: expected different names, got {", ".join(names)}')
     for name, robot in named:
-        _check(dataset, name, robot)
+        if robot.inputs != dataset.robot.inputs:
+            raise InputError(
+                f'model {name}: expected the inputs {", ".join(dataset.robot.inputs)} of '
+                f'{dataset.name}, got {", ".join(robot.inputs)}'
+            )
     show('trials', 0, len(named))
     left_out: tuple[Mapping[str, Any], ...] = ()
     if leave_out:
         outliers = find_outliers(Predictor(dataset, dataset.robot, catalogue), {})
         left_out, dataset = tuple(outliers.rows(dataset)), outliers.without(dataset)
     predictors = [Predictor(dataset, robot, catalogue) for _, robot in named]
-    markers = []
-    for done, predictor in enumerate(predictors):
-        show('models', done, len(named))
-        markers.append(_predict(predictor))
-    axes = bending_axes(markers[0]) if on_the_centreline(dataset) else None
-    errors = tuple(_errors(dataset, named[i], markers[i], axes) for i in range(len(named)))
-    if axes is None:
-        lines = [_centreline(dataset, robot, catalogue) for _, robot in named]
-        errors = tuple(
-            replace(model, centreline=line) for model, line in zip(errors, lines, strict=True)
+    errors, axes = list[ModelErrors](), None
+    for (name, robot), predictor in zip(named, predictors, strict=True):
+        show('models', len(errors), len(named))
+        markers = _predict(predictor)
+        centred = on_the_centreline(dataset)
+        if axes is None and centred:  # angles of all models are about the axes of the first
+            axes = bending_axes(markers)
+        errors.append(
+            ModelErrors(
+                name,
+                tuple(robot.effects),
+                markers,
+                None if axes is None else _angles(markers, axes),
+                np.linalg.norm(markers - dataset.mean, axis=2),
+                np.linalg.norm(dataset.positions[:, :, -1] - markers[:, None, -1], axis=2),
+                None if centred else _centreline(dataset, robot, catalogue),
+            )
         )
     show('noise', len(named), len(named))
     best = int(np.argmin([model.rms for model in errors]))
     angles = None if axes is None else _angles(dataset.positions.swapaxes(0, 1), axes)
     measured = replace(_measured(dataset, predictors[best], angles), left_out=left_out)
-    return Comparison(measured, errors, error)
+    return Comparison(measured, tuple(errors), error)
 
 
 def _named(models: Models) -> list[tuple[str, Robot]]:
@@ -154,30 +163,12 @@ def _named(models: Models) -> list[tuple[str, Robot]]:
     return named
 
 
-def _check(dataset: DataSet, name: str, robot: Robot) -> None:
-    if robot.inputs != dataset.robot.inputs:
-        raise InputError(
-            f'model {name}: expected the inputs {", ".join(dataset.robot.inputs)} of '
-            f'{dataset.name}, got {", ".join(robot.inputs)}'
-        )
-
-
 def _predict(predictor: Predictor) -> Floats:
     markers = predictor.markers({})
     if markers is None:
         equilibria(predictor)  # says in which posture
         raise NoEquilibriumError(predictor.dataset.name, predictor.model.implicit_effects, np.nan)
     return markers
-
-
-def _errors(
-    dataset: DataSet, named: tuple[str, Robot], markers: Floats, axes: Floats | None
-) -> ModelErrors:
-    name, robot = named
-    distance = np.linalg.norm(markers - dataset.mean, axis=2)
-    tips = np.linalg.norm(dataset.positions[:, :, -1] - markers[:, None, -1], axis=2)
-    angles = None if axes is None else _angles(markers, axes)
-    return ModelErrors(name, tuple(robot.effects), markers, angles, distance, tips)
 
 
 def _angles(positions: Floats, axes: Floats) -> Floats:
@@ -197,9 +188,13 @@ def _centreline(dataset: DataSet, robot: Robot, catalogue: Catalogue) -> Floats:
 def _measured(dataset: DataSet, predictor: Predictor, angles: Floats | None) -> Measured:
     slopes = input_slopes(predictor, {})
     noise = estimate_noise(dataset, slopes)
-    floor = None
+    floor = None  # (P, J) [m²] expected squared distance of a perfect model
     if noise is not None:
-        floor = _floor(dataset, Whitener(dataset, noise, slopes))
+        whitener = Whitener(dataset, noise, slopes)
+        squared = np.full((len(dataset.postures), 3 * len(dataset.markers)), np.nan)
+        for p, (rows, variance) in enumerate(zip(whitener.rows, whitener.variance, strict=True)):
+            squared[p, rows] = variance
+        floor = np.asarray(squared.reshape(len(squared), -1, 3).sum(axis=2))
     return Measured(
         data=dataset.name,
         input=dataset.input,
@@ -218,16 +213,8 @@ def _measured(dataset: DataSet, predictor: Predictor, angles: Floats | None) -> 
     )
 
 
-def _floor(dataset: DataSet, whitener: Whitener) -> Floats:
-    """Return the expected squared distance (P, J) [m²] of a perfect model."""
-    squared = np.full((len(dataset.postures), 3 * len(dataset.markers)), np.nan)
-    for p, (rows, variance) in enumerate(zip(whitener.rows, whitener.variance, strict=True)):
-        squared[p, rows] = variance
-    return np.asarray(squared.reshape(*squared.shape[:1], -1, 3).sum(axis=2))
-
-
 def on_the_centreline(dataset: DataSet) -> bool:
-    """Tell whether chords between the markers follow the arm: then they tell how it bends."""
+    """Tell whether the markers lie on the centreline, so that their chords show how it bends."""
     inside = (dataset.offsets == 0.0).all() and len(dataset.markers) > 1
     return bool(inside and (np.diff(dataset.arc_lengths, prepend=0.0) > 0.0).all())
 

@@ -16,11 +16,13 @@ import numpy.typing as npt
 
 from ..data import DataSet
 from .predict import Point, Predictor
-from .statistics import minimum
+from .statistics import chi2_isf, minimum
 
 Floats = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
-UNSEEN_VARIANCE = 1e-3  # [1] of a marker's own variance: what inputs do less is left out
+# [1] relative variance, or singular value, below which a cause is left out, because it changes no
+# weight by more than a thousandth
+NEGLIGIBLE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ def input_steps(dataset: DataSet, inputs: Floats) -> Floats:
 
 def input_slopes(predictor: Predictor, point: Point) -> Floats:
     """
-    Return how markers answer to the inputs, relative: (P, m, J, 3) [m] per unit of T.
+    Return the displacement of markers by relative changes of the inputs, (P, m, J, 3) [m].
 
     Central differences of about one noise sd with a full solution each: friction is kinked. An
     input without a solution on both sides counts as without influence.
@@ -82,12 +84,12 @@ def input_slopes(predictor: Predictor, point: Point) -> Floats:
     return slopes
 
 
-def input_share(dataset: DataSet, slopes: Floats) -> Floats:
+def input_effect(dataset: DataSet, slopes: Floats) -> Floats:
     """
-    Return what the measured inputs of each trial move its markers by, (P, Q, J, 3) [m].
+    Return by how much the measured inputs of each trial displace its markers, (P, Q, J, 3) [m].
 
-    From where the inputs of the posture would have them, by slopes of `input_slopes`; zero where
-    all trials have the same.
+    From where they would be under the mean inputs of the posture, by slopes of `input_slopes`;
+    zero where all trials have the same inputs.
     """
     inputs = np.nan_to_num(dataset.inputs)[:, None]
     relative = (np.nan_to_num(dataset.inputs_by_trial) - inputs) / np.where(
@@ -98,7 +100,7 @@ def input_share(dataset: DataSet, slopes: Floats) -> Floats:
 
 class Whitener:
     """
-    Covariance of the marker means, a block per posture, and a root of its inverse.
+    Covariance of the marker means, a block per posture, and a square root of its inverse.
 
     (position noise + trial noise + shift) / trials + setting noise, which all trials share.
     The mean of a marker that one trial lost has the inputs of the others: part of the trial noise
@@ -135,15 +137,13 @@ class Whitener:
             self._scale, out=np.zeros_like(self._scale), where=self._seen
         ).sum(axis=1)
         self._dense: list[Floats] | None = None
-        if accuracy:
-            self._take_dense(dataset, accuracy, own + rough**2, driven)
-
-    def _take_dense(self, dataset: DataSet, accuracy: float, own: Floats, driven: Floats) -> None:
-        """Factor blocks in which errors are shared along the arm."""
+        if not accuracy:
+            return
         self._dense = []
         for p, rows in enumerate(self.rows):
             g = driven[p][:, rows]
-            block = np.diag(own[p, rows]) + g.T @ g + common_error(dataset, rows, accuracy)
+            block = np.diag((own + rough**2)[p, rows]) + g.T @ g
+            block += common_error(dataset, rows, accuracy)
             root = np.linalg.inv(np.linalg.cholesky(block)) if len(rows) else block
             self._logs[p] = -2.0 * float(np.log(np.diag(root)).sum())
             self._dense.append(root)
@@ -224,7 +224,7 @@ def _driven(dataset: DataSet, noise: Noise, slopes: Floats, own: Floats) -> Floa
 def _moved(rows: Floats, flat: Floats, own: Floats) -> Floats:
     """Return rows (P, r m, 3 J) [m]: noise (P, r, J) of each of m causes, by what a unit does."""
     loudest = (flat**2 / own[:, None]).max(axis=(1, 2), initial=0.0)
-    shown = (rows**2).sum(axis=2) * loudest[:, None] > UNSEEN_VARIANCE
+    shown = (rows**2).sum(axis=2) * loudest[:, None] > NEGLIGIBLE
     rows = rows[:, : max(int(shown.any(axis=0).sum()), 1)]
     made = np.repeat(rows, 3, axis=2)[:, :, None] * flat[:, None]
     return np.asarray(made.reshape(len(made), -1, made.shape[-1]))
@@ -261,12 +261,13 @@ def rms(difference: Floats) -> float:
     return float(np.sqrt(seen.mean())) if seen.size else float('nan')
 
 
-# -----------------------------------------------------------------------------
-# How large is what no model of the family explains: sizes by marginal likelihood.
-
-LOG_MIN, LOG_MAX = -6.0, 3.0  # logarithms of both sizes over that of all that is left
-PRECISION = 0.1  # of these logarithms
-ROUNDS = 2  # through the sizes, one after the other
+# [1] logarithms of the size of an error over the rms of all residuals between which it is sought:
+# 0.2 % to 20 times, because a smaller one moves no weight and no part is larger than the whole
+LOG_SIZES = (-6.0, 3.0)
+# [1] of the logarithm of a standard deviation, because `TRIAL_DOF_MIN` estimate it to 13 % only
+LOG_PRECISION = 0.1
+VARIANCE_PRECISION = 0.01  # [1] of a logarithm, because trials give a variance to 26 % at best
+DESCENT_ROUNDS = 2  # [1] through two sizes in turn, because a change of one hardly moves the other
 
 
 def likely(
@@ -293,21 +294,23 @@ def likely(
     seen = np.repeat(dataset.counts > 0, 3, axis=1)  # (P, 3 J)
     seen[list(held)] = False
     size = rms(np.where(seen.reshape(off.shape), off, np.nan)) / np.sqrt(3.0)
-    left = _Left(dataset, noise, slopes, np.where(seen, off.reshape(seen.shape), 0.0), seen)
+    residuals = _Residuals(
+        dataset, noise, slopes, np.where(seen, off.reshape(seen.shape), 0.0), seen
+    )
     best = [0.0, 0.0]
-    for _ in range(ROUNDS):
+    for _ in range(DESCENT_ROUNDS):
         for i in range(len(best)):
 
             def along(x: float, i: int = i) -> float:
-                return left.cost(*(size * np.exp([*best[:i], x, *best[i + 1 :]])))
+                return residuals.cost(*(size * np.exp([*best[:i], x, *best[i + 1 :]])))
 
-            best[i], _ = minimum(along, LOG_MIN, LOG_MAX, PRECISION)
+            best[i], _ = minimum(along, *LOG_SIZES, LOG_PRECISION)
     smooth, rough = np.exp(best).tolist()
     return size * smooth, size * rough
 
 
-class _Left:
-    """What is left (P, 3 J) [m] of postures, where it was seen, and its covariance by noise."""
+class _Residuals:
+    """Residuals (P, 3 J) [m] of postures, where markers were seen, and their noise covariance."""
 
     def __init__(
         self, dataset: DataSet, noise: Noise, slopes: Floats, flat: Floats, seen: BoolArray
@@ -337,19 +340,20 @@ class _Left:
         return float((white**2).sum() + 2.0 * logs.sum())
 
 
-TRIAL_DOF_MIN = 30  # degrees of freedom within postures from which the trials tell the noise
-SHIFT_MARKERS_MIN = 3  # that a trial shifts all markers alike is not seen on fewer
-SHIFT_ROUNDS = 3  # through the two sizes, one after the other
-SHIFT_GAIN = 10.8  # of -2 log likelihood, from which a shift is believed: 0.1 % false
+# [1] degrees of freedom within postures, from which the noise is estimated by trials, because its
+# standard deviation is then known to 1 / sqrt(2 n) = 13 %
+TRIAL_DOF_MIN = 30
+# [1] of -2 log likelihood, that one more variance gains by chance with a probability of 0.1 %
+SHIFT_GAIN_MIN = chi2_isf(1e-3, 1.0)
 
 
 def estimate_noise(dataset: DataSet, slopes: Floats) -> Noise | None:
     """
     Estimate the noise from deviations within postures only (REML), else take what is declared.
 
-    Model error is the same in all trials of a posture, so it cannot leak in. Of visits it can:
-    what was before the command before differs, and what is declared counts first. None: neither
-    trials nor a declared `position_noise`.
+    Model error is the same in all trials of a posture, so it does not bias the estimate. Among
+    visits it may, because the commands before the last one differ; then what is declared is used
+    first. None where there are neither trials nor a declared `position_noise`.
     """
     declared = None
     if dataset.position_noise is not None:
@@ -357,109 +361,73 @@ def estimate_noise(dataset: DataSet, slopes: Floats) -> Noise | None:
         declared = Noise(dataset.position_noise, trial, setting, np.inf, 'declared')
     if declared is not None and dataset.visits is not None:
         return declared
-    total, parts, wholes = 0.0, [], []
-    explained = input_share(dataset, slopes)
+    deviations, driven = list[Floats](), list[Floats]()
+    explained = input_effect(dataset, slopes)
     for p in range(len(dataset.postures)):
         seen = dataset.trial_mask[p]
         complete = dataset.mask[p][seen].all(axis=0)
-        trials, markers = int(seen.sum()), int(complete.sum())
-        if trials < 2 or not markers:
+        trials = int(seen.sum())
+        if trials < 2 or not complete.any():
             continue
-        moves = dataset.positions[p][seen][:, complete].reshape(trials, -1)
-        g = slopes[p][:, complete].reshape(len(slopes[p]), -1).T  # (3 J, m)
-        moves = moves - explained[p][seen][:, complete].reshape(trials, -1)
-        moves = moves - moves.mean(axis=0)
-        u, s, _ = np.linalg.svd(g, full_matrices=False)
-        along = ((moves @ u) ** 2).sum(axis=0)
-        rest = max(float((moves**2).sum() - along.sum()), 0.0)
-        parts.append((trials - 1, s, along, moves.shape[1] - len(s), rest))
-        if markers >= SHIFT_MARKERS_MIN:
-            wholes.append((moves, g))
-        total += (trials - 1) * moves.shape[1]
+        moves = (dataset.positions[p] - explained[p])[seen][:, complete].reshape(trials, -1)
+        deviations.append(moves - moves.mean(axis=0))
+        driven.append(slopes[p][:, complete].reshape(len(slopes[p]), -1).T)
+    total = float(sum((len(moves) - 1) * moves.shape[1] for moves in deviations))
     if total < TRIAL_DOF_MIN:
         return declared
-    position, trial = _restricted_likelihood(parts)
-    position, trial, shift = _with_shift(wholes, position, trial)
+    position, trial, shift = _likeliest(_TrialLikelihood(deviations, driven))
     return Noise(position, trial, dataset.setting_noise, total, 'trials', shift)
 
 
-def _restricted_likelihood(
-    parts: list[tuple[int, Floats, Floats, int, float]],
-) -> tuple[float, float]:
+def _likeliest(likelihood: _TrialLikelihood) -> tuple[float, float, float]:
     """
-    Maximise the likelihood of the deviations over the two standard deviations.
+    Return the likeliest standard deviations of position [m], of inputs [1] and of a shift [m].
 
-    Only their ratio needs a search: given it, the position noise has a closed form.
+    The shift is 0 unless the likelihood gains by `SHIFT_GAIN_MIN`. All but the first are sought as
+    variances over that of a coordinate.
     """
-    count = sum(nu * (len(s) + rest) for nu, s, _, rest, _ in parts)
-    nus = np.concatenate([np.full(len(s), nu) for nu, s, *_ in parts])
-    sizes = np.concatenate([s for _, s, *_ in parts]) ** 2
-    along = np.concatenate([a for _, _, a, *_ in parts])
-    rest = float(sum(r for *_, r in parts))
-    largest = max(float(sizes.max(initial=0.0)), 1e-30)
-
-    def position2(ratio: float) -> float:
-        return max((float(np.sum(along / (1.0 + ratio * sizes))) + rest) / count, 1e-24)
-
-    def cost(log: float) -> float:
-        ratio = math.exp(log) / largest
-        spread = float(np.sum(nus * np.log1p(ratio * sizes)))
-        return spread + count * math.log(position2(ratio))
-
-    grid = np.arange(-14.0, 21.0, 1.0)
-    best = float(grid[int(np.argmin([cost(float(log)) for log in grid]))])
-    log, lowest = minimum(cost, best - 1.0, best + 1.0, 1e-3)
-    if best == grid[0] or lowest > count * math.log(position2(0.0)):
-        return math.sqrt(position2(0.0)), 0.0
-    ratio = math.exp(log) / largest
-    position = math.sqrt(position2(ratio))
-    return position, min(math.sqrt(ratio) * position, 0.3)
-
-
-def _with_shift(
-    wholes: list[tuple[Floats, Floats]], position: float, trial: float
-) -> tuple[float, float, float]:
-    """
-    Return position noise, trial noise and the shift shared by the markers of a trial.
-
-    Deviations (trials, 3 J) of every posture from its mean, and what its inputs do (3 J, m). The
-    shift is 0, and the others are as they come, unless the likelihood gains by `SHIFT_GAIN`.
-    """
-    if not wholes:
-        return position, trial, 0.0
-    level = _Level(wholes)
-    before = level(trial**2 / position**2, 0.0)[0]
-    inputs, shift = (trial / position) ** 2, 0.0  # variances over that of a coordinate
-    for _ in range(SHIFT_ROUNDS):
-        shift = level.likeliest((inputs, None), -7.0, 9.0)
+    inputs, (alone, variance) = 0.0, likelihood(0.0, 0.0)
+    grid = np.arange(-14.0, 21.0) - math.log(likelihood.strongest)  # there may be several valleys
+    best = int(np.argmin([likelihood(math.exp(log), 0.0)[0] for log in grid.tolist()]))
+    if best > 0:
+        near = likelihood.likeliest((None, 0.0), grid[best] - 1.0, grid[best] + 1.0)
+        if likelihood(near, 0.0)[0] <= alone:
+            inputs, (alone, variance) = near, likelihood(near, 0.0)
+    position, trial, shift = math.sqrt(variance), min(math.sqrt(inputs * variance), 0.3), 0.0
+    for _ in range(DESCENT_ROUNDS):
+        shift = likelihood.likeliest((inputs, None), -7.0, 9.0)
         if inputs:
             low = math.log(inputs)
-            inputs = level.likeliest((None, shift), low - 12.0, low + 2.0)
-    if level(0.0, shift)[0] <= level(inputs, shift)[0]:
+            inputs = likelihood.likeliest((None, shift), low - 12.0, low + 2.0)
+    if likelihood(0.0, shift)[0] <= likelihood(inputs, shift)[0]:
         inputs = 0.0
-    after, variance = level(inputs, shift)
-    if before - after < SHIFT_GAIN:
+    together, variance = likelihood(inputs, shift)
+    if alone - together < SHIFT_GAIN_MIN:
         return position, trial, 0.0
     return math.sqrt(variance), math.sqrt(inputs * variance), math.sqrt(shift * variance)
 
 
-class _Level:
+class _TrialLikelihood:
     """
-    The likelihood of two variances over that of a coordinate, given which the latter is known.
+    The restricted likelihood (REML) of deviations of trials from the mean of their posture.
 
-    Of every posture only the products of what inputs and shifts do, (P, m + 3, m + 3), and of that
-    with the deviations are needed (Woodbury).
+    By the variances of inputs and of a shift that all markers of a trial share, each over that of
+    a coordinate, for which there is a closed form then. Of every posture only the products of what
+    inputs and shifts do, (P, m + 3, m + 3), and of that with the deviations are needed (Woodbury).
     """
 
-    def __init__(self, wholes: list[tuple[Floats, Floats]]) -> None:
-        moves, both = zip(*wholes, strict=True)
-        axes = [np.hstack([g, np.tile(np.eye(3), (len(g) // 3, 1))]) for g in both]
+    def __init__(self, deviations: Sequence[Floats], driven: Sequence[Floats]) -> None:
+        """Take deviations (trials, 3 J) [m] of postures, and what their inputs do (3 J, m)."""
+        axes = [np.hstack([g, np.tile(np.eye(3), (len(g) // 3, 1))]) for g in driven]
         self._gram = np.stack([a.T @ a for a in axes])
-        along = [a.T @ move.T for a, move in zip(axes, moves, strict=True)]
+        along = [a.T @ moves.T for a, moves in zip(axes, deviations, strict=True)]
         self._seen = np.stack([c @ c.T for c in along])
-        self._freedom = np.array([len(move) - 1.0 for move in moves])
-        self._count = float(sum((len(move) - 1) * move.shape[1] for move in moves))
-        self._total = float(sum((move**2).sum() for move in moves))
+        self._freedom = np.array([len(moves) - 1.0 for moves in deviations])
+        self._count = float(sum((len(moves) - 1) * moves.shape[1] for moves in deviations))
+        self._total = float(sum((moves**2).sum() for moves in deviations))
+        m = self._gram.shape[1] - 3
+        strongest = np.linalg.eigvalsh(self._gram[:, :m, :m]).max(initial=0.0)
+        self.strongest = max(float(strongest), 1e-30)  # [m²] that an input does at most
 
     def __call__(self, inputs: float, shift: float) -> tuple[float, float]:
         """Return -2 log likelihood of the two variances, and that of a coordinate [m²]."""
@@ -481,4 +449,4 @@ class _Level:
             inputs, shift = (math.exp(log) if one is None else one for one in known)
             return self(inputs, shift)[0]
 
-        return math.exp(minimum(cost, low, high, 0.02)[0])
+        return math.exp(minimum(cost, low, high, VARIANCE_PRECISION)[0])

@@ -5,8 +5,8 @@ A trial reads y = c + G u + e: c where the markers of the posture are, u how far
 off, which moves markers along the known columns of G, and e the tracker, of one variance s². The
 least squares of a posture leave M y, of covariance s² M. What they leave of a reading i, deleted
 from the others, has the squared norm d = r' M_ii^-1 r, which is s² chi² of as many degrees of
-freedom as M_ii has rank (Cook and Weisberg 1982, 2.2): the fewer trials there are, and the more
-of the reading inputs explain, the less is left of it, and the less is expected. s² is the median
+freedom as M_ii has rank (Cook and Weisberg 1982, 2.2): with fewer trials, and where inputs explain
+more of a reading, its residual is smaller, and so is its expectation. s² is the median
 of all d over that of chi², so that outliers do not count for it, and d is beyond chance by the F
 distribution. A trial is judged by the squared norm of G u, from the mean of the others: a sum of
 chi² with the weights s² + t² g², g the singular values of G, so no more than the largest weight
@@ -26,29 +26,32 @@ import numpy.typing as npt
 from ..common.errors import NoEquilibriumError
 from ..common.words import listed
 from ..data import DataSet
-from .noise import input_slopes
+from ..data.arrays import RESOLUTION
+from .noise import NEGLIGIBLE, input_slopes
 from .predict import Point, Predictor
 from .statistics import chi2_isf, f_isf
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 Counts = npt.NDArray[np.int64]
-FALSE_OUTLIER_PROBABILITY = 1e-3  # for the most extreme of all readings, or of all trials
-TRIALS_MIN = 3  # trials of a posture, and readings of a marker: two can contradict one
-OFF_SHARE = 0.5  # of markers beyond which their trial is off, of trials beyond which all may be
-SLOPES_OFF_SHARE = 0.3  # of what slopes took off; the model that they are of may lack something
-MEDIAN_EFFICIENCY = 0.37  # of a median as a variance, at least: that of squared normal values
-NOTHING = 1e-3  # [1] of the strongest input or of a whole reading: no more than rounding
-RESOLUTION = 1e-9  # [m] of positions: smaller moves are rounding
-HALVINGS = 50  # of an interval: all digits
+# [1] probability that the most extreme of all readings, or of all trials, is left out by chance
+FALSE_OUTLIER_PROBABILITY = 1e-3
+# [1] trials of a posture and readings of a marker, because of two nobody knows which one is off
+TRIALS_MIN = 3
+# [1] of what the slopes of inputs explain, by which they may be wrong, because the model that they
+# come from may lack an effect
+SLOPES_OFF_FRACTION = 0.3
+# [1] efficiency of the median of squared normal values as an estimate of their variance, because
+# 8 m² f² = 0.3675 with the median m of chi² of one degree of freedom and its density f there
+MEDIAN_EFFICIENCY = 0.37
 
 
 def contradicted(moves: Floats, slopes: Floats) -> tuple[Bools, Bools]:
     """
     Tell which readings (P, Q, J) and which trials (P, Q) the other trials contradict.
 
-    What is farthest beyond chance in a posture, a reading or a trial, is left out, and the others
-    are looked at again without it, as it moved what was expected of them.
+    In every posture the reading, or the trial, that is farthest beyond its limit is removed, and
+    the others are tested again without it, because it biased what was expected of them.
 
     Parameters
     ----------
@@ -62,14 +65,14 @@ def contradicted(moves: Floats, slopes: Floats) -> tuple[Bools, Bools]:
     counts, runs = seen.sum(axis=2), seen.any(axis=2).sum(axis=1)
     still = np.nanmax(np.abs(moves), axis=(0, 1, 2), initial=0.0) < RESOLUTION  # never measured
     out, trials = np.zeros_like(seen), np.zeros(seen.shape[:2], dtype=bool)
-    left = dict[int, _Deviations]()
+    residuals = dict[int, _Deviations]()
     stale = np.flatnonzero(runs >= TRIALS_MIN).tolist()
     while stale:
         for p in stale:
             kept = np.where(out[p, ..., None] | still, np.nan, moves[p])
-            left[p] = _left(kept, slopes[p])
+            residuals[p] = _residuals(kept, slopes[p])
         stale = []
-        for p, of_readings, of_trials in zip(left, *_beyond(left), strict=True):
+        for p, of_readings, of_trials in zip(residuals, *_beyond(residuals), strict=True):
             if max(of_readings.max(), of_trials.max()) <= 1.0:
                 continue
             if of_trials.max() >= of_readings.max():
@@ -77,11 +80,11 @@ def contradicted(moves: Floats, slopes: Floats) -> tuple[Bools, Bools]:
             else:
                 q, j = divmod(int(of_readings.argmax()), seen.shape[2])
                 out[p, q, j] = True
-                trials[p, q] |= out[p, q].sum() > max(OFF_SHARE * counts[p, q], 1)
+                trials[p, q] |= out[p, q].sum() > max(0.5 * counts[p, q], 1)  # most of it
             out[p] |= trials[p, :, None]
             stale.append(p)
-    trials &= (trials.sum(axis=1) < OFF_SHARE * runs)[:, None]
-    out &= (out.sum(axis=1) < OFF_SHARE * seen.sum(axis=1))[:, None]
+    trials &= (trials.sum(axis=1) < 0.5 * runs)[:, None]  # where half is off, all may be
+    out &= (out.sum(axis=1) < 0.5 * seen.sum(axis=1))[:, None]
     return out & seen & ~trials[..., None], trials
 
 
@@ -89,14 +92,14 @@ def outlier_limits(sizes: Floats, freedom: Counts) -> Floats:
     """
     Return the sizes (...) beyond which one is an outlier, from the robust spread of all.
 
-    Each is the norm of `freedom` values of the same spread; NaN and 0 values tell nothing. The
+    Each is the norm of `freedom` values of the same spread; NaN and 0 values do not count. The
     largest of all is beyond its limit by chance with `FALSE_OUTLIER_PROBABILITY`.
     """
-    told = np.isfinite(sizes) & (freedom > 0)
+    valid = np.isfinite(sizes) & (freedom > 0)
     limits = np.full(sizes.shape, np.inf)
-    if told.any():
-        p, known = FALSE_OUTLIER_PROBABILITY / int(told.sum()), int(freedom[told].sum())
-        for k in np.unique(freedom[told]).tolist():
+    if valid.any():
+        p, known = FALSE_OUTLIER_PROBABILITY / int(valid.sum()), int(freedom[valid].sum())
+        for k in np.unique(freedom[valid]).tolist():
             factor = np.sqrt(k * f_isf(p, k, MEDIAN_EFFICIENCY * known))
             limits[freedom == k] = factor * _spread(sizes, freedom)
     return limits
@@ -104,41 +107,41 @@ def outlier_limits(sizes: Floats, freedom: Counts) -> Floats:
 
 def _spread(sizes: Floats, freedom: Counts) -> float:
     """Return the spread of one value, of which sizes are the norms of `freedom` each."""
-    told = np.isfinite(sizes) & (freedom > 0)
-    known, which = np.unique(freedom[told], return_inverse=True)
+    valid = np.isfinite(sizes) & (freedom > 0)
+    known, which = np.unique(freedom[valid], return_inverse=True)
     usual = np.sqrt([chi2_isf(0.5, k) for k in known.tolist()])
-    return float(np.median(sizes[told] / usual[which])) if told.any() else 0.0
+    return float(np.median(sizes[valid] / usual[which])) if valid.any() else 0.0
 
 
 @dataclass(frozen=True)
 class _Deviations:
-    """What the fit of a posture leaves; where nothing is told, of 0 degrees of freedom."""
+    """Residuals of the fit of a posture; 0 degrees of freedom where there is no information."""
 
     sizes: Floats  # (Q, J) [m] roots of d
     freedom: Counts  # (Q, J)
-    surely: Floats  # (Q, J) [1] share of a size that is left if the slopes are wrong
+    surely: Floats  # (Q, J) [1] fraction of a size that remains if the slopes are wrong
     moved: Floats  # (Q,) [m²] square of what inputs do, from the mean of the others
-    strengths: Floats  # (Q, m) [m²] squares g²; 0: not told
+    strengths: Floats  # (Q, m) [m²] squares g²; 0: unknown
 
 
-def _left(moves: Floats, slopes: Floats) -> _Deviations:
+def _residuals(moves: Floats, slopes: Floats) -> _Deviations:
     """Fit places and inputs to the trials (Q, J, 3) [m] of a posture; NaN was not seen."""
     Q, J, _ = moves.shape
     g = slopes.reshape(len(slopes), -1).T  # (3 J, m)
-    _, strong, ways = np.linalg.svd(g, full_matrices=False)
-    g = g @ ways[strong > NOTHING * strong.max(initial=RESOLUTION)].T  # (3 J, r)
+    _, strong, directions = np.linalg.svd(g, full_matrices=False)
+    g = g @ directions[strong > NEGLIGIBLE * strong.max(initial=RESOLUTION)].T  # (3 J, r)
     seen = np.isfinite(moves.reshape(Q, -1))
     a = seen[..., None] * g
-    fit = np.linalg.pinv(a, rcond=NOTHING)  # (Q, r, 3 J)
+    fit = np.linalg.pinv(a, rcond=NEGLIGIBLE)  # (Q, r, 3 J)
     across = seen[..., None] * np.eye(3 * J) - a @ fit  # (Q, 3 J, 3 J): what inputs cannot do
-    inverse = np.linalg.pinv(across.sum(axis=0), rcond=NOTHING, hermitian=True)
+    inverse = np.linalg.pinv(across.sum(axis=0), rcond=NEGLIGIBLE, hermitian=True)
     y = np.where(seen, moves.reshape(Q, -1), 0.0)
     y = np.where(seen, y - inverse @ np.einsum('qij,qj->i', across, y), 0.0)
-    left = np.einsum('qij,qj->qi', across, y).reshape(Q, J, 3)
+    residual = np.einsum('qij,qj->qi', across, y).reshape(Q, J, 3)
     own = np.einsum('qjajb->qjab', (across - across @ inverse @ across).reshape(Q, J, 3, J, 3))
     values, axes = np.linalg.eigh(own)
-    told = values > NOTHING
-    squares = np.einsum('qjab,qja->qjb', axes, left) ** 2 / np.where(told, values, np.inf)
+    known = values > NEGLIGIBLE
+    squares = np.einsum('qjab,qja->qjb', axes, residual) ** 2 / np.where(known, values, np.inf)
     here = seen.reshape(Q, J, 3).any(axis=2)
     enough = here & (here.sum(axis=0) >= TRIALS_MIN)
 
@@ -146,23 +149,25 @@ def _left(moves: Floats, slopes: Floats) -> _Deviations:
     n = int(trials.sum())
     u = u - trials / max(n, 1) @ u
     taken = (a @ u[..., None]).reshape(Q, J, 3)
-    shares = np.linalg.norm(taken, axis=2) / np.maximum(np.linalg.norm(left, axis=2), RESOLUTION)
+    shares = np.linalg.norm(taken, axis=2) / np.maximum(
+        np.linalg.norm(residual, axis=2), RESOLUTION
+    )
     strengths = np.zeros((Q, len(slopes)))
     if n >= TRIALS_MIN:
         strengths[trials, : a.shape[2]] = np.linalg.svd(a[trials], compute_uv=False) ** 2
     return _Deviations(
         np.sqrt(squares.sum(axis=2)),
-        np.where(enough, told.sum(axis=2), 0),
-        np.maximum(1.0 - SLOPES_OFF_SHARE * shares, 0.0),
+        np.where(enough, known.sum(axis=2), 0),
+        np.maximum(1.0 - SLOPES_OFF_FRACTION * shares, 0.0),
         (taken**2).sum(axis=(1, 2)) * n / max(n - 1, 1),
         strengths,
     )
 
 
-def _beyond(left: dict[int, _Deviations]) -> tuple[Floats, Floats]:
+def _beyond(residuals: dict[int, _Deviations]) -> tuple[Floats, Floats]:
     """Return how far readings (P, Q, J) and trials (P, Q) are, over the limits of chance."""
     sizes, freedom, surely, moved, strengths = (
-        np.stack([getattr(one, field.name) for one in left.values()])
+        np.stack([getattr(one, field.name) for one in residuals.values()])
         for field in fields(_Deviations)
     )
     sizes = np.maximum(sizes, RESOLUTION)
@@ -179,27 +184,28 @@ def _beyond(left: dict[int, _Deviations]) -> tuple[Floats, Floats]:
 
 def _weights(moved: Floats, strengths: Floats, noise: float) -> Floats:
     """Return the weights (P, Q, m) [m²] of chi² that squares (P, Q) [m²] have in the median."""
-    told = strengths > 0.0
-    judged = told.any(axis=2)
+    known = strengths > 0.0
+    judged = known.any(axis=2)
     if not judged.any():
         return strengths
 
     def usual(variance: float) -> float:
         """Return the median square over what it is expected to be (Satterthwaite 1946)."""
-        weights = np.where(told, noise + variance * strengths, 0.0)[judged]
+        weights = np.where(known, noise + variance * strengths, 0.0)[judged]
         total = weights.sum(axis=1)
         freedom = total**2 / (weights**2).sum(axis=1)
         median = total * (1.0 - 2.0 / (9.0 * freedom)) ** 3  # Wilson and Hilferty 1931
         return float(np.median(moved[judged] / median))
 
-    low, high = 0.0, 1.0  # an input that is off by itself
-    for _ in range(HALVINGS if usual(0.0) > 1.0 else 0):
-        variance = 0.5 * (low + high)
+    low, high = 0.0, 1.0 if usual(0.0) > 1.0 else 0.0  # 1: an input that is off by itself
+    while low < (variance := 0.5 * (low + high)) < high:
         low, high = (variance, high) if usual(variance) > 1.0 else (low, variance)
-    return np.where(told, noise + low * strengths, 0.0)
+    return np.where(known, noise + low * strengths, 0.0)
 
 
-UNSETTLED_SHARE_MAX = 0.25  # of the postures, in which a description may have no equilibrium
+# [1] of the postures in which a description may have no equilibrium, else it is refused, because
+# it is not that of the arm that was measured
+UNSETTLED_FRACTION_MAX = 0.25
 
 
 @dataclass(frozen=True)
@@ -268,7 +274,7 @@ def without_unsettled(predictor: Predictor) -> tuple[DataSet, tuple[str, ...]]:
     if predictor.markers({}) is not None:
         return dataset, ()
     names = predictor.unsettled()
-    few = 0 < len(names) <= UNSETTLED_SHARE_MAX * len(dataset.postures)
+    few = 0 < len(names) <= UNSETTLED_FRACTION_MAX * len(dataset.postures)
     if not few or dataset.path != 'from_straight':
         where = listed(f'posture {name}' for name in names) or 'a posture on the way'
         effects = predictor.model.implicit_effects

@@ -18,6 +18,7 @@ from ..model.compile import KernelArrays
 from ..model.derivatives import TENSION_STEP, Move, follow
 from ..model.forward import TOLERANCE, ForwardModel
 from ..model.model import Model
+from ..model.pulls import SLACK_BELOW_N, pull_shapes
 from ..model.shape import FIELDS, ShapeBatch
 from ..robot import Robot
 
@@ -26,7 +27,7 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Conditions:
-    """What acts on the arm in some of the postures."""
+    """What acts on the arm in some of the postures, as far as the data set says it."""
 
     rows: npt.NDArray[np.int64]
     gravity: Floats  # (3,) [m/s²]
@@ -61,9 +62,6 @@ def known_values(part: Part, catalogue: Catalogue) -> dict[tuple[str, str], floa
                 )
         settled |= {(name, key): values.get(key, p.neutral) for key, p in parameters.items()}
     return settled
-
-
-TAUT_FROM_N = 1e-6  # [N] tension of a wire that holds its length
 
 
 @dataclass(frozen=True)
@@ -176,7 +174,7 @@ def held(tensions: Floats, seen: Floats, states: Floats, q: int) -> tuple[Floats
     m = tensions.shape[1]
     answers = np.zeros((q, len(tensions), m))
     for b, own in enumerate(tensions):
-        taut = np.flatnonzero(own > TAUT_FROM_N)
+        taut = np.flatnonzero(own > SLACK_BELOW_N)
         by_tension = seen[q:, b, :m][np.ix_(taut, taut)]
         answers[:, b, taut] = -seen[:q, b, taut] @ np.linalg.pinv(by_tension, rcond=1e-9)
     return (
@@ -189,7 +187,9 @@ def held(tensions: Floats, seen: Floats, states: Floats, q: int) -> tuple[Floats
 # No effects: every cell's own deviation where a tolerance declares it, one soft cell, a taper.
 CELLS, SOFT_CELL, TAPER = 'cell_stiffness', 'soft_cell', 'taper'
 STIFFNESS = (CELLS, SOFT_CELL, TAPER)
-TANGENT_STEP = 1e-5  # [1], of a parameter or of its typical size
+# [1] of a parameter or its typical size: about the cube root of the rounding error, so that
+# rounding and truncation of a central difference are alike
+TANGENT_STEP = 1e-5
 
 
 @dataclass(frozen=True)
@@ -202,7 +202,7 @@ class FreeParameter:
     label: str = ''  # the name of the section or tendon
 
     def __hash__(self) -> int:
-        """Hash what tells one from another: it is looked up all the time."""
+        """Hash the few fields that identify it, because it is looked up often."""
         return hash((self.effect, self.parameter.name, self.column))
 
     @property
@@ -325,7 +325,7 @@ class Predictor:
             rows = self.last_visits(part)
             settled.tensions[part.rows] = shapes.inputs[rows]
             settled.state[part.rows] = shapes.state[rows]
-            shown, visits = self.see(shapes), self._walk(part)
+            shown, visits = self.see(shapes), self._visits(part)
             placed[part.rows] = shown if visits is None else visits.mean(shown)
         self.settled = settled
         if self._first is None:  # later ones would make results depend on the order
@@ -340,7 +340,7 @@ class Predictor:
 
         By the implicit function theorem (`model.derivatives.follow`); where wire pulls are
         commanded, tensions answer so that taut wires keep theirs. None where friction remembers:
-        only further solutions tell.
+        only further solutions show it.
         """
         P, n, q = len(settled.state), self.model.arrays.chain.n, len(frees)
         moved = Tangent(
@@ -357,7 +357,13 @@ class Predictor:
             if self.dataset.input == 'displacement':
                 m = there.tensions.shape[1]
                 moves += [Pulled(j, there.tensions[:, j]) for j in range(m)]
-                seen, states = follow(self.model, there.tensions, there.state, moves, self._shown)
+
+                def pulls_and_markers(shapes: ShapeBatch) -> Floats:  # (b, m + 3 J) [m]
+                    return np.hstack([shapes.pulls, self.see(shapes).reshape(len(shapes), -1)])
+
+                seen, states = follow(
+                    self.model, there.tensions, there.state, moves, pulls_and_markers
+                )
                 seen, states, answers = held(there.tensions, seen, states, q)
                 moved.tensions[:, part.rows], seen = answers, seen[..., m:]
             else:
@@ -385,10 +391,6 @@ class Predictor:
         """Return the sections or tendons whose values a free parameter is."""
         return slice(None) if free.column is None else slice(free.column, free.column + 1)
 
-    def _shown(self, shapes: ShapeBatch) -> Floats:
-        """Return wire pulls and markers (b, m + 3 J) [m] of shapes."""
-        return np.hstack([shapes.pulls, self.see(shapes).reshape(len(shapes), -1)])
-
     def unsettled(self) -> tuple[str, ...]:
         """Name the postures without an equilibrium as described, each loaded from straight."""
         names = []
@@ -411,39 +413,56 @@ class Predictor:
         """
         Yield each part of the postures and its shapes, the model as it is set there.
 
-        Where friction remembers and postures differ by the way there, of every visit.
+        Where friction depends on the history and postures were visited in any order, there is a
+        shape for every visit.
         """
         for part in self.parts:
             self.set_parameters(point, part, stiffness)
             there = None if near is None else near.of(part.rows)
-            yield part, self._visited(inputs[part.rows], there, self._walk(part))
+            visits, own = self._visits(part), inputs[part.rows]
+            if visits is None:
+                yield part, self.shapes(own, there)
+                continue
+            legs = []
+            for leg in visits.legs():
+                rows = visits.rows[leg]
+                legs.append(self.shapes(own[rows], None if there is None else there.of(rows)))
+            yield part, together(legs)
 
-    def _walk(self, part: Conditions) -> Visits | None:
-        """Return the visits to the postures of a part; None where the way does not count."""
+    def _visits(self, part: Conditions) -> Visits | None:
+        """Return the visits to the postures of a part; None where the arm keeps no memory."""
         remembered = self.visits is not None and self.model.remembers
         return self.visits.among(part.rows) if remembered and self.visits else None
 
     def last_visits(self, part: Conditions) -> npt.NDArray[np.int64] | slice:
         """Return which of the settled shapes of a part stand for its postures."""
-        visits = self._walk(part)
+        visits = self._visits(part)
         return slice(None) if visits is None else visits.last
-
-    def _visited(
-        self, inputs: Floats, near: SettledShapes | None, visits: Visits | None
-    ) -> ShapeBatch | None:
-        if visits is None:
-            return self.shapes(inputs, near)
-        legs = []
-        for leg in visits.legs():
-            rows = visits.rows[leg]
-            legs.append(self.shapes(inputs[rows], None if near is None else near.of(rows)))
-        return together(legs)
 
     def shapes(self, inputs: Floats, near: SettledShapes | None) -> ShapeBatch | None:
         """Shapes (b) of the model as it is set, under inputs (b, m); None without equilibrium."""
+        carry = self.model.remembers and self.dataset.path != 'from_straight'
         if self.dataset.input == 'displacement':
-            return self._shapes_at_pulls(inputs, near)
-        return self._shapes_at_tensions(inputs, near)
+            memory = self.model.arrays.fresh_memory() if carry else None
+            tensions, bends = (None, None) if near is None else (near.tensions, near.state)
+            try:
+                return pull_shapes(self.model, inputs, tensions, bends, memory)
+            except TendonRobotError:
+                return None
+        if self.model.remembers:
+            batch, changes = self.model.solve(inputs, carry=carry)
+            return batch if (changes < TOLERANCE).all() else None
+        batch, changes = self.model.solve(inputs, None if near is None else near.state)
+        far = np.flatnonzero(~(changes < TOLERANCE))
+        if near is None or not len(far):
+            return None if len(far) else batch
+        for b in far:  # once more, from straight
+            again, changes = self.model.solve(inputs[b : b + 1])
+            if not changes[0] < TOLERANCE:
+                return None
+            for name in FIELDS:
+                getattr(batch, name)[b] = getattr(again, name)[0]
+        return batch
 
     def see(self, shapes: ShapeBatch) -> Floats:
         """Return where the tracker sees the markers (b, J, 3) [m] of shapes."""
@@ -476,39 +495,6 @@ class Predictor:
                 arrays.set(free.effect, free.parameter.name, free.column, value)
         for (effect, parameter), value in part.known.items():
             arrays.set(effect, parameter, None, value)
-
-    def _shapes_at_tensions(self, inputs: Floats, near: SettledShapes | None) -> ShapeBatch | None:
-        """Shapes under tensions; None without equilibrium."""
-        if self.model.remembers:
-            return self._remembering(inputs)
-        batch, changes = self.model.solve(inputs, None if near is None else near.state)
-        far = np.flatnonzero(~(changes < TOLERANCE))
-        if near is None or not len(far):
-            return None if len(far) else batch
-        for b in far:  # once more, from straight
-            again, changes = self.model.solve(inputs[b : b + 1])
-            if not changes[0] < TOLERANCE:
-                return None
-            for name in FIELDS:
-                getattr(batch, name)[b] = getattr(again, name)[0]
-        return batch
-
-    def _remembering(self, inputs: Floats) -> ShapeBatch | None:
-        carry = self.dataset.path != 'from_straight'
-        batch, changes = self.model.solve(inputs, carry=carry)
-        return batch if (changes < TOLERANCE).all() else None
-
-    def _shapes_at_pulls(self, pulls: Floats, near: SettledShapes | None) -> ShapeBatch | None:
-        """Shapes under wire pulls; None where there are none."""
-        from ..model.pulls import pull_shapes
-
-        carry = self.model.remembers and self.dataset.path != 'from_straight'
-        memory = self.model.arrays.fresh_memory() if carry else None
-        tensions, bends = (None, None) if near is None else (near.tensions, near.state)
-        try:
-            return pull_shapes(self.model, pulls, tensions, bends, memory)
-        except TendonRobotError:
-            return None
 
 
 def together(batches: Sequence[ShapeBatch | None]) -> ShapeBatch | None:

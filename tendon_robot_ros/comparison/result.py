@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from ..common.errors import InputError
 from ..common.files import read_text
-from ..common.results import Told, make_frame
+from ..common.results import TextResult, make_frame
 from .statistics import Estimate, PairedT, estimate, half_width, paired_t
 
 if TYPE_CHECKING:
@@ -27,7 +27,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Floats = npt.NDArray[np.float64]
-GROWN_FROM_FLOORS = 2.0  # times the noise floor: an error that is no longer noise
+# [1] times the noise floor, from which an error is called more than noise, because the squared
+# error of a marker over two postures exceeds four times its mean with a probability of 0.05 %
+GROWN_FROM_FLOORS = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +47,7 @@ class Measured:
     per_cell: bool  # one marker at the end of every cell, and no other
     mean: Floats  # (P, J, 3) [m]
     tips: Floats  # (P, Q, 3) [m] the last marker, trial by trial
-    angles: Floats | None  # (Q, P, J) [rad] angular displacement, where the markers tell it
+    angles: Floats | None  # (Q, P, J) [rad] angular displacement, of markers on the centreline
     position_noise: float | None  # [m] 1 sd per coordinate and trial
     floor: Floats | None  # (P, J) [m²] expected squared distance for a perfect model
     left_out: tuple[Mapping[str, Any], ...] = ()  # as `Outliers.rows` names them
@@ -119,7 +121,7 @@ class ModelErrors:
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison(Told):
+class Comparison(TextResult):
     """Measurements against models, side by side."""
 
     measured: Measured
@@ -252,7 +254,7 @@ class Comparison(Told):
         """
         Index of the marker from which the error is more than noise up to the tip.
 
-        None where it nowhere is, or nothing tells the noise.
+        None where it nowhere is, or the noise is unknown.
         """
         floor = self.measured.floor_per_marker
         if floor is None:
@@ -299,8 +301,20 @@ def to_json(comparison: Comparison) -> dict[str, Any]:
         'noise_floor_per_marker': _numbers(measured.floor_per_marker),
         'position_noise': _number(measured.position_noise),
         'error': error,
-        'models': [_model(comparison, model) for model in comparison.models],
-        'paired_t': [_test(test) for test in comparison.paired_t],
+        'models': [_model_to_json(comparison, model) for model in comparison.models],
+        'paired_t': [
+            {
+                'models': list(test.models),
+                'posture': test.posture,
+                'difference': test.difference,
+                'low': test.low,
+                'high': test.high,
+                't': _number(test.t),
+                'p': test.p,
+                'n': test.n,
+            }
+            for test in comparison.paired_t
+        ],
         'markers': [
             {'name': name, 'arc_length': float(s)}
             for name, s in zip(measured.markers, measured.arc_lengths, strict=True)
@@ -308,7 +322,52 @@ def to_json(comparison: Comparison) -> dict[str, Any]:
         'per_cell': measured.per_cell,
         'input': measured.input,
         'left_out': [dict(row) for row in measured.left_out],
-        'measured': [_posture(measured, p) for p in range(len(measured.postures))],
+        'measured': [
+            {
+                'posture': posture,
+                'input': dict(
+                    zip(measured.input_names, _numbers(measured.inputs[p]) or (), strict=True)
+                ),
+                'trials': int(measured.trials[p]),
+                'shape': _numbers(measured.mean[p]),
+                'tips': _numbers(measured.tips[p]),
+                'angles': None if measured.angles is None else _numbers(measured.angles[:, p]),
+                'floor': None if measured.floor is None else _numbers(np.sqrt(measured.floor[p])),
+            }
+            for p, posture in enumerate(measured.postures)
+        ],
+    }
+
+
+def _model_to_json(comparison: Comparison, model: ModelErrors) -> dict[str, Any]:
+    measured, error = comparison.measured, comparison.error
+    first = comparison.grows_from(model)
+
+    def of_posture(p: int, posture: str) -> dict[str, Any]:
+        distance = model.distance[p]
+        seen = np.isfinite(distance).any()
+        return {
+            'posture': posture,
+            'rms': _number(model.per_posture_rms[p]),
+            'max': _number(np.nanmax(distance)) if seen else None,
+            'tip_error': _estimate(model.tip_error_of(p, error)),
+            'tip_errors': _numbers(model.tip_errors[p]),
+            'error': _numbers(distance),
+            'angles': None if model.angles is None else _numbers(model.angles[p]),
+            'shape': _numbers(model.markers[p]),
+            'centreline': None if model.centreline is None else _numbers(model.centreline[p]),
+        }
+
+    return {
+        'name': model.name,
+        'effects': list(model.effects),
+        'rms': model.rms,
+        'max': model.max,
+        'tip_error': _estimate(model.tip_error(error)),
+        'per_marker_rms': _numbers(model.per_marker_rms),
+        'grows_from': None if first is None else measured.markers[first],
+        'worst_posture': measured.postures[comparison.worst_posture(model)],
+        'per_posture': [of_posture(p, name) for p, name in enumerate(measured.postures)],
     }
 
 
@@ -357,67 +416,22 @@ def from_json(content: dict[str, Any]) -> Comparison:
         floor=floor,
         left_out=tuple(content.get('left_out', ())),  # files of older versions have none
     )
-    models = tuple(_read_model(model) for model in content['models'])
-    return Comparison(measured, models, content['error'])
-
-
-def _model(comparison: Comparison, model: ModelErrors) -> dict[str, Any]:
-    error, from_marker = comparison.error, comparison.grows_from(model)
-    names = comparison.measured.markers
-    return {
-        'name': model.name,
-        'effects': list(model.effects),
-        'rms': model.rms,
-        'max': model.max,
-        'tip_error': _estimate(model.tip_error(error)),
-        'per_marker_rms': _numbers(model.per_marker_rms),
-        'grows_from': None if from_marker is None else names[from_marker],
-        'worst_posture': comparison.measured.postures[comparison.worst_posture(model)],
-        'per_posture': [_errors(comparison, model, p) for p in range(len(model.distance))],
-    }
-
-
-def _errors(comparison: Comparison, model: ModelErrors, p: int) -> dict[str, Any]:
-    distance = model.distance[p]
-    seen = np.isfinite(distance).any()
-    return {
-        'posture': comparison.measured.postures[p],
-        'rms': _number(model.per_posture_rms[p]),
-        'max': _number(np.nanmax(distance)) if seen else None,
-        'tip_error': _estimate(model.tip_error_of(p, comparison.error)),
-        'tip_errors': _numbers(model.tip_errors[p]),
-        'error': _numbers(distance),
-        'angles': None if model.angles is None else _numbers(model.angles[p]),
-        'shape': _numbers(model.markers[p]),
-        'centreline': None if model.centreline is None else _numbers(model.centreline[p]),
-    }
-
-
-def _read_model(content: dict[str, Any]) -> ModelErrors:
-    rows = content['per_posture']
-    angles = None if rows[0]['angles'] is None else _array(row['angles'] for row in rows)
-    line = None if rows[0]['centreline'] is None else _array(row['centreline'] for row in rows)
-    return ModelErrors(
-        name=content['name'],
-        effects=tuple(content['effects']),
-        markers=_array(row['shape'] for row in rows),
-        angles=angles,
-        distance=_array(row['error'] for row in rows),
-        tip_errors=_array(row['tip_errors'] for row in rows),
-        centreline=line,
-    )
-
-
-def _posture(measured: Measured, p: int) -> dict[str, Any]:
-    return {
-        'posture': measured.postures[p],
-        'input': dict(zip(measured.input_names, _numbers(measured.inputs[p]) or (), strict=True)),
-        'trials': int(measured.trials[p]),
-        'shape': _numbers(measured.mean[p]),
-        'tips': _numbers(measured.tips[p]),
-        'angles': None if measured.angles is None else _numbers(measured.angles[:, p]),
-        'floor': None if measured.floor is None else _numbers(np.sqrt(measured.floor[p])),
-    }
+    models = []
+    for model in content['models']:
+        each = model['per_posture']
+        bent, line = each[0]['angles'] is not None, each[0]['centreline'] is not None
+        models.append(
+            ModelErrors(
+                name=model['name'],
+                effects=tuple(model['effects']),
+                markers=_array(row['shape'] for row in each),
+                angles=_array(row['angles'] for row in each) if bent else None,
+                distance=_array(row['error'] for row in each),
+                tip_errors=_array(row['tip_errors'] for row in each),
+                centreline=_array(row['centreline'] for row in each) if line else None,
+            )
+        )
+    return Comparison(measured, tuple(models), content['error'])
 
 
 def _estimate(value: Estimate) -> dict[str, Any]:
@@ -426,19 +440,6 @@ def _estimate(value: Estimate) -> dict[str, Any]:
         'low': _number(value.low),
         'high': _number(value.high),
         'n': value.n,
-    }
-
-
-def _test(test: PairedT) -> dict[str, Any]:
-    return {
-        'models': list(test.models),
-        'posture': test.posture,
-        'difference': test.difference,
-        'low': test.low,
-        'high': test.high,
-        't': _number(test.t),
-        'p': test.p,
-        'n': test.n,
     }
 
 

@@ -10,9 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import DataSetError, refusal, short
-from ..common.words import listed
+from ..common.words import UNITS, listed
 from ..robot import Robot
 
+DIGITS = 9  # [1] decimals of metres and newtons, because nothing that measures an arm has more
+RESOLUTION = 10.0**-DIGITS  # [m] or [N], because values are rounded to it
+# [1] times the largest tension, or the length of the arm, beyond which a value is refused, because
+# it is in another unit or frame
+PLAUSIBLE_FACTOR = 3.0
+VALUES_MAX = 20_000_000  # [1] readings in an array, so that it fits into memory
+# [1] quaternion x, y, z, w of trackers that measure no orientation, because messages need one
+NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
 MARKERS_EXPECTED = 'the arc length [m] of each, or a Marker'
 Vector = tuple[float, float, float]
 
@@ -85,12 +93,11 @@ Codes = NDArray[np.int64]
 POSITION = ('x', 'y', 'z')
 QUATERNION = ('qx', 'qy', 'qz', 'qw')
 HINT = 'a table over time goes through import_table'
-SAME_INPUT = 1e-12  # [N] or [m] of rounding, within which two inputs are the same
 
 
 @dataclass(frozen=True)
 class FrameArrays:
-    """What a tidy table holds: P postures, Q trials, J markers, m inputs."""
+    """A tidy table as arrays: P postures, Q trials, J markers, m inputs."""
 
     postures: tuple[str, ...]
     trials: tuple[str, ...]
@@ -104,13 +111,13 @@ class FrameArrays:
 
 def read_frame(frame: Any, inputs: Sequence[str], name: str) -> FrameArrays:
     """
-    Take a tidy table apart.
+    Convert a tidy table to arrays.
 
     Parameters
     ----------
     frame : DataFrame
         Columns `posture`, `trial` (0 where there is none), `marker`, x, y, z [m], one per input,
-        and perhaps `arc_length` [m] and qx, qy, qz, qw; others are not looked at.
+        and perhaps `arc_length` [m] and qx, qy, qz, qw; other columns are ignored.
     inputs : sequence of str
         Names of the inputs.
     name : str
@@ -160,7 +167,7 @@ def read_frame(frame: Any, inputs: Sequence[str], name: str) -> FrameArrays:
     each = np.full((*sizes[:2], len(inputs)), np.inf)  # of every trial, inf where there is none
     each[posture, trial] = pulled
     kept = each[posture, trial]
-    other = ~np.isclose(kept, pulled, rtol=0.0, atol=SAME_INPUT, equal_nan=True)
+    other = ~np.isclose(kept, pulled, rtol=0.0, atol=RESOLUTION, equal_nan=True)
     if other.any():
         row, column = np.argwhere(other)[0].tolist()
         raise DataSetError(
@@ -172,7 +179,7 @@ def read_frame(frame: Any, inputs: Sequence[str], name: str) -> FrameArrays:
     there = ~np.isinf(each)
     mean = np.where(there, each, 0.0).sum(axis=1) / there.sum(axis=1)
     spread = np.where(there, np.abs(each - mean[:, None]), 0.0)
-    differ = np.nan_to_num(spread).max() >= SAME_INPUT
+    differ = np.nan_to_num(spread).max() >= RESOLUTION
     return FrameArrays(
         postures=postures,
         trials=trials,
@@ -244,11 +251,6 @@ def frame_columns(arrays: FrameArrays, names: Sequence[str]) -> dict[str, Any]:
     return columns | dict(zip(names, each.T, strict=True))
 
 
-TENSION_MAX_LIMITS = 3.0  # tension limits; beyond, they are too low or the unit is another one
-SMALLER_UNITS = {'g': 9.81e-3, 'mN': 1e-3}  # [N] each, of tensions
-DISTANCE_MAX_LENGTHS = 3.0  # robot lengths; a marker farther off is in another unit or frame
-
-
 def check_units(
     name: str, robot: Robot, arc_lengths: Floats, command: str, arrays: FrameArrays
 ) -> None:
@@ -280,11 +282,11 @@ def check_units(
     inputs = np.nan_to_num(arrays.inputs)
     if not (arc_lengths >= 0.0).all() or not (arc_lengths <= length + 1e-9).all():
         problem = f'a marker is at {np.nanmax(arc_lengths):g} m of an arm of {length:g} m'
-    elif far > DISTANCE_MAX_LENGTHS * length:
+    elif far > PLAUSIBLE_FACTOR * length:
         problem = f'a marker is {far:g} m away, but the robot is only {length:g} m long'
     elif command == 'displacement' and np.abs(inputs).max(initial=0.0) > length:
         problem = f'a wire is pulled by {np.abs(inputs).max():g} m on an arm of {length:g} m'
-    elif command == 'tension' and inputs.max(initial=0.0) > TENSION_MAX_LIMITS * limit:
+    elif command == 'tension' and inputs.max(initial=0.0) > PLAUSIBLE_FACTOR * limit:
         problem, remedy = too_tense('a tendon', float(inputs.max()), limit)
     elif command == 'tension' and inputs.min(initial=0.0) < 0.0:
         problem = f'a tension is {inputs.min():g} N, but a tendon cannot push'
@@ -294,11 +296,11 @@ def check_units(
 
 
 def too_tense(name: str, tension: float, limit: float) -> tuple[str, str]:
-    """Say of a tension far beyond the limit [N] what is wrong, and what it may be: both ends."""
+    """Return problem and remedy for a tension far beyond the limit [N]: perhaps another unit."""
     read = [
-        f'{tension * size:.3g} N if in {unit}'
-        for unit, size in SMALLER_UNITS.items()
-        if tension * size <= limit
+        f'{tension * UNITS["force"][unit]:.3g} N if in {unit}'
+        for unit in ('g', 'mN')
+        if tension * UNITS['force'][unit] <= limit
     ]
     unit = f' ({listed(read, "or")})' if read else ''
     return (

@@ -1,8 +1,8 @@
 """
 Strict reading of CSV files: columns at a million rows a second; refusals name rows.
 
-A file is read in blocks of lines, each parsed at once; only where that fails is a block looked at
-cell by cell, to say what is wrong where.
+A file is read in blocks of lines, each parsed at once; only a block that cannot be parsed is read
+cell by cell, so that the error names the row.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class Labels(dict[str, int]):
 
 
 NEEDED = 'every data set needs this file'
-BLOCK_CHARACTERS = 1 << 19  # characters that are parsed at once: small enough for the cache
+BLOCK_CHARACTERS = 1 << 19  # [1] that are parsed at once, so that they stay in the cache
 Block = NDArray[np.void]  # rows of a CSV file: names as text, numbers as floats
 
 
@@ -164,8 +164,8 @@ class CsvFile:
         Parameters
         ----------
         names, numbers, remarks : sequence of str
-            Columns to read as names, as numbers, and as names that may be empty and do not tell
-            rows apart: together all that the file has.
+            Columns to read as names, as numbers, and as names that may be empty and repeat:
+            together all columns of the file.
 
         Raises
         ------
@@ -202,10 +202,6 @@ class CsvFile:
             {key: tuple(label.index) for key, label in labels.items()},
             {key: np.concatenate(parts) for key, parts in values.items()},
         )
-        self._check_names(table, names)
-        return table
-
-    def _check_names(self, table: Table, names: Sequence[str]) -> None:
         for key in names:
             if '' in table.labels[key]:
                 empty = table.codes[key] == table.labels[key].index('')
@@ -217,6 +213,7 @@ class CsvFile:
                 f'{table.name(row, *names)} stands in row {first + 2} too',
                 'remove one of them',
             )
+        return table
 
     def _header(self, line: str, required: Sequence[str], known: Sequence[str]) -> list[str]:
         for mark, name in ((';', 'semicolons'), ('\t', 'tabs')):
@@ -244,7 +241,7 @@ class CsvFile:
         return header
 
     def _parse_exactly(self, lines: list[str], row: int, dtype: np.dtype[Any]) -> Block:
-        """Cut lines into cells and look at each one, to take it or to say what is wrong."""
+        """Parse lines cell by cell; the error names the row and column of a bad cell."""
         if any('\0' in line for line in lines):
             raise _no_text(self.path)
         try:
@@ -259,22 +256,19 @@ class CsvFile:
         numbers = [key for key in self.header if dtype[key].kind == 'f']
         block = np.empty(len(rows), dtype)
         for place, cells in enumerate(rows):
-            self._check_width(cells, row + place)
+            if not ''.join(cells).strip():
+                raise self.error(row + place, 'the line is empty', 'remove it')
+            if len(cells) != len(self.header):
+                raise self.error(
+                    row + place,
+                    f'{len(cells)} cells under {len(self.header)} columns',
+                    'write every column, missing values as empty cells, and points in numbers',
+                )
             block[place] = tuple(
                 self._float(cell.strip(), key, row + place) if key in numbers else cell
                 for key, cell in zip(self.header, cells, strict=True)
             )
         return block
-
-    def _check_width(self, cells: list[str], row: int) -> None:
-        if not ''.join(cells).strip():
-            raise self.error(row, 'the line is empty', 'remove it')
-        if len(cells) != len(self.header):
-            raise self.error(
-                row,
-                f'{len(cells)} cells under {len(self.header)} columns',
-                'write every column, missing values as empty cells, and points in numbers',
-            )
 
     def _float(self, cell: str, key: str, row: int) -> float:
         if not cell:

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..common.errors import DataSetError, InputError, choice, names, number, refusal
-from ..common.results import Told, make_frame
+from ..common.results import TextResult, make_frame
 from ..common.words import listing
 from ..robot import Robot, RobotLike, load_robot
 from ..robot.inputs import finite, input_rows
@@ -35,21 +34,21 @@ Known = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value
 EXPECTED = 'a DataSet, its folder, a recording, or a list of these'
 FRAME = ' (DataSet.from_frame makes one of a tidy table, import_table of one over time)'
 INPUTS = ('tension', 'displacement')
-# [1] of the largest input: where all are below, an arm rests, whatever holds its wires taut
-REST_SHARE = 0.05
+# [1] of the largest input, below which an arm is at rest, because pretension holds its wires taut
+REST_FRACTION = 0.05
 LOADINGS = ('from_straight', 'sequence')  # every trial of a posture has the same history
 PATHS = (*LOADINGS, 'visits')
 
 
 def at_rest(inputs: FloatArray) -> BoolArray:
-    """Tell in which postures (P,) hardly anything pulls: inputs (P, m) [N] or [m]; nan is none."""
+    """Tell which postures (P,) are at rest, by inputs (P, m) [N] or [m]; NaN is a slack wire."""
     sizes = np.abs(np.nan_to_num(inputs)).max(axis=1)
-    return np.asarray(sizes < REST_SHARE * sizes.max())
+    return np.asarray(sizes < REST_FRACTION * sizes.max())
 
 
 @dataclass(frozen=True)
 class Part:
-    """What acted on the arm while some of the postures were measured, as far as it is known."""
+    """Known loads while some of the postures were measured: gravity and effects."""
 
     name: str  # of the data set that they come from
     gravity: Vector | None  # [m/s²], base frame
@@ -57,7 +56,7 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False)
-class DataSet(Told):
+class DataSet(TextResult):
     """
     Postures of a robot, what was commanded and where its markers were.
 
@@ -84,7 +83,6 @@ class DataSet(Told):
     setting_noise: float = 0.0  # [1], relative 1 sd per tendon, shared by a posture's trials
     trial_noise: float = 0.0  # [1], relative 1 sd per tendon and trial
     accuracy: float | None = None  # [m], the error the user can live with
-    robot_path: Path | None = None  # the description's file
     known: Known = field(default_factory=dict)  # effects that acted here and nowhere else
     parts: tuple[Part, ...] = ()  # the data sets that it was joined from; none: it is one
     part: IntArray | None = None  # (P,) index of the part that a posture belongs to
@@ -167,18 +165,8 @@ class DataSet(Told):
             one per cell.
         name : str
             For messages.
-        input : str
-            'tension' [N], or 'displacement': wire pulls [m].
-        path : str
-            'from_straight', or 'sequence': every trial replays all postures in order.
-        gravity : (3,) [m/s²], optional
-            In the base frame; default: the robot's.
-        position_noise : float, optional
-            [m] 1 sd per coordinate of the tracker.
-        setting_noise, trial_noise : float
-            [1] relative 1 sd of each input, shared by a posture's trials, and per trial.
-        accuracy : float, optional
-            [m] the error that you can live with.
+        input, path, gravity, position_noise, setting_noise, trial_noise, accuracy
+            As of `from_arrays`.
 
         Raises
         ------
@@ -191,7 +179,9 @@ class DataSet(Told):
             raise refusal(name, 'a DataFrame (of arrays: DataSet.from_arrays)', frame)
         arrays = read_frame(frame, robot.inputs, name)
         noises = position_noise, setting_noise, trial_noise, accuracy
-        return _checked(cls, arrays, robot, markers, _Said(name, input, path, gravity, *noises))
+        return _checked(
+            cls, arrays, robot, markers, _Metadata(name, input, path, gravity, *noises)
+        )
 
     @classmethod
     def from_arrays(
@@ -273,7 +263,9 @@ class DataSet(Told):
             None,
         )
         noises = position_noise, setting_noise, trial_noise, accuracy
-        return _checked(cls, arrays, robot, markers, _Said(name, input, path, gravity, *noises))
+        return _checked(
+            cls, arrays, robot, markers, _Metadata(name, input, path, gravity, *noises)
+        )
 
     def frame(self) -> Any:
         """
@@ -321,7 +313,7 @@ class DataSet(Told):
         """
         Index (P,) of what was commanded: the same for postures of the same inputs.
 
-        Such postures tell of each other: leave all of them out to judge a prediction.
+        Such postures are not independent: leave all of them out to judge a prediction.
         """
         if self.path == 'sequence':
             return np.arange(len(self.postures))
@@ -483,8 +475,8 @@ def as_dataset(data: object) -> DataSet:
     return dataset
 
 
-class _Said(NamedTuple):
-    """What a caller says of arrays."""
+class _Metadata(NamedTuple):
+    """How arrays were measured."""
 
     name: str
     input: str
@@ -496,8 +488,13 @@ class _Said(NamedTuple):
     accuracy: float | None
 
 
-# [m] noise and accuracy, [1] relative noise: what is larger is in another unit
-LENGTH_MAX_M, SHARE_MAX = 0.1, 0.5
+# [m] and [1] largest noise and accuracy, because what is larger is in another unit
+LIMITS = {
+    'position_noise': (0.1, 'm'),
+    'accuracy': (0.1, 'm'),
+    'setting_noise': (0.5, '1'),
+    'trial_noise': (0.5, '1'),
+}
 
 
 def _checked(
@@ -505,32 +502,27 @@ def _checked(
     arrays: FrameArrays,
     robot: Robot,
     markers: Sequence[Marker | float] | None,
-    said: _Said,
+    metadata: _Metadata,
 ) -> DataSet:
     """Return a data set of arrays whose values are in plausible units."""
-    choice('input', said.input, INPUTS)
-    choice('path', said.path, LOADINGS)
-    for key, most, unit in (
-        ('position_noise', LENGTH_MAX_M, 'm'),
-        ('accuracy', LENGTH_MAX_M, 'm'),
-        ('setting_noise', SHARE_MAX, '1'),
-        ('trial_noise', SHARE_MAX, '1'),
-    ):
-        if getattr(said, key) is not None:
-            number(key, getattr(said, key), 0.0, most, unit)
-    if said.gravity is not None:
-        down = finite('gravity', said.gravity, 3)
-        said = said._replace(gravity=(float(down[0]), float(down[1]), float(down[2])))
+    choice('input', metadata.input, INPUTS)
+    choice('path', metadata.path, LOADINGS)
+    for key, (most, unit) in LIMITS.items():
+        if getattr(metadata, key) is not None:
+            number(key, getattr(metadata, key), 0.0, most, unit)
+    if metadata.gravity is not None:
+        down = finite('gravity', metadata.gravity, 3)
+        metadata = metadata._replace(gravity=(float(down[0]), float(down[1]), float(down[2])))
     dataset = cls(
         robot=robot,
-        markers=place_markers(arrays, robot, markers, said.name),
+        markers=place_markers(arrays, robot, markers, metadata.name),
         postures=arrays.postures,
         inputs=arrays.inputs,
         positions=arrays.positions,
         orientations=arrays.orientations,
         trial_inputs=arrays.trial_inputs,
         trial_names=arrays.trials,
-        **said._asdict(),
+        **metadata._asdict(),
     )
     check_units(dataset.name, robot, dataset.arc_lengths, dataset.input, arrays)
     return dataset

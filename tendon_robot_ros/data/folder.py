@@ -19,7 +19,7 @@ from ..common.files import TABLE_ENDINGS, new_folder, refuse_taken
 from ..common.words import PROGRAM
 from ..common.yaml_reading import Reader, parse_yaml
 from ..robot import Robot, dump_robot, load_robot
-from .arrays import Marker, Vector, default_markers
+from .arrays import PLAUSIBLE_FACTOR, Marker, Vector, default_markers
 from .dataset import INPUTS, PATHS, DataSet, HasDataSet, Known, as_dataset
 from .measurement_files import (
     KEYS,
@@ -44,7 +44,7 @@ DESCRIPTION_KEYS = (
     'known',
     'markers',
 )
-GRAVITY_MAX = 30.0  # [m/s²]; Jupiter has 25
+GRAVITY_MAX = 30.0  # [m/s²] a larger one is in another unit, because Jupiter has 25
 
 
 class DatasetFields(Reader):
@@ -157,26 +157,7 @@ def describe(fields: DatasetFields, robot: Robot) -> Description:
     """
     noise = fields.child('tension_noise', optional=True)
     noise.only('setting', 'trial')
-    return Description(
-        input=fields.choice('input', INPUTS, default='tension'),
-        path=fields.choice('path', PATHS, default='from_straight'),
-        gravity=_gravity(fields) if fields.has('gravity') else None,
-        position_noise=fields.distance('position_noise', robot.length / 10),
-        setting_noise=_relative(noise, 'setting'),
-        trial_noise=_relative(noise, 'trial'),
-        accuracy=fields.distance('accuracy', robot.length),
-        known=_known(fields),
-        markers=_markers(fields, robot) if fields.has('markers') else None,
-    )
-
-
-def _relative(noise: DatasetFields, key: str) -> float:
-    return noise.number(key, 0.0, 0.5) if noise.has(key) else 0.0
-
-
-def _known(fields: DatasetFields) -> Known:
-    """Read effects that acted while this was measured; what they mean the catalogue says."""
-    known: dict[str, dict[str, float]] = {}
+    known: dict[str, dict[str, float]] = {}  # what its effects mean the catalogue says
     for name in fields.mapping('known'):
         effect = fields.child('known').child(str(name))
         if not effect.content:
@@ -184,14 +165,23 @@ def _known(fields: DatasetFields) -> Known:
                 'known', 'parameters such as tip_load: {force_z: 0.98}', effect.content
             )
         known[str(name)] = {str(key): effect.number(str(key)) for key in effect.content}
-    return known
-
-
-def _gravity(fields: DatasetFields) -> Vector:
-    x, y, z = fields.vector('gravity', 3)
-    if x * x + y * y + z * z > GRAVITY_MAX**2:
-        raise fields.error('gravity', 'an acceleration in m/s², such as [0, 0, 9.81]', [x, y, z])
-    return x, y, z
+    gravity = None
+    if fields.has('gravity'):
+        gravity = x, y, z = fields.vector('gravity', 3)
+        if x * x + y * y + z * z > GRAVITY_MAX**2:
+            expected = 'an acceleration in m/s², such as [0, 0, 9.81]'
+            raise fields.error('gravity', expected, list(gravity))
+    return Description(
+        input=fields.choice('input', INPUTS, default='tension'),
+        path=fields.choice('path', PATHS, default='from_straight'),
+        gravity=gravity,
+        position_noise=fields.distance('position_noise', robot.length / 10),
+        setting_noise=noise.number('setting', 0.0, 0.5) if noise.has('setting') else 0.0,
+        trial_noise=noise.number('trial', 0.0, 0.5) if noise.has('trial') else 0.0,
+        accuracy=fields.distance('accuracy', robot.length),
+        known=known,
+        markers=_markers(fields, robot) if fields.has('markers') else None,
+    )
 
 
 def _markers(fields: DatasetFields, robot: Robot) -> tuple[Marker, ...]:
@@ -200,7 +190,7 @@ def _markers(fields: DatasetFields, robot: Robot) -> tuple[Marker, ...]:
         item.only('name', 'arc_length', 'offset')
         arc_length = item.number('arc_length', 0.0, robot.length + 1e-9, 'm')
         offset = item.vector('offset', 3) if item.has('offset') else (0.0, 0.0, 0.0)
-        if max(map(abs, offset)) > 3.0 * robot.length:
+        if max(map(abs, offset)) > PLAUSIBLE_FACTOR * robot.length:
             raise item.error(
                 'offset', 'at most three robot lengths [m] (is it in mm?)', list(offset)
             )
@@ -209,9 +199,9 @@ def _markers(fields: DatasetFields, robot: Robot) -> tuple[Marker, ...]:
     return tuple(markers)
 
 
-def dump_description(dataset: DataSet, robot: str = 'robot.yaml') -> str:
-    """Write a dataset.yaml that names `robot`; reading it gives the same values."""
-    content: dict[str, Any] = {'robot': robot, 'input': dataset.input, 'path': dataset.path}
+def dump_description(dataset: DataSet) -> str:
+    """Write a dataset.yaml beside a robot.yaml; reading it gives the same values."""
+    content: dict[str, Any] = {'robot': 'robot.yaml', 'input': dataset.input, 'path': dataset.path}
     if dataset.gravity is not None:
         content['gravity'] = list(dataset.gravity)
     if dataset.position_noise is not None:
@@ -224,15 +214,14 @@ def dump_description(dataset: DataSet, robot: str = 'robot.yaml') -> str:
     if dataset.known:
         content['known'] = {name: dict(values) for name, values in dataset.known.items()}
     if dataset.markers != default_markers(dataset.robot):
-        content['markers'] = [_plain(marker) for marker in dataset.markers]
+        content['markers'] = [
+            {'name': marker.name, 'arc_length': marker.arc_length}
+            | ({'offset': list(marker.offset)} if any(marker.offset) else {})
+            for marker in dataset.markers
+        ]
     return str(
         yaml.safe_dump(content, sort_keys=False, default_flow_style=None, allow_unicode=True)
     )
-
-
-def _plain(marker: Marker) -> Mapping[str, Any]:
-    plain = {'name': marker.name, 'arc_length': marker.arc_length}
-    return {**plain, 'offset': list(marker.offset)} if any(marker.offset) else plain
 
 
 TAKEN = ('markers', 'path')  # fields of a description that are taken one by one
@@ -281,7 +270,6 @@ def read_folder(folder: Path, robot: Robot | None = None) -> DataSet:
     dataset = DataSet(
         name=str(folder),
         robot=robot,
-        robot_path=Path(robot.source),
         markers=tuple(marker for marker, one in zip(markers, seen, strict=True) if one),
         postures=commands.postures,
         inputs=commands.by_posture(),
@@ -412,7 +400,14 @@ def save_dataset(
             'select the measured postures',
         )
     refuse_dataset_in(folder, overwrite)
-    dataset = _without_unseen(dataset)
+    seen, turned = dataset.mask.any(axis=(0, 1)), dataset.orientations
+    if not seen.all():
+        dataset = replace(
+            dataset,
+            markers=tuple(m for m, one in zip(dataset.markers, seen, strict=True) if one),
+            positions=dataset.positions[:, :, seen],
+            orientations=None if turned is None else turned[:, :, seen],
+        )
     with new_folder(Path(folder), (*FILES, *BESIDE) if overwrite else ()) as new:
         (new / 'dataset.yaml').write_text(dump_description(dataset), encoding='utf-8')
         (new / 'robot.yaml').write_text(dump_robot(dataset.robot), encoding='utf-8')
@@ -421,19 +416,6 @@ def save_dataset(
         for name, content in (beside or {}).items():
             (new / name).write_bytes(content)
     return Path(folder)
-
-
-def _without_unseen(dataset: DataSet) -> DataSet:
-    seen = dataset.mask.any(axis=(0, 1))
-    if seen.all():
-        return dataset
-    turned = dataset.orientations
-    return replace(
-        dataset,
-        markers=tuple(m for m, one in zip(dataset.markers, seen, strict=True) if one),
-        positions=dataset.positions[:, :, seen],
-        orientations=None if turned is None else turned[:, :, seen],
-    )
 
 
 def _write(path: Path, rows: Iterable[Iterable[object]]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -113,7 +113,20 @@ def _joined(datasets: Sequence[DataSet]) -> DataSet:
     if len(datasets) == 1:
         return first
     for other in datasets[1:]:
-        _refuse_unlike(first, other)
+        for key in ALIKE:
+            if getattr(first, key) != getattr(other, key):
+                raise DataSetError(
+                    other.name,
+                    f'has other {key} than {first.name}',
+                    f'data sets that are used together have the same {", ".join(ALIKE)}',
+                )
+        ours, theirs = (replace(d.robot, source='', fitted={}) for d in (first, other))
+        if ours != theirs:
+            raise DataSetError(
+                other.name,
+                f'has another robot description than {first.name}',
+                'name the one that holds for all with --robot',
+            )
     names = [dataset.name.rstrip('/').rpartition('/')[2] for dataset in datasets]
     if len(set(names)) < len(names):  # the last parts of two folders are the same
         names = [dataset.name for dataset in datasets]
@@ -131,19 +144,7 @@ def _joined(datasets: Sequence[DataSet]) -> DataSet:
         given = [getattr(dataset, key) for dataset in datasets]
         noises[key] = max((value for value in given if value is not None), default=None)
 
-    def together(arrays: Iterable[FloatArray | None]) -> FloatArray | None:
-        """Join what all data sets have, each trial in its column; None where one lacks it."""
-        joined_up = []
-        for array in arrays:
-            if array is None:
-                return None
-            lacking = np.zeros((array.ndim, 2), dtype=int)
-            lacking[1, 1] = len(trials) - array.shape[1]
-            joined_up.append(np.pad(array, lacking, constant_values=np.nan))
-        return np.concatenate(joined_up)
-
-    positions = together(d.positions for d in datasets)
-    assert positions is not None
+    turned = [d.orientations for d in datasets if d.orientations is not None]
     by_trial = any(dataset.trial_inputs is not None for dataset in datasets)
     return replace(
         first,
@@ -154,9 +155,11 @@ def _joined(datasets: Sequence[DataSet]) -> DataSet:
             for posture in dataset.postures
         ),
         inputs=np.concatenate([d.inputs for d in datasets]),
-        positions=positions,
-        orientations=together(d.orientations for d in datasets),
-        trial_inputs=together(d.inputs_by_trial for d in datasets) if by_trial else None,
+        positions=_stacked([d.positions for d in datasets], len(trials)),
+        orientations=_stacked(turned, len(trials)) if len(turned) == len(datasets) else None,
+        trial_inputs=_stacked([d.inputs_by_trial for d in datasets], len(trials))
+        if by_trial
+        else None,
         trial_names=trials,
         gravity=next((d.gravity for d in datasets if d.gravity is not None), None),
         known={},
@@ -167,18 +170,11 @@ def _joined(datasets: Sequence[DataSet]) -> DataSet:
     )
 
 
-def _refuse_unlike(first: DataSet, other: DataSet) -> None:
-    for key in ALIKE:
-        if getattr(first, key) != getattr(other, key):
-            raise DataSetError(
-                other.name,
-                f'has other {key} than {first.name}',
-                f'data sets that are used together have the same {", ".join(ALIKE)}',
-            )
-    ours, theirs = (replace(d.robot, source='', fitted={}) for d in (first, other))
-    if ours != theirs:
-        raise DataSetError(
-            other.name,
-            f'has another robot description than {first.name}',
-            'name the one that holds for all with --robot',
-        )
+def _stacked(arrays: Sequence[FloatArray], trials: int) -> FloatArray:
+    """Join arrays (P, Q, ...) of postures, each padded with NaN to so many trials."""
+    padded = []
+    for array in arrays:
+        lacking = np.zeros((array.ndim, 2), dtype=int)
+        lacking[1, 1] = trials - array.shape[1]
+        padded.append(np.pad(array, lacking, constant_values=np.nan))
+    return np.concatenate(padded)

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from ..common.errors import DataSetError
 from ..common.words import listing
 from ..robot import Robot
-from .arrays import DISTANCE_MAX_LENGTHS, TENSION_MAX_LIMITS, too_tense
+from .arrays import PLAUSIBLE_FACTOR, VALUES_MAX, too_tense
 from .csv_file import NEEDED, CsvFile, IntArray, Table
 from .dataset import FloatArray
 from .visits import STRAIGHT
 
-VISIT, ORIGIN = HISTORY = ('visit', 'previous')  # columns that tell how the arm came to a posture
+VISIT, ORIGIN = HISTORY = ('visit', 'previous')  # columns of the history of a posture
 
 
 @dataclass(frozen=True)
@@ -218,7 +218,7 @@ def _check(file: CsvFile, values: FloatArray, robot: Robot, kind: str) -> None:
         'write 0 for a slack tendon (an empty cell means slack only with input: displacement)',
     )
     refuse(values < 0.0, '{name} is {value:g} N', 'a tendon cannot push: write 0 or more')
-    beyond = values > TENSION_MAX_LIMITS * limit
+    beyond = values > PLAUSIBLE_FACTOR * limit
     if beyond.any():
         refuse(beyond, *too_tense('{name}', float(values[beyond][0]), limit))
 
@@ -227,7 +227,6 @@ KEYS = ('posture', 'trial', 'marker')
 POSITION = ('x', 'y', 'z')  # [m]
 ORIENTATION = ('qx', 'qy', 'qz', 'qw')
 Places = tuple[IntArray, IntArray, NDArray[np.bool_], tuple[str, ...]]
-VALUES_MAX = 20_000_000  # postures x trials x markers that the arrays may hold
 
 
 @dataclass(frozen=True)
@@ -324,7 +323,7 @@ def _check_positions(file: CsvFile, xyz: FloatArray, robot: Robot) -> None:
         'only part of x, y, z is there',
         'write all three, or leave all three empty where the marker was not seen',
     )
-    beyond = (np.abs(xyz) > DISTANCE_MAX_LENGTHS * robot.length).any(axis=1)
+    beyond = (np.abs(xyz) > PLAUSIBLE_FACTOR * robot.length).any(axis=1)
     far = np.abs(xyz[int(beyond.argmax())]).max()
     _refuse(
         file,

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from ..common.errors import DataSetError
-from .csv_file import CsvFile
+from ..common.rotations import from_quaternion
+from .csv_file import CsvFile, first_line
 from .dataset import FloatArray
 from .recording.reader import opened, stored, topic_of
 from .recording.writer import JOINT_STATE, POSE_STAMPED, joints_of
@@ -58,7 +59,11 @@ def read_path(path: str | Path, inputs: tuple[str, ...]) -> TipRows | TendonRows
     """
     path = Path(path)
     missing = 'write a number, or leave dx, dy and dz empty for no direction'
-    if _names(path) & set(inputs):
+    try:  # errors of the file are raised when it is read below
+        header = {cell.strip(' "\n') for cell in first_line(path, NO_PATH).split(',')}
+    except DataSetError:
+        header = set()
+    if header & set(inputs):
         columns = ('time', *inputs)
         file = CsvFile(path, columns, columns, 'write a number', NO_PATH)
         table = file.read((), file.header).numbers
@@ -75,15 +80,6 @@ def read_path(path: str | Path, inputs: tuple[str, ...]) -> TipRows | TendonRows
         positions,
         _directions(file, [table.get(name) for name in VIEW], len(positions)),
     )
-
-
-def _names(path: Path) -> set[str]:
-    """Look at the header; what is wrong with the file is said when it is read."""
-    try:
-        with path.open(encoding='utf-8-sig') as file:
-            return {cell.strip(' "\n') for cell in file.readline().split(',')}
-    except (OSError, UnicodeDecodeError):
-        return set()
 
 
 def _no_gaps(file: CsvFile, values: FloatArray) -> None:
@@ -180,7 +176,10 @@ def read_moves(path: str | Path) -> Moves:
     heard: dict[str, list[tuple[float, Any]]] = {}
     with opened(path) as reader:
         types = {c.topic: c.msgtype for c in reader.connections}
-        wanted = _wanted_moves(types)
+        tips = [(name, POSE_STAMPED) for name in TIPS]
+        kinds = [*TARGETS, TRAJECTORY, *tips, (COMMAND, JOINT_STATE)]
+        topics = ((topic_of(types, name, kind), name) for name, kind in kinds)
+        wanted = {topic: name for topic, name in topics if topic is not None}
         for connection, time, data in stored(reader, wanted):
             message = reader.deserialize(data, connection.msgtype)
             heard.setdefault(wanted[connection.topic], []).append((1e-9 * time, message))
@@ -193,32 +192,22 @@ def read_moves(path: str | Path) -> Moves:
         )
     targets = [_place(m) for name, _ in TARGETS for m in heard.get(name, [])]
     tip = next((name for name in TIPS if heard.get(name)), TIPS[-1])
-    names, times, values, pull = _commands(heard.get(COMMAND, []))
+    sent = heard.get(COMMAND, [])
+    names = tuple(sent[0][1].name) if sent else ()
+    pull = bool(sent) and len(sent[0][1].effort) == 0
+    values = np.array([joints_of(message, names)[0 if pull else 1] for _, message in sent])
+    values = values.reshape(len(sent), len(names))
+    good = np.isfinite(values).all(axis=1)
     return Moves(
         _places(targets, start),
         np.array([time - start for time, _ in heard.get(TRAJECTORY[0], [])]),
         _places([_place(m) for m in heard.get(tip, [])], start),
         tip == TIPS[0],
         names,
-        times - start,
-        values,
+        np.array([time - start for time, _ in sent])[good],
+        values[good],
         pull,
     )
-
-
-def _wanted_moves(types: dict[str, str]) -> dict[str, str]:
-    names = [
-        *TARGETS,
-        TRAJECTORY,
-        *((name, POSE_STAMPED) for name in TIPS),
-        (COMMAND, JOINT_STATE),
-    ]
-    wanted = {}
-    for name, kind in names:
-        topic = topic_of(types, name, kind)
-        if topic is not None:
-            wanted[topic] = name
-    return wanted
 
 
 def _place(heard: tuple[float, Any]) -> tuple[float, FloatArray, FloatArray]:
@@ -228,14 +217,7 @@ def _place(heard: tuple[float, Any]) -> tuple[float, FloatArray, FloatArray]:
         p = message.point
         return time, np.array([p.x, p.y, p.z]), np.full(3, np.nan)
     p, q = message.pose.position, message.pose.orientation
-    along = np.array(
-        [
-            2.0 * (q.x * q.z + q.w * q.y),
-            2.0 * (q.y * q.z - q.w * q.x),
-            1.0 - 2.0 * (q.x**2 + q.y**2),
-        ]
-    )
-    return time, np.array([p.x, p.y, p.z]), along
+    return time, np.array([p.x, p.y, p.z]), from_quaternion((q.x, q.y, q.z, q.w))[:, 2]
 
 
 def _places(samples: list[tuple[float, FloatArray, FloatArray]], start: float) -> Places:
@@ -246,16 +228,3 @@ def _places(samples: list[tuple[float, FloatArray, FloatArray]], start: float) -
         np.array([place for _, place, _ in samples]).reshape(-1, 3),
         np.array([view for _, _, view in samples]).reshape(-1, 3),
     )
-
-
-def _commands(
-    heard: list[tuple[float, Any]],
-) -> tuple[tuple[str, ...], FloatArray, FloatArray, bool]:
-    if not heard:
-        return (), np.zeros(0), np.zeros((0, 0)), False
-    names = tuple(heard[0][1].name)
-    pull = len(heard[0][1].effort) == 0
-    values = np.array([joints_of(message, names)[0 if pull else 1] for _, message in heard])
-    times = np.array([time for time, _ in heard])
-    good = np.isfinite(values).all(axis=1)
-    return names, times[good], values[good], pull

@@ -1,5 +1,5 @@
 """
-Which readings of markers are none, whatever wrote them: one meaning of "not seen" for all readers.
+Faults of trackers: readings that are none, markers that are numbered anew or exchanged.
 
 Trackers and their exports write something where they did not see a marker: an empty cell or NaN,
 0 0 0, a number that no place has (-3.697e28 of NDI, 9999999, -9999), or once more the place where
@@ -17,23 +17,22 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.words import listed
+from .arrays import PLAUSIBLE_FACTOR
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
 
-FAR_M = 1e3  # [m] no tracker sees a marker farther away
-# arm lengths from the middle of all readings: no place on this arm, nor on its mount
-ABSURD_LENGTHS = 5.0
-MANY_SHARE = 0.5  # of the readings: so many places are in another unit, and no sentinels
-# A reading that repeats the last one exactly is the last one, where that cannot be chance: so
-# many steps at which others change are without a change with this probability at most.
-HELD_BY_CHANCE = 1e-9
-HELD_STEPS_MIN = 10  # steps, because fewer tell no rate
-CHANGES_SHARE_MIN = 0.5  # of those steps; places that change more rarely are rounded coarsely
-TOGETHER_SHARE_MAX = 0.01  # of its frames, that a marker and the one it turns into may share
-CROSSED_SHARE = 0.3  # of the steps of two markers, that are left where they exchange their columns
-NEAREST_SHARE = 0.5  # of the distance to the next marker, within which a lost one is found again
+FAR_M = 1e3  # [m] farther away there is no marker, because no tracker sees so far
+# [1] probability that a marker repeats its last place exactly in so many steps by chance
+HELD_PROBABILITY = 1e-9
+HELD_STEPS_MIN = 10  # [1] steps, because fewer give no estimate of the rate of changes
+# [1] of its frames, that a marker may share with the one it is numbered anew as, because a tracker
+# that finds it again needs some frames to drop the old number
+SHARED_FRAMES_MAX = 0.01
+# [1] of the steps of two markers, below which exchanged columns explain them, because an arm moves
+# by less than the distance of two markers from frame to frame
+CROSSED_FRACTION_MAX = 0.3
 
 ZERO, SENTINEL, HELD = 'zero', 'sentinel', 'held'
 WHY = {
@@ -45,7 +44,7 @@ WHY = {
 
 def not_there(places: FloatArray, far: float = FAR_M) -> BoolArray:
     """
-    Tell which places (..., 3) are none by themselves: no numbers, 0 0 0, or too far away.
+    Tell which places (..., 3) cannot be a marker: no numbers, 0 0 0, or too far away.
 
     Parameters
     ----------
@@ -66,7 +65,7 @@ def without_unseen(
     news: BoolArray | None = None,
 ) -> tuple[FloatArray, dict[str, IntArray]]:
     """
-    Return positions with NaN for all that was not seen, and how many readings that were, by why.
+    Return positions with NaN for readings that are none, and how many these are, by reason.
 
     Parameters
     ----------
@@ -94,8 +93,8 @@ def without_unseen(
     seen[sentinel] = np.nan
     held = _held(seen, news)
     seen[held] = np.nan
-    found = {ZERO: zero, SENTINEL: sentinel, HELD: held}
-    return seen, {why: mask.sum(axis=0) for why, mask in found.items() if mask.any()}
+    masks = {ZERO: zero, SENTINEL: sentinel, HELD: held}
+    return seen, {why: mask.sum(axis=0) for why, mask in masks.items() if mask.any()}
 
 
 def unseen_lines(counts: dict[str, IntArray], labels: Sequence[str]) -> list[str]:
@@ -119,8 +118,8 @@ def _stands_for_none(positions: FloatArray, length: float | None) -> BoolArray:
     odd = (places == places[:, :1]).all(axis=1)  # such as -1, -1, -1
     if length is not None:
         away = np.linalg.norm(places - np.median(places, axis=0), axis=1)
-        far = away > ABSURD_LENGTHS * length
-        odd |= far if far.mean() < MANY_SHARE else False
+        far = away > PLAUSIBLE_FACTOR * length
+        odd |= far if far.mean() < 0.5 else False  # most are in another unit
     if odd.any():
         _, which, times = np.unique(places[odd], axis=0, return_inverse=True, return_counts=True)
         odd[odd] = times[which.ravel()] > 1
@@ -156,9 +155,9 @@ def _held(positions: FloatArray, news: BoolArray | None) -> BoolArray:
             continue
         free = asked.copy()
         free[np.concatenate(runs)] = False
-        if free.sum() < HELD_STEPS_MIN or (rate := changed[free, j].mean()) < CHANGES_SHARE_MIN:
+        if free.sum() < HELD_STEPS_MIN or (rate := changed[free, j].mean()) < 0.5:
             continue
-        least = np.log(HELD_BY_CHANCE) / np.log(max(1.0 - rate, 1e-12))
+        least = np.log(HELD_PROBABILITY) / np.log(max(1.0 - rate, 1e-12))
         for run in runs:
             if len(run) >= least:
                 held[run[0] + 1 : run[-1] + 2, j] = True
@@ -189,7 +188,13 @@ def renumbered(positions: FloatArray) -> list[tuple[int, ...]]:
     for j in np.argsort(first, kind='stable').tolist():
         if not 0 < first[j] < T:
             continue
-        ends = [c for c in chains if c[0] != j and _ended(seen, c[-1], j, int(first[j]))]
+        ends = []  # chains that are gone when this marker begins, and do not come back
+        for chain in chains:
+            one = chain[-1]
+            fewest = min(int(seen[:, one].sum()), int(seen[:, j].sum()))
+            later = int(seen[first[j] :, one].sum())
+            if chain[0] != j and fewest > 0 and later <= SHARED_FRAMES_MAX * fewest:
+                ends.append(chain)
         place = positions[first[j], j]
         off = [float(np.linalg.norm(positions[last[c[-1]], c[-1]] - place)) for c in ends]
         if not off:
@@ -199,7 +204,7 @@ def renumbered(positions: FloatArray) -> list[tuple[int, ...]]:
         others = np.delete(positions[first[j]], ignored, axis=0)
         others = others[np.isfinite(others[:, 0])]
         apart = np.linalg.norm(others - place, axis=1).min(initial=np.inf)
-        if len(others) and min(off) < NEAREST_SHARE * apart:
+        if len(others) and min(off) < 0.5 * apart:
             mine = next(c for c in chains if c[0] == j)
             chain += mine
             chains.remove(mine)
@@ -225,7 +230,8 @@ def put_back(places: FloatArray) -> tuple[FloatArray, list[tuple[int, int, int]]
         In the order of time.
 
     """
-    seen, told, found = np.isfinite(places[..., 0]), places.copy(), list[tuple[int, int, int]]()
+    seen, cleaned = np.isfinite(places[..., 0]), places.copy()
+    exchanges = list[tuple[int, int, int]]()
     for i, j in combinations(range(seen.shape[1]), 2):
         both = np.flatnonzero(seen[:, i] & seen[:, j])
         before, after = places[both[:-1], :, :3], places[both[1:], :, :3]
@@ -233,30 +239,31 @@ def put_back(places: FloatArray) -> tuple[FloatArray, list[tuple[int, int, int]]
         def steps(a: int, b: int, before: FloatArray = before, after: FloatArray = after) -> Any:
             return np.linalg.norm(after[:, a] - before[:, b], axis=1)
 
-        crossed = steps(i, j) + steps(j, i) < CROSSED_SHARE * (steps(i, i) + steps(j, j))
+        crossed = steps(i, j) + steps(j, i) < CROSSED_FRACTION_MAX * (steps(i, i) + steps(j, j))
         for k in np.flatnonzero(crossed).tolist():
-            told[both[k] + 1 : both[k + 1], [i, j]] = np.nan  # one of them: nobody knows which
-            found.append((int(both[k + 1]), i, j))
-    made, whose = told.copy(), np.arange(seen.shape[1])
-    for frame, i, j in sorted(found):
-        whose[[i, j]] = whose[[j, i]]
-        made[frame:, whose] = told[frame:]
-    return made, sorted(found)
+            # what is seen of one alone may be of either
+            cleaned[both[k] + 1 : both[k + 1], [i, j]] = np.nan
+            exchanges.append((int(both[k + 1]), i, j))
+    restored, owners = cleaned.copy(), np.arange(seen.shape[1])
+    for frame, i, j in sorted(exchanges):
+        owners[[i, j]] = owners[[j, i]]
+        restored[frame:, owners] = cleaned[frame:]
+    return restored, sorted(exchanges)
 
 
 def exchange_lines(
     exchanges: Sequence[tuple[int, int, int]], times: FloatArray, names: Sequence[str]
 ) -> list[str]:
     """Say which markers exchange their columns, when first [s], and how often."""
-    said = []
+    lines = []
     for pair in dict.fromkeys((i, j) for _, i, j in exchanges):
         frames = [frame for frame, *two in exchanges if tuple(two) == pair]
         more = f' and {len(frames) - 1} times more' if len(frames) > 1 else ''
-        said.append(
+        lines.append(
             f'{names[pair[0]]} and {names[pair[1]]} exchange their names at '
             f'{times[frames[0]]:.2f} s{more}: put back to what they are before'
         )
-    return said
+    return lines
 
 
 def joined(places: FloatArray, chains: Sequence[Sequence[int]]) -> FloatArray:
@@ -268,9 +275,3 @@ def joined(places: FloatArray, chains: Sequence[Sequence[int]]) -> FloatArray:
             place = np.where(np.isnan(place), places[:, j], place)
         made.append(place)
     return np.stack(made, axis=1)
-
-
-def _ended(seen: BoolArray, one: int, other: int, begin: int) -> bool:
-    """Tell whether a marker is gone when another one begins, and does not come back."""
-    fewest = min(int(seen[:, one].sum()), int(seen[:, other].sum()))
-    return fewest > 0 and int(seen[begin:, one].sum()) <= TOGETHER_SHARE_MAX * fewest

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
-STRAIGHT = -1  # where an arm comes from that was straight and free of tension
+STRAIGHT = -1  # [1] index of the straight arm as the command before, so that it is no command
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..common.errors import InputError, NoEquilibriumError, refusal
 from ..common.processes import one_thread
-from ..common.results import Told, make_frame
+from ..common.results import TextResult, make_frame
 from ..comparison.outliers import find_outliers
 from ..comparison.predict import FreeParameter, Point
 from ..data import DataSet, DataSetLike, load_dataset
@@ -29,7 +29,7 @@ from .verdict import P_SINGLE_MIN
 
 
 @dataclass(frozen=True)
-class Addition(Told):
+class Addition(TextResult):
     """A description with fitted effects, and what they do to the error."""
 
     robot: Robot

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from ..common.colours import ERROR, GOOD, HELD_OUT, PREDICTED
 from ..common.files import new_file
-from ..common.results import Told, make_frame
+from ..common.results import TextResult, make_frame
 from ..robot import Robot
 from .description import PROFILE
 from .verdict import Verdict
@@ -115,7 +115,7 @@ class NextMeasurement:
 
 
 @dataclass(frozen=True)
-class Diagnosis(Told):
+class Diagnosis(TextResult):
     """Verdict, effects to add, alternatives, what was not tested, errors and remainder."""
 
     verdict: Verdict
@@ -267,7 +267,7 @@ class ImprovementStep:
 
 
 @dataclass(frozen=True)
-class Improvement(Told):
+class Improvement(TextResult):
     """An improved description, the way there, and what remains."""
 
     robot: Robot  # with what was taken

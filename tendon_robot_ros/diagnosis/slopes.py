@@ -17,8 +17,9 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from ..comparison.predict import CELLS, TAUT_FROM_N, Point
+from ..comparison.predict import CELLS, Point
 from ..model.derivatives import residuals, responses, shown
+from ..model.pulls import SLACK_BELOW_N
 from ..model.shape import ShapeBatch
 from .imperfections import (
     ACROSS,
@@ -167,7 +168,7 @@ class _Slopes:
             return moved.markers
         found = moved.markers.copy()
         for p, tensions in enumerate(self.shapes.inputs):
-            taut = np.flatnonzero(tensions > TAUT_FROM_N)
+            taut = np.flatnonzero(tensions > SLACK_BELOW_N)
             by_tension = self.by_tension.pulls[p][np.ix_(taut, taut)]
             answer = -moved.pulls[p][:, taut] @ np.linalg.pinv(by_tension, rcond=1e-9)
             found[p] += np.tensordot(answer, self.by_tension.markers[p, taut], 1)

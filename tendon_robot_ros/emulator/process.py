@@ -13,7 +13,7 @@ from typing import IO, Any, Self, cast
 import yaml
 
 from ..common.errors import DriverError
-from ..common.processes import REALTIME_PRIORITY_EMULATED, go_realtime
+from ..common.processes import Realtime, go_realtime
 
 
 class EmulatorProcess:
@@ -46,7 +46,7 @@ class EmulatorProcess:
         if not self.port:
             self.end()
             raise DriverError('emulate ended at once; its message is above')
-        go_realtime(REALTIME_PRIORITY_EMULATED, process=self.process.pid)
+        go_realtime(Realtime.EMULATOR, process=self.process.pid)
 
     def say(self, text: str) -> str:
         """Give one of its commands; return the answer. Several threads may ask."""

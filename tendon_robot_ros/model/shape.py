@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from ..common.colours import ERROR, MEASURED, look
 from ..common.errors import InputError
-from ..common.results import Told, make_frame
+from ..common.results import TextResult, make_frame
 from ..common.rotations import bent, turned_in_plane
 
 if TYPE_CHECKING:
@@ -245,7 +245,7 @@ class ShapeBatch:
         return place_markers(self, np.asarray(arc_length, float), np.asarray(offset, float))
 
 
-class Shape(Told):
+class Shape(TextResult):
     """One posture: the fields of `ShapeBatch` without the first axis."""
 
     def __init__(self, form: ResultLayout, block: Floats) -> None:
@@ -372,7 +372,7 @@ class Shape(Told):
 
 
 @dataclass(frozen=True)
-class Reach(Told):
+class Reach(TextResult):
     """Tensions for a target, and how near they bring the tip."""
 
     shape: Shape

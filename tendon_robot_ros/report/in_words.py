@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import singledispatch
 from html import escape
 
-from ..common.results import Told
+from ..common.results import TextResult
 from ..common.words import columns, digits
 from ..comparison.result import Comparison
 from ..data import DataSet
@@ -23,7 +23,7 @@ Rows = list[list[str]]
 
 
 @singledispatch
-def text(result: Told) -> str:
+def text(result: TextResult) -> str:
     """Return a result in words; of what has no words of its own its `repr`, and its table."""
     said = repr(result).strip('<>')
     return '\n'.join([said, columns(rows(result))]) if rows(result) else said
@@ -35,7 +35,7 @@ def rows(result: object) -> Rows:
     return []
 
 
-def html(result: Told) -> str:
+def html(result: TextResult) -> str:
     """Return a result for a notebook: the words, and the table below."""
     table = rows(result)
     said = result.text()

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import InputError, RobotDescriptionError
-from ..common.results import Told
+from ..common.results import TextResult
 from ..common.yaml_reading import Reader, parse_yaml
 
 TOLERANCES = (
@@ -28,7 +28,9 @@ TOLERANCES = (
     'rotation',
 )
 XY = tuple[float, float]  # [m]
-PLATE_LENGTH_MAX_M = 1e-5  # [m] of a section that is the base plate
+Floats = NDArray[np.float64]
+# [m] of a section that only holds the holes of the base plate, because no cell is so short
+PLATE_LENGTH_MAX_M = 1e-5
 EffectValues = dict[str, float | tuple[float, ...]]
 
 
@@ -71,7 +73,7 @@ class Tendon:
 
 
 @dataclass(frozen=True)
-class Robot(Told):
+class Robot(TextResult):
     """A validated robot description; every field in SI units."""
 
     name: str
@@ -109,7 +111,7 @@ class Robot(Told):
 
     @cached_property
     def drums(self) -> dict[str, dict[str, int]]:
-        """Drums, the inputs whose wires they wind, and which way."""
+        """Drums, the inputs whose wires they wind, and in which direction (1 or -1)."""
         found: dict[str, dict[str, int]] = {}
         for tendon in self.tendons:
             if tendon.drum is not None:
@@ -183,8 +185,10 @@ class Robot(Told):
         return replace(self, effects=keep, fitted=origin)
 
 
-HELIX_MAX_RAD = math.pi / 2.0  # [rad] of a tendon in one cell: it is straight there
-DESCRIPTION_MAX = 1_000_000  # characters of a description
+# [rad] that a tendon winds about the axis in one cell, because it is straight within a cell
+HELIX_MAX_RAD = math.pi / 2.0
+# [1] characters of a description, so that a file of something else is refused at once
+DESCRIPTION_MAX = 1_000_000
 
 
 def parse_robot(text: str, source: str = 'robot') -> Robot:
@@ -217,14 +221,20 @@ def check_robot(top: Reader) -> Robot:
     for tendon in tendons:
         if tendon.drum in names:
             raise top.error('tendons', 'drums with names of their own', tendon.drum)
+    effects: dict[str, EffectValues] = {}
+    for name in top.mapping('effects'):
+        effect = top.child('effects').child(str(name))
+        effects[str(name)] = {str(key): effect.numbers(str(key)) for key in effect.content}
+    tolerances = top.child('tolerances', optional=True)
+    tolerances.only(*TOLERANCES)
     return Robot(
         name=top.name('name'),
         sections=sections,
         tendons=tendons,
         tension_limits=top.limits('tension_limits'),
-        effects=_effects(top),
+        effects=effects,
         gravity=top.vector('gravity', 3) if top.has('gravity') else None,
-        tolerances=_tolerances(top),
+        tolerances={key: tolerances.number(key, 0.0, 1.0) for key in tolerances.content},
         fitted=dict(top.mapping('fitted')),
         exact=top.flag('exact'),
         source=top.source,
@@ -234,6 +244,13 @@ def check_robot(top: Reader) -> Robot:
 def _section(item: Reader) -> Section:
     item.only(*(key.name for key in fields(Section)))
     cells = item.whole('cells', 1, 10000)
+    offsets: tuple[XY, ...] = ()
+    if item.has('mass_offset'):  # where the weight of each cell lies: one for all, or one each
+        value = item.content['mass_offset']
+        each = isinstance(value, list) and any(isinstance(row, list) for row in value)
+        offsets = (
+            item.offsets('mass_offset', cells) if each else (item.offset('mass_offset'),) * cells
+        )
     return Section(
         name=item.name('name'),
         cells=cells,
@@ -241,18 +258,8 @@ def _section(item: Reader) -> Section:
         bending_stiffness=item.per_cell('bending_stiffness', cells, 'N·m/rad'),
         mass_profile=item.per_cell('mass_profile', cells, '1', default=1.0),
         bends_as=item.choice('bends_as', ('arc', 'hinge'), default='arc'),
-        mass_offset=_mass_offset(item, cells) if item.has('mass_offset') else (),
+        mass_offset=offsets if any(map(any, offsets)) else (),
     )
-
-
-def _mass_offset(item: Reader, cells: int) -> tuple[XY, ...]:
-    """Return where the weight of each cell lies: one offset for all, or one per cell."""
-    value = item.content['mass_offset']
-    listed = isinstance(value, list) and any(isinstance(row, list) for row in value)
-    offsets = (
-        item.offsets('mass_offset', cells) if listed else (item.offset('mass_offset'),) * cells
-    )
-    return offsets if any(map(any, offsets)) else ()
 
 
 def _tendon(item: Reader, sections: tuple[Section, ...]) -> Tendon:
@@ -300,23 +307,6 @@ def _route(item: Reader, sections: tuple[Section, ...]) -> tuple[XY, XY, float, 
     return base, end, helix, ()
 
 
-def _effects(top: Reader) -> dict[str, EffectValues]:
-    effects: dict[str, EffectValues] = {}
-    for name in top.mapping('effects'):
-        effect = top.child('effects').child(str(name))
-        effects[str(name)] = {str(key): effect.numbers(str(key)) for key in effect.content}
-    return effects
-
-
-def _tolerances(top: Reader) -> dict[str, float]:
-    tolerances = top.child('tolerances', optional=True)
-    tolerances.only(*TOLERANCES)
-    return {key: tolerances.number(key, low=0.0, high=1.0) for key in tolerances.content}
-
-
-Floats = NDArray[np.float64]
-
-
 def tendon_offsets(robot: Robot) -> Floats:
     """Return the offset of every tendon at mid-cell, (n, k, 2) [m], zero beyond its end."""
     offset = np.zeros((robot.cells, len(robot.tendons), 2))
@@ -344,7 +334,7 @@ def helix_angles(robot: Robot) -> Floats:
             )
             middle = 0.25 * ((x0 + x1) ** 2 + (y0 + y1) ** 2)
             angles[: len(ends), k] = 2.0 * np.arctan2(x0 * y1 - y0 * x1, 2.0 * middle)
-    angles[np.abs(angles) < 1e-12] = 0.0  # what is left of rounding
+    angles[np.abs(angles) < 1e-12] = 0.0  # rounding errors
     return angles
 
 

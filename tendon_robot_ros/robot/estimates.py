@@ -1,4 +1,4 @@
-"""What a description means in the hand: bend per newton, sag, what is large and what is small."""
+"""Plain sizes of a described robot: bend per newton, sag, weight; what is not plausible."""
 
 from __future__ import annotations
 
@@ -11,15 +11,17 @@ from ..common.words import STANDARD_GRAVITY
 from .description import Robot, tendon_offsets
 
 Floats = NDArray[np.float64]
-BEND_MIN_RAD = 0.35  # [rad] that the highest tension bends a section by, at least
-RIGHT_ANGLE_RAD = 0.5 * math.pi
-TENSION_SHARE_MIN = (
-    0.01  # of the highest tension: a right angle takes more, and more than the lowest
-)
-# [1] a ratio of two lengths beyond which one in mm and one in m suit better: half of the thousand
-# between the units, as decades count
+# [rad] 20°, that the highest tension bends a section by, else its stiffness, or an offset, is in
+# another unit: by a thousand, or ten
+BEND_MIN_RAD = 0.35
+# [1] of the highest tension, below which a right angle is not plausible, because the range of
+# tensions would then be of no use
+TENSION_FRACTION_MIN = 0.01
+# [1] ratio of two lengths beyond which one seems to be in mm and the other in m, because half of
+# the thousand between the units, as decades count, is nearer to that than to 1
 MILLIMETRES = math.sqrt(1000.0)
-SAG_SHARE_MAX = 0.3  # of the length: beyond, the sag of a straight beam is none
+# [1] of the length, beyond which no sag is said, because that of a straight beam is too large then
+SAG_FRACTION_MAX = 0.3
 
 
 def stiffnesses(robot: Robot) -> Floats:
@@ -98,13 +100,17 @@ def handling(robot: Robot) -> list[str]:
     lines[0] += ' (without friction)'
     if (kilograms := mass(robot)) > 0.0:
         drop = sag(robot, weight=STANDARD_GRAVITY * kilograms)
-        lines.append(f'weighs {1e3 * kilograms:.3g} g; level, it {_sags(drop, robot.length)}')
+        sags = f'sags by {1e3 * drop:.2g} mm at the tip'
+        if drop > SAG_FRACTION_MAX * robot.length:
+            sags = 'hangs down under its own weight'
+        lines.append(f'weighs {1e3 * kilograms:.3g} g; level, it {sags}')
     return lines + doubts(robot, rates)
 
 
 def doubts(robot: Robot, rates: Floats) -> list[str]:
     """Return a line about what no arm is like, or one that says how its tensions suit it."""
     low, top = robot.tension_limits
+    right_angle = 0.5 * math.pi
     lines = _other_units(robot)
     for name, rate in zip(robot.inputs, rates.tolist(), strict=True):
         if 0.0 < rate * top < BEND_MIN_RAD:
@@ -112,9 +118,9 @@ def doubts(robot: Robot, rates: Floats) -> list[str]:
                 f'{name} at its limit of {top:g} N bends by {_degrees(rate * top)} only; is '
                 'bending_stiffness too high (N·m/rad of one cell), or an offset too small (m)?'
             )
-        elif rate * max(low, TENSION_SHARE_MIN * top) > RIGHT_ANGLE_RAD:
+        elif rate * max(low, TENSION_FRACTION_MIN * top) > right_angle:
             lines.append(
-                f'{name} bends by 90° at {RIGHT_ANGLE_RAD / rate:.2g} N, with tensions from '
+                f'{name} bends by 90° at {right_angle / rate:.2g} N, with tensions from '
                 f'{low:g} to {top:g} N; is bending_stiffness too low (N·m/rad of one cell), or '
                 'tension_limits too high (N)?'
             )
@@ -123,9 +129,9 @@ def doubts(robot: Robot, rates: Floats) -> list[str]:
     moving = rates[rates > 0.0]
     if not len(moving):
         return ['NOT PLAUSIBLE: no input bends its section; are the signs of the offsets right?']
-    needed = sorted({f'{RIGHT_ANGLE_RAD / rate:.2g}' for rate in moving}, key=float)
+    needed = sorted({f'{right_angle / rate:.2g}' for rate in moving}, key=float)
     span = needed[0] if len(needed) == 1 else f'{needed[0]} to {needed[-1]}'
-    if RIGHT_ANGLE_RAD / moving.max() > top:
+    if right_angle / moving.max() > top:
         most = _degrees(top * float(moving.max()))
         return [
             f'plausible: {top:g} N, the most that may pull, bend by {most} (90° take {span} N)'
@@ -157,16 +163,6 @@ def _other_units(robot: Robot) -> list[str]:
 
 def _degrees(angle: float) -> str:
     return f'{math.degrees(angle):.3g}°'
-
-
-def _sags(drop: float, length: float) -> str:
-    if drop > SAG_SHARE_MAX * length:
-        return 'hangs down under its own weight'
-    return f'sags by {1e3 * drop:.2g} mm at the tip'
-
-
-# -----------------------------------------------------------------------------
-# Stiffness of a cell from what people know.
 
 
 def rod_stiffness(modulus: float, outer: float, inner: float, length: float) -> float:

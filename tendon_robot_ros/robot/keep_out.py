@@ -22,12 +22,12 @@ import yaml
 
 from ..common.errors import InputError
 from ..common.files import read_text
-from ..common.rotations import rotated
+from ..common.rotations import from_rotation_vector
 from ..common.yaml_reading import Reader, parse_yaml
 
 Floats = npt.NDArray[np.float64]
-FAR_M, TURN_MAX_RAD = 100.0, 2.0 * np.pi  # [m], [rad] beyond which a number is a slip of the pen
-TEXT_MAX = 20_000  # characters: read while the arm is commanded
+FAR_M = 100.0  # [m] a larger number is refused, because it is a slip of the pen
+TEXT_MAX = 20_000  # [1] characters, because it is read while the arm is commanded
 KINDS = 'plane', 'sphere', 'box'
 
 
@@ -75,9 +75,8 @@ class Box:
 
     def distance(self, points: Floats) -> Floats:
         """Return how far points (..., 3) [m] are outside, (...) [m]; negative: inside."""
-        turn = np.array(self.rotation)
-        axes = np.array([rotated(axis, turn) for axis in np.eye(3)])  # rows: its edges
-        over = np.abs((points - np.array(self.centre)) @ axes.T) - 0.5 * np.array(self.size)
+        edges = from_rotation_vector(self.rotation)  # columns
+        over = np.abs((points - np.array(self.centre)) @ edges) - 0.5 * np.array(self.size)
         outside = np.linalg.norm(np.maximum(over, 0.0), axis=-1)
         away: Floats = outside + np.minimum(over.max(axis=-1), 0.0)
         return away
@@ -230,7 +229,7 @@ def _solid(kind: str, reader: Reader) -> Solid:
         raise reader.error('size', 'three lengths above 0 [m]', list(size))
     turn = (0.0, 0.0, 0.0)
     if reader.has('rotation'):
-        turn = _vector(reader, 'rotation', TURN_MAX_RAD)
+        turn = _vector(reader, 'rotation', 2.0 * np.pi)
     return Box(_vector(reader, 'centre', FAR_M), size, turn)
 
 

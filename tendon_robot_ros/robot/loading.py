@@ -15,6 +15,7 @@ from ..common.files import read_text, shared_file
 from ..common.yaml_reading import Reader
 from .description import DESCRIPTION_MAX, Robot, Section, Tendon, check_robot, parse_robot
 
+# [1] characters: a longer text is a description, because no path is so long
 PATH_CHARACTERS_MAX = 1000
 EXPECTED = (
     'the name of a robot in config/robots, the path of a description, its YAML text or its keys '
@@ -76,18 +77,13 @@ def robot_file(text: str) -> Path | None:
     if own is not None and not path.is_file():
         return own
     if not path.suffix and os.sep not in text and not path.exists():
-        names = _known_robots()
+        first = shared_file('config/robots/kato_10_1.yaml')
+        names = [] if first is None else sorted(path.stem for path in first.parent.glob('*.yaml'))
         raise InputError(
             f'{text}: expected a path or the name of a robot, no such file; '
             f'{meant(text, names)}known names: {", ".join(names) or "none installed"}'
         )
     return path
-
-
-def _known_robots() -> list[str]:
-    """List the names of the robots in config/robots."""
-    first = shared_file('config/robots/kato_10_1.yaml')
-    return [] if first is None else sorted(path.stem for path in first.parent.glob('*.yaml'))
 
 
 def _read(path: Path) -> Robot:
@@ -117,8 +113,8 @@ def dump_robot(robot: RobotLike) -> str:
     robot = load_robot(robot)
     content: dict[str, Any] = {
         'name': robot.name,
-        'sections': [_plain_section(section) for section in robot.sections],
-        'tendons': [_plain_tendon(tendon) for tendon in robot.tendons],
+        'sections': [section_to_yaml(section) for section in robot.sections],
+        'tendons': [tendon_to_yaml(tendon) for tendon in robot.tendons],
         'tension_limits': list(robot.tension_limits),
     }
     if robot.gravity is not None:
@@ -139,7 +135,9 @@ def dump_robot(robot: RobotLike) -> str:
     return yaml.safe_dump(content, sort_keys=False, default_flow_style=None, allow_unicode=True)
 
 
-def _plain_section(section: Section) -> dict[str, Any]:
+def section_to_yaml(section: Section) -> dict[str, Any]:
+    """Return the keys of a section; values that all cells share stand once."""
+
     def short(values: tuple[float, ...]) -> float | list[float]:
         return values[0] if len(set(values)) == 1 else list(values)
 
@@ -157,7 +155,8 @@ def _plain_section(section: Section) -> dict[str, Any]:
     return {**plain, 'bends_as': section.bends_as}
 
 
-def _plain_tendon(tendon: Tendon) -> dict[str, Any]:
+def tendon_to_yaml(tendon: Tendon) -> dict[str, Any]:
+    """Return the keys of a tendon, but for those that have their default."""
     offset: Any = list(tendon.base)
     if tendon.offsets:
         offset = {'cells': [list(at) for at in tendon.offsets]}

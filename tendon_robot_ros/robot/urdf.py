@@ -111,7 +111,13 @@ def urdf(robot: Robot, prefix: str = '') -> str:
         lines += _link(link, beyond, radius, colours[i])
         parent, before = link, lengths[i]
     if prefix:
-        lines += _tip(parent, f'{prefix}tip', 0.5 * before)
+        lines += [
+            f'  <link name="{prefix}tip"/>',
+            '  <joint name="tip" type="fixed">',
+            f'    <parent link="{parent}"/><child link="{prefix}tip"/>',
+            f'    <origin xyz="0 0 {0.5 * before:.9g}"/>',
+            '  </joint>',
+        ]
     return '\n'.join([*lines, '</robot>'])
 
 
@@ -133,16 +139,6 @@ def _link(name: str, length: float, radius: float, colour: int) -> list[str]:
         f'<geometry><cylinder radius="{radius:.9g}" length="{length:.9g}"/></geometry>'
         f'<material name="section_{colour}"/></visual>',
         '  </link>',
-    ]
-
-
-def _tip(parent: str, name: str, up: float) -> list[str]:
-    return [
-        f'  <link name="{name}"/>',
-        '  <joint name="tip" type="fixed">',
-        f'    <parent link="{parent}"/><child link="{name}"/>',
-        f'    <origin xyz="0 0 {up:.9g}"/>',
-        '  </joint>',
     ]
 
 

@@ -27,9 +27,9 @@ from .recipe import MarkerColumns, Recipe
 STEP_MAX_S = 2.0
 LENGTH_UNITS = ('m', 'mm')  # a thousand apart, so that lengths on an arm tell one from the other
 FAR = FAR_M / UNITS['length']['mm']  # in the smallest unit that is tried
-# [1] lengths of the arm that markers on it may be apart: bent up, or on a long tool
+# [1] lengths of the arm that its markers may be apart, because a bent arm shows less, and one with
+# a long tool more
 EXTENT = (0.25, 1.3)
-MOST = 0.5  # [1] of the triples: where more are left out, it asks for a look
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def choose_columns(tables: Sequence[RawTable], robot: Robot, recipe: Recipe) -> 
     recipe, points = _choose_markers(tables, recipe, reasons, assumed)
     recipe = _choose_position_unit(tables, robot, recipe, assumed)
     used = set(reasons)
-    unused = [c for t in tables for c in (*t.columns, *t.texts) if c not in used]
+    unused = [c for t in tables for c in t.names if c not in used]
     units = {find_unit(use.unit) for use in (recipe.inputs or {}).values()}
     kinds = {unit.kind for unit in units if unit is not None}
     kind = 'tension' if kinds <= {'force', 'current'} else 'displacement'
@@ -89,7 +89,7 @@ def choose_columns(tables: Sequence[RawTable], robot: Robot, recipe: Recipe) -> 
     if points is None:
         return taken
     taken = replace(taken, aside=points.aside, nameless=points.nameless)
-    if points.share_aside > MOST:
+    if points.share_aside > 0.5:  # most of them
         left = (
             f'{100 * points.share_aside:.0f} % of all x, y, z are left out, '
             f'{listing(taken.left_aside)}: are the markers those that are taken?'
@@ -109,30 +109,27 @@ def _units_contradicted(tables: Sequence[RawTable], recipe: Recipe) -> list[str]
     columns = [column for marker in recipe.markers or () for column in marker.columns]
     taken |= dict.fromkeys(columns, ('positions', recipe.positions or ''))
     taken |= {column: ('time', unit) for column, unit in (recipe.time or {}).items()}
-    found: dict[tuple[str, str, str], list[str]] = {}
+    contradictions: dict[tuple[str, str, str], list[str]] = {}
     for name in (name for table in tables for name in names_of(table)):
         what, text = taken.get(name.column, ('', ''))
         unit = find_unit(text)
         if name.unit is None or unit is None or unit.kind == name.unit.kind == 'counts':
             continue
         if (name.unit.kind, name.unit.factor) != (unit.kind, unit.factor):
-            found.setdefault((what, name.unit.text, unit.text), []).append(name.column)
-    return [
-        f'the table says {written} of {listing(own)}, and {text} was taken'
-        f'{_times(written, text)}: if the table is right, leave out --unit {what}={text} (or take '
-        'the unit out of import.yaml)'
-        for (what, written, text), own in found.items()
-    ]
-
-
-def _times(written: str, taken: str) -> str:
-    """Say how much larger or smaller values are by a unit than by that of the table."""
-    one, other = find_unit(taken), find_unit(written)
-    if one is None or other is None or one.kind != other.kind:
-        return ', another kind of quantity'
-    ratio = one.factor / other.factor
-    large = f'{digits(max(ratio, 1.0 / ratio), 3)} times as {"much" if ratio > 1.0 else "little"}'
-    return f', {large}'
+            contradictions.setdefault((what, name.unit.text, unit.text), []).append(name.column)
+    lines = []
+    for (what, written, text), own in contradictions.items():
+        one, other = find_unit(text), find_unit(written)
+        size = ', another kind of quantity'
+        if one is not None and other is not None and one.kind == other.kind:
+            ratio = one.factor / other.factor
+            times = digits(max(ratio, 1.0 / ratio), 3)
+            size = f', {times} times as {"much" if ratio > 1.0 else "little"}'
+        lines.append(
+            f'the table says {written} of {listing(own)}, and {text} was taken{size}: if the '
+            f'table is right, leave out --unit {what}={text} (or take the unit out of import.yaml)'
+        )
+    return lines
 
 
 def _choose_times(
@@ -140,10 +137,9 @@ def _choose_times(
 ) -> Recipe:
     times = dict(recipe.time or {})
     for column in times:
-        if not any(column in t.columns or column in t.texts for t in tables):
-            need_column(tables[0], column, 'time')
+        need_column(tables, column, 'time')
     for table in tables:
-        mine = [column for column in times if column in table.columns or column in table.texts]
+        mine = [column for column in times if table.holds(column)]
         if mine:
             reasons[mine[0]] = 'as given'
             continue
@@ -189,7 +185,7 @@ def _time_unit(table: RawTable, column: str) -> tuple[str, str]:
 
 def time_column(table: RawTable, times: Mapping[str, str] | None) -> str | None:
     """Return the column of times that a table has."""
-    known = (c for c in times or {} if c in table.columns or c in table.texts)
+    known = (c for c in times or {} if table.holds(c))
     return next(known, None)
 
 
@@ -200,9 +196,7 @@ def _choose_inputs(
     for name, use in inputs.items():
         if name not in robot.inputs:
             raise InputError(f'inputs: expected {", ".join(robot.inputs)}, got {name!r}')
-        table = next((t for t in tables if use.column in t.columns or use.column in t.texts), None)
-        if table is None:
-            need_column(tables[0], use.column, f'input {name}')
+        need_column(tables, use.column, f'input {name}')
         reasons[use.column] = 'as given'
     missing = [name for name in robot.inputs if name not in inputs]
     if missing:
@@ -218,11 +212,11 @@ def _choose_inputs(
         inputs |= guess.columns
         reasons |= {use.column: guess.reason for use in guess.columns.values()}
     units = ((n.column, n.unit) for t in tables for n in names_of(t) if n.unit is not None)
-    told: dict[str, str] = {}
+    written: dict[str, str] = {}
     for column, unit in units:
-        told.setdefault(column, unit.text)
+        written.setdefault(column, unit.text)
     for name, use in inputs.items():  # as an option says, as a recipe, or as the file does
-        text = recipe.input_unit or use.unit or told.get(use.column, '')
+        text = recipe.input_unit or use.unit or written.get(use.column, '')
         inputs[name] = replace(use, unit=text)
     lacking = [use.column for use in inputs.values() if not use.unit]
     if lacking:
@@ -242,14 +236,13 @@ def _choose_markers(
     if recipe.markers is not None:
         for marker in recipe.markers:
             for column in marker.columns:
-                if not any(column in t.columns or column in t.texts for t in tables):
-                    need_column(tables[0], column, 'markers')
+                need_column(tables, column, 'markers')
                 reasons[column] = 'as given'
         return recipe, None
     points = choose_points(tables, recipe.points)
     for columns in points.columns:
         reasons |= dict.fromkeys(columns, 'its name')
-    assumed += [points.told] if points.told else []
+    assumed += [points.note] if points.note else []
     markers = tuple(MarkerColumns(columns) for columns in points.columns)
     return replace(recipe, markers=markers), points
 
@@ -260,17 +253,17 @@ def _choose_position_unit(
     if recipe.positions is not None:
         return recipe
     columns = [column for marker in recipe.markers or () for column in marker.columns]
-    told = set()
+    written = set()
     for table in tables:
         for name in names_of(table):
             if name.column in columns:
-                told.add(None if name.unit is None else name.unit.text)
-    if len(told) == 1 and (unit := told.pop()) is not None:
+                written.add(None if name.unit is None else name.unit.text)
+    if len(written) == 1 and (unit := written.pop()) is not None:
         return replace(recipe, positions=unit)
-    if len(told - {None}) > 1:
+    if len(written - {None}) > 1:
         raise DataSetError(
             tables[0].name,
-            f'markers are in several units: {listing(sorted(str(u) for u in told))}',
+            f'markers are in several units: {listing(sorted(str(u) for u in written))}',
             'export all in one; where only the header is wrong, say --unit positions=mm',
         )
     apart = _extent(tables, recipe)
@@ -299,7 +292,7 @@ def _extent(tables: Sequence[RawTable], recipe: Recipe) -> float:
         places = [
             np.column_stack([table.numbers(c) for c in m.columns[:3]])
             for m in recipe.markers or ()
-            if all(c in table.columns or c in table.texts for c in m.columns)
+            if table.holds(*m.columns)
         ]
         if places:
             stacked = np.stack(places, axis=1)[:: max(len(table) // FRAMES_MAX, 1)]

@@ -15,9 +15,11 @@ from ..common.errors import DataSetError, short
 from ..common.words import Unit, find_unit, listing, split_name
 
 FloatArray = NDArray[np.float64]
+# [m] of a usual tracker, about, so that smaller differences are no motion of the arm
+TRACKER_NOISE_M = 5e-4
 # what a point is, by the head of an export
 MARKER, BODY_MARKER, BODY, DERIVED = 'markers', 'markers of bodies', 'bodies', 'derived points'
-# units of what is no place, input or time
+# units of other quantities than places, inputs and times
 OTHER_UNITS = {
     unit: what
     for what, units in {
@@ -57,9 +59,13 @@ class RawTable:
         return (sizes or [len(texts) for texts in self.texts.values()])[0]
 
     @property
-    def width(self) -> int:
-        """Number of columns."""
-        return len(self.columns) + len(self.texts)
+    def names(self) -> tuple[str, ...]:
+        """Names of all columns."""
+        return (*self.columns, *self.texts)
+
+    def holds(self, *columns: str) -> bool:
+        """Tell whether these are all among its columns."""
+        return all(column in self.columns or column in self.texts for column in columns)
 
     def where(self, row: int) -> str:
         """Name a row for a message, counted as an editor does."""
@@ -133,7 +139,7 @@ TIMES = {'time', 'timestamp', 'seconds', 'sec', 'zeit', 'stamp'}
 FILLERS = word_set(
     'pos position coord coordinate marker markers m point p tvec translation trans tag t'
 )
-# x, y and z of what is no measured place: its name in words, and the words that tell it
+# quantities with x, y and z that are no measured places, and the words by which they are known
 QUANTITIES = {
     what: word_set(words)
     for what, words in {
@@ -238,17 +244,17 @@ def words_of(name: str) -> tuple[str, ...]:
 
 def names_of(table: RawTable) -> list[ColumnName]:
     """Take the names of all columns apart; units that the file says go before."""
-    found = []
-    for column in (*table.columns, *table.texts):
+    parsed = []
+    for column in table.names:
         name, unit = split_name(column)
-        told = table.units.get(column, '')
+        text = table.units.get(column, '')
         if unit is None and (marked := BRACKETED.match(column)) and marked['unit'] in OTHER_UNITS:
-            name, told = marked['name'], told or marked['unit']
-        if told:
-            unit = find_unit(told)
-        other = '' if unit is not None else OTHER_UNITS.get(told, told and f'values in {told}')
-        found.append(ColumnName(column, words_of(name), unit, other))
-    return found
+            name, text = marked['name'], text or marked['unit']
+        if text:
+            unit = find_unit(text)
+        other = '' if unit is not None else OTHER_UNITS.get(text, text and f'values in {text}')
+        parsed.append(ColumnName(column, words_of(name), unit, other))
+    return parsed
 
 
 def guess_time(names: Sequence[ColumnName]) -> ColumnUse | None:
@@ -282,12 +288,12 @@ def triples_of(table: RawTable) -> list[Triple]:
         axis, quantity, words = name.component
         if axis:
             groups.setdefault((words, quantity), {}).setdefault(axis, name.column)
-    found = []
+    triples = []
     for (words, quantity), axes in groups.items():
         if set(axes) == set(AXES):
             kind = table.kinds.get(axes['x'], MARKER)
-            found.append(Triple(words, (axes['x'], axes['y'], axes['z']), quantity, kind))
-    return found
+            triples.append(Triple(words, (axes['x'], axes['y'], axes['z']), quantity, kind))
+    return triples
 
 
 def marker_label(columns: Sequence[str]) -> str:
@@ -307,7 +313,6 @@ class InputGuess:
     """Columns of the inputs, and by what they were recognised."""
 
     columns: dict[str, ColumnUse]  # input -> column
-    kind: str
     reason: str
 
 
@@ -325,18 +330,18 @@ def guess_inputs(names: Sequence[ColumnName], inputs: Sequence[str]) -> InputGue
                 groups.setdefault(tuple(sorted(COMMANDED & set(name.words))), []).append(name)
         for group in sorted(groups):  # without such a word first: measured
             for find in (_by_name, _by_number, _by_order):
-                if (found := find(groups[group], inputs, kind)) is not None:
+                if (found := find(groups[group], inputs)) is not None:
                     return found
     named = [name for name in names if name.unit is None and not name.axis]
-    return _by_name(named, inputs, '')
+    return _by_name(named, inputs)
 
 
-def _guess(found: Sequence[ColumnName], inputs: Sequence[str], kind: str, why: str) -> InputGuess:
+def _guess(found: Sequence[ColumnName], inputs: Sequence[str], reason: str) -> InputGuess:
     uses = [ColumnUse(n.column, '' if n.unit is None else n.unit.text) for n in found]
-    return InputGuess(dict(zip(inputs, uses, strict=True)), kind, why)
+    return InputGuess(dict(zip(inputs, uses, strict=True)), reason)
 
 
-def _by_name(names: Sequence[ColumnName], inputs: Sequence[str], kind: str) -> InputGuess | None:
+def _by_name(names: Sequence[ColumnName], inputs: Sequence[str]) -> InputGuess | None:
     """Find each input's own name in the name of one column."""
     found = []
     for name in inputs:
@@ -346,10 +351,10 @@ def _by_name(names: Sequence[ColumnName], inputs: Sequence[str], kind: str) -> I
         if len(having) != 1:
             return None
         found.append(having[0])
-    return _guess(found, inputs, kind, 'its name') if len(set(found)) == len(found) else None
+    return _guess(found, inputs, 'its name') if len(set(found)) == len(found) else None
 
 
-def _by_number(names: Sequence[ColumnName], inputs: Sequence[str], kind: str) -> InputGuess | None:
+def _by_number(names: Sequence[ColumnName], inputs: Sequence[str]) -> InputGuess | None:
     """Take columns that are alike but for a number in the order of these numbers."""
     stems: dict[tuple[str, ...], list[ColumnName]] = {}
     for name in names:
@@ -358,28 +363,31 @@ def _by_number(names: Sequence[ColumnName], inputs: Sequence[str], kind: str) ->
     for alike in stems.values():
         if len(alike) == len(inputs) and len({n.numbers for n in alike}) == len(inputs):
             order = sorted(alike, key=lambda name: name.numbers)
-            return _guess(order, inputs, kind, "its number, in the order of the robot's inputs")
+            return _guess(order, inputs, "its number, in the order of the robot's inputs")
     return None
 
 
-def _by_order(names: Sequence[ColumnName], inputs: Sequence[str], kind: str) -> InputGuess | None:
+def _by_order(names: Sequence[ColumnName], inputs: Sequence[str]) -> InputGuess | None:
     if len(names) != len(inputs):
         return None
-    return _guess(names, inputs, kind, "its place, in the order of the robot's inputs")
+    return _guess(names, inputs, "its place, in the order of the robot's inputs")
 
 
-def need_column(table: RawTable, column: str, option: str) -> None:
+def need_column(tables: Sequence[RawTable], column: str, option: str) -> RawTable:
     """
-    Refuse a column that is not in a table.
+    Return the first table that has a column.
 
     Raises
     ------
     DataSetError
-        It is not there; with the names that are.
+        None has it; with the names that the first one has.
 
     """
-    if column not in table.columns and column not in table.texts:
-        known = (*table.columns, *table.texts)
-        raise DataSetError(
-            table.name, f'no column {column!r} ({option})', f'use one of {listing(known)}'
-        )
+    for table in tables:
+        if table.holds(column):
+            return table
+    raise DataSetError(
+        tables[0].name,
+        f'no column {column!r} ({option})',
+        f'use one of {listing(tables[0].names)}',
+    )

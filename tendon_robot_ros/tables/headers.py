@@ -3,7 +3,7 @@ The head of a text table, read by its structure, whoever wrote it.
 
 A head is what stands above the first row that looks like the rows below it. Its last row names
 the columns, or their axes; whose axes they are stands above it, and so do types, quantities and
-identifiers, which are told by what stands in them. What else is there are words with values.
+identifiers, which are recognised by their content. All else are words with values.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ..common.words import find_unit
 from .columns import BODY, BODY_MARKER, DERIVED, MARKER, MISSING, OTHER_UNITS, is_number
 
 Row = list[str]  # cells
-AHEAD = 3  # rows that follow each other and look alike are no head
+AHEAD = 3  # [1] rows, because a header has fewer that look like the data
 STAMP = re.compile(r'\d[\d:./T +-]*\d(?:Z|[+-]\d\d:?\d\d)?')  # a date or a time of day
 AXIS = re.compile(r'[RTQ]?([XYZW])\d*|Q0', re.IGNORECASE)
 COORDINATE = re.compile(r'T?[XYZ]\d*', re.IGNORECASE)
@@ -55,7 +55,7 @@ LENGTHS = ('length units', 'units', 'unit')
 
 @dataclass(frozen=True)
 class Maker:
-    """A system that tracks markers: how its files are told, and what they leave unsaid."""
+    """A system that tracks markers: how its files are recognised, and what they leave unsaid."""
 
     name: str
     told_by: tuple[str, ...]  # one of these words begins a row of the head
@@ -98,7 +98,7 @@ def first_row_of_data(rows: Sequence[Row]) -> int | None:
     """
     Return the index of the first row of data among rows without empty ones, None for no data.
 
-    Which columns hold values is told by the last quarter of the rows.
+    The last quarter of the rows shows which columns hold values.
     """
     sample = rows[-max(len(rows) // 4, 1) :]
     count: Counter[int] = Counter()
@@ -155,7 +155,7 @@ def read_head(shown: str, first: int, rows: Sequence[Row], width: int) -> Head:
     if not labels:  # as numpy writes it
         bare = [[row[0].lstrip('#% '), *row[1:]] for row in marked]
         labels = [row for row in bare[-1:] if len(row) == width]
-    told = _told(rows)
+    values_by_word = _values_by_word(rows)
     title = ''
     if maker is not None and maker.name == 'Vicon':
         title = next(row[0] for row in rows if row[0].lower() in VICON)
@@ -166,19 +166,19 @@ def read_head(shown: str, first: int, rows: Sequence[Row], width: int) -> Head:
         title = 'objects' if 'BODY_NAMES' in keys and 'MARKER_NAMES' not in keys else ''
     # the last row of labels says units where all cells do
     cells = [cell for cell in labels[-1] if cell] if len(labels) > 1 else ['']
-    said = all(find_unit(cell) or cell in OTHER_UNITS for cell in cells)
-    units_row: Row = labels.pop() if said else []
+    has_units = all(find_unit(cell) or cell in OTHER_UNITS for cell in cells)
+    units_row: Row = labels.pop() if has_units else []
     if not labels:
         raise unnamed(shown, max(first, 1), maker)
-    names, kinds = _names(shown, first - bool(said), labels, width, maker, title)
+    names, kinds = _names(shown, first - bool(has_units), labels, width, maker, title)
     units = {n: u for n, u in zip(names, _padded(units_row, width), strict=True) if u}
-    length = _first(told, LENGTHS, find_unit) or ('' if maker is None else maker.unit)
+    length = _first(values_by_word, LENGTHS, find_unit) or ('' if maker is None else maker.unit)
     if length and (unit := find_unit(length)) and unit.kind == 'length' and not units_row:
         units |= {n: unit.text for n in names if n in kinds and kinds[n] != DERIVED}
-    rate = _first(told, RATES, is_value)
+    rate = _first(values_by_word, RATES, is_value)
     if maker is not None and maker.name == 'Vicon':
         rate = next((row[0] for row in rows if len(_filled(row)) == 1 and is_value(row[0])), '')
-    frames = _first(told, ('no_of_frames',), str.isdigit)
+    frames = _first(values_by_word, ('no_of_frames',), str.isdigit)
     return Head(
         tuple(names),
         units,
@@ -196,20 +196,24 @@ def maker_of(rows: Sequence[Row]) -> Maker | None:
     return next((maker for maker in MAKERS if begins & set(maker.told_by)), None)
 
 
-def _told(rows: Sequence[Row]) -> dict[str, list[str]]:
+def _values_by_word(rows: Sequence[Row]) -> dict[str, list[str]]:
     """Return every word with what stands beside it and below it."""
-    told: dict[str, list[str]] = {}
+    values_by_word: dict[str, list[str]] = {}
     for row, below in pairwise([*rows, []]):
         parts = [part.strip() for cell in row for part in cell.lstrip('#% ').split(':', 1)]
         beside = pairwise([part for part in parts if part])
         for word, value in (*beside, *zip(row, below, strict=False)):
-            told.setdefault(word.rstrip(':').lower(), []).append(value)
-    return told
+            values_by_word.setdefault(word.rstrip(':').lower(), []).append(value)
+    return values_by_word
 
 
-def _first(told: Mapping[str, list[str]], words: Sequence[str], fits: Callable[[str], Any]) -> str:
+def _first(
+    values_by_word: Mapping[str, list[str]], words: Sequence[str], fits: Callable[[str], Any]
+) -> str:
     """Return the first value that fits, of the first word that has one; '' for none."""
-    return next((value for word in words for value in told.get(word, ()) if fits(value)), '')
+    return next(
+        (value for word in words for value in values_by_word.get(word, ()) if fits(value)), ''
+    )
 
 
 def _padded(row: Row, width: int) -> Row:
@@ -275,7 +279,11 @@ def _names(
     kinds = [_kind(types[i], title) for i in range(width)]
     twice = {name for name, count in Counter(names).items() if count > 1 and name}
     names = [f'{n} {types[i]}'.strip() if n in twice else n for i, n in enumerate(names)]
-    names = [_axis_last(n) if n not in axes else n for n in names]
+    for i, name in enumerate(names):  # the axis behind the type that tells two columns apart
+        words = name.split(' ')
+        at = next((k for k, word in enumerate(words) if word in ('X', 'Y', 'Z', 'W')), None)
+        if name not in axes and at is not None:
+            names[i] = ' '.join([*words[:at], *words[at + 1 :], words[at]])
     _check(f'{shown}, row {row}', names)
     return names, {n: k for n, k, is_one in zip(names, kinds, is_place, strict=True) if is_one}
 
@@ -285,8 +293,8 @@ def _sorted_labels(
 ) -> tuple[Row, Row, Row, Row, list[Row]]:
     """Return types, quantities, owners and axes of the columns, and all rows above the axes."""
     labelled = [next((cell.lower() for cell in one[:2] if cell), '') for one in labels]
-    said = LABELS if tracked else ()  # before a row, what it says
-    rows = [['' if c.lower() in said else c for c in _padded(one, width)] for one in labels]
+    row_names = LABELS if tracked else ()  # stand before a row
+    rows = [['' if c.lower() in row_names else c for c in _padded(one, width)] for one in labels]
     axes, above = rows[-1], rows[:-1]
     types, quantities, owners, numbered = ([''] * width for _ in range(4))
     for one, label in zip(above, labelled, strict=False):  # the lowest of each kind counts
@@ -326,13 +334,6 @@ def _check(where: str, names: list[str]) -> None:
             raise DataSetError(where, f'column {i + 1} has no name', 'give it one')
         elif names.index(name) != i:
             raise DataSetError(where, f'column {short(name)} stands twice', 'rename one of them')
-
-
-def _axis_last(name: str) -> str:
-    """Put the axis behind the type that tells two columns of one name apart."""
-    words = name.split(' ')
-    at = next((i for i, word in enumerate(words) if word in ('X', 'Y', 'Z', 'W')), None)
-    return name if at is None else ' '.join([*words[:at], *words[at + 1 :], words[at]])
 
 
 def _spread(owners: Row, axes: Row, quantities: Row) -> Row:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..common.colours import COLOURS, GOOD, LEFT_OUT, MEASURED, PREDICTED, REST
-from ..common.results import Told
+from ..common.results import TextResult
 from ..common.words import mm, postures
 from ..data import DataSet, save_dataset
 from ..data.dataset import at_rest
@@ -31,7 +31,7 @@ RECIPE, PICTURE = 'import.yaml', 'import.png'
 
 
 @dataclass(frozen=True)
-class ImportedTable(Told):
+class ImportedTable(TextResult):
     """
     A data set, and how it came out of tables.
 
@@ -54,7 +54,7 @@ class ImportedTable(Told):
     predicted : (P, J, 3) [m]
         What the robot as described does in these postures.
     dropped, assumed, look : tuple of str
-        What was not used; what nobody said; what asks for a look.
+        What was not used; what was assumed without being given; what should be checked.
 
     """
 
@@ -105,14 +105,14 @@ class ImportedTable(Told):
             columns_table(self.recipe, self.taken),
             '',
         ]
-        lines += told('taken', [taken_line(self.dataset, self.measured)])
-        lines += told('dropped', self.dropped)
-        lines += told('assumed', self.assumed)
-        lines += told('frame', frame_lines(self.frame, self.dataset.robot))
-        return '\n'.join([*lines, *told('LOOK', self.look)])
+        lines += labelled_lines('taken', [taken_line(self.dataset, self.measured)])
+        lines += labelled_lines('dropped', self.dropped)
+        lines += labelled_lines('assumed', self.assumed)
+        lines += labelled_lines('frame', frame_lines(self.frame, self.dataset.robot))
+        return '\n'.join([*lines, *labelled_lines('LOOK', self.look)])
 
 
-MARKERS_MAX = 12  # rows of the table, so that it is read; of more the first and the last are shown
+MARKERS_MAX = 12  # [1] rows of markers, so that the table is read: else the first and last ones
 METHODS = {
     'model': "turned and shifted onto the model's postures",
     'level': "the tracker's up laid onto the robot's, turned about it onto the model's postures",
@@ -122,7 +122,7 @@ METHODS = {
 }
 
 
-def told(word: str, lines: Sequence[str]) -> list[str]:
+def labelled_lines(word: str, lines: Sequence[str]) -> list[str]:
     """Put a word before the first of some lines."""
     return [f'{word if i == 0 else "":9}{line}' for i, line in enumerate(lines)]
 
@@ -184,10 +184,10 @@ def frame_lines(frame: TrackerFrame, robot: Robot) -> list[str]:
     return lines
 
 
-INPUTS_ABREAST = 4  # of the legend, so that names have room
-SIZE_IN, DPI, FONT = (8.0, 12.5), 150, 14.0  # 1200 px wide; at 400 px a letter has 9 px
-POINTS_MAX = 4000  # of a line: more than a picture has columns
-TIP_SHADE = 0.62  # of the colours of markers, dark at the base, that of the tip
+POINTS_MAX = 4000  # [1] of a line, because a picture has fewer columns
+# [1] of the colours of markers, dark at the base: that of the tip, because lighter ones are hard
+# to see on white
+TIP_SHADE = 0.62
 LEFT_OUT_LOOK: dict[str, Any] = {'facecolor': 'none', 'edgecolor': LEFT_OUT, 'hatch': '////'}
 
 
@@ -218,13 +218,28 @@ def draw(
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 
-    with rc_context({'font.size': FONT, 'axes.spines.top': False, 'axes.spines.right': False}):
-        figure = Figure(figsize=SIZE_IN, dpi=DPI, layout='constrained')
+    with rc_context({'font.size': 14.0, 'axes.spines.top': False, 'axes.spines.right': False}):
+        figure = Figure(figsize=(8.0, 12.5), dpi=150, layout='constrained')  # 1200 pixels wide
         heights = figure.add_gridspec(3, 2, height_ratios=[1.0, 1.0, 1.6])
         _inputs(figure.add_subplot(heights[0, :]), dataset, measured)
         _markers(figure.add_subplot(heights[1, :]), measured, recipe, members)
-        for place, axis in ((0, 0), (1, 1)):
-            _arm(figure.add_subplot(heights[2, place]), dataset, predicted, axis)
+        for axis, name in enumerate('xy'):  # all postures from two sides
+            axes = figure.add_subplot(heights[2, axis])
+            for places, colour, width in (
+                (predicted, PREDICTED, 1.8),
+                (dataset.mean, MEASURED, 0.6),
+            ):
+                for posture in 1e3 * places:
+                    x, z = np.concatenate([np.zeros((1, 3)), posture])[:, [axis, 2]].T
+                    axes.plot(x, z, color=colour, linewidth=width)
+            x, z = 1e3 * dataset.mean[..., axis], 1e3 * dataset.mean[..., 2]
+            axes.plot(x.ravel(), z.ravel(), 'o', color=MEASURED, markersize=4.5)
+            axes.plot(0.0, 0.0, 's', color='black', markersize=7.0)
+            axes.set_aspect('equal', adjustable='datalim')
+            axes.set_xlabel(f'{name} [mm]')
+            if axis == 0:
+                axes.set_ylabel('z [mm]')
+            axes.grid(alpha=0.3)
         _key(figure, any(len(piece.cut.times) for piece in measured.pieces))
     return figure
 
@@ -274,7 +289,7 @@ def _inputs(axes: Axes, dataset: DataSet, measured: StillMeasurements) -> None:
     axes.legend(
         loc='lower left',
         bbox_to_anchor=(0.0, 1.0),
-        ncols=INPUTS_ABREAST,
+        ncols=4,
         frameon=False,
         handlelength=1.0,
         columnspacing=1.0,
@@ -321,22 +336,6 @@ def _markers(
     axes.set_ylabel('markers moved [mm]')
     axes.set_xlabel('time [s]' if recipe.time else 'row')
     axes.margins(x=0.0)
-
-
-def _arm(axes: Axes, dataset: DataSet, predicted: FloatArray, axis: int) -> None:
-    """Draw all postures from the side, measured and predicted."""
-    for places, colour, width in ((predicted, PREDICTED, 1.8), (dataset.mean, MEASURED, 0.6)):
-        for posture in 1e3 * places:
-            x, z = np.concatenate([np.zeros((1, 3)), posture])[:, [axis, 2]].T
-            axes.plot(x, z, color=colour, linewidth=width)
-    x, z = 1e3 * dataset.mean[..., axis], 1e3 * dataset.mean[..., 2]
-    axes.plot(x.ravel(), z.ravel(), 'o', color=MEASURED, markersize=4.5)
-    axes.plot(0.0, 0.0, 's', color='black', markersize=7.0)
-    axes.set_aspect('equal', adjustable='datalim')
-    axes.set_xlabel(f'{"xy"[axis]} [mm]')
-    if axis == 0:
-        axes.set_ylabel('z [mm]')
-    axes.grid(alpha=0.3)
 
 
 def _key(figure: Figure, has_cut: bool) -> Any:

@@ -1,4 +1,4 @@
-"""Tables to a data set in the robot's frame: what was taken, dropped and assumed is told."""
+"""Tables to a data set in the robot's frame, with all that was taken, dropped and assumed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from ..common.errors import DataSetError, Progress, listener, refusal
 from ..common.words import listed, mm
-from ..comparison.noise import input_share, input_slopes
+from ..comparison.noise import input_effect, input_slopes
 from ..comparison.predict import Predictor
 from ..data import DataSet, Marker
 from ..data.folder import Description
@@ -21,20 +21,24 @@ from ..data.visits import split_by_order
 from ..effects import Catalogue, CatalogueLike, load_catalogue
 from ..robot import Robot, RobotLike, load_robot
 from .choices import Taken, choose_columns
-from .columns import FloatArray, RawTable, from_frame, marker_label
+from .columns import TRACKER_NOISE_M, FloatArray, RawTable, from_frame, marker_label
 from .imported import ImportedTable
 from .markers import AS_GIVEN, MarkerOrder, flag_columns, order_markers, places_contradicted
 from .measuring import FROM_STRAIGHT, SEQUENCE, VISITS, StillMeasurements, measure
 from .reading import read_tables, widened
-from .recipe import FrameChoice, MarkerColumns, Recipe, load_recipe, read_recipe
+from .recipe import FrameChoice, MarkerColumns, Recipe, as_recipe
 from .registration import TrackerFrame, place, rotation_vector, side_offset, up_that_fits
 from .traces import follow_renumbered, make_traces
 
-STEPS = 4  # of an import, in its progress
-# [m] of a derivative: the model is straight over it, and rounding does not count
+# [m] of a difference quotient, because the model is straight over it and rounding far smaller
 OFFSET_STEP_M = 1e-3
-# [m] more than noise and slack of a mount: such a marker does not sit at the base
-MOVED_AT_BASE_M = 2e-3
+
+STEPS = (
+    'reading the tables',
+    'looking where the arm stood still',
+    'laying the frame of the tracker',
+    'comparing with the model',
+)
 
 
 def import_table(
@@ -69,14 +73,15 @@ def import_table(
         pandas (or what a format needs) is not installed.
 
     """
-    show, recipe = listener(progress), _recipe(recipe)
+    show = listener(progress)
+    recipe = as_recipe(recipe)
     named = recipe.robot if robot is None else robot
     if named is None:
         raise DataSetError(
             'robot', 'none is named', 'describe the arm with new-robot, then say --robot arm.yaml'
         )
     robot = load_robot(named)
-    show('reading the tables', 0, STEPS)
+    show(STEPS[0], 0, len(STEPS))
     tables = _tables(source, recipe)
     is_up_given = recipe.up is not None
     ups = {table.up for table in tables} - {None}  # of the files, where their format has one
@@ -86,14 +91,20 @@ def import_table(
     columns = {use.column for use in (taken.recipe.inputs or {}).values()}
     columns |= {c for marker in taken.recipe.markers or () for c in marker.columns}
     # parts of a file of which nothing is taken are left out
-    used = [t for t in tables if not t.part or columns & {*t.columns, *t.texts}]
-    show('looking where the arm stood still', 1, STEPS)
+    used = [t for t in tables if not t.part or columns & set(t.names)]
+    show(STEPS[1], 1, len(STEPS))
     taken = follow_renumbered(used, taken, robot.length)
     measured = measure(make_traces(used, taken, robot.length), taken, robot)
     name = tables[0].name
-    order = _order(measured, taken, robot, name)
+    places = [marker.arc_length for marker in taken.recipe.markers or ()]
+    if None in places or not places:
+        positions = np.array([one.positions for one in measured.segments])
+        order = order_markers(positions, robot, taken.recipe.places, name)
+    else:  # a recipe says where each of them is
+        arc_lengths = tuple(place for place in places if place is not None)
+        order = MarkerOrder(tuple(range(len(places))), arc_lengths, AS_GIVEN)
     raw, markers = _in_tracker_frame(measured, taken, order, robot, name)
-    show('laying the frame of the tracker', 2, STEPS)
+    show(STEPS[2], 2, len(STEPS))
     catalogue = load_catalogue(catalogue)
     up_assumed: list[str] = []
     if not is_up_given:
@@ -102,7 +113,7 @@ def import_table(
         taken = replace(taken, recipe=replace(taken.recipe, up=up))
     placed = place(raw, taken.recipe, catalogue)
     final, frame, left_out = placed.dataset, placed.frame, placed.left_out
-    show('comparing with the model', 3, STEPS)
+    show(STEPS[3], 3, len(STEPS))
     predicted = Predictor(final, final.robot, catalogue).markers({})
     assert predicted is not None  # it was, before
     return ImportedTable(
@@ -112,7 +123,7 @@ def import_table(
         measured=measured,
         order=order,
         frame=frame,
-        source=', '.join(f'{t.name} ({len(t):,} rows of {t.width} columns)' for t in tables),
+        source=', '.join(f'{t.name} ({len(t):,} rows of {len(t.names)} columns)' for t in tables),
         predicted=predicted,
         dropped=(*_columns_dropped(taken, tables), *measured.dropped, *placed.dropped),
         assumed=(
@@ -123,7 +134,7 @@ def import_table(
         ),
         look=(
             *taken.look,
-            *_way_look(final, measured, order, frame, taken.recipe, catalogue),
+            *_history_look(final, measured, order, frame, taken.recipe, catalogue),
             *placed.look,
             *_places_look(final),
             *(() if placed.frame_look else _offset_look(final, predicted, catalogue)),
@@ -156,16 +167,6 @@ def _written_out(
     )
 
 
-def _recipe(recipe: Recipe | Mapping[str, Any] | str | Path | None) -> Recipe:
-    if recipe is None:
-        return Recipe()
-    if isinstance(recipe, str | Path):
-        return load_recipe(recipe)
-    if not isinstance(recipe, Recipe | Mapping):
-        raise refusal('recipe', 'a dict, or the path of an import.yaml', recipe)
-    return recipe if isinstance(recipe, Recipe) else read_recipe(dict(recipe))
-
-
 def _tables(source: Any, recipe: Recipe) -> list[RawTable]:
     if _is_table(source):
         source = [source]
@@ -180,18 +181,6 @@ def _tables(source: Any, recipe: Recipe) -> list[RawTable]:
 
 def _is_table(source: object) -> bool:
     return isinstance(source, str | Path) or hasattr(source, 'columns')
-
-
-def _order(measured: StillMeasurements, taken: Taken, robot: Robot, name: str) -> MarkerOrder:
-    """Order the markers, unless a recipe says where each of them is."""
-    markers = taken.recipe.markers or ()
-    given = [marker.arc_length for marker in markers]
-    if all(value is not None for value in given):
-        return MarkerOrder(
-            tuple(range(len(markers))), tuple(v or 0.0 for v in given), 'places as given'
-        )
-    positions = np.array([one.positions for one in measured.segments])
-    return order_markers(positions, robot, taken.recipe.places, name)
 
 
 def _in_tracker_frame(
@@ -226,29 +215,29 @@ def _columns_dropped(taken: Taken, tables: Sequence[RawTable]) -> list[str]:
     markers = [point for marker in taken.recipe.markers or () for point in marker.points]
     flags = {name.column for t in tables for name, _, _ in flag_columns(t, markers)}
     names = [column for column in taken.unused if column not in flags]
-    said = [f'no markers: {line}' for line in taken.left_aside]
+    lines = [f'no markers: {line}' for line in taken.left_aside]
     if not names:
-        return said
+        return lines
     shown = listed(names[:8]) if len(names) <= 8 else f'{", ".join(names[:8])} and more'
-    return [*said, f'{len(names)} columns: {shown}']
+    return [*lines, f'{len(names)} columns: {shown}']
 
 
 def _markers_assumed(order: MarkerOrder, taken: Taken) -> list[str]:
-    said = [] if order.reason == AS_GIVEN else [order.reason]
+    lines = [] if order.reason == AS_GIVEN else [order.reason]
     labels = [marker_label(marker.columns) for marker in taken.recipe.markers or ()]
     if order.off_arm:
         names = listed(labels[j] for j in order.off_arm)
-        said.append(f'{names}: below the base, not on the arm')
+        lines.append(f'{names}: below the base, not on the arm')
     if order.twice:
         names = listed(labels[j] for j in order.twice)
-        said.append(f'{names}: at the place of another marker, left out')
+        lines.append(f'{names}: at the place of another marker, left out')
     if order.unseen:
         names = listed(labels[j] for j in order.unseen)
-        said.append(f'{names}: not seen while the arm stood still, left out')
-    return said
+        lines.append(f'{names}: not seen while the arm stood still, left out')
+    return lines
 
 
-def _way_look(
+def _history_look(
     dataset: DataSet,
     measured: StillMeasurements,
     order: MarkerOrder,
@@ -256,33 +245,33 @@ def _way_look(
     recipe: Recipe,
     catalogue: Catalogue,
 ) -> list[str]:
-    """Say what contradicts the way on which the arm is taken to have come to its postures."""
-    said = [*measured.look, *frames_only(dataset)]
+    """Say what contradicts the assumed history: from where the arm came to its postures."""
+    lines = [*measured.look, *frames_only(dataset)]
     if recipe.path != FROM_STRAIGHT or measured.rest or recipe.time is None:
-        return said
+        return lines
     segments = measured.segments
     places = np.array([one.positions[list(order.members)] for one in segments])
-    if not way_shows(segments, measured.begins, places):
-        return said
+    if not path_dependence(segments, measured.begins, places):
+        return lines
     slopes = input_slopes(Predictor(dataset, dataset.robot, catalogue), {})
-    share = input_share(dataset, slopes) @ frame.rotation  # in the tracker's frame
+    share = input_effect(dataset, slopes) @ frame.rotation  # in the tracker's frame
     rows = [dataset.postures.index(one.posture) for one in segments]
     columns = [dataset.trial_names.index(one.trial) for one in segments]
-    return [*said, *way_shows(segments, measured.begins, places - share[rows, columns])]
+    return [*lines, *path_dependence(segments, measured.begins, places - share[rows, columns])]
 
 
 def _places_look(dataset: DataSet) -> list[str]:
     """Say that markers cannot sit where they would: the arm is longer, or they are others."""
     first = dataset.markers[0]
     places = dataset.mean[:, 0]
-    said = places_contradicted(dataset)
+    lines = places_contradicted(dataset)
     if first.arc_length > 0.5 * dataset.robot.sections[0].cell_length or len(places) < 2:
-        return said
+        return lines
     moved = float(np.nanmax(np.linalg.norm(places - np.nanmedian(places, axis=0), axis=1)))
-    if not moved > MOVED_AT_BASE_M:
-        return said
+    if not moved > 4.0 * TRACKER_NOISE_M:
+        return lines
     return [
-        *said,
+        *lines,
         f'marker {first.name} moves by {mm(moved)}, and would sit at the base: is the arm longer '
         f'than its {mm(dataset.robot.length)}? Check cells and cell_length of the robot, or say '
         'where markers sit (--markers)',
@@ -311,13 +300,11 @@ def _offset_look(dataset: DataSet, predicted: FloatArray, catalogue: Catalogue) 
     ]
 
 
-APART_MIN_M = 3e-4  # [m] between trials, from which the way is said to count: a tracker's noise
-APART_FROM_SAME = 2.0  # times what trials with the same way differ by
-
-
-def way_shows(segments: Sequence[Segment], begins: Sequence[int], places: FloatArray) -> list[str]:
+def path_dependence(
+    segments: Sequence[Segment], begins: Sequence[int], places: FloatArray
+) -> list[str]:
     """
-    Say that trials of a posture end elsewhere by the posture that the arm came from.
+    Say that trials of a posture differ by the posture that the arm came from.
 
     Parameters
     ----------
@@ -342,7 +329,7 @@ def way_shows(segments: Sequence[Segment], begins: Sequence[int], places: FloatA
         return []
     other = float(np.sqrt(np.median(apart[False])))
     same = float(np.sqrt(np.median(apart[True]))) if apart[True] else 0.0
-    if other < max(APART_MIN_M, APART_FROM_SAME * same):
+    if other < max(TRACKER_NOISE_M, 2.0 * same):
         return []
     beside = f', {mm(same)} where from the same one' if apart[True] else ''
     remedy = (
@@ -366,7 +353,7 @@ def as_visits(dataset: DataSet, segments: Sequence[Segment], begins: Sequence[in
     dataset : DataSet
         Of these segments: a posture per command, a trial per visit to it.
     segments, begins
-        As of `way_shows`; the arm was straight before the first segment of every recording.
+        As of `path_dependence`; the arm was straight before the first segment of every recording.
 
     """
     names = {name: i for i, name in enumerate(dataset.postures)}
@@ -381,13 +368,13 @@ def as_visits(dataset: DataSet, segments: Sequence[Segment], begins: Sequence[in
     divided = dataset.by_origin(split, own)
     if dataset.position_noise is None and divided.trials.max(initial=0) < 2:
         squares = np.array([one.noise**2 for one in segments])
-        if np.isfinite(squares).any():  # nothing was repeated: the frames have to tell it
+        if np.isfinite(squares).any():  # nothing was repeated: the noise of frames
             return replace(divided, position_noise=float(np.sqrt(np.nanmean(squares))))
     return divided
 
 
 def frames_only(dataset: DataSet) -> list[str]:
-    """Say that the noise is that of frames, where no posture was repeated on the same way."""
+    """Say that the noise is that of frames, where no posture has trials of the same history."""
     known = dataset.position_noise is None or dataset.trials.max(initial=0) > 1
     if known or dataset.path == FROM_STRAIGHT:
         return []

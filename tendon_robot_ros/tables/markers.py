@@ -25,6 +25,7 @@ from .columns import (
     FILLERS,
     MARKER,
     MISSING,
+    TRACKER_NOISE_M,
     ColumnName,
     FloatArray,
     RawTable,
@@ -36,12 +37,11 @@ from .columns import (
 )
 
 CHOICES = ('markers', 'rims', 'bodies')
-RIM_MIN = 3  # markers that tell a circle
-RIGID_SHARE = 0.05  # of a distance: a tracker's noise of 0.3 mm across a rim of 10 mm changes less
-ARC_MIN = 0.5  # of the circle's radius over the widest pair: markers within 60° tell no centre
-OFF_CIRCLE = 0.1  # of the radius, by which noise may take the markers of a rim off the circle
-FRAMES_MAX = 500  # that tell whether markers are fixed to each other: more would say no more
-SEEN_SHARE = 0.5  # of the rows: a point without a name that is seen less is a reflection
+# [1] of the widest distance on a rim, by which noise changes distances, because that of a tracker,
+# 0.3 mm, is less even across 10 mm
+RIM_TOLERANCE = 0.05
+# [1] that tell whether markers are fixed to each other, because more say the same
+FRAMES_MAX = 500
 NAMELESS = ('unlabeled', 'unlabelled', 'unidentified', 'ghost')
 # words of the name of a column that says whether a marker was seen, then of what stands in it
 SEEN = {'visible', 'visibility', 'seen', 'valid', 'tracked', 'detected'}  # 0: it was not
@@ -60,19 +60,19 @@ class Points:
     ----------
     columns : tuple of tuple of str
         Of each point x, y, z; of three or more markers on a rim all of theirs.
-    told : str
+    note : str
         What they are, and what else could be taken; '' where there is no choice.
     aside : tuple of str
-        What is left aside, as what.
+        Triples that are not used, by what they are.
     share_aside : float
-        Share of the triples that are left aside, but for what an export says they are.
+        Fraction of the triples that are not used, except those that an export names.
     nameless : tuple of tuple of str
         Markers without a name among these; a named one that was lost may go on in them.
 
     """
 
     columns: tuple[tuple[str, ...], ...]
-    told: str
+    note: str
     aside: tuple[str, ...]
     share_aside: float
     nameless: tuple[tuple[str, str, str], ...]
@@ -91,25 +91,25 @@ def choose_points(tables: Sequence[RawTable], choice: str | None) -> Points:
         No triple is a place, or none is of the kind that was asked for.
 
     """
-    found = [(triple, table) for table in tables for triple in triples_of(table)]
-    found = list({triple.columns: (triple, table) for triple, table in found}.values())
-    places = [(t, table) for t, table in found if not t.quantity and t.kind != DERIVED]
-    others = [t for t, _ in found if t.quantity or t.kind == DERIVED]
+    candidates = [(triple, table) for table in tables for triple in triples_of(table)]
+    candidates = list({triple.columns: (triple, table) for triple, table in candidates}.values())
+    places = [(t, table) for t, table in candidates if not t.quantity and t.kind != DERIVED]
+    others = [t for t, _ in candidates if t.quantity or t.kind == DERIVED]
     if not places:
         raise DataSetError(
             tables[0].name,
             'no columns of a marker are recognised'
-            + (f': {listed(_told(others))} are no measured places' if others else ''),
+            + (f': {listed(_by_quantity(others))} are no measured places' if others else ''),
             'name them alike but for the axis, such as tip_x, tip_y, tip_z',
         )
     named = [(t, table) for t, table in places if not _is_nameless(t)]
-    loose = [(t, table) for t, table in places if _is_nameless(t)]
+    unnamed = [(t, table) for t, table in places if _is_nameless(t)]
     if not named:
-        shares = [np.isfinite(_places(*one)).all(axis=1).mean() for one in loose]
-        named = [one for one, seen in zip(loose, shares, strict=True) if seen >= SEEN_SHARE]
-        named = named or loose
+        shares = [np.isfinite(_places(*one)).all(axis=1).mean() for one in unnamed]
+        named = [one for one, seen in zip(unnamed, shares, strict=True) if seen >= 0.5]
+        named = named or unnamed
     kept = {t.columns for t, _ in named}
-    loose = [one for one in loose if one[0].columns not in kept]
+    unnamed = [one for one in unnamed if one[0].columns not in kept]
     kinds = (MARKER, BODY_MARKER, BODY)
     groups = {kind: [one for one in named if one[0].kind == kind] for kind in kinds}
     markers = groups[MARKER] or groups[BODY_MARKER]
@@ -130,30 +130,30 @@ def choose_points(tables: Sequence[RawTable], choice: str | None) -> Points:
             tables[0].name, f'holds no {taken} (--points {taken})', f'use one of {listing(known)}'
         )
     used = {columns for point in options[taken] for columns in point}
-    left = [t for t, _ in named if t.columns not in used]
-    aside = [*_told(left), *_told(others)]
-    unknown = [t for t, table in found if not table.kinds and t in others]
-    dropped = len(loose) + len(unknown)
-    nameless = tuple(t.columns for t, _ in loose)
+    unused = [t for t, _ in named if t.columns not in used]
+    aside = [*_by_quantity(unused), *_by_quantity(others)]
+    unknown = [t for t, table in candidates if not table.kinds and t in others]
+    dropped = len(unnamed) + len(unknown)
+    nameless = tuple(t.columns for t, _ in unnamed)
     columns = tuple(tuple(c for three in point for c in three) for point in options[taken])
-    others_told = [name for name in CHOICES if options[name] and name != taken]
-    told = {
+    other_choices = [name for name in CHOICES if options[name] and name != taken]
+    note = {
         'markers': 'the markers are taken, each by itself',
         'bodies': 'the origins of bodies are taken',
         'rims': 'markers that are fixed to each other around a circle are the rim of a disk and '
         f'give its centre: {listing(marker_label(c) for c in columns if len(c) > 3)}',
-    }[taken] + f' (otherwise say --points {" or ".join(others_told)})'
+    }[taken] + f' (otherwise say --points {" or ".join(other_choices)})'
     return Points(
         columns=columns,
-        told=told if others_told else '',
+        note=note if other_choices else '',
         aside=tuple(aside),
         share_aside=dropped / (dropped + len(used)),
         nameless=nameless,
     )
 
 
-def _told(triples: Iterable[Triple]) -> list[str]:
-    """Say what triples are that are left aside: 'tag 1 rvec and 3 more: rotations'."""
+def _by_quantity(triples: Iterable[Triple]) -> list[str]:
+    """Name triples that are not used by their quantity: 'rotations (tag 1 rvec and 3 more)'."""
     by: dict[str, list[str]] = {}
     for triple in triples:
         what = triple.quantity or triple.kind
@@ -184,7 +184,7 @@ def _rims(markers: Sequence[tuple[Triple, RawTable]]) -> list[list[Triple]]:
     return [
         [triple for triple, _ in group]
         for group in groups.values()
-        if len(group) >= RIM_MIN and _is_rim(np.stack([_places(*one) for one in group], axis=1))
+        if len(group) >= 3 and _is_rim(np.stack([_places(*one) for one in group], axis=1))
     ]
 
 
@@ -197,14 +197,14 @@ def _is_rim(places: FloatArray) -> bool:
     apart = np.linalg.norm(seen[:, i] - seen[:, j], axis=2)
     usual = np.median(apart, axis=0)
     spread = np.percentile(apart, 90, axis=0) - np.percentile(apart, 10, axis=0)
-    if not (spread <= RIGID_SHARE * usual.max()).all():
+    if not (spread <= RIM_TOLERANCE * usual.max()).all():
         return False
     one = seen[np.argmin(np.abs(apart - usual).max(axis=1))][None]
     centre = circle_centres(one)
     radii = np.linalg.norm(one[0] - centre, axis=1)
     return bool(
-        np.ptp(radii) <= OFF_CIRCLE * radii.mean()
-        and ARC_MIN * usual.max() <= radii.mean() <= usual.max()
+        np.ptp(radii) <= 2.0 * RIM_TOLERANCE * radii.mean()
+        and 0.5 * usual.max() <= radii.mean() <= usual.max()  # of a third of the circle or more
     )
 
 
@@ -273,18 +273,19 @@ def flag_columns(
 
 def not_visible(table: RawTable, markers: Sequence[Sequence[str]]) -> dict[str, BoolArray]:
     """Return, by why, the readings (R, J) that a column says were not seen."""
-    found = {}
+    masks = {}
     for name, kind, of in flag_columns(table, markers):
         if name.column in table.columns:
             values = table.columns[name.column]
             hidden = values == 0.0 if kind is SEEN else np.nan_to_num(values) != 0.0
         else:
-            hidden = np.array([_says_hidden(text, kind) for text in table.texts[name.column]])
+            known = {text: _says_hidden(text, kind) for text in set(table.texts[name.column])}
+            hidden = np.array([known[text] for text in table.texts[name.column]])
         if hidden.any() and not hidden.all():
             mask = np.zeros((len(table), len(markers)), dtype=bool)
             mask[:, of] = hidden[:, None]
-            found[f'the column {name.column} says so'] = mask
-    return found
+            masks[f'the column {name.column} says so'] = mask
+    return masks
 
 
 def _words(words: Iterable[str]) -> tuple[str, ...]:
@@ -303,19 +304,24 @@ def _says_hidden(text: str, kind: set[str]) -> bool:
 
 
 AS_GIVEN = 'places as given'
-SAME_PLACE_M = 1e-3  # [m] markers that are never farther apart are one that was exported twice
-BELOW_BASE_CELLS = 0.5  # cells that a marker may seem to be below the base and still be on the arm
-END_WITHIN_SHARE = 0.3  # of a cell's length: that near to the ends of cells, markers are at them
-EVEN_WITHIN_SHARE = 0.06  # of the spacing: that near to even spacing, markers are evenly spaced
-LONGER_SHARE = 0.05  # of the arm, by which a chord is longer than its arc: not these markers
-SPAN_WITHIN_SHARE = 0.1  # of the given span, by which chords of a bent arm may miss it
-STRAIGHT_SHARE = 0.995  # of the longest chord: a posture with such a chord is as straight as any
-ROUND_M = 1e-4  # [m] of arc lengths that were measured: what a ruler tells
+# [1] of a cell's length, by which markers at the ends of cells may miss them, because it is less
+# than half of the distance to the next one
+END_TOLERANCE = 0.3
+# [1] of the spacing, by which evenly spaced markers may miss even places, because a ruler and a
+# bent arm are no more exact
+EVEN_TOLERANCE = 0.06
+# [1] of the arm, by which chords may be longer than the arc between them, because noise and the
+# description make them so
+CHORD_TOLERANCE = 0.05
+# [1] of the longest chord, from which a posture is straight, because the longest of many chords
+# would collect noise
+STRAIGHT_RATIO = 0.995
+ROUND_M = 1e-4  # [m] of arc lengths that were measured, because a ruler is no finer
 
 
 @dataclass(frozen=True)
 class MarkerOrder:
-    """Markers from base to tip: indices into what was measured, and where on the arm they are."""
+    """Markers from base to tip: their indices in the table, and where on the arm they are."""
 
     members: tuple[int, ...]
     arc_lengths: tuple[float, ...]  # [m]
@@ -353,7 +359,8 @@ def order_markers(
     seen = [j for j in range(positions.shape[1]) if j not in unseen]
     apart = np.full((positions.shape[1],) * 2, -1.0)
     apart[np.ix_(seen, seen)] = _distances(positions[:, seen])
-    twice = tuple(j for j in seen if any(0.0 <= apart[i, j] < SAME_PLACE_M for i in seen if i < j))
+    same = 2.0 * TRACKER_NOISE_M  # [m] never farther apart: one marker that was exported twice
+    twice = tuple(j for j in seen if any(0.0 <= apart[i, j] < same for i in seen if i < j))
     members = [j for j in seen if j not in twice]
     known = tuple(value for value in given if value is not None)
     if len(members) == 1:
@@ -389,7 +396,7 @@ def order_markers(
             )
         kept = tuple(members[len(off) :])
         far, span = apart[kept[0], kept[-1]], known[-1] - known[0]
-        if abs(far - span) > max(cell, SPAN_WITHIN_SHARE * span):
+        if abs(far - span) > max(cell, 2.0 * CHORD_TOLERANCE * span):
             raise DataSetError(
                 name,
                 f'the first and the last marker are {1e3 * far:.4g} mm apart where the arm is '
@@ -397,7 +404,7 @@ def order_markers(
                 'give the distance of every marker from the base along the arm, in mm',
             )
         return MarkerOrder(kept, known, AS_GIVEN, tuple(off), twice, unseen)
-    on_arm = below_tip > -BELOW_BASE_CELLS * cell
+    on_arm = below_tip > -0.5 * cell
     kept = tuple(j for j, one in zip(members, on_arm, strict=True) if one)
     if len(kept) < 2:
         raise _no_arm(name, float(apart[base, members[-1]]), robot)
@@ -430,7 +437,7 @@ def places_contradicted(dataset: DataSet) -> list[str]:
     over = apart - between
     i, j = sorted(np.unravel_index(int(over.argmax()), over.shape))
     robot = dataset.robot
-    if over[i, j] < max(LONGER_SHARE * robot.length, robot.sections[-1].cell_length):
+    if over[i, j] < max(CHORD_TOLERANCE * robot.length, robot.sections[-1].cell_length):
         return []
     first, second = (dataset.markers[k].name for k in (i, j))
     return [
@@ -453,7 +460,7 @@ def _distances(positions: FloatArray) -> FloatArray:
     longest: FloatArray = np.where(seen, chords, -1.0).max(axis=0)
     whole = np.where(seen.all(axis=(1, 2)), np.nan_to_num(chords).max(axis=(1, 2)), -1.0)
     best = int(whole.argmax())
-    if whole[best] >= STRAIGHT_SHARE * longest.max():  # instead of the luckiest of many
+    if whole[best] >= STRAIGHT_RATIO * longest.max():  # instead of the luckiest of many
         straightest: FloatArray = chords[best]
         return straightest
     return longest
@@ -465,9 +472,9 @@ def _lengths_to_tip(
     """
     Return how much of the arm lies between each marker and the last one, (J,) [m].
 
-    The chord between neighbours is lengthened to the arc that the turns of the chain beside it
-    tell, and averaged over all postures: a longest chord would collect noise, and no arm with a
-    load is ever straight.
+    The chord between neighbours is lengthened to an arc by the angles between the chords beside
+    it, and averaged over all postures: the longest chord would be biased by noise, and no loaded
+    arm is ever straight.
     """
     steps = np.diff(positions, axis=1)  # (N, J - 1, 3)
     chords = np.linalg.norm(steps, axis=2)
@@ -490,14 +497,14 @@ def _snapped(measured: FloatArray, robot: Robot) -> tuple[tuple[float, ...], str
     ends = np.array([marker.arc_length for marker in default_markers(robot)])
     lengths = np.diff(ends, prepend=0.0)
     nearest = np.abs(measured[:, None] - ends).argmin(axis=1)
-    near = np.abs(measured - ends[nearest]) < END_WITHIN_SHARE * lengths[nearest]
+    near = np.abs(measured - ends[nearest]) < END_TOLERANCE * lengths[nearest]
     if near.all() and len(set(nearest.tolist())) == len(measured):
         where = 'the ends of its cells'
         if len(measured) < len(ends):
             where = f'the ends of cells {listed(str(i + 1 - robot.plate_cells) for i in nearest)}'
         return tuple(ends[nearest].tolist()), f'the last marker is at the tip, all at {where}'
     even = robot.length * (np.arange(len(measured)) + 1.0) / len(measured)
-    if np.abs(measured - even).max() < EVEN_WITHIN_SHARE * even[0]:
+    if np.abs(measured - even).max() < EVEN_TOLERANCE * even[0]:
         return tuple(even.round(9).tolist()), 'the last marker is at the tip, all evenly spaced'
     places = np.clip(np.round(measured / ROUND_M) * ROUND_M, 0.0, robot.length).round(9)
     return (

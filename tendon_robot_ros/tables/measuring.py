@@ -26,14 +26,17 @@ from ..data.recording.still_segments import (
 from ..data.tracker_faults import unseen_lines
 from ..robot import Robot
 from .choices import Taken
-from .columns import FloatArray, marker_label
+from .columns import TRACKER_NOISE_M, FloatArray, marker_label
 from .recipe import Recipe
-from .traces import NOTHING_CUT, CutReadings, Traces, cut_out
+from .traces import CutReadings, Traces, cut_out
 
 FROM_STRAIGHT, SEQUENCE, VISITS = 'from_straight', 'sequence', 'visits'
-LET_GO_SHARE = 0.2  # [1] of the way from the lowest input to the smallest load, that is let go
-LOADED_MIN = 3  # postures from which that is told
-MOSTLY = 0.8  # [1] of the postures, before which the arm was let go: a few rests may be missed
+# [1] of the range from the lowest input to the smallest load, below which inputs are let go,
+# because a load cell does not go back to exactly zero
+LET_GO_FRACTION = 0.2
+LOADED_MIN = 3  # [1] loaded postures, because fewer do not show how an arm was moved
+# [1] of the postures, before which the arm was let go, because a few short rests may be missed
+MOSTLY = 0.8
 
 RESTED = (
     'every posture was loaded from the straight arm (path: from_straight); if the arm went from '
@@ -52,7 +55,7 @@ IN_ORDER = {
 }
 
 
-def way_assumed(
+def history_assumed(
     path: str, rest: float, timed: bool, counts: Sequence[tuple[int, int, float]]
 ) -> str:
     """
@@ -102,7 +105,7 @@ def let_go_between(
     loaded = own > lowest + 3.0 * same
     if not loaded.any():
         return 0, 0, lowest
-    level = lowest + max(same, LET_GO_SHARE * float(own[loaded].min() - lowest))
+    level = lowest + max(same, LET_GO_FRACTION * float(own[loaded].min() - lowest))
     there = [one for one, is_loaded in zip(segments, loaded, strict=True) if is_loaded]
     count = 0
     for before, after in pairwise(there):
@@ -111,7 +114,9 @@ def let_go_between(
     return count, len(there) - 1, level
 
 
-def way_contradicted(path: str, counts: Sequence[tuple[int, int, float]], unit: str) -> list[str]:
+def history_contradicted(
+    path: str, counts: Sequence[tuple[int, int, float]], unit: str
+) -> list[str]:
     """Say that an arm that was let go before its postures did not come from one to the next."""
     if path == FROM_STRAIGHT or not _was_let_go(counts):
         return []
@@ -124,21 +129,25 @@ def way_contradicted(path: str, counts: Sequence[tuple[int, int, float]], unit: 
     ]
 
 
-SPEED_LIMITS_M_S = (0.002, 0.02)  # [m/s] slower is still, whatever the tracker's noise makes of it
-# [1] of the largest input, between which noise may set what counts as a change
-CHANGE_SHARES = (0.01, 0.1)
-NOISE_MARGIN = 3.0  # times what noise makes of an arm that stands: it would else move by chance
-# [1] of the time that an arm stands at least, so that this quantile is noise alone
-QUIET_SHARE = 0.15
-JUMP_FROM_SD = 8.0  # robust sd from the median of a still segment: no frame is there by chance
-# [1] of the frames of a still segment in which a marker is seen, else the mean is of a part
-SEEN_SHARE = 0.5
-JUMP_MIN_M = 5e-4  # [m] a tracker's ordinary noise is no jump
-# shares of the largest input: differences below are nothing; a usual one; from which it is another
+# [m/s] below the first an arm is still, above the second it moves, because noise of a tracker may
+# look like a speed in between
+SPEED_LIMITS_M_S = (0.002, 0.02)
+# [1] of the largest input, between which the noise sets what counts as a change, because load
+# cells are no better, and larger steps are commands
+CHANGE_FRACTIONS = (0.01, 0.1)
+NOISE_MARGIN = 3.0  # [1] times the noise of an arm that is still, else it would move by chance
+# [1] of the time that an arm is still at least, so that this quantile is noise alone
+QUIET_FRACTION = 0.15
+# [1] robust standard deviations from the median of a still segment: no frame is there by chance
+JUMP_DEVIATIONS = 8.0
+# [1] of the largest input: differences below the first are none, the second is usual, those
+# above the third are other postures, because load cells scatter by a few percent
 SAME = (0.002, 0.01, 0.08)
-GAP_RATIO = 2.5  # between the scatter of trials and the steps of postures; less is no gap
-# [1] of the segments that are at rest where an arm rests between trials: half, but for some
-REST_SHARE = 0.3
+# [1] between the scatter of trials and the steps of postures, because less is no gap
+GAP_RATIO = 2.5
+# [1] of the segments, that are at rest where an arm rests between trials, because half of them
+# are, and some are missed
+REST_FRACTION = 0.3
 
 
 @dataclass(frozen=True)
@@ -211,29 +220,39 @@ def measure(traces: Sequence[Traces], taken: Taken, robot: Robot) -> StillMeasur
             own = list(piece.segments)
             checked = plausible_inputs(piece.recording.name, own, robot, kind, rule)
             pieces[i] = replace(piece, segments=tuple(checked))
-    found = [one for piece in pieces for one in piece.segments]
-    if not found:
+    segments = [one for piece in pieces for one in piece.segments]
+    if not segments:
         known = [motion for motion in motions if motion is not None]
         times = [one.recording.tracks[0].times for one in traces]
         raise never_still(traces[0].recording.name, known, times, rule)
-    same = _guess_same(found) if recipe.same is None else recipe.same
+    same = _guess_same(segments) if recipe.same is None else recipe.same
     rest = recipe.rest
     if rest is None:
-        rest = _guess_rest(found, same) if recipe.path == FROM_STRAIGHT else 0.0
+        rest = _guess_rest(segments, same) if recipe.path == FROM_STRAIGHT else 0.0
         if rest:
             assumed.append(f'where all inputs are below {digits(rest, 3)} {unit} the arm rests')
     pieces = [_without_rest(piece, rest, first=index == 0) for index, piece in enumerate(pieces)]
-    dropped += _told(pieces, labels)
+    dropped += _dropped_lines(pieces, labels)
     kept = [one for piece in pieces for one in piece.segments]
     counts = [  # before how many postures inputs were let go
         let_go_between(piece.recording.state_times, piece.inputs, piece.segments, same)
         for piece in pieces
         if piece.motion is not None
     ]
-    assumed.append(way_assumed(recipe.path, rest, recipe.time is not None, counts))
+    assumed.append(history_assumed(recipe.path, rest, recipe.time is not None, counts))
+    named = name_segments(kept, replace(rule, change=same), sequence=False)
+    if recipe.path == SEQUENCE:  # rounds through it are trials; the last one may end early
+        values = np.nan_to_num([one.inputs for one in kept])
+        periods = range(2, len(kept) // 2 + 1)
+        alike = (p for p in periods if (np.abs(values[p:] - values[:-p]) < same).all())
+        period = next(alike, len(kept))
+        named = [
+            replace(one, posture=str(i % period), trial=str(i // period))
+            for i, one in enumerate(kept)
+        ]
     return StillMeasurements(
         tuple(pieces),
-        tuple(_named(kept, replace(rule, change=same), recipe.path == SEQUENCE)),
+        tuple(named),
         rule,
         same,
         rest,
@@ -243,7 +262,7 @@ def measure(traces: Sequence[Traces], taken: Taken, robot: Robot) -> StillMeasur
         tuple(assumed),
         (
             *(f'{one.recording.name}: {said}' for one in traces for said in one.exchanged),
-            *way_contradicted(recipe.path, counts, unit),
+            *history_contradicted(recipe.path, counts, unit),
         ),
     )
 
@@ -283,28 +302,6 @@ def _without_peaks(moved: ArmMotion) -> ArmMotion:
     return replace(moved, change=grey_opening(change, STEPS_PER_WINDOW // 2))
 
 
-def _named(segments: list[Segment], rule: Rule, sequence: bool) -> list[Segment]:
-    """
-    Name segments by posture and trial.
-
-    A sequence may have been gone through again and again: rounds are trials, the last one may end
-    early.
-    """
-    if not sequence:
-        return name_segments(segments, rule, sequence)
-    same = rule.change or 0.0
-    inputs = np.nan_to_num([one.inputs for one in segments])
-    count = total = len(segments)
-    for period in range(2, total // 2 + 1):
-        if (np.abs(inputs[period:] - inputs[:-period]) < same).all():
-            count = period
-            break
-    return [
-        replace(one, posture=str(i % count), trial=str(i // count))
-        for i, one in enumerate(segments)
-    ]
-
-
 def _still_rule(
     motions: Sequence[ArmMotion], traces: Sequence[Traces], rule: Rule, recipe: Recipe
 ) -> Rule:
@@ -312,12 +309,12 @@ def _still_rule(
     speeds = np.concatenate([m.speed[np.isfinite(m.speed)] for m in motions])
     changes = np.concatenate([m.change[np.isfinite(m.change)] for m in motions])
     if recipe.speed is None and len(speeds):
-        quiet = NOISE_MARGIN * float(np.quantile(speeds, QUIET_SHARE))
+        quiet = NOISE_MARGIN * float(np.quantile(speeds, QUIET_FRACTION))
         rule = replace(rule, speed=float(np.clip(round(quiet, 5), *SPEED_LIMITS_M_S)))
     if recipe.change is None and len(changes):
         size = max(float(np.nanquantile(np.abs(one.inputs), 0.995)) for one in traces)
-        quiet = NOISE_MARGIN * float(np.quantile(changes, QUIET_SHARE))
-        low, high = (share * max(size, 1e-9) for share in CHANGE_SHARES)
+        quiet = NOISE_MARGIN * float(np.quantile(changes, QUIET_FRACTION))
+        low, high = (share * max(size, 1e-9) for share in CHANGE_FRACTIONS)
         rule = replace(rule, change=float(f'{np.clip(quiet, low, high):.3g}'))
     return rule
 
@@ -332,7 +329,7 @@ def _piece(traces: Traces, moved: ArmMotion | None, rule: Rule) -> Piece:
             for i in range(len(positions))
             if np.isfinite(positions[i]).any()
         )
-        return Piece(recording, inputs, None, rows, (), NOTHING_CUT)
+        return Piece(recording, inputs, None, rows, (), CutReadings.none())
     cleaned, cut = _without_jumps(recording, still_stretches(moved, rule))
     segments, _ = find_segments(cleaned, inputs, moved, rule, sequence=True)
     seen = [one for one in segments if np.isfinite(one.positions).any()]
@@ -345,18 +342,18 @@ def _without_jumps(
     """Cut out frames in which a marker is far from where it is in the others of a stretch."""
     track = recording.tracks[0]
     positions = track.positions.copy()
-    cut = NOTHING_CUT
+    cut = CutReadings.none()
     for begin, end in stretches:
         inside = slice(*np.searchsorted(track.times, [begin - 1e-9, end + 1e-9]))
         times, frames = track.times[inside], positions[inside]  # views: positions change
         for j in range(frames.shape[1]):
             seen = np.flatnonzero(np.isfinite(frames[:, j, 0]))
-            if len(seen) < SEEN_SHARE * len(frames):  # the arm may have settled in the gap
+            if len(seen) < 0.5 * len(frames):  # the arm may have settled in the gap
                 frames[:, j] = np.nan
             if len(seen) < 5:
                 continue
             away = np.linalg.norm(frames[seen, j] - np.median(frames[seen, j], axis=0), axis=1)
-            far = away > max(JUMP_FROM_SD * float(np.median(away)) / 1.54, JUMP_MIN_M)
+            far = away > max(JUMP_DEVIATIONS * float(np.median(away)) / 1.54, TRACKER_NOISE_M)
             if far.any():
                 cut += cut_out(frames, times, j, seen[far])
     return replace(recording, tracks=(replace(track, positions=positions),)), cut
@@ -365,17 +362,6 @@ def _without_jumps(
 def _sizes(segments: Sequence[Segment]) -> FloatArray:
     """Return the largest input of every segment."""
     return np.array([np.nan_to_num(one.inputs).max() for one in segments])
-
-
-def _clusters(segments: Sequence[Segment], same: float) -> npt.NDArray[np.int64]:
-    """Return the number (N,) of the posture that each segment belongs to, by its inputs."""
-    if len(segments) < 2:
-        return np.zeros(len(segments), dtype=np.int64)
-    from scipy.cluster.hierarchy import fcluster, linkage  # takes half a second to import
-
-    inputs = np.nan_to_num([one.inputs for one in segments])
-    tree = linkage(inputs, 'single', metric='chebyshev')
-    return np.asarray(fcluster(tree, same, 'distance'), dtype=np.int64)
 
 
 def _guess_same(segments: Sequence[Segment]) -> float:
@@ -405,9 +391,15 @@ def _guess_same(segments: Sequence[Segment]) -> float:
 
 def _guess_rest(segments: Sequence[Segment], same: float) -> float:
     """Return the input below which the arm rests between two trials; 0: it does not."""
-    postures, sizes = _clusters(segments, same), _sizes(segments)
+    if len(segments) < 2:
+        return 0.0
+    from scipy.cluster.hierarchy import fcluster, linkage  # takes half a second to import
+
+    inputs, sizes = np.nan_to_num([one.inputs for one in segments]), _sizes(segments)
+    tree = linkage(inputs, 'single', metric='chebyshev')
+    postures = fcluster(tree, same, 'distance')  # (N,) number of the posture of each segment
     at_rest = postures == postures[int(sizes.argmin())]
-    if at_rest.mean() < REST_SHARE or at_rest.sum() < 3 or at_rest.all():
+    if at_rest.mean() < REST_FRACTION or at_rest.sum() < 3 or at_rest.all():
         return 0.0
     lowest, loaded = float(sizes[at_rest].max()), float(sizes[~at_rest].min())
     return float(f'{0.5 * (lowest + min(loaded, 2.0 * lowest + 10.0 * same)):.3g}')
@@ -428,25 +420,25 @@ def _without_rest(piece: Piece, rest: float, first: bool) -> Piece:
     )
 
 
-def _told(pieces: Sequence[Piece], labels: Sequence[str]) -> list[str]:
+def _dropped_lines(pieces: Sequence[Piece], labels: Sequence[str]) -> list[str]:
     """Say what was not used."""
-    said = []
+    lines = []
     resting = sum(len(piece.resting) for piece in pieces)
     if resting:
-        said.append(f'{resting} still segments at rest between the others')
+        lines.append(f'{resting} still segments at rest between the others')
     cut = np.concatenate([piece.cut.markers for piece in pieces])
     jumps = np.bincount(cut, minlength=len(labels))
     if jumps.any():
         places = ', '.join(f'{labels[j]} {jumps[j]}' for j in np.flatnonzero(jumps).tolist())
-        said.append(f'{len(cut)} frames in which a marker jumps ({places})')
+        lines.append(f'{len(cut)} frames in which a marker jumps ({places})')
     positions = [piece.recording.tracks[0].positions[..., 0] for piece in pieces]
     lost = np.sum([np.isnan(one).sum(axis=0) for one in positions], axis=0)
     total = sum(len(one) for one in positions)
     if lost.any():
         worst = int(lost.argmax())
-        said.append(
+        lines.append(
             f'{100.0 * lost.sum() / (total * len(lost)):.2g} % of the marker readings are missing '
             f'(most of {labels[worst]}: '
             f'{100.0 * lost[worst] / total:.2g} %)'
         )
-    return said
+    return lines

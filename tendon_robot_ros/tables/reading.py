@@ -6,7 +6,7 @@ import csv
 import io
 import mmap
 import re
-from collections.abc import Hashable, Iterable, Iterator, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -52,10 +52,10 @@ MAKERS_OWN = {
 # of a .c3d file: the axis that points up on the screen, as it is written
 UP_OF_SCREEN = {axis.upper(): axis for axis in ('x', 'y', 'z', '-x', '-y', '-z')}
 UP_OF_SCREEN |= {f'+{axis}': axis.lower() for axis in 'XYZ'}
-REASON_MAX = 160  # letters of what a parser says: a message stays one line
-BYTES_MAX = 1_000_000_000  # of a file: its numbers and their parse must fit into the memory
-HEAD = 1 << 16  # bytes that tell what kind of file it is: more than any head has
-SAMPLE = 200  # rows of a part that tell what is head and what is data: more than any head has
+REASON_MAX = 160  # [1] letters of what a parser says, so that a message stays one line
+BYTES_MAX = 1_000_000_000  # [1] bytes, so that a file and its numbers fit into memory
+HEAD = 1 << 16  # [1] bytes that show what kind of file it is, because no header is longer
+SAMPLE = 200  # [1] rows of a part that tell header from data, because no header is longer
 DELIMITERS = {';': 'semicolons', '\t': 'tabs', ',': 'commas'}  # commas may be decimal ones
 EMPTY_LINES = re.compile(rb'(?:\A|\n)(?:[ \t\r,;]*\n)+')  # between the parts of a file
 
@@ -252,17 +252,17 @@ def _with_times(table: RawTable, head: Head) -> RawTable:
     if head.maker is None:
         return table
     columns, units = dict(table.columns), dict(table.units)
-    said = [f'exported by {head.maker.name}{f", {head.title}" if head.title else ""}']
+    remarks = [f'exported by {head.maker.name}{f", {head.title}" if head.title else ""}']
     known = {n: find_unit(u) for n, u in units.items() if n in head.kinds}
     lengths = {u.text for u in known.values() if u is not None and u.kind == 'length'}
-    said += [f'lengths in {next(iter(lengths))}'] if len(lengths) == 1 else []
+    remarks += [f'lengths in {next(iter(lengths))}'] if len(lengths) == 1 else []
     if 'time' in columns:
         units.setdefault('time', 's')
     elif head.rate is not None and 'time' not in table.texts:
-        frames, rate, told = _frames(table, head)
+        frames, rate, note = _frames(table, head)
         columns = {'time': frames / rate, **columns}
         units['time'] = 's'
-        said += [told]
+        remarks += [note]
     elif 'time' not in table.texts and set(head.kinds.values()) - {DERIVED}:
         counted = next((n for n in columns if n.lower().split(' ')[-1] == 'frame'), None)
         if counted is None:
@@ -274,14 +274,14 @@ def _with_times(table: RawTable, head: Head) -> RawTable:
         columns = {'time': columns[counted], **columns}
         units['time'] = FRAMES
     up = head.maker.up
-    said += [f'{up} up'] if up else []
+    remarks += [f'{up} up'] if up else []
     return replace(
-        table, columns=columns, units=units, up=up, notes=(*table.notes, ', '.join(said))
+        table, columns=columns, units=units, up=up, notes=(*table.notes, ', '.join(remarks))
     )
 
 
 def _frames(table: RawTable, head: Head) -> tuple[FloatArray, float, str]:
-    """Return the number (R,) of the frame of each row, frames per second, and what is said."""
+    """Return the frame number (R,) of each row, frames per second, and a note of both."""
     rate = head.rate or 1.0
     sub = table.columns.get('Sub Frame', np.zeros(len(table)))
     if 'frame' in table.columns:
@@ -424,7 +424,7 @@ WHOSE = word_set(
     'rigidbody idx index'
 )
 ROUND = 'round of markers'
-MARKERS_MAX = 1000  # values of a column that are names: more are counts
+MARKERS_MAX = 1000  # [1] different values of a column of names, because more are counts
 
 
 def widened(table: RawTable) -> RawTable:
@@ -438,7 +438,7 @@ def widened(table: RawTable) -> RawTable:
     if sum(not triple.quantity for triple in triples_of(table)) != 1:
         return table
     time = guess_time(names_of(table))
-    if time is None or time.column not in (*table.columns, *table.texts):
+    if time is None or not table.holds(time.column):
         return table
     whose = _whose(table, time.column)
     if whose is None:
@@ -446,7 +446,12 @@ def widened(table: RawTable) -> RawTable:
     frame = pandas().DataFrame({**table.columns, **{n: list(t) for n, t in table.texts.items()}})
     number = frame[time.column].to_numpy()
     if len(set(number)) == len(number):  # rows have times of their own
-        number = _rounds(frame[whose])
+        seen, count, number = set[Hashable](), 0, []  # a round has each marker once at most
+        for value in frame[whose]:
+            if value in seen:
+                count, seen = count + 1, set()
+            seen.add(value)
+            number.append(count)
     keys = frame.assign(**{ROUND: number}).drop_duplicates([ROUND, whose])
     rounds = keys.groupby(ROUND, sort=True)
     others = [c for c in frame.columns if c not in (whose, time.column)]
@@ -460,11 +465,11 @@ def widened(table: RawTable) -> RawTable:
     wide.columns = [names[key] for key in wide.columns]
     units = dict(table.units)
     units |= {named: table.units[c] for (c, _), named in names.items() if c in table.units}
-    count = len(frame[whose].unique())
-    told = f'a row for each {whose} and time: {count} markers, {len(wide):,} times'
+    markers = len(frame[whose].unique())
+    note = f'a row for each {whose} and time: {markers} markers, {len(wide):,} times'
     joined = shared.join(wide).reset_index(drop=True)
-    made = table_of(table.name, joined.infer_objects(), units, None, (*table.notes, told))
-    return replace(made, up=table.up, part=table.part)
+    result = table_of(table.name, joined.infer_objects(), units, None, (*table.notes, note))
+    return replace(result, up=table.up, part=table.part)
 
 
 def _whose(table: RawTable, time: str) -> str | None:
@@ -494,14 +499,3 @@ def _numbered(table: RawTable, column: str) -> FloatArray:
     if column in table.columns:
         return table.columns[column]
     return np.unique(np.array(table.texts[column]), return_inverse=True)[1].astype(float)
-
-
-def _rounds(whose: Iterable[Hashable]) -> list[int]:
-    """Return the number of the round of every row, in which each marker comes once at most."""
-    number, seen, found = 0, set[Hashable](), []
-    for value in whose:
-        if value in seen:
-            number, seen = number + 1, set()
-        seen.add(value)
-        found.append(number)
-    return found

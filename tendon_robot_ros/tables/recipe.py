@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from ..common.errors import DataSetError, short
+from ..common.errors import DataSetError, refusal, short
 from ..common.files import read_text
 from ..common.words import UNITS, find_unit
 from ..common.yaml_reading import Reader, parse_yaml
@@ -49,6 +49,28 @@ class MarkerColumns:
         """Columns of x, y and z of each point."""
         return points_of(self.columns)
 
+    @classmethod
+    def read(cls, item: RecipeFields) -> MarkerColumns:
+        """Read an entry of the markers of an import.yaml."""
+        item.only('columns', 'name', 'arc_length', 'offset', 'later')
+        later = item.content.get('later') or []
+        if not isinstance(later, list):
+            raise item.error('later', 'a list of the columns of x, y and z', later)
+        return cls(
+            item.points('columns', item.content.get('columns')),
+            item.text('name'),
+            item.some('arc_length', 0.0, 100.0, 'm'),
+            item.xyz('offset') or (0.0, 0.0, 0.0),
+            tuple(item.points('later', columns) for columns in later),
+        )
+
+    def plain(self) -> dict[str, Any]:
+        """Return the keys of its entry in an import.yaml."""
+        keys: dict[str, Any] = {'name': self.name, 'columns': list(self.columns)}
+        keys['arc_length'] = self.arc_length
+        keys |= {'offset': list(self.offset)} if any(self.offset) else {}
+        return keys | ({'later': [list(one) for one in self.later]} if self.later else {})
+
 
 def points_of(columns: tuple[str, ...]) -> list[tuple[str, ...]]:
     """Return the columns of x, y and z of each point."""
@@ -57,11 +79,21 @@ def points_of(columns: tuple[str, ...]) -> list[tuple[str, ...]]:
 
 @dataclass(frozen=True)
 class WireSpool:
-    """What makes a wire pull or a tension of what a motor tells."""
+    """The spool by which angles or currents of a motor become wire pulls or tensions."""
 
     radius: float | None = None  # [m]
     counts_per_turn: float | None = None
     torque_constant: float | None = None  # [N·m/A], at the spool
+
+    @classmethod
+    def read(cls, spool: RecipeFields) -> WireSpool:
+        """Read the key `spool` of an import.yaml."""
+        spool.only('radius', 'counts_per_turn', 'torque_constant')
+        return cls(
+            spool.some('radius', 1e-5, 1.0, 'm'),
+            spool.some('counts_per_turn', 1e-3, 1e9, '1'),
+            spool.some('torque_constant', 1e-9, 1e6, 'N·m/A'),
+        )
 
 
 @dataclass(frozen=True)
@@ -71,6 +103,17 @@ class FrameChoice:
     method: str | None = None  # one of METHODS
     rotation: Vector | None = None  # [rad] rotation vector, tracker to base
     shift: Vector | None = None  # [m] of the tracker's origin, in the base frame
+
+    @classmethod
+    def read(cls, frame: RecipeFields) -> FrameChoice:
+        """Read the key `frame` of an import.yaml: a result has both rotation and shift."""
+        frame.only('method', 'rotation', 'shift')
+        method = frame.choice('method', METHODS) if frame.has('method') else None
+        if not frame.has('rotation') and not frame.has('shift'):
+            return cls(method)
+        a, b, c = frame.vector('rotation', 3)
+        x, y, z = frame.vector('shift', 3)
+        return cls(method, (a, b, c), (x, y, z))
 
 
 @dataclass(frozen=True)
@@ -125,6 +168,25 @@ class RecipeFields(Reader):
         """Return a number within bounds, None when absent."""
         return self.number(key, low, high, unit) if self.has(key) else None
 
+    def xyz(self, key: str) -> Vector | None:
+        """Return three numbers, None when absent."""
+        if not self.has(key):
+            return None
+        x, y, z = self.vector(key, 3)
+        return x, y, z
+
+    def list_of_numbers(self, key: str) -> tuple[float, ...]:
+        """Return one number or a list of them as a tuple, empty when absent."""
+        values = self.numbers(key) if self.has(key) else ()
+        return values if isinstance(values, tuple) else (values,)
+
+    def points(self, key: str, columns: Any) -> tuple[str, ...]:
+        """Return the columns of x, y and z of one point, or of three and more on a rim."""
+        if not isinstance(columns, list) or len(columns) not in (3, *range(9, 100, 3)):
+            expected = 'the columns of x, y and z, of one point or of three and more around a disk'
+            raise self.error(key, expected, columns)
+        return tuple(map(str, columns))
+
     def unit(self, key: str, *kinds: str) -> str | None:
         """Return a unit of these kinds, None when absent."""
         text = self.text(key)
@@ -160,6 +222,17 @@ def load_recipe(path: str | Path) -> Recipe:
     return read_recipe(content, str(path), path.parent)
 
 
+def as_recipe(given: Recipe | Mapping[str, Any] | str | Path | None) -> Recipe:
+    """Return a recipe that is given as such, as its keys, or as a file; None is an empty one."""
+    if given is None or isinstance(given, Recipe):
+        return given or Recipe()
+    if isinstance(given, str | Path):
+        return load_recipe(given)
+    if not isinstance(given, Mapping):
+        raise refusal('recipe', 'a dict, or the path of an import.yaml', given)
+    return read_recipe(dict(given))
+
+
 def read_recipe(content: Any, source: str = 'recipe', folder: Path | None = None) -> Recipe:
     """Check the content of an import.yaml."""
     top = RecipeFields(source, '', content)
@@ -170,127 +243,55 @@ def read_recipe(content: Any, source: str = 'recipe', folder: Path | None = None
     if not isinstance(files, list):
         raise top.error('sources', 'a list of files', files)
     robot = top.text('robot')
+    times = top.child('time', optional=True)
+    inputs = {}
+    for name in top.child('inputs', optional=True).content:
+        one = top.child('inputs').child(str(name))
+        one.only('column', 'unit')
+        unit = one.unit('unit', 'force', 'length', 'angle', 'counts', 'current')
+        inputs[str(name)] = ColumnUse(one.text('column') or '', unit or '')
+    drifts = top.list_of_numbers('drift') or None
+    if drifts and not top.has('delay'):
+        raise top.error('drift', 'delay beside it: clocks are known by both, or found', drifts)
+    if drifts and max(map(abs, drifts)) > 0.1:
+        raise top.error('drift', 'seconds that the clock loses per second, within 0.1', drifts)
+    rows = top.content.get('leave_out')
+    if rows is not None and (
+        not isinstance(rows, list) or any(not isinstance(r, list) or len(r) != 2 for r in rows)
+    ):
+        raise top.error('leave_out', 'a list of [posture, trial]', rows)
     return Recipe(
         sources=tuple(_place(str(name), folder) for name in files),
         robot=None if robot is None else _place(robot, folder),
-        time=_times(top),
-        inputs=_inputs(top),
+        time={str(c): times.unit(c, 'time') or 's' for c in times.content}
+        if top.has('time')
+        else None,
+        inputs=inputs if top.has('inputs') else None,
         zero=top.flag('zero') if top.has('zero') else None,
-        spool=_spool(top),
+        spool=WireSpool.read(top.child('spool', optional=True)),
         positions=top.unit('positions', 'length'),
         points=top.choice('points', CHOICES) if top.has('points') else None,
-        markers=tuple(map(_marker, top.items('markers'))) if top.has('markers') else None,
-        offset=_vector(top, 'offset'),
-        places=_numbers(top, 'places'),
+        markers=tuple(map(MarkerColumns.read, top.items('markers')))
+        if top.has('markers')
+        else None,
+        offset=top.xyz('offset'),
+        places=top.list_of_numbers('places'),
         up=top.choice('up', UPS) if top.has('up') else None,
-        delay=_numbers(top, 'delay') or None,
-        drift=_drifts(top),
+        delay=top.list_of_numbers('delay') or None,
+        drift=drifts,
         speed=still.some('speed', 1e-6, 10.0, 'm/s'),
         duration=still.some('duration', 1e-3, 1e4, 's') or 1.0,
         change=still.some('change', 1e-9, 1e4, 'N or m'),
         same=top.some('same', 1e-12, 1e4, 'N or m'),
         rest=top.some('rest', 0.0, 1e4, 'N or m'),
         path=top.choice('path', PATHS, default='from_straight'),
-        frame=_frame(top),
-        leave_out=_left_out(top),
+        frame=FrameChoice.read(top.child('frame', optional=True)),
+        leave_out=None if rows is None else tuple((str(p), str(q)) for p, q in rows),
     )
 
 
 def _place(name: str, folder: Path | None) -> str:
     return name if folder is None else os.path.normpath(folder / name)
-
-
-def _times(top: RecipeFields) -> dict[str, str] | None:
-    if not top.has('time'):
-        return None
-    times = top.child('time')
-    return {str(column): times.unit(column, 'time') or 's' for column in times.content}
-
-
-def _inputs(top: RecipeFields) -> dict[str, ColumnUse] | None:
-    if not top.has('inputs'):
-        return None
-    found = {}
-    for name in top.child('inputs').content:
-        one = top.child('inputs').child(str(name))
-        one.only('column', 'unit')
-        unit = one.unit('unit', 'force', 'length', 'angle', 'counts', 'current')
-        found[str(name)] = ColumnUse(one.text('column') or '', unit or '')
-    return found
-
-
-def _spool(top: RecipeFields) -> WireSpool:
-    spool = top.child('spool', optional=True)
-    spool.only('radius', 'counts_per_turn', 'torque_constant')
-    return WireSpool(
-        spool.some('radius', 1e-5, 1.0, 'm'),
-        spool.some('counts_per_turn', 1e-3, 1e9, '1'),
-        spool.some('torque_constant', 1e-9, 1e6, 'N·m/A'),
-    )
-
-
-def _marker(item: RecipeFields) -> MarkerColumns:
-    item.only('columns', 'name', 'arc_length', 'offset', 'later')
-    later = item.content.get('later') or []
-    if not isinstance(later, list):
-        raise item.error('later', 'a list of the columns of x, y and z', later)
-    offset = item.vector('offset', 3) if item.has('offset') else (0.0, 0.0, 0.0)
-    arc_length = item.some('arc_length', 0.0, 100.0, 'm')
-    return MarkerColumns(
-        _points(item, 'columns', item.content.get('columns')),
-        item.text('name'),
-        arc_length,
-        (offset[0], offset[1], offset[2]),
-        tuple(_points(item, 'later', columns) for columns in later),
-    )
-
-
-def _points(item: RecipeFields, key: str, columns: Any) -> tuple[str, ...]:
-    if not isinstance(columns, list) or len(columns) not in (3, *range(9, 100, 3)):
-        expected = 'the columns of x, y and z, of one point or of three and more around a disk'
-        raise item.error(key, expected, columns)
-    return tuple(map(str, columns))
-
-
-def _vector(top: RecipeFields, key: str) -> Vector | None:
-    if not top.has(key):
-        return None
-    x, y, z = top.vector(key, 3)
-    return x, y, z
-
-
-def _numbers(top: RecipeFields, key: str) -> tuple[float, ...]:
-    found = top.numbers(key) if top.has(key) else ()
-    return found if isinstance(found, tuple) else (found,)
-
-
-def _drifts(top: RecipeFields) -> tuple[float, ...] | None:
-    drifts = _numbers(top, 'drift') or None
-    if drifts and not top.has('delay'):
-        raise top.error('drift', 'delay beside it: clocks are known by both, or found', drifts)
-    if drifts and max(map(abs, drifts)) > 0.1:
-        raise top.error('drift', 'seconds that the clock loses per second, within 0.1', drifts)
-    return drifts
-
-
-def _frame(top: RecipeFields) -> FrameChoice:
-    frame = top.child('frame', optional=True)
-    frame.only('method', 'rotation', 'shift')
-    method = frame.choice('method', METHODS) if frame.has('method') else None
-    if not frame.has('rotation') and not frame.has('shift'):
-        return FrameChoice(method)
-    a, b, c = frame.vector('rotation', 3)
-    x, y, z = frame.vector('shift', 3)
-    return FrameChoice(method, (a, b, c), (x, y, z))
-
-
-def _left_out(top: RecipeFields) -> tuple[tuple[str, str], ...] | None:
-    rows = top.content.get('leave_out')
-    if rows is None:
-        return None
-    if not isinstance(rows, list) or any(not isinstance(r, list) or len(r) != 2 for r in rows):
-        raise top.error('leave_out', 'a list of [posture, trial]', rows)
-    return tuple((str(posture), str(trial)) for posture, trial in rows)
 
 
 def dump_recipe(recipe: Recipe, folder: Path) -> str:
@@ -307,7 +308,7 @@ def dump_recipe(recipe: Recipe, folder: Path) -> str:
         'zero': recipe.zero or None,
         'spool': {k: v for k, v in vars(recipe.spool).items() if v is not None} or None,
         'positions': recipe.positions,
-        'markers': [_plain_marker(marker) for marker in recipe.markers or ()],
+        'markers': [marker.plain() for marker in recipe.markers or ()],
         'up': recipe.up,
         'delay': list(recipe.delay) if recipe.delay else None,
         'drift': list(recipe.drift) if recipe.drift else None,
@@ -326,13 +327,3 @@ def dump_recipe(recipe: Recipe, folder: Path) -> str:
     return HEAD + str(
         yaml.safe_dump(kept, sort_keys=False, default_flow_style=None, allow_unicode=True)
     )
-
-
-def _plain_marker(marker: MarkerColumns) -> dict[str, Any]:
-    plain: dict[str, Any] = {
-        'name': marker.name,
-        'columns': list(marker.columns),
-        'arc_length': marker.arc_length,
-    }
-    plain |= {'offset': list(marker.offset)} if any(marker.offset) else {}
-    return plain | ({'later': [list(one) for one in marker.later]} if marker.later else {})

@@ -2,42 +2,48 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from ..common.errors import DataSetError, InputError
-from ..common.rotations import rigid_fit, towards, turn_angle
+from ..common.rotations import (
+    from_rotation_vector,
+    rigid_fit,
+    rotation_about,
+    towards,
+    turn_angle,
+    upright_fit,
+)
 from ..common.words import STANDARD_GRAVITY, listed, mm
 from ..comparison.noise import rms
 from ..comparison.outliers import Outliers, find_outliers
 from ..comparison.predict import Predictor
 from ..data import DataSet
-from ..data.arrays import Vector
+from ..data.arrays import DIGITS, Vector
 from ..data.dataset import BoolArray
 from ..effects import Catalogue
-from .columns import FloatArray
+from .columns import TRACKER_NOISE_M, FloatArray
 from .recipe import UPS, FrameChoice, Recipe
 
-DIGITS = 9  # of metres: nanometres
-ROUNDS = 6  # of weights and fit: the weights stand by then
-NOISE_M = 5e-4  # [m] of a tracker, about, so that no marker counts without end
-NEXT_TO_BASE = 2  # markers, of which the model knows most
-STRAIGHT_WITHIN = 0.02  # [1] lengths of the arm that a straight posture's tip may be off the axis
-LEVEL_WITHIN_RAD = 0.035  # [rad] 2°, 1 sd, that a mount and a tracker are level
-TURN_MIN_RAD, TURN_MAX_RAD = 5.2e-3, 1.0  # [rad] 0.3° to 57°: so well is a frame known at all
-SHIFT_MIN_M = 1e-3  # [m] so well is the place of a base known at most
-OFFSET_MIN_M = 1.5e-3  # [m] of markers beside the backbone that is said: the size of a marker
-OFFSET_GAIN = 0.93  # [1] of the weighted error that is left where markers sit there
-MIRRORED_SHARE_MAX = 0.3  # [1] of the residual that is left where the frame is left-handed
-MIRRORED_MIN_M = 1e-3  # [m] residual from which that is asked: twice a tracker's noise
-# what was said of the frame is wrong where it leaves so many times what a free one would, and more
-CONTRADICTED_FACTOR, CONTRADICTED_MIN_M = 3.0, 1e-3
+ROUNDS = 6  # [1] of weights and fit, because the weights no longer change by then
+# [1] lengths of the arm that the tip of a straight posture may be off the axis, because no arm
+# hangs quite straight
+STRAIGHT_TOLERANCE = 0.02
+# [rad] 2°, 1 sd, that a mount and a tracker are level, because they are set up by eye and level
+LEVEL_SD_RAD = math.radians(2.0)
+# [rad] 0.3°: no frame is known better, because no mount is that stiff
+ROTATION_SD_MIN_RAD = math.radians(0.3)
+# [1] of the weighted error that is left where markers sit beside the backbone, because noise alone
+# makes a fit of two more parameters better, too
+OFFSET_GAIN = 0.93
+# [1] times the error of a free frame, because model errors alone change that of another by less
+CONTRADICTED_FACTOR = 3.0
 UP = {'x': (1.0, 0.0, 0.0), 'y': (0.0, 1.0, 0.0), 'z': (0.0, 0.0, 1.0)}
-Z = np.array([0.0, 0.0, 1.0])
+Z = np.array(UP['z'])
 
 
 @dataclass(frozen=True)
@@ -53,15 +59,15 @@ class TrackerFrame:
         'model': all postures onto the model's; 'level': the same with both verticals together;
         'straight': the straight posture, turned about it by the others; 'base': as it is; 'given'.
     residual : float [m]
-        Rms distance to the model's postures that is left; it holds the model's errors, too.
+        Rms distance to the model's postures; it includes the errors of the model.
     at_base : float [m]
         The same for the two markers next to the base.
     straight : float [m] or None
         The same for the straight postures.
     free : float [m]
-        What a free rotation and shift would leave.
+        Residual of a free rotation and shift.
     mirrored : float [m]
-        What a left-handed frame would leave.
+        Residual of a left-handed frame.
 
     """
 
@@ -76,27 +82,27 @@ class TrackerFrame:
 
     @property
     def is_mirrored(self) -> bool:
-        """Whether the postures ask for a left-handed frame (or for two inputs swapped)."""
-        return self.mirrored < MIRRORED_SHARE_MAX * self.free and self.free > MIRRORED_MIN_M
+        """Whether a left-handed frame fits much better, as when two inputs are swapped."""
+        return CONTRADICTED_FACTOR * self.mirrored < self.free > 2.0 * TRACKER_NOISE_M
 
     @property
     def is_contradicted(self) -> bool:
-        """Whether what was said of the frame leaves much more than a free one would."""
-        return self.residual > CONTRADICTED_FACTOR * self.free + CONTRADICTED_MIN_M
+        """Whether the frame as it is said to lie has a much larger residual than a free one."""
+        return self.residual > CONTRADICTED_FACTOR * self.free + 2.0 * TRACKER_NOISE_M
 
     def tolerances(self, length: float) -> dict[str, float]:
         """
-        Return how well the frame is known, 1 sd: position [m] and rotation [rad].
+        Return the standard deviations of the frame: position [m] and rotation [rad].
 
-        The model that it was found with lacks what a diagnosis looks for; so it may be off by as
-        much as the model was, next to the base in position, at the tip in rotation.
+        The model by which it was estimated lacks what a diagnosis looks for, so that the frame may
+        be off by as much as the model: near the base in position, at the tip in rotation.
         """
         if self.method == 'base':
             return {}
-        rotation = LEVEL_WITHIN_RAD if self.method == 'level' else 2.0 * self.residual / length
+        rotation = LEVEL_SD_RAD if self.method == 'level' else 2.0 * self.residual / length
         return {
-            'position': float(f'{max(self.at_base, SHIFT_MIN_M):.2g}'),
-            'rotation': float(f'{min(max(rotation, TURN_MIN_RAD), TURN_MAX_RAD):.2g}'),
+            'position': float(f'{max(self.at_base, 2.0 * TRACKER_NOISE_M):.2g}'),
+            'rotation': float(f'{min(max(rotation, ROTATION_SD_MIN_RAD), 1.0):.2g}'),
         }
 
 
@@ -142,7 +148,7 @@ def find_frame(
     method = choice.method or ('level' if has_verticals else 'model')
     if choice.rotation is not None and choice.shift is not None:
         method = 'given' if choice.method is None else choice.method
-        turn, shift = matrix_of(choice.rotation), np.array(choice.shift)
+        turn, shift = from_rotation_vector(choice.rotation), np.array(choice.shift)
     elif method == 'base':
         turn, shift = np.eye(3), np.zeros(3)
     elif method == 'straight':
@@ -157,7 +163,9 @@ def find_frame(
                 )
             above = -gravity / np.linalg.norm(gravity)
         turn, shift = _weighted(measured, markers, dataset.arc_lengths, up, above)
-    turn = matrix_of(rotation_vector(turn))  # as a file gives it back, to the last digit
+    turn = from_rotation_vector(
+        rotation_vector(turn)
+    )  # as a file gives it back, to the last digit
     shift = shift.round(DIGITS)
     off = measured @ turn.T + shift - markers
     straight = _straight_postures(markers, dataset)
@@ -166,10 +174,10 @@ def find_frame(
         shift,
         method,
         rms(off),
-        rms(off[:, :NEXT_TO_BASE]),
+        rms(off[:, :2]),
         rms(off[straight]) if seen[straight].any() else None,
-        _left(measured[seen], markers[seen]),
-        _left(measured[seen] * [1.0, 1.0, -1.0], markers[seen]),
+        _free_residual(measured[seen], markers[seen]),
+        _free_residual(measured[seen] * [1.0, 1.0, -1.0], markers[seen]),
     )
 
 
@@ -177,7 +185,7 @@ def up_that_fits(
     dataset: DataSet, predictor: Predictor, choice: FrameChoice, usual: str | None
 ) -> tuple[str | None, list[str]]:
     """
-    Return the axis that points up, where only a kind of file says it, and what is assumed.
+    Return the axis that points up, where only the file format suggests one, and assumptions.
 
     A tracker may be set up otherwise: another axis is taken where with the usual one the
     verticals contradict the postures, and with the other they do not.
@@ -185,8 +193,8 @@ def up_that_fits(
     gravity = predictor.robot.gravity
     if usual is None or gravity is None or not any(gravity) or choice.method or choice.rotation:
         return usual, []
-    told = find_frame(dataset, predictor, choice, usual)
-    if not told.is_contradicted:
+    frame = find_frame(dataset, predictor, choice, usual)
+    if not frame.is_contradicted:
         return usual, []
     others = {up: find_frame(dataset, predictor, choice, up) for up in UPS if up != usual}
     best = min(others, key=lambda up: others[up].residual)
@@ -194,7 +202,7 @@ def up_that_fits(
         return usual, []
     return best, [
         f'{best} points up: with {usual}, as files of this kind usually have it, the frame would '
-        f'fit to {mm(told.residual)} instead of {mm(others[best].residual)} (otherwise say --up)'
+        f'fit to {mm(frame.residual)} instead of {mm(others[best].residual)} (otherwise say --up)'
     ]
 
 
@@ -208,8 +216,9 @@ def _weighted(
     """
     Lay postures (P, J, 3) [m] onto the model's; with `above` the verticals stay together.
 
-    A model's error grows along the arm, as s³ in its square where curvatures are off at random;
-    so the markers next to the base count most. How fast it grows is told by what is left.
+    The squared error of a model grows with the cube of the arc length where curvatures are off at
+    random, so that markers next to the base have the largest weights. How fast it grows is
+    estimated from the residuals.
     """
     seen = np.isfinite(measured).all(axis=2)
     a, b = measured[seen], markers[seen]
@@ -219,9 +228,11 @@ def _weighted(
         if above is None or up is None:
             turn, shift = rigid_fit(a, b, w)
         else:
-            turn, shift = _level(a, b, w, up_axis(up), above)
-        left = np.where(seen, ((measured @ turn.T + shift - markers) ** 2).sum(axis=2), 0.0)
-        weights = np.broadcast_to(_weights(left, seen, arc_lengths), seen.shape)
+            first = towards(above) @ towards(up_axis(up)).T  # the tracker's up onto the base's
+            about, shift = upright_fit(a @ first.T, b, above, w)
+            turn = about @ first
+        squares = np.where(seen, ((measured @ turn.T + shift - markers) ** 2).sum(axis=2), 0.0)
+        weights = np.broadcast_to(_weights(squares, seen, arc_lengths), seen.shape)
     return turn, shift
 
 
@@ -229,7 +240,7 @@ def _weights(squares: FloatArray, seen: BoolArray, arc_lengths: FloatArray) -> F
     """Return a weight (J,) [1/m²] for each marker, from squared distances (P, J) [m²]."""
     cube = seen * arc_lengths**3
     growth = float((squares * cube).sum() / (cube**2).sum())
-    return np.asarray(1.0 / (NOISE_M**2 + growth * arc_lengths**3))
+    return np.asarray(1.0 / (TRACKER_NOISE_M**2 + growth * arc_lengths**3))
 
 
 def side_offset(
@@ -260,35 +271,19 @@ def side_offset(
     frame += [np.cross(axis, predicted) for axis in np.eye(3)]
     columns = np.array([column[seen].ravel() * scale for column in (*sideways, *frame)]).T
     values = off[seen].ravel() * scale
-    found, without = (np.linalg.lstsq(a, values)[0] for a in (columns, columns[:, 2:]))
-    left, before = values - columns @ found, values - columns[:, 2:] @ without
-    x, y = found[:2].tolist()
-    if np.hypot(x, y) < OFFSET_MIN_M or left @ left > OFFSET_GAIN**2 * (before @ before):
+    estimate, without = (np.linalg.lstsq(a, values)[0] for a in (columns, columns[:, 2:]))
+    residual, residual_before = values - columns @ estimate, values - columns[:, 2:] @ without
+    x, y = estimate[:2].tolist()
+    if np.hypot(x, y) < 3.0 * TRACKER_NOISE_M or residual @ residual > OFFSET_GAIN**2 * (
+        residual_before @ residual_before
+    ):
         return None
     return round(x, 4), round(y, 4), 0.0
 
 
-def _left(measured: FloatArray, markers: FloatArray) -> float:
+def _free_residual(measured: FloatArray, markers: FloatArray) -> float:
     turn, shift = rigid_fit(measured, markers)
     return rms(measured @ turn.T + shift - markers)
-
-
-def _turned_about(axis: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the rotation about an axis that lays vectors a (n, 3) best onto b."""
-    cross = float(np.sum(np.cross(a, b) @ axis))
-    along = float(np.sum(a * b) - np.sum((a @ axis) * (b @ axis)))
-    return matrix_of(axis * np.arctan2(cross, along))
-
-
-def _level(
-    a: FloatArray, b: FloatArray, weights: FloatArray, up: FloatArray, above: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Lay the tracker's up onto the base's, turn about it and shift onto the model."""
-    first = towards(above) @ towards(up).T
-    here, there = (np.average(points, axis=0, weights=weights) for points in (a @ first.T, b))
-    moved = weights[:, None] * (a @ first.T - here)
-    turn = _turned_about(above, moved, b - there) @ first
-    return turn, there - turn @ np.average(a, axis=0, weights=weights)
 
 
 def _straight_postures(markers: FloatArray, dataset: DataSet) -> BoolArray:
@@ -296,14 +291,14 @@ def _straight_postures(markers: FloatArray, dataset: DataSet) -> BoolArray:
     straight = np.zeros_like(markers)
     straight[..., 2] = dataset.arc_lengths
     off = np.linalg.norm(markers - straight - dataset.offsets, axis=2).max(axis=1)
-    found: BoolArray = off < STRAIGHT_WITHIN * dataset.robot.length
+    found: BoolArray = off < STRAIGHT_TOLERANCE * dataset.robot.length
     return found
 
 
 def _straight(
     measured: FloatArray, markers: FloatArray, dataset: DataSet, seen: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Lay the straight posture onto +z; the others tell the turn about it."""
+    """Lay the straight posture onto +z, and find the rotation about it by the other postures."""
     chosen = _straight_postures(markers, dataset)
     use = seen & chosen[:, None]
     if use.sum() < 2:
@@ -316,7 +311,7 @@ def _straight(
     first = towards(slope / np.linalg.norm(slope)).T
     middle = points.mean(axis=0)
     a, b = (measured[seen] - middle) @ first.T, markers[seen] - arc.mean() * Z
-    turn = _turned_about(Z, a, b) @ first
+    turn = rotation_about(Z, a, b) @ first
     return turn, arc.mean() * Z - turn @ middle
 
 
@@ -324,12 +319,6 @@ def gravity_of(frame: TrackerFrame, up: str) -> Vector:
     """Return gravity [m/s²] in the base frame where the tracker's axis `up` points up."""
     x, y, z = (-STANDARD_GRAVITY * (frame.rotation @ up_axis(up))).round(6).tolist()
     return x, y, z
-
-
-def matrix_of(vector: npt.ArrayLike) -> FloatArray:
-    """Return the matrix (3, 3) of a rotation vector [rad]."""
-    matrix: FloatArray = Rotation.from_rotvec(np.asarray(vector, dtype=float)).as_matrix()
-    return matrix
 
 
 def rotation_vector(rotation: FloatArray) -> Vector:
@@ -343,9 +332,12 @@ def angle_of(frame: TrackerFrame) -> float:
     return turn_angle(frame.rotation)
 
 
-TRIALS_SHOWN = 6  # of those that were left out, so that the line is read
-UNKNOWN_SHARE = 0.1  # [1] of the arm, by which its tip is off for the frame alone: of no use then
-APART_RAD = 0.3  # [rad] 17° between gravity as the robot says it and as the tracker does
+TRIALS_SHOWN = 6  # [1] of those that were left out, so that the line is read
+# [1] of the arm, by which the tip may be off for the frame alone, because a frame that is known
+# less well does not test the model
+UNKNOWN_FRACTION = 0.1
+# [rad] 17° between gravity by the robot and by the tracker, because no mount is off by so much
+GRAVITY_APART_MAX_RAD = 0.3
 
 
 @dataclass(frozen=True)
@@ -355,41 +347,44 @@ class Placed:
     dataset: DataSet
     frame: TrackerFrame
     left_out: tuple[tuple[str, str], ...]  # posture, trial that the others contradict
-    gravity_look: tuple[str, ...]  # what of gravity asks for a look
+    gravity_look: tuple[str, ...]  # what should be checked about gravity
 
     @property
     def frame_look(self) -> list[str]:
-        """Say what contradicts the frame."""
-        frame, length, said = self.frame, self.dataset.robot.length, []
+        """Lines about contradictions of the frame."""
+        frame, length, lines = self.frame, self.dataset.robot.length, []
         known = frame.tolerances(length)
-        if known and max(known['position'], known['rotation'] * length) > UNKNOWN_SHARE * length:
-            said.append(
+        if (
+            known
+            and max(known['position'], known['rotation'] * length) > UNKNOWN_FRACTION * length
+        ):
+            lines.append(
                 f'the frame is known to {mm(known["position"], 2)} and '
                 f'{np.degrees(known["rotation"]):.2g}° only, more than a tenth of the arm at its '
                 'tip: are markers, inputs and units right? (--frame base, where the table is in '
                 'the base frame)'
             )
         if frame.is_mirrored:
-            said.append(
+            lines.append(
                 f'a left-handed frame would fit better ({mm(frame.mirrored)} instead of '
                 f'{mm(frame.free)}): an axis has the wrong sign, or two inputs are swapped'
             )
         elif frame.is_contradicted:
-            said.append(
+            lines.append(
                 f'free to turn, the frame would fit to {mm(frame.free)} instead of '
                 f'{mm(frame.residual)}: a load that the description lacks, or is what is said of '
                 'it (up, gravity, frame) not right? (--frame model turns it freely)'
             )
-        return said
+        return lines
 
     @property
     def look(self) -> list[str]:
-        """Say what asks for a look."""
+        """Lines about what should be checked."""
         return [*self.gravity_look, *self.frame_look]
 
     @property
     def dropped(self) -> list[str]:
-        """Say which trials were left out."""
+        """Lines about trials that were left out."""
         if not self.left_out:
             return []
         names = [f'posture {posture} trial {trial}' for posture, trial in self.left_out]
@@ -459,7 +454,7 @@ def _without(dataset: DataSet, pairs: Sequence[tuple[str, str]]) -> DataSet:
 def _gravity(
     dataset: DataSet, frame: TrackerFrame, recipe: Recipe
 ) -> tuple[tuple[float, float, float] | None, tuple[str, ...]]:
-    """Return gravity as the tracker tells it where the robot does not, and what contradicts."""
+    """Return gravity by the tracker where the robot has none, and contradictions of both."""
     known = dataset.robot.gravity
     if recipe.up is None:
         told = 'where down is: say --up (y for OptiTrack, z for most others)'
@@ -479,7 +474,7 @@ def _gravity(
         )
     cosine = float(np.dot(known, seen) / (STANDARD_GRAVITY * np.linalg.norm(known)))
     apart = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
-    if apart < APART_RAD:
+    if apart < GRAVITY_APART_MAX_RAD:
         return None, ()
     return None, (
         f'gravity of the robot and up of the tracker are {np.degrees(apart):.0f}° apart; '

@@ -23,19 +23,26 @@ from ..data.tracker_faults import (
     without_unseen,
 )
 from .choices import Taken, time_column
-from .columns import FloatArray, RawTable, marker_label
+from .columns import TRACKER_NOISE_M, FloatArray, RawTable, marker_label
 from .markers import circle_centres, not_visible
 from .recipe import MarkerColumns, Recipe, WireSpool, points_of
 
-STEP_S = 0.02  # [s] of the grid on which motions are compared: two frames of a usual tracker
-SEARCH_STEP_S = 0.1  # [s] of that on which the speed of the clock is searched
-POINTS_MAX = 1 << 17  # of the grid, for the memory; a longer recording is on a coarser one
-PATTERNS_MAX = 6  # motions of the markers that are compared, the largest: all of two sections
-CLEAR_SHARE = 0.85  # [1] of the best match; another delay that comes nearer leaves it open
-MATCH_MIN = 0.3  # [1] of the motion that the inputs explain: less is chance
-DRIFT_MAX = 0.01  # [s/s] no clock is worse; a wrong number of frames a second may be
-DRIFTED_BETWEEN_S = 1.0  # [s] from one trial of the search to the next, at the end of the record
-EVEN_WITHIN_S = 0.05  # [s] at the end of the record: then the clocks run alike
+STEP_S = 0.02  # [s] of the grid on which motions are compared, because cameras have 30 to 100 Hz
+# [1] of the grid, so that a long recording fits into memory, on a coarser one
+POINTS_MAX = 1 << 17
+# [1] motions of the markers that are compared, the largest, because two sections that bend and
+# lengthen have no more
+PATTERNS_MAX = 6
+# [1] of the best match, above which another delay leaves it open, because noise changes both
+CLEAR_RATIO = 0.85
+MATCH_MIN = 0.3  # [1] of the motion that the inputs explain, because less may be by chance
+# [s/s] that a clock may lose, because a wrong number of frames a second is no larger error
+DRIFT_MAX = 0.01
+# [s] at the end of the record, from one drift of the search to the next, so that their peaks
+# overlap
+DRIFT_STEP_S = 1.0
+# [s] at the end of the record, below which clocks run alike, because the grid is no finer
+DRIFT_MIN_S = 0.05
 
 
 @dataclass(frozen=True)
@@ -50,7 +57,7 @@ class ClockFit:
     @property
     def is_clear(self) -> bool:
         """Whether no other clock comes near."""
-        return self.match >= MATCH_MIN and self.next_best < CLEAR_SHARE * self.match
+        return self.match >= MATCH_MIN and self.next_best < CLEAR_RATIO * self.match
 
 
 def find_clock(
@@ -76,22 +83,22 @@ def find_clock(
     span = float(times[-1])
     longest = max(float(state_times[-1]), span)
     motions = (state_times, inputs, times, positions.reshape(len(times), -1))
-    count = int(DRIFT_MAX * span / DRIFTED_BETWEEN_S)
+    count = int(DRIFT_MAX * span / DRIFT_STEP_S)
     drifts = np.linspace(-DRIFT_MAX, DRIFT_MAX, 2 * count + 1) if count else np.zeros(1)
-    search = _Comparison(*motions, max(SEARCH_STEP_S, longest / POINTS_MAX))
+    search = _Comparison(*motions, max(5.0 * STEP_S, longest / POINTS_MAX))
     matches = np.array([search.matches(drift).max() for drift in drifts.tolist()])
     rough = int(matches.argmax())
     fine = _Comparison(*motions, max(STEP_S, longest / POINTS_MAX))
-    drift, wide = float(drifts[rough]), DRIFTED_BETWEEN_S / max(span, 1.0)
+    drift, wide = float(drifts[rough]), DRIFT_STEP_S / max(span, 1.0)
     drift = float(
         minimize_scalar(
             lambda rate: -fine.matches(float(rate)).max(),
             bounds=(max(drift - wide, -DRIFT_MAX), min(drift + wide, DRIFT_MAX)),
             method='bounded',
-            options={'xatol': 0.1 * EVEN_WITHIN_S / max(span, 1.0)},
+            options={'xatol': 0.1 * DRIFT_MIN_S / max(span, 1.0)},
         ).x
     )
-    if abs(drift) * span < EVEN_WITHIN_S:
+    if abs(drift) * span < DRIFT_MIN_S:
         drift = 0.0
     match = fine.matches(drift)
     best = int(match.argmax())
@@ -159,7 +166,7 @@ def _on_grid(times: FloatArray, values: FloatArray, step: float) -> FloatArray:
 
 def _next_best(match: FloatArray, best: int) -> float:
     """Return the highest match that is not on the slopes of the best one."""
-    low = CLEAR_SHARE * match[best]
+    low = CLEAR_RATIO * match[best]
     below = np.flatnonzero(match < low)
     before, after = below[below < best], below[below > best]
     begin = int(before[-1]) if len(before) else 0
@@ -168,12 +175,13 @@ def _next_best(match: FloatArray, best: int) -> float:
 
 
 IntArray = npt.NDArray[np.int64]
-JUMP_MAX_S = 0.3  # [s] for so long a marker is taken for another one at most, so that moves stay
-JUMP_FROM = 10.0  # times the usual step from frame to frame: a leap, because arms move smoothly
-JUMP_MIN_M = 2e-3  # [m] a leap at least: more than a tracker's noise
-# without times: by hand nobody measures more, so that these may be frames of a recording
-ROWS_MAX = 500
-FRAME_STEP_SHARE = 0.02  # [1] of how far the arm moves: less from row to row is a recording
+# [s] for which a marker is taken for another one at most, so that motions are not cut out
+JUMP_MAX_S = 0.3
+JUMP_FACTOR = 10.0  # [1] times the usual step between frames, because an arm moves smoothly
+ROWS_MAX = 500  # [1] rows without times, because nobody measures more by hand
+# [1] of the distance that the arm moves: smaller steps from row to row are those of a recording,
+# because postures that somebody chose are farther apart
+FRAME_STEP_FRACTION = 0.02
 
 
 def input_factor(unit_text: str, spool: WireSpool) -> float:
@@ -216,6 +224,11 @@ class CutReadings:
     markers: IntArray  # (K,) as in the table
     places: FloatArray  # (K, 3) [m] in the tracker's frame
 
+    @classmethod
+    def none(cls) -> CutReadings:
+        """Return no readings."""
+        return cls(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
+
     def __add__(self, other: CutReadings) -> CutReadings:
         """Put two together."""
         return CutReadings(
@@ -223,9 +236,6 @@ class CutReadings:
             np.append(self.markers, other.markers),
             np.concatenate([self.places, other.places]),
         )
-
-
-NOTHING_CUT = CutReadings(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
 
 
 @dataclass(frozen=True)
@@ -258,77 +268,93 @@ def make_traces(tables: Sequence[RawTable], taken: Taken, length: float) -> list
     inputs = [u.column for u in (recipe.inputs or {}).values()]
     triples = [t for marker in recipe.markers or () for t in (marker.columns, *marker.later)]
     places = [column for triple in triples for column in triple]
-    told = [t for t in tables if _holds(t, inputs)]
-    seen = [t for t in tables if _holds(t, places)]
+    with_inputs = [t for t in tables if t.holds(*inputs)]
+    with_markers = [t for t in tables if t.holds(*places)]
     for table in tables:
-        if table not in told and table not in seen:
-            missing = [c for c in (*inputs, *places) if not _holds(table, [c])]
+        if table not in with_inputs and table not in with_markers:
+            missing = [c for c in (*inputs, *places) if not table.holds(c)]
             raise DataSetError(
                 table.name, f'lacks the columns {listing(missing)}', 'give all tables the same'
             )
-    if len(told) != len(seen):
+    if len(with_inputs) != len(with_markers):
         raise DataSetError(
             tables[0].name,
-            f'{len(told)} tables hold inputs and {len(seen)} markers',
+            f'{len(with_inputs)} tables hold inputs and {len(with_markers)} markers',
             'name one of each per recording',
         )
-    delays = _for_each('delay', recipe.delay, told)
-    drifts = _for_each('drift', recipe.drift, told)
-    pairs = zip(told, seen, zip(delays, drifts, strict=True), strict=True)
+    delays = _for_each('delay', recipe.delay, with_inputs)
+    drifts = _for_each('drift', recipe.drift, with_inputs)
+    pairs = zip(with_inputs, with_markers, zip(delays, drifts, strict=True), strict=True)
     return [_trace(a, b, recipe, clock, length) for a, b, clock in pairs]
 
 
 def _for_each(
-    what: str, given: Sequence[float] | None, told: Sequence[RawTable]
+    what: str, given: Sequence[float] | None, tables: Sequence[RawTable]
 ) -> Sequence[float | None]:
-    """Return what is given of the clocks, a number for each recording."""
+    """Return the delay or drift of each recording as given, None where it is to be estimated."""
     if not given:
-        return (None,) * len(told)
-    if len(given) not in (1, len(told)):
+        return (None,) * len(tables)
+    if len(given) not in (1, len(tables)):
         raise DataSetError(
-            told[0].name,
-            f'{len(given)} {what}s are given for {len(told)} recordings',
+            tables[0].name,
+            f'{len(given)} {what}s are given for {len(tables)} recordings',
             f'give one {what}, or one for each',
         )
-    return tuple(given) * (len(told) if len(given) == 1 else 1)
-
-
-def _holds(table: RawTable, columns: Sequence[str]) -> bool:
-    return all(c in table.columns or c in table.texts for c in columns)
+    return tuple(given) * (len(tables) if len(given) == 1 else 1)
 
 
 def _trace(
-    told: RawTable,
-    seen: RawTable,
+    input_table: RawTable,
+    marker_table: RawTable,
     recipe: Recipe,
     clock: tuple[float | None, float | None],
     length: float,
 ) -> Traces:
     uses = (recipe.inputs or {}).values()
     inputs = np.column_stack(
-        [told.numbers(use.column) * input_factor(use.unit, recipe.spool) for use in uses]
+        [input_table.numbers(use.column) * input_factor(use.unit, recipe.spool) for use in uses]
     )
-    positions, unseen = marker_places(seen, recipe, length)
-    _refuse_nothing(told, seen, recipe, inputs, positions)
+    positions, unseen = marker_places(marker_table, recipe, length)
+    pulled = [use.unit in UNITS['force'] or use.unit in UNITS['current'] for use in uses]
+    empty = ~np.isfinite(inputs).any(axis=0) & pulled  # a wire may be slack all the time
+    if empty.any():
+        names = [use.column for use, none in zip(uses, empty.tolist(), strict=True) if none]
+        problem = f'there is no number in {listing(names)}'
+        raise DataSetError(input_table.name, problem, 'name another column: --column INPUT=COLUMN')
+    if not np.isfinite(positions).any():
+        raise DataSetError(
+            marker_table.name, 'no marker was ever seen', 'export the markers again'
+        )
     clocks, delay, drift = '', clock[0], clock[1] or 0.0
     if recipe.time is None:
-        _refuse_recording(seen.name, positions)
-        times = state_times = np.arange(len(told), dtype=float)
+        steps = np.linalg.norm(np.diff(positions, axis=0), axis=2)
+        moved = np.linalg.norm(np.nanmax(positions, axis=0) - np.nanmin(positions, axis=0), axis=1)
+        is_recording = len(positions) > ROWS_MAX
+        if is_recording and np.nanmedian(steps) < FRAME_STEP_FRACTION * moved.max():
+            raise DataSetError(
+                marker_table.name,
+                f'has no column of times, and its {len(positions):,} rows follow each other like '
+                'the frames of a recording',
+                'say --column time=COLUMN, or leave one row per measurement',
+            )
+        times = state_times = np.arange(len(input_table), dtype=float)
     else:
-        state_times, times = _times(told, recipe), _times(seen, recipe)
-        if told is not seen and not (told.part and told.name == seen.name):  # own clocks
+        state_times, times = _times(input_table, recipe), _times(marker_table, recipe)
+        if input_table is not marker_table and not (
+            input_table.part and input_table.name == marker_table.name
+        ):  # own clocks
             if delay is None:
                 delay, drift, clocks = _clock(state_times, inputs, times, positions)
             times = delay + (1.0 + drift) * times
         else:
             delay = None
-    cut, exchanges = NOTHING_CUT, list[tuple[int, int, int]]()
+    cut, exchanges = CutReadings.none(), list[tuple[int, int, int]]()
     if recipe.time:
         cut = _cut_jumps(positions, times)
         positions, exchanges = put_back(positions)
     turned = np.broadcast_to(np.nan, (*positions.shape[:2], 4))
     track = Track(times, positions, turned)
-    recording = Recording(seen.name, state_times, [], (track,), (), [], None, None)
+    recording = Recording(marker_table.name, state_times, [], (track,), (), [], None, None)
     labels = [marker_label(marker.columns) for marker in recipe.markers or ()]
     said = tuple(exchange_lines(exchanges, times, labels))
     return Traces(recording, inputs, unseen, cut, delay, drift, clocks, said)
@@ -373,15 +399,15 @@ def follow_renumbered(tables: Sequence[RawTable], taken: Taken, length: float) -
     if len(markers) < 2 or any(marker.arc_length is not None for marker in markers):
         return taken
     columns = [c for marker in markers for c in marker.columns]
-    seen = [table for table in tables if _holds(table, columns)]
+    seen = [table for table in tables if table.holds(*columns)]
     if not seen:
         return taken
-    nameless = [c for c in taken.nameless if all(_holds(table, c) for table in seen)]
+    nameless = [c for c in taken.nameless if all(table.holds(*c) for table in seen)]
     every = (*markers, *map(MarkerColumns, nameless))
     recipe = replace(taken.recipe, markers=every)
     places = np.concatenate([marker_places(t, recipe, length)[0] for t in seen])
     chains = [chain for chain in renumbered(places) if chain[0] < len(markers)]
-    said = [
+    lines = [
         f'{marker_label(every[j].columns)} is {marker_label(markers[chain[0]].columns)}, '
         'numbered anew: it begins where that one ends'
         for chain in chains
@@ -395,62 +421,32 @@ def follow_renumbered(tables: Sequence[RawTable], taken: Taken, length: float) -
     return replace(
         taken,
         recipe=replace(taken.recipe, markers=followed),
-        assumed=(*taken.assumed, *said),
+        assumed=(*taken.assumed, *lines),
         nameless=tuple(columns for columns in taken.nameless if columns not in joined_up),
     )
-
-
-def _refuse_nothing(
-    told: RawTable, seen: RawTable, recipe: Recipe, inputs: FloatArray, positions: FloatArray
-) -> None:
-    """Refuse tensions and markers of which the tables hold no number at all."""
-    uses = (recipe.inputs or {}).values()
-    pulled = [use.unit in UNITS['force'] or use.unit in UNITS['current'] for use in uses]
-    empty = ~np.isfinite(inputs).any(axis=0) & pulled  # a wire may be slack all the time
-    if empty.any():
-        names = [use.column for use, none in zip(uses, empty.tolist(), strict=True) if none]
-        problem = f'there is no number in {listing(names)}'
-        raise DataSetError(told.name, problem, 'name another column: --column INPUT=COLUMN')
-    if not np.isfinite(positions).any():
-        raise DataSetError(seen.name, 'no marker was ever seen', 'export the markers again')
-
-
-def _refuse_recording(name: str, positions: FloatArray) -> None:
-    """Refuse rows without times that are no measurements but the frames of a moving arm."""
-    if len(positions) <= ROWS_MAX:
-        return
-    steps = np.linalg.norm(np.diff(positions, axis=0), axis=2)
-    moved = np.nanmax(positions, axis=0) - np.nanmin(positions, axis=0)
-    if np.nanmedian(steps) < FRAME_STEP_SHARE * np.linalg.norm(moved, axis=1).max():
-        raise DataSetError(
-            name,
-            f'has no column of times, and its {len(positions):,} rows follow each other like the '
-            'frames of a recording',
-            'say --column time=COLUMN, or leave one row per measurement',
-        )
 
 
 def _clock(
     state_times: FloatArray, inputs: FloatArray, times: FloatArray, positions: FloatArray
 ) -> tuple[float, float, str]:
     """Return delay [s] and drift [s/s] of the tracker's clock, and how they are known."""
-    found = find_clock(state_times, inputs, times, positions)
-    if not found.is_clear:
+    fit = find_clock(state_times, inputs, times, positions)
+    if not fit.is_clear:
         why = (
             'both files begin together: what moves in them does not tell by how much one begins '
-            f'later ({100 * found.match:.0f} % go with the inputs at {found.delay:.2f} s, '
-            f'{100 * found.next_best:.0f} % at another delay); if you know it, say --delay'
+            f'later ({100 * fit.match:.0f} % go with the inputs at {fit.delay:.2f} s, '
+            f'{100 * fit.next_best:.0f} % at another delay); if you know it, say --delay'
         )
         return 0.0, 0.0, why
-    delay, drift = round(found.delay, 3), round(found.drift, 7)
+    delay, drift = round(fit.delay, 3), round(fit.drift, 7)
     way = 'after' if delay >= 0.0 else 'before'
     speed = 'fast' if drift < 0.0 else 'slow'
     off = f'{abs(drift) * times[-1]:.2f} s at its end, {1e6 * abs(drift):.0f} in a million'
     how = (
         f"the tracker's file begins {abs(delay):.2f} s {way} that of the inputs"
         + (f', and its clock is {speed} ({off})' if drift else '')
-        + f': then {100 * found.match:.0f} % of what the markers move goes with the inputs, '
-        f'at no other delay more than {100 * found.next_best:.0f} %'
+        + f': then {100 * fit.match:.0f} % of what the markers move goes with the inputs, '
+        f'at no other delay more than {100 * fit.next_best:.0f} %'
     )
     return delay, drift, how
 
@@ -468,21 +464,21 @@ def _cut_jumps(positions: FloatArray, times: FloatArray) -> CutReadings:
     """Take out frames in which a marker leaps away and, a moment later, is back."""
     step_s = float(np.median(np.diff(times))) if len(times) > 2 else 1.0
     most = int(np.clip(JUMP_MAX_S / max(step_s, 1e-9), 1, 50))
-    cut = NOTHING_CUT
+    cut, least = CutReadings.none(), 4.0 * TRACKER_NOISE_M  # [m] of a leap
     for j in range(positions.shape[1]):
         seen = np.flatnonzero(np.isfinite(positions[:, j, 0]))
         path = positions[seen, j]
         steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
         if len(steps) < 3:
             continue
-        leaps = np.flatnonzero(steps > max(JUMP_FROM * float(np.median(steps)), JUMP_MIN_M)) + 1
+        leaps = np.flatnonzero(steps > max(JUMP_FACTOR * float(np.median(steps)), least)) + 1
         out = set[int]()
         for frame in leaps.tolist():
             before = frame - 1
             while before in out:
                 before -= 1
             leap = float(np.linalg.norm(path[frame] - path[before]))
-            if before < 0 or frame in out or leap < JUMP_MIN_M:
+            if before < 0 or frame in out or leap < least:
                 continue
             back = np.linalg.norm(path[frame : frame + most] - path[before], axis=1)
             near = np.flatnonzero(back < 0.25 * leap)
@@ -494,8 +490,17 @@ def _cut_jumps(positions: FloatArray, times: FloatArray) -> CutReadings:
 def _times(table: RawTable, recipe: Recipe) -> FloatArray:
     column = time_column(table, recipe.time)
     assert column is not None
-    times = _stamps(table, column)
-    if times is None:
+    stamps = None  # times written as dates
+    if column in table.texts:
+        stamps = pandas().to_datetime(list(table.texts[column]), errors='coerce', utc=True)
+    if stamps is not None and stamps.isna().mean() <= 0.5:
+        bad = np.asarray(stamps.isna())
+        if bad.any():
+            row = int(bad.argmax())
+            problem = f'{column} is {table.texts[column][row]!r}'
+            raise DataSetError(table.where(row), problem, 'expected a date and time')
+        times = np.asarray((stamps - stamps[0]).total_seconds())
+    else:
         unit = find_unit((recipe.time or {})[column])
         times = table.numbers(column, 'a time') * (1.0 if unit is None else unit.factor)
     if np.isnan(times).any():
@@ -511,19 +516,3 @@ def _times(table: RawTable, recipe: Recipe) -> FloatArray:
         )
     started: FloatArray = times - times[0]
     return started
-
-
-def _stamps(table: RawTable, column: str) -> FloatArray | None:
-    """Return times (R,) [s] written as dates, None where they are numbers."""
-    if column not in table.texts:
-        return None
-    stamps = pandas().to_datetime(list(table.texts[column]), errors='coerce', utc=True)
-    if stamps.isna().mean() > 0.5:
-        return None
-    bad = np.asarray(stamps.isna())
-    if bad.any():
-        row = int(bad.argmax())
-        text = table.texts[column][row]
-        raise DataSetError(table.where(row), f'{column} is {text!r}', 'expected a date and time')
-    found: FloatArray = np.asarray((stamps - stamps[0]).total_seconds())
-    return found

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from ...common.errors import DataSetError
 from ...common.files import new_file
 from ...common.words import listing
 from ...robot import Robot, RobotLike, load_robot, parse_robot
-from ..arrays import DISTANCE_MAX_LENGTHS, TENSION_MAX_LIMITS, Marker, default_markers, too_tense
+from ..arrays import PLAUSIBLE_FACTOR, Marker, default_markers, too_tense
 from ..dataset import DataSet, FloatArray
 from ..folder import Description, describe, read_fields
 from ..tracker_faults import (
@@ -47,7 +46,7 @@ from .still_segments import (
 )
 from .writer import DESCRIPTION, ROBOT
 
-# [m] of noise that is assumed where frames do not differ, so that none is exact
+# [m] noise where the frames do not differ, else the measurement would count as exact
 NOISE_MIN_M = 1e-7
 
 
@@ -109,7 +108,13 @@ def import_bag(
     """
     topics = topics or Topics()
     recording = read_bag(bag, topics)
-    robot = _robot(recording, robot)
+    if robot is None and recording.robot is None:
+        raise DataSetError(
+            recording.name, 'it holds no robot description', 'name one with --robot robot.yaml'
+        )
+    if robot is None:
+        robot = parse_robot(recording.robot or '', f'{recording.name}: {ROBOT}')
+    robot = load_robot(robot)
     described = _describe(recording, robot, description)
     if recording.tracks:
         recording = in_base(recording)
@@ -123,36 +128,47 @@ def import_bag(
             'base is',
             'import it with import-bag, which finds where it lies (--frame base: it is the base)',
         )
-    recording, told = _renumbered(recording, described.markers or default_markers(robot))
+    recording, renumbered_lines = _renumbered(
+        recording, described.markers or default_markers(robot)
+    )
     markers = _markers(recording, robot, described)
     inputs = _inputs(recording, robot, described.input)
     recording, unseen = _without_unseen(recording, robot, [marker.name for marker in markers])
     refuse_two_senders(recording, inputs)
     recording, exchanged = _put_back(recording)
     rule = (rule or Rule()).fill(robot, described.input)
-    moved = motion(recording, inputs, rule)
+    speeds = motion(recording, inputs, rule)
     segments, left_out = find_segments(
-        recording, inputs, moved, rule, sequence=described.path == 'sequence'
+        recording, inputs, speeds, rule, sequence=described.path == 'sequence'
     )
     if not any(np.isfinite(one.positions).any() for one in segments):
         times = [track.times for track in recording.tracks]
-        raise never_still(recording.name, [moved], times, rule)
+        raise never_still(recording.name, [speeds], times, rule)
     if rest is not None:
         segments = [one for one in segments if (np.nan_to_num(one.inputs) >= rest).any()]
         if not segments:
             problem = f'wherever the arm stands still all inputs are below {rest:g}: at rest'
             raise DataSetError(recording.name, problem, 'lower what counts as rest')
-    _check_places(recording.name, segments, robot, is_base(recording.frame))
+    places = np.array([one.positions for one in segments])
+    if not is_base(recording.frame):  # of a tracker's frame only how far they spread
+        places = places - np.nanmedian(places, axis=(0, 1))
+    far = float(np.nan_to_num(np.abs(places)).max())
+    if far > PLAUSIBLE_FACTOR * robot.length:
+        raise DataSetError(
+            recording.name,
+            f'a marker is {far:g} m away, but the robot is only {robot.length:g} m long',
+            'record metres in the base frame (are these mm?)',
+        )
     segments = plausible_inputs(recording.name, segments, robot, described.input, rule)
     dataset = segments_dataset(recording.name, segments, robot, described, markers)
     return Imported(
         dataset,
         tuple(segments),
-        moved,
+        speeds,
         recording.state_times,
         inputs,
         rule,
-        (*told, *exchanged, *unseen, *left_out),
+        (*renumbered_lines, *exchanged, *unseen, *left_out),
         recording.frame,
     )
 
@@ -166,14 +182,14 @@ def _renumbered(recording: Recording, markers: Sequence[Marker]) -> tuple[Record
     chains = renumbered(positions)
     if len(chains) != len(markers):
         return recording, []
-    said = [
+    lines = [
         f'poses {listing(map(str, chain))} of the shape are one marker, numbered anew'
         for chain in chains
         if len(chain) > 1
     ]
     turned = np.where(np.isnan(positions[..., :1]), np.nan, track.orientations)
     one = replace(track, positions=joined(positions, chains), orientations=joined(turned, chains))
-    return replace(recording, tracks=(one,)), said
+    return replace(recording, tracks=(one,)), lines
 
 
 def _put_back(recording: Recording) -> tuple[Recording, list[str]]:
@@ -194,14 +210,14 @@ def _without_unseen(
     """Take out readings of markers that are none, and say how many and why."""
     steps = [track.times[1:][changes(track.positions).any(axis=1)] for track in recording.tracks]
     tracks: list[Track] = []
-    said: list[str] = []
+    lines: list[str] = []
     for k, track in enumerate(recording.tracks):
         others = np.sort(np.concatenate([np.zeros(0), *steps[:k], *steps[k + 1 :]]))
         news = np.diff(np.searchsorted(others, track.times)) > 0
         positions, counts = without_unseen(track.positions, robot.length, news=news)
-        said += unseen_lines(counts, names if len(recording.tracks) == 1 else [names[k]])
+        lines += unseen_lines(counts, names if len(recording.tracks) == 1 else [names[k]])
         tracks.append(replace(track, positions=positions))
-    return replace(recording, tracks=tuple(tracks)), said
+    return replace(recording, tracks=tuple(tracks)), lines
 
 
 def segments_dataset(
@@ -211,10 +227,10 @@ def segments_dataset(
     description: Description,
     markers: tuple[Marker, ...],
 ) -> DataSet:
-    """Return the data set of named segments; their frames tell the noise where no trials do."""
+    """Return the data set of named segments; without trials, the noise is that of the frames."""
     arrays = assemble(bag, segments)
     noise = description.position_noise
-    if noise is None and len(arrays.trials) == 1:  # no trials to tell it: the frames have to
+    if noise is None and len(arrays.trials) == 1:  # no trials are repeated: the noise of frames
         squares = np.array([one.noise**2 for one in segments])
         if np.isfinite(squares).any():
             noise = max(float(np.sqrt(np.nanmean(squares))), NOISE_MIN_M)
@@ -236,16 +252,6 @@ def segments_dataset(
         trial_noise=description.trial_noise,
         accuracy=description.accuracy,
     )
-
-
-def _robot(recording: Recording, robot: RobotLike | None) -> Robot:
-    if robot is not None:
-        return load_robot(robot)
-    if recording.robot is None:
-        raise DataSetError(
-            recording.name, 'it holds no robot description', 'name one with --robot robot.yaml'
-        )
-    return parse_robot(recording.robot, f'{recording.name}: {ROBOT}')
 
 
 def _describe(recording: Recording, robot: Robot, text: str | None) -> Description:
@@ -306,20 +312,6 @@ def _inputs(recording: Recording, robot: Robot, kind: str) -> FloatArray:
     return inputs
 
 
-def _check_places(bag: str, segments: list[Segment], robot: Robot, from_base: bool) -> None:
-    """Refuse positions in another unit or frame; in that of a tracker only how far they spread."""
-    places = np.array([one.positions for one in segments])
-    if not from_base:
-        places = places - np.nanmedian(places, axis=(0, 1))
-    far = float(np.nan_to_num(np.abs(places)).max())
-    if far > DISTANCE_MAX_LENGTHS * robot.length:
-        raise DataSetError(
-            bag,
-            f'a marker is {far:g} m away, but the robot is only {robot.length:g} m long',
-            'record metres in the base frame (are these mm?)',
-        )
-
-
 def plausible_inputs(
     bag: str, segments: list[Segment], robot: Robot, kind: str, rule: Rule
 ) -> list[Segment]:
@@ -335,7 +327,7 @@ def plausible_inputs(
     inputs = np.nan_to_num([one.inputs for one in segments])
     if kind == 'tension':
         limit, least = robot.tension_limits[1], rule.change or 0.0
-        if inputs.max() > TENSION_MAX_LIMITS * limit:
+        if inputs.max() > PLAUSIBLE_FACTOR * limit:
             raise DataSetError(bag, *too_tense('a tendon', float(inputs.max()), limit))
         if inputs.min() < -least:
             problem = f'a tendon is {inputs.min():g} N, but a tendon cannot push'
@@ -352,8 +344,8 @@ def plausible_inputs(
     return segments
 
 
-NAMES_DRAWN_MAX = 80  # more do not fit beside each other
 PICTURE_WIDTH_MAX_IN = 40.0  # [inch] so that viewers open it
+NAME_WIDTH_IN = 0.22  # [inch] of a segment, so that names of neighbours do not overlap
 
 
 def draw_segments(imported: Imported, path: str | Path) -> Path:
@@ -375,11 +367,43 @@ def draw_segments(imported: Imported, path: str | Path) -> Path:
     """
     from matplotlib.figure import Figure
 
-    width = min(max(8.0, 0.22 * len(imported.segments)), PICTURE_WIDTH_MAX_IN)
+    wanted = NAME_WIDTH_IN * len(imported.segments)
+    width = min(max(8.0, wanted), PICTURE_WIDTH_MAX_IN)
     figure = Figure(figsize=(width, 5.5), layout='constrained')
     above, below = figure.subplots(2, 1, sharex=True)
-    _draw_speed(above, imported)
-    _draw_inputs(below, imported)
+    moved, limit = imported.motion, 1e3 * imported.rule.speed
+    speed = np.where(np.isfinite(moved.speed), 1e3 * moved.speed, np.nan)
+    above.semilogy(moved.times, np.maximum(speed, limit / 100), color='tab:blue', linewidth=0.8)
+    above.axhline(limit, color='tab:red', linestyle='--', linewidth=0.8)
+    above.annotate(
+        f'{limit:g} mm/s for {imported.rule.duration:g} s counts as still',
+        (0.005, limit),
+        xycoords=('axes fraction', 'data'),
+        xytext=(0, 3),
+        textcoords='offset points',
+        color='tab:red',
+        fontsize='small',
+        bbox={'color': 'white', 'alpha': 0.7, 'pad': 1},
+    )
+    above.set_ylabel('speed [mm/s]')
+    data = imported.dataset
+    for one in imported.segments if wanted <= PICTURE_WIDTH_MAX_IN else ():
+        above.annotate(
+            one.posture if len(data.trial_names) == 1 else f'{one.posture}, {one.trial}',
+            ((one.begin + one.end) / 2, 1.0),
+            xycoords=('data', 'axes fraction'),
+            xytext=(0, 2),
+            textcoords='offset points',
+            rotation=90,
+            ha='center',
+            va='bottom',
+            fontsize='x-small',
+        )
+    scale, label = (1.0, 'tension [N]') if data.input == 'tension' else (1e3, 'wire pull [mm]')
+    for name, values in zip(data.input_names, imported.inputs.T, strict=True):
+        below.plot(imported.state_times, scale * values, linewidth=0.9, label=name)
+    below.set_ylabel(label)
+    below.set_xlabel('time [s]')
     for axes in (above, below):
         for one in imported.segments:
             axes.axvspan(one.begin, one.end, color='tab:green', alpha=0.25, linewidth=0)
@@ -399,48 +423,3 @@ def summary(imported: Imported) -> str:
         f'{len(imported.segments)} still segments: {len(trials)} postures x {each} trials x '
         f'{len(imported.dataset.markers)} markers'
     )
-
-
-def _draw_speed(axes: Any, imported: Imported) -> None:
-    moved, limit = imported.motion, 1e3 * imported.rule.speed
-    speed = np.where(np.isfinite(moved.speed), 1e3 * moved.speed, np.nan)
-    lowest = limit / 100
-    axes.semilogy(moved.times, np.maximum(speed, lowest), color='tab:blue', linewidth=0.8)
-    axes.axhline(limit, color='tab:red', linestyle='--', linewidth=0.8)
-    axes.annotate(
-        f'{limit:g} mm/s for {imported.rule.duration:g} s counts as still',
-        (0.005, limit),
-        xycoords=('axes fraction', 'data'),
-        xytext=(0, 3),
-        textcoords='offset points',
-        color='tab:red',
-        fontsize='small',
-        bbox={'color': 'white', 'alpha': 0.7, 'pad': 1},
-    )
-    axes.set_ylabel('speed [mm/s]')
-    if len(imported.segments) > NAMES_DRAWN_MAX:
-        return
-    single = len(imported.dataset.trial_names) == 1
-    for one in imported.segments:
-        axes.annotate(
-            one.posture if single else f'{one.posture}, {one.trial}',
-            ((one.begin + one.end) / 2, 1.0),
-            xycoords=('data', 'axes fraction'),
-            xytext=(0, 2),
-            textcoords='offset points',
-            rotation=90,
-            ha='center',
-            va='bottom',
-            fontsize='x-small',
-        )
-
-
-def _draw_inputs(axes: Any, imported: Imported) -> None:
-    data = imported.dataset
-    tension = data.input == 'tension'
-    for name, values in zip(data.input_names, imported.inputs.T, strict=True):
-        axes.plot(
-            imported.state_times, values * (1 if tension else 1e3), linewidth=0.9, label=name
-        )
-    axes.set_ylabel('tension [N]' if tension else 'wire pull [mm]')
-    axes.set_xlabel('time [s]')

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from ...common.errors import DataSetError
 from ...common.rotations import from_quaternion
 from ...common.words import PROGRAM, listing
+from ..arrays import NO_ROTATION
 from ..dataset import FloatArray
 from .writer import (
     DESCRIPTION,
@@ -90,7 +91,14 @@ def read_bag(path: str | Path, topics: Topics | None = None) -> Recording:
     with opened(path) as reader:
         types = {c.topic: c.msgtype for c in reader.connections}
         wanted = _wanted(str(path), types, topics)
-        messages = list(_messages(reader, wanted))
+        messages = list[Message]()
+        for connection, time, data in stored(reader, wanted):
+            if connection.msgtype == POSE_ARRAY:
+                messages.append((connection.topic, time, parse_pose_array(data)))
+                continue
+            message = reader.deserialize(data, connection.msgtype)
+            shown = poses_of(message) if connection.msgtype == POSE_STAMPED else message
+            messages.append((connection.topic, time, shown))
     return _sorted(str(path), messages, wanted, topics, bool(other_sources(types)))
 
 
@@ -183,7 +191,7 @@ def _wanted(bag: str, types: Mapping[str, str], topics: Topics) -> dict[str, str
 
 
 def other_sources(types: Mapping[str, str]) -> list[str]:
-    """Return the topics that may tell places of markers, if no topic was named or is there."""
+    """Return the topics that may hold markers where the one that is wanted is not there."""
     return sorted(t for t, kind in types.items() if kind in (TF, POSE_STAMPED))
 
 
@@ -195,16 +203,6 @@ def stored(reader: Any, topics: Iterable[str]) -> Iterator[tuple[Any, int, bytes
         yield from reader.messages(connections=connections)
 
 
-def _messages(reader: Any, wanted: Mapping[str, str]) -> Iterator[Message]:
-    for connection, time, data in stored(reader, wanted):
-        if connection.msgtype == POSE_ARRAY:
-            yield connection.topic, time, parse_pose_array(data)
-            continue
-        message = reader.deserialize(data, connection.msgtype)
-        shown = poses_of(message) if connection.msgtype == POSE_STAMPED else message
-        yield connection.topic, time, shown
-
-
 def _sorted(
     bag: str,
     messages: list[Message],
@@ -212,7 +210,7 @@ def _sorted(
     topics: Topics,
     elsewhere: bool,
 ) -> Recording:
-    """Sort messages by what they are; markers may be told `elsewhere`."""
+    """Sort messages by topic; markers may be `elsewhere`, in topics that are read later."""
     by_role: dict[str, list[tuple[float, Any]]] = {role: [] for role in wanted.values()}
     start = min((time for _, time, _ in messages), default=0)
     frames = set()
@@ -267,12 +265,13 @@ def _track(bag: str, samples: list[tuple[float, Any]]) -> Track:
 
 
 def _sane(values: FloatArray) -> FloatArray:
-    """Return values with NaN for what is no measurement but would overflow in a sum."""
+    """Return values with NaN for those that are no measurements and overflow in a sum."""
     return np.where(np.abs(values) < 1e9, values, np.nan)
 
 
 BASES = ('', 'base', 'base_link', 'base_frame')  # and what ends with _base
-STEADY_M, STEADY_RAD = 1e-3, 0.01  # a mount moves by less
+STEADY_M = 1e-3  # [m] that a frame may move in another, because a fixed one moves by less
+STEADY_RAD = 0.01  # [rad] that it may turn, because a tracker measures rotations less well
 Pose = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]  # rotation (3, 3), shift (3,) [m]
 
 
@@ -318,13 +317,13 @@ class Transforms:
             The frame moves.
 
         """
-        ways: dict[str, list[tuple[str, str]]] = {frame: []}  # transforms up to a frame
+        routes: dict[str, list[tuple[str, str]]] = {frame: []}  # transforms up to a frame
         for here in iter(waiting := [frame]):
             if here and is_base(here):
-                return self._along(frame, ways[here])
+                return self._along(frame, routes[here])
             for pair in self.edges:
-                if here in pair and (other := pair[pair[0] == here]) not in ways:
-                    ways[other] = [*ways[here], pair]
+                if here in pair and (other := pair[pair[0] == here]) not in routes:
+                    routes[other] = [*routes[here], pair]
                     waiting.append(other)
         return None
 
@@ -444,7 +443,7 @@ def _moved(track: Track, turn: FloatArray, shift: FloatArray) -> Track:
 
     turned = track.orientations.copy()
     known = np.linalg.norm(np.nan_to_num(turned), axis=-1) > 0.5
-    plain = (turned == [0.0, 0.0, 0.0, 1.0]).all(axis=-1)  # a tracker that gives no turn
+    plain = (turned == NO_ROTATION).all(axis=-1)
     known &= ~plain
     if known.any():
         turned[known] = (Rotation.from_matrix(turn) * Rotation.from_quat(turned[known])).as_quat()
@@ -452,16 +451,16 @@ def _moved(track: Track, turn: FloatArray, shift: FloatArray) -> Track:
 
 
 # Messages are looked at in groups. In a group of two senders values are of two kinds, apart by
-# more than what they vary within a kind, and the kinds take turns; one sender's values step once.
-GROUP = 12  # messages
-TURNS_MIN = 4  # from one kind to the other in a group
-FEWEST = 3  # messages of a kind in a group
-APART_SHARE = 0.1  # of what a value goes through in the recording: less is noise and resolution
-GROUPS_MIN = 3  # of a recording: fewer are readings that fail
-# What does not move is nothing but noise, and some groups of that look so: of values that are
-# drawn evenly 0.006 of the groups, of normal ones 0.0008 (counted in 400,000 groups).
+# more than they vary within a kind, and the kinds alternate; values of one sender step once.
+GROUP = 12  # [1] messages in a group, because few of noise alone then look so, see CHANCE
+ALTERNATIONS_MIN = 4  # [1] from one kind to the other in a group, because a step has one
+FEWEST = 3  # [1] messages of a kind in a group, and groups, because one or two are failed readings
+# [1] of what a value goes through in the recording, because less is noise and resolution
+APART_FRACTION = 0.1
+# [1] of the groups of values that are noise alone look so by chance: of values that are drawn
+# evenly 0.006, of normal ones 0.0008 (counted in 400,000 groups)
 CHANCE = 0.006
-DEVIATIONS = 6.0  # standard deviations above that number of groups are no chance
+DEVIATIONS = 6.0  # [1] standard deviations above CHANCE, so that a still arm is never refused
 
 
 def refuse_two_senders(recording: Recording, inputs: FloatArray) -> None:
@@ -533,10 +532,12 @@ def _taking_turns(times: FloatArray, values: FloatArray) -> tuple[float, float, 
     turns = (above[:, 1:] != above[:, :-1]).sum(axis=1)  # (count, n)
     within = np.ptp(np.where(np.isfinite(groups), groups, order[:, :1]), axis=1) - gap[:, 0]
     many = above.sum(axis=1)
-    found = (turns >= TURNS_MIN) & (gap[:, 0] > within) & (gap[:, 0] > APART_SHARE * spread)
+    found = (
+        (turns >= ALTERNATIONS_MIN) & (gap[:, 0] > within) & (gap[:, 0] > APART_FRACTION * spread)
+    )
     found &= (many >= FEWEST) & (many <= GROUP - FEWEST) & (spread > 0.0)
     chance = CHANCE * count
-    found &= found.sum(axis=0) >= max(GROUPS_MIN, chance + DEVIATIONS * np.sqrt(chance))
+    found &= found.sum(axis=0) >= max(FEWEST, chance + DEVIATIONS * np.sqrt(chance))
     where = np.flatnonzero(found.any(axis=1))
     if not len(where):
         return None

@@ -10,13 +10,12 @@ import numpy as np
 
 from ...common.errors import DataSetError, short
 from ...robot import Robot
+from ..arrays import DIGITS, NO_ROTATION, RESOLUTION, VALUES_MAX
 from ..dataset import FloatArray
 from ..measurement_files import sort_trials
-from .reader import Recording, Track
+from .reader import Recording
 
-STEPS_PER_WINDOW = 10  # of the time grid: a stretch is found to a tenth of the window
-GRID_VALUES_MAX = 2e7  # instants x markers
-NO_CUTS = np.zeros(0)
+STEPS_PER_WINDOW = 10  # [1] of the time grid, so that a stretch is found to a tenth of the window
 
 
 @dataclass(frozen=True)
@@ -72,22 +71,29 @@ def motion(recording: Recording, inputs: FloatArray, rule: Rule) -> ArmMotion:
     ends = [track.times[[0, -1]] for track in recording.tracks]
     start, end = max(e[0] for e in ends), min(e[1] for e in ends)
     size = sum(track.positions.shape[1] for track in recording.tracks)
-    if (end - start) / window * STEPS_PER_WINDOW * size > GRID_VALUES_MAX:
+    if (end - start) / window * STEPS_PER_WINDOW * size > VALUES_MAX:
         raise DataSetError(
             recording.name,
             f'{end - start:.0f} s are too long to look for {rule.duration:g} s of stillness',
             'ask for a longer duration or import a part of the recording',
         )
     times = np.arange(start + window / 2, end - window / 2 + 1e-9, window / STEPS_PER_WINDOW)
-    squares = [_speeds(track, times, window) ** 2 for track in recording.tracks]
-    together = np.concatenate(squares, axis=1)  # (G, J)
-    seen = np.isfinite(together)
-    mean = np.where(seen, together, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
-    return ArmMotion(
-        times,
-        np.where(seen.any(axis=1), np.sqrt(mean), np.inf),
-        _changes(recording.state_times, inputs, times, window),
-    )
+    half = window / 2
+    begin = np.concatenate([times - half, times])
+    speeds = []  # (G,) [m/s] of each marker; one by one, because a million frames fill the memory
+    for track in recording.tracks:
+        for j in range(track.positions.shape[1]):
+            means = sample_means(track.times, track.positions[:, j], begin, begin + half)
+            before, after = np.split(means, 2)
+            speeds.append(np.linalg.norm(after - before, axis=1) / half)
+    squares = np.stack(speeds, axis=1) ** 2  # (G, J)
+    seen = np.isfinite(squares)
+    mean = np.where(seen, squares, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
+    before = held_means(recording.state_times, inputs, times - half, times)
+    after = held_means(recording.state_times, inputs, times, times + half)
+    slackened = np.isnan(before) != np.isnan(after)
+    changes = np.where(slackened, np.inf, np.nan_to_num(np.abs(after - before)))
+    return ArmMotion(times, np.where(seen.any(axis=1), np.sqrt(mean), np.inf), changes.max(axis=1))
 
 
 def never_still(
@@ -137,7 +143,7 @@ def never_still(
 
 
 def still_stretches(
-    moved: ArmMotion, rule: Rule, cuts: FloatArray = NO_CUTS
+    moved: ArmMotion, rule: Rule, cuts: FloatArray | None = None
 ) -> list[tuple[float, float]]:
     """
     Return begin and end [s] of every stretch in which the rule holds.
@@ -153,9 +159,11 @@ def still_stretches(
         one that is a little too short will do.
 
     """
-    shortest = rule.duration / 4 if len(cuts) else rule.duration / 2  # plus half a window per end
+    shortest = (
+        rule.duration / 2 if cuts is None else rule.duration / 4
+    )  # and half a window per end
     still = (moved.speed < rule.speed) & (moved.change < (rule.change or np.inf))
-    part = np.searchsorted(cuts, moved.times, side='right')
+    part = 0 if cuts is None else np.searchsorted(cuts, moved.times, side='right')
     run = np.cumsum(np.diff(still * (part + 1), prepend=0) != 0)  # counts up where a run begins
     stretches = []
     for number in np.unique(run[still]):
@@ -205,29 +213,6 @@ def held_means(
     last = np.searchsorted(times, end + 1e-9) - 1
     empty = last < np.searchsorted(times, begin - 1e-9)
     return np.where(empty[:, None], values[np.maximum(last, 0)], means)
-
-
-def _changes(times: FloatArray, inputs: FloatArray, grid: FloatArray, window: float) -> FloatArray:
-    """Return the largest change of an input between the halves of a window, (G,)."""
-    before = held_means(times, inputs, grid - window / 2, grid)
-    after = held_means(times, inputs, grid, grid + window / 2)
-    slackened = np.isnan(before) != np.isnan(after)
-    return np.where(slackened, np.inf, np.nan_to_num(np.abs(after - before))).max(axis=1)
-
-
-def _speeds(track: Track, times: FloatArray, window: float) -> FloatArray:
-    """Return the speed of every marker, (G, J) [m/s], NaN where it was not seen."""
-    begin = np.concatenate([times - window / 2, times])
-    end = begin + window / 2
-    speeds = np.empty((len(times), track.positions.shape[1]))
-    for j in range(speeds.shape[1]):  # one by one: a million frames of all would fill the memory
-        means = sample_means(track.times, track.positions[:, j], begin, end)
-        before, after = means[: len(times)], means[len(times) :]
-        speeds[:, j] = np.linalg.norm(after - before, axis=1) / (window / 2)
-    return speeds
-
-
-DIGITS = 9  # a mean is rounded to nanometres and nanonewtons
 
 
 @dataclass(frozen=True)
@@ -291,7 +276,9 @@ def find_segments(
             longest = max(inside, key=lambda part: part[1] - part[0])
             one = _average(recording, inputs, *longest)
         elif sequence:
-            one = _unseen(recording, inputs, begin, end - 1e-6)
+            one = _average(recording, inputs, begin, end - 1e-6)  # only its inputs are known
+            nothing = np.full_like(one.positions, np.nan), np.full_like(one.orientations, np.nan)
+            one = replace(one, positions=nothing[0], orientations=nothing[1])
         else:
             left_out.append(f'posture {posture}, trial {trial}: the arm did not stand still')
             continue
@@ -345,13 +332,6 @@ def _noise(positions: FloatArray) -> float:
     return float(np.sqrt(np.mean(squares[known] / (count[known] * (count[known] - 1)))))
 
 
-def _unseen(recording: Recording, inputs: FloatArray, begin: float, end: float) -> Segment:
-    """Return a segment of a sequence in which only the inputs are known."""
-    one = _average(recording, inputs, begin, end)
-    nothing = np.full_like(one.positions, np.nan), np.full_like(one.orientations, np.nan)
-    return replace(one, positions=nothing[0], orientations=nothing[1])
-
-
 def _mean_turn(turned: FloatArray) -> FloatArray:
     """Return the mean of quaternions that differ little, (S, J, 4) to (J, 4)."""
     known = np.abs(np.linalg.norm(turned, axis=2, keepdims=True) - 1.0) < 0.05
@@ -371,7 +351,9 @@ def name_segments(segments: list[Segment], rule: Rule, sequence: bool) -> list[S
     named = []
     for one in segments:
         same = (
-            i for i, inputs in enumerate(postures) if _alike(inputs, one.inputs, rule.change or 0)
+            i
+            for i, inputs in enumerate(postures)
+            if np.allclose(inputs, one.inputs, rtol=0.0, atol=rule.change or 0, equal_nan=True)
         )
         index = next(same, len(postures))
         if index == len(postures):
@@ -380,10 +362,6 @@ def name_segments(segments: list[Segment], rule: Rule, sequence: bool) -> list[S
         named.append(replace(one, posture=str(index), trial=str(counts[index])))
         counts[index] += 1
     return named
-
-
-def _alike(a: FloatArray, b: FloatArray, change: float) -> bool:
-    return bool(np.allclose(a, b, rtol=0.0, atol=change, equal_nan=True))
 
 
 def assemble(bag: str, segments: list[Segment]) -> SegmentArrays:
@@ -419,20 +397,15 @@ def assemble(bag: str, segments: list[Segment]) -> SegmentArrays:
             one.orientations,
         )
     known = np.isfinite(turned)
-    plain = not known.any() or np.all(turned[known].reshape(-1, 4) == [0.0, 0.0, 0.0, 1.0])
-    mean = sample_mean(inputs, done)
+    plain = not known.any() or np.all(turned[known].reshape(-1, 4) == NO_ROTATION)
+    counts = done.sum(axis=1)[:, None]
+    mean = (np.where(done[..., None], inputs, 0.0).sum(axis=1) / counts).round(DIGITS)
     spread = np.nan_to_num(np.abs(inputs - mean[:, None]))[done]
     return SegmentArrays(
         postures,
         trials,
         mean,
-        inputs if spread.max() > 10.0**-DIGITS else None,
+        inputs if spread.max() > RESOLUTION else None,
         positions,
         None if plain else turned,
     )
-
-
-def sample_mean(inputs: FloatArray, done: FloatArray) -> FloatArray:
-    """Return the mean over the trials that were done, (P, m)."""
-    counts = done.sum(axis=1)[:, None]
-    return (np.where(done[..., None], inputs, 0.0).sum(axis=1) / counts).round(DIGITS)

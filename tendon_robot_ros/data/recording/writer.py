@@ -14,6 +14,7 @@ import numpy as np
 from ...common.errors import DataSetError, MissingExtraError
 from ...common.files import new_file, new_folder
 from ...robot import dump_robot
+from ..arrays import NO_ROTATION
 from ..dataset import DataSet, FloatArray
 from ..folder import dump_description
 
@@ -22,9 +23,8 @@ STORAGES = ('mcap', 'sqlite3')
 # Topics that hold what messages cannot: latched std_msgs/String
 DESCRIPTION = '/dataset/description'  # the text of dataset.yaml, its markers written out
 ROBOT = '/dataset/robot'  # the text of robot.yaml
-LABEL = (
-    '/dataset/label'  # {"posture": ..., "trial": ...} when a measurement begins, '' when it ends
-)
+# {"posture": ..., "trial": ...} when a measurement begins, '' when it ends
+LABEL = '/dataset/label'
 
 
 def need_rosbags() -> None:
@@ -232,9 +232,8 @@ def joints_of(message: Any, names: Sequence[str]) -> tuple[list[float], list[flo
 
 
 STATES, SHAPE = '/tendon_states', '/measured_shape'
-START = 1_000_000_000  # [ns] of the first message: 0 would mean that there is no time
+START = 1_000_000_000  # [ns] of the first message, because 0 means that there is no time
 OTHER_FILES = ('.bag', '.db3')  # endings that no folder may have: readers go by them
-NO_TURN = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
@@ -255,7 +254,7 @@ def export_bag(
     """
     Write a data set as a recording; `import_bag` gives it back.
 
-    The arm holds still at every measurement and moves in straight lines between them, by way of
+    The arm holds still at every measurement and moves in straight lines between them, through
     the straight arm where every trial was loaded `from_straight`.
 
     Parameters
@@ -336,7 +335,7 @@ def _stages(dataset: DataSet, timing: Timing) -> Iterator[tuple[str, list[_State
     count = max(round(timing.hold * timing.rate), 2)
     P, Q, J = dataset.positions.shape[:3]
     lying = dataset.offsets + np.outer(dataset.arc_lengths, [0.0, 0.0, 1.0])
-    straight = _State(np.zeros(dataset.inputs.shape[1]), lying, np.tile(NO_TURN, (J, 1)))
+    straight = _State(np.zeros(dataset.inputs.shape[1]), lying, np.tile(NO_ROTATION, (J, 1)))
     order = [(p, q) for p in range(P) for q in range(Q) if dataset.trial_mask[p, q]]
     if dataset.path == 'sequence':
         order = [(p, q) for q in range(Q) for p in range(P)]

@@ -26,7 +26,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
 from ...common.errors import InputError, TendonRobotError
-from ...common.files import told_of
+from ...common.files import write_errors
 from ...data.recording.writer import (
     DESCRIPTION,
     ROBOT,
@@ -75,7 +75,7 @@ def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
         raise InputError(f'--duration: expected more than 0, got {args.duration:g}')
     with (
         ros(ros_arguments) as ending,
-        told_of(Path(args.output)),
+        write_errors(Path(args.output)),
         BagWriter(args.output, args.storage) as writer,
     ):
         recorder = Recorder(writer, args.controller, args.topics)

@@ -24,7 +24,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from ...common.errors import TendonRobotError
-from ...common.processes import REALTIME_PRIORITY_SECOND, go_realtime, in_realtime
+from ...common.processes import Realtime, go_realtime, in_realtime
 from ...control import ControllerCore, Refusal
 from ...control.checks import another_robot
 from ...control.solver import SOLVER, Worker
@@ -129,7 +129,7 @@ class ControllerNode(StoppableNode):
         self._incoming = Incoming(self, self.parameters, model)
         self._prediction = Prediction(self, self._incoming.base, model)
         if goes_first():
-            go_realtime(REALTIME_PRIORITY_SECOND, but=[SOLVER])
+            go_realtime(Realtime.CONTROLLER, but=[SOLVER])
             if in_realtime():  # the thread that limits it
                 self._solver.lend_realtime()
 

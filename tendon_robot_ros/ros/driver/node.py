@@ -18,7 +18,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from ...common.errors import TendonRobotError
-from ...common.processes import REALTIME_PRIORITY, REALTIME_PRIORITY_MOCK, go_realtime
+from ...common.processes import Realtime, go_realtime
 from ...control.checks import Refusal, by_name, check_stamp, finite
 from ...drivers.interface import BACKENDS
 from ...drivers.mock import MockDriver
@@ -195,7 +195,7 @@ class DriverNode(StoppableNode):
         self.loop.start()
         if goes_first():  # a mock arm computes: motors of another robot go before it
             mock = isinstance(driver, MockDriver)
-            go_realtime(REALTIME_PRIORITY_MOCK if mock else REALTIME_PRIORITY)
+            go_realtime(Realtime.MOCK_DRIVER if mock else Realtime.DRIVER)
 
     def activate(self) -> None:
         """Torque on, from the measured state."""
