@@ -51,14 +51,12 @@ RERUNS = 2  # processes that talk to each other are late on a busy machine
 # The files that take longest, longest first, of nodes and of others in turn: those that start
 # nodes wait, the others compute. So no processor is idle, and what is left at the end is short.
 LONGEST = (
-    'ros_record', 'docs', 'ros_life', 'diagnose', 'ros_follow', 'investigate',
-    'dynamixel_commands', 'new_effect', 'live', 'as_built', 'ros_monitor', 'control_walk',
-    'live_page', 'diagnosis_page', 'ros_bad_input', 'watch', 'dynamixel_faults', 'report',
-    'ros_dynamixel', 'campaign_cluster', 'ros_investigate', 'model_start', 'demo',
-    'cli_describe', 'ros_travel', 'campaign', 'ros_chain', 'workspace', 'dynamixel_start',
-    'diagnose_command', 'driver_contract', 'model_reference', 'tendon_check', 'fit',
-    'ros_closed_loop', 'add', 'senders', 'watch_filter', 'dynamixel_emulator',
-    'model_equilibrium', 'serial_faults', 'setup_mistakes',
+    'ros_record', 'docs', 'ros_life', 'dynamixel_commands', 'ros_follow', 'table_import',
+    'ros_monitor', 'diagnose', 'live', 'travel', 'ros_investigate', 'setup_mistakes',
+    'ros_bad_input', 'live_page', 'dynamixel_faults', 'diagnose_command', 'ros_dynamixel',
+    'dynamixel_start', 'investigate', 'unreadable', 'ros_travel', 'as_built', 'advice',
+    'diagnosis_page', 'campaign_cluster', 'watch', 'ros_chain', 'report', 'ros_stop', 'add',
+    'driver_contract', 'model_reference', 'senders', 'trust', 'demo', 'watch_filter',
 )  # fmt: skip
 
 

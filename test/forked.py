@@ -12,6 +12,7 @@ import ctypes
 import gc
 import importlib
 import importlib.util
+import inspect
 import io
 import json
 import os
@@ -26,7 +27,7 @@ import processes
 from processes import DEVNULL, ROOT, SET_DEATH_SIGNAL, Process
 
 LONGEST = 100_000  # bytes of arguments and environment
-WANTED = 'cli.main', 'control', 'diagnosis', 'monitoring', 'simulation.plant'
+WANTED = 'control', 'diagnosis', 'monitoring', 'simulation.plant'
 MESSAGES = (
     'builtin_interfaces.msg', 'diagnostic_msgs.msg', 'geometry_msgs.msg', 'lifecycle_msgs.msg',
     'lifecycle_msgs.srv', 'rcl_interfaces.msg', 'rcl_interfaces.srv', 'sensor_msgs.msg',
@@ -109,10 +110,17 @@ def load():
 
     for name in WANTED:
         importlib.import_module(f'tendon_robot_ros.{name}')
+    for command in importlib.import_module('tendon_robot_ros.cli.main').COMMANDS.values():
+        if '.ros.' not in command:
+            importlib.import_module(command)
+    importlib.import_module('matplotlib.figure')
     if importlib.util.find_spec('rclpy') is not None:
         for name in MESSAGES:
             importlib.import_module(name)
     load_model(load_robot(ROBOT), load_catalogue())
+    importlib.import_module('rosidl_generator_py')
+    # rclpy looks for the caller of its first log message in the files of all modules
+    inspect.getmodule(inspect.currentframe())
     gc.freeze()
     assert len(os.listdir('/proc/self/task')) == 1, 'a fork takes no threads along'
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import small_dataset
 from laboratory_tables import ARM, calm_recording
+from matplotlib.figure import Figure
 from recorded import BENT, LEFT, Recorder
 from source_tree import ROOT
 
@@ -16,6 +17,7 @@ from tendon_robot_ros.common.errors import TendonRobotError
 from tendon_robot_ros.drivers import make_driver
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import dump_robot
+from tendon_robot_ros.tables import ImportedTable
 
 ROBOT = ROOT / 'config' / 'robots' / 'spatial_3.yaml'
 RUN = ROOT / 'data' / 'hinge_friction' / 'fit'
@@ -25,6 +27,7 @@ RUN = ROOT / 'data' / 'hinge_friction' / 'fit'
 def folder(tmp_path, monkeypatch):
     """Stand in a folder with a robot, a data set, and files and folders that are neither."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(ImportedTable, 'plot', lambda self: Figure())  # most of an import's time
     shutil.copy(ROBOT, 'arm.yaml')
     shutil.copytree(RUN, 'run')
     (tmp_path / 'empty.yaml').touch()

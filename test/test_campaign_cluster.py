@@ -11,6 +11,7 @@ import time
 import processes
 import pytest
 import yaml
+from napping import nap
 from small_campaign import plan, without_time
 from source_tree import ROOT
 
@@ -63,14 +64,9 @@ def cluster(tmp_path_factory):
         yield both
 
 
-def slow(number):
-    time.sleep(0.1)
-    return os.getpid(), number
-
-
 def test_workers_of_a_cluster_that_are_killed_again_and_again_lose_nothing(cluster):
     dead, found, handed = set(), {}, []
-    often = 5  # Dask itself gives a piece of work up after three
+    often = 4  # Dask itself gives a piece of work up after three
 
     def chunks():
         while len(dead) < often or len(handed) < 20:
@@ -78,7 +74,7 @@ def test_workers_of_a_cluster_that_are_killed_again_and_again_lose_nothing(clust
             yield handed[-1]
 
     with Workers(cluster=cluster[0]) as workers:
-        for index, (pid, number) in workers.run(slow, chunks()):
+        for index, (pid, number) in workers.run(nap, chunks()):
             assert index not in found
             found[index] = number
             if pid not in dead and len(dead) < often:  # a nanny starts it anew
@@ -118,7 +114,7 @@ def test_certificates_of_dasks_own_settings_are_respected(tmp_path):
             Workers(cluster='tcp://x:1')
         mine = {'distributed.comm.tls.ca-file': certificate, 'distributed.comm.tls.client': one}
         with dask.config.set(mine), Workers(cluster=address) as workers:
-            assert [number for _, (_, number) in workers.run(slow, [7])] == [7]
+            assert [number for _, (_, number) in workers.run(nap, [7])] == [7]
 
 
 def test_a_scheduler_that_dies_is_one_line_and_what_was_finished_has_come(cluster):
@@ -126,7 +122,7 @@ def test_a_scheduler_that_dies_is_one_line_and_what_was_finished_has_come(cluste
     found = []
 
     def take(workers):
-        for index, _ in workers.run(slow, range(10_000)):
+        for index, _ in workers.run(nap, range(10_000)):
             found.append(index)
             scheduler.kill()
 

@@ -15,7 +15,7 @@ from tendon_robot_ros.cli.describe import description
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.data import default_markers
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.report.pictures import draw_robot
+from tendon_robot_ros.report import pictures
 from tendon_robot_ros.robot import load_robot, parse_robot
 from tendon_robot_ros.robot.estimates import handling, sag
 from tendon_robot_ros.robot.urdf import joint_angles, joint_names, transforms, urdf
@@ -106,15 +106,17 @@ def test_describe_shows_tendons_that_wind_and_weight_beside_the_axis(capsys, tmp
     assert 'weight at x, y [mm]' in printed and '1, -2' in printed
 
 
-def new_robot(monkeypatch, tmp_path, answers, *arguments):
+def new_robot(monkeypatch, tmp_path, answers, *arguments, drawn=False):
     monkeypatch.chdir(tmp_path)
+    if not drawn:  # which takes most of its time
+        monkeypatch.setattr(pictures, 'draw_robot', lambda model, path: path.touch())
     monkeypatch.setattr(sys, 'stdin', io.StringIO(answers))
     return main(['new-robot', *arguments])
 
 
 def test_new_robot_takes_answers_from_a_pipe_and_draws(monkeypatch, tmp_path, capsys):
     answers = 'my arm\n3\n4\n6\n\n\nhinge\n3\n5\n\n8\n0.2\nhorizontal\n1\n10\n0\n'
-    assert new_robot(monkeypatch, tmp_path, answers) == 0
+    assert new_robot(monkeypatch, tmp_path, answers, drawn=True) == 0
     robot = load_robot(tmp_path / 'my_arm.yaml')
     assert (robot.name, robot.cells, len(robot.tendons)) == ('my arm', 12, 9)
     assert robot.tension_limits == (0.1, 8.0) and robot.gravity == (9.81, 0.0, 0.0)
@@ -253,7 +255,7 @@ def test_the_sag_of_a_beam_of_many_cells_is_that_of_the_textbook():
 @pytest.mark.parametrize('name', ['kato_10_1', 'spatial_6', 'kato_1_1'])
 def test_legends_of_the_picture_hide_nothing_and_every_line_and_tendon_is_named(name, tmp_path):
     robot = load_robot(ROBOTS / f'{name}.yaml')
-    figure = draw_robot(Model(robot), tmp_path / 'arm.png')
+    figure = pictures.draw_robot(Model(robot), tmp_path / 'arm.png')
     side, section = figure.axes
     for axes in (side, section):
         legend = axes.get_legend().get_window_extent()

@@ -22,7 +22,8 @@ from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.select import gather
 from tendon_robot_ros.report.diagnosis_text import lines
 
-ROBOT = simulated.robot()
+ROBOT = simulated.robot(cells=8)
+EXACT = replace(ROBOT, exact=True)  # where imperfections are not the point: much sooner
 NAMING = ('missing_effect', 'ambiguous', 'wrong_parameter', 'several')
 
 
@@ -77,7 +78,7 @@ def test_without_the_true_effect_the_catalogue_has_no_answer(monkeypatch):
         'candidates_of',
         lambda *given: [c for c in every(*given) if c.names != ('hinge_friction',)],
     )
-    found = diagnose(measured(ROBOT, {'hinge_friction': {'lever': 3e-4}}, count=12))
+    found = diagnose(measured(EXACT, {'hinge_friction': {'lever': 3e-4}}, count=8))
     assert found.verdict == 'outside_catalogue'
 
 
@@ -92,24 +93,25 @@ def test_undeclared_setting_noise_yields_no_name(setting):
 def test_one_tendon_cannot_tell_and_the_proposed_posture_can():
     inputs = np.outer([0.3, 0.5, 0.7, 0.9, 1.1, 1.3], [1.0, 0.0])
     truths = {'hinge_friction': {'lever': 2e-4}}
-    robot = replace(ROBOT, exact=True)  # of an arm as built, a gain that is off does the same
+    arm = simulated.robot()
+    robot = replace(arm, exact=True)  # of an arm as built, a gain that is off does the same
     found = diagnose(measure(postures(robot, inputs), truths))
     assert found.verdict == 'ambiguous'
     assert {'hinge_friction', 'backbone_stiffness'} <= set(found.cannot_tell_apart)
     step = found.next_measurement
     assert step.input['right'] > 0.2, 'both tendons against each other'
     assert step.difference > 3.0 * step.noise
-    proposed = [step.input[name] for name in ROBOT.inputs]
-    built = diagnose(replace(measure(postures(robot, inputs), truths), robot=ROBOT))
+    proposed = [step.input[name] for name in arm.inputs]
+    built = diagnose(replace(measure(postures(robot, inputs), truths), robot=arm))
     assert set(found.cannot_tell_apart) <= set(built.cannot_tell_apart)
     again = diagnose(measure(postures(robot, [*inputs, proposed]), truths, seed=1))
     assert (again.verdict, names(again)) == ('missing_effect', ['hinge_friction'])
 
 
 def test_wire_pulls_show_a_stretching_tendon():
-    robot = simulated.robot('spatial_3')
+    robot = simulated.robot('spatial_3', cells=8, exact=True)
     hidden = {'tendon_elongation': {'compliance': 2e-3}}
-    found = diagnose(measured(robot, hidden, count=12, input='displacement'))
+    found = diagnose(measured(robot, hidden, count=8, input='displacement'))
     assert (found.verdict, names(found)) == ('ambiguous', ['tendon_elongation'])
     assert set(found.cannot_tell_apart) == {'tendon_elongation', 'wire_spring'}, 'one length'
     value = found.effects[0].parameters['compliance']
@@ -117,10 +119,10 @@ def test_wire_pulls_show_a_stretching_tendon():
 
 
 def test_what_is_good_enough_for_the_user_is_adequate():
-    section = ROBOT.sections[0]
-    soft = np.where(np.arange(15) == 9, 0.75, 1.0) * section.bending_stiffness
-    real = replace(ROBOT, sections=(replace(section, bending_stiffness=tuple(soft)),))
-    dataset = replace(measured(real, count=12), robot=ROBOT)
+    section = EXACT.sections[0]
+    soft = np.where(np.arange(section.cells) == 5, 0.75, 1.0) * section.bending_stiffness
+    real = replace(EXACT, sections=(replace(section, bending_stiffness=tuple(soft)),))
+    dataset = replace(measured(real, count=8), robot=EXACT)
     assert diagnose(dataset).verdict == 'outside_catalogue'
     found = diagnose(replace(dataset, accuracy=5e-3))
     assert found.verdict == 'adequate'

@@ -16,7 +16,7 @@ from tendon_robot_ros.diagnosis.intervals import intervals, values_of
 from tendon_robot_ros.diagnosis.session import Session
 from tendon_robot_ros.model.model import Model
 
-ROBOT = simulated.robot()
+ROBOT = simulated.robot(cells=8)
 EXACT = replace(ROBOT, exact=True)
 HIDDEN = [
     ('hinge_friction', {'lever': 2e-4}),
@@ -226,5 +226,6 @@ def test_leaving_a_posture_out_is_what_refitting_without_it_gives():
 
 
 def test_noise_that_is_not_known_well_makes_the_judgement_milder():
-    _, fit = settled(measured(ROBOT, noise=replace(NOISE, position=2.2e-4)), ['hinge_friction'])
+    data = measured(simulated.robot(), noise=replace(NOISE, position=2.2e-4))
+    _, fit = settled(data, ['hinge_friction'])
     assert fit.probability(40.0) > fit.probability(np.inf)

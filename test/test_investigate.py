@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from source_tree import ROOT
+from watched_arm import coarse
 
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import InputError, TendonRobotError
@@ -40,10 +41,11 @@ from tendon_robot_ros.simulation.plant import make_plant
 from tendon_robot_ros.studies.rehearse import SimulatedArm
 
 KATO = ROOT / 'config' / 'robots' / 'kato_10_1.yaml'
+COARSE = coarse('kato_10_1')
 
 
-def arm(hidden, seed=3, **options):
-    plant = make_plant(load_robot(KATO), hidden, seed=seed, work=Workmanship())
+def arm(hidden, seed=3, robot=COARSE, **options):
+    plant = make_plant(robot, hidden, seed=seed, work=Workmanship())
     return SimulatedArm(plant, seed=seed, **options)
 
 
@@ -206,7 +208,7 @@ def test_of_an_arm_without_a_hidden_effect_it_says_that_the_model_is_adequate():
 def test_adequate_is_not_said_while_an_effect_may_move_the_tip_unseen():
     """Kinks of one sign hide among kinks at random: four miss nothing, six may name it."""
     # at the edge: of the arms 101 to 107 six postures name it in three
-    subject = arm({'pre_curvature': {'angle_x': 0.0021}}, seed=103)
+    subject = arm({'pre_curvature': {'angle_x': 0.0021}}, seed=103, robot=load_robot(KATO))
     said = []
     goal = Goal(postures=6, checks=0)
     made = Investigation(subject, goal, tell=lambda news: said.append(news.text)).run()

@@ -27,7 +27,7 @@ def told(*arguments, timeout=500.0):
 
 
 def test_the_story_of_a_hidden_effect_comes_true():
-    arguments = ('--hidden', 'tip_load', '--seed', '1', '--postures', '10', '--reveal')
+    arguments = ('--hidden', 'tip_load', '--seed', '1', '--postures', '6', '--reveal')
     code, text = told(*arguments)
     assert code == 0, text
     assert 'tip_load' in text.split('hidden:')[0]

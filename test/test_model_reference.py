@@ -38,7 +38,7 @@ def test_each_effect_with_friction_in_space(effect, bends_as):
     effects = {'tendon_friction': TYPICAL['tendon_friction'], effect: TYPICAL[effect]}
     robot = replace(spatial(3, effects, bends_as, taper=0.6), gravity=GRAVITY)
     random = np.random.default_rng(1)
-    for _ in range(3):
+    for _ in range(2):
         check(robot, some(random, robot))
 
 
@@ -51,7 +51,7 @@ def test_tendons_that_wind_and_weight_beside_the_axis(names, bends_as):
     effects = {name: TYPICAL[name] for name in [*names, 'gravity']}
     robot = replace(wound(spatial(3, effects, bends_as, taper=0.6)), gravity=GRAVITY)
     random = np.random.default_rng(6)
-    for _ in range(4):
+    for _ in range(2):
         check(robot, some(random, robot))
 
 
@@ -65,13 +65,13 @@ def wound_spatial(cells, effects, bends_as):
 def test_all_effects_at_once(make, bends_as):
     robot = replace(make(4, TYPICAL, bends_as), gravity=GRAVITY)
     random = np.random.default_rng(2)
-    for _ in range(8):
+    for _ in range(4):
         check(robot, some(random, robot))
 
 
 def test_any_mix_of_effects():
     random = np.random.default_rng(3)
-    for _ in range(25):
+    for _ in range(15):
         names = [name for name in TYPICAL if random.random() < 0.4]
         robot = spatial(
             3, {name: TYPICAL[name] for name in names}, random.choice(['arc', 'hinge'])
@@ -115,7 +115,7 @@ def test_tendons_on_opposite_sides_that_hardly_slide(largest):
     """Those that travel alike share their direction of friction, of opposite sign."""
     robot = two_sections(6, {'tendon_friction': TYPICAL['tendon_friction']})
     random = np.random.default_rng(5)
-    for _ in range(5):
+    for _ in range(3):
         check(robot, largest * random.random(len(robot.inputs)))
 
 

@@ -1,7 +1,5 @@
 """follow and go-to as a user runs them, against controller and mock driver."""
 
-import sys
-
 import numpy as np
 import processes
 import pytest
@@ -203,8 +201,9 @@ def test_without_a_controller_it_says_what_to_look_for(tmp_path):
         'Pilot.connect = partialmethod(Pilot.connect, 3.0)\n'
         'raise SystemExit(main(["follow", "path.csv", "--controller", "none"]))\n'
     )
-    command = [sys.executable, '-c', less_patient]
-    done = processes.run(command, cwd=tmp_path, env=environment(), timeout=60)
-    assert done.returncode == 1
-    assert 'waited 3 s in vain for ' in done.stderr
-    assert 'are driver and controller running, in this namespace and ROS_DOMAIN_ID?' in done.stderr
+    pipes = {'stdout': processes.PIPE, 'stderr': processes.PIPE}
+    with Forked(['-c', less_patient], cwd=tmp_path, env=environment(), **pipes) as process:
+        _, told = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert 'waited 3 s in vain for ' in told
+    assert 'are driver and controller running, in this namespace and ROS_DOMAIN_ID?' in told

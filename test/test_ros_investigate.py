@@ -247,12 +247,12 @@ def let_go(made, process):
 @pytest.mark.parametrize('made', [STATIONS['dynamixel-pull-kato_10_1']], indirect=True)
 def test_interrupted_it_lets_the_arm_go_and_goes_on_where_it_was(made):
     """To its end it is run by the slow tests above."""
-    with made.investigating() as process:
+    with made.investigating('--trials', '1') as process:
         made.until_said(process, 'posture 2:')
         made.until(lambda: made.tensions.max() > LOOSE, 'the second posture')
         let_go(made, process)
     assert len(load_dataset(made.folder / 'found' / 'data').postures) == 1
-    with made.investigating('--resume') as process:
+    with made.investigating('--trials', '1', '--resume') as process:
         made.until_said(process, 'posture 3:')
         let_go(made, process)
     assert 'posture 2:' in made.said() and 'posture 1:' not in made.said()

@@ -218,16 +218,22 @@ def test_a_controller_that_is_not_active_says_so(space):
         ('controller', {'model': 'name: x'}, 'sections: expected a list'),
     ],
 )
-def test_a_node_that_cannot_start_says_why_and_tries_again(space, node, parameters, words):
+def test_a_node_that_cannot_start_says_why(space, node, parameters, words):
     process = space.run(node, **parameters)
     heard = getattr(space, node)
     space.until_code(heard, 'not_ready')
     assert words in last(heard).message
-    told = len(heard)
-    space.until(
-        lambda: 'not_ready' in [values(message)['code'] for _, message in heard[told:]], 'a retry'
-    )
     assert process.process.poll() is None
+
+
+def test_a_node_that_could_not_start_tries_again(space, tmp_path):
+    late = tmp_path / 'late.yaml'
+    nodes = [space.run('driver', robot=str(late)), space.run('controller', model=str(late))]
+    for heard in (space.driver, space.controller):
+        space.until_code(heard, 'not_ready')
+    late.write_text(dump_robot(load_robot('kato_10_1')))
+    space.until_code(space.controller, 'holding')
+    assert [node.process.poll() for node in nodes] == [None, None]
 
 
 def test_a_parameter_that_cannot_be_ends_the_process_with_one_line(tmp_path):

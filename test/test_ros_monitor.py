@@ -6,12 +6,12 @@ import signal
 from dataclasses import replace
 
 import numpy as np
-import processes
 import pytest
 
 pytest.importorskip('rclpy')
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from forked import Forked
 from geometry_msgs.msg import WrenchStamped
 from ros_station import LATCHED, PATIENT, ForkedNode, Station, last, values
 from std_msgs.msg import Float64, Float64MultiArray, String
@@ -204,9 +204,9 @@ def test_after_an_alarm_investigate_drives_to_what_tells_the_change_and_names_it
     assert re.search(rf'no alarm: learning the arm: [01] of {len(POINTS)}', refused.message)
     learned_and_changed(space)
     found, told = space.folder / 'found', space.folder / 'investigate.log'
-    command = processes.package('investigate', '--output', found, '--speed', 2)
+    command = ['investigate', '--output', found, '--speed', 2, '--trials', 2]
     command += ['--ros-args', '-r', f'__ns:={space.namespace}']
-    with told.open('w') as log, processes.Process(command, stdout=log, stderr=log) as process:
+    with told.open('w') as log, Forked(command, stdout=log, stderr=log) as process:
         space.until(lambda: process.poll() is not None, 'the end of investigate', LOADED)
     said = told.read_text()
     assert process.returncode == 0, said

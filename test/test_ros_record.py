@@ -2,9 +2,9 @@
 
 import itertools
 import math
+import os
 import re
 import signal
-import sys
 import time
 
 import numpy as np
@@ -29,7 +29,7 @@ from tendon_robot_ros.ros.shared.messages import COMMAND, LATCHED
 
 pytestmark = pytest.mark.ros
 SPACE = '/recorded'
-STOOD, RATE = 2.0, PATIENT['driver']['rate']  # [s] in which it is seen at one place, [Hz]
+STOOD, RATE = 1.5, PATIENT['driver']['rate']  # [s] in which it is seen at one place, [Hz]
 FRAMES = ('', 'kato_10_1_base', 'kato_10_1_tip')
 OF_ALL = ('/tf', '/tf_static', '/diagnostics')  # topics that no namespace has
 HIDDEN = ('tendon_stiffness', {'per_tendon': 4e-4})
@@ -203,7 +203,7 @@ def short(station, tmp_path_factory):
 
     def act():
         station.go_to_point(0.06, 0.17)
-        station.spin(1.0)
+        station.spin(0.3)
         station.go_to_point(-0.05, 0.18)
 
     assert recorded(station, folder, 'targets', act).returncode == 0
@@ -242,10 +242,10 @@ def test_a_recording_that_is_not_there_is_said(station, tmp_path):
 
 
 def test_where_nothing_runs_it_says_so(tmp_path):
-    done = processes.run(
-        [sys.executable, '-m', 'tendon_robot_ros', 'record', 'none', '--duration', '1',
-         '--ros-args', '-r', '__ns:=/nobody'],
-        cwd=tmp_path, timeout=60,
-    )  # fmt: skip
-    assert done.returncode == 1
-    assert 'nothing was published here: is the robot running, in this namespace?' in done.stdout
+    command = ['record', 'none', '--duration', '1', '--ros-args', '-r', '__ns:=/nobody']
+    alone = {**os.environ, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'OFF'}  # /diagnostics has no namespace
+    pipes = {'stdout': processes.PIPE, 'stderr': processes.PIPE}
+    with Forked(command, cwd=tmp_path, env=alone, **pipes) as process:
+        told, _ = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert 'nothing was published here: is the robot running, in this namespace?' in told

@@ -22,7 +22,7 @@ from tendon_robot_ros.diagnosis.trust import (
 )
 from tendon_robot_ros.report.diagnosis_text import trust_lines
 
-ROBOT = replace(simulated.robot(), exact=True)
+ROBOT = simulated.robot(cells=8, exact=True)
 
 
 @pytest.fixture(scope='module')

@@ -87,7 +87,7 @@ def test_where_an_arm_hardly_bends_and_kinks_turn_its_friction_over_nothing_is_t
     assert alarm.update(read, seen, 30).evidence < 100.0
 
 
-@pytest.mark.parametrize('cell', [slow(6), 8, slow(11)])
+@pytest.mark.parametrize('cell', [slow(3), 4, slow(6)])
 def test_a_slightly_softer_cell_is_told_within_twenty_postures(well_known, cell):
     arm, _, random = well_known
     alarm = DriftAlarm(arm.as_known(arm.mean.copy(), arm.covariance.copy()), 21600.0)
@@ -98,7 +98,7 @@ def test_a_slightly_softer_cell_is_told_within_twenty_postures(well_known, cell)
         for tensions, seen in zip(*averaged(plant, postures(20, 2012), random), strict=True)
     ]
     assert told[-1]
-    assert alarm.state.suspects[0].name in [f'stiffness of cell {cell + i}' for i in range(-2, 3)]
+    assert alarm.state.suspects[0].name in [f'stiffness of cell {cell + i}' for i in range(-1, 2)]
 
 
 ODD_POSTURES = {

@@ -1,13 +1,23 @@
 """An arm as it is watched: postures of it, and what a tracker sees of a plant in them."""
 
+from dataclasses import replace
+
 import numpy as np
-from source_tree import ROOT
+from simulated import with_cells
 
 from tendon_robot_ros.data import default_markers
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.workspace.postures import default_postures
 
-ROBOT = load_robot(ROOT / 'config' / 'robots' / 'spatial_3.yaml')
+
+def coarse(name):
+    """Return a shipped robot with half as many cells, as long and as soft."""
+    robot = load_robot(name)
+    halves = (with_cells(section, section.cells // 2) for section in robot.sections)
+    return replace(robot, sections=tuple(halves))
+
+
+ROBOT = coarse('spatial_3')
 NOISE = 2e-4
 
 
