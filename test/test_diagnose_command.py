@@ -144,6 +144,7 @@ def exact(folder):
     return str(path)
 
 
+@pytest.mark.slow  # as built: test_as_built.py; what is printed: of an exact arm below
 def test_a_soft_cell_of_an_arm_as_built_is_named_and_no_effect_in_its_place(capsys, folder):
     lines = said(capsys, 'diagnose', 'l/fit', '--add', 'better.yaml', code=2)
     assert lines[4] == (

@@ -140,12 +140,12 @@ def test_every_posture_of_a_spatial_arm_has_its_equilibrium(name, request):
     robot = load_robot(request.config.rootpath / f'config/robots/{name}.yaml')
     model, random = Model(robot), np.random.default_rng(1)
     low, high = model.limits.T
-    inputs = low + random.random((200, len(low))) * (np.minimum(high, 4.0) - low)
+    inputs = low + random.random((100, len(low))) * (np.minimum(high, 4.0) - low)
     shapes, changes = model.solve(inputs)
     assert (changes < 1e-10).all()
     assert np.abs(shapes.bend).max() < 0.9  # [rad] beyond it eyelets would pass each other
     reference = Reference(robot)
-    for b in range(0, 200, 20):
+    for b in range(0, 100, 20):
         implied = reference.implied(inputs[b], shapes.state[b])
         assert np.abs(implied - shapes.state[b]).max() < 1e-6
     near, changes = model.solve(inputs * 1.01, shapes.state)
