@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from marks import slow
 from source_tree import ROOT
 
 from tendon_robot_ros.comparison.noise import input_slopes
@@ -36,7 +37,7 @@ def noise(random, slopes, trials, tensions=TENSIONS):
 
 
 @pytest.mark.parametrize('tensions', [0.0, TENSIONS])
-@pytest.mark.parametrize('trials', [3, 4, 5, 10])
+@pytest.mark.parametrize('trials', [3, slow(4), slow(5), 10])
 def test_noise_contradicts_itself_no_more_often_than_is_said(trials, tensions, slopes):
     """Of 40 sets, one in a thousand by readings and one by trials: two are beyond chance."""
     random = np.random.default_rng(trials)
