@@ -10,6 +10,7 @@ import contextlib
 import ctypes
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -17,7 +18,7 @@ from pathlib import Path
 from subprocess import DEVNULL, PIPE, STDOUT, CompletedProcess, TimeoutExpired
 
 __all__ = ['DEVNULL', 'PIPE', 'STDOUT', 'CompletedProcess', 'Process', 'TimeoutExpired',
-           'package', 'run']  # fmt: skip
+           'free_port', 'package', 'run']  # fmt: skip
 
 ROOT = Path(__file__).resolve().parents[1]
 SET_DEATH_SIGNAL, SET_SUBREAPER = 1, 36  # prctl
@@ -61,6 +62,13 @@ def run(command, timeout=PATIENCE, **settings):
     with Process(command, **settings) as process:
         out, err = process.communicate(timeout=timeout)
     return CompletedProcess(command, process.returncode, out, err)
+
+
+def free_port():
+    """Return a port of this machine on which nobody listens."""
+    with socket.socket() as taken:
+        taken.bind(('127.0.0.1', 0))
+        return taken.getsockname()[1]
 
 
 def adopt():

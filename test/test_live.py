@@ -3,7 +3,6 @@
 import json
 import os
 import signal
-import socket
 import sys
 import time
 import urllib.request
@@ -103,17 +102,11 @@ def test_what_cannot_be_is_one_line(arguments, words, capsys):
     assert [line for line in said if line.startswith('error: ')] == said[-1:]
 
 
-def free_port():
-    with socket.socket() as taken:
-        taken.bind(('127.0.0.1', 0))
-        return taken.getsockname()[1]
-
-
 @pytest.fixture
 def page(tmp_path):
     """Start the live page; give its address."""
     pytest.importorskip('viser')
-    port = free_port()
+    port = processes.free_port()
     command = [*LIVE, '--hidden', 'hinge_friction', '--seed', '4', '--postures', '14']
     with (tmp_path / 'live.log').open('w+') as log:
         process = processes.Process(
@@ -155,7 +148,7 @@ def test_the_page_asks_nothing_of_the_network(tmp_path):
     pytest.importorskip('viser')
     from tendon_robot_ros.ros.viewer.page import LivePage
 
-    page = LivePage('127.0.0.1', free_port(), '', 0.2)
+    page = LivePage('127.0.0.1', processes.free_port(), '', 0.2)
     try:
         with urllib.request.urlopen(f'http://127.0.0.1:{page.port}') as answer:
             html = answer.read().decode()

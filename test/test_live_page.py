@@ -1,7 +1,6 @@
 """The live page by itself in real browsers: who may command, what is dragged, what fits."""
 
 import contextlib
-import socket
 
 import numpy as np
 import processes
@@ -30,12 +29,6 @@ STOP_AND_PANEL = """(() => {
   return [stop.top, stop.bottom, whole.left, whole.right]; })()"""
 
 
-def free_port():
-    with socket.socket() as taken:
-        taken.bind(('127.0.0.1', 0))
-        return taken.getsockname()[1]
-
-
 def state():
     """Return what the page shows of an arm that is off by centimetres."""
     shown = ViewState()
@@ -52,7 +45,7 @@ class Opened:
 
     def __init__(self, folder):
         self.folder, self.browsers = folder, []
-        self.page = LivePage('127.0.0.1', free_port(), TOKEN, 0.208)
+        self.page = LivePage('127.0.0.1', processes.free_port(), TOKEN, 0.208)
         self.show(state())
 
     def show(self, shown):

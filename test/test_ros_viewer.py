@@ -1,8 +1,8 @@
 """The viewer as a process: it is there first, survives the others, and says what it needs."""
 
-import socket
 import urllib.request
 
+import processes
 import pytest
 
 pytest.importorskip('rclpy')
@@ -15,19 +15,13 @@ pytestmark = pytest.mark.ros
 LOADED = 120.0  # [s] a busy machine may need to load the model
 
 
-def free_port():
-    with socket.socket() as taken:
-        taken.bind(('127.0.0.1', 0))
-        return taken.getsockname()[1]
-
-
 @pytest.fixture
 def shown(request, tmp_path):
     """Start a viewer; give the station, its log and its port."""
     made = []
 
     def make(**parameters):
-        space, port = f'/{request.node.name[:40]}', free_port()
+        space, port = f'/{request.node.name[:40]}', processes.free_port()
         log = (tmp_path / 'viewer.log').open('w+')
         made.append(log)
         made.insert(0, ForkedNode('viewer', {'port': float(port), **parameters}, space, log))
