@@ -262,6 +262,7 @@ def test_the_page_of_the_command_opens_and_fits(commanded, tmp_path):
         assert part in seen[1200]['text']
 
 
+@pytest.mark.slow  # a comparison of such an arm is drawn by the same script: test_report.py
 @pytest.mark.browser
 def test_the_page_of_a_spatial_arm_opens(tmp_path):
     data = load_dataset(blind('e') / 'fit')

@@ -99,6 +99,7 @@ def test_a_comparison_prints_and_draws_its_errors():
     plt.close('all')
 
 
+@pytest.mark.slow  # the same, of the same table: README.md, docs/from_mocap_to_verdict.md
 def test_the_notebook_goes_from_a_table_to_a_verdict(tmp_path):
     pytest.importorskip('pandas')
     run = processes.run(

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from browser import assert_fine, open_page
+from marks import slow
 from measurements import blind
 from source_tree import ROOT
 
@@ -52,7 +53,7 @@ def figures(page):
 @pytest.mark.browser
 @pytest.mark.parametrize(
     ('data', 'widths'),
-    [('planar', (1200, 400, 390)), ('spatial', (390, 1200)), ('tentacle', (400,))],
+    [('planar', (1200, 400, 390)), ('spatial', (390, 1200)), slow('tentacle', (400,))],
     ids=['planar', 'spatial', 'tentacle'],
 )
 def test_the_page_opens_offline_draws_everything_and_fits(data, widths, tmp_path):

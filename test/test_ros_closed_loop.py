@@ -31,6 +31,7 @@ def test_the_tip_of_an_arm_unlike_the_model_is_brought_to_the_target(tmp_path):
         station.close()
 
 
+@pytest.mark.slow  # without nodes: test_control_tip_loop.py
 def test_with_a_noisy_tracker_it_reaches_the_noise(tmp_path):
     """Scatter, a hidden effect, load cells and a tracker with noise: what `make live` mocks."""
     hidden = '{hinge_friction: {lever: 2.0e-4}}'

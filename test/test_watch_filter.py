@@ -109,7 +109,7 @@ ODD_POSTURES = {
 
 
 @pytest.mark.parametrize('seed', [12, slow(14)])
-@pytest.mark.parametrize('what', ODD_POSTURES)
+@pytest.mark.parametrize('what', [*list(ODD_POSTURES)[:2], slow('everything 1 m off')])
 def test_the_filter_learns_nothing_of_one_odd_posture_and_no_alarm_comes_of_it(
     well_known, what, seed
 ):
