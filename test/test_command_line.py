@@ -201,7 +201,8 @@ def test_all_that_may_take_long_tells_what_it_does(command, measured, tmp_path, 
         (tmp_path / path.name).symlink_to(path)
     monkeypatch.chdir(tmp_path)
     module = importlib.import_module(COMMANDS[command.split()[0]])
-    monkeypatch.setattr(module, 'progress', heard)
+    owner = module if hasattr(module, 'progress') else options
+    monkeypatch.setattr(owner, 'progress', heard)
     main(command.split())
     seen = iter(what for what, _, _ in told)
     assert all(any(what.startswith(words) for what in seen) for words in LONG[command]), told

@@ -19,20 +19,8 @@ import argparse
 from ..common.files import file_to_write
 from ..diagnosis.add import add_effects
 from ..report.diagnosis_text import NOT_WRITTEN, addition_lines
-from .options import (
-    REFUSED_EXIT_CODE,
-    add_check,
-    add_data,
-    add_effect_files,
-    add_json,
-    add_overwrite,
-    emit,
-    load_judged,
-    next_step,
-    progress,
-    refuse_existing,
-    write_description,
-)
+from . import options
+from .main import ExitCode
 
 HELP = 'add a physical effect to a robot description, fitted on measurements'
 
@@ -41,26 +29,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add = parser.add_argument
     add('effects', nargs='+', metavar='EFFECT', help='effects of the catalogue, fitted together')
-    add_data(parser, '--data', to=' to fit on', required=True)
+    options.add_data(parser, '--data', to=' to fit on', required=True)
     add('--robot', metavar='ROBOT', help='description to add to (default: the one of DATA)')
     to = file_to_write('--output')
     add('--output', type=to, required=True, metavar='NEW', help='the new description')
-    add_check(parser, 'to judge the effect by')
-    add_json(parser)
-    add_overwrite(parser)
-    add_effect_files(parser)
+    options.add_check(parser, 'to judge the effect by')
+    options.add_json(parser)
+    options.add_overwrite(parser)
+    options.add_effect_files(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Fit, write, print."""
-    refuse_existing('--output', args.output, args.overwrite)
-    with progress() as show:
-        dataset, check, catalogue = load_judged(args, show)
+    options.refuse_existing('--output', args.output, args.overwrite)
+    with options.progress() as show:
+        dataset, check, catalogue = options.load_judged(args, show)
         show(f'fitting {" and ".join(args.effects)}', 0, 0)
         made = add_effects(dataset, args.effects, None, catalogue, check)
     content = {**made.to_json(), 'written': args.output if made.helps else None}
     if made.helps:
-        write_description(made.robot, args.output)
-    last = next_step(args.output) if made.helps else NOT_WRITTEN
-    emit(args, content, '\n'.join([*addition_lines(made), last]))
-    return 0 if made.helps else REFUSED_EXIT_CODE
+        options.write_description(made.robot, args.output)
+    last = options.next_step(args.output) if made.helps else NOT_WRITTEN
+    options.emit(args, content, '\n'.join([*addition_lines(made), last]))
+    return 0 if made.helps else ExitCode.REFUSED

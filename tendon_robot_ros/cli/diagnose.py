@@ -27,23 +27,8 @@ from ..diagnosis.result import Diagnosis
 from ..diagnosis.verdict import Verdict
 from ..report.diagnosis_page import pictures_of, write_diagnosis
 from ..report.diagnosis_text import NOT_WRITTEN, addition_warnings, lines, never_used, trust_lines
-from .options import (
-    REFUSED_EXIT_CODE,
-    add_check,
-    add_data,
-    add_effect_files,
-    add_json,
-    add_overwrite,
-    add_report,
-    add_workers,
-    check_workers,
-    emit,
-    load_judged,
-    next_step,
-    progress,
-    refuse_existing,
-    write_description,
-)
+from . import options
+from .main import ExitCode
 
 HELP = 'name the physical effect that a model lacks'
 
@@ -51,32 +36,32 @@ HELP = 'name the physical effect that a model lacks'
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add = parser.add_argument
-    add_data(parser, 'data')
+    options.add_data(parser, 'data')
     add('--robot', metavar='ROBOT', help='description to judge (default: the one of DATA)')
-    add_json(parser)
+    options.add_json(parser)
     what = 'write a description with the effect'
     add('--add', type=file_to_write('--add'), metavar='NEW', help=what)
-    add_report(parser)
+    options.add_report(parser)
     add('--partial', action='store_true', help='add it even if more is at work')
-    add_check(parser, 'to judge the effect by')
+    options.add_check(parser, 'to judge the effect by')
     what = (
         'simulate your postures: how often a false alarm, how small an effect is seen (about a '
         'minute more)'
     )
     add('--trust', action='store_true', help=what)
-    add_workers(parser)
-    add_overwrite(parser)
-    add_effect_files(parser)
+    options.add_workers(parser)
+    options.add_overwrite(parser)
+    options.add_effect_files(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Diagnose, add, print."""
     if args.partial and not args.add:
         raise InputError('--partial: expected together with --add')
-    check_workers(args)
-    refuse_existing('--add', args.add, args.overwrite)
-    with progress() as show:
-        dataset, check, catalogue = load_judged(args, show)
+    options.check_workers(args)
+    options.refuse_existing('--add', args.add, args.overwrite)
+    with options.progress() as show:
+        dataset, check, catalogue = options.load_judged(args, show)
         diagnosis = diagnose(dataset, None, catalogue, args.workers, show)
         if args.trust:
             from ..diagnosis.trust import SECONDS, assess
@@ -108,10 +93,10 @@ def run(args: argparse.Namespace) -> int:
         report_lines.append(f'report: {page}')
     written = made is not None and made.helps and args.add and may_add
     if made is not None and written:
-        write_description(made.robot, args.add)
+        options.write_description(made.robot, args.add)
     content['written'] = args.add if written else None
-    emit(args, content, '\n'.join(report_lines))
-    return REFUSED_EXIT_CODE if args.add and not written and outside else 0
+    options.emit(args, content, '\n'.join(report_lines))
+    return ExitCode.REFUSED if args.add and not written and outside else 0
 
 
 def outcome_of(new: str, diagnosis: Diagnosis, made: Addition | None, may_add: bool) -> str:
@@ -119,7 +104,7 @@ def outcome_of(new: str, diagnosis: Diagnosis, made: Addition | None, may_add: b
     if made is not None and not made.helps:
         return NOT_WRITTEN
     if may_add:
-        return next_step(new)
+        return options.next_step(new)
     if diagnosis.effects:
         names = ' and '.join(effect.name for effect in diagnosis.effects)
         return f'Nothing was added (--partial would add {names}).'

@@ -19,23 +19,8 @@ import argparse
 from ..common.files import file_to_write
 from ..diagnosis.improve import improve
 from ..report.improvement_page import NOT_WRITTEN, improvement_lines
-from .options import (
-    REFUSED_EXIT_CODE,
-    add_check,
-    add_data,
-    add_effect_files,
-    add_json,
-    add_overwrite,
-    add_report,
-    add_workers,
-    check_workers,
-    emit,
-    load_judged,
-    next_step,
-    progress,
-    refuse_existing,
-    write_description,
-)
+from . import options
+from .main import ExitCode
 
 HELP = 'add effects one by one while the error on left-out postures falls'
 
@@ -43,29 +28,29 @@ HELP = 'add effects one by one while the error on left-out postures falls'
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add = parser.add_argument
-    add_data(parser, 'data')
+    options.add_data(parser, 'data')
     add('--robot', metavar='ROBOT', help='description to improve (default: the one of DATA)')
     to = file_to_write('--output')
     add('--output', type=to, required=True, metavar='NEW', help='the improved description')
-    add_check(parser, 'whose error is shown at every step')
-    add_report(parser)
-    add_workers(parser)
-    add_json(parser)
-    add_overwrite(parser)
-    add_effect_files(parser)
+    options.add_check(parser, 'whose error is shown at every step')
+    options.add_report(parser)
+    options.add_workers(parser)
+    options.add_json(parser)
+    options.add_overwrite(parser)
+    options.add_effect_files(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Search, write, print."""
-    check_workers(args)
-    refuse_existing('--output', args.output, args.overwrite)
-    with progress(remaining=True) as show:
-        dataset, check, catalogue = load_judged(args, show)
+    options.check_workers(args)
+    options.refuse_existing('--output', args.output, args.overwrite)
+    with options.progress(remaining=True) as show:
+        dataset, check, catalogue = options.load_judged(args, show)
         improvement = improve(dataset, None, catalogue, check, args.workers, show)
     report_lines = improvement_lines(improvement)
     if improvement.taken:
-        write_description(improvement.robot, args.output)
-        report_lines.append(next_step(args.output))
+        options.write_description(improvement.robot, args.output)
+        report_lines.append(options.next_step(args.output))
     else:
         report_lines.append(NOT_WRITTEN)
     if args.report:
@@ -74,5 +59,5 @@ def run(args: argparse.Namespace) -> int:
         page = write_improvement(improvement, dataset, catalogue, args.report)
         report_lines.append(f'report: {page}')
     content = {**improvement.to_json(), 'written': args.output if improvement.taken else None}
-    emit(args, content, '\n'.join(report_lines))
-    return 0 if improvement.taken else REFUSED_EXIT_CODE
+    options.emit(args, content, '\n'.join(report_lines))
+    return 0 if improvement.taken else ExitCode.REFUSED

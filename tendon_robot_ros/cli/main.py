@@ -19,6 +19,7 @@ import os
 import re
 import sys
 from collections.abc import Sequence
+from enum import IntEnum
 from pathlib import Path
 from typing import NoReturn
 
@@ -70,6 +71,15 @@ PACKAGE = Path(__file__).parent.parent
 NODE_OPTIONS = '[--ros-args [-p PARAMETER:=VALUE] [--params-file FILE] [-r FROM:=TO] ...]'
 
 
+class ExitCode(IntEnum):
+    """What a command returns to the shell."""
+
+    DONE = 0
+    ERROR = 1
+    REFUSED = 2  # nothing was written because that would not help
+    INTERRUPTED = 130  # Ctrl-C, as shells say it: 128 and the number of the signal
+
+
 class Parser(argparse.ArgumentParser):
     """An argument parser whose errors are one line, and that takes vectors like -0.1,0,0.2."""
 
@@ -111,15 +121,15 @@ def _guarded(name: str, arguments: list[str], program: str) -> int:
         sys.stdout.flush()
     except BrokenPipeError:  # the reader, such as head, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+        return ExitCode.DONE
     except KeyboardInterrupt:
-        return 130
+        return ExitCode.INTERRUPTED
     except (TendonRobotError, OSError) as error:
         message = str(error)
         if isinstance(error, OSError) and error.filename:
             message = f'{error.filename}: {error.strerror}'
         print('error:', ' '.join(message.split()), file=sys.stderr)
-        return 1
+        return ExitCode.ERROR
     return code
 
 

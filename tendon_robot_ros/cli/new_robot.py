@@ -40,9 +40,6 @@ HELP = 'ask about a robot, write its description and draw it'
 
 FIRST_WORDS = 'An empty answer takes the value in brackets; < goes back to the question before.'
 BACK = ('<', 'back')  # answers that go to the question before
-# [m/s²] along z, of an arm that points up, down, or horizontally (along x then); 9.81 and not the
-# standard gravity, so that the file is easily read
-GRAVITY_ALONG_Z = {'up': -9.81, 'down': 9.81, 'horizontal': 9.81}
 # [m], [N·m/rad] a cell that is stiff and has no length, so that the first eyelet lies behind it
 # (docs/robot_file.md)
 PLATE = {'name': 'plate', 'cells': 1, 'cell_length': 1e-5, 'bending_stiffness': 1000.0}
@@ -141,7 +138,8 @@ def ask_weight(questions: Questions, length: float, effects: dict[str, Any]) -> 
     )
     if along == 'unknown':
         return {}
-    acceleration = GRAVITY_ALONG_Z[along]
+    # two digits behind the point, so that the file is easily read; a level arm hangs along x
+    acceleration = round(-STANDARD_GRAVITY if along == 'up' else STANDARD_GRAVITY, 2)
     grams = questions.number('Weight of the arm, without its base [g] (0: leave out)', 0, 0, 1e6)
     if grams:
         effects['gravity'] = {'linear_density': float(f'{1e-3 * grams / length:.4g}')}

@@ -38,7 +38,6 @@ TARGET_LENGTHS = (0.01, 10.0)
 LOG_EVERY_S = 5.0
 # [s] between two bars, so that the seconds in them pass
 DRAWN_EVERY_S = 1.0
-REFUSED_EXIT_CODE = 2  # [1] nothing was written because that would not help
 FRAME_TOLERANCES = ('position', 'rotation')  # of the tracker, in a robot.yaml
 DATA_HELP = 'data set (folder), or a recording (rosbag2 folder, .mcap or .db3 file)'
 

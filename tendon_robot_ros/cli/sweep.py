@@ -22,8 +22,6 @@ from ..data.path_files import TendonRows, TipRows, write_path
 from .options import add_robot, load_model, progress
 
 HELP = 'write a path that keeps the view angle: looking around'
-# [N/s] at which a path of tensions is timed: slow, so that a person can follow it and stop
-TENSION_RATE_N_PER_S = 0.5
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Find the postures and write them."""
-    from ..paths.path import stretched
+    from ..paths.path import Pace, stretched
     from ..workspace.view_angle import look_around
 
     if not 0.0 < args.view <= 180.0:
@@ -53,9 +51,8 @@ def run(args: argparse.Namespace) -> int:
     rows: TipRows | TendonRows = TipRows(None, places, np.array([p.direction for p in postures]))
     if args.tensions:
         tensions = np.array([posture.tensions for posture in postures])
-        rows = TendonRows(
-            stretched(np.zeros(len(tensions)), tensions, TENSION_RATE_N_PER_S), tensions
-        )
+        slow = 0.1 * Pace().tension  # [N/s] so that a person can follow it and stop
+        rows = TendonRows(stretched(np.zeros(len(tensions)), tensions, slow), tensions)
     with new_file(Path(args.output)) as draft:
         write_path(draft, rows, model.inputs)
     low, high = 1e3 * places.min(axis=0), 1e3 * places.max(axis=0)

@@ -20,8 +20,6 @@ from .error_plots import per_marker, per_posture
 from .page import HEIGHTS_PX, LOG_AXIS, Figure, Page, Shown, mm_list, titled, trace
 from .sentences import as_built, left_out, quantities, where_wrong
 
-# [1] letters of a step's name in a line below the curve: more would take half of its height
-LABEL_LETTERS = 22
 NOT_WRITTEN = 'Nothing was written: there is no step that lowers the error on left-out postures.'
 
 
@@ -159,7 +157,7 @@ def improvement_page(improvement: Improvement, dataset: DataSet, catalogue: Cata
 def curve(improvement: Improvement) -> Figure:
     """Draw the errors step by step; steps that were not taken are hollow."""
     names = [
-        '<br>'.join(map(escape, wrap(step.label, LABEL_LETTERS))) for step in improvement.steps
+        '<br>'.join(map(escape, wrap(step.label, Shown.STEP_NAME))) for step in improvement.steps
     ]
     floor = mm_list([improvement.noise_floor] * len(names))
     line = {'color': FLOOR, 'width': 2, 'dash': 'dot'}

@@ -102,6 +102,7 @@ class Shown:
     READINGS = 6  # that are named one by one, so that the line is read
     WORST = 3  # postures that are named, so that the line is read
     NAME = 40  # letters of a posture in a menu: what a phone shows
+    STEP_NAME = 22  # letters in a line below a curve, else names take half of its height
     ROWS = 30  # of a printed table: a screen
     MARKED_ROWS = 60  # of a path, else marks hide it
     ARROWS = 15  # directions along a path, so that they do not cross

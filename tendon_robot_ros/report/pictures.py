@@ -33,8 +33,6 @@ STYLES = {
     'path': ((11.0, 6.5), 110, 10.0),
     'lines': ((6.0, 4.0), 150, 10.0),
 }
-# a legend below its axes, because beside them it would take half of the width
-BELOW = {'loc': 'upper center', 'bbox_to_anchor': (0.5, -0.12), 'ncols': 2, 'frameon': False}
 
 
 def draw_robot(model: Model, path: Path) -> Figure:
@@ -98,7 +96,7 @@ def draw_postures(axes: Any, model: Model, spatial: bool) -> None:
         axes.set_ylabel('z [mm]')
         axes.grid(alpha=0.3)
     axes.set_title('each input alone, the others at their lower limit')
-    axes.legend(**BELOW)
+    legend_below(axes)
 
 
 def draw_cross_section(axes: Any, model: Model) -> None:
@@ -142,7 +140,13 @@ def draw_cross_section(axes: Any, model: Model) -> None:
     axes.set_ylabel('y [mm]')
     axes.grid(alpha=0.3)
     axes.set_title('tendons from the base (dot) on, seen from the tip')
-    axes.legend(**BELOW)
+    legend_below(axes)
+
+
+def legend_below(axes: Any) -> None:
+    """Add a legend below its axes: beside them it would take half of the width."""
+    below = (0.5, -0.12)  # [1] of the axes
+    axes.legend(loc='upper center', bbox_to_anchor=below, ncols=2, frameon=False)
 
 
 def path_lines(run: PathRun) -> list[str]:

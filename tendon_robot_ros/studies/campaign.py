@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from ..cli.main import ExitCode
 from ..cli.options import add_cluster, add_effect_files, add_json, emit, progress
 from ..common.colours import BAND, ERROR, PREDICTED, look
 from ..common.words import columns, digits
@@ -92,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
             'the same command goes on from there',
             file=sys.stderr,
         )
-        return 130
+        return ExitCode.INTERRUPTED
     lines = [*summary(rows), *power_lines(rows), *mixed, f'written: {folder}/table, {page}']
     emit(args, to_json(rows), '\n'.join(lines))
     return 0

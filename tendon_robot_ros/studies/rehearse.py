@@ -28,7 +28,7 @@ from ..common.errors import InputError, NoEquilibriumError
 from ..data import Marker, default_markers
 from ..data.dataset import INPUTS, LOADINGS
 from ..effects import load_catalogue
-from ..investigation.goal import add_goal, goal_of
+from ..investigation.goal import Goal, add_goal, goal_of
 from ..investigation.loop import Investigation, write_results
 from ..investigation.record import BrokenMeasurementError, PostureMeasured
 from ..robot import Robot, load_robot
@@ -38,8 +38,6 @@ from ..simulation.measurements import SimulatedNoise
 from ..simulation.plant import Plant, make_plant
 
 HELP = 'investigate a simulated robot that hides something, as the real one will be'
-# [1] trials of a posture: with fewer, their spread would not say what noise is
-TRIALS = 3
 # [1] readings of a posture of a sequence, because it is measured once
 READINGS = 5
 Floats = npt.NDArray[np.float64]
@@ -56,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add('--input', choices=INPUTS, default='tension', help='what the motors set')
     add('--path', choices=LOADINGS, default='from_straight', help='how postures are reached')
     add('--lost', type=float, default=0.0, metavar='SHARE', help='of measurements that break')
-    add_goal(parser, TRIALS)
+    add_goal(parser, Goal().trials)
     add_effect_files(parser)
 
 

@@ -34,9 +34,9 @@ POSTURES_AT_ONCE = 2_000
 CELL_BEND_MAX_RAD = np.radians(20.0)
 # [rad] bend of the first section away from the view, so that a person sees an S
 S_BEND_MIN_RAD = np.radians(20.0)
-# [N] between the tensions of postures that a look around chooses from: a millimetre of the tip or
-# so, else the highest and the lowest would be missed
-POSTURE_STEP_N = 0.02
+# [1] postures between straight and the tension limit that a look around chooses from: a millimetre
+# of the tip or so apart, else the highest and the lowest would be missed
+POSTURES_PER_SIDE = 250
 WORKSPACE_FILES = ('postures.csv', 'workspace.npz')
 
 
@@ -449,7 +449,7 @@ def look_around(model: Model, angle: float, steps: int) -> list[Posture]:
 
 
 def _in_plane(model: Model, angle: float, steps: int) -> list[Posture]:
-    held = view(model, angle, POSTURE_STEP_N)
+    held = view(model, angle, float(model.limits.max()) / POSTURES_PER_SIDE)
     changes = np.abs(np.diff(held.inputs, axis=0)).max(axis=1)
     distinct = np.concatenate([[True], changes > 1e-6])
     inputs, places = held.inputs[distinct], held.tip_position[distinct]
