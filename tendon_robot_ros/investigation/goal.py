@@ -32,6 +32,9 @@ class Goal:
     at_once: int = 1  # postures between two diagnoses
     trials: int = 3  # of every posture
     checks: int = 3  # fresh postures to verify on
+    after_alarm: int = 12  # postures at most that separate what has changed
+    # postures more that were skipped than measured: with more, something is wrong with the robot
+    skipped: int = 5
     add: bool = False  # write what is found even where the verdict is a class
     tension_max: float = math.inf  # [N] besides the limits of the description
     seed: int = 0  # of the postures that may be chosen

@@ -139,7 +139,7 @@ class Investigation:
         self.diagnosis: Diagnosis | None = None
         self._suspected: list[str] = []  # effects that have appeared since an alarm
         room = Room(regions or KeepOut(), MARGIN_FRACTION * arm.robot.length)
-        self.measurer = Measurer(arm, self.record, room, trials, goal.postures, tell)
+        self.measurer = Measurer(arm, self.record, room, trials, goal, tell)
         self._deadline = time.monotonic() + 60.0 * goal.minutes
 
     def run(self) -> Findings:

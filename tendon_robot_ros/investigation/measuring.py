@@ -17,14 +17,10 @@ from ..common.errors import TendonRobotError
 from ..common.words import commands
 from ..monitoring.change import APART_PROBABILITY, ChangeFinder, Suspect, described
 from .choice import Room
+from .goal import Goal
 from .record import BrokenMeasurementError, MeasurableArm, PostureMeasured, Record
 
 Floats = npt.NDArray[np.float64]
-# [1] postures more that were skipped than measured: something is wrong with the robot then, and
-# every further attempt would move it in vain
-SKIPPED_MAX = 5
-# [1] postures after an alarm at most (docs/investigate.md); then an investigation goes on anyway
-ASKED_MAX = 12
 
 
 @dataclass(frozen=True)
@@ -48,14 +44,14 @@ class Measurer:
     record: Record
     room: Room
     trials: int
-    most: int  # postures of the whole investigation
+    goal: Goal
     tell: Tell
 
     def next(self, inputs: Floats, why: str, content: dict[str, Any]) -> PostureMeasured | None:
         """Say where the arm goes next and why, measure and record it; None: it was skipped."""
         number = len(self.record.dataset.postures) + 1
         named = dict(zip(self.arm.robot.inputs, inputs.tolist(), strict=True))
-        told = {'number': number, 'inputs': inputs.tolist(), 'most': self.most, **content}
+        told = {'number': number, 'inputs': inputs.tolist(), 'most': self.goal.postures, **content}
         text = f'posture {number}: {commands(named, self.arm.input)}   {why}'
         self.tell(News('posture', text, told))
         measured = self.attempted(inputs)
@@ -85,7 +81,7 @@ class Measurer:
                     self.tell(News('broken', f'  not measured: {reason}; once more'))
         self.record.skip(inputs, reason)
         self.tell(News('skipped', f'  skipped: {reason}'))
-        if len(self.record.skipped) >= SKIPPED_MAX + len(self.record.dataset.postures):
+        if len(self.record.skipped) >= self.goal.skipped + len(self.record.dataset.postures):
             raise TendonRobotError(
                 f'{len(self.record.skipped)} postures could not be measured, the last one: '
                 f'{reason}; look at the robot, then go on with --resume'
@@ -148,7 +144,7 @@ def separate_changes(
     """
     suspects = finder.suspects()
     tell_suspects(measurer, suspects)
-    for _ in range(min(ASKED_MAX, measurer.most)):
+    for _ in range(min(measurer.goal.after_alarm, measurer.goal.postures)):
         rows = offered()
         best = finder.most_telling(rows) if len(rows) else None
         if best is None:
