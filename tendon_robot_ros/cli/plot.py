@@ -68,7 +68,7 @@ def as_run(moves: Moves) -> PathRun:
 
 
 def standing_targets(moves: Moves, end: float) -> Places:
-    """Return every target when it came, at its end, and right after it (NaN: nothing is asked)."""
+    """Return targets as a curve: each from its time to its end, then NaN until the next one."""
     targets = moves.targets
     if not len(targets):
         return targets

@@ -6,6 +6,6 @@ measuring.py      measure a posture, again if it breaks; skip it, say so; after 
                   postures that separate what has changed
 choice.py         the posture that tells most (expected information), and which may be chosen:
                   tension, bend, regions kept out
-goal.py           what is asked, and what it may spend; when it is enough, what is in question
+goal.py           what is to be found out, and the budget; when it is enough, what is in question
 record.py         what it needs of an arm; what was measured, on disk after every posture; resume
 """

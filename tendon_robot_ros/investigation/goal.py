@@ -1,4 +1,4 @@
-"""What is asked of an investigation, what it may spend, and when it knows enough."""
+"""The goal of an investigation, its budget, and when it knows enough."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from .record import Round
 
 @dataclass(frozen=True)
 class Goal:
-    """What is asked, and within what."""
+    """What is to be found out, and the budget for it."""
 
     interval: float = 0.25  # [1] half a 95 % interval, of the value or of a typical size
     visible: float = 0.015  # [1] tip motion, of the length, that no effect may make unseen

@@ -39,7 +39,7 @@ class PostureMeasured:
 
 
 class MeasurableArm(Protocol):
-    """An arm that can be asked; it looks after its own limits, stop and watchdog."""
+    """An arm that goes to postures and is measured; it keeps its own limits, stop and watchdog."""
 
     @property
     def robot(self) -> Robot:

@@ -153,7 +153,7 @@ def verdict(comparison: Comparison) -> str:
 
 
 def _drowned(comparison: Comparison) -> bool:
-    """Tell whether the noise floor is a large share of the motion, if there is any."""
+    """Tell whether the noise floor is a large fraction of the motion, if there is any."""
     measured, floor = comparison.measured, comparison.noise_floor
     several = int((measured.trials > 0).sum()) > 1
     return several and floor is not None and floor > FLOOR_FRACTION_MAX * measured.motion

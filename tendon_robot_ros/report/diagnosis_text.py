@@ -46,7 +46,7 @@ NOT_WRITTEN = 'Nothing was written: the error on postures that were not used wou
 
 
 def lines(diagnosis: Diagnosis) -> list[str]:
-    """Return all lines: what was taken as exact, the verdict, what is left, what else."""
+    """Return all lines: assumptions, verdict, the remaining error, alternatives."""
     text = [
         size(diagnosis),
         *declared(diagnosis),
@@ -141,7 +141,7 @@ def explained_part(diagnosis: Diagnosis) -> str:
 
 
 def with_arm(diagnosis: Diagnosis) -> bool:
-    """Tell whether what would be written has the arm as it was found, beside the effects."""
+    """Tell whether `add` would write the arm as it was found in addition to the effects."""
     alone = diagnosis.error_alone
     return bool(np.isfinite(alone) and diagnosis.effects and alone != diagnosis.error_after)
 
@@ -187,7 +187,7 @@ def instead(diagnosis: Diagnosis) -> str:
 
 
 def what_remains(diagnosis: Diagnosis) -> str:
-    """Say how far the best effects come, and what is left or fits better without physics."""
+    """Say how far the best effects lower the error, and what remains or fits better."""
     floor = diagnosis.noise_floor
     if not diagnosis.effects:
         size = f'{digits(diagnosis.error_before / floor)} times the noise'
@@ -340,7 +340,7 @@ def predicted_apart(step: NextMeasurement) -> str:
 
 
 def trust_lines(diagnosis: Diagnosis) -> list[str]:
-    """Return what the bootstrap says; nothing where it was not asked for."""
+    """Return what the bootstrap says; nothing where none was made."""
     if 'trust' not in diagnosis.details:
         return []
     trust = diagnosis.details['trust']
@@ -418,7 +418,7 @@ def never_used(made: Addition) -> str:
 
 
 def also_written(made: Addition) -> list[str]:
-    """Name what the file says otherwise than the description before, beside the effects added."""
+    """Name what the new file changes in addition to the effects that were added."""
     robot, before = made.robot, made.described
     if before is None:
         return []

@@ -69,7 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run what is left of a plan, print, write."""
+    """Run the cases of a plan that are missing, print, write."""
     plan, folder = read_plan(args.plan, args.effect_file), Path(args.output)
     if args.dry_run:
         there = len(table_of(folder).rows_of(plan.cases)) if folder.exists() else 0

@@ -115,7 +115,7 @@ class FleetCase:
         return cls(path.resolve(), place, f'{place}:{digest}')
 
     def row(self, **told: Any) -> FleetRow:
-        """Return the row of what was told of it."""
+        """Return the row of this case with the given fields."""
         when, dated_by = when_of(self.path)
         return FleetRow(key=self.key, place=self.place, when=when, dated_by=dated_by, **told)
 

@@ -52,7 +52,7 @@ class Keyed(Protocol):
 
 
 class Study[C: Keyed, R: Row](Protocol):
-    """What is asked of every case, and all that is needed for it; goes to the workers."""
+    """How every case is judged, with all that is needed for it; goes to the workers."""
 
     @property
     def question(self) -> str:
