@@ -18,8 +18,7 @@ import numpy as np
 from emulated_bus import driver_for, emulator, every
 from machine import machine
 
-from tendon_robot_ros.drivers.safety import SafetyRules
-from tendon_robot_ros.drivers.supervisor import Supervisor
+from tendon_robot_ros.drivers.safety import SafetyRules, Supervisor
 
 PERIOD = 0.005  # [s], as the driver node
 COMMAND = np.array([1.5, 0.8, 0.5, 0.3])  # [N]

@@ -35,7 +35,7 @@ from soak_dynamixel import Breaker, too_strong
 from std_msgs.msg import Bool
 
 from tendon_robot_ros.drivers import make_driver
-from tendon_robot_ros.drivers.dynamixel.homing import BACK_OFF_M
+from tendon_robot_ros.drivers.dynamixel.motions import BACK_OFF_M
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.ros.shared.messages import COMMAND, LATCHED

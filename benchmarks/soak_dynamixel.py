@@ -28,8 +28,8 @@ from bench_dynamixel import rules
 from emulated_bus import ROBOT, Passings, driver_for, emulator, strongest
 
 from tendon_robot_ros.common.errors import DriverError
-from tendon_robot_ros.drivers.dynamixel.port import open_port
-from tendon_robot_ros.drivers.supervisor import FOLLOWING, Supervisor
+from tendon_robot_ros.drivers.dynamixel.bus import open_port
+from tendon_robot_ros.drivers.safety import FOLLOWING, Supervisor
 from tendon_robot_ros.emulator.rig import BALANCED_N
 from tendon_robot_ros.ros.driver.motor_loop import MotorLoop
 

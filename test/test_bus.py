@@ -10,8 +10,7 @@ pytest.importorskip('rclpy')
 
 from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.drivers.mock import MockConfig, MockDriver
-from tendon_robot_ros.drivers.safety import SafetyRules
-from tendon_robot_ros.drivers.supervisor import FOLLOWING, LIMP, RELEASED, Supervisor
+from tendon_robot_ros.drivers.safety import FOLLOWING, LIMP, RELEASED, SafetyRules, Supervisor
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.ros.driver.motor_loop import MotorLoop
 

@@ -11,8 +11,7 @@ from tendon_robot_ros.control import ControllerCore, Refusal, Settings, Target, 
 from tendon_robot_ros.control.state import Trajectory
 from tendon_robot_ros.control.status import MotionGoal, controller_status
 from tendon_robot_ros.drivers import Fault, Reading
-from tendon_robot_ros.drivers.safety import SafetyRules
-from tendon_robot_ros.drivers.supervisor import Supervisor
+from tendon_robot_ros.drivers.safety import SafetyRules, Supervisor
 
 TIMEOUT = 0.1  # [s]
 ASK = {'kato_10_1': (0.5, 0.1, 0.1, 0.9), 'spatial_6': (2.0, 0.4, 0.4, 1.0, 0.4, 0.4)}

@@ -17,7 +17,7 @@ import yaml
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import DriverError, InputError
 from tendon_robot_ros.drivers import make_driver
-from tendon_robot_ros.drivers.dynamixel import calibration
+from tendon_robot_ros.drivers.dynamixel import motions
 from tendon_robot_ros.drivers.dynamixel.calibration import CurrentPoint, fit_current
 from tendon_robot_ros.drivers.dynamixel.config import read_config
 from tendon_robot_ros.emulator.bus import HELP
@@ -152,7 +152,7 @@ def test_calibrate_finds_the_friction_and_the_torque_of_the_motor(
     calibrate, line, _ = scales
     waits = itertools.cycle((0.0, 0.0, late))
     slow = SimpleNamespace(sleep=lambda s: time.sleep(s + next(waits)), monotonic=time.monotonic)
-    monkeypatch.setattr(calibration, 'time', slow)
+    monkeypatch.setattr(motions, 'time', slow)
     masses = FEW if late else MASSES
     # of a longer way less is standing
     assert calibrate('east', masses, 12.0 if late else 6.0) == 0
@@ -194,14 +194,14 @@ def test_a_weight_that_is_too_heavy_is_refused_and_the_torque_is_off(scales, cap
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_whoever_ends_a_calibration_the_torque_is_off(scales, monkeypatch, number):
     calibrate, line, _ = scales
-    turn = calibration._turn_to
+    turn = motions.turn_to
 
     def interrupt(bus, motor, ticks):
         assert line.servo(1).torque
         os.kill(os.getpid(), number)
         turn(bus, motor, ticks)
 
-    monkeypatch.setattr(calibration, '_turn_to', interrupt)
+    monkeypatch.setattr(motions, 'turn_to', interrupt)
     assert calibrate('east') == 130
     assert not line.servo(1).torque
 

@@ -11,23 +11,19 @@ from hypothesis import strategies as st
 
 from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.drivers import make_driver
-from tendon_robot_ros.drivers.dynamixel.config import limits, read_config
-from tendon_robot_ros.drivers.dynamixel.control_table import (
-    MODELS,
-    REGISTERS,
+from tendon_robot_ros.drivers.dynamixel.calibration import (
     Calibration,
     CurrentLine,
     Spool,
-    decode,
-    encode,
     from_data_sheet,
     resolution,
 )
+from tendon_robot_ros.drivers.dynamixel.config import limits, read_config
+from tendon_robot_ros.drivers.dynamixel.control_table import MODELS, REGISTERS, decode, encode
 from tendon_robot_ros.drivers.dynamixel.motor import make_motors
 
 pytest.importorskip('dynamixel_sdk')
-from tendon_robot_ros.drivers.dynamixel.bus import without_header
-from tendon_robot_ros.drivers.dynamixel.port import UDEV_RULE, check_latency
+from tendon_robot_ros.drivers.dynamixel.bus import UDEV_RULE, check_latency, without_header
 
 
 def refusal(mode='tension', **changes):

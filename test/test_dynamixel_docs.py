@@ -9,15 +9,14 @@ pytest.importorskip('dynamixel_sdk')
 
 from tendon_robot_ros.common.yaml_reading import parse_yaml
 from tendon_robot_ros.drivers import make_driver
-from tendon_robot_ros.drivers.dynamixel.config import KEYS
-from tendon_robot_ros.drivers.dynamixel.control_table import (
-    MODELS,
-    REGISTERS,
+from tendon_robot_ros.drivers.dynamixel.bus import UDEV_FILE, UDEV_RULE
+from tendon_robot_ros.drivers.dynamixel.calibration import (
     from_data_sheet,
     resolution,
     smallest_spool,
 )
-from tendon_robot_ros.drivers.dynamixel.port import UDEV_FILE, UDEV_RULE
+from tendon_robot_ros.drivers.dynamixel.config import KEYS
+from tendon_robot_ros.drivers.dynamixel.control_table import MODELS, REGISTERS
 from tendon_robot_ros.drivers.dynamixel.settings import SETTINGS
 from tendon_robot_ros.robot import load_robot
 

@@ -25,7 +25,7 @@ from tendon_robot_ros.drivers.dynamixel.config import read_config
 from tendon_robot_ros.drivers.dynamixel.motor import (
     CARRIED_MARGIN,
     CARRIED_MARGIN_COUNTS,
-    LATELY,
+    RECENT_READINGS,
     make_motors,
 )
 from tendon_robot_ros.drivers.safety import STOP_TIME_MIN_S
@@ -267,36 +267,36 @@ def pulled_arm():
     yield from arm_in('pull')
 
 
-def test_a_motor_that_is_weakened_lets_the_arm_have_its_wire_and_is_strong_again(pulled_arm):
+def test_a_motor_of_reduced_current_lets_the_arm_have_its_wire_and_is_strong_again(pulled_arm):
     driver, line, command = pulled_arm
     command = 2.0 * command
     settled(driver, command)
     held, motor = driver.read().tensions, driver.motors[1]
-    driver.weaken(1.0, 0.5)
+    driver.limit_current(1.0, 0.5)
     settled(driver, command)
     counts = round(motor.wires[0].calibration.current(0.5) / motor.model.current_unit)
     assert [line.servo(i).get('goal_current') for i in (1, 2, 3, 4)] == [counts] * 4
     assert driver.read().tensions.max() < 0.6 < held.max()
-    driver.weaken(0.0, 0.5)
+    driver.limit_current(0.0, 0.5)
     time.sleep(0.2)  # a computer that stands still; the motors stayed weak after that
     settled(driver, command)
     assert line.servo(1).get('goal_current') == motor.strongest
     np.testing.assert_allclose(driver.read().tensions, held, atol=0.1)
 
 
-def test_a_motor_gives_way_from_what_it_carries_and_no_goal_rises(pulled_arm):
+def test_a_motor_limits_current_from_what_it_carries_and_no_goal_rises(pulled_arm):
     driver, line, command = pulled_arm
     settled(driver, command)
     began, shares = time.monotonic(), np.linspace(0.05, 1.0, 20)
     carried = {i: abs(line.servo(i).get('present_current')) for i in (1, 2)}
     for share in shares:
-        driver.weaken(share, 0.5)
+        driver.limit_current(share, 0.5)
         driver.write(command)
         driver.read()
     for i, sent in goals(line, 'goal_current', began).items():
         assert len(sent) == len(shares)
         assert np.all(np.diff(sent) <= 0)
-        assert sent[-1] == driver.motors[i].weakened
+        assert sent[-1] == driver.motors[i].reduced_limit
         if i in carried:  # the other two wires are slack
             assert sent[0] < carried[i] * (1.0 + CARRIED_MARGIN) + CARRIED_MARGIN_COUNTS
             assert sent[0] < driver.motors[i].strongest
@@ -304,7 +304,7 @@ def test_a_motor_gives_way_from_what_it_carries_and_no_goal_rises(pulled_arm):
         else:
             assert set(sent) == {sent[-1]}
     driver.enable()
-    assert [motor.weakened for motor in driver.motors.values()] == [None] * 4
+    assert [motor.reduced_limit for motor in driver.motors.values()] == [None] * 4
 
 
 @given(
@@ -312,29 +312,29 @@ def test_a_motor_gives_way_from_what_it_carries_and_no_goal_rises(pulled_arm):
     shares=st.lists(st.floats(0.0, 1.0, exclude_min=True), min_size=1, max_size=20),
     least=st.floats(0.0, 1.0),
 )
-def test_whatever_a_motor_carried_it_never_holds_more_than_that_while_it_gives_way(
+def test_whatever_a_motor_carried_it_never_holds_more_than_that_while_it_limits_current(
     lately, shares, least
 ):
     plain = read_config(emulated.robot(), emulated.config('/dev/none'), 'pull', 'arm.yaml')
     motor = make_motors(plain, 'pull')[1]
     for current in lately:
         motor.take(current.to_bytes(2, 'little', signed=True) + bytes(8))
-    held = max(map(abs, lately[-LATELY:]), default=motor.strongest)
+    held = max(map(abs, lately[-RECENT_READINGS:]), default=motor.strongest)
     end = round(motor.wires[0].calibration.current(least) / motor.model.current_unit)
     most = (1.0 + CARRIED_MARGIN) * held + CARRIED_MARGIN_COUNTS + 1
     before = motor.strongest
     for share in [*sorted(shares), 1.0]:
-        motor.weaken(share, least)
-        assert end <= motor.weakened <= max(end, min(most, before))
-        assert motor.current_bounds == (0, motor.weakened)
-        before = motor.weakened
+        motor.limit_current(share, least)
+        assert end <= motor.reduced_limit <= max(end, min(most, before))
+        assert motor.current_bounds == (0, motor.reduced_limit)
+        before = motor.reduced_limit
     assert before == end
-    motor.weaken(0.0, least)
+    motor.limit_current(0.0, least)
     assert motor.current_bounds == (0, motor.strongest)
 
 
-def test_a_position_mode_without_current_cannot_be_weakened():
+def test_a_position_mode_without_current_has_no_reduction():
     with emulated.line() as line:
-        assert emulated.driver_for(line, 'pull').gives_way
-        assert not emulated.driver_for(line, 'pull', pull_operation='extended').gives_way
-        assert not emulated.driver_for(line, 'tension').gives_way
+        assert emulated.driver_for(line, 'pull').limits_current
+        assert not emulated.driver_for(line, 'pull', pull_operation='extended').limits_current
+        assert not emulated.driver_for(line, 'tension').limits_current

@@ -18,9 +18,10 @@ from tendon_robot_ros.drivers.dynamixel.control_table import GAINS, MODELS, REGI
 
 pytest.importorskip('dynamixel_sdk')
 
-from tendon_robot_ros.drivers.dynamixel import homing
-from tendon_robot_ros.drivers.dynamixel.bus import LATE_S, Bus
+from tendon_robot_ros.drivers.dynamixel import motions
+from tendon_robot_ros.drivers.dynamixel.bus import Bus
 from tendon_robot_ros.drivers.dynamixel.settings import SETTINGS
+from tendon_robot_ros.drivers.hardware import ANSWER_TIMEOUT_S
 from tendon_robot_ros.emulator.bus import status
 
 # what another program may leave; nothing of it may steer the arm
@@ -167,7 +168,7 @@ def test_a_motor_held_back_by_something_else_has_not_found_its_wire(
     register, value, words, monkeypatch
 ):
     """Whoever writes a register while the slack is looked for makes no zero of it."""
-    monkeypatch.setattr(homing, 'TURNS_WITHIN_S', 0.4)
+    monkeypatch.setattr(motions, 'TURNING_TIMEOUT_S', 0.4)
     with emulated.line() as line, emulated.driver_for(line, 'pull') as driver:
         driver.cancelled = lambda: line.servo(1).put(register, value)
         with pytest.raises(MovedError, match=rf'east \(id 1\): ({words}|does not turn)'):
@@ -265,7 +266,7 @@ def test_a_late_answer_is_no_second_talker():
     with emulated.line() as line:
         bus = Bus(line.port, 1_000_000, 0.01)
         bus.open()
-        line.faults.delay = 0.5 * LATE_S
+        line.faults.delay = 0.5 * ANSWER_TIMEOUT_S
         bus.ping(1)
         bus.read(1, 'led')
         assert bus.second_talker() == ''

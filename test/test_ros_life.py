@@ -17,7 +17,7 @@ from lifecycle_msgs.srv import ChangeState
 from ros_station import LOW, PATIENT, Station, last, stamp, start, values
 from source_tree import ROOT
 
-from tendon_robot_ros.drivers.supervisor import CYCLE_MAX_S
+from tendon_robot_ros.drivers.safety import CYCLE_MAX_S
 from tendon_robot_ros.robot import dump_robot, load_robot
 from tendon_robot_ros.ros.shared.runtime import NodeProcess
 

@@ -10,12 +10,12 @@ import pytest
 from scipy.optimize import least_squares
 from source_tree import ROOT
 
-from tendon_robot_ros.drivers.dynamixel.control_table import (
-    MODELS,
+from tendon_robot_ros.drivers.dynamixel.calibration import (
     from_data_sheet,
     resolution,
     smallest_spool,
 )
+from tendon_robot_ros.drivers.dynamixel.control_table import MODELS
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
 

@@ -12,13 +12,8 @@ from emulated_board import needs_compiler
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import DriverError, InputError
 from tendon_robot_ros.drivers import make_driver
-from tendon_robot_ros.drivers.serial_board.calibration import (
-    CountsPoint,
-    connect,
-    fit_counts,
-    measure,
-)
-from tendon_robot_ros.drivers.serial_board.config import read_config
+from tendon_robot_ros.drivers.serial_board.config import CountsPoint, fit_counts, read_config
+from tendon_robot_ros.drivers.serial_board.link import connect, measure_counts
 from tendon_robot_ros.emulator.board import HELP
 from tendon_robot_ros.emulator.process import EmulatorProcess
 from tendon_robot_ros.robot import load_robot
@@ -105,7 +100,7 @@ def test_a_weight_that_swings_is_refused(robot_file):
         timer = threading.Timer(0.4, lambda: line.obey('weight 0 0.2'))
         timer.start()
         with pytest.raises(DriverError, match='channel 0: the weight does not hang still'):
-            measure(link, channels, 0, 0.0, 0.6)
+            measure_counts(link, channels, 0, 0.0, 0.6)
         timer.join()
         link.close()
 

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.drivers import Fault, Reading
-from tendon_robot_ros.drivers.safety import SafetyRules, approach
-from tendon_robot_ros.drivers.supervisor import CYCLE_MAX_S, Supervisor
+from tendon_robot_ros.drivers.safety import CYCLE_MAX_S, SafetyRules, Supervisor, approach
 
 INPUTS = ('left', 'right')
 LOW, HIGH, RATE, RELEASE = 0.1, 5.0, 8.0, 4.0
@@ -92,7 +91,7 @@ def disturb(supervisor, event):
     sequence=events,
 )
 def test_no_sequence_of_inputs_breaks_limits_or_rates(mode, weak, first, sequence):
-    giving = {'give_way': LOW, 'stop_time': STOP} if weak and mode == 'pull' else {}
+    giving = {'stop_tension': LOW, 'stop_time': STOP} if weak and mode == 'pull' else {}
     supervisor = Supervisor(rules(mode, **giving))
     try:
         supervisor.start(0.0, first)
@@ -101,7 +100,7 @@ def test_no_sequence_of_inputs_breaks_limits_or_rates(mode, weak, first, sequenc
     limits, rate = supervisor.rules.limits, supervisor.rules.rates[0]
     fall = max(rate, (HIGH - LOW) / STOP) if mode == 'tension' else rate
     before, faulty = supervisor.step(0.0, None, reading()).command, False
-    now, weakening = 0.0, 0.0
+    now, reduction = 0.0, 0.0
     for passed, command, state, event in sequence:
         disturb(supervisor, event)
         now += passed
@@ -109,10 +108,10 @@ def test_no_sequence_of_inputs_breaks_limits_or_rates(mode, weak, first, sequenc
         decision = supervisor.step(now, asked, state)
         out = decision.command
         assert np.all(np.isfinite(out))
-        begins_again = (faulty and not state.faults) or decision.weakening < weakening
-        assert decision.weakening >= weakening or decision.state == 'following'
-        weakening = decision.weakening
-        assert weakening == 0.0 or (0.0 < weakening <= 1.0 and giving)
+        begins_again = (faulty and not state.faults) or decision.current_reduction < reduction
+        assert decision.current_reduction >= reduction or decision.state == 'following'
+        reduction = decision.current_reduction
+        assert reduction == 0.0 or (0.0 < reduction <= 1.0 and giving)
         if not begins_again:
             assert np.all(out - before <= rate * CYCLE_MAX_S * (1 + 1e-9))
             assert np.all(before - out <= fall * CYCLE_MAX_S * (1 + 1e-9))
@@ -426,31 +425,31 @@ def test_a_wire_that_friction_holds_above_its_limit_comes_down_to_it_and_stays()
 
 def weak(pulls=(0.010, -0.008)):
     """Return a supervisor in pull mode whose motors are stopped in `STOP` seconds."""
-    return started('pull', reading(pulls=pulls), give_way=LOW, stop_time=STOP)
+    return started('pull', reading(pulls=pulls), stop_tension=LOW, stop_time=STOP)
 
 
-def test_in_pull_mode_a_stop_weakens_the_motors_and_the_wire_stays_on_its_spool():
+def test_in_pull_mode_a_stop_reduces_the_current_and_the_wire_stays_on_its_spool():
     supervisor = weak()
     bent = np.array([0.010, -0.008])
     decision, now = run(supervisor, 0.0, 0.1, bent)
-    assert decision.weakening == 0.0
+    assert decision.current_reduction == 0.0
     assert decision.command == pytest.approx(bent)
     supervisor.latch.stop('stop', 'stop was called')
     decision, now = run(supervisor, now, 0.5 * STOP)
-    assert decision.weakening == pytest.approx(0.5)  # the ramp is a straight line
+    assert decision.current_reduction == pytest.approx(0.5)  # the ramp is a straight line
     decision, now = run(supervisor, now, 0.5 * STOP)
-    assert decision.weakening == pytest.approx(1.0)
+    assert decision.current_reduction == pytest.approx(1.0)
     assert decision.command[0] == pytest.approx(0.010 - 0.01 * STOP)  # at the release rate
     assert -0.01 * STOP < decision.command[1] + 0.008 - 0.02 * STOP <= 0.0  # nothing pulls there
     decision, now = run(supervisor, now, 2.0)
-    assert (decision.state, decision.weakening) == ('released', 1.0)
+    assert (decision.state, decision.current_reduction) == ('released', 1.0)
     assert decision.command == pytest.approx([0.0, 0.0])
 
 
-def test_silence_in_pull_mode_does_not_weaken_the_motors():
+def test_silence_in_pull_mode_does_not_reduce_the_current():
     decision, _ = run(weak(), 0.0, 0.3)
     assert decision.state == 'releasing'
-    assert decision.weakening == 0.0
+    assert decision.current_reduction == 0.0
 
 
 def test_after_such_a_stop_the_motors_go_on_from_where_the_arm_has_moved_them():
@@ -461,7 +460,7 @@ def test_after_such_a_stop_the_motors_go_on_from_where_the_arm_has_moved_them():
     _, now = run(supervisor, now, STOP, None, moved)
     supervisor.reset()
     decision = supervisor.step(now + CYCLE, np.array([0.010, 0.0]), moved)
-    assert decision.weakening == 0.0
+    assert decision.current_reduction == 0.0
     assert decision.command[0] == pytest.approx(0.002 + 0.02 * CYCLE)
 
 
@@ -479,7 +478,7 @@ def test_pull_mode_does_not_start_without_a_measured_pull():
         {'command_timeout': np.inf},
         {'release_to': 'nowhere'},
         {'rates': np.ones(3)},
-        {'give_way': 0.1},
+        {'stop_tension': 0.1},
     ],
 )
 def test_rules_that_cannot_be_held_are_refused(changes):

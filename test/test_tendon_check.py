@@ -57,7 +57,7 @@ def test_a_tendon_that_crept_is_named_with_its_amount(driver):
     assert first.pulls == pytest.approx(1e-3, abs=3e-5)
     driver.plant.crept[1] = 1.2e-3
     found = changes(first, measure_reference(driver, 1.0))
-    said = [change.said(1.0) for change in found]
+    said = [change.text(1.0) for change in found]
     assert [bool(text) for text in said] == [False, True, False, False]
     assert found[1].pull == pytest.approx(1.2e-3, abs=1e-4)
     assert said[1].startswith(f'{driver.inputs[1]}: has crept: 1.') and 'longer' in said[1]
@@ -103,7 +103,7 @@ def test_what_all_tendons_do_is_no_creep_of_one():
     pulls = np.full(4, 1e-3)
     first = TendonReference(('a', 'b', 'c', 'd'), 1.0, pulls, np.full(4, 1.0), '')
     now = TendonReference(first.inputs, 1.0, pulls + 2e-3, np.array([1, 1, 1, 1.3]), '')
-    assert [change.said(1.0) for change in changes(first, now)] == [
+    assert [change.text(1.0) for change in changes(first, now)] == [
         '',
         '',
         '',

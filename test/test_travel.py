@@ -13,7 +13,7 @@ from tendon_robot_ros.common.errors import DriverError, MovedError
 pytest.importorskip('dynamixel_sdk')
 
 from tendon_robot_ros.drivers.dynamixel import driver as module
-from tendon_robot_ros.drivers.dynamixel import homing
+from tendon_robot_ros.drivers.dynamixel import motions
 from tendon_robot_ros.drivers.dynamixel.control_table import WATCHDOG_TRIPPED
 
 TRAVEL = 0.01  # [m]
@@ -100,13 +100,13 @@ def test_a_motor_that_its_watchdog_stopped_while_it_pays_out_is_not_one_that_doe
 ):
     def on_and_tripped(bus, motors, mode, watchdog):
         torque_on(bus, motors, mode, watchdog)
-        monkeypatch.setattr(homing, 'torque_on', torque_on)
+        monkeypatch.setattr(motions, 'torque_on', torque_on)
         for motor in motors:
             line.servo(motor.identity).put('bus_watchdog', WATCHDOG_TRIPPED)
 
-    torque_on = homing.torque_on
+    torque_on = motions.torque_on
     with emulated.line() as line, emulated.driver_for(line, 'pull') as driver:
-        monkeypatch.setattr(homing, 'torque_on', on_and_tripped)
+        monkeypatch.setattr(motions, 'torque_on', on_and_tripped)
         driver.enable()
         assert all(motor.zero is not None for motor in driver.motors.values())
 

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from ..drivers.dynamixel.bus import Bus
     from ..drivers.dynamixel.calibration import CurrentFit
     from ..drivers.dynamixel.motor import Motor
-    from ..drivers.serial_board.calibration import CountsPoint
+    from ..drivers.serial_board.config import CountsPoint
 
 HELP = 'calibrate tension with known weights; --check: which tendon has crept'
 KINDS = {'dynamixel': 'motors', 'serial': 'tendons'}  # and what such a configuration has
@@ -160,7 +160,7 @@ def check_tendons(args: argparse.Namespace) -> int:
         print(f'written: {path}; the next check compares with it')
         return 0
     crept = changes(before, now)
-    said = [text for change in crept if (text := change.said(tension))]
+    said = [text for change in crept if (text := change.text(tension))]
     worst = max(abs(change.pull) for change in crept)
     print('\n'.join(said) or f'no tendon has crept (at most {1e3 * worst:.2f} mm)')
     print(f'since {before.date}, at {tension:g} N')
@@ -187,11 +187,12 @@ def _content(path: str) -> dict[str, Any]:
 
 def calibrate_motor(args: argparse.Namespace) -> int:
     """Measure currents under weights, fit two lines, write and draw them."""
-    from ..drivers.dynamixel import calibration
+    from ..drivers.dynamixel.calibration import fit_current, to_mapping
+    from ..drivers.dynamixel.motions import wind_weight
 
     if not (1.0 <= args.travel <= 1000.0 and 0.1 <= args.speed <= 200.0):
         raise InputError('--travel, --speed: expected 1 to 1000 mm and 0.1 to 200 mm/s')
-    bus, motor, cap = open_motor(args, STANDARD_GRAVITY)
+    bus, motor, wire = open_motor(args, STANDARD_GRAVITY)
     try:
         points = []
         for mass in args.weights:
@@ -203,7 +204,7 @@ def calibrate_motor(args: argparse.Namespace) -> int:
             if not args.yes:
                 input('press Enter when ready ')
             weight = mass * STANDARD_GRAVITY
-            point = calibration.measure(bus, motor, weight, 1e-3 * args.travel, 1e-3 * args.speed)
+            point = wind_weight(bus, motor, weight, 1e-3 * args.travel, 1e-3 * args.speed)
             print(
                 f'  {point.tension:.3f} N: winding {point.wind:.4f} A, '
                 f'paying out {point.pay_out:.4f} A',
@@ -212,8 +213,9 @@ def calibrate_motor(args: argparse.Namespace) -> int:
             points.append(point)
     finally:
         bus.close()
-    result = calibration.fit_current(points)
-    _write(Path(args.output), args.tendon, calibration.to_mapping(result, cap), MOTOR_UNITS)
+    result = fit_current(points)
+    lines = to_mapping(result, wire.model.name, wire.spool.radius)
+    _write(Path(args.output), args.tendon, lines, MOTOR_UNITS)
     picture = Path(args.picture or f'{Path(args.output).with_suffix("")}_{args.tendon}.png')
     draw(result, args.tendon, picture)
     for what, line in (
@@ -230,8 +232,8 @@ def open_motor(args: argparse.Namespace, gravity: float) -> tuple[Bus, Motor, An
     """Open the bus and find the motor; its current may lift twice the heaviest weight."""
     from ..drivers.dynamixel.bus import Bus
     from ..drivers.dynamixel.config import read_config
-    from ..drivers.dynamixel.handshake import shake_hands
     from ..drivers.dynamixel.motor import Motor
+    from ..drivers.dynamixel.settings import shake_hands
 
     robot = load_robot(args.robot)
     content = _content(args.config)
@@ -295,8 +297,8 @@ def draw(result: CurrentFit, tendon: str, path: Path) -> None:
 
 def measure_cell(args: argparse.Namespace) -> dict[str, Any]:
     """Measure and fit; print what was found; return what is written for the tendon."""
-    from ..drivers.serial_board import calibration
-    from ..drivers.serial_board.config import read_config
+    from ..drivers.serial_board.config import cell_mapping, fit_counts, read_config
+    from ..drivers.serial_board.link import connect, measure_counts
 
     robot = load_robot(args.robot)
     content = _content(args.config)
@@ -306,7 +308,7 @@ def measure_cell(args: argparse.Namespace) -> dict[str, Any]:
         raise InputError(
             f'--tendon: expected one of {", ".join(robot.inputs)}, got {args.tendon!r}'
         )
-    link, channels = calibration.connect(config)
+    link, channels = connect(config)
     points: list[CountsPoint] = []
     try:
         for mass in (0.0, *args.weights):
@@ -316,7 +318,7 @@ def measure_cell(args: argparse.Namespace) -> dict[str, Any]:
                 input('press Enter when it hangs still ')
             force = mass * STANDARD_GRAVITY
             points.append(
-                calibration.measure(link, channels, tendon.channel, force, SECONDS_PER_WEIGHT)
+                measure_counts(link, channels, tendon.channel, force, SECONDS_PER_WEIGHT)
             )
             print(
                 f'  {force:.3f} N: {points[-1].mean:.0f} ± {points[-1].spread:.0f} counts',
@@ -324,10 +326,10 @@ def measure_cell(args: argparse.Namespace) -> dict[str, Any]:
             )
     finally:
         link.close()
-    cell = calibration.fit_counts(points)
+    cell = fit_counts(points)
     heaviest = max(point.tension for point in points)
     print(
         f'{tendon}: tension = (counts - {cell.zero:.0f}) * {cell.newtons_per_count:.5g} N\n'
         f'uncertainty: {cell.uncertainty(np.array(heaviest)):.2g} N (1 sd) at {heaviest:.3g} N'
     )
-    return calibration.to_mapping(cell, points)
+    return cell_mapping(cell, points)

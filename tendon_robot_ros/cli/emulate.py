@@ -26,7 +26,8 @@ from numpy.typing import NDArray
 
 from ..common.errors import InputError
 from ..common.files import file_to_write, new_file
-from ..drivers.dynamixel.control_table import BAUD_RATES, MODELS, smallest_spool
+from ..drivers.dynamixel.calibration import smallest_spool
+from ..drivers.dynamixel.control_table import BAUD_RATES, MODELS
 from ..emulator.board import BoardRig, EmulatedBoard
 from ..emulator.bus import EmulatedBus
 from ..emulator.port import Plug

@@ -1,7 +1,7 @@
 """
 What the controller does, without ROS: what comes in is checked, targets become tensions.
 
-A stop only drops the target here: the ramp to pretension is drivers/supervisor.py's.
+A stop only drops the target here: the ramp to pretension is drivers/safety.py's.
 
 core.py          `ControllerCore`: the state machine of a cycle; no clock, no threads
 driver_side.py   the driver: what was sent, what is heard, silence, stops and releases

@@ -1,12 +1,23 @@
-"""What drivers of real motors share: ports, commands within limits and rates, configuration."""
+"""
+What drivers of real motors share.
+
+Serial ports, commands within limits and rates, the life of a driver on a port, configuration files
+and the straight lines of calibrations.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import errno
+import fcntl
+import os
+import select
+import termios
 import time
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, Self
+from typing import Any, ClassVar, NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +27,117 @@ from ..common.files import read_text
 from ..common.yaml_reading import ConfigFields, parse_yaml
 from ..robot import Robot
 from .interface import Array, Driver
-from .ports import PortLostError
-from .safety import STOP_TIME_MIN_S, approach, bounded
+from .safety import CYCLE_MAX_S, STOP_TIME_MIN_S, approach, bounded
 
-WRITE_STEP_MAX_S = 0.1  # [s]; after a pause the command does not catch up
-RETRY_PERIOD_S = 0.2  # [s] between two attempts to get a port or a motor back
+# what an unplugged port raises: serial's error is an OSError, termios.error is none
+PORT_ERRORS = (OSError, termios.error)
+# [s] the longest for a motor or board to answer or send, and for a port to take bytes, so that a
+# busy computer is no lost port; whoever waits in a cycle waits less (`answer_time`)
+ANSWER_TIMEOUT_S = 0.1
+COMMAND_SHOWN = 60  # [characters] of another process's command, so that a message is a line
+# [s] after a longer pause the command does not catch up, so that no wire moves in one step
+WRITE_STEP_MAX_S = 2.0 * CYCLE_MAX_S
+# [s] between two attempts to get a port or a motor back, so that those that fail, with their
+# time-outs, leave most cycles to the motors that are there
+RETRY_PERIOD_S = 0.2
+PULL_MAX_M = 1.0  # [m] of wire either way: more would be a mistake in a unit
+WEIGHTS_MIN = 3  # [1] different ones in a calibration, else a line fits them without a residual
+READINGS_MIN = 5  # [1] with one weight, else a mean and its noise would mean little
+
+
+class PortLostError(Exception):
+    """The port is gone; `reopen` may bring it back."""
+
+
+def take_alone(file: int) -> None:
+    """Let no other process open the port; a lock that pyserial takes binds its users only."""
+    fcntl.ioctl(file, termios.TIOCEXCL)
+
+
+def refuse_held(path: str) -> None:
+    """
+    Refuse a port that is open already: a program without a lock would share its answers.
+
+    Raises
+    ------
+    OSError
+        Somebody has it; `why_not` says who.
+
+    """
+    if held_by(path):
+        raise OSError(errno.EBUSY, 'open already')
+
+
+def write_all(file: int, data: bytes) -> None:
+    """
+    Write to a port that does not block.
+
+    pyserial's own write, with a time-out, says that a port takes nothing also where it took all
+    at once and this process was late to notice.
+
+    Raises
+    ------
+    OSError
+        The port is gone, or has taken nothing for `ANSWER_TIMEOUT_S`.
+
+    """
+    while data:
+        with contextlib.suppress(BlockingIOError):
+            data = data[os.write(file, data) :]
+        if data and not select.select([], [file], [], ANSWER_TIMEOUT_S)[1]:
+            raise TimeoutError(f'the port took nothing for {ANSWER_TIMEOUT_S:g} s')
+
+
+def why_not(path: str, error: BaseException) -> str:
+    """Say in words why a port cannot be opened, and what to do."""
+    code = getattr(error, 'errno', None)
+    if not os.path.exists(path):
+        return (
+            f'{path}: no such port; is the adapter plugged in? '
+            f'found: {", ".join(present_ports()) or "no USB serial port"}'
+        )
+    if code == errno.EACCES:
+        return (
+            f'{path}: not allowed; type: sudo usermod -aG dialout $USER, then log out and in again'
+        )
+    if code in (errno.EAGAIN, errno.EBUSY) or 'lock' in str(error):
+        return f'{path}: {held_by(path) or "another process has the port"}; stop it first'
+    return f'{path}: cannot open: {error}'
+
+
+def held_by(path: str, others: bool = False) -> str:
+    """
+    Say which process has a port open, '' where none is seen.
+
+    Parameters
+    ----------
+    path : str
+    others : bool
+        Not this process.
+
+    """
+    wanted = os.path.realpath(path)
+    for link in Path('/proc').glob('[0-9]*/fd/*'):
+        try:
+            if os.readlink(link) != wanted:
+                continue
+            if int(link.parts[2]) == os.getpid():
+                if others:
+                    continue
+                return 'this process has the port already'
+            command = Path('/proc', link.parts[2], 'cmdline').read_bytes()
+            name = ' '.join(command.decode(errors='replace').replace('\0', ' ').split())
+            name = f'{link.parts[2]}: {name[:COMMAND_SHOWN]}'
+            return f'another process has the port (process {name})'
+        except OSError:  # it has ended, or belongs to somebody else
+            continue
+    return ''
+
+
+def present_ports() -> list[str]:
+    """List the USB serial ports, by the name that stays when they are plugged in again."""
+    by_id = sorted(str(path) for path in Path('/dev/serial/by-id').glob('*'))
+    return by_id or sorted(str(path) for path in Path('/dev').glob('ttyUSB*'))
 
 
 class HardwareDriver(Driver):
@@ -78,19 +195,15 @@ class HardwareDriver(Driver):
         return approach(self._goal, goal, rates * min(passed, WRITE_STEP_MAX_S))
 
     def _may_retry(self, now: float) -> bool:
-        """Whether it is time to look again for what was lost; the next time is later."""
+        """Return whether it is time for another attempt to get back what was lost."""
         if now - self._retried < RETRY_PERIOD_S:
             return False
         self._retried = now
         return True
 
 
-# -----------------------------------------------------------------------------
-# Motors behind a serial port, which may go and come back.
-
-
 class PortConfig(Protocol):
-    """What the configuration of such a driver says at least."""
+    """The least that the configuration of such a driver has."""
 
     @property
     def port(self) -> str:
@@ -118,7 +231,7 @@ class PortDriver(HardwareDriver):
     Attributes
     ----------
     cancelled : callable
-        Asked while `enable` looks for slack; a true answer ends it.
+        Called while `enable` searches for slack; a true result ends it.
 
     """
 
@@ -197,10 +310,6 @@ class PortDriver(HardwareDriver):
         """Let the next command begin at what is measured."""
 
 
-# -----------------------------------------------------------------------------
-# What the configuration files of all drivers say: motors of inputs, spools, limits, calibration.
-
-
 def fields_of_inputs(
     top: ConfigFields, key: str, what: str, robot: Robot
 ) -> dict[str, ConfigFields]:
@@ -249,7 +358,7 @@ def read_direction(item: ConfigFields, winding: str) -> int:
     return int(value)
 
 
-def read_pull_limits(fields: ConfigFields, largest: float) -> tuple[float, float]:
+def read_pull_limits(fields: ConfigFields, largest: float = PULL_MAX_M) -> tuple[float, float]:
     """Return the lowest and the highest pull [m], within `largest` either way."""
     low, high = fields.vector('pull_limits', 2)
     if not -largest <= low < high <= largest:
@@ -282,3 +391,31 @@ def read_calibrations(top: ConfigFields, required: bool) -> ConfigFields:
         return ConfigFields(str(file), '', parse_yaml(text))
     except ValueError as error:
         raise refuse(error) from None
+
+
+class LineFit(NamedTuple):
+    """A line y = intercept + slope x, standard errors of both, and the scatter about it."""
+
+    intercept: float
+    slope: float
+    intercept_error: float
+    slope_error: float
+    scatter: float
+
+
+def fit_line(x: Array, y: Array, noise: float = 0.0) -> LineFit:
+    """
+    Fit a straight line by least squares, with the standard errors of linear regression.
+
+    Parameters
+    ----------
+    x, y : ndarray, shape (n,)
+    noise : float
+        Scatter that is known from elsewhere, where the residuals show less.
+
+    """
+    (slope, intercept), factors = np.polyfit(x, y, 1, cov='unscaled')
+    residual = y - intercept - slope * x
+    scatter = max(float(np.sqrt(residual @ residual / max(1, len(x) - 2))), noise)
+    slope_error, intercept_error = (scatter * np.sqrt(np.diag(factors))).tolist()
+    return LineFit(float(intercept), float(slope), intercept_error, slope_error, scatter)

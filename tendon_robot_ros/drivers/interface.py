@@ -13,11 +13,34 @@ from numpy.typing import NDArray
 
 from ..common.errors import DriverError, MissingExtraError
 from ..robot import Robot
-from .ports import travelled
 
 Array = NDArray[np.float64]
 MODES = ('tension', 'pull')
-SOURCES = ('load_cell', 'current', 'command')
+# [s] between two commands where a driver or a check itself moves motors, so that they go as
+# smoothly as under a controller at 100 Hz
+CYCLE_S = 0.01
+
+# how far motors have gone in searches for slack that failed, by port
+_TRAVELLED: dict[str, dict[int, float]] = {}
+
+
+def travelled(port: str) -> dict[int, float]:
+    """
+    Return how far the motors of a port have gone in searches for slack; clear it to forget.
+
+    It belongs to the port and to this process, not to a driver: whoever tries again, with whatever
+    object, goes on from the same beginning, so that the bound of a search holds for all attempts
+    together. What a hand or a spring turns while the torque is off does not count: a person
+    resets.
+
+    Returns
+    -------
+    dict of int to float
+        Motor (its id or channel) -> signed distance since the first attempt, in the unit of the
+        driver (ticks or m).
+
+    """
+    return _TRAVELLED.setdefault(port, {})
 
 
 class Backend(NamedTuple):
@@ -68,7 +91,7 @@ class Fault:
 @dataclass(frozen=True)
 class Reading:
     """
-    What the motors say at one moment.
+    What the motors report at one moment.
 
     Parameters
     ----------
@@ -118,8 +141,8 @@ class Driver(abc.ABC):
         Largest change of the command per second, in the unit of the mode.
     port : str
         Path of the serial port, empty where there is none.
-    gives_way : bool
-        Whether `weaken` does what it is told, in pull mode.
+    limits_current : bool
+        Whether `limit_current` has an effect: motors that hold their position by current.
 
     """
 
@@ -129,7 +152,7 @@ class Driver(abc.ABC):
     limits: Array
     rates: Array
     port: str = ''
-    gives_way: bool = False
+    limits_current: bool = False
 
     @abc.abstractmethod
     def open(self) -> None:
@@ -151,18 +174,18 @@ class Driver(abc.ABC):
     def write(self, command: Array) -> None:
         """Command every input, shape (m,) [N] or [m], kept within limits and rates."""
 
-    def weaken(self, share: float, least: float) -> None:
+    def limit_current(self, reduction: float, tension: float) -> None:
         """
-        Take how far the motors give way in pull mode, from the next command on.
+        Reduce the current limit of the motors in pull mode, from the next command on.
 
-        Without `gives_way` nothing comes of it.
+        Without `limits_current` this has no effect.
 
         Parameters
         ----------
-        share : float
-            0: a motor holds up to its limit; 1: no wire with more than `least`; between them a
-            share of the way from what it carried when the share was last 0.
-        least : float
+        reduction : float
+            0: a motor holds up to its limit; 1: no wire with more than `tension`; between them a
+            fraction of the range from what it carried when the reduction was last 0.
+        tension : float
             [N]
 
         """
@@ -177,7 +200,7 @@ class Driver(abc.ABC):
         raise DriverError(f'{type(self).__name__}: reboot: this kind of motor has no reboot')
 
     def reset(self) -> None:
-        """Let searches for slack wind anew: a person has looked at the wires. Moves nothing."""
+        """Let searches for slack begin anew: a person has looked at the wires. Moves nothing."""
         travelled(self.port).clear()
 
     def describe(self) -> dict[str, str]:

@@ -165,8 +165,9 @@ class MockDriver(Driver):
             pulls = np.array(state.pulls) + self._noise(self.config.pull_noise)
             tensions = np.array(state.inputs) + self._noise(self.config.tension_noise)
         if self.config.tension_source == 'command':
-            asked = np.where(self._on, self._command, 0.0)
-            tensions = asked if self.mode == 'tension' else np.full_like(pulls, np.nan)
+            command = np.where(self._on, self._command, 0.0)
+            tensions = command if self.mode == 'tension' else np.full_like(pulls, np.nan)
+        problem = [Fault('plant', self._problem)] if self._problem else []
         sd = self.config.tension_noise if self.config.tension_source == 'load_cell' else None
         return Reading(
             time=time.monotonic(),
@@ -174,7 +175,7 @@ class MockDriver(Driver):
             tensions=np.where(lost, np.nan, tensions),
             source=self.config.tension_source,
             tension_sd=None if sd is None else np.full_like(pulls, sd),
-            faults=self._faults(),
+            faults=(*self._injected.values(), *problem),
         )
 
     def reboot(self, inputs: Sequence[str] = ()) -> None:
@@ -207,12 +208,6 @@ class MockDriver(Driver):
             'tension_noise (N)': f'{self.config.tension_noise:g}',
         }
 
-    def _faults(self) -> tuple[Fault, ...]:
-        faults = list(self._injected.values())
-        if self._problem:
-            faults.append(Fault('plant', self._problem))
-        return tuple(faults)
-
     def _lost(self) -> NDArray[np.bool_]:
         lost = np.zeros(len(self.inputs), dtype=bool)
         for code, fault in self._injected.items():
@@ -231,7 +226,7 @@ class MockDriver(Driver):
             raise DriverError(f'MockDriver: {what}: the driver is not open; call open() first')
 
     def _advance(self) -> None:
-        """Let the motors follow their command since the last look, and the arm them."""
+        """Let the motors follow their command since the last call, and the arm the motors."""
         now = self._clock()
         passed, self._updated = max(now - self._updated, 0.0), now
         part = 1.0 if self.config.lag <= 0.0 else -math.expm1(-passed / self.config.lag)

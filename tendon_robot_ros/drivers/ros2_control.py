@@ -28,10 +28,18 @@ from .hardware import (
 from .interface import Array, Fault, Reading
 
 CONFIG_KEYS = (
-    'command_topic', 'state_topic', 'joints', 'spool_radius', 'timeout', 'tension_source',
-    'tension_rate', 'pull_rate', 'pull_limits', 'tendons',
-)  # fmt: skip
-PULL_LIMITS_DEFAULT_M = (-0.05, 0.05)
+    'command_topic',
+    'state_topic',
+    'joints',
+    'spool_radius',
+    'timeout',
+    'tension_source',
+    'tension_rate',
+    'pull_rate',
+    'pull_limits',
+    'tendons',
+)
+PULL_DEFAULT_M = 0.05  # [m] either way without `pull_limits`, else nothing would bound a pull
 JOINT_KEYS = ('joint', 'spool_radius', 'direction', 'zero')
 
 
@@ -82,14 +90,20 @@ class Ros2ControlConfig:
             expected = f'the joints of the tendons, {", ".join(names)}, as the controller has them'
             raise top.error('joints', expected, joints)
         kind = 'effort' if mode == 'tension' else 'position'
-        limited = top.has('pull_limits')
-        pull_limits = read_pull_limits(top, 10.0) if limited else PULL_LIMITS_DEFAULT_M
+        pull_limits = -PULL_DEFAULT_M, PULL_DEFAULT_M
+        if top.has('pull_limits'):
+            pull_limits = read_pull_limits(top, 10.0)
+        rolled = [nearest(item, top, 'spool_radius').has('spool_radius') for item in items]
+        radii = [
+            read_spool_radius(item, top) if drum else 1.0
+            for item, drum in zip(items, rolled, strict=True)
+        ]
         return cls(
             str(top.content.get('command_topic') or f'{kind}_group_controller/commands'),
             str(top.content.get('state_topic') or '/joint_states'),
             tuple(map(str, joints)),
             names,
-            np.array([_radius(item, top) for item in items]),
+            np.array(radii),
             np.array([read_direction(item, 'growing positions wind') for item in items]),
             np.array([item.value('zero', 0.0, -1e6, 1e6, 'rad or m') for item in items]),
             top.value('timeout', 0.1, 0.005, 10.0, 's'),
@@ -98,12 +112,6 @@ class Ros2ControlConfig:
             top.value('pull_rate', 0.05, 1e-5, 10.0, 'm/s'),
             pull_limits,
         )
-
-
-def _radius(item: ConfigFields, top: ConfigFields) -> float:
-    """Return the radius of a spool [m]; 1 for prismatic joints."""
-    rolled = nearest(item, top, 'spool_radius').has('spool_radius')
-    return read_spool_radius(item, top) if rolled else 1.0
 
 
 class Ros2ControlDriver(HardwareDriver):
@@ -153,8 +161,10 @@ class Ros2ControlDriver(HardwareDriver):
             raise DriverError(reading.faults[0].message)
         here = reading.tensions if self.mode == 'tension' else reading.pulls
         if not np.isfinite(here).all():
-            raise DriverError(f'{self.config.state_topic}: effort is not there: expected it for '
-                              f'every joint in tension mode')  # fmt: skip
+            raise DriverError(
+                f'{self.config.state_topic}: effort is not there: expected it for every joint in '
+                'tension mode'
+            )
         self._goal = np.maximum(here, 0.0) if self.mode == 'tension' else here
         self._on[:], self._written = True, time.monotonic()
         self._send()
@@ -190,8 +200,10 @@ class Ros2ControlDriver(HardwareDriver):
         if silent.any():
             names = [n for n, quiet in zip(config.names, silent, strict=True) if quiet]
             inputs = tuple(n for n, quiet in zip(self.inputs, silent, strict=True) if quiet)
-            text = (f'{config.state_topic}: nothing of {", ".join(names)} for {config.timeout:g} '
-                    's; is joint_state_broadcaster active?')  # fmt: skip
+            text = (
+                f'{config.state_topic}: nothing of {", ".join(names)} for {config.timeout:g} s; '
+                'is joint_state_broadcaster active?'
+            )
             faults = (Fault('silent', text, inputs=inputs),)
         tensions = values[:, 2] * config.directions / config.radii
         return Reading(now, turned * config.radii, tensions, config.source, faults=faults)

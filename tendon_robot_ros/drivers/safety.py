@@ -1,18 +1,30 @@
-"""What keeps an arm safe: commands within limits and rates, a stop that latches, the rules."""
+"""
+What keeps an arm safe: rules, a stop that latches, and the supervisor that decides every cycle.
+
+The driver node asks the supervisor once per cycle what may reach the motors; it has no clock and
+no threads. However wrong the commands are, what comes out stays within the limits, changes no
+faster than the rates, and goes to pretension when commands stay away.
+
+Whatever released the arm, commands are followed again only after `resume` (the sender has a new
+target), `reset` (a person) or `start`: a cause that comes and goes moves nothing.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import DriverError
-from .interface import MODES
+from .interface import MODES, Reading
 
 Array = NDArray[np.float64]
-STOP_TIME_MIN_S = 0.05  # [s] in which a stop may let go at the soonest
-CYCLE_MAX_S = 0.05  # [s]; after a stall the command does not catch up in one step
+OFF, FOLLOWING, RELEASING, RELEASED, LIMP = 'off', 'following', 'releasing', 'released', 'limp'
+HOLDING = 'holding'  # a release whose cause ended before the arm was at rest
+HARDWARE = 'hardware'  # key of a stop that nobody requested
+CYCLE_MAX_S = 0.05  # [s] after a longer cycle the command does not catch up, else it would jump
+STOP_TIME_MIN_S = CYCLE_MAX_S  # in which a stop may let go at the soonest: not in one step either
 
 
 def approach(current: Array, goal: Array, step: Array) -> Array:
@@ -34,13 +46,13 @@ def approach(current: Array, goal: Array, step: Array) -> Array:
         Between `current` and `goal`.
 
     """
-    way = goal - current
-    moving = np.abs(way) > step
+    change = goal - current
+    moving = np.abs(change) > step
     if not moving.any():
         return goal.copy()
-    part = float(np.min(step[moving] / np.abs(way[moving])))
+    part = float(np.min(step[moving] / np.abs(change[moving])))
     low, high = np.minimum(current, goal), np.maximum(current, goal)
-    return np.clip(current + part * way, low, high)
+    return np.clip(current + part * change, low, high)
 
 
 def bounded(command: Array, limits: Array) -> Array:
@@ -48,12 +60,12 @@ def bounded(command: Array, limits: Array) -> Array:
     return np.minimum(np.maximum(command, limits[:, 0]), limits[:, 1])  # np.clip costs more
 
 
-# -----------------------------------------------------------------------------
-# A stop that latches, and that nobody can reset while its cause lasts. Any thread may stop.
-
-
 class StopLatch:
-    """Why there is a stop: a sentence per cause."""
+    """
+    A stop that latches, and that nobody can reset while its cause lasts; any thread may stop.
+
+    It holds a sentence for every cause.
+    """
 
     def __init__(self) -> None:
         """Nothing is stopped."""
@@ -106,10 +118,6 @@ class StopLatch:
         self._latched.clear()
 
 
-# -----------------------------------------------------------------------------
-# The rules that the supervisor holds, and what it decides in a cycle.
-
-
 @dataclass(frozen=True)
 class SafetyRules:
     """
@@ -126,9 +134,9 @@ class SafetyRules:
     rest : ndarray, shape (m,)
         Where a release goes: pretension, or the wire pulls of the straight arm.
     release_rate : float
-        Largest change per second while releasing, unless a stop was asked for.
+        Largest change per second while releasing, unless a stop was requested.
     stop_time : float
-        After a stop was asked for, all is at rest so much later [s]; 0: at the release rate.
+        Time after a request to stop until all is at rest [s]; 0: at the release rate.
     command_timeout : float
         Silence after which the arm is released [s].
     release_to : str
@@ -136,9 +144,9 @@ class SafetyRules:
     tension_limits : tuple of float
         A wire that is measured above the second gets less [N]; a tension that is not observed
         counts as none.
-    give_way : float, optional
-        In pull mode: what a motor may still pull `stop_time` after a stop was asked for [N];
-        None where motors cannot be told.
+    stop_tension : float, optional
+        In pull mode: what a motor may still pull `stop_time` after a stop was requested [N];
+        None where the current of the motors cannot be limited.
 
     """
 
@@ -152,7 +160,7 @@ class SafetyRules:
     release_to: str = 'pretension'
     stop_time: float = 0.0
     tension_limits: tuple[float, float] = (0.0, np.inf)
-    give_way: float | None = None
+    stop_tension: float | None = None
 
     def __post_init__(self) -> None:
         """Refuse rules that cannot be held."""
@@ -176,8 +184,9 @@ class SafetyRules:
             raise DriverError('safety rules: rates and command_timeout must be > 0 and finite')
         if not 0.0 <= self.stop_time < np.inf:
             raise DriverError(f'safety rules: stop_time must be >= 0, got {self.stop_time}')
-        if self.give_way is not None and not (self.mode == 'pull' and self.give_way >= 0.0):
-            raise DriverError(f'safety rules: give_way is for pull mode, >= 0: {self.give_way}')
+        tension = self.stop_tension
+        if tension is not None and not (self.mode == 'pull' and tension >= 0.0):
+            raise DriverError(f'safety rules: stop_tension is for pull mode, >= 0: {tension}')
 
 
 @dataclass(frozen=True)
@@ -198,8 +207,9 @@ class Decision:
         Why it does not follow, one sentence each.
     clipped : tuple of str
         Inputs whose command was outside the limits.
-    weakening : float
-        How far motors give way after a stop in pull mode: 0 not at all, 1 to `give_way`.
+    current_reduction : float
+        Reduction of the motors' current limit after a stop in pull mode: 0 none, 1 to what
+        `stop_tension` takes.
 
     """
 
@@ -208,4 +218,255 @@ class Decision:
     state: str
     reasons: tuple[str, ...] = ()
     clipped: tuple[str, ...] = ()
-    weakening: float = 0.0
+    current_reduction: float = 0.0
+
+
+@dataclass
+class Supervisor:
+    """
+    Decides what may reach the motors, cycle by cycle.
+
+    All times are monotonic seconds given by the caller.
+    """
+
+    rules: SafetyRules
+    state: str = OFF
+    latch: StopLatch = field(default_factory=StopLatch)
+    _output: Array = field(init=False)
+    _requested: Array | None = None  # last usable command
+    _requested_at: float = -np.inf
+    _now: float = -np.inf
+    _clipped: tuple[str, ...] = ()
+    _tripped: set[str] = field(default_factory=set)  # inputs with a latched hardware error
+    _faulty: set[str] = field(default_factory=set)  # inputs with a fault, or in reach of one
+    _let_go: str = ''  # why the sender of the commands wants no more of them
+    held: str = ''  # why the arm was released, until commands are followed again
+    releases: int = 0  # counted since the beginning
+    _causes: list[str] = field(default_factory=list)  # of a release, but for silence, last cycle
+    _stop_rate: float = 0.0  # of the release since a stop was requested, 0 before that
+    _reduction: float = 0.0  # of the motors' current limit, after a stop in pull mode
+
+    def __post_init__(self) -> None:
+        """Start at rest, off."""
+        self._output = self.rules.rest.copy()
+
+    def start(self, now: float, reading: Reading) -> None:
+        """
+        Begin at the measured state, after torque on: no jump.
+
+        Raises
+        ------
+        DriverError
+            Pull mode, and a wire pull is not measured.
+
+        """
+        if self.rules.mode == 'pull' and not np.all(np.isfinite(reading.pulls)):
+            missing = [
+                n
+                for n, p in zip(self.rules.inputs, reading.pulls, strict=True)
+                if not np.isfinite(p)
+            ]
+            raise DriverError(f'cannot start: no wire pull measured for {", ".join(missing)}')
+        self._output = self._measured(reading, np.zeros(len(self.rules.inputs)))
+        self._requested, self._requested_at, self._now = None, now, now
+        self._clipped, self._let_go, self._stop_rate = (), '', 0.0
+        self._reduction, self.held = 0.0, ''
+        self.state = FOLLOWING
+
+    def reset(self) -> None:
+        """
+        Clear the latched stops; the arm then waits for a new command.
+
+        Raises
+        ------
+        DriverError
+            A cause is still there.
+
+        """
+        self.latch.reset()
+        self._tripped.clear()
+        self._clear_command()
+
+    def resume(self) -> None:
+        """
+        Follow commands again after a release: their sender has a new target.
+
+        Raises
+        ------
+        DriverError
+            A cause is still there, or latched.
+
+        """
+        if causes := list(dict.fromkeys([*self.latch.reasons, *self._causes])):
+            raise DriverError('; '.join(causes))
+        self._clear_command()
+
+    def _hold_back(self, reason: str) -> None:
+        """Follow no commands from now on."""
+        self.releases += not self.held
+        self.held, self._requested = reason, None
+
+    def _clear_command(self) -> None:
+        self._requested, self._let_go, self.held = None, '', ''
+
+    def let_go(self, reason: str) -> None:
+        """Release as after a stop; a command that came before counts no more."""
+        self._let_go = reason
+        self._hold_back(reason)
+
+    def step(self, now: float, command: Array | None, reading: Reading) -> Decision:
+        """
+        Decide one cycle.
+
+        Parameters
+        ----------
+        now : float
+            Monotonic time [s].
+        command : ndarray, shape (m,), optional
+            A command that came since the last cycle; values that are not finite count as none.
+        reading : Reading
+            What the motors last reported.
+
+        """
+        passed = now - self._now
+        passed = min(max(passed, 0.0), CYCLE_MAX_S) if np.isfinite(passed) else 0.0
+        self._now = max(now, self._now) if np.isfinite(now) else self._now
+        reasons = self._watch(reading) + self.latch.reasons
+        self._causes = reasons.copy()
+        self._accept(command)
+        if self.state == OFF:
+            return Decision(self._output.copy(), self.rules.inputs, OFF, tuple(reasons))
+        if self._let_go:
+            reasons.append(self._let_go)
+        silent = self._now - self._requested_at > self.rules.command_timeout
+        if silent and not self._let_go:
+            reasons.append(f'no command for {self.rules.command_timeout:g} s')
+        if (self._causes or self._let_go) or (silent and self._requested is not None):
+            self._hold_back('; '.join(dict.fromkeys(reasons)))
+        if reasons:
+            self._release(passed, reading)
+        elif self.held:  # stay where the end of the cause found the arm
+            if self.state != LIMP:
+                at_rest = np.allclose(self._output, self.rules.rest, atol=1e-12)
+                self.state = RELEASED if at_rest else HOLDING
+                self._move(self._output, self.rules.rates, passed, reading)
+        else:
+            self.state, self._stop_rate = FOLLOWING, 0.0
+            if self._reduction > 0.0:  # the arm has moved the motors
+                self._output, self._reduction = self._measured(reading, self._output), 0.0
+            goal = self._output if self._requested is None else self._requested
+            self._move(goal, self.rules.rates, passed, reading)
+        off = (
+            self.rules.inputs
+            if self.state == LIMP
+            else tuple(name for name in self.rules.inputs if name in self._tripped)
+        )
+        return Decision(
+            self._output.copy(),
+            off,
+            self.state,
+            tuple(dict.fromkeys(reasons)),
+            self._clipped,
+            self._reduction,
+        )
+
+    def _accept(self, command: Array | None) -> None:
+        """Take a command, clipped to the limits; of a released arm only that one came."""
+        if command is None or not np.isfinite(command).all():
+            return
+        self._requested_at, self._let_go = self._now, ''
+        if self.held or self._causes:
+            return
+        self._requested = bounded(command, self.rules.limits)
+        outside = np.abs(command - self._requested) > 1e-9
+        self._clipped = ()
+        if outside.any():
+            self._clipped = tuple(
+                name for name, bad in zip(self.rules.inputs, outside, strict=True) if bad
+            )
+
+    def _watch(self, reading: Reading) -> list[str]:
+        """Latch hardware errors; after a lost connection begin again at the measured state."""
+        reasons = [fault.message for fault in reading.faults]
+        self.latch.cause_gone(HARDWARE)
+        for fault in reading.faults:
+            if fault.hardware:
+                self._tripped.update(fault.inputs or self.rules.inputs)
+                self.latch.stop(HARDWARE, fault.message, lasting=True)
+        faulty = {name for fault in reading.faults for name in fault.inputs or self.rules.inputs}
+        if (back := self._faulty - faulty) and self.state not in (OFF, LIMP):
+            measured = self._measured(reading, self._output)
+            if self._stop_rate > 0.0:  # a hiccup of the bus makes no tension rise again
+                measured = np.minimum(measured, self._output)
+            again = np.array([name in back for name in self.rules.inputs])
+            self._output = np.where(again, measured, self._output)
+        self._faulty = faulty
+        return reasons
+
+    def _release(self, passed: float, reading: Reading) -> None:
+        """Go to rest; after a request to stop within `stop_time`."""
+        if self.state == LIMP:
+            return
+        rules, before, rate = self.rules, self._output, self.rules.release_rate
+        if (self._let_go or self.latch.keys - {HARDWARE}) and rules.stop_tension is None:
+            if self._stop_rate == 0.0:  # from where the stop found the arm
+                distance = float(np.abs(before - rules.rest).max())
+                soon = distance / rules.stop_time if rules.stop_time > 0.0 else 0.0
+                self._stop_rate = max(rate, soon)
+            rate = self._stop_rate
+        elif self._let_go or self.latch.keys - {HARDWARE}:
+            self._reduce_current(passed)
+        rates = np.full(len(rules.inputs), rate)
+        self._move(rules.rest, rates, passed, reading)
+        arrived = np.allclose(self._output, rules.rest, atol=1e-12)
+        held = passed > 0.0 and np.array_equal(before, self._output)
+        self.state = RELEASING
+        if arrived or held:
+            self.state = LIMP if rules.release_to == 'limp' else RELEASED
+
+    def _reduce_current(self, passed: float) -> None:
+        """
+        Reduce the current limit in `stop_time`; the bent arm then takes wire from the motors.
+
+        Paid out faster than the arm takes it, wire would leave the spool. What the bend has drawn
+        out is wound again: there is no strength behind it.
+        """
+        time = self.rules.stop_time
+        self._reduction = min(1.0, self._reduction + (passed / time if time > 0.0 else 1.0))
+        rates = np.maximum(self.rules.rates - self.rules.release_rate, 0.0)  # that comes on top
+        wound = np.minimum(self.rules.rest, self._output + rates * passed)
+        self._output = np.maximum(self._output, wound)
+
+    def _move(self, goal: Array, rate: Array, passed: float, reading: Reading) -> None:
+        """
+        Approach a goal; where a wire pulls more than its limit, give it less at once.
+
+        What the sensor does not know says nothing: only what the tension less its standard
+        uncertainty is above the limit counts. A tension falls by that, cycle after cycle, no
+        faster than a stop lets go; a pull by its step.
+
+        A slack wire may be paid out further: the arm takes it up as the others bend it, and
+        holding it back would strain the wire against them.
+        """
+        rules, reached = self.rules, approach(self._output, goal, rate * passed)
+        high = np.full(len(reached), rules.tension_limits[1])
+        less = np.broadcast_to(rate * passed, high.shape)
+        if rules.mode == 'tension':
+            high = np.minimum(high, rules.limits[:, 1])
+        doubt = np.zeros_like(high)
+        if reading.tension_sd is not None:  # a geared motor's current says little
+            doubt = np.nan_to_num(reading.tension_sd)
+        beyond = np.nan_to_num(reading.tensions - doubt - high)
+        if rules.mode == 'tension':
+            stop = np.ptp(rules.limits, axis=1) / max(rules.stop_time, STOP_TIME_MIN_S)
+            less = np.minimum(beyond, stop * passed)
+        reached = np.where(beyond > 0.0, np.minimum(reached, self._output - less), reached)
+        self._output = np.maximum(reached, np.minimum(self._output, rules.limits[:, 0]))
+
+    def _measured(self, reading: Reading, unknown: Array) -> Array:
+        """Where the motors are now, as a command; `unknown` where that is not observable."""
+        measured = reading.tensions if self.rules.mode == 'tension' else reading.pulls
+        known = np.where(np.isfinite(measured), measured, unknown)
+        if self.rules.mode == 'tension':
+            return np.clip(known, 0.0, self.rules.limits[:, 1])
+        return known

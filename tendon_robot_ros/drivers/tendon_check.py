@@ -22,15 +22,16 @@ from ..common.errors import DriverError, InputError
 from ..common.files import new_file, read_text
 from ..common.processes import ends_between
 from ..common.yaml_reading import ConfigFields, parse_yaml
-from .interface import Driver
+from .interface import CYCLE_S, Driver
 
 Array = NDArray[np.float64]
-RAMP_S, CYCLE_S = 4.0, 0.01  # [s] to the reference tension; between two commands
-STOP_S = 0.2  # [s] in which tendons let go when somebody wants an end
-STILL_S, STILL_TIMEOUT_S = 1.0, 15.0  # [s] of standing still; to wait for it
-STILL_WITHIN_M = 5e-5  # [m] that a pull may change in `STILL_S`
-CREEP_M = 3e-4  # [m] below which nobody speaks of creep
-CHANGED_SHARE = 0.1  # [1] of the reference tension that a measured one may differ
+RAMP_S = 4.0  # [s] to the reference tension, so that the arm follows without swinging
+STOP_S = 0.2  # [s] in which tendons let go when a signal asks for the end, else it would be a jerk
+STILL_S = 1.0  # [s] in which pulls have to stand, so that a mean has a hundred readings
+STILL_TIMEOUT_S = 15.0 * STILL_S  # [s] to wait for that, else a person would wait for a held arm
+STILL_TOLERANCE_M = 5e-5  # [m] that a mean pull may change, so that creep shows beside it
+CREEP_M = 6.0 * STILL_TOLERANCE_M  # [m] from which a tendon has crept, so that rest is no creep
+CHANGED_MIN = 0.1  # [1] of the reference tension, so that the friction of a gear is no change
 BOOT = Path('/proc/sys/kernel/random/boot_id')
 
 
@@ -65,13 +66,13 @@ class TendonChange:
     pull: float  # [m] more wire wound up at the same tension: the tendon has become longer
     tension: float  # [N] that is measured more at the same command
 
-    def said(self, reference: float) -> str:
-        """Say what has changed, '' where nothing has."""
+    def text(self, reference: float) -> str:
+        """Return what has changed, '' where nothing has; `reference` [N] is the tension."""
         words = []
         if abs(self.pull) > CREEP_M:
             longer = 'longer' if self.pull > 0.0 else 'shorter'
             words.append(f'has crept: {1e3 * abs(self.pull):.2f} mm {longer}')
-        if abs(self.tension) > CHANGED_SHARE * reference:
+        if abs(self.tension) > CHANGED_MIN * reference:
             more = 'more' if self.tension > 0.0 else 'less'
             words.append(f'measures {abs(self.tension):.2f} N {more}')
         return f'{self.name}: {"; ".join(words)}' if words else ''
@@ -88,7 +89,7 @@ def measure_reference(
     DriverError
         A fault, or the arm does not come to rest.
     KeyboardInterrupt
-        A signal asked for the end: the tendons have been let go.
+        A signal requested the end: the tendons have been let go.
 
     """
     highest = float(driver.limits[:, 1].min())
@@ -122,8 +123,8 @@ def changes(reference: TendonReference, now: TendonReference) -> list[TendonChan
     """
     Return what every tendon has done.
 
-    The pulls of all tendons together move with the arm's temperature and the posture: what is
-    common to all is taken off where there are three or more, by their median.
+    The pulls of all tendons together change with the arm's temperature and the posture: where
+    there are three or more, their median is subtracted.
     """
     if now.inputs != reference.inputs:
         raise InputError(
@@ -204,11 +205,11 @@ def _numbers(fields: ConfigFields, key: str, count: int) -> list[float]:
 
 @dataclass
 class _HeldTendons:
-    """All tendons on a way, looked at after every command."""
+    """All tendons on a ramp or at rest; readings are checked after every command."""
 
     driver: Driver
     clock: Callable[[], float]
-    check: Callable[[], None]  # raises when somebody wants an end
+    check: Callable[[], None]  # raises when a signal requests the end
     command: Array  # (m,) [N] the last one
 
     def ramp(self, end: Array, seconds: float) -> None:
@@ -230,7 +231,7 @@ class _HeldTendons:
             seen = np.array([row[1] for row in recent])
             half = len(seen) // 2
             moved = np.abs(seen[half:].mean(axis=0) - seen[:half].mean(axis=0)).max()
-            if moved < STILL_WITHIN_M:
+            if moved < STILL_TOLERANCE_M:
                 return seen.mean(axis=0), np.array([row[2] for row in recent]).mean(axis=0)
         raise DriverError(
             f'the tendons do not come to rest at {self.command[0]:g} N within '

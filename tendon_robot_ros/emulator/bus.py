@@ -123,7 +123,7 @@ def fast_status(parts: list[tuple[int, int, bytes]]) -> bytes:
     Parameters
     ----------
     parts : list of (id, error, data)
-        In the order asked for. No byte stuffing, and a CRC behind every part that covers
+        In the order of the request. No byte stuffing, and a CRC behind every part that covers
         everything before it.
 
     """
@@ -239,7 +239,7 @@ class Responder:
         return b'' if everyone and code != InstructionCode.PING else b''.join(answers)
 
     def answer(self, servo: Servo, code: int, parameters: bytes) -> bytes:
-        """Let one servo do what it alone is told; return its status packet."""
+        """Let one servo carry out an instruction; return its status packet."""
         error, data = StatusError.INSTRUCTION | servo.alert, b''
         if code == InstructionCode.PING:
             number = servo.model.number.to_bytes(2, 'little')
@@ -277,7 +277,7 @@ class Responder:
 
 
 def _answers(servo: Servo, code: int) -> bool:
-    """Tell by its status return level (68) whether a servo answers: 0 pings, 1 reads, 2 all."""
+    """Return by its status return level (68) whether a servo answers: 0 pings, 1 reads, 2 all."""
     return servo.get('status_return_level') >= ANSWERS_FROM_LEVEL.get(code, 2)
 
 
@@ -286,7 +286,7 @@ def _address_and_length(parameters: bytes) -> tuple[int, int]:
 
 
 def sync_read(servos: dict[int, Servo], parameters: bytes, fast: bool) -> bytes:
-    """Answer in the order asked; in a fast read nobody speaks behind a silent servo."""
+    """Answer in the order of the ids; in a fast read nobody answers behind a silent servo."""
     address, length = _address_and_length(parameters)
     wanted = list(parameters[4:])
     parts = []

@@ -134,7 +134,7 @@ class ElasticArm:
         inputs : int
             Number of wires m.
         highest : float
-            Largest tension [N] the arm is asked for.
+            Largest tension [N].
         slack : float
             Loose wire at the start [m].
         period : float

@@ -1,6 +1,10 @@
 """
 The bus: every conversation with the servos, through the SDK, with its traps closed.
 
+Of the SDK's port handler only what it leaves open is replaced: opening (for this process alone),
+waiting for bytes (asleep instead of spinning), the clock (monotonic) and the time to wait for an
+answer (the SDK waits 34 ms whatever the adapter's latency is).
+
 The SDK drops a whole group read when one servo is silent and then gives zeros, hides the alert
 bit in group reads, hands signed values back unsigned, and forgets to lengthen a packet whose
 bytes look like a header. Whatever the failure, a method here returns what was really read and
@@ -8,37 +12,185 @@ nothing else; only a lost port raises.
 
 An answer that comes after its time would be taken for that of the next question: a position for
 an error, a watchdog for a temperature. Answers keep their order. So after a silence a servo that
-is there is asked for as many bytes as nobody else asks for, another number every time: what
-comes before those is old.
+is there is read with a length that no other read has, another one every time: what comes before
+an answer of that length is old.
+
+Between its questions a bus is silent. Bytes that come all the same, and are no late answer, are
+somebody else's conversation: another program on the port, another adapter on the bus.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
+import re
+import select
 import struct
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
+from enum import IntEnum
+from pathlib import Path
 from typing import Any, TypeVar
 
-from dynamixel_sdk import COMM_SUCCESS, GroupSyncRead, GroupSyncWrite, Protocol2PacketHandler
+import serial
+from dynamixel_sdk import (
+    COMM_SUCCESS,
+    GroupSyncRead,
+    GroupSyncWrite,
+    PortHandler,
+    Protocol2PacketHandler,
+)
 
-from ..ports import PORT_ERRORS, PortLostError, held_by
+from ...common.errors import DriverError
+from ..hardware import (
+    ANSWER_TIMEOUT_S,
+    PORT_ERRORS,
+    PortLostError,
+    held_by,
+    refuse_held,
+    take_alone,
+    why_not,
+    write_all,
+)
 from .control_table import REGISTERS, TABLE_BYTES, decode, encode
-from .port import Port, open_port
 
 T = TypeVar('T')
 GOALS = ('goal_current', 'goal_position')
+UDEV_FILE = '/etc/udev/rules.d/99-usb-serial-latency.rules'
+UDEV_RULE = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
+LATENCY_MAX_MS = 2  # [ms] of an adapter; every answer comes so late, else a 100 Hz cycle is missed
+# [bytes] from address 0, longer than any other read, so that the answer is known by its length
+FRESH_BYTES_MIN = 11
+FRESH_LENGTHS = 20  # [1] different ones, so that no late answer of such a read has the same length
+STRAY_MAX = 3  # [1] conversations with bytes before them, because a hiccup comes once
+STRAY_WINDOW_S = 2.0  # [s] in which they come, else they are hiccups
 
 
-PACKET_ID, PACKET_LENGTH, PACKET_ERROR = 4, 5, 8  # places in a status packet
-FEWEST_BYTES, DIFFERENT_LENGTHS = 11, 20  # from address 0; no other read is so long
+class StatusByte(IntEnum):
+    """Places in a status packet: manual, Protocol 2.0, "Status Packet"."""
 
-# Between its questions a bus is silent. Bytes that come all the same, and are no late answer, are
-# somebody else's conversation: another program on the port, another adapter on the bus.
-LATE_S = 0.1  # [s] after which no answer of ours comes: the longest `answer_time`
-LISTENING_S = 0.2  # [s]; who talks less often disturbs little
-STRAY_MAX, STRAY_WITHIN_S = 3, 2.0  # conversations with bytes before them: a hiccup comes once
+    ID = 4
+    LENGTH = 5
+    ERROR = 8
+    DATA = 9
+
+
+class Port(PortHandler):  # type: ignore[misc]
+    """The SDK's port handler for one process; `clock` tells how long it waits for answers [s]."""
+
+    clock = staticmethod(time.monotonic)
+
+    def __init__(self, path: str, baud: int, answer_time: float) -> None:
+        """Take path, baud rate and the time to wait for an answer besides its bytes [s]."""
+        super().__init__(path)
+        self.is_open: bool = False
+        self.baudrate = baud
+        self.answer_time = 1000.0 * answer_time  # [ms]
+
+    def setupPort(self, cflag_baud: int) -> bool:  # noqa: N802
+        """Open the port so that no other process can."""
+        if self.is_open:
+            self.closePort()
+        refuse_held(self.port_name)
+        self.ser = serial.Serial(
+            port=self.port_name, baudrate=cflag_baud, timeout=0, exclusive=True
+        )
+        take_alone(self.ser.fileno())
+        self.is_open = True
+        self.ser.reset_input_buffer()
+        self.tx_time_per_byte = 10_000.0 / self.baudrate
+        return True
+
+    def closePort(self) -> None:  # noqa: N802
+        """Close for good; an unplugged port only becomes free again when it is closed."""
+        self.is_open = False
+        self.is_using = False
+        if self.ser is not None:
+            with contextlib.suppress(*PORT_ERRORS):
+                self.ser.reset_output_buffer()  # goals that are still waiting are old
+            with contextlib.suppress(*PORT_ERRORS):
+                self.ser.close()
+
+    def getCurrentTime(self) -> float:  # noqa: N802
+        """Return a time that no clock adjustment moves [ms]."""
+        return 1000.0 * self.clock()
+
+    def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802
+        """Wait for the bytes of an answer and the adapter's latency."""
+        self.setPacketTimeoutMillis(self.tx_time_per_byte * packet_length + self.answer_time)
+
+    def writePort(self, packet: list[int]) -> int:  # noqa: N802
+        """Write a packet; return its length."""
+        write_all(self.ser.fileno(), bytes(packet))
+        return len(packet)
+
+    def waiting(self, seconds: float = 0.0) -> int:
+        """Return the number of unread bytes; wait up to some seconds for the first."""
+        if seconds > 0.0:
+            select.select([self.ser.fileno()], [], [], seconds)
+        return int(self.ser.in_waiting)
+
+    def readPort(self, length: int) -> bytes:  # noqa: N802
+        """Read up to `length` bytes; sleep until the first comes or the time is over."""
+        left = 0.001 * (self.packet_timeout - self.getTimeSinceStart())
+        if left > 0.0:
+            select.select([self.ser.fileno()], [], [], left)
+        return bytes(self.ser.read(length))
+
+
+def open_port(path: str, baud: int, answer_time: float) -> Port:
+    """
+    Open a port for this process alone.
+
+    Raises
+    ------
+    DriverError
+        It does not exist, is not allowed, or another process has it.
+
+    """
+    port = Port(path, baud, answer_time)
+    try:
+        if port.openPort():
+            return port
+        raise DriverError(f'{path}: baudrate: the SDK does not know {baud}')
+    except PORT_ERRORS as error:
+        port.closePort()
+        raise DriverError(why_not(path, error)) from None
+
+
+def latency(path: str, sysfs: str = '/sys') -> int | None:
+    """Read the adapter's latency timer [ms]; None where the port has none."""
+    name = os.path.basename(os.path.realpath(path))
+    if not re.fullmatch(r'tty\w+', name):
+        return None
+    file = Path(sysfs, 'class', 'tty', name, 'device', 'latency_timer')
+    try:
+        return int(file.read_text())
+    except (OSError, ValueError):
+        return None
+
+
+def check_latency(path: str, allow: bool, sysfs: str = '/sys') -> int | None:
+    """
+    Return the latency timer [ms], None where there is none.
+
+    Raises
+    ------
+    DriverError
+        The adapter holds answers back for longer than 2 ms and that is not allowed.
+
+    """
+    milliseconds = latency(path, sysfs)
+    if milliseconds is not None and milliseconds > LATENCY_MAX_MS and not allow:
+        raise DriverError(
+            f'{path}: latency_timer: expected at most {LATENCY_MAX_MS} ms, '
+            f'got {milliseconds} ms: every '
+            f"answer comes that late; type: echo '{UDEV_RULE}' | sudo tee {UDEV_FILE} && "
+            'sudo udevadm control --reload && sudo udevadm trigger --action=add '
+            '--subsystem-match=usb-serial (or set allow_latency: true)'
+        )
+    return milliseconds
 
 
 class Bus:
@@ -65,7 +217,7 @@ class Bus:
         self._port: Port | None = None
         self._readers: dict[tuple[int, int, tuple[int, ...]], Any] = {}
         self._there: list[int] = []  # who has answered, the last one first
-        self._behind = False  # an answer may be on its way that nobody waits for
+        self._behind = False  # an answer may still come that nothing waits for
         self._turn = 0
         self._stray: deque[float] = deque(maxlen=STRAY_MAX)  # [s] when bytes had come unasked
         self._talker = ''
@@ -81,7 +233,7 @@ class Bus:
         self._port = open_port(self.path, self.baud, self.answer_time)
 
     def reopen(self) -> bool:
-        """Try to get a lost port back; tell whether it worked. Quick either way."""
+        """Try to get a lost port back; return whether it worked. Quick either way."""
         self.close()
         port = Port(self.path, self.baud, self.answer_time)
         try:
@@ -108,7 +260,12 @@ class Bus:
         try:
             if not self._behind and self._port.waiting():
                 self._stray.append(time.monotonic())
-            self._catch_up(self._port)
+            if self._behind and self._there:  # let pass what is late
+                self._turn += 1
+                length = FRESH_BYTES_MIN + self._turn % FRESH_LENGTHS
+                self._behind = self._answer(self._port, self._there[0], 0, length) is None
+                if self._behind:
+                    self._there.append(self._there.pop(0))  # another servo next time
             return what(self._port)
         except PORT_ERRORS as error:
             self.failures['port lost'] += 1
@@ -116,23 +273,23 @@ class Bus:
             raise PortLostError(f'{self.path}: {error}') from None
 
     def second_talker(self) -> str:
-        """Look, and listen for a moment; say who else talks on this bus, '' for nobody."""
+        """Listen for a moment; return who else talks on this bus, '' for nobody."""
         who = held_by(self.path, others=True)
         if who or self._port is None:
             return who
         try:
-            time.sleep(LATE_S)
+            time.sleep(ANSWER_TIMEOUT_S)  # what comes later is no late answer
             self._port.clearPort()
-            if self._port.waiting(LISTENING_S):
+            if self._port.waiting(2.0 * ANSWER_TIMEOUT_S):
                 return self._other_talker()
         except PORT_ERRORS:
             self.close()
         return ''
 
     def disturbed(self) -> str:
-        """Say who else talks on this bus, from what came between the last conversations."""
+        """Return who else talks on this bus, by what came between the last conversations."""
         stray = self._stray
-        if len(stray) < STRAY_MAX or time.monotonic() - stray[0] > STRAY_WITHIN_S:
+        if len(stray) < STRAY_MAX or time.monotonic() - stray[0] > STRAY_WINDOW_S:
             self._talker = ''
         elif not self._talker:  # looked up once: it takes a while
             self._talker = self._other_talker()
@@ -145,15 +302,6 @@ class Bus:
     def _learn(self, what: Callable[[Port], T | None]) -> T | None:
         """Run a conversation that reads; None while an old answer may be taken for a new one."""
         return self._talk(lambda port: None if self._behind and self._there else what(port))
-
-    def _catch_up(self, port: Port) -> None:
-        """Let pass what is late, so that the next answer is that of the next question."""
-        if self._behind and self._there:
-            self._turn += 1
-            length = FEWEST_BYTES + self._turn % DIFFERENT_LENGTHS
-            self._behind = self._answer(port, self._there[0], 0, length) is None
-            if self._behind:
-                self._there.append(self._there.pop(0))  # another one is asked next time
 
     def _failed(self) -> None:
         self._behind = True
@@ -168,10 +316,11 @@ class Bus:
             result = self._packets.readTx(port, identity, address, length)
             while result == COMM_SUCCESS:
                 packet, result = self._packets.rxPacket(port, False)
-                if result != COMM_SUCCESS or packet[PACKET_ID] != identity:
+                if result != COMM_SUCCESS or packet[StatusByte.ID] != identity:
                     continue
-                if packet[PACKET_LENGTH] == length + 4 and not packet[PACKET_ERROR] & 0x7F:
-                    return bytes(packet[PACKET_ERROR + 1 : PACKET_ERROR + 1 + length])
+                complete = packet[StatusByte.LENGTH] == length + 4
+                if complete and not packet[StatusByte.ERROR] & 0x7F:
+                    return bytes(packet[StatusByte.DATA : StatusByte.DATA + length])
         except IndexError:  # shorter than the SDK expects
             pass
         return None
@@ -256,22 +405,23 @@ class Bus:
         """
         Read the same bytes from several servos; those that give no good answer are missing.
 
-        One fast (or plain) sync read; when that fails, every servo is asked by itself, because
+        One fast (or plain) sync read; when that fails, every servo is read by itself, because
         one silent servo spoils the whole group.
         """
         wanted = tuple(identities)
         if not wanted:
             return {}
-        blocks = self._learn(lambda port: self._group(port, address, length, wanted))
+        blocks = self._learn(lambda port: self.group_read(port, address, length, wanted))
         if blocks is not None:
             return blocks
         self._failed()
         singles = {i: self._read_bytes(i, address, length) for i in wanted}
         return {i: data for i, data in singles.items() if data is not None}
 
-    def _group(
+    def group_read(
         self, port: Port, address: int, length: int, wanted: tuple[int, ...]
     ) -> dict[int, bytes] | None:
+        """Read the same bytes from several servos at once, None where any of them is missing."""
         reader = self._readers.get((address, length, wanted))
         if reader is None:
             reader = GroupSyncRead(port, self._packets, address, length)

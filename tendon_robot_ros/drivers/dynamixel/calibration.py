@@ -1,8 +1,8 @@
 """
-Calibrate current against tension: hang known weights, wind them up, pay them out, fit two lines.
+Current to tension and back, encoder ticks to wire pull and back; the fit of a calibration.
 
 A geared motor shows its friction with both signs: winding needs I = a_wind + b_wind T, paying out
-I = a_out + b_out T. Each line is fitted by least squares over the weights; the standard errors
+I = a_out + b_out T. Each line is fitted by least squares over known weights; the standard errors
 are those of the usual linear regression.
 """
 
@@ -10,36 +10,156 @@ from __future__ import annotations
 
 import datetime
 import math
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from ...common.errors import DriverError, InputError
-from ...common.processes import ends_between
-from ..ports import PortLostError
-from .bus import Bus
-from .config import WireConfig
-from .control_table import (
-    RADIANS_PER_TICK,
-    REGISTERS,
-    Calibration,
-    CurrentLine,
-    OperatingMode,
-)
-from .motor import Motor
-from .torque import read_state, torque_off, torque_on
+from ...common.errors import InputError
+from ..hardware import WEIGHTS_MIN, fit_line
+from .control_table import RADIANS_PER_TICK, ServoModel
 
-SAMPLE_PERIOD_S = 0.01  # [s]
-ARRIVAL_TIMEOUT_S = 1.0  # [s] without coming nearer to its last goal: the motor does not follow
-AWAY_MAX = 0.2  # [1] of a way, within which its end counts as reached: friction holds it there
-TURNING = (0.5, 1.5)  # parts of the speed asked for at which a reading counts
-STEADY_PART = (0.35, 0.9)  # part of the way in which the current counts
-WEIGHTS_MIN = 3
-READ_ATTEMPTS = 3
-SAMPLES_MIN = 5
+# [counts] of current from no tension to the limit; else one count would be more than 5 % of it
+CURRENT_COUNTS_MIN = 20
+# [1] of the tension limit; docs/dynamixel.md: else friction would hide too much of a command
+FRICTION_BAND_MAX = 0.20
+
+
+@dataclass(frozen=True)
+class CurrentLine:
+    """Current over tension: intercept [A] and slope [A/N]."""
+
+    intercept: float
+    slope: float
+
+    def current(self, tension: float) -> float:
+        """Return the current [A] at a tension [N]."""
+        return self.intercept + self.slope * tension
+
+    def tension(self, current: float) -> float:
+        """Return the tension [N] at a current [A]: never negative."""
+        return max(0.0, (current - self.intercept) / self.slope)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """
+    Current over tension: one line for winding and one for paying out.
+
+    A geared motor needs more current to wind than to hold, and less to pay out. The mean of both
+    lines converts; half the gap between them is the uncertainty.
+
+    Parameters
+    ----------
+    wind, pay_out : CurrentLine
+    measured : bool
+        False for the data sheet's torque per ampere and an assumed friction.
+    scatter : float
+        Standard deviation of the currents about their lines [A].
+
+    """
+
+    wind: CurrentLine
+    pay_out: CurrentLine
+    measured: bool = False
+    scatter: float = 0.0
+
+    @property
+    def mean(self) -> CurrentLine:
+        """The line between the two."""
+        return CurrentLine(
+            0.5 * (self.wind.intercept + self.pay_out.intercept),
+            0.5 * (self.wind.slope + self.pay_out.slope),
+        )
+
+    def current(self, tension: float) -> float:
+        """Return the current [A] that is between winding and paying out at a tension [N]."""
+        return self.mean.current(tension)
+
+    def tension(self, current: float) -> float:
+        """Return the tension [N] between winding and paying out at a current [A]."""
+        return self.mean.tension(current)
+
+    def uncertainty(self, tension: float) -> float:
+        """Return half the gap between the two lines at a tension, with their scatter [N]."""
+        half = 0.5 * abs(self.wind.current(tension) - self.pay_out.current(tension))
+        return math.hypot(half, self.scatter) / self.mean.slope
+
+
+def from_data_sheet(model: ServoModel, radius: float) -> Calibration:
+    """Make the lines of an uncalibrated motor with a spool of the given radius [m]."""
+    slope = radius / model.torque_per_ampere
+    friction = model.friction_current
+    return Calibration(CurrentLine(friction, slope), CurrentLine(-friction, slope))
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """
+    How finely a motor and its spool set a tension by current.
+
+    Parameters
+    ----------
+    newtons_per_count : float
+    counts : int
+        From no tension to the limit.
+    band : float
+        Friction: the tension may be off by as much, up or down [N].
+    limit : float
+        The tension limit [N].
+
+    """
+
+    newtons_per_count: float
+    counts: int
+    band: float
+    limit: float
+
+    @property
+    def coarse(self) -> bool:
+        """Whether it is too coarse to command tensions by current."""
+        return self.counts < CURRENT_COUNTS_MIN or self.band > FRICTION_BAND_MAX * self.limit
+
+    def __str__(self) -> str:
+        """Say the numbers."""
+        return (
+            f'one count of current is {self.newtons_per_count:.3g} N ({self.counts} counts '
+            f'up to {self.limit:g} N), the friction band is ±{self.band:.3g} N '
+            f'({100 * self.band / self.limit:.0f} % of the limit)'
+        )
+
+
+def resolution(calibration: Calibration, model: ServoModel, limit: float) -> Resolution:
+    """Compute newtons per count and the friction band for a tension limit [N]."""
+    per_count = model.current_unit / calibration.mean.slope
+    return Resolution(
+        per_count, math.floor(limit / per_count + 1e-9), calibration.uncertainty(limit), limit
+    )
+
+
+@dataclass(frozen=True)
+class Spool:
+    """A spool: radius [m] and the direction of turning that winds, +1 or -1."""
+
+    radius: float
+    direction: int
+
+    def pull(self, ticks: float) -> float:
+        """Return the wire [m] wound by so many ticks."""
+        return self.direction * self.radius * RADIANS_PER_TICK * ticks
+
+    def ticks(self, pull: float) -> float:
+        """Return the ticks that wind so much wire [m]."""
+        return self.direction * pull / (self.radius * RADIANS_PER_TICK)
+
+
+def smallest_spool(model: ServoModel, limit: float) -> float:
+    """Return the spool radius [m], in whole mm, from which the data sheet's motor is fine."""
+    friction = model.friction_current * model.torque_per_ampere  # [N·m]
+    count = model.current_unit * model.torque_per_ampere  # [N·m]
+    smallest = max(friction / (FRICTION_BAND_MAX * limit), CURRENT_COUNTS_MIN * count / limit)
+    return math.ceil(1e3 * smallest + 0.5) / 1e3
 
 
 @dataclass(frozen=True)
@@ -61,7 +181,7 @@ class CurrentFit:
     calibration : Calibration
     errors : dict of str to tuple
         Standard errors of intercept [A] and slope [A/N] of `wind` and `pay_out`.
-    points : tuple of Point
+    points : tuple of CurrentPoint
     """
 
     calibration: Calibration
@@ -90,35 +210,25 @@ def fit_current(points: Sequence[CurrentPoint]) -> CurrentFit:
             f'calibration: expected at least {WEIGHTS_MIN} different weights, '
             f'got {len(set(tensions.tolist()))}'
         )
-    lines, errors, spread = {}, {}, []
+    fits = {}
     for name in ('wind', 'pay_out'):
-        currents = np.array([getattr(point, name) for point in points])
-        lines[name], errors[name], scatter = _line(tensions, currents)
-        spread.append(scatter)
-        if lines[name].slope <= 0.0:
+        fits[name] = fit_line(tensions, np.array([getattr(point, name) for point in points]))
+        if fits[name].slope <= 0.0:
             raise InputError(
                 f'calibration: {name}: the current does not grow with the weight '
-                f'({lines[name].slope:.3g} A/N); does the weight hang free?'
+                f'({fits[name].slope:.3g} A/N); does the weight hang free?'
             )
-    calibration = Calibration(lines['wind'], lines['pay_out'], measured=True, scatter=max(spread))
-    return CurrentFit(calibration, errors, tuple(points))
-
-
-def _line(x: np.ndarray, y: np.ndarray) -> tuple[CurrentLine, tuple[float, float], float]:
-    """Fit a line: the line, the standard errors of intercept and slope, and the scatter."""
-    slope, intercept = np.polyfit(x, y, 1)
-    rest = y - intercept - slope * x
-    scatter = math.sqrt(float(rest @ rest) / max(1, len(x) - 2))
-    spread = float(np.sum((x - x.mean()) ** 2))
-    errors = (
-        scatter * math.sqrt(1.0 / len(x) + x.mean() ** 2 / spread),
-        scatter / math.sqrt(spread),
+    wind, pay_out = (CurrentLine(fit.intercept, fit.slope) for fit in fits.values())
+    scatter = max(fit.scatter for fit in fits.values())
+    return CurrentFit(
+        Calibration(wind, pay_out, measured=True, scatter=scatter),
+        {name: (fit.intercept_error, fit.slope_error) for name, fit in fits.items()},
+        tuple(points),
     )
-    return CurrentLine(float(intercept), float(slope)), errors, scatter
 
 
-def to_mapping(result: CurrentFit, wire: WireConfig) -> dict[str, Any]:
-    """Return what is written to the calibration file for one tendon."""
+def to_mapping(result: CurrentFit, model: str, radius: float) -> dict[str, Any]:
+    """Return the calibration file's content for one tendon, with its motor and spool [m]."""
     lines = result.calibration
     return {
         'wind': [round(v, 7) for v in (lines.wind.intercept, lines.wind.slope)],
@@ -127,103 +237,8 @@ def to_mapping(result: CurrentFit, wire: WireConfig) -> dict[str, Any]:
         'pay_out_errors': [round(v, 7) for v in result.errors['pay_out']],
         'scatter': round(lines.scatter, 7),
         'half_gap': round(result.half_gap, 4),
-        'model': wire.model.name,
-        'spool_radius': wire.spool.radius,
+        'model': model,
+        'spool_radius': radius,
         'tensions': [round(point.tension, 4) for point in result.points],
         'date': datetime.date.today().isoformat(),
     }
-
-
-def measure(bus: Bus, motor: Motor, tension: float, travel: float, speed: float) -> CurrentPoint:
-    """
-    Wind a hanging weight up and let it down again; torque is off before and after.
-
-    Parameters
-    ----------
-    bus : Bus
-    motor : Motor
-        With one wire; the weight stands on the ground and the wire is just taut.
-    tension : float
-        Weight of what hangs [N].
-    travel, speed : float
-        How far [m] and how fast [m/s].
-
-    Raises
-    ------
-    DriverError
-        The motor does not answer, does not lift the weight, or does not follow.
-
-    """
-    wire = motor.wires[0]
-    read_state(bus, [motor])
-    if motor.ticks is None or not motor.answers:
-        raise DriverError(f'{bus.path}: {motor}: no answer; check the cable')
-    start = motor.ticks
-    end = start + round(wire.spool.ticks(travel))
-    slack = abs(end - start) // 4
-    motor.guided = (motor.strongest, (min(start, end) - slack, max(start, end) + slack))
-    try:
-        with ends_between() as check:
-            try:
-                torque_on(bus, [motor], OperatingMode.CURRENT_BASED_POSITION, watchdog=10)
-                up = _go(bus, motor, end, travel / speed, check)
-                down = _go(bus, motor, start, travel / speed, check)
-            finally:
-                torque_off(bus, [motor])
-    except PortLostError as error:
-        raise DriverError(f'{error}: lost while calibrating; the bus watchdog stops it') from None
-    finally:
-        motor.guided = None
-    return CurrentPoint(tension, up, down)
-
-
-def _turn_to(bus: Bus, motor: Motor, ticks: int) -> None:
-    """Send a goal and read what the motor does a period later."""
-    bus.send_goals(
-        'goal_position', {motor.identity: ticks}, {motor.identity: motor.position_bounds}
-    )
-    time.sleep(SAMPLE_PERIOD_S)
-    for _ in range(READ_ATTEMPTS):
-        read_state(bus, [motor])
-        if motor.answers:
-            return
-    raise DriverError(f'{bus.path}: {motor}: no answer while calibrating; torque is off')
-
-
-def _go(bus: Bus, motor: Motor, end: int, duration: float, check: Callable[[], None]) -> float:
-    """
-    Turn to `end` at constant speed; return the mean current on the steady part [A].
-
-    A process that is late turns it more slowly, instead of leaving readings out. It counts while
-    it turns: one that stands, because its next goal is late, holds with anything up to friction.
-    """
-    start, part, before = motor.ticks or 0, 0.0, time.monotonic()
-    currents = []
-    wire = motor.wires[0]
-    ticks = (end - start) / duration  # [1/s]
-    speed = ticks * RADIANS_PER_TICK / REGISTERS['present_velocity'].unit  # [counts]
-    while part < 1.0:
-        check()
-        _turn_to(bus, motor, round(start + part * (end - start)))
-        turns = TURNING[0] < motor.velocity / speed < TURNING[1]
-        if STEADY_PART[0] < part < STEADY_PART[1] and turns and motor.current is not None:
-            currents.append(wire.spool.direction * motor.current * motor.model.current_unit)
-        now = time.monotonic()
-        part, before = part + min(now - before, 2.0 * SAMPLE_PERIOD_S) / duration, now
-    left, nearer = math.inf, time.monotonic()
-    while (now_left := abs((motor.ticks or 0) - end)) > AWAY_MAX * abs(end - start):
-        if now_left < left:
-            left, nearer = now_left, time.monotonic()
-        if time.monotonic() - nearer < ARRIVAL_TIMEOUT_S:
-            check()
-            _turn_to(bus, motor, end)  # its last goal is an old one where this process was late
-            continue
-        raise DriverError(
-            f'{bus.path}: {motor}: does not follow; is the weight too heavy for '
-            f'{motor.strongest * motor.model.current_unit:.2f} A, or blocked?'
-        )
-    if len(currents) < SAMPLES_MIN:
-        raise DriverError(
-            f'{bus.path}: {motor}: only {len(currents)} readings; go slower or further'
-        )
-    return float(np.mean(currents))

@@ -21,20 +21,17 @@ from ..hardware import (
     read_spool_radius,
 )
 from ..interface import Array
-from .control_table import (
-    BAUD_RATES,
-    INSTEAD,
-    MODELS,
-    WITHOUT_CURRENT,
+from .calibration import (
+    CURRENT_COUNTS_MIN,
+    FRICTION_BAND_MAX,
     Calibration,
     CurrentLine,
     Resolution,
-    ServoModel,
     Spool,
     from_data_sheet,
-    plain_model,
     resolution,
 )
+from .control_table import BAUD_RATES, INSTEAD, MODELS, WITHOUT_CURRENT, ServoModel, plain_model
 
 MOTOR_KEYS = (
     'id',
@@ -49,8 +46,6 @@ MOTOR_KEYS = (
     'pull_rate',
     'calibration',
 )
-PULL_MAX_M = 1.0  # [m] of wire either way
-PULL_RATE = 'pull_rate', 0.02, 1e-6, 1.0, 'm/s'
 
 
 @dataclass(frozen=True)
@@ -101,11 +96,11 @@ def read_wires(top: ConfigFields, robot: Robot, mode: str) -> tuple[WireConfig, 
     lines = read_calibrations(top, required=True)
     sharing = [item.content.get('id') for item in fields.values()]
     return tuple(
-        _wire(top, name, item, lines, robot, mode, sharing) for name, item in fields.items()
+        read_wire(top, name, item, lines, robot, mode, sharing) for name, item in fields.items()
     )
 
 
-def _wire(
+def read_wire(
     top: ConfigFields,
     name: str,
     item: ConfigFields,
@@ -114,6 +109,7 @@ def _wire(
     mode: str,
     sharing: list[Any],
 ) -> WireConfig:
+    """Read one input; `sharing` lists the ids of all motors, as often as they have inputs."""
     item.only(*MOTOR_KEYS)
     identity = item.whole('id', 0, 252)
     model = read_model(nearest(item, top, 'model'))
@@ -128,7 +124,12 @@ def _wire(
     limited = nearest(item, top, 'pull_limits')
     pull_limits = -math.inf, math.inf
     if limited.has('pull_limits') or mode == 'pull':
-        pull_limits = read_pull_limits(limited, PULL_MAX_M)
+        pull_limits = read_pull_limits(limited)
+    if mode == 'tension':
+        fields, default = nearest(item, top, 'tension_rate'), 2.0 * highest
+        rate = fields.value('tension_rate', default, 1e-6, 1e4, 'N/s')
+    else:
+        rate = nearest(item, top, 'pull_rate').value('pull_rate', 0.02, 1e-6, 1.0, 'm/s')
     return WireConfig(
         name=name,
         motor=identity,
@@ -140,7 +141,7 @@ def _wire(
             'current_limit', most, model.current_unit, most, 'A'
         ),
         pull_limits=pull_limits,
-        rate=_rate(top, item, highest, mode),
+        rate=rate,
         calibration=calibration,
     )
 
@@ -151,12 +152,6 @@ def read_model(fields: ConfigFields) -> ServoModel:
     if name in WITHOUT_CURRENT.values():
         raise fields.error('model', INSTEAD, name)
     return MODELS[name] if name in MODELS else MODELS[fields.choice('model', tuple(MODELS))]
-
-
-def _rate(top: ConfigFields, item: ConfigFields, highest: float, mode: str) -> float:
-    tension = 'tension_rate', 2.0 * highest, 1e-6, 1e4, 'N/s'
-    key, default, low, high, unit = tension if mode == 'tension' else PULL_RATE
-    return nearest(item, top, key).value(key, default, low, high, unit)
 
 
 def read_calibration(item: ConfigFields, model: ServoModel, radius: float) -> Calibration:
@@ -174,9 +169,6 @@ def read_calibration(item: ConfigFields, model: ServoModel, radius: float) -> Ca
     scatter = item.value('scatter', 0.0, 0.0, 10.0, 'A')
     return Calibration(wind, pay_out, measured=True, scatter=scatter)
 
-
-# -----------------------------------------------------------------------------
-# The driver's configuration: motors, spools, limits; checked on reading (docs/dynamixel.md).
 
 KEYS = (
     'port',
@@ -247,12 +239,15 @@ def read_config(
     """
     top = ConfigFields(source, '', dict(content))
     top.only(*KEYS)
+    baud = top.content.get('baudrate', 1_000_000)
+    if baud not in BAUD_RATES.values():
+        raise top.error('baudrate', f'one of {", ".join(map(str, BAUD_RATES.values()))}', baud)
     zero = top.choice('zero', ZEROS, 'find' if mode == 'pull' else 'here')
     lowest = max(robot.tension_limits[0], 0.02 * robot.tension_limits[1])
     config = DynamixelConfig(
         source=source,
         port=top.port(),
-        baud=_baud(top),
+        baud=int(baud),
         watchdog=top.value('watchdog', 0.0, 0.0, 2.54, 's') if top.has('watchdog') else None,
         answer_time=top.value('answer_time', 0.012, 0.001, 0.1, 's'),
         operation=top.choice('pull_operation', OPERATIONS, OPERATIONS[0]),
@@ -265,7 +260,7 @@ def read_config(
         allow_latency=top.flag('allow_latency'),
         wires=read_wires(top, robot, mode),
     )
-    _check_sharing(top, config, mode)
+    check_sharing(top, config, mode)
     if mode == 'tension':
         refuse_coarse(config)
     return config
@@ -279,20 +274,15 @@ def refuse_coarse(config: DynamixelConfig) -> None:
         if wire.resolution.coarse:
             raise DriverError(
                 f'{config.source}: motors.{wire.name}: tension by current is too coarse: '
-                f'{wire.resolution}; wanted: at least 20 counts and at most 20 %; use '
+                f'{wire.resolution}; wanted: at least {CURRENT_COUNTS_MIN} counts and at most '
+                f'{100 * FRICTION_BAND_MAX:.0f} %; use '
                 'command_mode: pull, a larger spool or a lighter motor, calibrate it, or set '
                 'allow_coarse: true'
             )
 
 
-def _baud(top: ConfigFields) -> int:
-    value = top.content.get('baudrate', 1_000_000)
-    if value not in BAUD_RATES.values():
-        raise top.error('baudrate', f'one of {", ".join(map(str, BAUD_RATES.values()))}', value)
-    return int(value)
-
-
-def _check_sharing(top: ConfigFields, config: DynamixelConfig, mode: str) -> None:
+def check_sharing(top: ConfigFields, config: DynamixelConfig, mode: str) -> None:
+    """Refuse motors that inputs cannot share."""
     for identity in config.ids:
         wires = config.on(identity)
         names = ' and '.join(wire.name for wire in wires)

@@ -1,27 +1,22 @@
-"""Dynamixel servos behind the driver interface; what they say as readings and as text."""
+"""Dynamixel servos behind the driver interface; what they report, as readings and as text."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...common.errors import DriverError
 from ...robot import Robot
-from ..hardware import PortDriver
+from ..hardware import PortDriver, PortLostError
 from ..interface import Array, Fault, Reading
-from ..ports import PortLostError
-from .bus import Bus
+from .bus import Bus, check_latency
 from .config import DynamixelConfig, limits, read_config
-from .control_table import (
-    OperatingMode,
-)
-from .handshake import second_talker_told, shake_hands
-from .homing import find_slack
+from .control_table import OperatingMode
+from .motions import find_slack
 from .motor import Motor, make_motors
-from .port import check_latency
+from .settings import naming_second_talker, shake_hands
 from .torque import (
     Watch,
     come_back,
@@ -33,100 +28,9 @@ from .torque import (
     watchdog_time,
 )
 
-
-def driver_facts(
-    bus: Bus, config: DynamixelConfig, motors: Iterable[Motor], latency: int | None
-) -> dict[str, str]:
-    """Describe port, reading, failures and every servo: names with units to values."""
-    out = {
-        'port': config.port,
-        'baud_rate (1/s)': str(config.baud),
-        'latency_timer (s)': '' if latency is None else f'{1e-3 * latency:g}',
-        'group read': 'fast sync read' if bus.fast else 'sync read',
-        'tension_uncertainty (N)': f'{_doubt(config):.3g}',
-    }
-    out |= {what: str(count) for what, count in bus.failures.items()}
-    for motor in motors:
-        out |= {
-            f'{motor}: model': motor.model.name,
-            f'{motor}: firmware': str(motor.firmware),
-            f'{motor}: torque': 'on' if motor.wanted else 'off',
-        }
-        if motor.temperature is not None:
-            out[f'{motor}: temperature (°C)'] = f'{motor.temperature:.0f}'
-        if motor.voltage is not None:
-            out[f'{motor}: supply (V)'] = f'{motor.voltage:.1f}'
-        if motor.settled:
-            changed = (f'{name.replace("_", " ")} {how}' for name, how in motor.settled.items())
-            out[f'registers of {motor} that were set'] = ', '.join(changed)
-        for wire in motor.wires:
-            known = 'measured' if wire.calibration.measured else 'data sheet'
-            winds, holds = motor.strength(wire)
-            out |= {
-                f'{wire.name}: tension_per_count (N)': f'{wire.resolution.newtons_per_count:.3g}',
-                f'{wire.name}: friction_band (N)': f'{wire.resolution.band:.3g}',
-                f'{wire.name}: winds_to (N)': f'{winds:.3g}',
-                f'{wire.name}: holds_to (N)': f'{holds:.3g}',
-                f'{wire.name}: calibration': known,
-            }
-    return out
-
-
-def strength_told(motors: Iterable[Motor]) -> str:
-    """Say up to which tension the motors wind and hold their wires, and how to know it better."""
-    wires = [(wire, *motor.strength(wire)) for motor in motors for wire in motor.wires]
-    weakest, strongest = min(wires, key=lambda w: w[1]), max(wires, key=lambda w: w[2])
-    told = (
-        f'at their largest current motors wind up to {weakest[1]:.3g} N ({weakest[0].name}) and '
-        f'hold up to {strongest[2]:.3g} N ({strongest[0].name}, tension_limit '
-        f'{strongest[0].tension_limit:g} N): between them is the friction of the gear'
-    )
-    assumed = [wire.name for wire, *_ in wires if not wire.calibration.measured]
-    if assumed:
-        told += f', which is assumed: calibrate {", ".join(assumed)} (docs/dynamixel.md)'
-    return told
-
-
-def _doubt(config: DynamixelConfig) -> float:
-    """Return the largest uncertainty of a tension told from current [N]."""
-    return max(wire.resolution.band for wire in config.wires)
-
-
-def driver_reading(
-    config: DynamixelConfig,
-    motors: Mapping[int, Motor],
-    observable: NDArray[np.bool_],
-    now: float,
-    faults: tuple[Fault, ...],
-) -> Reading:
-    """
-    Put together what was last read.
-
-    Parameters
-    ----------
-    config : DynamixelConfig
-    motors : mapping of id to Motor
-    observable : ndarray of bool, shape (m,)
-        Inputs whose tension the current shows well enough.
-    now : float
-        `time.monotonic()` [s].
-    faults : tuple of Fault
-
-    """
-    pairs = [(motors[wire.motor], wire) for wire in config.wires]
-    tensions = np.where(observable, [motor.tension(wire) for motor, wire in pairs], np.nan)
-    spread = [
-        wire.calibration.uncertainty(t) for (_, wire), t in zip(pairs, tensions, strict=True)
-    ]
-    pulls = np.array([motor.pull(wire) for motor, wire in pairs])
-    return Reading(now, pulls, tensions, 'current', np.array(spread), faults)
-
-
-# -----------------------------------------------------------------------------
-# Dynamixel servos behind the driver interface: fails safe, comes back from where the arm is.
-
-REBOOT_TIME_S = 2.0  # [s]
-STRENGTH_REPEATED = 20  # times: nobody acknowledges a goal
+REBOOT_TIMEOUT_S = 2.0  # [s] one servo takes some tenths, so that a longer silence is a fault
+# [1] times that an increased current limit is sent, because nobody acknowledges a goal
+LIMIT_REPEATED = 20
 
 
 class DynamixelDriver(PortDriver):
@@ -148,8 +52,8 @@ class DynamixelDriver(PortDriver):
         self._lost: list[Motor] = []
         self._turn = 0
         observable = config.allow_coarse or mode == 'tension'
-        self.gives_way = self._operating == OperatingMode.CURRENT_BASED_POSITION
-        self._strength_due = 0  # times that it is still to be sent
+        self.limits_current = self._operating == OperatingMode.CURRENT_BASED_POSITION
+        self._limit_due = 0  # times that the current limit is still to be sent
         self._observable = np.array([observable or not w.resolution.coarse for w in config.wires])
 
     def open(self) -> None:
@@ -161,7 +65,7 @@ class DynamixelDriver(PortDriver):
 
     def enable(self) -> None:
         """Torque on where the motors are, as strong as they may be."""
-        self.weaken(0.0, 0.0)
+        self.limit_current(0.0, 0.0)
         super().enable()
 
     def _shake_hands(self) -> None:
@@ -173,7 +77,7 @@ class DynamixelDriver(PortDriver):
         return any(motor.zero is None for motor in self.motors.values())
 
     def _find_slack(self) -> None:
-        with second_talker_told(self.bus):
+        with naming_second_talker(self.bus):
             find_slack(self.bus, self.config, list(self.motors.values()), self.cancelled)
 
     def _torque_on(self) -> None:
@@ -181,7 +85,7 @@ class DynamixelDriver(PortDriver):
         self._watch.watchdog = watchdog_counts(seconds)
         self._silence = f'{seconds:g} s ({why})' if seconds else f'off ({why})'
         self._silent_after = seconds
-        with second_talker_told(self.bus):
+        with naming_second_talker(self.bus):
             torque_on(self.bus, list(self.motors.values()), self._operating, self._watch.watchdog)
         self._zero_here()
 
@@ -203,7 +107,7 @@ class DynamixelDriver(PortDriver):
             for motor in chosen:
                 self.bus.reboot(motor.identity)
                 motor.zero = None
-            deadline = time.monotonic() + REBOOT_TIME_S
+            deadline = time.monotonic() + REBOOT_TIMEOUT_S
             waiting = list(chosen)
             while waiting and time.monotonic() < deadline:
                 waiting = [m for m in waiting if self.bus.ping(m.identity) is None]
@@ -219,13 +123,55 @@ class DynamixelDriver(PortDriver):
             )
 
     def describe(self) -> dict[str, str]:
-        """Return facts about bus and servos."""
-        facts = driver_facts(self.bus, self.config, self.motors.values(), self._latency)
+        """Return facts about bus and servos: names with units to values."""
+        latency = self._latency
+        facts = {
+            'port': self.config.port,
+            'baud_rate (1/s)': str(self.config.baud),
+            'latency_timer (s)': '' if latency is None else f'{1e-3 * latency:g}',
+            'group read': 'fast sync read' if self.bus.fast else 'sync read',
+            'tension_uncertainty (N)': f'{max(w.resolution.band for w in self.config.wires):.3g}',
+        }
+        facts |= {what: str(count) for what, count in self.bus.failures.items()}
+        for motor in self.motors.values():
+            facts |= {
+                f'{motor}: model': motor.model.name,
+                f'{motor}: firmware': str(motor.firmware),
+                f'{motor}: torque': 'on' if motor.wanted else 'off',
+            }
+            if motor.temperature is not None:
+                facts[f'{motor}: temperature (°C)'] = f'{motor.temperature:.0f}'
+            if motor.voltage is not None:
+                facts[f'{motor}: supply (V)'] = f'{motor.voltage:.1f}'
+            if motor.settled:
+                set_ = (f'{name.replace("_", " ")} {how}' for name, how in motor.settled.items())
+                facts[f'registers of {motor} that were set'] = ', '.join(set_)
+            for wire in motor.wires:
+                known = 'measured' if wire.calibration.measured else 'data sheet'
+                per_count, (winds, holds) = wire.resolution.newtons_per_count, motor.strength(wire)
+                facts |= {
+                    f'{wire.name}: tension_per_count (N)': f'{per_count:.3g}',
+                    f'{wire.name}: friction_band (N)': f'{wire.resolution.band:.3g}',
+                    f'{wire.name}: winds_to (N)': f'{winds:.3g}',
+                    f'{wire.name}: holds_to (N)': f'{holds:.3g}',
+                    f'{wire.name}: calibration': known,
+                }
         return {**facts, 'bus_watchdog (s)': f'{self._silent_after:g}'}
 
     def strength(self) -> str:
-        """Return what current and friction make of the tension limits."""
-        return strength_told(self.motors.values())
+        """Return up to which tension motors wind and hold, in words, and how to know it better."""
+        motors = self.motors.values()
+        wires = [(wire, *motor.strength(wire)) for motor in motors for wire in motor.wires]
+        weakest, strongest = min(wires, key=lambda w: w[1]), max(wires, key=lambda w: w[2])
+        text = (
+            f'at their largest current motors wind up to {weakest[1]:.3g} N ({weakest[0].name}) '
+            f'and hold up to {strongest[2]:.3g} N ({strongest[0].name}, tension_limit '
+            f'{strongest[0].tension_limit:g} N): between them is the friction of the gear'
+        )
+        assumed = [wire.name for wire, *_ in wires if not wire.calibration.measured]
+        if assumed:
+            text += f', which is assumed: calibrate {", ".join(assumed)} (docs/dynamixel.md)'
+        return text
 
     def silence(self) -> str:
         """Return what address 98 was set to."""
@@ -248,71 +194,46 @@ class DynamixelDriver(PortDriver):
         name = 'goal_current' if self.mode == 'tension' else 'goal_position'
         try:
             if self.bus.connected:
-                self._send_strength()
+                self._send_current_limit()
                 self.bus.send_goals(name, goals, bounds)
         except PortLostError:
             pass  # read() says so and tries to get it back
 
-    def weaken(self, share: float, least: float) -> None:
-        """Let motors hold less, from what they carry (share 0: their limit) to `least` [N] (1)."""
-        if not self.gives_way:
+    def limit_current(self, reduction: float, tension: float) -> None:
+        """Reduce the current from what motors carry (0: their limit) to `tension` [N] (1)."""
+        if not self.limits_current:
             return
-        if share > 0.0 or any(motor.weakened is not None for motor in self.motors.values()):
-            self._strength_due = STRENGTH_REPEATED
+        if reduction > 0.0 or self._limits_reduced():
+            self._limit_due = LIMIT_REPEATED
         for motor in self.motors.values():
-            motor.weaken(share, least)
+            motor.limit_current(reduction, tension)
 
-    def _send_strength(self) -> None:
-        """Send what the motors may hold while it is less than usual, and for a while after."""
-        weak = any(motor.weakened is not None for motor in self.motors.values())
-        if weak or self._strength_due > 0:
+    def _limits_reduced(self) -> bool:
+        return any(motor.reduced_limit is not None for motor in self.motors.values())
+
+    def _send_current_limit(self) -> None:
+        """Send the current limit while it is reduced, and for a while after."""
+        if self._limits_reduced() or self._limit_due > 0:
             motors = [motor for motor in self.motors.values() if motor.wanted]
             bounds = {motor.identity: motor.current_bounds for motor in motors}
             most = {identity: high for identity, (_, high) in bounds.items()}
             self.bus.send_goals('goal_current', most, bounds)
-            self._strength_due -= 1
+            self._limit_due -= 1
 
     def read(self) -> Reading:
-        """Read every motor; look after errors, watchdogs and what was lost."""
+        """Read every motor; poll errors and watchdogs; try to get back what was lost."""
         self._require_open('read')
         now = time.monotonic()
         try:
-            if self.bus.connected or self._reopened(now):
+            if not self.bus.connected and self._may_retry(now) and self.bus.reopen():
+                # all motors were lost with it, and are pinged at once
+                self._retried, self._lost = -np.inf, list(self.motors.values())
+            if self.bus.connected:
                 self._converse(now)
         except PortLostError:
             pass
-        return self._reading(time.monotonic())
-
-    def _converse(self, now: float) -> None:
-        there = [motor for motor in self.motors.values() if motor.answers]
-        read_state(self.bus, there)
-        self._watch.poll([motor for motor in there if motor.answers], now)
-        self._start_from_measured(self._watch.tripped)
-        before, self._lost = self._lost, [m for m in self.motors.values() if not m.answers]
-        if len(self._lost) > len(before):
-            self._retried = now  # say so first; looking for it costs time
-        elif self._lost and self._may_retry(now):
-            self._look_for_lost()
-
-    def _look_for_lost(self) -> None:
-        """Ask the lost servos, another one first every time, until one is silent."""
-        self._turn += 1
-        start = self._turn % len(self._lost)
-        for motor in self._lost[start:] + self._lost[:start]:
-            if not come_back(self.bus, motor, self._operating, self._watch.watchdog):
-                return
-            self._start_from_measured([motor])
-
-    def _reopened(self, now: float) -> bool:
-        """Try to get a lost port back; whoever was lost with it is looked for at once."""
-        if not self._may_retry(now) or not self.bus.reopen():
-            return False
-        self._retried, self._lost = -np.inf, list(self.motors.values())
-        return True
-
-    def _reading(self, now: float) -> Reading:
         if self.bus.connected:
-            talker = '' if not self._lost else self.bus.disturbed()
+            talker = self.bus.disturbed() if self._lost else ''
             every = (motor.faults(self.config.port, talker) for motor in self.motors.values())
             faults = tuple(fault for some in every for fault in some)
         else:
@@ -320,7 +241,32 @@ class DynamixelDriver(PortDriver):
                 motor.answers = False
             gone = f'{self.config.port}: the port is gone; plug the adapter in again'
             faults = (Fault('port', gone),)
-        return driver_reading(self.config, self.motors, self._observable, now, faults)
+        pairs = [(self.motors[wire.motor], wire) for wire in self.config.wires]
+        tensions = np.array([motor.tension(wire) for motor, wire in pairs])
+        tensions = np.where(self._observable, tensions, np.nan)
+        doubt = [
+            wire.calibration.uncertainty(tension)
+            for (_, wire), tension in zip(pairs, tensions, strict=True)
+        ]
+        pulls = np.array([motor.pull(wire) for motor, wire in pairs])
+        return Reading(time.monotonic(), pulls, tensions, 'current', np.array(doubt), faults)
+
+    def _converse(self, now: float) -> None:
+        """Read the state of the motors that answer, poll them, and ping one that is lost."""
+        there = [motor for motor in self.motors.values() if motor.answers]
+        read_state(self.bus, there)
+        self._watch.poll([motor for motor in there if motor.answers], now)
+        self._start_from_measured(self._watch.tripped)
+        before, self._lost = self._lost, [m for m in self.motors.values() if not m.answers]
+        if len(self._lost) > len(before):
+            self._retried = now  # report it first; a ping without an answer takes time
+        elif self._lost and self._may_retry(now):
+            self._turn += 1  # another one first every time, until one is silent
+            start = self._turn % len(self._lost)
+            for motor in self._lost[start:] + self._lost[:start]:
+                if not come_back(self.bus, motor, self._operating, self._watch.watchdog):
+                    return
+                self._start_from_measured([motor])
 
     def _start_from_measured(self, motors: Iterable[Motor] | None = None) -> None:
         """Let the next command begin at what these motors, or all, measure."""

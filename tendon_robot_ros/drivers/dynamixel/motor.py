@@ -1,4 +1,4 @@
-"""One servo as the driver knows it: what it said last, what it is allowed, what is wrong."""
+"""One servo as the driver knows it: what it reported last, its limits, its faults."""
 
 from __future__ import annotations
 
@@ -9,19 +9,23 @@ from dataclasses import dataclass, field
 
 from ..interface import Fault
 from .config import DynamixelConfig, WireConfig
-from .control_table import (
-    POSITION_MAX_TICKS,
-    REGISTERS,
-    ServoModel,
-    decode,
-    hardware_errors,
-)
+from .control_table import POSITION_MAX_TICKS, REGISTERS, ServoModel, decode, hardware_errors
 
-STATE = (REGISTERS['present_current'].address, 10)  # current, velocity, position: 126 to 135
-HEALTH = (REGISTERS['present_input_voltage'].address, 3)  # voltage and temperature: 144 to 146
-LATELY = 5  # readings of which the largest current is what a motor carries
-CARRIED_MARGIN = 0.1  # of that, and counts: a reading is rounded, rippled and a cycle old
-CARRIED_MARGIN_COUNTS = 3
+# [1] readings, of which a motor carries the largest current, so that ripple does not lower it
+RECENT_READINGS = 5
+# of that current, because a reading is rounded, rippled and a cycle old: a fraction [1] ...
+CARRIED_MARGIN = 0.1
+CARRIED_MARGIN_COUNTS = 3  # [counts] ... and some counts, because of small currents
+
+
+def span(first: str, last: str) -> tuple[int, int]:
+    """Return address and length [bytes] of all registers from one to another."""
+    end = REGISTERS[last].address + REGISTERS[last].size
+    return REGISTERS[first].address, end - REGISTERS[first].address
+
+
+STATE = span('present_current', 'present_position')
+HEALTH = span('present_input_voltage', 'present_temperature')
 
 
 @dataclass
@@ -42,7 +46,7 @@ class Motor:
     wanted : bool
         Torque shall be on.
     answers : bool
-        It answered when it was last asked.
+        It answered the last read.
     errors : int
         Hardware error status, address 70.
     restarted, tripped : bool
@@ -75,12 +79,13 @@ class Motor:
     voltage_limits: tuple[float, float] = (0.0, math.inf)
     temperature: float | None = None
     hottest: float = math.inf
-    guided: tuple[int, tuple[int, int]] | None = None  # while the driver itself moves it
-    weakened: int | None = None  # [counts] what it may hold since a stop in pull mode
+    # largest current [counts], and goal positions [ticks], while the driver itself moves it
+    guided: tuple[int, tuple[int, int]] | None = None
+    reduced_limit: int | None = None  # [counts] of current since a stop in pull mode
     gains: dict[int, list[int]] = field(default_factory=dict)
     settled: dict[str, str] = field(default_factory=dict)
-    _carried: int = 0  # [counts] what it may have held when that began
-    _lately: deque[int] = field(default_factory=lambda: deque(maxlen=LATELY))
+    _carried: int = 0  # [counts] what it may have carried when that began
+    _recent: deque[int] = field(default_factory=lambda: deque(maxlen=RECENT_READINGS))
 
     @property
     def model(self) -> ServoModel:
@@ -98,11 +103,10 @@ class Motor:
 
     def take(self, data: bytes) -> None:
         """Take the ten bytes of its state."""
-        current, velocity = REGISTERS['present_current'], REGISTERS['present_velocity']
-        self.current = decode(current, data[0:2])
-        self.velocity = decode(velocity, data[2:6])
+        self.current = decode(REGISTERS['present_current'], data[0:2])
+        self.velocity = decode(REGISTERS['present_velocity'], data[2:6])
         self.ticks = decode(REGISTERS['present_position'], data[6:10])
-        self._lately.append(abs(self.current))
+        self._recent.append(abs(self.current))
 
     @property
     def strongest(self) -> int:
@@ -139,7 +143,7 @@ class Motor:
     @property
     def current_bounds(self) -> tuple[int, int]:
         """Goal currents it may be given [counts]: in tension mode only those that wind."""
-        most = self.strongest if self.weakened is None else self.weakened
+        most = self.strongest if self.reduced_limit is None else self.reduced_limit
         if self.guided is not None:
             most = min(self.guided[0], most)
         if self.mode == 'tension' and self.guided is None and self.wires[0].spool.direction < 0:
@@ -189,31 +193,33 @@ class Motor:
             amperes = wire.calibration.current(command)
             return wire.spool.direction * max(0, round(amperes / self.model.current_unit))
         zero = self.ticks or 0 if self.zero is None else self.zero
-        way = sum(w.share * w.spool.ticks(c) for w, c in zip(self.wires, commands, strict=True))
-        return round(zero + way)
+        distance = sum(
+            w.share * w.spool.ticks(c) for w, c in zip(self.wires, commands, strict=True)
+        )
+        return round(zero + distance)
 
-    def weaken(self, share: float, least: float) -> None:
+    def limit_current(self, reduction: float, tension: float) -> None:
         """
-        Let it hold less, by a share of the way from what it carries to a tension.
+        Reduce its current limit, from what it carries to what a tension takes.
 
         Parameters
         ----------
-        share : float
-            0: its limit again; 1: no more current than for `least`.
-        least : float
-            Tension of a wire [N].
+        reduction : float
+            0: its limit again; 1: no more current than for `tension`.
+        tension : float
+            Of a wire [N].
 
         """
-        if share <= 0.0:
-            self.weakened = None
+        if reduction <= 0.0:
+            self.reduced_limit = None
             return
-        amperes = min(wire.calibration.current(least) for wire in self.wires)
+        amperes = min(wire.calibration.current(tension) for wire in self.wires)
         end = min(max(0, round(amperes / self.model.current_unit)), self.strongest)
-        if self.weakened is None:
-            lately = max(self._lately, default=self.strongest)
-            carried = math.ceil(lately * (1.0 + CARRIED_MARGIN)) + CARRIED_MARGIN_COUNTS
+        if self.reduced_limit is None:
+            largest = max(self._recent, default=self.strongest)
+            carried = math.ceil(largest * (1.0 + CARRIED_MARGIN)) + CARRIED_MARGIN_COUNTS
             self._carried = min(max(carried, end), self.strongest)
-        self.weakened = round(end + max(0.0, 1.0 - share) * (self._carried - end))
+        self.reduced_limit = round(end + max(0.0, 1.0 - reduction) * (self._carried - end))
 
     def faults(self, port: str, talker: str = '') -> Iterator[Fault]:
         """List what is wrong with it; `talker` says who else talks on the bus."""
@@ -225,24 +231,19 @@ class Motor:
             words = 'it lost its power or its torque was switched off'
             advice = 'stays off until it is enabled again'
             yield Fault('restarted', f'{who}: {words}; {advice}', True, self.names)
-        for code, words in self._mild(talker):
-            yield Fault(code, f'{who}: {words}', False, self.names)
-
-    def _mild(self, talker: str) -> Iterator[tuple[str, str]]:
-        """List codes and words of what does not take its torque."""
         if not self.answers:
-            blamed = 'no answer; check its cable and the motor supply'
-            yield 'silent', f'no answer; {talker}' if talker else blamed
+            words = talker or 'check its cable and the motor supply'
+            yield Fault('silent', f'{who}: no answer; {words}', False, self.names)
         if self.tripped:
-            yield 'watchdog', 'its bus watchdog stopped it: no instruction came in time'
+            words = 'its bus watchdog stopped it: no instruction came in time'
+            yield Fault('watchdog', f'{who}: {words}', False, self.names)
         if self.temperature is not None and self.temperature >= self.hottest:
-            yield (
-                'temperature',
-                f'{self.temperature:.0f} °C, released from {self.hottest:.0f} °C; let it cool',
-            )
+            words = f'{self.temperature:.0f} °C, released from {self.hottest:.0f} °C; let it cool'
+            yield Fault('temperature', f'{who}: {words}', False, self.names)
         low, high = self.voltage_limits
         if self.voltage is not None and not low <= self.voltage <= high:
-            yield 'supply', f'supply {self.voltage:.1f} V, expected {low:.1f} to {high:.1f} V'
+            words = f'supply {self.voltage:.1f} V, expected {low:.1f} to {high:.1f} V'
+            yield Fault('supply', f'{who}: {words}', False, self.names)
 
     def take_health(self, data: bytes) -> None:
         """Take the three bytes of voltage and temperature."""

@@ -1,7 +1,8 @@
 """
-Every register that steers motion: what it holds before the torque comes on.
+Who is on the bus, and what every register that steers motion holds before the torque comes on.
 
-One table says what, one loop sets or refuses and reads back: whatever another program left.
+The handshake compares the servos with the configuration. Of the registers one table says what they
+must hold, one loop sets or refuses and reads back: whatever another program left.
 
 References
 ----------
@@ -11,19 +12,30 @@ ROBOTIS e-Manual, "Control Table Description" on the page of each motor.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 from ...common.errors import DriverError
+from ..hardware import PortLostError
 from .bus import Bus
+from .config import DynamixelConfig
 from .control_table import (
     GAINS,
+    INSTEAD,
+    MODEL_NAMES,
     PWM_FULL,
     REGISTERS,
+    WITHOUT_CURRENT,
     OperatingMode,
 )
 from .motor import Motor
 
-ATTEMPTS = 3  # of a question or a write
+ATTEMPTS = 3  # [1] of a question or a write, so that one broken answer is no missing servo
+OTHER_RATES = (
+    57600,
+    1_000_000,
+)  # [1/s] as delivered (manual, address 8), and what most people set
 
 
 @dataclass(frozen=True)
@@ -53,12 +65,12 @@ class Setting:
     newer: bool = False
 
 
-# In the order in which they are written: a new operating mode resets gains (76 to 91), profile
-# and PWM, and a goal PWM is at most the PWM limit. Goals (102, 116) are what is measured, see
-# torque.py. The velocity limit (44) bounds the goal velocity and a profile velocity above 0, the
-# position limits (48, 52) single-turn positions: nothing of that is used in modes 0, 4 and 5.
-# Indirect addresses (168 and more) act where their data are read or written, which nobody here
-# does.
+# In the order in which they are written, so that none undoes another: a new operating mode resets
+# gains (76 to 91), profile and PWM, and a goal PWM is at most the PWM limit. Goals (102, 116)
+# become the present state, see torque.py. The velocity limit (44) bounds the goal velocity and a
+# profile velocity above 0, the position limits (48, 52) single-turn positions: nothing of that is
+# used in modes 0, 4 and 5. Indirect addresses (168 and more) act where their data are read or
+# written, which nothing here does.
 SETTINGS = (
     Setting('return_delay_time', 0, 'answers come late'),
     Setting(
@@ -142,7 +154,7 @@ def settle(bus: Bus, motor: Motor, mode: int) -> None:
         A setting is refused, or the servo does not keep what was written.
 
     """
-    found = table = read_table(bus, motor)
+    original = table = read_table(bus, motor)
     refuse_settings(bus, motor, table)
     if motor.gains.get(mode) != [table[name] for name in GAINS]:
         # nobody knows whose they are: another mode and back brings those of the manual
@@ -155,10 +167,21 @@ def settle(bus: Bus, motor: Motor, mode: int) -> None:
         must_write(bus, motor, 'operating_mode', mode)
         table = read_table(bus, motor)
         motor.gains[mode] = [table[name] for name in GAINS]
-    wanted = _wanted(motor, mode)
+    of_this_motor = {
+        'operating_mode': mode,
+        'current_limit': motor.strongest,
+        'pwm_slope': motor.model.pwm_slope,
+    }
+    newer = motor.firmware >= motor.model.fast_read_firmware
+    wanted = {
+        setting.name: value
+        for setting in SETTINGS
+        if newer or not setting.newer
+        if (value := of_this_motor.get(setting.name, setting.value)) is not None
+    }
     for name, value in wanted.items():
-        if found[name] != value:
-            motor.settled[name] = f'{found[name]} to {value}'
+        if original[name] != value:
+            motor.settled[name] = f'{original[name]} to {value}'
         if table[name] != value:
             must_write(bus, motor, name, value)
     table = read_table(bus, motor)
@@ -171,17 +194,92 @@ def settle(bus: Bus, motor: Motor, mode: int) -> None:
             )
 
 
-def _wanted(motor: Motor, mode: int) -> dict[str, int]:
-    """Return the registers that this servo has, name to what they must hold."""
-    of_this_motor = {
-        'operating_mode': mode,
-        'current_limit': motor.strongest,
-        'pwm_slope': motor.model.pwm_slope,
-    }
-    newer = motor.firmware >= motor.model.fast_read_firmware
-    every = {
-        setting.name: of_this_motor.get(setting.name, setting.value)
-        for setting in SETTINGS
-        if newer or not setting.newer
-    }
-    return {name: value for name, value in every.items() if value is not None}
+@contextmanager
+def naming_second_talker(bus: Bus) -> Iterator[None]:
+    """Where a conversation fails because somebody else talks on the bus, say that instead."""
+    try:
+        yield
+    except DriverError as error:
+        talker = bus.second_talker()
+        if not talker:
+            raise
+        raise type(error)(f'{bus.path}: {talker}; one program at a time: stop it first') from None
+
+
+def shake_hands(bus: Bus, config: DynamixelConfig, motors: dict[int, Motor]) -> None:
+    """
+    Check every servo: there, the right model, settings that are safe to use.
+
+    Raises
+    ------
+    DriverError
+        With the expected servos and those that answer, also at other baud rates.
+
+    """
+    with naming_second_talker(bus):
+        models = dict.fromkeys(motors, 0)  # id -> model number, 0 where nobody answers
+        for _ in range(ATTEMPTS):
+            for identity in [i for i, number in models.items() if not number]:
+                models[identity] = bus.ping(identity) or 0
+        if any(models[i] != motor.model.number for i, motor in motors.items()):
+            refuse_servos(bus, motors, models)
+        for motor in motors.values():
+            table = read_table(bus, motor)
+            refuse_settings(bus, motor, table)
+            motor.firmware = table['firmware_version']
+            low, high = table['min_voltage_limit'], table['max_voltage_limit']
+            volt = REGISTERS['min_voltage_limit'].unit
+            motor.voltage_limits = (volt * low, volt * high)
+            motor.hottest = table['temperature_limit'] - config.margin
+            motor.errors = table['hardware_error_status']
+            motor.answers = True
+    bus.fast = all(m.firmware >= m.model.fast_read_firmware for m in motors.values())
+
+
+def refuse_servos(bus: Bus, motors: dict[int, Motor], models: dict[int, int]) -> None:
+    """Raise DriverError with the expected servos and those that answer (0: no answer)."""
+    without = {i: WITHOUT_CURRENT[n] for i, n in models.items() if n in WITHOUT_CURRENT}
+    if without:
+        named = ', '.join(f'{identity}: {name}' for identity, name in without.items())
+        raise DriverError(f'{bus.path}: model: expected {INSTEAD}, found {named}')
+    present = {i: number for i, number in models.items() if number} | bus.everyone()
+    firmware = {i: f' firmware {bus.read(i, "firmware_version")}' for i in sorted(present)}
+    if all(present.get(i) == motor.model.number for i, motor in motors.items()):
+        raise DriverError(
+            f'{bus.path}: all servos are there, but answers come late or broken; check the cable, '
+            f'answer_time (now {bus.answer_time:g} s) and how busy this computer is'
+        )
+    expected = ', '.join(
+        f'{i}: {m.model.name} ({" and ".join(m.names)})' for i, m in motors.items()
+    )
+    text = (
+        f'{bus.path}: servos at {bus.baud} baud: expected {expected}; found '
+        f'{servo_names(present, firmware)}'
+    )
+    if set(motors) <= set(present):
+        raise DriverError(f'{text}; correct the models or ids')
+    other = ''
+    for baud in OTHER_RATES:  # a second each
+        if not other and baud != bus.baud and (models := servos_at(bus, baud)):
+            other = f'at {baud} baud: {servo_names(models)}; '
+    raise DriverError(f'{text}; {other}check cable, motor supply, ids and baud rate')
+
+
+def servo_names(models: dict[int, int], firmware: dict[int, str] | None = None) -> str:
+    """List ids with the names of their models, and their firmware where it is known."""
+    names = {i: MODEL_NAMES.get(n, f'model number {n}') for i, n in sorted(models.items())}
+    return ', '.join(f'{i}: {n}{(firmware or {}).get(i, "")}' for i, n in names.items()) or 'none'
+
+
+def servos_at(bus: Bus, baud: int) -> dict[int, int]:
+    """Return id and model number of the servos at another baud rate; the bus is open after it."""
+    other = Bus(bus.path, baud, bus.answer_time)
+    bus.close()
+    try:
+        other.open()
+        return other.everyone()
+    except (DriverError, PortLostError):
+        return {}
+    finally:
+        other.close()
+        bus.reopen()

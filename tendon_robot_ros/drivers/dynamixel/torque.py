@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from ...common.errors import DriverError
@@ -20,8 +20,19 @@ from .control_table import (
 from .motor import HEALTH, STATE, Motor
 from .settings import must_write, settle
 
-WATCHDOG_S = 0.2  # [s] that a busy computer may be late
-WATCHDOG_REALTIME_S = 0.08  # [s]
+WATCHDOG_S = 0.2  # [s] of silence, because a busy computer is late by as much: docs/safety.md
+# [s] of silence where this thread is in real time: four counts, docs/safety.md
+WATCHDOG_REALTIME_S = 0.08
+# [s] for which a tripped watchdog is a fault, so that a reader of diagnostics sees it
+TRIP_REPORTED_S = 0.5
+# [s] between two reads of what is not part of the state: a hardware error is noticed in two cycles
+# of 100 Hz and no two become due in the same one, so that a cycle has at most one of them
+POLL_PERIODS = {
+    'hardware_error_status': 0.020,
+    'bus_watchdog': 0.045,
+    'torque_enable': 0.025,
+    'health': 0.250,
+}
 
 
 def watchdog_time(config: DynamixelConfig) -> tuple[float, str]:
@@ -56,9 +67,9 @@ def operating_mode(config: DynamixelConfig, mode: str) -> int:
 
 def read_state(bus: Bus, motors: Iterable[Motor]) -> None:
     """Read current, velocity and position of several servos."""
-    asked = list(motors)
-    blocks = bus.block(*STATE, [motor.identity for motor in asked])
-    for motor in asked:
+    motors = list(motors)
+    blocks = bus.block(*STATE, [motor.identity for motor in motors])
+    for motor in motors:
         data = blocks.get(motor.identity)
         motor.answers = data is not None
         if data is not None:
@@ -81,7 +92,7 @@ def torque_on(bus: Bus, motors: Iterable[Motor], mode: int, watchdog: int) -> No
     Raises
     ------
     DriverError
-        A hardware error keeps it off, or a servo does not do as told.
+        A hardware error keeps it off, or a servo does not take a value.
 
     """
     chosen = list(motors)
@@ -121,7 +132,7 @@ def hold(bus: Bus, motors: Iterable[Motor], mode: int) -> None:
 
 
 def torque_off(bus: Bus, motors: Iterable[Motor]) -> None:
-    """Switch the torque off; a servo that does not answer is asked twice and then left."""
+    """Switch the torque off; a servo that does not answer gets two attempts."""
     for motor in motors:
         motor.wanted = motor.restarted = motor.tripped = False
         for _ in range(2):
@@ -164,7 +175,7 @@ def come_back(bus: Bus, motor: Motor, mode: int, watchdog: int) -> bool:
 
 
 def lost_power(motor: Motor) -> None:
-    """Note that a servo lost its torque without being told to; its turns are unknown now."""
+    """Note that a servo lost its torque by itself; its turns are unknown now."""
     motor.restarted, motor.wanted, motor.zero = True, False, None
 
 
@@ -178,30 +189,28 @@ def recover_watchdog(bus: Bus, motor: Motor, mode: int, watchdog: int, tripped: 
     motor.tripped = False
 
 
-# -----------------------------------------------------------------------------
-# What is polled beside the state, one kind per cycle, whichever is most overdue.
-#
-# The alert bit of a status packet is hidden in group reads, so hardware errors are read from
-# address 70. Whatever looks bad is read once more before anybody acts on it: a late answer of
-# another read may look like it.
-
-
 @dataclass
 class Watch:
-    """The timetable of the polls."""
+    """
+    What is polled beside the state, one kind per cycle, whichever is most overdue.
+
+    The alert bit of a status packet is hidden in group reads, so hardware errors are read from
+    address 70. A bad value is read once more before anything follows from it: a late answer of
+    another read may look like it.
+    """
 
     bus: Bus
     mode: int  # operating mode, address 11
     watchdog: int = 0  # address 98
     due: dict[str, float] = field(default_factory=dict)
-    tripped: list[Motor] = field(default_factory=list)  # whose watchdog this poll found tripped
-    _shown: float = -math.inf
+    tripped: list[Motor] = field(default_factory=list)  # whose watchdog had tripped at this poll
+    _reported: float = -math.inf
 
     def poll(self, motors: list[Motor], now: float) -> None:
         """Do the most overdue poll, if any, for the servos that answer."""
         self.tripped = []
         for motor in motors:
-            motor.tripped = motor.tripped and now - self._shown < TRIP_TOLD_FOR_S
+            motor.tripped = motor.tripped and now - self._reported < TRIP_REPORTED_S
         late = {name: now - self.due.get(name, 0.0) for name in POLL_PERIODS}
         name = max(late, key=lambda n: late[n] / POLL_PERIODS[n])
         if late[name] < 0.0 or not motors:
@@ -213,55 +222,34 @@ class Watch:
         for motor in motors:
             data = blocks.get(motor.identity)
             if data is None:
-                motor.answers = False  # asked twice: no need to ask for its state, too
+                motor.answers = False  # read twice already
             elif register is None:
                 motor.take_health(data)
             else:
-                POLLS[name](self, motor, data[0])
+                self.check(name, motor, data[0])
 
-    def confirmed(self, motor: Motor, name: str, value: int) -> bool:
-        """Read a suspicious value once more."""
-        return self.bus.read(motor.identity, name) == value
-
-    def errors(self, motor: Motor, value: int) -> None:
-        """Note hardware errors; torque goes off at once for that motor."""
-        if value == motor.errors or not self.confirmed(motor, 'hardware_error_status', value):
+    def check(self, register: str, motor: Motor, value: int) -> None:
+        """Act on the value of a polled register, if it is bad and another read confirms it."""
+        bad = {
+            'hardware_error_status': value != motor.errors,
+            'bus_watchdog': motor.wanted and value != self.watchdog,
+            'torque_enable': motor.wanted and not value,
+        }
+        if not bad[register] or self.bus.read(motor.identity, register) != value:
             return
-        motor.errors = value
-        if value:
-            torque_off(self.bus, [motor])
-
-    def dog(self, motor: Motor, value: int) -> None:
-        """Notice a tripped watchdog, and a servo that has forgotten it."""
-        if not motor.wanted or value == self.watchdog:
-            return
-        if not self.confirmed(motor, 'bus_watchdog', value):
-            return
-        if value == WATCHDOG_TRIPPED:
-            recover_watchdog(self.bus, motor, self.mode, self.watchdog, tripped=True)
-            motor.tripped, self._shown = True, time.monotonic()
-            self.tripped.append(motor)
-        elif value == 0:
-            lost_power(motor)
-            self.bus.write(motor.identity, 'torque_enable', 0)
-
-    def torque(self, motor: Motor, value: int) -> None:
-        """Notice torque that went off by itself: by a hardware error, or with the power."""
-        if motor.wanted and not value and self.confirmed(motor, 'torque_enable', 0):
-            self.errors(motor, self.bus.read(motor.identity, 'hardware_error_status') or 0)
+        if register == 'hardware_error_status':
+            motor.errors = value
+            if value:
+                torque_off(self.bus, [motor])
+        elif register == 'torque_enable':  # it went off by itself: an error, or the power
+            status = self.bus.read(motor.identity, 'hardware_error_status') or 0
+            self.check('hardware_error_status', motor, status)
             if not motor.errors:
                 lost_power(motor)
-
-
-TRIP_TOLD_FOR_S = 0.5  # [s] for which a tripped watchdog is told of
-POLL_PERIODS = {
-    'hardware_error_status': 0.020,
-    'bus_watchdog': 0.045,
-    'torque_enable': 0.025,
-    'health': 0.250,
-}  # [s]
-POLLS: dict[str, Callable[[Watch, Motor, int], None]] = {
-    'hardware_error_status': Watch.errors,
-    'bus_watchdog': Watch.dog,
-    'torque_enable': Watch.torque,
-}
+        elif value == WATCHDOG_TRIPPED:
+            recover_watchdog(self.bus, motor, self.mode, self.watchdog, tripped=True)
+            motor.tripped, self._reported = True, time.monotonic()
+            self.tripped.append(motor)
+        elif value == 0:  # it has forgotten its watchdog
+            lost_power(motor)
+            self.bus.write(motor.identity, 'torque_enable', 0)

@@ -1,9 +1,15 @@
-"""The driver's configuration: channels, spools, limits, load cells (docs/serial_board.md)."""
+"""
+The driver's configuration and the calibration of its load cells (docs/serial_board.md).
+
+A load cell is calibrated by least squares of counts = zero + tension / newtons_per_count over
+known weights, nothing hung being the first.
+"""
 
 from __future__ import annotations
 
+import datetime
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -11,10 +17,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ...common.errors import InputError
 from ...common.yaml_reading import ConfigFields
 from ...robot import Robot
 from ..hardware import (
+    PULL_MAX_M,
+    WEIGHTS_MIN,
     fields_of_inputs,
+    fit_line,
     nearest,
     read_calibrations,
     read_direction,
@@ -32,7 +42,6 @@ TENDON_KEYS = (
     'tension_limit',
     'pull_limits',
 )
-PULL_RANGE_DEFAULT_M = 1.0  # [m] of wire either way, where no pull limits are given
 
 
 @dataclass(frozen=True)
@@ -67,6 +76,64 @@ class Cell:
 
 
 @dataclass(frozen=True)
+class CountsPoint:
+    """Counts with one weight: tension [N], mean and standard deviation [counts]."""
+
+    tension: float
+    mean: float
+    spread: float
+
+
+def fit_counts(points: Sequence[CountsPoint]) -> Cell:
+    """
+    Fit the line.
+
+    Raises
+    ------
+    InputError
+        Too few different weights, or counts that do not change with the weight.
+
+    """
+    tensions = np.array([point.tension for point in points])
+    counts = np.array([point.mean for point in points])
+    different = len(set(tensions.tolist()))
+    if different < WEIGHTS_MIN:
+        raise InputError(
+            f'calibration: expected at least {WEIGHTS_MIN - 1} different weights besides '
+            f'none, got {different - 1}'
+        )
+    noise = math.sqrt(float(np.mean([point.spread**2 for point in points])))
+    line = fit_line(tensions, counts, noise)
+    if abs(line.slope) * float(np.ptp(tensions)) < 5.0 * line.scatter or line.slope == 0.0:
+        raise InputError(
+            f'calibration: the counts do not follow the weight ({line.slope:.3g} counts/N, '
+            f'scatter {line.scatter:.3g} counts); does it hang on the load cell of this channel?'
+        )
+    return Cell(
+        zero=line.intercept,
+        newtons_per_count=1.0 / line.slope,
+        zero_error=line.intercept_error,
+        slope_error=line.slope_error / line.slope**2,
+        scatter=line.scatter,
+    )
+
+
+def cell_mapping(cell: Cell, points: Sequence[CountsPoint]) -> dict[str, Any]:
+    """Return what is written to the calibration file for one tendon."""
+    heaviest = max(point.tension for point in points)
+    return {
+        'zero': round(cell.zero, 1),
+        'newtons_per_count': float(f'{cell.newtons_per_count:.8g}'),
+        'zero_error': round(cell.zero_error, 2),
+        'slope_error': float(f'{cell.slope_error:.3g}'),
+        'scatter': round(cell.scatter, 2),
+        'uncertainty': float(f'{cell.uncertainty(np.array(heaviest)):.3g}'),
+        'tensions': [round(point.tension, 4) for point in points],
+        'date': datetime.date.today().isoformat(),
+    }
+
+
+@dataclass(frozen=True)
 class TendonConfig:
     """One input: its channel, spool [m per tick, > 0 winds] and limits [N], [m]."""
 
@@ -89,7 +156,8 @@ def read_tendons(
     fields = fields_of_inputs(top, 'tendons', 'a channel', robot)
     cells = read_calibrations(top, required=False)
     made = tuple(
-        _tendon(top, name, item, cells, robot, mode, calibrated) for name, item in fields.items()
+        read_tendon(top, name, item, cells, robot, mode, calibrated)
+        for name, item in fields.items()
     )
     numbers = [tendon.channel for tendon in made]
     for tendon in made:
@@ -98,7 +166,7 @@ def read_tendons(
     return made
 
 
-def _tendon(
+def read_tendon(
     top: ConfigFields,
     name: str,
     item: ConfigFields,
@@ -107,15 +175,16 @@ def _tendon(
     mode: str,
     calibrated: bool,
 ) -> TendonConfig:
+    """Read the channel of one input."""
     item.only(*TENDON_KEYS)
     channel = item.whole('channel', 0, CHANNELS_MAX - 1)
     direction = read_direction(item, 'growing encoder ticks wind')
     radius = read_spool_radius(item, top)
     ticks = nearest(item, top, 'ticks_per_turn').number('ticks_per_turn', 1.0, 1e7, 'ticks')
     limited = nearest(item, top, 'pull_limits')
-    pull_limits = -PULL_RANGE_DEFAULT_M, PULL_RANGE_DEFAULT_M
+    pull_limits = -PULL_MAX_M, PULL_MAX_M
     if limited.has('pull_limits') or mode == 'pull':
-        pull_limits = read_pull_limits(limited, PULL_RANGE_DEFAULT_M)
+        pull_limits = read_pull_limits(limited)
     low, high = robot.tension_limits
     if calibrated and not cells.has(name):
         raise top.error(
@@ -130,11 +199,12 @@ def _tendon(
         metres_per_tick=direction * 2.0 * math.pi * radius / ticks,
         tension_limit=item.value('tension_limit', high, low + 1e-6, high, 'N'),
         pull_limits=pull_limits,
-        cell=_cell(cells.child(name)) if cells.has(name) else None,
+        cell=read_cell(cells.child(name)) if cells.has(name) else None,
     )
 
 
-def _cell(item: ConfigFields) -> Cell:
+def read_cell(item: ConfigFields) -> Cell:
+    """Read the calibration of a load cell."""
     slope = item.number('newtons_per_count', -1e-3, 1e-3, 'N/count')
     if abs(slope) < 1e-9:
         raise item.error('newtons_per_count', 'a slope of at least 1e-9 N/count', slope)
@@ -151,9 +221,6 @@ def _cell(item: ConfigFields) -> Cell:
         ),
     )
 
-
-# -----------------------------------------------------------------------------
-# The driver's configuration: channels, spools, limits, load cells (docs/serial_board.md).
 
 KEYS = (
     'port',
@@ -176,6 +243,7 @@ KEYS = (
     'calibration',
     'tendons',
 )
+# [1/s] that common boards divide from their clock: datasheet of the ATmega2560 (U2X at 16 MHz)
 BAUD_RATES = (115_200, 230_400, 250_000, 500_000, 1_000_000, 2_000_000)
 
 

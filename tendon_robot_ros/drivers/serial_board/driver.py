@@ -1,4 +1,9 @@
-"""A board with load cells behind the driver interface: it closes the tension loop itself."""
+"""
+A board with load cells behind the driver interface: it closes the tension loop itself.
+
+Readings, faults and facts come from its telemetry; where pull is zero, every wire is just taut, as
+its load cell says.
+"""
 
 from __future__ import annotations
 
@@ -6,28 +11,32 @@ import time
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...common.errors import DriverError, MovedError
 from ...robot import Robot
-from ..hardware import PortDriver
-from ..interface import Array, Reading
-from ..ports import PortLostError, travelled
+from ..hardware import ANSWER_TIMEOUT_S, PortDriver, PortLostError
+from ..interface import CYCLE_S, Array, Fault, Reading, travelled
 from . import messages
 from .config import BoardConfig, limits, read_config
-from .link import BoardLink, ask, configure, give_limits, identify, let_go, telemetry
-from .messages import BoardFlag, Message, Telemetry
-from .readings import (
-    board_facts,
-    board_faults,
-    board_reading,
-    latched_faults,
-    measured_pulls,
-    measured_tensions,
+from .link import (
+    SETTLE_S,
+    BoardLink,
+    ask,
+    configure,
+    give_limits,
+    identify,
+    let_go,
+    telemetry,
 )
+from .messages import CHANNEL_FAULTS, BoardFlag, ChannelFault, Identity, Message, Telemetry
 
-HEARTBEAT_PERIOD_S = 0.1  # [s]
-TELEMETRY_SILENT_S = 0.1  # [s] without telemetry
-PORT_FLUSH_AFTER_S = 0.05  # [s]; after a longer pause what waits in the port is thrown away
+# [s] so that a board that releases after the shortest usual silence (0.2 s) hears two of them
+HEARTBEAT_PERIOD_S = 0.1
+# [s] after a longer pause what waits in the port is thrown away, else it would count as new
+PORT_FLUSH_S = 0.05
+TENSION_TOLERANCE = 0.3  # [1] of the homing tension, because friction and noise are large there
+TRAVEL_TOLERANCE_M = 5e-4  # [m] to the end of `home_travel`, because the board goes no further
 
 
 class SerialDriver(PortDriver):
@@ -50,11 +59,11 @@ class SerialDriver(PortDriver):
         link = BoardLink(config.port, config.baud)
         super().__init__(robot, mode, config, link, *limits(config, robot, mode))
         self.telemetry: Telemetry | None = None
-        self.identity: messages.Identity | None = None
+        self.identity: Identity | None = None
         self.zero = np.full(len(self.inputs), np.nan)  # [m] on the board where pull is 0
         self.wanted = np.zeros(len(self.inputs), dtype=bool)  # torque should be on
-        self.restarted = np.zeros(len(self.inputs), dtype=bool)
-        self._tripped = False
+        self.restarted = np.zeros(len(self.inputs), dtype=bool)  # the board switched them off
+        self._tripped = False  # the board heard nothing and released
         self._heard = self._read_at = -np.inf
 
     def _shake_hands(self) -> None:
@@ -62,7 +71,7 @@ class SerialDriver(PortDriver):
         self.identity = identify(self.link, self.config)
         let_go(self.link, self.identity.channels)
         ask(self.link, Message.CLEAR, b'\xff')
-        self._configure()
+        configure(self.link, self.config, np.nan_to_num(self.zero))
         if self._hear(1.0) is None:
             raise DriverError(f'{self.config.port}: no telemetry; check the baud rate')
         self._zero_here()
@@ -70,18 +79,11 @@ class SerialDriver(PortDriver):
 
     def _check_motors(self) -> None:
         self.read_again()
-        if latched := latched_faults(self.config, self.telemetry):
+        if latched := self._latched_faults():
             raise DriverError('; '.join(fault.message for fault in latched))
 
     def _slack_unknown(self) -> bool:
         return not bool(np.isfinite(self.zero).all())
-
-    def _find_slack(self) -> None:
-        self.zero = find_slack(self)
-        try:
-            give_limits(self.link, self.config, self.zero)
-        except (DriverError, PortLostError) as error:
-            raise MovedError(str(error)) from None
 
     def _torque_on(self) -> None:
         self.switch_on(self.mode)
@@ -89,8 +91,8 @@ class SerialDriver(PortDriver):
 
     def switch_on(self, mode: str) -> None:
         """Torque on in a mode, where the wires are."""
-        mask = channel_mask(self.config.places)
-        ask(self.link, Message.ENABLE, bytes((messages.MODES.index(mode), mask)))
+        every = np.ones(len(self.inputs), dtype=bool)
+        ask(self.link, Message.ENABLE, bytes((messages.MODES.index(mode),)) + self._mask(every))
         self.read_again()
 
     def disable(self, inputs: Sequence[str] = ()) -> None:
@@ -99,8 +101,7 @@ class SerialDriver(PortDriver):
         self.wanted[chosen] = self.restarted[chosen] = False
         try:
             if self.link.connected:
-                content = bytes((channel_mask(self.config.places[chosen]),))
-                ask(self.link, Message.DISABLE, content, attempts=2)
+                ask(self.link, Message.DISABLE, self._mask(chosen), attempts=2)
         except (DriverError, PortLostError):
             pass  # read() says so, and switches off what came back unwanted
 
@@ -110,22 +111,41 @@ class SerialDriver(PortDriver):
         chosen = self._chosen(inputs)
         self.disable(inputs)
         try:
-            content = bytes((channel_mask(self.config.places[chosen]),))
-            ask(self.link, Message.CLEAR, content)
+            ask(self.link, Message.CLEAR, self._mask(chosen))
             self.read_again()
         except PortLostError as error:
             raise DriverError(f'{error}: lost while clearing faults') from None
-        latched = latched_faults(self.config, self.telemetry)
+        latched = self._latched_faults()
         again = [f.message for f in latched if not inputs or f.inputs[0] in inputs]
         if again:
             raise DriverError('; '.join(again))
 
     def describe(self) -> dict[str, str]:
         """Return facts about board and link."""
-        return board_facts(self.config, self.link, self.identity, self.telemetry)
+        config, telemetry = self.config, self.telemetry
+        facts = {
+            'port': config.port,
+            'baud_rate (1/s)': str(config.baud),
+            'frames_missed': str(self.link.missed),
+            'frames_bad': str(self.link.bad),
+            'silence_until_release (s)': f'{config.timeout:g}',
+            'release_to': config.release_to,
+        }
+        if self.identity is not None:
+            facts['channels'] = str(self.identity.channels)
+            facts['firmware'] = str(self.identity.firmware)
+        if telemetry is not None:
+            facts['frames_bad_at_board'] = str(telemetry.bad)
+        for tendon in config.tendons:
+            if telemetry is not None:
+                facts[f'{tendon}: current (A)'] = f'{telemetry.currents[tendon.channel]:.3f}'
+            if tendon.cell is not None:
+                doubt = float(tendon.cell.uncertainty(np.array(tendon.tension_limit)))
+                facts[f'{tendon}: tension_uncertainty (N)'] = f'{doubt:.2g}'  # at its limit
+        return facts
 
     def silence(self) -> str:
-        """Return what the board was told."""
+        """Return the time-out that the board was configured with."""
         return f'{self.config.timeout:g} s (command_timeout of the board)'
 
     def write(self, command: Array) -> None:
@@ -133,7 +153,7 @@ class SerialDriver(PortDriver):
         self._require_open('write')
         wanted, passed = self.checked(command), self._since_write()
         if passed > self.config.timeout:
-            return  # the board may have released meanwhile: read() looks first where the arm is
+            return  # the board may have released meanwhile: read() comes first
         self._goal = self._towards(wanted, self.limits, passed)
         try:
             if self.link.connected and self.wanted.any():
@@ -149,38 +169,104 @@ class SerialDriver(PortDriver):
         self.link.send(Message.COMMAND, messages.command(mode, values))
 
     def read(self) -> Reading:
-        """Take the newest telemetry; look after silence, restarts and lost ports."""
+        """Take the newest telemetry; act on silence, restarts and lost ports."""
         self._require_open('read')
         now = time.monotonic()
         try:
-            if self.link.connected or self._reopened(now):
+            if not self.link.connected and self._may_retry(now):
+                self.telemetry = None
+                if self.link.reopen():
+                    self.link.send(Message.HEARTBEAT)
+                    self._heard = self.link.clock()
+            if self.link.connected:
                 self._converse(now)
         except (PortLostError, DriverError):  # DriverError: it came back and went away again
             self.telemetry = None
-        config, telemetry = self.config, self.telemetry
-        connected, restarted = self.link.connected, self.restarted
-        faults = board_faults(config, connected, telemetry, restarted, self._tripped)
-        return board_reading(config, telemetry, self.zero, faults, time.monotonic())
+        tensions, doubt = self.measured_tensions(), np.zeros(len(self.inputs))
+        for k, tendon in enumerate(self.config.tendons):
+            if tendon.cell is not None and np.isfinite(tensions[k]):
+                doubt[k] = tendon.cell.uncertainty(tensions[k])
+        now, faults = time.monotonic(), self._faults()
+        return Reading(now, self.measured_pulls(), tensions, 'load_cell', doubt, faults)
 
     def measured_tensions(self) -> Array:
-        """Return measured tensions, shape (m,) [N]."""
-        return measured_tensions(self.config, self.telemetry)
+        """Return measured tensions, shape (m,) [N]; nan where the load cell says nothing."""
+        return self._channels('tensions', ChannelFault.LOAD_CELL)
+
+    def measured_pulls(self) -> Array:
+        """Return wire pulls from the zero, shape (m,) [m]; nan where the encoder says nothing."""
+        pulls: Array = self._channels('pulls', ChannelFault.ENCODER) - np.nan_to_num(self.zero)
+        return pulls
+
+    def _channels(self, name: str, fault: ChannelFault) -> Array:
+        """Return a value of the telemetry, shape (m,); nan where a channel has the fault."""
+        if self.telemetry is None:
+            return np.full(len(self.inputs), np.nan)
+        places = self.config.places
+        values: Array = np.array(getattr(self.telemetry, name)[places], dtype=float)
+        values[self.telemetry.faults[places] & fault != 0] = np.nan
+        return values
+
+    def _mask(self, which: NDArray[np.bool_]) -> bytes:
+        """Return a byte with a bit for the channel of each input that is chosen, shape (m,)."""
+        return bytes((int(np.bitwise_or.reduce(1 << self.config.places[which], initial=0)),))
+
+    def _faults(self) -> tuple[Fault, ...]:
+        """Return what is wrong."""
+        port = self.config.port
+        if not self.link.connected:
+            return (Fault('port', f'{port}: the port is gone; plug the board in again'),)
+        if self.telemetry is None:
+            message = f'{port}: no telemetry from the board; check its cable and supply'
+            return (Fault('silent', message),)
+        faults = self._latched_faults()
+        for tendon, off in zip(self.config.tendons, self.restarted, strict=True):
+            if off:
+                message = f'{port}: {tendon}: the board restarted or switched it off; reset'
+                faults.append(Fault('restarted', message, True, (tendon.name,)))
+        if self._tripped:
+            silence = f'the board heard no command for {self.config.timeout:g} s, released'
+            faults.append(Fault('watchdog', f'{port}: {silence}'))
+        return tuple(faults)
+
+    def _latched_faults(self) -> list[Fault]:
+        """Return the faults that the board has latched."""
+        if self.telemetry is None:
+            return []
+        advice = 'torque is off; remove the cause, then reboot it'
+        latched = self.telemetry.faults[self.config.places]
+        return [
+            Fault(
+                str(bit.name).lower(),
+                f'{self.config.port}: {tendon}: {words}; {advice}',
+                True,
+                (tendon.name,),
+            )
+            for tendon, bits in zip(self.config.tendons, latched, strict=True)
+            for bit, words in CHANNEL_FAULTS.items()
+            if bits & bit
+        ]
 
     def _converse(self, now: float) -> None:
+        """Take the newest telemetry; act on what the board did by itself."""
         if now - self.link.sent_at > HEARTBEAT_PERIOD_S:
             self.link.send(Message.HEARTBEAT)
-        if now - self._read_at > PORT_FLUSH_AFTER_S:
+        if now - self._read_at > PORT_FLUSH_S:
             self.link.flush()
         lost = self.telemetry is None
         heard = self._hear(min(3.0 * self.config.period, 0.03))
         self._read_at = time.monotonic()
         if heard is None:
-            if self.link.clock() - self._heard > max(TELEMETRY_SILENT_S, 5.0 * self.config.period):
+            if self.link.clock() - self._heard > max(ANSWER_TIMEOUT_S, 5.0 * self.config.period):
                 self.telemetry = None
             return
         if not heard.flags & BoardFlag.CONFIGURED:
-            self._come_back()
-            heard = self.telemetry or heard
+            # it had no power: tell it what it must know; its motors stay off
+            self.restarted |= self.wanted
+            if self.config.zero == 'find':
+                self.zero[:] = np.nan
+            configure(self.link, self.config, np.nan_to_num(self.zero))
+            heard = self._hear(ANSWER_TIMEOUT_S) or heard
         enabled = np.array([heard.enabled >> i & 1 for i in self.config.places], dtype=bool)
         healthy = heard.faults[self.config.places] == 0
         self.restarted |= self.wanted & ~enabled & healthy
@@ -188,19 +274,7 @@ class SerialDriver(PortDriver):
         if lost or self._tripped:
             self._start_from_measured()
         if np.any(enabled & ~self.wanted):  # it was switched off while the port was lost
-            content = bytes((channel_mask(self.config.places[enabled & ~self.wanted]),))
-            self.link.send(Message.DISABLE, content)
-
-    def _come_back(self) -> None:
-        """Tell a board that had no power what it must know; its motors stay off."""
-        self.restarted |= self.wanted
-        if self.config.zero == 'find':
-            self.zero[:] = np.nan
-        self._configure()
-        self._hear(0.1)
-
-    def _configure(self) -> None:
-        configure(self.link, self.config, np.nan_to_num(self.zero))
+            self.link.send(Message.DISABLE, self._mask(enabled & ~self.wanted))
 
     def _hear(self, wait: float) -> Telemetry | None:
         """Take the newest telemetry, None when none came."""
@@ -211,28 +285,16 @@ class SerialDriver(PortDriver):
         return heard
 
     def read_again(self) -> None:
-        """Take telemetry that is newer than what was just asked for."""
+        """Take telemetry that is newer than the last message to the board."""
         self.link.flush()
         if self._hear(0.5) is None:
             raise DriverError(f'{self.config.port}: no telemetry; check cable and supply')
         self._read_at = time.monotonic()
 
-    def _reopened(self, now: float) -> bool:
-        if not self._may_retry(now):
-            return False
-        self.telemetry = None
-        if not self.link.reopen():
-            return False
-        self.link.send(Message.HEARTBEAT)
-        self._heard = self.link.clock()
-        return True
-
     def _start_from_measured(self) -> None:
         """Let the next command begin at what is measured."""
-        if self.mode == 'tension':
-            value = self.measured_tensions()
-        else:
-            value = measured_pulls(self.config, self.telemetry, self.zero)
+        tension = self.mode == 'tension'
+        value = self.measured_tensions() if tension else self.measured_pulls()
         self._goal = np.where(np.isfinite(value), value, self._goal)
         self._written = time.monotonic()
 
@@ -242,108 +304,85 @@ class SerialDriver(PortDriver):
             self.zero = np.where(np.isfinite(self.zero), self.zero, measured)
             give_limits(self.link, self.config, self.zero)
 
+    def _find_slack(self) -> None:
+        """
+        Wind all wires to the homing tension, within `home_travel` of where the search began.
 
-def channel_mask(channels: np.ndarray) -> int:
-    """Return a bit per channel, shape (k,)."""
-    return int(np.bitwise_or.reduce(1 << channels, initial=0))
+        Where a wire does not come to that tension in time, MovedError says why; where the board
+        refuses before anything has moved, it is a DriverError.
+        """
+        channels, travel = self.config.places.tolist(), self.config.home_travel
+        gone, start = travelled(self.config.port), self._board_pulls()
+        origin = start - np.array([gone.get(channel, 0.0) for channel in channels])
+        try:
+            self._refuse_too_far(np.abs(start - origin) > travel)
+        except DriverError as error:
+            raise MovedError(f'no pull zero found: {error}') from None
+        give_limits(self.link, self.config, origin, (-travel, travel))
+        self.switch_on('tension')
+        try:
+            self.zero = self._wind_until_taut(origin)
+            gone.clear()
+            give_limits(self.link, self.config, self.zero)
+        except MovedError:
+            raise
+        except (DriverError, PortLostError) as error:
+            raise MovedError(str(error)) from None
 
-
-# -----------------------------------------------------------------------------
-# Where pull is zero: every wire just taut, as its load cell says.
-
-CYCLE_S = 0.01  # [s]
-STEADY_FOR_S = 0.2  # [s]
-TENSION_WITHIN_SHARE = 0.3  # of the wanted tension
-TRAVEL_END_WITHIN_M = 5e-4  # [m] to the end of `home_travel`: the board goes no further
-
-
-def find_slack(driver: SerialDriver) -> Array:
-    """
-    Wind all wires to the homing tension; return where they are, shape (m,) [m] on the board.
-
-    Raises
-    ------
-    MovedError
-        A wire does not come to that tension in time, or within `home_travel` of where the first
-        attempt began.
-    DriverError
-        The board refuses: nothing has moved.
-
-    """
-    start = _places(driver)
-    gone = travelled(driver.config.port)
-    origin = start - np.array(
-        [gone.get(channel, 0.0) for channel in driver.config.places.tolist()]
-    )
-    away = np.abs(start - origin) > driver.config.home_travel
-    if away.any():
-        raise MovedError(f'no pull zero found: {_too_far(driver, away)}')
-    travel = driver.config.home_travel
-    give_limits(driver.link, driver.config, origin, (-travel, travel))
-    driver.switch_on('tension')
-    try:
-        pulls = _wind(driver, origin)
-    except (DriverError, PortLostError) as error:
-        _remember(driver, origin)
-        raise MovedError(f'no pull zero found: {error}') from None
-    gone.clear()
-    return pulls
-
-
-def _places(driver: SerialDriver) -> Array:
-    """Return where the wires are, shape (m,) [m] on the board."""
-    if driver.telemetry is None:
-        raise DriverError(f'{driver.config.port}: no telemetry; check cable and supply')
-    return np.array(driver.telemetry.pulls[driver.config.places], dtype=float)
-
-
-def _wind(driver: SerialDriver, origin: Array) -> Array:
-    """Ask for the homing tension until every wire has it."""
-    config = driver.config
-    goal = np.full(len(driver.inputs), config.home_tension)
-    deadline = time.monotonic() + config.home_time
-    steady = time.monotonic()
-    while time.monotonic() - steady < STEADY_FOR_S:
-        if driver.cancelled():
-            raise DriverError(f'{config.port}: looking for slack was cancelled; torque is off')
-        driver.command('tension', goal)
-        driver.read_again()
-        away = ~(np.abs(driver.measured_tensions() - goal) < TENSION_WITHIN_SHARE * goal)
-        if away.any():
-            steady = time.monotonic()
-        if faults := latched_faults(driver.config, driver.telemetry):
-            raise DriverError('; '.join(fault.message for fault in faults))
-        reach = config.home_travel - TRAVEL_END_WITHIN_M
-        ended = away & (np.abs(_places(driver) - origin) > reach)
-        if ended.any():
-            raise DriverError(_too_far(driver, ended))
-        if time.monotonic() > deadline:
-            raise DriverError(
-                f'{config.port}: {_names(driver, away)}: not at {config.home_tension:g} N within '
-                f'{config.home_time:g} s; is the wire attached, and the direction right?'
+    def _wind_until_taut(self, origin: Array) -> Array:
+        """Command the homing tension until every wire has it; return where they are, (m,) [m]."""
+        config = self.config
+        goal = np.full(len(self.inputs), config.home_tension)
+        deadline = time.monotonic() + config.home_time
+        steady = time.monotonic()
+        try:
+            while time.monotonic() - steady < SETTLE_S:
+                if self.cancelled():
+                    raise DriverError(
+                        f'{config.port}: looking for slack was cancelled; torque is off'
+                    )
+                self.command('tension', goal)
+                self.read_again()
+                away = ~(np.abs(self.measured_tensions() - goal) < TENSION_TOLERANCE * goal)
+                if away.any():
+                    steady = time.monotonic()
+                if faults := self._latched_faults():
+                    raise DriverError('; '.join(fault.message for fault in faults))
+                reach = config.home_travel - TRAVEL_TOLERANCE_M
+                self._refuse_too_far(away & (np.abs(self._board_pulls() - origin) > reach))
+                if time.monotonic() > deadline:
+                    raise DriverError(
+                        f'{config.port}: {self._names(away)}: not at {config.home_tension:g} N '
+                        f'within {config.home_time:g} s; is the wire attached, and the direction '
+                        'right?'
+                    )
+                time.sleep(CYCLE_S)
+        except (DriverError, PortLostError) as error:
+            self.disable()
+            try:
+                self.read_again()
+                distance = self._board_pulls() - origin
+            except (DriverError, PortLostError):  # on its own the board may wind to the end
+                distance = np.full(len(self.inputs), config.home_travel)
+            travelled(config.port).update(
+                zip(config.places.tolist(), distance.tolist(), strict=True)
             )
-        time.sleep(CYCLE_S)
-    return _places(driver)
+            raise MovedError(f'no pull zero found: {error}') from None
+        return self._board_pulls()
 
+    def _board_pulls(self) -> Array:
+        """Return where the wires are, shape (m,) [m] on the board."""
+        if self.telemetry is None:
+            raise DriverError(f'{self.config.port}: no telemetry; check cable and supply')
+        return np.array(self.telemetry.pulls[self.config.places], dtype=float)
 
-def _remember(driver: SerialDriver, origin: Array) -> None:
-    """Torque off; note how far a search went that found nothing."""
-    driver.disable()
-    try:
-        driver.read_again()
-        way = _places(driver) - origin
-    except (DriverError, PortLostError):  # on its own the board may wind to the end
-        way = np.full(len(driver.inputs), driver.config.home_travel)
-    gone = zip(driver.config.places.tolist(), way.tolist(), strict=True)
-    travelled(driver.config.port).update(gone)
+    def _refuse_too_far(self, which: NDArray[np.bool_]) -> None:
+        """Raise DriverError for inputs (m,) whose search for slack has gone too far."""
+        if which.any():
+            raise DriverError(
+                f'{self.config.port}: {self._names(which)}: no resistance within home_travel = '
+                f'{self.config.home_travel:g} m; is the wire on its spool, is direction right?'
+            )
 
-
-def _too_far(driver: SerialDriver, which: Array) -> str:
-    return (
-        f'{driver.config.port}: {_names(driver, which)}: no resistance within home_travel = '
-        f'{driver.config.home_travel:g} m; is the wire on its spool, is direction right?'
-    )
-
-
-def _names(driver: SerialDriver, which: Array) -> str:
-    return ', '.join(n for n, bad in zip(driver.inputs, which, strict=True) if bad)
+    def _names(self, which: NDArray[np.bool_]) -> str:
+        return ', '.join(n for n, bad in zip(self.inputs, which, strict=True) if bad)

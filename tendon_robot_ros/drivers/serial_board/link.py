@@ -1,7 +1,13 @@
-"""The serial port to the board: whole frames go out, good frames come in; lost ports come back."""
+"""
+The serial port to the board: whole frames go out, good frames come in; lost ports come back.
+
+Questions that the board must answer: who it is, that it took its configuration, and what its load
+cells count.
+"""
 
 from __future__ import annotations
 
+import io
 import os
 import select
 import time
@@ -10,13 +16,28 @@ import numpy as np
 import serial
 
 from ...common.errors import DriverError
+from ..hardware import (
+    ANSWER_TIMEOUT_S,
+    PORT_ERRORS,
+    READINGS_MIN,
+    PortLostError,
+    refuse_held,
+    take_alone,
+    why_not,
+    write_all,
+)
 from ..interface import Array
-from ..ports import PORT_ERRORS, PortLostError, refuse_held, take_alone, why_not, write_all
 from . import messages
-from .config import BoardConfig
+from .config import BoardConfig, CountsPoint
 from .messages import VERSION, Frame, FrameReceiver, Identity, Message, Telemetry, encode
 
-CHUNK_BYTES = 65536
+# [s] opening the port restarts many boards, and their boot loader would wait 2 s
+BOOT_TIME_S = 4.0
+ATTEMPTS = 8  # [1] of a message, so that noise on the cable does not end a configuration
+RELEASE_TIME_S = 10.0  # [s] of a board left under tension, so that a slow release comes to an end
+SAMPLE_S = 0.0125  # [s] between two values of a load cell: HX711 datasheet, 80 values per second
+# [s] in which a load cell and what pulls at it settle, so that no reading is from before
+SETTLE_S = 0.2
 
 
 class BoardLink:
@@ -65,7 +86,7 @@ class BoardLink:
             raise DriverError(why_not(self.path, error)) from None
 
     def reopen(self) -> bool:
-        """Try to get a lost port back; tell whether it worked. Quick either way."""
+        """Try to get a lost port back; return whether it worked. Quick either way."""
         self.close()
         try:
             if os.path.exists(self.path):
@@ -114,7 +135,7 @@ class BoardLink:
             file = port.fileno()
             if not select.select([file], [], [], max(wait, 0.0))[0]:
                 return []
-            data = os.read(file, CHUNK_BYTES)
+            data = os.read(file, io.DEFAULT_BUFFER_SIZE)
         except PORT_ERRORS as error:
             self._lost(error)
         if not data:
@@ -146,15 +167,6 @@ class BoardLink:
         raise PortLostError(f'{self.path}: {error}') from None
 
 
-# -----------------------------------------------------------------------------
-# Questions to the board that it must answer: who it is, and that it took its configuration.
-
-BOOT_TIME_S = 4.0  # [s]; opening the port restarts many boards, their boot loader waits 2 s
-ANSWER_TIMEOUT_S = 0.1  # [s]
-ATTEMPTS = 8
-RELEASE_TIME_S = 10.0  # [s] that a board left running by another process gets
-
-
 def identify(link: BoardLink, config: BoardConfig) -> Identity:
     """
     Ask who is there until it answers.
@@ -170,26 +182,24 @@ def identify(link: BoardLink, config: BoardConfig) -> Identity:
         link.send(Message.HELLO)
         for frame in wait_for(link, Message.IDENTITY, ANSWER_TIMEOUT_S):
             identity = messages.read_identity(frame)
-            if identity is not None:
-                return _suits(link, config, identity)
+            if identity is None:
+                continue
+            if identity.version != VERSION:
+                raise DriverError(
+                    f'{link.path}: protocol: expected version {VERSION}, got {identity.version}; '
+                    'put the firmware of this package on the board'
+                )
+            last = identity.channels - 1
+            for tendon in config.tendons:
+                if tendon.channel > last:
+                    raise DriverError(
+                        f'{config.source}: {tendon}: the board has channels 0 to {last}'
+                    )
+            return identity
     raise DriverError(
         f'{link.path}: no answer at {config.baud} baud for {BOOT_TIME_S:g} s; is the firmware on '
         'the board, and is the baud rate that of pins.h?'
     )
-
-
-def _suits(link: BoardLink, config: BoardConfig, identity: Identity) -> Identity:
-    if identity.version != VERSION:
-        raise DriverError(
-            f'{link.path}: protocol: expected version {VERSION}, got {identity.version}; '
-            'put the firmware of this package on the board'
-        )
-    for tendon in config.tendons:
-        if tendon.channel >= identity.channels:
-            raise DriverError(
-                f'{config.source}: {tendon}: the board has channels 0 to {identity.channels - 1}'
-            )
-    return identity
 
 
 def wait_for(link: BoardLink, kind: int, wait: float) -> list[Frame]:
@@ -287,3 +297,65 @@ def let_go(link: BoardLink, channels: int) -> None:
             link.send(Message.HEARTBEAT)
             heard = telemetry(link, channels, 0.1)
     ask(link, Message.DISABLE, b'\xff')
+
+
+def connect(config: BoardConfig) -> tuple[BoardLink, int]:
+    """Open the port and ask who is there; return the link and the number of channels."""
+    link = BoardLink(config.port, config.baud)
+    link.open()
+    try:
+        return link, identify(link, config).channels
+    except (DriverError, PortLostError) as error:
+        link.close()
+        raise DriverError(str(error)) from None
+
+
+def measure_counts(
+    link: BoardLink, channels: int, channel: int, tension: float, seconds: float
+) -> CountsPoint:
+    """
+    Read a load cell for some seconds; the motors stay as they are.
+
+    Parameters
+    ----------
+    link : BoardLink
+    channels : int
+        Of the board.
+    channel : int
+        The one whose cell is read.
+    tension : float
+        Weight of what hangs on it [N].
+    seconds : float
+
+    Raises
+    ------
+    DriverError
+        The board does not answer, or the cell is saturated.
+
+    """
+    counts: list[float] = []
+    began = time.monotonic()
+    try:
+        while (passed := time.monotonic() - began) < SETTLE_S + seconds:
+            link.send(Message.RAW)
+            for frame in wait_for(link, Message.RAW_CELLS, ANSWER_TIMEOUT_S):
+                cells = messages.read_cells(frame, channels)
+                if cells is not None and passed > SETTLE_S:
+                    counts.append(float(cells[channel]))
+            time.sleep(SAMPLE_S)
+    except PortLostError as error:
+        raise DriverError(f'{error}: lost while calibrating') from None
+    values = np.array(counts)
+    values = values[np.append(True, np.diff(values) != 0.0)]  # the same value, read twice
+    if len(values) < READINGS_MIN:
+        raise DriverError(f'{link.path}: channel {channel}: no values of its load cell')
+    if np.max(np.abs(values)) >= messages.CELL_COUNTS_MAX:
+        raise DriverError(f'{link.path}: channel {channel}: load cell saturated; less weight')
+    spread = float(values.std(ddof=1))
+    noise = 1.05 * float(np.median(np.abs(np.diff(values))))  # 1 sd, of any that hangs still
+    if spread > 4.0 * noise + 5.0:
+        raise DriverError(
+            f'{link.path}: channel {channel}: the weight does not hang still: {spread:.0f} counts '
+            f'(1 sd), the noise is {noise:.0f}; begin again'
+        )
+    return CountsPoint(tension, float(values.mean()), spread)

@@ -19,16 +19,16 @@ from numpy.typing import NDArray
 
 VERSION = 1  # of the protocol, docs/serial_protocol.md
 CHANNELS_MAX = 8  # [1] a board can have: docs/serial_protocol.md, a byte has a bit for each
-HEADER = 4  # [bytes] version, type, sequence, length of the payload: docs/serial_protocol.md
 CRC_BYTES = 3  # [bytes] six bits in each: docs/serial_protocol.md
 MICRO = 1e-6  # [N], [m] of one count: docs/serial_protocol.md
 CELL_COUNTS_MAX = 2**23 - 1  # [counts] of 24 bits, where a cell is overloaded: HX711 datasheet
 
+_HEADER = struct.Struct('BBBB')  # version, type, sequence, length of the payload
 _TELEMETRY = struct.Struct('<IBBBBH')
 _CHANNEL = np.dtype([('tension', '<i4'), ('pull', '<i4'), ('current', '<i2'), ('faults', '<u2')])
 _IDENTITY = struct.Struct('<BBHI')
-# [bytes] between two delimiters: the longest telemetry, stuffed, docs/serial_protocol.md
-FRAME_BYTES_MAX = HEADER + _TELEMETRY.size + CHANNELS_MAX * _CHANNEL.itemsize + 1 + CRC_BYTES
+# [bytes] between two delimiters: the longest telemetry, stuffed: docs/serial_protocol.md
+FRAME_BYTES_MAX = _HEADER.size + _TELEMETRY.size + CHANNELS_MAX * _CHANNEL.itemsize + 1 + CRC_BYTES
 
 
 class Message(IntEnum):
@@ -138,21 +138,21 @@ def unstuff(data: bytes) -> bytes | None:
 
 def encode(kind: int, sequence: int, payload: bytes = b'', version: int = VERSION) -> bytes:
     """Return the bytes of a frame, delimiters before and after it."""
-    body = stuff(bytes((version, kind, sequence & 0xFF, len(payload))) + payload)
+    body = stuff(_HEADER.pack(version, kind, sequence & 0xFF, len(payload)) + payload)
     return b'\0' + body + _crc_bytes(body) + b'\0'
 
 
 def decode(data: bytes) -> Frame | None:
     """Read what stood between two delimiters; None when anything about it is wrong."""
-    if not HEADER + 1 + CRC_BYTES <= len(data) <= FRAME_BYTES_MAX:
+    if not _HEADER.size + 1 + CRC_BYTES <= len(data) <= FRAME_BYTES_MAX:
         return None
     stuffed = data[:-CRC_BYTES]
     if data[-CRC_BYTES:] != _crc_bytes(stuffed):
         return None
     body = unstuff(stuffed)
-    if body is None or body[3] != len(body) - HEADER:
+    if body is None or body[3] != len(body) - _HEADER.size:
         return None
-    return Frame(body[0], body[1], body[2], body[HEADER:])
+    return Frame(body[0], body[1], body[2], body[_HEADER.size :])
 
 
 class FrameReceiver:

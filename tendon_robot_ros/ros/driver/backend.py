@@ -189,12 +189,12 @@ def rules(robot: Robot, driver: Driver, parameters: Parameters) -> SafetyRules:
         high = parameters['pull_limit'] or np.inf
         low, rate, release = -high, parameters['pull_rate_limit'], parameters['pull_release_rate']
     limits = np.column_stack([np.maximum(limits[:, 0], low), np.minimum(limits[:, 1], high)])
-    rest, give_way, wanted = np.zeros(len(limits)), None, parameters['pretension']
+    rest, stop_tension, wanted = np.zeros(len(limits)), None, parameters['pretension']
     if driver.mode == 'tension':
         rest = limits[:, 0].copy() if wanted < 0.0 else np.full(len(limits), wanted)
-    elif driver.gives_way:
-        give_way = robot.tension_limits[0] if wanted < 0.0 else wanted
-    soon = driver.mode == 'tension' or driver.gives_way
+    elif driver.limits_current:
+        stop_tension = robot.tension_limits[0] if wanted < 0.0 else wanted
+    soon = driver.mode == 'tension' or driver.limits_current
     return SafetyRules(
         inputs=robot.inputs,
         mode=driver.mode,
@@ -206,7 +206,7 @@ def rules(robot: Robot, driver: Driver, parameters: Parameters) -> SafetyRules:
         release_to=parameters['release_to'],
         stop_time=parameters['stop_time'] if soon else 0.0,
         tension_limits=robot.tension_limits,
-        give_way=give_way,
+        stop_tension=stop_tension,
     )
 
 

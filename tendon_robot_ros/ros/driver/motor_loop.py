@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from ...common.errors import DriverError, MovedError
 from ...drivers import Driver, Fault, Reading
-from ...drivers.safety import Decision
-from ...drivers.supervisor import FOLLOWING, LIMP, OFF, RELEASED, Supervisor
+from ...drivers.safety import FOLLOWING, LIMP, OFF, RELEASED, Decision, Supervisor
 
 Array = NDArray[np.float64]
 # [s] to switch torque on, because a driver may look for the slack of its wires first: else each of
@@ -200,7 +199,8 @@ class MotorLoop:
         )
 
     def _write(self, decision: Decision) -> None:
-        self.driver.weaken(decision.weakening, self.supervisor.rules.give_way or 0.0)
+        tension = self.supervisor.rules.stop_tension or 0.0
+        self.driver.limit_current(decision.current_reduction, tension)
         self.driver.write(decision.command)
 
     def _torque(self, decision: Decision) -> bool:

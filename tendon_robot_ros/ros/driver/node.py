@@ -22,8 +22,16 @@ from ...common.processes import Realtime, go_realtime
 from ...control.checks import Refusal, by_name, check_stamp, finite
 from ...drivers.interface import BACKENDS
 from ...drivers.mock import MockDriver
-from ...drivers.safety import STOP_TIME_MIN_S, StopLatch
-from ...drivers.supervisor import FOLLOWING, HOLDING, LIMP, OFF, RELEASED, Supervisor
+from ...drivers.safety import (
+    FOLLOWING,
+    HOLDING,
+    LIMP,
+    OFF,
+    RELEASED,
+    STOP_TIME_MIN_S,
+    StopLatch,
+    Supervisor,
+)
 from ...drivers.tendon_check import due
 from ...robot import load_robot
 from ..shared.inbox import Inbox, Received
