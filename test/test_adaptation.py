@@ -6,12 +6,7 @@ from source_tree import ROOT
 
 from tendon_robot_ros.data import default_markers
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.monitoring.adaptation import (
-    CHANGE_EVERY,
-    JUDGED_POSTURES,
-    Adaptation,
-    RecursiveEstimate,
-)
+from tendon_robot_ros.monitoring.adaptation import CHANGE_EVERY, Adaptation, RecursiveEstimate
 from tendon_robot_ros.robot import dump_robot, load_robot, parse_robot
 from tendon_robot_ros.workspace.postures import default_postures
 
@@ -147,7 +142,7 @@ def test_a_lever_follows_slowly_within_its_interval_and_is_given_back():
 
 def test_a_lever_beyond_its_interval_stays_at_its_end_and_it_is_said():
     adaptation = Adaptation(Model(described(high=0.33e-3)), default_markers(ROBOT), TRACKER_NOISE)
-    followed(adaptation, 0.36e-3, 3 * JUDGED_POSTURES, 3)
+    followed(adaptation, 0.36e-3, 6 * CHANGE_EVERY, 3)
     assert lever(adaptation.robot) <= 0.33e-3
     assert 'hinge_friction.lever is at the end of its interval: investigate' in adaptation.text
 

@@ -15,16 +15,17 @@ from tendon_robot_ros.investigation.goal import Goal, InvestigationEnd
 from tendon_robot_ros.investigation.loop import Investigation
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.monitoring.built_arm import BuiltArm
-from tendon_robot_ros.monitoring.change import (
-    ChangeFinder,
-    ChangeFit,
-    changes_of,
+from tendon_robot_ros.monitoring.change import ChangeFinder, ChangeFit, changes_of
+from tendon_robot_ros.monitoring.references import log_likelihoods, widening
+from tendon_robot_ros.monitoring.tip_force import TipForceObserver
+from tendon_robot_ros.monitoring.watch import (
+    ArmWatch,
+    DriftAlarm,
+    WatchSettings,
+    _ChangeBegun,
     dump_change,
     load_change,
 )
-from tendon_robot_ros.monitoring.references import log_likelihoods, widening
-from tendon_robot_ros.monitoring.tip_force import TipForceObserver
-from tendon_robot_ros.monitoring.watch import ArmWatch, DriftAlarm, WatchSettings, _ChangeBegun
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.plant import make_plant

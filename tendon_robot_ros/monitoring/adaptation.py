@@ -57,19 +57,15 @@ END = 0.02
 # [1] of an interval, that a parameter moves at a time, so that one wrong estimate cannot move it
 # far
 STEP_MAX = 0.25
-# [1] postures between two changes, so that the error after the last one shows
+# [1] postures between two changes, so that the error after the last one shows: a change is judged
+# by as many before it and after it
 CHANGE_EVERY = 4
-# [1] postures by whose error a change is judged: those before and after the last one, so that both
-# count
-JUDGED_POSTURES = 2 * CHANGE_EVERY
 # [1] of what is known kept from one measurement to the next: the memory is of all, of 50, of 10
 # and of 3 measurements, so that the data choose
 MEMORIES = 1.0, 0.98, 0.9, 0.7
 # [1] power of a weight from one measurement to the next, so that a filter that was wrong 30 of
 # them ago comes back (Raftery, Karny, Ettler 2010)
 WEIGHT_MEMORY = 0.97
-# [1] of a weight, so that no filter is ever out
-WEIGHT_MIN = 1e-6
 
 
 class _Filter:
@@ -192,7 +188,7 @@ class RecursiveEstimate:
             one.keep_within(self.low, self.high)
         logs = WEIGHT_MEMORY * np.log(self.weights) + np.array([log for log, _ in fits])
         weights = np.exp(logs - logs.max())
-        weights = weights / weights.sum() + WEIGHT_MIN
+        weights = weights / weights.sum() + ODD_PROBABILITY  # no filter is ever out
         self.weights = weights / weights.sum()
         return min(chi2 for _, chi2 in fits)
 
@@ -323,7 +319,7 @@ class Adaptation:
             self.problem = 'nothing can follow: friction_memory depends on every earlier posture'
         self._arm = BuiltArm(self.robot, model.catalogue, markers, noise)
         self._estimate: RecursiveEstimate | None = None
-        self._recent: deque[tuple[Floats, Floats]] = deque(maxlen=JUDGED_POSTURES)
+        self._recent: deque[tuple[Floats, Floats]] = deque(maxlen=2 * CHANGE_EVERY)
         self.postures = self._changed_at = self._odd = 0
 
     @property
@@ -376,7 +372,7 @@ class Adaptation:
             return None
         self._recent.append((tensions, positions))
         self.postures += 1
-        ready = len(self._recent) == JUDGED_POSTURES and not self._odd
+        ready = len(self._recent) == 2 * CHANGE_EVERY and not self._odd
         if not (change and ready) or self.postures - self._changed_at < CHANGE_EVERY:
             return None
         return self._follow()

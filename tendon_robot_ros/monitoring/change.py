@@ -19,32 +19,25 @@ free to follow within what is known of it.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from ..common.errors import InputError
 from ..common.estimation import gauss_newton
 from ..common.words import digits, mm, spoken, with_unit
 from ..comparison.predict import CELLS, FreeParameter, Point, Predictor, free_parameters
 from ..comparison.statistics import chi2_sf
-from ..data import DataSet, Marker
+from ..data import DataSet
 from ..diagnosis.imperfections import GAIN, SplitPredictor
 from ..diagnosis.intervals import load_of, vector_rows
 from ..diagnosis.slopes import imperfections
-from ..effects import Catalogue
 from ..report.sentences import load_words
-from ..robot import dump_robot, parse_robot
 from .built_arm import ODD_PROBABILITY, BuiltArm
 
 Floats = npt.NDArray[np.float64]
-FORMAT = 'tendon_robot_ros/change@1'
-SIZES = 'remainder', 'setting', 'widening'  # of an arm as it was learned
 TRACKER, FRAME = 'the tracker', 'base_misalignment'  # a tracker that was bumped does what it does
 SHIFT = 'shift'  # of the frame; the other keys of the effect are a rotation
 # [1] relative 1 sd of a change of a kind of imperfection: what is seen on arms that wear
@@ -479,60 +472,3 @@ class ChangeFinder:
         logs = np.array([fit.log for fit in self.fits])
         odds = np.exp(logs - logs.max()) if len(logs) else logs
         return np.asarray(odds / odds.sum()) if len(odds) else odds
-
-
-def dump_change(finder: ChangeFinder) -> str:
-    """Return what is known of a change as JSON."""
-    arm = finder.arm
-    content: dict[str, Any] = {
-        'format': FORMAT,
-        'robot': dump_robot(arm.robot),
-        'markers': [
-            [m.name, m.arc_length, np.asarray(m.offset).tolist()]
-            for m in arm.split.dataset.markers
-        ],
-        'noise': arm.noise,
-        'level': arm.level,
-        **{name: float(getattr(arm, name)) for name in SIZES},
-        'mean': arm.mean.tolist(),
-        'covariance': arm.covariance.tolist(),
-        'postures': [[t.tolist(), y.tolist(), frames] for t, y, frames in finder.taken],
-    }
-    return json.dumps(content)
-
-
-def load_change(text: str, catalogue: Catalogue) -> ChangeFinder:
-    """
-    Return a finder that knows as much.
-
-    Parameters
-    ----------
-    text : str
-        As of `dump_change`.
-    catalogue : Catalogue
-        Of the effects that may have appeared.
-
-    Raises
-    ------
-    InputError
-        It is none, or of another version.
-
-    """
-    try:
-        content = json.loads(text)
-        known = content['format']
-    except (ValueError, KeyError, TypeError):
-        known = 'no JSON of a change'
-    if known != FORMAT:
-        raise InputError(f'change: expected {FORMAT}, got {known}: restart the monitor')
-    markers = [Marker(name, arc, tuple(offset)) for name, arc, offset in content['markers']]
-    robot = parse_robot(content['robot'], 'robot of the monitor')
-    arm = BuiltArm(robot, catalogue, markers, content['noise'], content['level'])
-    for name in SIZES:
-        setattr(arm, name, content[name])
-    finder = ChangeFinder(
-        arm.as_known(np.array(content['mean']), np.array(content['covariance'])), changes_of(arm)
-    )
-    for tensions, positions, frames in content['postures']:
-        finder.take(np.array(tensions), np.array(positions), frames)
-    return finder

@@ -39,12 +39,8 @@ Posture = tuple[Floats, Floats, Floats, tuple[Floats, Floats]]
 # [1] postures in a row whose innovations are added up, because those that hang together show only
 # so
 BATCHES = 1, 4, 8
-# [1] 1 sd over the median absolute deviation of a normal distribution, as values are by chance
-MAD_SD = 1.0 / NormalDist().inv_cdf(0.75)
 # [1] references; fewer would not tell how much a model that is wrong makes them vary
 USUAL_MIN = 10
-# [1] standard deviations: a mean of batches is above with a probability of 1 %
-UPPER_SD = NormalDist().inv_cdf(0.99)
 
 
 def log_likelihoods(
@@ -154,7 +150,8 @@ def contradicted(references: Sequence[Reference | None], counts: Bools) -> Bools
         return np.zeros(len(sizes), dtype=np.bool_)
     apart = np.log(np.where(seen, sizes / limits, 1.0))
     middle = float(np.median(apart[seen]))
-    varies = MAD_SD * float(np.median(np.abs(apart[seen] - middle)))
+    deviation = float(np.median(np.abs(apart[seen] - middle)))
+    varies = deviation / NormalDist().inv_cdf(0.75)  # 1 sd of a normal distribution
     expected = float(np.median(np.sqrt(0.5 / freedom[seen])))  # of the logarithm of a norm
     return np.asarray(seen & (apart - middle > -middle * max(1.0, varies / expected)))
 
@@ -181,6 +178,7 @@ def widening(scores: Sequence[tuple[Floats, Floats]]) -> float:
             if mean > 0.0:
                 ratios.append(float(score @ both[:, 0]) / mean)
         if len(ratios) > 2:
-            upper = np.mean(ratios) + UPPER_SD * np.std(ratios, ddof=1) / np.sqrt(len(ratios))
+            error = np.std(ratios, ddof=1) / np.sqrt(len(ratios))
+            upper = np.mean(ratios) + NormalDist().inv_cdf(0.99) * error
             worst = max(worst, float(upper))
     return worst

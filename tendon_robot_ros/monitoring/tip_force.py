@@ -45,10 +45,8 @@ SHIFTED_SD = 0.5
 SAME_LENGTH = 0.02
 # [1] of the prior: an axis that is known better is linear, because the force hardly varies
 LINEAR = 0.01
-# [1] standard deviations to which the posterior is summed up; beyond is 0.3 % by chance
-SPREAD_SD = 3.0
-# [1] places in that sum: three for each standard deviation, else a curve would be missed
-SPREAD_POINTS = 9
+# [1] standard deviations at which the posterior is summed up; beyond is 0.3 % by chance
+SPREAD = np.linspace(-3.0, 3.0, 9)
 # [1] probability that any cell is said to be touched though none is
 FALSE_CONTACT_PROBABILITY = 1e-4
 # [1] probability of what is left, below which a force elsewhere is looked for; it takes time,
@@ -232,7 +230,7 @@ class _Fit:
         best = np.linalg.pinv(columns @ known)
         for _ in range(2):  # once more around where it was
             places, logs = [], []
-            for away in np.linspace(-SPREAD_SD, SPREAD_SD, SPREAD_POINTS):
+            for away in SPREAD:
                 place = force + away * sd * worst
                 white = self._white(place)
                 if white is None:

@@ -17,15 +17,18 @@ postures: without the one that speaks most for a change the sum still has to be 
 single one may be off as no innovation of a linear filter is, where kinks turn friction, or the
 tracker was wrong for once: where four as expected follow, it was odd, and no evidence. From what
 is beyond its gate the filter does not learn, be it odd or after a change: it stays the arm that
-was. What it looks like is then fitted to the postures since (`change.py`).
+was. What it looks like is then fitted to the postures since (`change.py`), here or by an
+investigation, to which the arm as it was and these postures are handed over as text.
 """
 
 from __future__ import annotations
 
+import json
 import threading
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -35,12 +38,16 @@ from ..common.processes import ComputingThread
 from ..common.words import listed
 from ..comparison.statistics import chi2_sf
 from ..data import Marker
+from ..effects import Catalogue
 from ..model.model import Model
+from ..robot import dump_robot, parse_robot
 from .built_arm import ODD_PROBABILITY, BuiltArm, Expected
-from .change import ChangeFinder, Suspect, changes_of, described, dump_change
+from .change import ChangeFinder, Suspect, changes_of, described
 from .tip_force import TipForce, TipForceObserver
 
 Floats = npt.NDArray[np.float64]
+FORMAT = 'tendon_robot_ros/change@1'
+SIZES = 'remainder', 'setting', 'widening'  # of an arm as it was learned
 # [1] postures; without a change no alarm before, on average and at least (docs/investigate.md)
 ALARM_POSTURES = 20_000.0
 # [1] of the sum that has to be left without the posture that speaks most for it: by chance one of
@@ -311,6 +318,63 @@ class DriftAlarm:
 def _sum(logs: Floats) -> float:
     """Return the evidence: averaged over the changes, added up over the beginnings."""
     return float(np.exp(np.minimum(logs, 600.0)).mean(axis=1).sum())
+
+
+def dump_change(finder: ChangeFinder) -> str:
+    """Return what is known of a change as JSON."""
+    arm = finder.arm
+    content: dict[str, Any] = {
+        'format': FORMAT,
+        'robot': dump_robot(arm.robot),
+        'markers': [
+            [m.name, m.arc_length, np.asarray(m.offset).tolist()]
+            for m in arm.split.dataset.markers
+        ],
+        'noise': arm.noise,
+        'level': arm.level,
+        **{name: float(getattr(arm, name)) for name in SIZES},
+        'mean': arm.mean.tolist(),
+        'covariance': arm.covariance.tolist(),
+        'postures': [[t.tolist(), y.tolist(), frames] for t, y, frames in finder.taken],
+    }
+    return json.dumps(content)
+
+
+def load_change(text: str, catalogue: Catalogue) -> ChangeFinder:
+    """
+    Return a finder that knows as much.
+
+    Parameters
+    ----------
+    text : str
+        As of `dump_change`.
+    catalogue : Catalogue
+        Of the effects that may have appeared.
+
+    Raises
+    ------
+    InputError
+        It is none, or of another version.
+
+    """
+    try:
+        content = json.loads(text)
+        known = content['format']
+    except (ValueError, KeyError, TypeError):
+        known = 'no JSON of a change'
+    if known != FORMAT:
+        raise InputError(f'change: expected {FORMAT}, got {known}: restart the monitor')
+    markers = [Marker(name, arc, tuple(offset)) for name, arc, offset in content['markers']]
+    robot = parse_robot(content['robot'], 'robot of the monitor')
+    arm = BuiltArm(robot, catalogue, markers, content['noise'], content['level'])
+    for name in SIZES:
+        setattr(arm, name, content[name])
+    finder = ChangeFinder(
+        arm.as_known(np.array(content['mean']), np.array(content['covariance'])), changes_of(arm)
+    )
+    for tensions, positions, frames in content['postures']:
+        finder.take(np.array(tensions), np.array(positions), frames)
+    return finder
 
 
 @dataclass(frozen=True)

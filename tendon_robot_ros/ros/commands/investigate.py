@@ -42,8 +42,9 @@ from ...investigation.measuring import News
 from ...investigation.record import BETTER, BrokenMeasurementError, PostureMeasured
 from ...model.model import Model
 from ...monitoring import History, MonitorSettings, StillMeasurement, StillWindow
-from ...monitoring.change import ChangeFinder, load_change
+from ...monitoring.change import ChangeFinder
 from ...monitoring.monitor import read_markers
+from ...monitoring.watch import load_change
 from ...robot import Robot
 from ...robot.estimates import natural_sizes
 from ...robot.keep_out import KeepOut, load_keep_out
