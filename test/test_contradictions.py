@@ -6,7 +6,7 @@ from marks import slow
 from source_tree import ROOT
 
 from tendon_robot_ros.comparison.noise import input_slopes
-from tendon_robot_ros.comparison.outliers import _residuals, contradicted, outlier_limits
+from tendon_robot_ros.comparison.outliers import contradicted, outlier_limits, trial_residuals
 from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.robot import load_robot
@@ -92,7 +92,7 @@ def test_a_reading_that_one_trial_lost_makes_none_of_the_others_stand_out():
     arm, slope = random.normal(size=(8, 3)), random.normal(size=(1, 8, 3))
     trials = arm + np.array([0.0, -2.0, -1.0, 4.0, 6.0])[:, None, None] * slope
     trials[1, 7] = np.nan
-    left = _residuals(trials, slope)
+    left = trial_residuals(trials, slope)
     assert left.sizes.max() < 1e-9  # their middles are of other trials: 0.5 and more
     assert left.freedom.tolist() == [[3] * 8, [3] * 7 + [0], *[[3] * 8] * 3]
 

@@ -15,7 +15,7 @@ from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import DataSetError
 from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.data.recording.importing import import_bag
-from tendon_robot_ros.data.recording.reader import TF, Topics, _taking_turns
+from tendon_robot_ros.data.recording.reader import TF, Topics, alternating
 from tendon_robot_ros.robot import dump_robot
 
 RATE = 25.0
@@ -223,10 +223,10 @@ def test_a_clock_that_was_set_back_is_named(tmp_path):
 def test_noise_of_what_does_not_move_is_no_second_sender(draw, messages):
     random = np.random.default_rng(3)
     values = getattr(random, draw)(size=(messages, 90))
-    assert _taking_turns(np.arange(messages) / 50.0, values) is None
+    assert alternating(np.arange(messages) / 50.0, values) is None
     begin = messages // 2  # of ten seconds with two senders
     values[begin : begin + 500 : 2] += 10.0
-    assert _taking_turns(np.arange(messages) / 50.0, values)[2] == pytest.approx(10.0, abs=3.0)
+    assert alternating(np.arange(messages) / 50.0, values)[2] == pytest.approx(10.0, abs=3.0)
 
 
 def test_two_trackers_on_one_topic_are_named(tmp_path):

@@ -25,11 +25,11 @@ def bent(toward: Array, angle: Array) -> Array:
 
 def about(axis: int, angle: float) -> Array:
     """Return the rotation about the x (0), y (1) or z (2) axis."""
-    turn, (i, j) = np.eye(3), ((axis + 1) % 3, (axis + 2) % 3)
-    turn[i, i] = turn[j, j] = math.cos(angle)
-    turn[j, i] = math.sin(angle)
-    turn[i, j] = -turn[j, i]
-    return turn
+    rotation, (i, j) = np.eye(3), ((axis + 1) % 3, (axis + 2) % 3)
+    rotation[i, i] = rotation[j, j] = math.cos(angle)
+    rotation[j, i] = math.sin(angle)
+    rotation[i, j] = -rotation[j, i]
+    return rotation
 
 
 def turned_in_plane(vector: Array, angle: Array) -> Array:
@@ -70,8 +70,8 @@ def towards(direction: Array) -> Array:
 def turn_onto(direction: Array, other: Array) -> Array:
     """Return a rotation (3, 3) that turns one vector (3,) into the direction of another."""
     one, two = (towards(v / np.linalg.norm(v)) for v in (direction, other))
-    turn: Array = two @ one.T
-    return turn
+    rotation: Array = two @ one.T
+    return rotation
 
 
 def quaternions(rotations: Array) -> Array:
@@ -107,23 +107,23 @@ def from_quaternion(quaternion: Sequence[float]) -> Array:
     *axis, w = quaternion
     v = np.array(axis)
     cross = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
-    turn: Array = np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
-    return turn
+    rotation: Array = np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
+    return rotation
 
 
 def rigid_fit(points: Array, onto: Array, weights: Array | None = None) -> tuple[Array, Array]:
     """
     Return the rotation (3, 3) and the shift (3,) [m] that lay points best onto others.
 
-    Least squares over weighted (n, 3) [m] pairs: `turn @ point + shift` (Kabsch 1976).
+    Least squares over weighted (n, 3) [m] pairs: `rotation @ point + shift` (Kabsch 1976).
     """
     middle = np.average(points, axis=0, weights=weights)
     there = np.average(onto, axis=0, weights=weights)
     scaled = points - middle if weights is None else weights[:, None] * (points - middle)
     u, _, vt = np.linalg.svd(scaled.T @ (onto - there))
     flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(vt.T @ u.T))])
-    turn: Array = vt.T @ flip @ u.T
-    return turn, there - turn @ middle
+    rotation: Array = vt.T @ flip @ u.T
+    return rotation, there - rotation @ middle
 
 
 def upright_fit(
@@ -133,8 +133,8 @@ def upright_fit(
     middle = np.average(points, axis=0, weights=weights)
     there = np.average(onto, axis=0, weights=weights)
     scaled = points - middle if weights is None else weights[:, None] * (points - middle)
-    turn = rotation_about(axis, scaled, onto - there)
-    return turn, there - turn @ middle
+    rotation = rotation_about(axis, scaled, onto - there)
+    return rotation, there - rotation @ middle
 
 
 def rotation_about(axis: Array, vectors: Array, onto: Array) -> Array:
@@ -144,6 +144,6 @@ def rotation_about(axis: Array, vectors: Array, onto: Array) -> Array:
     return from_rotation_vector(math.atan2(across, float((vectors * onto).sum() - along)) * axis)
 
 
-def turn_angle(turn: Array) -> float:
+def turn_angle(rotation: Array) -> float:
     """Return the angle [rad] of a rotation matrix (3, 3)."""
-    return math.acos(min(max((float(np.trace(turn)) - 1.0) / 2.0, -1.0), 1.0))
+    return math.acos(min(max((float(np.trace(rotation)) - 1.0) / 2.0, -1.0), 1.0))

@@ -9,8 +9,10 @@ from dataclasses import dataclass
 
 from .errors import InputError
 
-TIMES_WORDS = ('no', 'one', 'two', 'three', 'four', 'five', 'six', 'seven', 'eight', 'nine', 'ten',
-         'eleven', 'twelve')  # fmt: skip
+TIMES_WORDS = (
+    *('no', 'one', 'two', 'three', 'four', 'five', 'six', 'seven', 'eight', 'nine', 'ten'),
+    *('eleven', 'twelve'),
+)
 # [1] prefixes of SI (brochure of 2019) in which a person reads lengths and forces
 UNIT_PREFIXES = ((1e6, 'M'), (1e3, 'k'), (1.0, ''), (1e-3, 'm'), (1e-6, 'µ'), (1e-9, 'n'))
 PROGRAM = 'python -m tendon_robot_ros'

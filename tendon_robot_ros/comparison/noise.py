@@ -315,16 +315,10 @@ class _Residuals:
     def __init__(
         self, dataset: DataSet, noise: Noise, slopes: Floats, flat: Floats, seen: BoolArray
     ) -> None:
-        P = len(flat)
         self.flat, self.seen, self.here = flat, seen, np.arange(flat.shape[1])
         self.own = noise.position**2 / np.repeat(np.maximum(dataset.counts, 1), 3, axis=1)
-        share = noise.setting**2 + noise.trial**2 / np.maximum(dataset.trials, 1)
-        driven = slopes.reshape(P, slopes.shape[1], -1)
-        self.driven = driven.swapaxes(1, 2) @ (share[:, None, None] * driven)  # (P, 3 J, 3 J)
-        if noise.shift:
-            alike = np.tile(np.eye(3), (driven.shape[2] // 3, driven.shape[2] // 3))
-            shift2 = noise.shift**2 / np.maximum(dataset.trials, 1)
-            self.driven = self.driven + shift2[:, None, None] * alike
+        driven = _driven(dataset, noise, slopes, self.own)
+        self.driven = driven.swapaxes(1, 2) @ driven  # (P, 3 J, 3 J)
         self.common = common_error(dataset, self.here, 1.0)
 
     def cost(self, smooth: float, rough: float) -> float:
@@ -375,16 +369,19 @@ def estimate_noise(dataset: DataSet, slopes: Floats) -> Noise | None:
     total = float(sum((len(moves) - 1) * moves.shape[1] for moves in deviations))
     if total < TRIAL_DOF_MIN:
         return declared
-    position, trial, shift = _likeliest(_TrialLikelihood(deviations, driven))
+    many = any(
+        moves.shape[1] > 6 for moves in deviations
+    )  # on two markers inputs look like a shift
+    position, trial, shift = _likeliest(_TrialLikelihood(deviations, driven), many)
     return Noise(position, trial, dataset.setting_noise, total, 'trials', shift)
 
 
-def _likeliest(likelihood: _TrialLikelihood) -> tuple[float, float, float]:
+def _likeliest(likelihood: _TrialLikelihood, may_shift: bool) -> tuple[float, float, float]:
     """
     Return the likeliest standard deviations of position [m], of inputs [1] and of a shift [m].
 
-    The shift is 0 unless the likelihood gains by `SHIFT_GAIN_MIN`. All but the first are sought as
-    variances over that of a coordinate.
+    The shift is 0 unless it `may_shift` and the likelihood gains by `SHIFT_GAIN_MIN`. All but the
+    first are sought as variances over that of a coordinate.
     """
     inputs, (alone, variance) = 0.0, likelihood(0.0, 0.0)
     grid = np.arange(-14.0, 21.0) - math.log(likelihood.strongest)  # there may be several valleys
@@ -394,7 +391,7 @@ def _likeliest(likelihood: _TrialLikelihood) -> tuple[float, float, float]:
         if likelihood(near, 0.0)[0] <= alone:
             inputs, (alone, variance) = near, likelihood(near, 0.0)
     position, trial, shift = math.sqrt(variance), min(math.sqrt(inputs * variance), 0.3), 0.0
-    for _ in range(DESCENT_ROUNDS):
+    for _ in range(DESCENT_ROUNDS if may_shift else 0):
         shift = likelihood.likeliest((inputs, None), -7.0, 9.0)
         if inputs:
             low = math.log(inputs)
@@ -402,7 +399,7 @@ def _likeliest(likelihood: _TrialLikelihood) -> tuple[float, float, float]:
     if likelihood(0.0, shift)[0] <= likelihood(inputs, shift)[0]:
         inputs = 0.0
     together, variance = likelihood(inputs, shift)
-    if alone - together < SHIFT_GAIN_MIN:
+    if not may_shift or alone - together < SHIFT_GAIN_MIN:
         return position, trial, 0.0
     return math.sqrt(variance), math.sqrt(inputs * variance), math.sqrt(shift * variance)
 

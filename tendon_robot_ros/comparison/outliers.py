@@ -70,7 +70,7 @@ def contradicted(moves: Floats, slopes: Floats) -> tuple[Bools, Bools]:
     while stale:
         for p in stale:
             kept = np.where(out[p, ..., None] | still, np.nan, moves[p])
-            residuals[p] = _residuals(kept, slopes[p])
+            residuals[p] = trial_residuals(kept, slopes[p])
         stale = []
         for p, of_readings, of_trials in zip(residuals, *_beyond(residuals), strict=True):
             if max(of_readings.max(), of_trials.max()) <= 1.0:
@@ -124,7 +124,7 @@ class _Deviations:
     strengths: Floats  # (Q, m) [m²] squares g²; 0: unknown
 
 
-def _residuals(moves: Floats, slopes: Floats) -> _Deviations:
+def trial_residuals(moves: Floats, slopes: Floats) -> _Deviations:
     """Fit places and inputs to the trials (Q, J, 3) [m] of a posture; NaN was not seen."""
     Q, J, _ = moves.shape
     g = slopes.reshape(len(slopes), -1).T  # (3 J, m)

@@ -86,8 +86,13 @@ class Freed:
         """Note what `set_to` makes of the model's arrays at both ends, for `count` postures."""
         self.down, self.up = (np.full(count, end) for end in ends)
         self._moved: tuple[npt.NDArray[Any], ...] = (
-            arrays.values, arrays.on, arrays.cells, arrays.gravity, arrays.offset, arrays.helix,
-        )  # fmt: skip
+            arrays.values,
+            arrays.on,
+            arrays.cells,
+            arrays.gravity,
+            arrays.offset,
+            arrays.helix,
+        )
         self._kept: dict[float, list[npt.NDArray[Any]]] = {}
         for side in (*ends, 0.0):
             set_to(side)

@@ -258,7 +258,17 @@ def read_folder(folder: Path, robot: Robot | None = None) -> DataSet:
     try:
         commands = read_inputs(folder / 'inputs.csv', robot, description.input, visits)
     except DataSetError:
-        _refuse_other_robot(folder, fields, robot)
+        try:
+            own = find_robot(fields, folder)
+        except TendonRobotError:
+            own = robot
+        if own.inputs != robot.inputs:
+            raise DataSetError(
+                str(folder),
+                f'was measured with the inputs {", ".join(own.inputs)} of {own.name}, but '
+                f'{robot.source} has {", ".join(robot.inputs)}',
+                'name a description of the robot that was measured',
+            ) from None
         raise
     between = description.path != 'from_straight'
     shapes = read_shapes(folder / 'shapes.csv', robot, names, commands, between)
@@ -281,21 +291,6 @@ def read_folder(folder: Path, robot: Robot | None = None) -> DataSet:
         **{key: value for key, value in vars(description).items() if key not in TAKEN},
     )
     return _by_history(dataset, commands) if visits else dataset
-
-
-def _refuse_other_robot(folder: Path, fields: DatasetFields, robot: Robot) -> None:
-    """Raise DataSetError where the measurements are of a robot with other inputs."""
-    try:
-        own = find_robot(fields, folder)
-    except TendonRobotError:
-        return
-    if own.inputs != robot.inputs:
-        raise DataSetError(
-            str(folder),
-            f'was measured with the inputs {", ".join(own.inputs)} of {own.name}, but '
-            f'{robot.source} has {", ".join(robot.inputs)}',
-            'name a description of the robot that was measured',
-        )
 
 
 def refuse_table(path: Path) -> None:

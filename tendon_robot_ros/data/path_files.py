@@ -75,11 +75,21 @@ def read_path(path: str | Path, inputs: tuple[str, ...]) -> TipRows | TendonRows
     positions = np.column_stack([table[name] for name in PLACE])
     times = table.get('time')
     _no_gaps(file, positions if times is None else np.column_stack([times, positions]))
-    return TipRows(
-        None if times is None else _times(file, times),
-        positions,
-        _directions(file, [table.get(name) for name in VIEW], len(positions)),
-    )
+    directions = np.full((len(positions), 3), np.nan)
+    if present := [table[name] for name in VIEW if name in table]:
+        if len(present) < 3:
+            raise DataSetError(str(path), 'a direction needs dx, dy and dz', 'add the columns')
+        values = np.column_stack(present)
+        empty = np.isnan(values)
+        half = np.flatnonzero(empty.any(axis=1) & ~empty.all(axis=1))
+        if len(half):
+            raise file.error(int(half[0]) + 2, 'half a direction', 'write dx, dy and dz, or none')
+        sizes = np.linalg.norm(values, axis=1)
+        if np.any(sizes < 1e-6):
+            row = int(np.flatnonzero(sizes < 1e-6)[0])
+            raise file.error(row + 2, 'the direction is zero', 'write where the tip looks')
+        directions = values / sizes[:, None]
+    return TipRows(None if times is None else _times(file, times), positions, directions)
 
 
 def _no_gaps(file: CsvFile, values: FloatArray) -> None:
@@ -96,24 +106,6 @@ def _times(file: CsvFile, times: FloatArray) -> FloatArray:
         )
     shifted: FloatArray = times - times[0]
     return shifted
-
-
-def _directions(file: CsvFile, columns: list[FloatArray | None], count: int) -> FloatArray:
-    if all(column is None for column in columns):
-        return np.full((count, 3), np.nan)
-    present = [column for column in columns if column is not None]
-    if len(present) < 3:
-        raise DataSetError(str(file.path), 'a direction needs dx, dy and dz', 'add the columns')
-    values = np.column_stack(present)
-    missing = np.isnan(values)
-    half = np.flatnonzero(missing.any(axis=1) & ~missing.all(axis=1))
-    if len(half):
-        raise file.error(int(half[0]) + 2, 'half a direction', 'write dx, dy and dz, or none')
-    sizes = np.linalg.norm(values, axis=1)
-    if np.any(sizes < 1e-6):
-        row = int(np.flatnonzero(sizes < 1e-6)[0])
-        raise file.error(row + 2, 'the direction is zero', 'write where the tip looks')
-    return values / sizes[:, None]
 
 
 def write_path(path: Path, rows: TipRows | TendonRows, inputs: tuple[str, ...]) -> None:

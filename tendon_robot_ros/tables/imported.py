@@ -215,8 +215,10 @@ def draw(
         The same markers by the robot as described.
 
     """
-    from matplotlib import rc_context
+    from matplotlib import colormaps, rc_context
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
 
     with rc_context({'font.size': 14.0, 'axes.spines.top': False, 'axes.spines.right': False}):
         figure = Figure(figsize=(8.0, 12.5), dpi=150, layout='constrained')  # 1200 pixels wide
@@ -240,7 +242,26 @@ def draw(
             if axis == 0:
                 axes.set_ylabel('z [mm]')
             axes.grid(alpha=0.3)
-        _key(figure, any(len(piece.cut.times) for piece in measured.pieces))
+        has_cut = any(len(piece.cut.times) for piece in measured.pieces)
+        colours = colormaps['plasma']
+        handles = [
+            Patch(color=GOOD, alpha=0.3, label='taken'),
+            Patch(color=REST, alpha=0.6, label='rest'),
+            Patch(**LEFT_OUT_LOOK, label='left out'),
+            *[Line2D([], [], color=LEFT_OUT, marker='x', linestyle='', label='cut out')] * has_cut,
+            Line2D([], [], color=colours(0.0), label='marker next to the base'),
+            Line2D([], [], color=colours(TIP_SHADE), label='marker at the tip'),
+            Line2D([], [], color=MEASURED, marker='o', linewidth=0.6, label='measured'),
+            Line2D([], [], color=PREDICTED, label='model'),
+        ]
+        figure.legend(
+            handles=handles,
+            loc='outside lower center',
+            ncols=3,
+            frameon=False,
+            handlelength=1.2,
+            columnspacing=1.2,
+        )
     return figure
 
 
@@ -336,30 +357,3 @@ def _markers(
     axes.set_ylabel('markers moved [mm]')
     axes.set_xlabel('time [s]' if recipe.time else 'row')
     axes.margins(x=0.0)
-
-
-def _key(figure: Figure, has_cut: bool) -> Any:
-    """Say what colours mean."""
-    from matplotlib import colormaps
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    colours = colormaps['plasma']
-    handles = [
-        Patch(color=GOOD, alpha=0.3, label='taken'),
-        Patch(color=REST, alpha=0.6, label='rest'),
-        Patch(**LEFT_OUT_LOOK, label='left out'),
-        *[Line2D([], [], color=LEFT_OUT, marker='x', linestyle='', label='cut out')] * has_cut,
-        Line2D([], [], color=colours(0.0), label='marker next to the base'),
-        Line2D([], [], color=colours(TIP_SHADE), label='marker at the tip'),
-        Line2D([], [], color=MEASURED, marker='o', linewidth=0.6, label='measured'),
-        Line2D([], [], color=PREDICTED, label='model'),
-    ]
-    return figure.legend(
-        handles=handles,
-        loc='outside lower center',
-        ncols=3,
-        frameon=False,
-        handlelength=1.2,
-        columnspacing=1.2,
-    )

@@ -148,11 +148,11 @@ def find_frame(
     method = choice.method or ('level' if has_verticals else 'model')
     if choice.rotation is not None and choice.shift is not None:
         method = 'given' if choice.method is None else choice.method
-        turn, shift = from_rotation_vector(choice.rotation), np.array(choice.shift)
+        rotation, shift = from_rotation_vector(choice.rotation), np.array(choice.shift)
     elif method == 'base':
-        turn, shift = np.eye(3), np.zeros(3)
+        rotation, shift = np.eye(3), np.zeros(3)
     elif method == 'straight':
-        turn, shift = _straight(measured, markers, dataset, seen)
+        rotation, shift = _straight(measured, markers, dataset, seen)
     else:
         above = None  # where up is in the base frame, (3,)
         if method == 'level':
@@ -162,15 +162,13 @@ def find_frame(
                     'arm points)'
                 )
             above = -gravity / np.linalg.norm(gravity)
-        turn, shift = _weighted(measured, markers, dataset.arc_lengths, up, above)
-    turn = from_rotation_vector(
-        rotation_vector(turn)
-    )  # as a file gives it back, to the last digit
+        rotation, shift = _weighted(measured, markers, dataset.arc_lengths, up, above)
+    rotation = from_rotation_vector(rotation_vector(rotation))  # as a file gives it back
     shift = shift.round(DIGITS)
-    off = measured @ turn.T + shift - markers
+    off = measured @ rotation.T + shift - markers
     straight = _straight_postures(markers, dataset)
     return TrackerFrame(
-        turn,
+        rotation,
         shift,
         method,
         rms(off),
@@ -226,14 +224,14 @@ def _weighted(
     for _ in range(ROUNDS):
         w = weights[seen]
         if above is None or up is None:
-            turn, shift = rigid_fit(a, b, w)
+            rotation, shift = rigid_fit(a, b, w)
         else:
             first = towards(above) @ towards(up_axis(up)).T  # the tracker's up onto the base's
             about, shift = upright_fit(a @ first.T, b, above, w)
-            turn = about @ first
-        squares = np.where(seen, ((measured @ turn.T + shift - markers) ** 2).sum(axis=2), 0.0)
+            rotation = about @ first
+        squares = np.where(seen, ((measured @ rotation.T + shift - markers) ** 2).sum(axis=2), 0.0)
         weights = np.broadcast_to(_weights(squares, seen, arc_lengths), seen.shape)
-    return turn, shift
+    return rotation, shift
 
 
 def _weights(squares: FloatArray, seen: BoolArray, arc_lengths: FloatArray) -> FloatArray:
@@ -249,7 +247,7 @@ def side_offset(
     """
     Return the offset [m] at which all markers seem to sit beside the backbone, None for none.
 
-    Fitted together with a shift and a small turn of the frame. A load that the model lacks
+    Fitted together with a shift and a small rotation of the frame. A load that the model lacks
     hides it: then nothing is said.
 
     Parameters
@@ -282,8 +280,8 @@ def side_offset(
 
 
 def _free_residual(measured: FloatArray, markers: FloatArray) -> float:
-    turn, shift = rigid_fit(measured, markers)
-    return rms(measured @ turn.T + shift - markers)
+    rotation, shift = rigid_fit(measured, markers)
+    return rms(measured @ rotation.T + shift - markers)
 
 
 def _straight_postures(markers: FloatArray, dataset: DataSet) -> BoolArray:
@@ -311,8 +309,8 @@ def _straight(
     first = towards(slope / np.linalg.norm(slope)).T
     middle = points.mean(axis=0)
     a, b = (measured[seen] - middle) @ first.T, markers[seen] - arc.mean() * Z
-    turn = rotation_about(Z, a, b) @ first
-    return turn, arc.mean() * Z - turn @ middle
+    rotation = rotation_about(Z, a, b) @ first
+    return rotation, arc.mean() * Z - rotation @ middle
 
 
 def gravity_of(frame: TrackerFrame, up: str) -> Vector:

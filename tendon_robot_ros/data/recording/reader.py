@@ -320,36 +320,32 @@ class Transforms:
         routes: dict[str, list[tuple[str, str]]] = {frame: []}  # transforms up to a frame
         for here in iter(waiting := [frame]):
             if here and is_base(here):
-                return self._along(frame, routes[here])
+                break
             for pair in self.edges:
                 if here in pair and (other := pair[pair[0] == here]) not in routes:
                     routes[other] = [*routes[here], pair]
                     waiting.append(other)
-        return None
-
-    def _along(self, frame: str, way: Sequence[tuple[str, str]]) -> Pose:
-        """Return the rotation and the shift along some transforms, each from either end."""
-        turn, shift = np.eye(3), np.zeros(3)
-        for parent, child in way:
-            step, moved = self._steady(parent, child, self.edges[parent, child])
-            if frame == parent:
+        else:
+            return None
+        rotation, shift = np.eye(3), np.zeros(3)
+        for parent, child in routes[here]:
+            rows = self.edges[parent, child]
+            moved, quaternion = np.median(rows[:, 1:4], axis=0), rows[len(rows) // 2, 4:]
+            far = np.linalg.norm(rows[:, 1:4] - moved, axis=1).max()
+            along = np.clip(np.abs(rows[:, 4:] @ quaternion), 0.0, 1.0)
+            if far > STEADY_M or 2.0 * np.arccos(along.min()) > STEADY_RAD:
+                raise DataSetError(
+                    self._name,
+                    f'frame {child!r} moves in {parent!r}, by {1e3 * far:.3g} mm: markers cannot '
+                    'be given in it',
+                    'record them in a frame that is fixed to the base',
+                )
+            step = from_quaternion((quaternion / np.linalg.norm(quaternion)).tolist())
+            if frame == parent:  # from either end
                 step, moved = step.T, -step.T @ moved
             frame = child if frame == parent else parent
-            turn, shift = step @ turn, step @ shift + moved
-        return turn, shift
-
-    def _steady(self, parent: str, child: str, rows: FloatArray) -> Pose:
-        place, turned = np.median(rows[:, 1:4], axis=0), rows[len(rows) // 2, 4:]
-        far = np.linalg.norm(rows[:, 1:4] - place, axis=1).max()
-        along = np.clip(np.abs(rows[:, 4:] @ turned), 0.0, 1.0)
-        if far > STEADY_M or 2.0 * np.arccos(along.min()) > STEADY_RAD:
-            raise DataSetError(
-                self._name,
-                f'frame {child!r} moves in {parent!r}, by {1e3 * far:.3g} mm: markers cannot be '
-                'given in it',
-                'record them in a frame that is fixed to the base',
-            )
-        return from_quaternion((turned / np.linalg.norm(turned)).tolist()), place
+            rotation, shift = step @ rotation, step @ shift + moved
+        return rotation, shift
 
 
 def read_transforms(recording: Recording) -> Transforms:
@@ -479,9 +475,9 @@ def refuse_two_senders(recording: Recording, inputs: FloatArray) -> None:
         Two programs publish one topic, or a clock was set back: what, from when to when.
 
     """
-    states = _taking_turns(recording.state_times, inputs)
+    states = alternating(recording.state_times, inputs)
     shapes = [
-        _taking_turns(track.times, track.positions.reshape(len(track.times), -1))
+        alternating(track.times, track.positions.reshape(len(track.times), -1))
         for track in recording.tracks
     ]
     shape = next((one for one in shapes if one is not None), None)
@@ -513,8 +509,8 @@ def refuse_two_senders(recording: Recording, inputs: FloatArray) -> None:
         )
 
 
-def _taking_turns(times: FloatArray, values: FloatArray) -> tuple[float, float, float] | None:
-    """Return begin, end [s] and difference where values (S, n) of two kinds take turns."""
+def alternating(times: FloatArray, values: FloatArray) -> tuple[float, float, float] | None:
+    """Return begin, end [s] and difference where values (S, n) of two kinds alternate."""
     count = len(times) // GROUP
     if not count:
         return None

@@ -100,8 +100,23 @@ class BagWriter:
             Whoever subscribes later gets the last message (transient local).
 
         """
+        from rosbags import interfaces as ros
+
+        unlimited = ros.QosTime(2147483647, 4294967295)
+        durability = ros.QosDurability.TRANSIENT_LOCAL if latched else ros.QosDurability.VOLATILE
+        quality = ros.Qos(
+            history=ros.QosHistory.KEEP_LAST,
+            depth=1 if latched else 10,
+            reliability=ros.QosReliability.RELIABLE,
+            durability=durability,
+            deadline=unlimited,
+            lifespan=unlimited,
+            liveliness=ros.QosLiveliness.AUTOMATIC,
+            liveliness_lease_duration=unlimited,
+            avoid_ros_namespace_conventions=False,
+        )
         self._connections[topic] = self._writer.add_connection(
-            topic, kind, typestore=self.types, offered_qos_profiles=[_quality(latched)]
+            topic, kind, typestore=self.types, offered_qos_profiles=[quality]
         )
 
     def write(self, topic: str, time: int, message: object) -> None:
@@ -122,24 +137,6 @@ class BagWriter:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-def _quality(latched: bool) -> Any:
-    """Return the quality of service of a publisher: reliable, and latched or not."""
-    from rosbags import interfaces as ros
-
-    unlimited = ros.QosTime(2147483647, 4294967295)
-    return ros.Qos(
-        history=ros.QosHistory.KEEP_LAST,
-        depth=1 if latched else 10,
-        reliability=ros.QosReliability.RELIABLE,
-        durability=ros.QosDurability.TRANSIENT_LOCAL if latched else ros.QosDurability.VOLATILE,
-        deadline=unlimited,
-        lifespan=unlimited,
-        liveliness=ros.QosLiveliness.AUTOMATIC,
-        liveliness_lease_duration=unlimited,
-        avoid_ros_namespace_conventions=False,
-    )
 
 
 STRING = 'std_msgs/msg/String'
