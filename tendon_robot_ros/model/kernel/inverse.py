@@ -16,7 +16,7 @@ import math
 import numpy as np
 
 from .cells import unknowns
-from .derivatives import combine_tendons, output_slopes, place_as
+from .derivatives import TENSION_STEP, combine_tendons, output_slopes, place_as
 from .equilibrium import end_sliding, exchange, own_travel, take_over
 from .layout import (
     BACKTRACKS_MAX,
@@ -235,7 +235,7 @@ def explicit_slopes(chain, inputs, high, there, target, f, moved, slopes):
     """
     for j in range(inputs.shape[0]):
         was = inputs[j]
-        step = DIFFERENCE_STEP if was + DIFFERENCE_STEP <= high[j] else -DIFFERENCE_STEP
+        step = TENSION_STEP if was + TENSION_STEP <= high[j] else -TENSION_STEP
         inputs[j] = was + step
         step_at(chain.step)(chain, address(inputs), there.near, there.work, there.past, there.near)
         inputs[j] = was
