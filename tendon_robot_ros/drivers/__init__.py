@@ -10,7 +10,7 @@ ros2_control.py   joints of ros2_control
 dynamixel/        Dynamixel servos
 serial_board/     own electronics with load cells
 
-Silence: the driver node's `command_timeout` (ros/driver/parameters.py), behind it the servos'
+Silence: the driver node's `command_timeout` (ros/driver/node.py), behind it the servos'
 `watchdog` (dynamixel/config.py) or the board's `command_timeout` (serial_board/config.py). How
 much wire a search for slack may wind: `home_travel` (dynamixel/motions.py,
 serial_board/driver.py).

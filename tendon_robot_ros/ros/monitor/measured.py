@@ -28,12 +28,9 @@ from ..shared.messages import (
     time_now,
 )
 from ..shared.parameters import Parameters, parsed
-from ..shared.timing import SILENCE_S
+from ..shared.timing import SILENCE_S, VALUES_PERIOD_S
 
 Array = NDArray[np.float64]
-# [s] that states may lag behind a frame, because a driver that is silent for longer is to be
-# noticed: the default of its command_timeout
-STATES_LATE_S = 0.1
 # [s] between the stamps of markers on topics of their own that belong to one frame: less than a
 # frame at 30 Hz, else two frames would be taken for one
 FRAME_SPAN_S = 0.02
@@ -95,7 +92,7 @@ class MarkerInput:
 
     def _take(self, at: float, points: Array) -> None:
         if self._waiting is not None:
-            self.hand_over(late=at - self._monitor.states.newest > STATES_LATE_S)
+            self.hand_over(late=at - self._monitor.states.newest > VALUES_PERIOD_S)
         self._waiting = at, points
         self.hand_over()
 

@@ -43,7 +43,7 @@ from ...common.processes import (
     print_without_waiting,
     switch_often,
 )
-from .timing import SILENCE_S
+from .timing import SILENCE_S, VALUES_PERIOD_S
 
 given: list[str] = []  # what this process was told on its command line, for ROS
 RANGE, ONLY_HERE = 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_LOCALHOST_ONLY'
@@ -51,8 +51,7 @@ TRANSPORTS, PROFILES = 'FASTDDS_BUILTIN_TRANSPORTS', 'FASTRTPS_DEFAULT_PROFILES_
 # [s] because launch passes on the signal that the terminal or systemd has sent to all, too: an
 # echo that comes so soon would else end a node before it has let the arm go
 SIGNAL_ECHO_S = SILENCE_S
-# [s] of one spin of the executor, so that `running` is asked ten times a second
-SPIN_S = 0.1
+SPIN_S = VALUES_PERIOD_S  # [s] of one spin of an executor, after which conditions are checked
 # [s] for a process to end, else its starter would wait for ever: a release of 5 N at the default
 # release_rate of 10 N/s takes 0.5 s of it
 END_TIMEOUT_S = 5.0
