@@ -1,4 +1,4 @@
-"""Parameters of a node, as started and as set at run time."""
+"""Parameters of a node, as started and as set at run time; settings that nobody uses."""
 
 import os
 import sys
@@ -13,12 +13,12 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from tendon_robot_ros.common.errors import InputError
 from tendon_robot_ros.ros.controller import parameters as controller
 from tendon_robot_ros.ros.driver import node as driver
 from tendon_robot_ros.ros.monitor import node as monitor
-from tendon_robot_ros.ros.shared.parameters import Parameters
+from tendon_robot_ros.ros.shared.parameters import Parameters, check_files, check_overrides
 
-pytestmark = pytest.mark.ros
 NODES = {'controller': controller.SPECS, 'driver': driver.SPECS, 'monitor': monitor.SPECS}
 
 
@@ -27,6 +27,7 @@ def whole(spec):
     return next((n for n in range(1, 101) if spec.low <= n <= spec.high), None)
 
 
+@pytest.mark.ros
 @pytest.mark.parametrize('source', ['command line', 'file', 'set'])
 @pytest.mark.parametrize('name', NODES)
 def test_integers_are_taken_for_every_double(name, source, tmp_path):
@@ -56,3 +57,76 @@ def test_integers_are_taken_for_every_double(name, source, tmp_path):
         node.destroy_node()
     finally:
         context.shutdown()
+
+
+KNOWN = ('command_mode', 'command_timeout', 'rate', 'robot')
+
+
+@pytest.mark.parametrize(
+    ('name', 'said'),
+    [
+        ('commnd_mode', r'parameter commnd_mode: driver has none of that name; did you mean '),
+        ('comand_timeout', 'did you mean command_timeout'),
+        ('zzz', r'none of that name; known: command_mode, command_timeout, rate, robot'),
+    ],
+)
+def test_a_name_that_no_parameter_has_is_refused(name, said):
+    with pytest.raises(InputError, match=said):
+        check_overrides(['rate', name], KNOWN, 'driver')
+
+
+def test_names_of_parameters_and_of_ros_are_taken():
+    check_overrides([*KNOWN, 'use_sim_time', 'qos_overrides./a.publisher.depth'], KNOWN, 'driver')
+
+
+TAKEN, WARNED, REFUSED = None, ', which takes none of them', '; write {node}: or /**: as the'
+FILES = {
+    'driver: {ros__parameters: {rate: 50.0}}': ('/driver', TAKEN),
+    '/**: {ros__parameters: {rate: 50.0}}': ('/a/b/driver', TAKEN),
+    '/**/driver: {ros__parameters: {rate: 50.0}}': ('/driver', TAKEN),
+    '/*/driver: {ros__parameters: {rate: 50.0}}': ('/left/driver', TAKEN),
+    'left: {driver: {ros__parameters: {rate: 50.0}}}': ('/left/driver', TAKEN),
+    '/left/driver: {ros__parameters: {rate: 50.0}}': ('/left/driver', TAKEN),
+    # one file for all nodes of a launch
+    '{driver: {ros__parameters: {rate: 50.0}}, controller: {ros__parameters: {rate: 50.0}}}': (
+        '/driver',
+        TAKEN,
+    ),
+    'controller: {ros__parameters: {rate: 50.0}}': ('/driver', WARNED),
+    'robot_model: {ros__parameters: {rate: 50.0}}': ('/left/driver', WARNED),
+    'tendon_driver: {ros__parameters: {rate: 50.0}}': ('/driver', REFUSED),
+    'driver:  {ros__parameters: {rate: 50.0}}': ('/left/driver', REFUSED),
+    '/right/driver: {ros__parameters: {rate: 50.0}}': ('/left/driver', REFUSED),
+}
+
+
+@pytest.mark.parametrize('content', FILES)
+def test_a_file_for_other_nodes_is_named_or_refused(content, tmp_path):
+    node, said = FILES[content]
+    file = tmp_path / 'parameters.yaml'
+    file.write_text(content, encoding='utf-8')
+    arguments = ['--ros-args', '--params-file', str(file)]
+    if said is REFUSED:
+        with pytest.raises(InputError, match=r'parameters.yaml: its parameters are for') as caught:
+            check_files(arguments, node)
+        told = [str(caught.value)]
+    else:
+        told = check_files(arguments, node)
+    assert len(told) == (said is not TAKEN)
+    for line in told:
+        assert content.partition(':')[0].strip('/') in line
+        assert f', not for {node}{said.format(node=node)}' in line
+
+
+@pytest.mark.parametrize(('name', 'taken'), [('tip_gain', True), ('tip_gian', False)])
+def test_a_section_for_all_nodes_may_name_parameters_of_another(name, taken, tmp_path):
+    file = tmp_path / 'parameters.yaml'
+    file.write_text(f'/**: {{ros__parameters: {{{name}: 0.5}}}}', encoding='utf-8')
+    arguments = ['--ros-args', '--params-file', str(file)]
+    if taken:
+        check_overrides([name], KNOWN, 'driver', arguments)
+        with pytest.raises(InputError, match='tip_gain: driver has none'):
+            check_overrides([name], KNOWN, 'driver', ['--ros-args', '-p', 'tip_gain:=0.5'])
+    else:
+        with pytest.raises(InputError, match='tip_gian: driver has none'):
+            check_overrides([name], KNOWN, 'driver', arguments)

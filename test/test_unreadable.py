@@ -18,7 +18,6 @@ from tendon_robot_ros.comparison.result import load_comparison
 from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.data.recording.writer import STORAGES, STRING, BagWriter, Builder, export_bag
 from tendon_robot_ros.investigation.record import LOG
-from tendon_robot_ros.ros.shared.parameters import read_mapping
 from tendon_robot_ros.studies.fleet import FleetRow
 from tendon_robot_ros.studies.running import GrowingTable
 from tendon_robot_ros.workspace.volume import KEPT
@@ -127,6 +126,9 @@ def test_a_saved_comparison_that_is_none_is_named(content, tmp_path):
 
 
 def test_a_parameter_that_names_a_file_says_which(tmp_path):
+    pytest.importorskip('rclpy')
+    from tendon_robot_ros.ros.shared.parameters import read_mapping
+
     (tmp_path / 'junk.yaml').write_bytes(JUNK)
     for name in ('junk.yaml', 'absent.yaml', '.'):
         path = str(tmp_path / name)

@@ -60,13 +60,7 @@ from ..shared.messages import (
     time_now,
 )
 from ..shared.parameters import parsed
-from ..shared.robot_client import (
-    HEARD_MAX,
-    MOVE_MIN_S,
-    WORKING_CODES,
-    Pilot,
-    add_controller,
-)
+from ..shared.robot_client import HEARD_MAX, MOVE_MIN_S, WORKING_CODES, Pilot, add_controller
 from ..shared.runtime import SPIN_S, Ending, repeat, ros
 from ..shared.timing import NODE_TIMEOUT_S, SILENCE_S, STAND_TIMEOUT_S, STATUS_PERIOD_S
 
@@ -115,7 +109,7 @@ class RunningArm(Pilot):
     namespace : str, optional
     path : str
     speed : float
-        Of an input, in shares of its largest tension per second [1/s].
+        Of an input, in fractions of its largest tension per second [1/s].
 
     """
 
@@ -139,8 +133,20 @@ class RunningArm(Pilot):
             self._frames.append((seconds(message.header.stamp), points_of(message)))
             del self._frames[:-HEARD_MAX]
 
+        def states(message: JointState) -> None:
+            if self._own is None:
+                return
+            try:
+                tensions, pulls = tensions_and_pulls(message, self._own.inputs)
+            except Refusal:
+                return
+            self._kinds.add('tension' if np.isfinite(tensions).all() else 'displacement')
+            state = np.concatenate([tensions, pulls])
+            if np.isfinite(self._own_half(state)).all():
+                self._states.put(seconds(message.header.stamp), state)
+
         self.create_subscription(PoseArray, f'{monitor}/measured', frame, STATE)
-        self.create_subscription(JointState, 'tendon_states', self._hear_states, LISTEN)
+        self.create_subscription(JointState, 'tendon_states', states, LISTEN)
         self._own: Model | None = None
         self.input = 'tension'
         self._variances: list[float] = []  # [m²] of the means so far
@@ -289,8 +295,8 @@ class RunningArm(Pilot):
         assert self._own is not None
         here = self._commands[-1][1]
         most = self._own.limits[:, 1] if not self.pull else 0.1 * self.robot.length
-        share = float(np.max(np.abs(target - here) / most))
-        return Trajectory(np.array([max(share / self.speed, MOVE_MIN_S)]), target[None])
+        fraction = float(np.max(np.abs(target - here) / most))
+        return Trajectory(np.array([max(fraction / self.speed, MOVE_MIN_S)]), target[None])
 
     def _go(self, target: Array) -> None:
         """Drive there and wait until the controller says so."""
@@ -335,18 +341,6 @@ class RunningArm(Pilot):
     def _own_half(self, state: Array) -> Array:
         """Return the tensions, or the wire pulls, of a state."""
         return np.split(state, 2)[0 if self.input == 'tension' else 1]
-
-    def _hear_states(self, message: JointState) -> None:
-        if self._own is None:
-            return
-        try:
-            tensions, pulls = tensions_and_pulls(message, self._own.inputs)
-        except Refusal:
-            return
-        self._kinds.add('tension' if np.isfinite(tensions).all() else 'displacement')
-        state = np.concatenate([tensions, pulls])
-        if np.isfinite(self._own_half(state)).all():
-            self._states.put(seconds(message.header.stamp), state)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -22,22 +22,21 @@ from ...common.errors import TendonRobotError
 from ...robot import Robot, load_robot
 from ...robot.urdf import joint_angles, joint_names, transforms, urdf
 from ..shared.messages import LATCHED, LISTEN, STATE, joint_state, matrix, quaternion
-from ..shared.parameters import CONTROLLER, FRAME_PREFIX, Parameters, RemoteParameter, Spec
+from ..shared.parameters import CONTROLLER, FRAME_PREFIX, Parameters, RemoteParameter, fixed
 from ..shared.runtime import Runnable, repeat, run
 from ..shared.timing import STATUS_PERIOD_S
 
 HELP = 'show RViz and Foxglove the robot: URDF, joints, frames'
 SPECS = (
-    Spec(
+    fixed(
         'robot',
         '',
         'robot description: a path, the name of a robot in config/robots, or YAML text; empty: '
         'that of the controller',
-        read_only=True,
     ),
     CONTROLLER,
     FRAME_PREFIX,
-    Spec('publish_tf', True, 'frames of all cells, where tf2_ros is installed', read_only=True),
+    fixed('publish_tf', True, 'frames of all cells, where tf2_ros is installed'),
 )
 Array = NDArray[np.float64]
 

@@ -24,7 +24,7 @@ from std_srvs.srv import Trigger
 
 from ...common.errors import InputError
 from ..shared.messages import COMMAND, LATCHED, stamp_now, status_values
-from ..shared.parameters import CONTROLLER, FRAME_PREFIX, Parameters, Spec
+from ..shared.parameters import CONTROLLER, FRAME_PREFIX, Parameters, Spec, fixed
 from ..shared.runtime import Runnable, repeat, run
 from ..shared.timing import NEWS_PERIOD_S
 
@@ -32,12 +32,7 @@ HELP = 'move the tip with the keyboard'
 # [1] defaults and ranges, each with its unit: docs/ros_interface.md
 SPECS = (
     CONTROLLER,
-    Spec(
-        'robot',
-        'kato_10_1',
-        'name of the robot: its frames are <robot>_base and <robot>_tip',
-        read_only=True,
-    ),
+    fixed('robot', 'kato_10_1', 'name of the robot: its frames are <robot>_base and <robot>_tip'),
     FRAME_PREFIX,
     Spec('linear_speed', 0.01, 'speed of the tip', 'm/s', 0.0001, 0.5),
     Spec('angular_speed', 0.3, 'turning speed of the tip', 'rad/s', 0.001, 5.0),

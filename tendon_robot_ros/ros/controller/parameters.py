@@ -18,7 +18,7 @@ from ...robot.description import DESCRIPTION_MAX
 from ...robot.keep_out import KeepOut, parse_keep_out, text_of
 from ...robot.loading import robot_file
 from ..shared.lifecycle import AUTOSTART
-from ..shared.parameters import BASE_FRAME, COMMAND_MODE, FRAME_PREFIX, Parameters, Spec
+from ..shared.parameters import BASE_FRAME, COMMAND_MODE, FRAME_PREFIX, Parameters, Spec, fixed
 
 # [1] regions to keep out of, because each is checked along every path that is planned
 REGIONS_MAX = 50
@@ -39,16 +39,8 @@ SPECS = (
         'Python files with effects of your own (they are executed); read when a model is loaded',
     ),
     COMMAND_MODE,
-    Spec('rate', 200.0, 'commands per second', 'Hz', 10.0, 1000.0, read_only=True),
-    Spec(
-        'shape_rate',
-        30.0,
-        'predicted shapes, tips and markers per second',
-        'Hz',
-        1.0,
-        200.0,
-        read_only=True,
-    ),
+    fixed('rate', 200.0, 'commands per second', 'Hz', 10.0, 1000.0),
+    fixed('shape_rate', 30.0, 'predicted shapes, tips and markers per second', 'Hz', 1.0, 200.0),
     Spec('rate_limit', 10.0, 'largest change of a tension', 'N/s', 0.01, 1000.0),
     Spec(
         'state_timeout',
@@ -127,14 +119,9 @@ SPECS = (
     Spec('prefer_smooth', 0.0, 'weight of little change of the tensions', '1', 0.0, 1e3),
     Spec('prefer_margin', 0.1, 'distance wanted, as a share of the range', '1', 0.001, 0.5),
     BASE_FRAME,
-    Spec('tip_frame', '', 'frame of the tip; empty: <robot>_tip', read_only=True),
+    fixed('tip_frame', '', 'frame of the tip; empty: <robot>_tip'),
     FRAME_PREFIX,
-    Spec(
-        'driver_status',
-        'driver/status',
-        'topic of the status of the driver; empty: none',
-        read_only=True,
-    ),
+    fixed('driver_status', 'driver/status', 'topic of the status of the driver; empty: none'),
     AUTOSTART,
 )
 

@@ -37,7 +37,7 @@ from ...robot import load_robot
 from ..shared.inbox import Inbox, Received
 from ..shared.lifecycle import AUTOSTART, ERROR, OK, WARN, Status, StoppableNode
 from ..shared.messages import JOINTS, STATE, refilled, seconds, stamp_now, time_now
-from ..shared.parameters import BASE_FRAME, COMMAND_MODE, Parameters, Spec
+from ..shared.parameters import BASE_FRAME, COMMAND_MODE, Parameters, Spec, fixed
 from ..shared.runtime import asked_to_end, goes_first, repeat, run, when_asked_to_end
 from ..shared.senders import OwnPublisher, PublisherNames, Senders, gid_text
 from ..shared.timing import SILENCE_S
@@ -61,21 +61,19 @@ INACTIVE, INACTIVE_REASON = 'inactive', 'the node is not active'
 STATUS_LOOK_PERIOD_S = 0.05  # [s] so that a person who presses stop sees at once that it holds
 # [1] defaults and ranges, each with its unit: docs/ros_interface.md
 SPECS = (
-    Spec(
+    fixed(
         'robot',
         '',
         'robot description: a path, the name of a robot in config/robots, or YAML text',
-        read_only=True,
     ),
-    Spec('backend', 'mock', 'what is behind the driver', read_only=True, choices=tuple(BACKENDS)),
-    Spec(
+    fixed('backend', 'mock', 'what is behind the driver', choices=tuple(BACKENDS)),
+    fixed(
         'config',
         '',
         'configuration of the backend: a path, the name of a file in config, or YAML text',
-        read_only=True,
     ),
     COMMAND_MODE,
-    Spec('rate', 200.0, 'cycles of command and reading', 'Hz', 10.0, 1000.0, read_only=True),
+    fixed('rate', 200.0, 'cycles of command and reading', 'Hz', 10.0, 1000.0),
     Spec('command_timeout', 0.1, 'silence after which the arm is released', 's', 0.01, 10.0),
     Spec('rate_limit', 20.0, 'largest change of a commanded tension', 'N/s', 0.01, 1000.0),
     Spec(
@@ -95,23 +93,16 @@ SPECS = (
         'end of a release: hold pretension, or torque off',
         choices=('pretension', 'limp'),
     ),
-    Spec(
+    fixed(
         'pretension',
         -1.0,
         'tension held after a release; -1: the lower tension limit',
         'N',
         -1.0,
         100.0,
-        read_only=True,
     ),
-    Spec(
-        'pull_limit',
-        0.0,
-        'largest wire pull either way; 0: that of the backend',
-        'm',
-        0.0,
-        1.0,
-        read_only=True,
+    fixed(
+        'pull_limit', 0.0, 'largest wire pull either way; 0: that of the backend', 'm', 0.0, 1.0
     ),
     Spec('pull_rate_limit', 0.05, 'largest change of a commanded wire pull', 'm/s', 1e-5, 10.0),
     Spec(
@@ -130,14 +121,13 @@ SPECS = (
         0.01,
         60.0,
     ),
-    Spec('frame_prefix', '', 'put before frame names (backend mock: its tracker)', read_only=True),
+    fixed('frame_prefix', '', 'put before frame names (backend mock: its tracker)'),
     BASE_FRAME,
-    Spec(
+    fixed(
         'tendon_reference',
         '',
         'file of calibrate --check; after the power was off the status asks for the check; '
         'empty: nobody asks',
-        read_only=True,
     ),
     Spec('mock_fault', '', 'backend mock: fault to inject, as overload:NAME,NAME; empty: none'),
     AUTOSTART,
@@ -171,7 +161,13 @@ class DriverNode(StoppableNode):
         ):
             self.create_service(Trigger, f'~/{name}', partial(self._try, act, done))
         repeat(self, STATUS_LOOK_PERIOD_S, self._tell)
-        when_asked_to_end(self._let_go)
+
+        def let_go() -> None:
+            """Begin to release: `deactivate` comes when the main thread can."""
+            if (latch := self.latch) is not None:
+                latch.stop(INACTIVE, INACTIVE_REASON)
+
+        when_asked_to_end(let_go)
 
     @property
     def latch(self) -> StopLatch | None:
@@ -216,11 +212,6 @@ class DriverNode(StoppableNode):
             self.get_logger().info(strength)
         if silence := loop.driver.silence():
             self.get_logger().info(f'motors left in silence stop after {silence}')
-
-    def _let_go(self) -> None:
-        """Begin to release: the node is asked to end, `deactivate` comes when it can."""
-        if (latch := self.latch) is not None:
-            latch.stop(INACTIVE, INACTIVE_REASON)
 
     def deactivate(self) -> None:
         """Ramp to pretension, then torque off if so told."""

@@ -143,7 +143,7 @@ class MarkerInput:
             tolerance = self._parameters['stamp_tolerance']
             stamp, now = seconds(header.stamp), time_now(self._node)
             check_stamp(stamp, now, tolerance, what)
-            turn, shift = self._fixed or self._frames.to_base(
+            rotation, translation = self._fixed or self._frames.to_base(
                 header.frame_id, what, stamp, now, tolerance
             )
         except Refusal as refusal:
@@ -151,7 +151,7 @@ class MarkerInput:
             return None
         self.problem = ''
         points = np.where(not_there(points)[:, None], np.nan, points)
-        return points @ turn.T + shift
+        return points @ rotation.T + translation
 
     def _time(self, header: Header) -> float:
         return seconds(header.stamp) or time_now(self._node)
@@ -164,7 +164,7 @@ def _transform(text: str) -> tuple[Array, Array] | None:
     try:
         x, y, z, *q = map(float, text.split())
         norm = float(np.linalg.norm(q))
-        turn = Quaternion(**dict(zip('xyzw', (np.array(q) / norm).tolist(), strict=True)))
+        rotation = Quaternion(**dict(zip('xyzw', (np.array(q) / norm).tolist(), strict=True)))
     except (ValueError, ZeroDivisionError):
         norm = 0.0
     if not 0.99 < norm < 1.01:
@@ -172,7 +172,7 @@ def _transform(text: str) -> tuple[Array, Array] | None:
             'tracker_transform: expected x y z qx qy qz qw with a quaternion of norm 1, '
             f'got {text!r}'
         )
-    return matrix(turn), np.array([x, y, z])
+    return matrix(rotation), np.array([x, y, z])
 
 
 class MonitorOutput:

@@ -289,12 +289,6 @@ WORD = re.compile(
 STOP_REASON = 'topic stop says true (publish false on it to end that)'
 
 
-def _written(word: Received[Bool]) -> String:
-    """Write down a word and whose it is."""
-    says = 'true' if word.message.data else 'false'
-    return String(data=f'{word.publisher.hex()} {word.number} {word.sent} {says}')
-
-
 def _received(message: String) -> Received[Bool] | None:
     """Read what was written down; None where it is something else."""
     word = WORD.fullmatch(message.data)
@@ -384,15 +378,17 @@ class StopTopic:
         kinds = LISTEN_ALL, COMMAND_ALL, LATCHED_BY_MANY
         inboxes = [Inbox(self._node, Bool, 'stop', qos) for qos in kinds]
         passed = Inbox(self._node, String, PASSED_ON, COMMAND_ALL)
-        told = String()
+        told = ''
         while not self._closed:
             for inbox in inboxes:
                 for word in inbox.take():
                     self._heard.append(word)
-                    before, told = told, _written(word)
-                    if told != before:
-                        self._passing.publish(told)
-            self._heard += filter(None, (_received(told.message) for told in passed.take()))
+                    says = 'true' if word.message.data else 'false'
+                    text = f'{word.publisher.hex()} {word.number} {word.sent} {says}'
+                    if text != told:
+                        told = text
+                        self._passing.publish(String(data=text))
+            self._heard += filter(None, (_received(word.message) for word in passed.take()))
             for service in self._services:
                 service.serve()
             self._waiting.wait([*inboxes, passed], self._services)

@@ -82,14 +82,14 @@ def pose(position: Array, rotation: Array) -> Pose:
 
 def pose_array(header: Header, positions: Array, rotations: Array | None = None) -> PoseArray:
     """Return poses of positions (n, 3) [m] and rotation matrices (n, 3, 3); None: unrotated."""
-    turns = np.tile([0.0, 0.0, 0.0, 1.0], (len(positions), 1))
-    turns = turns if rotations is None else quaternions(rotations)
+    unrotated = np.tile([0.0, 0.0, 0.0, 1.0], (len(positions), 1))
+    orientations = unrotated if rotations is None else quaternions(rotations)
     poses = [
         Pose(
             position=Point(x=p[0], y=p[1], z=p[2]),
             orientation=Quaternion(x=q[0], y=q[1], z=q[2], w=q[3]),
         )
-        for p, q in zip(positions.tolist(), turns.tolist(), strict=True)
+        for p, q in zip(positions.tolist(), orientations.tolist(), strict=True)
     ]
     return PoseArray(header=header, poses=poses)
 

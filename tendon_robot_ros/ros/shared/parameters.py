@@ -96,16 +96,28 @@ class Spec:
         return made
 
 
-COMMAND_MODE = Spec(
+def fixed(
+    name: str,
+    default: bool | float | str | list[str],
+    text: str,
+    unit: str = '',
+    low: float = -math.inf,
+    high: float = math.inf,
+    choices: tuple[str, ...] = (),
+) -> Spec:
+    """Return a parameter that cannot be changed once its node runs."""
+    return Spec(name, default, text, unit, low, high, True, choices)
+
+
+COMMAND_MODE = fixed(
     'command_mode',
     'tension',
     'what is commanded: tension [N] (effort) or wire pull [m] (position)',
-    read_only=True,
     choices=('tension', 'pull'),
 )
-BASE_FRAME = Spec('base_frame', '', 'frame of the base; empty: <robot>_base', read_only=True)
-FRAME_PREFIX = Spec('frame_prefix', '', 'put before frame names', read_only=True)
-CONTROLLER = Spec('controller', 'controller', 'name of the controller node', read_only=True)
+BASE_FRAME = fixed('base_frame', '', 'frame of the base; empty: <robot>_base')
+FRAME_PREFIX = fixed('frame_prefix', '', 'put before frame names')
+CONTROLLER = fixed('controller', 'controller', 'name of the controller node')
 
 
 class Parameters:
@@ -181,7 +193,7 @@ def base_frame(parameters: Parameters | Mapping[str, Any], robot: str) -> str:
 
 NODES = 'driver', 'controller', 'monitor', 'viewer', 'teleop', 'robot_model'  # of launch files
 ALL = '/**'
-SPEC = re.compile(r"\bSpec\(\s*'(\w+)'")
+SPEC = re.compile(r"\b(?:Spec|fixed)\(\s*'(\w+)'")
 OF_ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides.')  # any node has them
 
 

@@ -35,7 +35,7 @@ from ..shared.messages import (
     stamp_now,
     status_values,
 )
-from ..shared.parameters import CONTROLLER, Parameters, RemoteParameter, Spec
+from ..shared.parameters import CONTROLLER, Parameters, RemoteParameter, fixed
 from ..shared.runtime import Runnable, repeat, run
 from ..shared.timing import STATUS_PERIOD_S
 from .page import LivePage
@@ -44,25 +44,19 @@ from .state import PANEL_PERIOD_S, ViewState
 HELP = 'the live page in the browser (extra: viewer)'
 # [1] defaults and ranges, each with its unit: docs/ros_interface.md
 SPECS = (
-    Spec(
-        'host',
-        '127.0.0.1',
-        'address to serve on; beyond this machine a token is needed',
-        read_only=True,
-    ),
-    Spec('port', 8080.0, 'port of the page', '', 1.0, 65535.0, read_only=True),
-    Spec(
+    fixed('host', '127.0.0.1', 'address to serve on; beyond this machine a token is needed'),
+    fixed('port', 8080.0, 'port of the page', '', 1.0, 65535.0),
+    fixed(
         'token',
         '',
         'what a browser must give before it may command; empty: none on this '
         'machine, else drawn and logged',
-        read_only=True,
     ),
     CONTROLLER,
-    Spec('driver', 'driver', 'name of the driver node', read_only=True),
-    Spec('monitor', 'monitor', 'name of the monitor node', read_only=True),
-    Spec('investigate', 'investigate', 'name of the node that investigates', read_only=True),
-    Spec('rate', 25.0, 'frames per second', 'Hz', 1.0, 60.0, read_only=True),
+    fixed('driver', 'driver', 'name of the driver node'),
+    fixed('monitor', 'monitor', 'name of the monitor node'),
+    fixed('investigate', 'investigate', 'name of the node that investigates'),
+    fixed('rate', 25.0, 'frames per second', 'Hz', 1.0, 60.0),
 )
 SERVICES = {
     'record': ('monitor',),

@@ -88,11 +88,11 @@ def scene(measured: NDArray[np.float64] | None, predicted: NDArray[np.float64] |
 def guide(next_step: str, progress: str) -> str:
     """Say what to do next, and below it what happened last."""
     parts = re.search(r'(\d+)/(\d+)$', progress)
-    share = re.search(r'\((\d+) %', progress)
-    how_far = f'value="{share[1]}" max="100" ' if share else ''
+    percentage = re.search(r'\((\d+) %', progress)
+    how_far = f'value="{percentage[1]}" max="100" ' if percentage else ''
     if parts:
         how_far = f'value="{parts[1]}" max="{parts[2]}" '
-    at_work = share or progress.startswith(FITTING) or (parts and parts[1] != parts[2])
+    at_work = percentage or progress.startswith(FITTING) or (parts and parts[1] != parts[2])
     bar = (
         f'<progress {how_far}aria-label="{escape(progress)}" '
         f'style="width:100%;accent-color:{PREDICTED}"></progress>'
@@ -213,14 +213,14 @@ def bars(names: Sequence[str], tensions: Sequence[float], low: float, high: floa
     rows = []
     for name, value in zip(names, tensions, strict=True):
         known = bool(np.isfinite(value))
-        share = min(max(value / high, 0.0), 1.0) if known else 0.0
+        fraction = min(max(value / high, 0.0), 1.0) if known else 0.0
         at_limit = known and (value >= 0.99 * high)
         colour, note = (MEASURED, ' at its limit') if at_limit else (PREDICTED, '')
         reading = f'{value:.2f} N{note}' if known else 'not observable'
         rows.append(
             f'<tr><td>{escape(name)}</td><td style="width:55%"><div style="position:relative;'
             'background:#e6e9ed;height:12px;border-radius:3px">'
-            f'<div style="background:{colour};width:{100 * share:.1f}%;height:12px;'
+            f'<div style="background:{colour};width:{100 * fraction:.1f}%;height:12px;'
             'border-radius:3px"></div>'
             f'<div title="lower limit" style="position:absolute;left:{100 * low / high:.1f}%;'
             f'top:-2px;width:2px;height:16px;background:{INK}"></div></div></td>'
@@ -254,10 +254,10 @@ def verdict(diagnosis: Mapping[str, Any], count: int = 6) -> str:
             told = load_words(LoadVector(size, axis, load['around_axis'], gravity))
             values += f'; together {told}'
         explained = None if row['status'] == NOT_NEEDED else row.get('explained')
-        share = '–' if explained is None else percent(explained)
+        explains = '–' if explained is None else percent(explained)
         rows.append(
             f'<tr><td>{escape(row["name"])}</td><td>{escape(values)}</td>'
-            f'<td style="text-align:right">{share}<br><small>{escape(row["status"])}</small></td>'
+            f'<td style="text-align:right">{explains}<br><small>{escape(row["status"])}</small></td>'
             '</tr>'
         )
     head = '<tr><th>effect</th><th>value</th><th>explains</th></tr>' if rows else ''
