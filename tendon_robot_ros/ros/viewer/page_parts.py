@@ -257,8 +257,8 @@ def verdict(diagnosis: Mapping[str, Any], count: int = 6) -> str:
         explains = '–' if explained is None else percent(explained)
         rows.append(
             f'<tr><td>{escape(row["name"])}</td><td>{escape(values)}</td>'
-            f'<td style="text-align:right">{explains}<br><small>{escape(row["status"])}</small></td>'
-            '</tr>'
+            f'<td style="text-align:right">{explains}<br>'
+            f'<small>{escape(row["status"])}</small></td></tr>'
         )
     head = '<tr><th>effect</th><th>value</th><th>explains</th></tr>' if rows else ''
     colour = KINDS.get(str(diagnosis.get('colour')), PREDICTED)
