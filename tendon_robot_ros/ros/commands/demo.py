@@ -30,7 +30,8 @@ from ..shared.timing import STAND_TIMEOUT_S, WORK_TIMEOUT_S
 
 HELP = "the paper's postures with a mock arm: a table and a picture, in under a minute"
 ROBOT = 'kato_10_1'
-# [m] by which the tip of an arm that hides nothing may miss its target: docs/ros_interface.md
+# [m] by which the tip of an arm that hides nothing may miss its target, because nothing but the
+# tolerance of the search is between the two
 MISS_MAX_M = 0.5e-3
 PICTURE = Path('demo/postures.png')
 Array = NDArray[np.float64]
