@@ -40,7 +40,7 @@ from ..shared.messages import JOINTS, STATE, refilled, seconds, stamp_now, time_
 from ..shared.parameters import BASE_FRAME, COMMAND_MODE, Parameters, Spec, fixed
 from ..shared.runtime import asked_to_end, goes_first, repeat, run, when_asked_to_end
 from ..shared.senders import OwnPublisher, PublisherNames, Senders, gid_text
-from ..shared.timing import SILENCE_S
+from ..shared.timing import SILENCE_S, VALUES_PERIOD_S
 from . import backend
 from .backend import MockTracker
 from .motor_loop import Cycle, MotorLoop
@@ -58,7 +58,6 @@ GO_ON = 'a new target of the controller, or reset, goes on'
 NO_MORE = 'the sender of the commands lets go'
 INACTIVE, INACTIVE_REASON = 'inactive', 'the node is not active'
 
-STATUS_LOOK_PERIOD_S = 0.05  # [s] so that a person who presses stop sees at once that it holds
 # [1] defaults and ranges, each with its unit: docs/ros_interface.md
 SPECS = (
     fixed(
@@ -160,7 +159,7 @@ class DriverNode(StoppableNode):
             ('reboot', MotorLoop.reboot, 'rebooted; call reset next'),
         ):
             self.create_service(Trigger, f'~/{name}', partial(self._try, act, done))
-        repeat(self, STATUS_LOOK_PERIOD_S, self._tell)
+        repeat(self, VALUES_PERIOD_S, self._tell)  # a release is told at once
 
         def let_go() -> None:
             """Begin to release: `deactivate` comes when the main thread can."""

@@ -128,29 +128,29 @@ class Inbox[M]:
         taken: list[Received[M]] = []
         with self.handle:
             while (raw := self._next()) is not None:
-                problem, message = _read(raw.message, self._kind)
+                problem, message = _read(raw[0], self._kind)
                 if problem:
                     self._problem = problem
                 else:
-                    taken.append(Received(message, raw.sent, raw.number, raw.publisher))
+                    taken.append(Received(message, *raw[1:]))
         return taken
 
-    def _next(self) -> Received[bytes] | None:
-        """Return the next message as bytes; the handle must be entered."""
+    def _next(self) -> tuple[bytes, int, int, bytes] | None:
+        """Return the next message as bytes, sent, number, publisher; in the entered handle."""
         if self._bytes is None:
             taken = self.handle.take_message(self._kind, True)
             if taken is None:
                 return None
             data, about = taken
             number = about['publication_sequence_number'] or 0
-            return Received(data, about['source_timestamp'], number)
+            return data, about['source_timestamp'], number, UNTOLD
         info, pointer = self._info, ctypes.c_void_p(self.handle.pointer)
         failed = self._take_bytes(pointer, ctypes.byref(self._bytes), ctypes.byref(info), None)
         if failed:  # there is none
             return None
         data = ctypes.string_at(self._bytes.buffer, self._bytes.length)
         number = info.number if info.number < NOT_COUNTED else 0
-        return Received(data, info.sent, number, bytes(info.publisher))
+        return data, info.sent, number, bytes(info.publisher)
 
     def refused(self) -> str:
         """Say why a message since the last time was not read, '' for none."""
