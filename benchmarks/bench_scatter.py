@@ -19,7 +19,7 @@ from planned import PLANS
 
 from tendon_robot_ros.comparison.outliers import find_outliers
 from tendon_robot_ros.diagnosis.intervals import SizeIntervals
-from tendon_robot_ros.diagnosis.marginal import RandomEffects
+from tendon_robot_ros.diagnosis.marginal import Prior, RandomEffects
 from tendon_robot_ros.diagnosis.report_rows import arm_report
 from tendon_robot_ros.diagnosis.session import Session
 from tendon_robot_ros.effects import load_catalogue
@@ -68,7 +68,7 @@ def held(arm, level, random):
             members[own] = level * TRUE[kind.name] * random.normal(size=own.sum())
             true[kind.name] = (k, float(np.sqrt(np.mean(members[own] ** 2))))
     residual = columns @ members + random.normal(size=len(columns))
-    sizes = effects.estimate(residual, np.zeros((len(columns), 0)), told=False).values
+    sizes = effects.estimate(residual, np.zeros((len(columns), 0)), prior=Prior.NONE).values
     low, high = SizeIntervals(effects, sizes).ends(sizes)
     return {name: (sizes[k] / rms, low[k] <= rms <= high[k]) for name, (k, rms) in true.items()}
 
@@ -86,10 +86,10 @@ def fitted(name, hidden, number, level, seed):
     frees = [c.frees for c in session.candidates if c.names == (hidden,)]
     for _ in range(3):
         if fit is not None:
-            session.weigh(fit.point, fit.around)
+            session.weigh(fit.point, fit.built.around)
         fit = session.fitters[0].fit(frees[0] if frees else (), fit)
-        fit = session.fitters[0].over_turns(fit)
-    return arm_report(session, session.fitters[0].told(fit)), made.built
+        fit = session.fitters[0].over_reversals(fit)
+    return arm_report(session, session.fitters[0].for_values(fit)), made.built
 
 
 def fits(options):

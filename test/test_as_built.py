@@ -15,7 +15,7 @@ from tendon_robot_ros.data import Marker, load_dataset
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.fitter import Fitter
 from tendon_robot_ros.diagnosis.imperfections import SplitPredictor
-from tendon_robot_ros.diagnosis.marginal import SIZES, Likelihood, RandomEffects
+from tendon_robot_ros.diagnosis.marginal import Likelihood, Prior, RandomEffects
 from tendon_robot_ros.diagnosis.patterns import Patterns
 from tendon_robot_ros.diagnosis.session import Session
 from tendon_robot_ros.diagnosis.slopes import imperfections
@@ -204,12 +204,14 @@ def test_a_fit_never_rises_where_friction_turns_over(monkeypatch):
         assert (np.diff(deviances) <= 0.0).all(), deviances
         found.append(fit.values[0])
         split, random = session.splits[0], fit.built.random
-        split.around, sizes = fit.around, fit.built.sizes
+        split.around, sizes = fit.built.around, fit.built.sizes
         white = session.whitener.white(dataset.mean - split.markers(fit.point))
-        worth = random.misfit(white, sizes) + random.cost(fit.around, sizes) + fit.built.penalty
+        worth = (
+            random.misfit(white, sizes) + random.cost(fit.built.around, sizes) + fit.built.penalty
+        )
         assert worth == pytest.approx(deviances[-1], rel=1e-6), 'what it is worth is predicted'
         assert fit.deviance < worth + 1e-6, 'no imperfections are more likely than the best'
-        session.weigh(fit.point, fit.around)
+        session.weigh(fit.point, fit.built.around)
     assert len(places) >= 5, 'some steps were taken'
     np.testing.assert_allclose(found, found[0], atol=3e-4, err_msg='it stays where it was found')
 
@@ -232,8 +234,8 @@ def test_a_soft_cell_is_looked_for_beyond_where_friction_turns_over():
     session = Session(made.fit, made.robot, CATALOGUE, workers=1)
     assert session.weigh({})
     session.leave_out(find_outliers(session.predictor, {}))
-    base = session.fitters[0].over_turns(session.base_fit())
-    found = Patterns(session.fitters[0], base, turns=True).soft_cell()
+    base = session.fitters[0].over_reversals(session.base_fit())
+    found = Patterns(session.fitters[0], base, reversals=True).soft_cell()
     assert found.deviance < base.deviance - 25.0
     assert abs(found.cell - made.values['cell']) <= 1
     assert found.size == pytest.approx(1.0 / made.values['factor'], rel=0.1)
@@ -248,15 +250,15 @@ def test_a_fit_looks_beyond_where_friction_turns_over():
     frees = next(one.frees for one in session.candidates if one.names == ('gravity',))
     near = session.fitters[0].fit(frees)
     for _ in range(2):
-        session.weigh(near.point, near.around)
+        session.weigh(near.point, near.built.around)
         near = session.fitters[0].fit(frees, near)
     fitter = session.fitters[0]
-    far = fitter.over_turns(near)
+    far = fitter.over_reversals(near)
     assert far.deviance < near.deviance - 20.0
     built = np.sqrt(np.mean(made.built.stiffness**2))
     assert near.built.sizes[0] > 4.0 * built, 'else there is nothing to look for'
     assert far.built.sizes[0] == pytest.approx(built, rel=0.5)
-    assert fitter.over_turns(far).deviance > far.deviance - 1.0, 'it is the best place'
+    assert fitter.over_reversals(far).deviance > far.deviance - 1.0, 'it is the best place'
 
 
 @pytest.mark.slow  # test_a_fit_looks_beyond_where_friction_turns_over is the same at one place
@@ -277,7 +279,7 @@ def test_where_friction_does_not_turn_over_a_fit_stays_as_it_is(name):
     session = Session(dataset, dataset.robot, CATALOGUE, workers=1)
     assert session.weigh({})
     fit = session.base_fit()
-    found = session.fitters[0].over_turns(fit)
+    found = session.fitters[0].over_reversals(fit)
     assert found is fit or found.deviance < fit.deviance
 
 
@@ -294,7 +296,7 @@ def test_the_likelihood_is_that_of_the_full_covariance():
     effects, random = small()
     residual = random.normal(size=300)
     sizes = np.array([0.03, 0.002, 0.001, 0.02, 4e-4, 3e-3, 1e-3])
-    scaled = effects.columns * effects.spread(sizes)
+    scaled = effects.columns * sizes[effects.owners]
     full = np.eye(300) + scaled @ scaled.T
     assert effects.log_determinant(sizes) == pytest.approx(np.linalg.slogdet(full)[1])
     white = effects.lift(effects.root(sizes), residual)
@@ -307,7 +309,7 @@ def test_the_sizes_of_imperfections_are_recovered():
     true = np.where(np.isfinite(effects.plausible), 2.0 * effects.plausible, 0.0)
     found = [
         effects.estimate(
-            effects.columns @ (effects.spread(true) * random.normal(size=len(effects.owners)))
+            effects.columns @ (true[effects.owners] * random.normal(size=len(effects.owners)))
             + random.normal(size=300),
             np.zeros((300, 0)),
         ).values
@@ -324,7 +326,7 @@ def unexplained(name):
     return session.random, session.fitters[0].residual(session.predictor.markers({}))
 
 
-@pytest.mark.parametrize('prior', [SIZES, 0])
+@pytest.mark.parametrize('prior', [Prior.SIZES, Prior.NONE])
 def test_slopes_of_the_likelihood_are_those_of_its_value_beside_parameters(prior):
     random, residual = unexplained('messy_008')
     beside = np.random.default_rng(2).normal(size=(len(residual), 3))

@@ -13,7 +13,7 @@ from tendon_robot_ros.comparison.predict import free_parameters
 from tendon_robot_ros.diagnosis.add import add_effects
 from tendon_robot_ros.diagnosis.description import PROFILE, blocks_of_the_arm
 from tendon_robot_ros.diagnosis.fit import Fit
-from tendon_robot_ros.diagnosis.improve import as_found, as_found_without, of_the_search
+from tendon_robot_ros.diagnosis.improve import as_found, of_the_search
 from tendon_robot_ros.diagnosis.result import AS_FOUND, total
 from tendon_robot_ros.diagnosis.stepwise import Stepwise
 from tendon_robot_ros.report.improvement_page import improvement_lines
@@ -118,11 +118,11 @@ def test_of_an_exact_arm_values_are_as_wide_as_the_arm_itself_may_change():
 def test_postures_that_are_held_have_no_part_in_the_arm_as_found(search):
     state = state_of(search, 'hinge_friction')
     held = np.array([2, 7])
-    own = as_found_without(search, state, held, False)
+    own = as_found(search, state, held)
     positions = search.dataset.positions.copy()
     positions[held] += 0.02
     other = Stepwise(replace(search.dataset, positions=positions), ROBOT, CATALOGUE)
-    moved = as_found_without(other, state, held, False)
+    moved = as_found(other, state, held)
     np.testing.assert_allclose(moved.markers, own.markers, atol=1e-9)
     assert (
         np.isnan(own.left_out[held]).all() and np.isfinite(np.delete(own.left_out, held, 0)).all()

@@ -13,10 +13,10 @@ from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.local_tests import (
     Place,
     PlaceColumns,
-    _places,
     faults_among,
     faults_of,
     is_absurd,
+    places_in,
 )
 from tendon_robot_ros.diagnosis.session import Session
 from tendon_robot_ros.diagnosis.verdict import FALSE_DISCOVERY_RATE
@@ -153,7 +153,7 @@ def test_where_a_place_asks_for_more_than_a_cell_can_have_none_is_named():
     markers = tuple(replace(m, arc_length=max(m.arc_length - less, 0.0)) for m in dataset.markers)
     session, fit = base_of(replace(dataset, robot=robot, markers=markers), robot)
     found = session.imperfections
-    places, columns = _places(found.kinds, found.moves, session.whitener)
+    places, columns = places_in(found.kinds, found.moves, session.whitener)
     every = faults_among(places, columns, fit.residual, fit.jacobian)
     assert any(is_absurd(fault) for fault in every)
     told = faults_of(session, fit)

@@ -13,7 +13,7 @@ from tendon_robot_ros.diagnosis.candidates import gain_p_value
 from tendon_robot_ros.diagnosis.fit import Fit, with_imperfections
 from tendon_robot_ros.diagnosis.imperfections import Kind
 from tendon_robot_ros.diagnosis.intervals import SizeIntervals
-from tendon_robot_ros.diagnosis.marginal import LOGARITHMS, RandomEffects
+from tendon_robot_ros.diagnosis.marginal import Prior, RandomEffects
 from tendon_robot_ros.diagnosis.report_rows import arm_report
 from tendon_robot_ros.diagnosis.session import Session
 from tendon_robot_ros.report.sentences import as_built
@@ -40,7 +40,7 @@ def test_a_scatter_that_shows_is_told_as_the_sd_of_so_many_normal_deviates(size)
     random, off, residuals = scattered(12, size, 100)
     held = 0
     for own, residual in zip(off, residuals, strict=True):
-        found = random.estimate(residual, np.zeros((24, 0)), told=False).values
+        found = random.estimate(residual, np.zeros((24, 0)), prior=Prior.NONE).values
         rms = np.sqrt(np.mean(own**2))
         assert found == pytest.approx([rms], rel=0.03)
         low, high = (float(end[0]) for end in SizeIntervals(random, found).ends(found))
@@ -55,7 +55,7 @@ def test_parameters_take_deviations_and_no_size():
     random, off, residuals = scattered(12, 0.03, 3)
     slopes = 1e4 * np.eye(24)[:, :3]
     for own, residual in zip(off, residuals, strict=True):
-        found = random.estimate(residual, slopes, told=False).values
+        found = random.estimate(residual, slopes, prior=Prior.NONE).values
         assert found == pytest.approx([np.sqrt(np.mean(own[3:] ** 2))], rel=0.03)
         low, high = (float(end[0]) for end in SizeIntervals(random, found, slopes).ends(found))
         assert low == pytest.approx(found[0] * np.sqrt(9 / chi2_isf(0.025, 9)), rel=0.01)
@@ -87,7 +87,7 @@ def test_intervals_hold_whatever_comes_out(size, seen):
     for _ in range(100):
         residual = np.append(seen * size * random.normal(size=12), np.zeros(12))
         residual += random.normal(size=24)
-        found = effects.estimate(residual, np.zeros((24, 0)), told=False).values
+        found = effects.estimate(residual, np.zeros((24, 0)), prior=Prior.NONE).values
         low, high = SizeIntervals(effects, found).ends(found)
         held.append(low[0] <= size <= high[0])
     assert 0.90 <= np.mean(held) <= 0.99
@@ -130,7 +130,7 @@ def test_chance_pays_an_effect_along_imperfections_no_more_often_than_is_said():
 
 def told_fit(random, residual, slope):
     """Return a fit of one parameter that moves markers as imperfections may."""
-    sizes = random.estimate(residual, slope[:, None], prior=LOGARITHMS).values
+    sizes = random.estimate(residual, slope[:, None], prior=Prior.LOGARITHMS).values
     lifted = random.lift(random.root(sizes), np.column_stack([slope, residual]))
     value = -(lifted[:, 0] @ lifted[:, 1]) / (lifted[:, 0] @ lifted[:, 0])
     there = residual + value * slope
@@ -145,8 +145,8 @@ def test_intervals_know_that_the_spread_of_few_members_is_an_estimate(size):
     slope, inside, plain = np.where(np.arange(12) < 6, 1e4, 0.0), [], []
     for residual in residuals + np.random.default_rng(1).normal(size=residuals.shape):
         fit = told_fit(random, residual, slope)
-        assert fit.told[0, 0] > fit.covariance[0, 0]
-        inside.append(abs(fit.values[0]) < 1.96 * np.sqrt(fit.told[0, 0]))
+        assert fit.interval_covariance[0, 0] > fit.covariance[0, 0]
+        inside.append(abs(fit.values[0]) < 1.96 * np.sqrt(fit.interval_covariance[0, 0]))
         plain.append(abs(fit.values[0]) < 1.96 * np.sqrt(fit.covariance[0, 0]))
     assert np.mean(plain) < np.mean(inside)
     assert 0.93 <= np.mean(inside) <= 0.985
@@ -160,7 +160,7 @@ def test_what_acts_beside_a_kind_widens_intervals_and_nothing_else():
         random = RandomEffects(1e6 * np.eye(2)[:, :1], np.zeros(1, int), [kind])
         fit = told_fit(random, np.array([1e4, 0.3]), np.array([1e6, 0.0]))
         assert fit.covariance[0, 0] == pytest.approx(1e-4, rel=1e-3)
-        found.append(fit.told[0, 0])
+        found.append(fit.interval_covariance[0, 0])
     assert found == pytest.approx([1e-4, 2e-4], rel=1e-3)
 
 

@@ -7,9 +7,8 @@ import simulated
 from simulated import CATALOGUE, measured
 
 from tendon_robot_ros.diagnosis.candidates import Candidate, Ranked
-from tendon_robot_ros.diagnosis.diagnose import contains, indistinct
 from tendon_robot_ros.diagnosis.session import Session
-from tendon_robot_ros.diagnosis.verdict import APART_FROM_SCORE, P_SINGLE_MIN
+from tendon_robot_ros.diagnosis.verdict import APART_FROM_SCORE, indistinct
 
 ROBOT = simulated.robot()
 
@@ -32,12 +31,12 @@ def session():
 def test_the_class_ends_at_its_limit(session):
     fits = [ranked('hinge_friction', 100.0), ranked('tip_load', 100.0 + APART_FROM_SCORE - 0.01),
             ranked('gravity', 100.0 + APART_FROM_SCORE + 0.01)]  # fmt: skip
-    assert names(indistinct(session, fits, P_SINGLE_MIN)) == ['hinge_friction', 'tip_load']
+    assert names(indistinct(session, fits)) == ['hinge_friction', 'tip_load']
 
 
 def test_what_is_not_adequate_does_not_belong_to_the_class(session):
     fits = [ranked('hinge_friction', 100.0), ranked('tip_load', 99.0, probability=5e-4)]
-    assert names(indistinct(session, fits, P_SINGLE_MIN)) == ['hinge_friction']
+    assert names(indistinct(session, fits)) == ['hinge_friction']
 
 
 def test_more_parameters_cost_two_each(session):
@@ -45,17 +44,17 @@ def test_more_parameters_cost_two_each(session):
         ranked('hinge_friction', 100.0, 1),
         ranked('gravity', 100.0 + APART_FROM_SCORE - 5.0, 4),
     ]
-    assert names(indistinct(session, fits, P_SINGLE_MIN)) == ['hinge_friction']
+    assert names(indistinct(session, fits)) == ['hinge_friction']
 
 
 def test_ties_go_by_the_order_of_the_catalogue(session):
     fits = [ranked('backbone_stiffness', 100.3), ranked('transmission_loss', 100.0)]
-    assert names(indistinct(session, fits, P_SINGLE_MIN)) == [
+    assert names(indistinct(session, fits)) == [
         'backbone_stiffness',
         'transmission_loss',
     ]
     fits = [ranked('backbone_stiffness', 103.0), ranked('transmission_loss', 100.0)]
-    assert names(indistinct(session, fits, P_SINGLE_MIN)) == [
+    assert names(indistinct(session, fits)) == [
         'transmission_loss',
         'backbone_stiffness',
     ]
@@ -63,7 +62,7 @@ def test_ties_go_by_the_order_of_the_catalogue(session):
 
 def test_a_section_of_its_own_contains_the_whole_backbone(session):
     fits = [ranked('section_stiffness', 100.0, 2), ranked('backbone_stiffness', 101.0, 1)]
-    assert names(indistinct(session, fits, P_SINGLE_MIN)) == ['backbone_stiffness']
+    assert names(indistinct(session, fits)) == ['backbone_stiffness']
 
 
 def fitted(hidden, robot=ROBOT):
@@ -76,9 +75,9 @@ def fitted(hidden, robot=ROBOT):
 def test_a_larger_candidate_that_can_do_the_same_drops_out():
     robot = simulated.robot('kato_10_1')
     session, found = fitted({'tendon_stiffness': {'per_tendon': 5e-4}}, robot)
-    assert contains(session, found['section_stiffness'], found['tendon_stiffness'])
-    assert not contains(session, found['tendon_stiffness'], found['section_stiffness'])
-    assert not contains(session, found['tip_load'], found['tendon_stiffness'])
+    assert session.contains(found['section_stiffness'], found['tendon_stiffness'])
+    assert not session.contains(found['tendon_stiffness'], found['section_stiffness'])
+    assert not session.contains(found['tip_load'], found['tendon_stiffness'])
 
 
 def test_exact_twins_fit_alike_and_the_first_is_best():

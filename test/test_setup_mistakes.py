@@ -21,7 +21,7 @@ from tendon_robot_ros.diagnosis.setup_mistakes import (
     Explaining,
     find_mistake,
     implausible,
-    rivals_of,
+    mended_rivals,
 )
 from tendon_robot_ros.diagnosis.stepwise import Stepwise
 from tendon_robot_ros.report.diagnosis_text import lines
@@ -289,7 +289,7 @@ def test_a_marker_elsewhere_is_tried_though_all_nearer_to_the_base_leave_less():
     wrong = replace(right, markers=tuple(markers), positions=right.positions[:, :, own])
     session = Session(wrong, arm, CATALOGUE, 1, None)
     assert session.weigh({})
-    _, found = rivals_of(session, 2e-3)
+    _, found = mended_rivals(session, 2e-3)
     assert 'with marker 20 at 100 mm along the arm instead of 95.0 mm' in found[0].mistake.sentence
     assert found[0].explained.names == ('tip_load',)
 
@@ -332,7 +332,7 @@ def test_half_as_many_cells_on_the_same_length_are_told_beside_a_load():
     )
     session = Session(wrong, half, CATALOGUE, 1, None)
     assert session.weigh({})
-    _, found = rivals_of(session, 2e-3)
+    _, found = mended_rivals(session, 2e-3)
     said = 'with 20 cells of 5 mm instead of 10 in the arm (markers stay)'
     assert said in found[0].mistake.sentence  # twice the tensions do nearly the same
     (one,) = (one for one in found if one.mistake.sentence.startswith(said))

@@ -15,8 +15,8 @@ from ..common.errors import InputError, NoEquilibriumError, refusal
 from ..common.processes import one_thread
 from ..common.results import TextResult, make_frame
 from ..comparison.outliers import find_outliers
-from ..comparison.predict import FreeParameter, Point
-from ..data import DataSet, DataSetLike, load_dataset
+from ..comparison.predict import Point
+from ..data import DataSetLike, load_dataset
 from ..effects import CatalogueLike, load_catalogue
 from ..robot import Robot, RobotLike, load_robot
 from .candidates import Candidate, is_tested, why_untested
@@ -92,7 +92,12 @@ def with_origin(made: Addition, before: Robot) -> Robot:
         error[one.kind.replace(' ', '_')] = {'data': one.data, **numbers}
     for name, values in made.values.items():
         origin: dict[str, Any] = {
-            'parameters': {key: _plain(value) for key, value in values.items()},
+            'parameters': {
+                key: {name: _short(getattr(value, name)) for name in ('value', 'low', 'high')}
+                | {'unit': value.unit}
+                | ({'note': value.note} if value.note else {})
+                for key, value in values.items()
+            },
             'data': made.fitted.data,
             'date': date.today().isoformat(),
             'error': error,
@@ -100,7 +105,8 @@ def with_origin(made: Addition, before: Robot) -> Robot:
         if len(made.values) > 1:
             origin['together_with'] = [other for other in made.values if other != name]
         if name in before.effects:
-            origin['replaces'] = _listed(before.effects[name])
+            old = before.effects[name].items()
+            origin['replaces'] = {k: list(v) if isinstance(v, tuple) else v for k, v in old}
         if made.moved:
             origin['tolerances_moved'] = {key: _short(z) for key, z in made.moved.items()}
         if made.accuracy:
@@ -150,21 +156,8 @@ def restore(robot: Robot, name: str) -> tuple[Robot, Mapping[str, Any] | None]:
     return robot.with_effect(name, back), back
 
 
-def _plain(value: Value) -> dict[str, Any]:
-    plain = {key: _short(getattr(value, key)) for key in ('value', 'low', 'high')}
-    return {**plain, 'unit': value.unit, **({'note': value.note} if value.note else {})}
-
-
-def _listed(values: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: list(v) if isinstance(v, tuple) else v for key, v in values.items()}
-
-
 def _short(value: float | None) -> float | None:
     return None if value is None else float(f'{value:.4g}')
-
-
-# -----------------------------------------------------------------------------
-# Add effects to a robot description: fit their parameters and watch the error fall.
 
 
 @one_thread()
@@ -220,17 +213,37 @@ def add_effects(
         )
     session.leave_out(find_outliers(session.predictor, {}))
     dataset = session.dataset
-    found = settle(session, names, _point(session, names, start))
-    fit, made, probability, scale = found.fit, found.made, found.probability, found.scale
+    by_name, point = {effect.name: effect for effect in start}, None
+    if set(names) <= set(by_name):
+        frees = [free for name in names for free in _candidate(session, name).frees]
+        point = {free: by_name[free.effect].parameters[free.key].value for free in frees}
+    settled = settle(session, names, point)
+    fit, made = settled.fit, settled.made
+    probability, scale = settled.probability, settled.scale
     values = values_with_intervals(session.fitters[0], fit, scale)
-    fitted, on_check = _errors(session, made, other)
+    robots = Staircase(session.robot, made.alone, made.robot)
+    fitted = errors_on(session.dataset, robots, session.catalogue, 'fitted')
+    if other is not None:
+        on_check = errors_on(other, robots, session.catalogue, 'check')
+    else:
+        alone = made.alone_left_out if made.beside else None
+        on_check = replace(fitted, kind='left out', alone=alone, after=made.left_out)
     more = more_at_work(fitted, probability) if partial or probability <= P_SINGLE_MIN else ''
     by = session.accuracy if session.use_accuracy else None
     loads, moved = loads_of(fit, session.predictor, scale), fit.prior_z
     added = Addition(
-        made.robot, values, fitted, on_check, probability, moved, more, made.beside, by, loads,
+        made.robot,
+        values,
+        fitted,
+        on_check,
+        probability,
+        moved,
+        more,
+        made.beside,
+        by,
+        loads,
         described,
-    )  # fmt: skip
+    )
     return replace(added, robot=with_origin(added, described))
 
 
@@ -247,23 +260,13 @@ class Settled:
 def settle(session: Session, names: Sequence[str], start: Point | None = None) -> Settled:
     """Fit effects together; what repeatability cannot explain is weighed by the accuracy."""
     fit = fit_effects(session, names, start)
-    probability, fit = fit.probability(session.freedom), session.fitters[0].told(fit)
+    probability, fit = fit.probability(session.freedom), session.fitters[0].for_values(fit)
     made = written(session, fit)
     if probability <= P_SINGLE_MIN and session.accuracy:
         fit, made = _by_accuracy(session, names, fit, made)
     own = fit.probability(session.freedom) if session.use_accuracy else probability
     scale = 1.0 if own > P_SINGLE_MIN else max(1.0, fit.chi2 / max(fit.freedom, 1))
     return Settled(fit, made, probability, scale)
-
-
-def _errors(session: Session, made: Written, check: DataSet | None) -> tuple[Errors, Errors]:
-    """Return the errors on the fitted postures, and on a check set or postures left out."""
-    robots = Staircase(session.robot, made.alone, made.robot)
-    fitted = errors_on(session.dataset, robots, session.catalogue, 'fitted')
-    if check is not None:
-        return fitted, errors_on(check, robots, session.catalogue, 'check')
-    alone = made.alone_left_out if made.beside else None
-    return fitted, replace(fitted, kind='left out', alone=alone, after=made.left_out)
 
 
 def _by_accuracy(
@@ -279,12 +282,12 @@ def _by_accuracy(
     session.use_accuracy = True
     with suppress(NoEquilibriumError):
         again = fit_effects(session, names, fit.point) if session.weigh(fit.point) else fit
-        again = session.fitters[0].told(again)
-        found = written(session, again)
-        if found.left_out <= made.left_out:
-            return again, found
+        again = session.fitters[0].for_values(again)
+        other = written(session, again)
+        if other.left_out <= made.left_out:
+            return again, other
     session.use_accuracy = False
-    session.weigh(fit.point, fit.around)
+    session.weigh(fit.point, fit.built.around)
     return fit, made
 
 
@@ -331,8 +334,8 @@ def fit_effects(session: Session, names: Sequence[str], start: Point | None = No
     own = [_candidate(session, name) for name in dict.fromkeys(names)]
     fit = _joined(session, own) if start is None else _fit(session, _together(own), start)
     for _ in range(2):
-        fit = session.fitters[0].over_turns(fit)
-        session.weigh(fit.point, fit.around)
+        fit = session.fitters[0].over_reversals(fit)
+        session.weigh(fit.point, fit.built.around)
         fit = _fit(session, _together(own), fit)
     return fit
 
@@ -404,14 +407,3 @@ def _refuse_untested(session: Session, candidate: Candidate, fit: Fit | None) ->
     raise InputError(
         f'{effect.name}: these measurements cannot tell its value ({reason}); nothing was written'
     )
-
-
-def _point(
-    session: Session, names: Sequence[str], start: Sequence[EffectFinding]
-) -> dict[FreeParameter, float] | None:
-    """Return the values of a diagnosis as a point; None where an effect is not among them."""
-    by_name = {effect.name: effect for effect in start}
-    if not names or not set(names) <= set(by_name):
-        return None
-    frees = [free for name in names for free in _candidate(session, name).frees]
-    return {free: by_name[free.effect].parameters[free.key].value for free in frees}

@@ -20,13 +20,10 @@ from ..comparison.statistics import chi2_sf, f_sf
 from ..data import DataSet
 from ..effects import Catalogue, Effect, Parameter
 from ..robot import Robot
-from .fit import Fit, Nuisance
-from .verdict import TESTED_FROM_CHI2
+from .fit import FREEDOM_MANY, Fit, Nuisance
+from .imperfections import PLAUSIBLE_SIZES
 
 Floats = npt.NDArray[np.float64]
-FREEDOM_MAX = 1e3  # degrees of freedom from which an F distribution is a chi² one
-CELL_STIFFNESS = Parameter('relative_change', '1', -0.95, 20.0, 0.0, 0.05)
-STIFFNESS_STEP = 0.01  # relative change of a stiffness for its slope
 
 
 def why_untested(effect: Effect, dataset: DataSet, robot: Robot) -> str:
@@ -34,7 +31,9 @@ def why_untested(effect: Effect, dataset: DataSet, robot: Robot) -> str:
     if effect.acts_on and effect.acts_on not in robot.effects:
         return f'acts on {effect.acts_on}, which the description lacks'
     if effect.needs == 'history':
-        return _memory(dataset)
+        if dataset.path == 'from_straight':
+            return 'every posture loaded from straight'
+        return 'these postures hardly show it' if unloads(dataset) else 'no unloading'
     if effect.needs == 'pulls' and dataset.input == 'tension':
         return 'wire pulls not commanded'
     if effect.needs == 'gravity':
@@ -44,12 +43,6 @@ def why_untested(effect: Effect, dataset: DataSet, robot: Robot) -> str:
         if not np.any(gravity):
             return 'set to zero'
     return 'these postures hardly show it'
-
-
-def _memory(dataset: DataSet) -> str:
-    if dataset.path == 'from_straight':
-        return 'every posture loaded from straight'
-    return 'these postures hardly show it' if unloads(dataset) else 'no unloading'
 
 
 @dataclass(frozen=True)
@@ -89,6 +82,21 @@ class Ranked:
     noise_freedom: float  # degrees of freedom behind the noise
     owners: npt.NDArray[np.int64]  # posture (N,) of each whitened value
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Effects."""
+        return self.candidate.names
+
+    @property
+    def present(self) -> bool:
+        """Whether the description has them already."""
+        return self.candidate.present
+
+    @property
+    def misfit(self) -> float:
+        """Chi² over its degrees of freedom."""
+        return self.fit.chi2 / max(self.fit.freedom, 1)
+
     @cached_property
     def probability(self) -> float:
         """Chance of so large a chi² if it is the truth."""
@@ -119,7 +127,10 @@ def nuisances_of(robot: Robot, catalogue: Catalogue, predictor: Predictor) -> li
     nuisances = []
     for quantity, spread in robot.tolerances.items():
         if quantity == CELLS and spread > 0.0 and robot.exact:
-            nuisances += cell_nuisances(robot, spread)
+            change = Parameter('relative_change', '1', -0.95, 20.0, 0.0, 0.05)
+            cells = enumerate(robot.cell_names)
+            frees = [FreeParameter(CELLS, change, i, name) for i, name in cells]
+            nuisances += [Nuisance(CELLS, free, 0.0, spread) for free in frees]
         twin = catalogue.twin(quantity)
         if twin is None or spread <= 0.0:
             continue
@@ -173,32 +184,26 @@ def is_tested(
         shown = [f for f in candidate.frees if not f.parameter.has_default]
         moves = [{free: free.parameter.typical for free in shown}]
     else:
-        moves = [
-            {free: _moved(point.get(free, predictor.value(free)), free)}
-            for free in candidate.frees
-        ]
+        moves = []
+        for free in candidate.frees:
+            own, value = free.parameter, point.get(free, predictor.value(free))
+            up = value + own.typical  # else to the side that has room
+            moves.append({free: up if up <= own.high else max(value - own.typical, own.low)})
     for move in moves:
         there = predictor.markers({**point, **move})
         if there is None:
             return True
         white = whitener.white(there - here)
-        if float(white @ white) > TESTED_FROM_CHI2:
+        if float(white @ white) > 1.0:  # more than one standard deviation of the noise
             return True
     return False
-
-
-def _moved(value: float, free: FreeParameter) -> float:
-    """Move a value by its typical size, to the side that has room."""
-    parameter = free.parameter
-    up = value + parameter.typical
-    return up if up <= parameter.high else max(value - parameter.typical, parameter.low)
 
 
 def unloads(dataset: DataSet) -> bool:
     """Tell whether an input is ever let go between a posture and the next one."""
     inputs, visits = np.nan_to_num(dataset.inputs), dataset.visits
-    ways = [slice(None)] if visits is None else [visits.rows[leg] for leg in visits.legs()]
-    let_go = any((np.diff(inputs[way], axis=0) < 0.0).any() for way in ways)
+    paths = [slice(None)] if visits is None else [visits.rows[leg] for leg in visits.legs()]
+    let_go = any((np.diff(inputs[path], axis=0) < 0.0).any() for path in paths)
     return dataset.path != 'from_straight' and let_go
 
 
@@ -215,7 +220,7 @@ def gain_p_value(
     if gain <= 0.0:
         return 1.0
     probability = chi2_sf(gain, rank)
-    if freedom < FREEDOM_MAX:
+    if freedom < FREEDOM_MANY:
         ratio = np.expm1(gain / (freedom + rank)) * freedom / rank
         probability = f_sf(float(ratio), rank, freedom)
     one_sided = len(fit.frees) == 1 and described[0] in (
@@ -223,14 +228,6 @@ def gain_p_value(
         fit.frees[0].parameter.high,
     )
     return 0.5 * probability if one_sided else probability
-
-
-def cell_nuisances(robot: Robot, spread: float) -> list[Nuisance]:
-    """Return a parameter for the stiffness of every cell; `spread` is its relative 1 sd."""
-    cells = [
-        FreeParameter(CELLS, CELL_STIFFNESS, i, name) for i, name in enumerate(robot.cell_names)
-    ]
-    return [Nuisance(CELLS, free, 0.0, spread) for free in cells]
 
 
 def cell_slopes(
@@ -241,10 +238,8 @@ def cell_slopes(
     here = predictor.markers(point) if frees else None
     if here is None:
         return {}
-    near, slopes = predictor.settled, {}
+    near, slopes, step = predictor.settled, {}, PLAUSIBLE_SIZES[CELLS][2]
     for free in frees:
-        moved = predictor.markers(
-            {**point, free: point.get(free, 0.0) + STIFFNESS_STEP}, near=near
-        )
-        slopes[free] = np.zeros_like(here) if moved is None else (moved - here) / STIFFNESS_STEP
+        moved = predictor.markers({**point, free: point.get(free, 0.0) + step}, near=near)
+        slopes[free] = np.zeros_like(here) if moved is None else (moved - here) / step
     return slopes

@@ -20,18 +20,17 @@ from ..data import DataSet
 from ..effects import Catalogue
 from ..robot import Robot
 from .description import changed_robot, with_members, with_tolerances, written_members
-from .fit import Fit, covariance_root, shares
+from .fit import LEVERAGE_MAX, Fit, covariance_root, shares
 from .fitter import Fitter
-from .verdict import LEFT_OUT_SHARE_MAX
+from .marginal import RIDGE
+from .verdict import LEFT_OUT_RATIO_MAX
 
 if TYPE_CHECKING:
     from .session import Session
 
 Floats = npt.NDArray[np.float64]
-FOLDS = 6  # groups of postures that are left out in turn
-UNTOLD = 1e-10  # of what tells a direction, below which the other postures tell nothing of it
+FOLDS = 6  # [1] groups of postures left out in turn, because each is predicted by the model
 Groups = npt.NDArray[np.int64]
-TELLS_ITSELF = 1e-3  # share of a reading that the other postures tell, at least
 
 
 @dataclass(frozen=True)
@@ -70,7 +69,7 @@ def share_gone(before: float, after: float, floor: float) -> float | None:
 
 @dataclass(frozen=True)
 class Staircase:
-    """The descriptions on the way: as described, with effects alone, and as it is written."""
+    """Three descriptions: as described, with effects alone, and as it is written."""
 
     before: Robot
     alone: Robot
@@ -113,7 +112,7 @@ def predict(dataset: DataSet, robot: Robot, catalogue: Catalogue) -> tuple[Predi
     return predictor, markers
 
 
-def left_out(fitter: Fitter, fit: Fit, beside: bool = True) -> float:
+def left_out_error(fitter: Fitter, fit: Fit, beside: bool = True) -> float:
     """Return the rms error [m] on postures that were not used; see `left_out_markers`."""
     dataset = fitter.predictor.dataset
     measured = dataset.trials > 0
@@ -140,7 +139,7 @@ def left_out_markers(fitter: Fitter, fit: Fit, beside: bool = True) -> Floats:
         held = measured[np.isin(dataset.groups[measured], groups[fold::folds])]
         gone = np.flatnonzero(np.isin(owners, held))
         out, off = fit.jacobian[gone] / scale, fit.residual[gone]
-        left = normal - out.T @ out + UNTOLD * np.eye(len(normal))
+        left = normal - out.T @ out + RIDGE * np.eye(len(normal))
         step = np.linalg.solve(left, gradient - out.T @ off) / scale
         markers = written_markers(fitter, fit, fit.values - step, beside)
         if markers is not None:
@@ -161,9 +160,8 @@ def written_markers(
     low = [free.parameter.low for free in frees]
     high = [free.parameter.high for free in frees]
     own = np.clip(values[: len(frees)], low, high)
-    if fitter.built is not None:
-        units = values[len(fit.all_frees) :]
-        fitter.go_around(written_members(fit, units) if beside else {})
+    units = values[len(fit.all_frees) :]
+    fitter.go_around(written_members(fit, units) if beside else {})
     return fitter.predictor.markers(dict(zip(frees, own.tolist(), strict=True)))
 
 
@@ -210,7 +208,7 @@ def left_out_errors(
         rows = np.flatnonzero(groups[owners] == group)
         share, vectors = shares(jacobian[rows] @ root)
         along = vectors.T @ residual[rows]
-        told = np.maximum(1.0 - share, TELLS_ITSELF)
+        told = np.maximum(1.0 - share, 1.0 - LEVERAGE_MAX)
         left = residual[rows] + vectors @ (along / told - along)
         for p in np.unique(owners[rows]):
             metres = np.linalg.solve(whitener.root(p), left[owners[rows] == p])
@@ -237,11 +235,11 @@ def written(session: Session, fit: Fit) -> Written:
     out: tolerances that moved, and imperfections, which of an exact arm are only noise.
     """
     alone = described_by(session, fit, beside=False)
-    error = left_out(session.fitters[0], fit, beside=False)
-    if fit.built is None and not fit.nuisances:
+    error = left_out_error(session.fitters[0], fit, beside=False)
+    if not fit.as_built and not fit.nuisances:
         return Written(alone, alone, False, error, error)
-    together = left_out(session.fitters[0], fit)
-    if together > LEFT_OUT_SHARE_MAX * error:
+    together = left_out_error(session.fitters[0], fit)
+    if together > LEFT_OUT_RATIO_MAX * error:
         return Written(alone, alone, False, error, error)
     return Written(alone, described_by(session, fit, beside=True), True, error, together)
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +17,7 @@ from numpy.polynomial import legendre
 from ..comparison.predict import CELLS, Conditions, FreeParameter, Point, Predictor
 from ..data import DataSet
 from ..effects import Catalogue, Parameter
-from ..robot import Robot, Tendon
+from ..robot import Robot
 from ..robot.description import EffectValues, helix_angles, tendon_offsets
 from .candidates import Candidate
 from .fit import Fit
@@ -27,12 +26,10 @@ from .imperfections import GAIN, HOLE, POSITION, ROTATION, ZERO
 Floats = npt.NDArray[np.float64]
 WRITABLE_KINDS = (CELLS, GAIN, HOLE, ZERO, POSITION, ROTATION)  # kinds that a description can hold
 PROFILE = 'bending_stiffness'  # of the description: how it changes along the arm
-PROFILE_DEGREE = 4  # of the polynomial by which its logarithm changes
+PROFILE_DEGREE = 4  # [1] of a polynomial, because a dozen of markers tell no more of it
 ROUTES = 'tendon_routes'  # of the description: every tendon turned about the axis, and winding
-TURN_MAX = 1.0  # [rad] about the axis at the base, and on the whole way to the tip
-TURN_TYPICAL = 0.03  # [rad]
-ROUTES_KEPT_MAX = 64  # arrangements of the tendons that are not computed again
-WINDS_AT_LEAST = 1e-6  # [rad/m] no more than rounding, but the model is ready for more
+TURN_MAX = 1.0  # [rad] at the base, and to the tip, else a tendon would be its neighbour
+TURN_TYPICAL = 0.03  # [rad] 2°, because holes are drilled to a few tenths of a millimetre
 OF_THE_ARM = (PROFILE, ROUTES)
 
 
@@ -48,24 +45,18 @@ def with_values(
     for name, items in found.items():
         parameters = {p.name: p for p in catalogue[name].parameters}
         known = {key: p.neutral for key, p in parameters.items()} | robot.effects.get(name, {})
-        changed = {
-            key: _entry(own, known[key], counts.get(parameters[key].per, 1))
-            for key, own in items.items()
-        }
+        changed: EffectValues = {}
+        for key, own in items.items():
+            before, count = known[key], counts.get(parameters[key].per, 1)
+            if own[0][0] is None or count == 1:
+                changed[key] = own[0][1]
+                continue
+            each = list(before) if isinstance(before, tuple) else [before] * count
+            for column, value in own:  # of so many sections or tendons
+                each[column or 0] = value
+            changed[key] = tuple(each)
         robot = robot.with_effect(name, known | changed, robot.fitted.get(name))
     return robot
-
-
-def _entry(
-    own: Sequence[tuple[int | None, float]], before: float | tuple[float, ...], count: int
-) -> float | tuple[float, ...]:
-    """Return the value of a parameter, or of those of so many sections or tendons, changed."""
-    if own[0][0] is None or count == 1:
-        return own[0][1]
-    each = list(before) if isinstance(before, tuple) else [before] * count
-    for column, value in own:
-        each[column or 0] = value
-    return tuple(each)
 
 
 def changed_robot(robot: Robot, catalogue: Catalogue, fit: Fit, dataset: DataSet) -> Robot:
@@ -105,8 +96,6 @@ def with_cells(robot: Robot, changes: Floats) -> Robot:
 
 def written_members(fit: Fit, units: Floats) -> dict[str, Floats]:
     """Return the imperfections that a description can hold, from mixtures in units of their sd."""
-    if fit.built is None:
-        return {}
     named = fit.built.random.named(units, fit.built.sizes)
     return {kind: values for kind, values in named.items() if kind in WRITABLE_KINDS}
 
@@ -120,7 +109,7 @@ def with_members(robot: Robot, fit: Fit, input: str) -> Robot:
     description.
     """
     values = fit.members
-    if values is None:
+    if not fit.as_built:
         return robot
     robot = with_cells(robot, values.get(CELLS, np.zeros(robot.cells)))
     scale = np.ones(len(robot.tendons))
@@ -133,7 +122,17 @@ def with_members(robot: Robot, fit: Fit, input: str) -> Robot:
         for t, factor in zip(robot.tendons, scale.tolist(), strict=True)
     )
     robot = replace(robot, tendons=tendons)
-    return _registered(robot if input == 'tension' else wound(robot, values), values)
+    robot = robot if input == 'tension' else wound(robot, values)
+    name = 'base_misalignment'
+    moved = [(POSITION, 'shift'), (ROTATION, 'rotation')]
+    if not any(values.get(kind, np.zeros(3)).any() for kind, _ in moved):
+        return robot
+    before, frame = robot.effects.get(name, {}), EffectValues()
+    for kind, key in moved:  # added to the registration that the description has
+        for axis, change in zip('xyz', values.get(kind, np.zeros(3)).tolist(), strict=True):
+            old = before.get(f'{key}_{axis}', 0.0)
+            frame[f'{key}_{axis}'] = _short((old if isinstance(old, float) else old[0]) + change)
+    return robot.with_effect(name, frame, robot.fitted.get(name))
 
 
 def wound(robot: Robot, members: dict[str, Floats]) -> Robot:
@@ -154,18 +153,6 @@ def wound(robot: Robot, members: dict[str, Floats]) -> Robot:
     return robot
 
 
-def _registered(robot: Robot, members: dict[str, Floats]) -> Robot:
-    """Add the registration to what the description says of it."""
-    before, values = robot.effects.get('base_misalignment', {}), EffectValues()
-    for kind, key in ((POSITION, 'shift'), (ROTATION, 'rotation')):
-        for axis, change in zip('xyz', members.get(kind, np.zeros(3)).tolist(), strict=True):
-            old = before.get(f'{key}_{axis}', 0.0)
-            values[f'{key}_{axis}'] = _short((old if isinstance(old, float) else old[0]) + change)
-    if not any(members.get(kind, np.zeros(3)).any() for kind in (POSITION, ROTATION)):
-        return robot
-    return robot.with_effect('base_misalignment', values, robot.fitted.get('base_misalignment'))
-
-
 def _scaled(offset: tuple[float, float], factor: float) -> tuple[float, float]:
     return (_short(offset[0] * factor), _short(offset[1] * factor))
 
@@ -182,7 +169,7 @@ class DescribedArm(Predictor):
         self.described = robot
         super().__init__(dataset, _winding(robot) if may_wind(robot) else robot, catalogue)
         self._routes = (self.model.arrays.offset.copy(), self.model.arrays.helix.copy())
-        self._rerouted: dict[tuple[Any, ...], tuple[Floats, Floats]] = {}
+        self._moved: Point = {}  # of the routes, offsets [m] and helix angles [rad], that are kept
 
     def value(self, free: FreeParameter) -> float:
         """Value that the description gives a parameter; of the arm itself: its change, none."""
@@ -198,21 +185,11 @@ class DescribedArm(Predictor):
             own = profile_factors(profile, self.robot)
             stiffness = own if stiffness is None else own * stiffness
         super().set_parameters(effects, part, stiffness)
-        routes = self._routes_at(point)
-        self.model.arrays.offset[:], self.model.arrays.helix[:] = routes
-
-    def _routes_at(self, point: Point) -> tuple[Floats, Floats]:
-        """Return offsets (n, k, 2) [m] and helix angles (n, k) [rad] of the tendons at a point."""
-        moved = tuple(sorted((f.column, f.parameter.name, v) for f, v in point.items()
-                             if f.effect == ROUTES and v != 0.0))  # fmt: skip
-        if not moved:
-            return self._routes
-        if moved not in self._rerouted:
-            if len(self._rerouted) >= ROUTES_KEPT_MAX:
-                self._rerouted.clear()
-            robot = _winding(rerouted(self.described, point))
-            self._rerouted[moved] = tendon_offsets(robot), helix_angles(robot)
-        return self._rerouted[moved]
+        moved = {free: v for free, v in point.items() if free.effect == ROUTES and v != 0.0}
+        if moved != self._moved:
+            robot = _winding(rerouted(self.described, moved))
+            self._moved, self._routes = moved, (tendon_offsets(robot), helix_angles(robot))
+        self.model.arrays.offset[:], self.model.arrays.helix[:] = self._routes
 
 
 def blocks_of_the_arm(robot: Robot) -> Iterator[Candidate]:
@@ -246,8 +223,11 @@ def profile_factors(coefficients: Sequence[float], robot: Robot) -> Floats:
 
 def rerouted(robot: Robot, point: Point) -> Robot:
     """Return the description with tendons that are turned at the base [rad] and wind [rad/m]."""
-    change = {(free.column, free.parameter.name): value for free, value in point.items()
-              if free.effect == ROUTES}  # fmt: skip
+    change = {
+        (free.column, free.parameter.name): value
+        for free, value in point.items()
+        if free.effect == ROUTES
+    }
     tendons = []
     for i, tendon in enumerate(robot.tendons):
         c, s = np.cos(change.get((i, 'turn'), 0.0)), np.sin(change.get((i, 'turn'), 0.0))
@@ -260,7 +240,16 @@ def rerouted(robot: Robot, point: Point) -> Robot:
 def arm_with(robot: Robot, point: Point) -> Robot:
     """Return the description with what a point says of the arm itself."""
     if any(free.effect == ROUTES for free in point):
-        robot = replace(robot, tendons=tuple(_written(t) for t in rerouted(robot, point).tendons))
+        tendons = tuple(
+            replace(
+                t,
+                base=(_exact(t.base[0]), _exact(t.base[1])),
+                end=(_exact(t.end[0]), _exact(t.end[1])),
+                helix=_exact(t.helix),
+            )
+            for t in rerouted(robot, point).tendons
+        )
+        robot = replace(robot, tendons=tendons)
     profile = [value for free, value in point.items() if free.effect == PROFILE]
     if not profile:
         return robot
@@ -292,14 +281,8 @@ def route_changes(point: Point) -> dict[str, tuple[float, float]]:
 
 
 def _winding(robot: Robot) -> Robot:
-    tendons = (replace(tendon, helix=tendon.helix or WINDS_AT_LEAST) for tendon in robot.tendons)
+    tendons = (replace(tendon, helix=tendon.helix or 1e-6) for tendon in robot.tendons)
     return replace(robot, tendons=tuple(tendons))
-
-
-def _written(tendon: Tendon) -> Tendon:
-    (x, y), (end_x, end_y) = tendon.base, tendon.end
-    base, end = (_exact(x), _exact(y)), (_exact(end_x), _exact(end_y))
-    return replace(tendon, base=base, end=end, helix=_exact(tendon.helix))
 
 
 def _exact(value: float) -> float:

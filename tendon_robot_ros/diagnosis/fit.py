@@ -1,9 +1,9 @@
-"""A settled fit of freed parameters on whitened marker positions, and what it tells."""
+"""A converged fit of freed parameters on whitened marker positions, and what it tells."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,12 +12,13 @@ import numpy.typing as npt
 from ..comparison.predict import FreeParameter
 from ..comparison.statistics import chi2_sf, f_sf, normal_ppf, t_ppf
 from .imperfections import Kind, Members
-from .marginal import SIZES, RandomEffects, Sizes, root_inverse
+from .marginal import Prior, RandomEffects, Sizes, root_inverse
 
 Floats = npt.NDArray[np.float64]
-SHARE_MAX = 0.999  # [1] of a value that its own posture tells: beyond, nothing else does
-FREEDOM_LEAST, FREEDOM_MANY = 3.0, 300.0  # deviations that tell a variance; from which t is normal
-CONDITION_MAX = 1e10  # [1] of normal matrices that are inverted by their triangular root
+LEVERAGE_MAX = 0.999  # [1] of a value on its own prediction, else rounding would predict it
+FREEDOM_MIN = 3.0  # [1] of a variance: below, the t distribution would have no variance
+FREEDOM_MANY = 1e3  # [1] of a variance, because t and F are then their limits to three digits
+CONDITION_MAX = 1e10  # [1] of normal matrices, else fewer than six digits would be left
 
 
 @dataclass(frozen=True)
@@ -32,13 +33,13 @@ class Nuisance:
 
 @dataclass(frozen=True)
 class Scatter:
-    """The imperfections of an arm as it is built, at a fit."""
+    """The imperfections of an arm as it is built, at a fit; an exact arm has none of any kind."""
 
     random: RandomEffects
     around: Members  # where they are taken as linear
     sizes: Floats  # (K,) estimated sd of each kind
     penalty: float  # log |V| and priors of the sizes: what chi² lacks to be a deviance
-    estimate: Callable[..., Sizes]  # of the sizes again; takes `remainder`, `told` and `prior`
+    estimate: Callable[..., Sizes]  # of the sizes again; takes `remainder` and `prior`
 
     @property
     def kinds(self) -> tuple[Kind, ...]:
@@ -46,10 +47,18 @@ class Scatter:
         return self.random.kinds
 
 
+def _no_scatter() -> Scatter:
+    none = RandomEffects.none(0)
+    return Scatter(none, {}, none.start, 0.0, lambda **options: Sizes(none.start, 0.0))
+
+
+NO_SCATTER = _no_scatter()
+
+
 @dataclass(frozen=True)
 class Fit:
     """
-    A settled fit; N whitened values, q parameters: freed ones, nuisances, imperfections.
+    A converged fit; N whitened values, q parameters: freed ones, nuisances, imperfections.
 
     Imperfections count as mixtures, in units of their estimated standard deviation.
     """
@@ -60,7 +69,12 @@ class Fit:
     residual: Floats  # (N + priors,) whitened measured minus model, prior rows last
     jacobian: Floats  # (N + priors, q) whitened derivative of the residual
     markers: Floats  # (P, J, 3) [m] of the model alone, without the imperfections
-    built: Scatter | None = None  # None: the description is exact
+    built: Scatter = NO_SCATTER
+
+    @property
+    def as_built(self) -> bool:
+        """Whether imperfections of the arm take part; else its description counts as exact."""
+        return bool(self.built.kinds)
 
     @property
     def point(self) -> dict[FreeParameter, float]:
@@ -83,27 +97,18 @@ class Fit:
         return float(self.residual @ self.residual)
 
     @property
-    def members(self) -> dict[str, Floats] | None:
+    def members(self) -> dict[str, Floats]:
         """Most likely imperfections by kind [unit], without the remainder."""
-        if self.built is None:
-            return None
         return self.built.random.named(self.values[len(self.all_frees) :], self.built.sizes)
-
-    @property
-    def around(self) -> Members | None:
-        """Imperfections by kind [unit] with which its markers were predicted last."""
-        return None if self.built is None else self.built.around
 
     @property
     def deviance(self) -> float:
         """Return -2 log marginal likelihood up to a constant: chi² where nothing is random."""
-        return self.chi2 + (0.0 if self.built is None else self.built.penalty)
+        return self.chi2 + self.built.penalty
 
     @cached_property
     def remainder_gain(self) -> float:
         """Gain in deviance by a remainder that neither the model nor imperfections explain."""
-        if self.built is None:
-            return 0.0
         return max(self.built.estimate(remainder=False).deviance - self.deviance, 0.0)
 
     @cached_property
@@ -117,17 +122,20 @@ class Fit:
     @property
     def freedom(self) -> int:
         """Degrees of freedom: prior rows and nuisances cancel."""
-        random = 0 if self.built is None else len(self.built.random.owners)
-        priors = len(self.nuisances) + random
+        priors = len(self.nuisances) + len(self.built.random.owners)
         return len(self.residual) - priors - self.rank
 
     @cached_property
     def covariance(self) -> Floats:
         """Covariance (q, q) of the values; infinite diagonal where nothing determines them."""
-        return _covariance(*self._root, blind=np.inf)
+        return covariance_of(*self._root)
 
     @cached_property
-    def told(self) -> Floats:
+    def _root(self) -> tuple[Floats, npt.NDArray[np.bool_]]:
+        return covariance_root(self.jacobian)
+
+    @cached_property
+    def interval_covariance(self) -> Floats:
         """
         Covariance (k, k) of the freed parameters by which 95 % are 1.96 sd: for intervals.
 
@@ -138,23 +146,23 @@ class Fit:
         """
         k, q = len(self.frees), len(self.all_frees)
         plain = self.covariance[:k, :k]
-        if self.built is None or not k:
+        if not self.as_built or not k:
             return plain
         random, sizes = self.built.random, self.built.sizes
-        doubt = random.log_doubt(sizes)
+        doubt = random.log_variance_of_sizes(sizes)
         more = np.expm1(np.minimum(0.5 * np.diag(doubt), 0.5))
         beside = np.array([kind.beside for kind in self.built.kinds])
         more += np.divide(beside, sizes, where=sizes > 0.0, out=0.0 * sizes) ** 2
-        ways = self.covariance[:k, q : q + len(random.owners)]
-        grown = plain + (ways * more[random.owners]) @ ways.T
-        moved = np.array([np.bincount(random.owners, way**2, len(sizes)) for way in ways])
+        along = self.covariance[:k, q : q + len(random.owners)]
+        grown = plain + (along * more[random.owners]) @ along.T
+        moved = np.array([np.bincount(random.owners, row**2, len(sizes)) for row in along])
         variance = ((moved @ doubt) * moved).sum(axis=1)
-        tails = np.array([_tail(*one) for one in zip(np.diag(grown), variance, strict=True)])
+        tails = np.ones(k)
+        for i, (size, own) in enumerate(zip(np.diag(grown).tolist(), variance, strict=True)):
+            freedom = max(2.0 * size**2 / own, FREEDOM_MIN) if own > 0.0 else np.inf
+            if np.isfinite(size) and freedom <= FREEDOM_MANY:
+                tails[i] = t_ppf(0.975, freedom) / normal_ppf(0.975)
         return np.asarray(grown * np.outer(tails, tails))
-
-    @cached_property
-    def _root(self) -> tuple[Floats, npt.NDArray[np.bool_]]:
-        return covariance_root(self.jacobian)
 
     @property
     def prior_z(self) -> dict[str, float]:
@@ -176,7 +184,7 @@ class Fit:
             chance = chi2_sf(self.chi2, self.freedom)
         else:
             chance = f_sf(self.chi2 / max(self.freedom, 1), self.freedom, noise_freedom)
-        if self.built is None:
+        if not self.as_built:
             return chance
         return min(chance, 0.5 * chi2_sf(self.remainder_gain, 1))
 
@@ -206,14 +214,6 @@ class Fit:
         return total, chi2_sf(excess / spread, weight / spread)
 
 
-def _tail(size: float, variance: float) -> float:
-    """Return how much wider a t interval is than a normal one; the variance is known that well."""
-    if not (np.isfinite(size) and variance > 0.0):
-        return 1.0
-    freedom = max(2.0 * size**2 / variance, FREEDOM_LEAST)
-    return 1.0 if freedom > FREEDOM_MANY else t_ppf(0.975, freedom) / normal_ppf(0.975)
-
-
 def left_out_alone(residual: Floats, tells: Floats) -> tuple[float, float, float]:
     """
     Leave out a posture with n values, H = A A' of what a fit knows from them, A (n, q).
@@ -224,7 +224,7 @@ def left_out_alone(residual: Floats, tells: Floats) -> tuple[float, float, float
     if len(tells) <= tells.shape[1]:
         rest = np.eye(len(tells)) - tells @ tells.T
         try:
-            np.linalg.cholesky(rest - (1.0 - SHARE_MAX) * np.eye(len(rest)))  # tells it alone
+            np.linalg.cholesky(rest - (1.0 - LEVERAGE_MAX) * np.eye(len(rest)))  # tells it alone
             root = root_inverse(rest)
             grown = root.T @ root
             left, more = grown @ residual, grown - rest
@@ -232,8 +232,8 @@ def left_out_alone(residual: Floats, tells: Floats) -> tuple[float, float, float
         except np.linalg.LinAlgError:
             pass
     share, vectors = shares(tells)
-    only = share > SHARE_MAX
-    share = np.clip(share, 0.0, SHARE_MAX)
+    only = share > LEVERAGE_MAX
+    share = np.clip(share, 0.0, LEVERAGE_MAX)
     along = vectors.T @ residual
     left = along / np.where(only, 1.0, 1.0 - share)
     w = 1.0 / (1.0 - share) - (1.0 - share)
@@ -241,12 +241,8 @@ def left_out_alone(residual: Floats, tells: Floats) -> tuple[float, float, float
     return float(chi2), float(w.sum()), float((w * w).sum())
 
 
-def covariance_of(jacobian: Floats, blind: float = np.inf) -> Floats:
-    """Inverse of the normal matrix, `blind` for columns that carry no information."""
-    return _covariance(*covariance_root(jacobian), blind)
-
-
-def _covariance(root: Floats, unseen: npt.NDArray[np.bool_], blind: float) -> Floats:
+def covariance_of(root: Floats, unseen: npt.NDArray[np.bool_], blind: float = np.inf) -> Floats:
+    """Inverse of the normal matrix, `blind` for columns that tell nothing: `covariance_root`."""
     made = root @ root.T
     made[unseen, unseen] = blind
     return np.asarray(made)
@@ -286,34 +282,25 @@ def shares(rows: Floats) -> tuple[Floats, Floats]:
 
 def with_imperfections(plain: Fit, random: RandomEffects, sizes: Floats, around: Members) -> Fit:
     """Return a fit whose last parameters are the imperfections, at their most likely values."""
-    n, spread = len(random.columns), random.spread(sizes)
+    n, spread, q = len(random.columns), sizes[random.owners], plain.jacobian.shape[1]
 
-    def estimate(remainder: bool = True, told: bool = True, prior: int = SIZES) -> Sizes:
+    def estimate(remainder: bool = True, prior: Prior = Prior.SIZES) -> Sizes:
         raw, slopes = plain.residual[:n], plain.jacobian[:n]
-        return random.estimate(raw, slopes, sizes, plain.precisions, remainder, told, prior)
+        return random.estimate(raw, slopes, sizes, plain.precisions, remainder, prior)
 
     scaled = random.columns * spread
     members = random.best(plain.residual[:n], sizes)
     off = plain.residual.copy()
     off[:n] -= scaled @ members
-    q = plain.jacobian.shape[1]
     jacobian = np.zeros((len(off) + len(spread), q + len(spread)))
     jacobian[: len(off), :q] = plain.jacobian
     jacobian[:n, q:] = -scaled
     jacobian[len(off) :, q:] = np.eye(len(spread))
-    scatter = Scatter(
-        random,
-        around,
-        sizes,
-        random.log_determinant(sizes) + random.prior(sizes),
-        estimate,
-    )
-    return Fit(
-        plain.frees,
-        plain.nuisances,
-        np.append(plain.values, members),
-        np.append(off, members),
-        jacobian,
-        plain.markers,
-        scatter,
+    penalty = random.log_determinant(sizes) + random.prior(sizes)
+    return replace(
+        plain,
+        values=np.append(plain.values, members),
+        residual=np.append(off, members),
+        jacobian=jacobian,
+        built=Scatter(random, around, sizes, penalty, estimate),
     )

@@ -1,4 +1,4 @@
-"""Fits of freed parameters and imperfections: searches, sizes and imperfections in turn."""
+"""Fits of parameters, of the imperfections of an arm, and of the sizes of these, in turn."""
 
 from __future__ import annotations
 
@@ -13,29 +13,24 @@ import numpy.typing as npt
 from ..comparison.noise import Whitener
 from ..comparison.predict import FreeParameter, Point, Predictor
 from .fit import Fit, Nuisance, with_imperfections
-from .imperfections import GAIN, KINDS_WITH_FEW_MEMBERS, Imperfections, Members, SplitPredictor
-from .marginal import LOGARITHMS, RandomEffects, Sizes
+from .imperfections import (
+    GAIN,
+    KINDS_WITH_FEW_MEMBERS,
+    NO_IMPERFECTIONS,
+    Imperfections,
+    Members,
+    SplitPredictor,
+)
+from .marginal import STEP_FRACTIONS, STEPS_MAX, Prior, RandomEffects, Sizes
 from .search import Search
+from .verdict import BEST_FEW
 
 Floats = npt.NDArray[np.float64]
-TURNS = 25  # of a search
-ROUNDS = 8  # of parameters, sizes of the imperfections and imperfections together
-SHIFT_SETTLED = 0.3  # whitened change by imperfections that is worth no further look
-WAY_SHARES = (1.0, 0.5, 0.2)  # of the way to what slopes promise, the first that is better
-TURN_FROM_CHI2 = 4.0  # whitened squared bend by one sd of a gain, from which it is a turn
-TURN_GAIN_MIN = 2.0  # in deviance beyond a turn, that makes others worth a look there
-TURNS_MAX = 6  # sides of turns that a fit is tried from
-GAINS_TO_COME = 4.0  # times the gain of its last round, that a fit may still gain
-DEVIANCE_SETTLED = 0.1  # fall of the deviance at which a fit is settled
-
-
-@dataclass(frozen=True)
-class AsBuilt:
-    """The imperfections of an arm, for the fits of one worker."""
-
-    split: SplitPredictor
-    random: RandomEffects
-    imperfections: Imperfections
+FAILURES = (ArithmeticError, np.linalg.LinAlgError)  # no equilibrium at a start, or on the path
+ROUNDS_MAX = 8  # [1] of parameters, imperfections and sizes in turn, else one that creeps goes on
+DEVIANCE_CONVERGED = 0.1  # [1] of a round, because a likelihood ratio of 5 % decides nothing
+GAINS_TO_COME = 4.0  # [1] of the last round, so that gains falling by a fifth a round all count
+REVERSAL_GAIN_MIN = 2.0  # [1] of deviance: one parameter more would have to gain as much
 
 
 @dataclass(frozen=True)
@@ -49,7 +44,23 @@ class FitPlace:
 
 
 class Fitter:
-    """Fits any set of parameters on one data set with one set of weights."""
+    """
+    Fits any set of parameters on one data set with one set of weights.
+
+    Parameters
+    ----------
+    predictor : Predictor
+        Of an arm as built a `SplitPredictor`.
+    whitener : Whitener
+    nuisances : sequence of Nuisance
+    columns : mapping, optional
+        Columns (N,) of the derivative that are known already.
+    random : RandomEffects, optional
+        Default: none of any kind, the description is exact.
+    imperfections : Imperfections
+        How these move the markers.
+
+    """
 
     def __init__(
         self,
@@ -57,24 +68,22 @@ class Fitter:
         whitener: Whitener,
         nuisances: Sequence[Nuisance] = (),
         columns: Mapping[FreeParameter, Floats] | None = None,
-        built: AsBuilt | None = None,
+        random: RandomEffects | None = None,
+        imperfections: Imperfections = NO_IMPERFECTIONS,
     ) -> None:
-        """Keep what all fits share; `columns` (N,) of the derivative are known already."""
         self.predictor, self.whitener = predictor, whitener
         self.columns: Mapping[FreeParameter, Floats] = dict(columns or {})
-        self.built = built  # None: the description is exact
-        self.random = None if built is None else built.random
-        self.sizes: Floats | None = None  # (K,) of the imperfections, for the fit that runs
+        self.random = random or RandomEffects.none(whitener.size)
+        self.imperfections = imperfections
+        self.sizes = self.random.start  # (K,) for the fit that runs
         self.nuisances = tuple(nuisances)
-        self.measured = predictor.dataset.mean  # less what imperfections do beyond slopes
-        if built is not None:
-            self.go_around({})
+        self.go_around({})
 
     def fit(
         self,
         frees: Sequence[FreeParameter],
         start: Fit | Point | None = None,
-        turns: int = TURNS,
+        steps: int = STEPS_MAX,
         sizes: Floats | None = None,
         hopeless: float = np.inf,
     ) -> Fit:
@@ -86,18 +95,23 @@ class Fitter:
         imperfections are linear around where the fitter is. A fit that will not come below a
         `hopeless` deviance stays as it is.
         """
-        search = self._search(frees, start, sizes)
-        if self.random is None or sizes is not None:
-            search.run(turns)
+        if sizes is not None:
+            search = self._search(frees, start, sizes)
+            search.run(steps)
             return self.freeze(search)
-        descent = Descent(self, search, turns)
-        while not descent.settled:
+        descent = self.begin(frees, start, steps)
+        while not descent.converged:
             descent.go_on(hopeless)
         return descent.fit()
 
-    def begin(self, frees: Sequence[FreeParameter], start: Fit | Point | None = None) -> Descent:
-        """Begin a fit of an arm as built that goes on round by round; see `fit`."""
-        return Descent(self, self._search(frees, start))
+    def begin(
+        self,
+        frees: Sequence[FreeParameter],
+        start: Fit | Point | None = None,
+        steps: int = STEPS_MAX,
+    ) -> Descent:
+        """Begin a fit that goes on round by round; see `fit`."""
+        return Descent(self, self._search(frees, start), steps)
 
     def _search(
         self,
@@ -110,8 +124,13 @@ class Fitter:
         nuisances = tuple(
             n for n in self.nuisances if (n.free.effect, n.free.parameter.name) not in claimed
         )
-        if self.random is not None:
-            self._take_start(start, sizes)
+        if sizes is not None:
+            self.sizes = sizes
+        elif isinstance(start, Fit) and start.as_built:
+            self.resume(start)
+        else:
+            self.sizes = self.random.start
+            self.go_around({})
         search = Search(self, tuple(frees), nuisances)
         if start is not None:
             point = start.point if isinstance(start, Fit) else start
@@ -126,68 +145,59 @@ class Fitter:
         slopes = search.derivative() * search.scale
         return float(np.square(search.r - slopes @ np.linalg.lstsq(slopes, search.r)[0]).sum())
 
-    def told(self, fit: Fit) -> Fit:
+    def for_values(self, fit: Fit) -> Fit:
         """
         Fit again under the likeliest logarithms of the sizes: for values and intervals.
 
         An effect that competes may be paid for making a kind of imperfections small; a value that
         believed it would hold that kind's doing for its own.
         """
-        if fit.built is None or not fit.frees:
+        if not fit.as_built or not fit.frees:
             return fit
-        sizes = fit.built.estimate(prior=LOGARITHMS).values
+        sizes = fit.built.estimate(prior=Prior.LOGARITHMS).values
         self.resume(fit)
         return self.fit(fit.frees, fit.point, sizes=sizes)
 
-    def over_turns(self, fit: Fit) -> Fit:
+    def over_reversals(self, fit: Fit) -> Fit:
         """
-        Return the best fit from both sides of where friction turns over near by.
+        Return the best fit from both sides of where friction reverses near by.
 
         An input that is a little off may take a posture there, beyond which it moves by more or
         less than slopes on this side tell; cells would stand for the rest. Cells and kinks begin
         anew, with the gain of such an input one plausible sd off.
         """
-        best = fit
-        for around in self._turns(fit):
-            assert fit.built is not None and self.random is not None
-            scatter = replace(fit.built, around=around, sizes=self.random.start)
-            with suppress(ArithmeticError, np.linalg.LinAlgError):  # no equilibrium there
-                start = replace(fit, built=scatter)
-                found = self.fit(fit.frees, start, hopeless=best.deviance)
-                best = min(best, found, key=lambda one: one.deviance)
-        self.resume(best)
-        return best
-
-    def _turns(self, fit: Fit) -> list[Members]:
-        """Return imperfections on both sides of turns: where slopes by gains are not straight."""
-        if fit.built is None or self.built is None:
-            return []
+        gains = {kind.name: kind for kind in fit.built.kinds}.get(GAIN)
         self.resume(fit)
-        kinds, split = {kind.name: kind for kind in fit.built.kinds}, self.built.split
-        here = self.predictor.markers(fit.point)
-        if GAIN not in kinds or here is None:
-            return []
+        here = None if gains is None else self.predictor.markers(fit.point)
+        if gains is None or here is None:
+            return fit
         near, around = self.predictor.settled, fit.built.around
         few = {name: own for name, own in around.items() if name in KINDS_WITH_FEW_MEMBERS}
-        found: list[tuple[float, Members]] = []
-        for one in kinds[GAIN].plausible * np.eye(len(kinds[GAIN])):
-            sides = [around.get(GAIN, 0.0 * one) + way for way in (one, -one)]
+        reversals: list[tuple[float, Members]] = []
+        for one in gains.plausible * np.eye(len(gains)):
+            sides = [around.get(GAIN, 0.0 * one) + side for side in (one, -one)]
             bend = -2.0 * here
-            for gains in sides:
-                split.around = {**around, GAIN: gains}
+            for values in sides:
+                self.go_around({**around, GAIN: values})
                 moved = self.predictor.markers(fit.point, near=near)
                 bend = bend + (np.nan if moved is None else moved)
             white = self.whitener.white(bend)
-            turned = float(white @ white)
-            if turned > TURN_FROM_CHI2:
-                found += [(turned, {**few, GAIN: gains}) for gains in sides]
-        split.around = around
-        return [one for _, one in sorted(found, key=lambda row: -row[0])[:TURNS_MAX]]
+            curved = float(white @ white)  # slopes are not straight
+            if curved > 2.0 * REVERSAL_GAIN_MIN:
+                reversals += [(curved, {**few, GAIN: values}) for values in sides]
+        best = fit
+        for _, there in sorted(reversals, key=lambda row: -row[0])[: 2 * BEST_FEW]:
+            scatter = replace(fit.built, around=there, sizes=self.random.start)
+            with suppress(*FAILURES):
+                start = replace(fit, built=scatter)
+                other = self.fit(fit.frees, start, hopeless=best.deviance)
+                best = min(best, other, key=lambda one: one.deviance)
+        self.resume(best)
+        return best
 
     def go(self, place: FitPlace) -> Search:
         """Go to a place: a search that goes on from there."""
-        assert self.random is not None
-        self.take(place.sizes)
+        self.sizes = place.sizes
         self.go_around(place.around)
         search = copy(place.search)
         search.weigh_again()
@@ -195,77 +205,54 @@ class Fitter:
 
     def place(self, search: Search) -> FitPlace:
         """Return where a search is, around the imperfections and with the sizes of now."""
-        assert self.built is not None and self.sizes is not None
-        around, sizes = self.built.split.around, self.sizes
-        return FitPlace(copy(search), around, sizes, self._worth(search.raw, around, sizes))
+        deviance = self._deviance(search.raw, self.around, self.sizes)
+        return FitPlace(copy(search), self.around, self.sizes, deviance)
 
-    def _worth(self, raw: Floats, around: Members, sizes: Floats) -> float:
+    def _deviance(self, raw: Floats, around: Members, sizes: Floats) -> float:
         """Return the deviance at a residual (N + nuisances,) predicted with imperfections."""
-        random = self.random
-        assert random is not None
-        n = len(random.columns)
+        random, n = self.random, self.whitener.size
         errors, rest = raw[:n] - self._shift(around), raw[n:]
         chi2 = random.misfit(errors, sizes) + random.cost(around, sizes) + float(rest @ rest)
         return chi2 + random.log_determinant(sizes) + random.prior(sizes)
 
     def first_better(self, here: FitPlace, search: Search, sizes: Floats) -> FitPlace | None:
-        """Return the first better place on the way to what a search promises, if there is one."""
-        random = self.random
-        assert random is not None
-        goal = random.named(random.best(search.raw[: len(random.columns)], sizes), sizes)
-        for share in WAY_SHARES:
-            around = _between(here.around, goal, share)
+        """Return the first better place on the path to what a search promises, if any."""
+        likely = self.random.best(search.raw[: self.whitener.size], sizes)
+        goal = self.random.named(likely, sizes)
+        for fraction in STEP_FRACTIONS:
+            around = _between(here.around, goal, fraction)
             self.go_around(around)
             moved = copy(search)
-            if not moved.go(here.search.values + share * (search.values - here.search.values)):
+            step = search.values - here.search.values
+            if not moved.go(here.search.values + fraction * step):
                 continue
             for own in (sizes, here.sizes):
-                worth = self._worth(moved.raw, around, own)
-                if worth < here.deviance:
-                    return FitPlace(moved, around, own, worth)
+                deviance = self._deviance(moved.raw, around, own)
+                if deviance < here.deviance:
+                    return FitPlace(moved, around, own, deviance)
         return None
 
     def freeze(self, search: Search) -> Fit:
         """Freeze a search: the markers are those of the model alone."""
         plain = search.result()
-        if self.built is None:
-            return plain
-        with self.built.split.as_described():
-            described = self.predictor.markers(search.point)
-        if described is not None:
-            plain = replace(plain, markers=described)
-        if self.random is None or self.sizes is None:
-            return plain
-        return with_imperfections(plain, self.random, self.sizes, self.built.split.around)
-
-    def _take_start(self, start: Fit | Point | None, sizes: Floats | None) -> None:
-        """Take the sizes and imperfections to start from."""
-        assert self.random is not None
-        if sizes is not None:
-            self.take(sizes)
-        elif isinstance(start, Fit) and start.built is not None:
-            self.take(start.built.sizes)
-            self.go_around(start.built.around)
-        else:
-            self.take(self.random.start)
-            self.go_around({})
-
-    def take(self, sizes: Floats) -> None:
-        """Take sizes (K,) of the imperfections: their share is then no error any more."""
-        assert self.random is not None
-        self.sizes = sizes
+        if isinstance(self.predictor, SplitPredictor):
+            with self.predictor.as_described():
+                described = self.predictor.markers(search.point)
+            plain = plain if described is None else replace(plain, markers=described)
+        return with_imperfections(plain, self.random, self.sizes, self.around)
 
     def go_around(self, members: Members) -> None:
         """Take imperfections as linear around members."""
-        assert self.built is not None
-        self.built.split.around = members
-        self.measured = self.predictor.dataset.mean + self.built.imperfections.moved(members)
+        self.around = members
+        if isinstance(self.predictor, SplitPredictor):
+            self.predictor.around = members
+        # less what imperfections do beyond slopes
+        self.measured = self.predictor.dataset.mean + self.imperfections.moved(members)
 
     def resume(self, fit: Fit) -> None:
         """Go where a fit is: its imperfections and their sizes."""
-        if fit.built is not None and self.built is not None:
-            self.take(fit.built.sizes)
-            self.go_around(fit.built.around)
+        self.sizes = fit.built.sizes
+        self.go_around(fit.built.around)
 
     def residual(self, markers: Floats) -> Floats:
         """Whitened residual (N,) for predicted markers."""
@@ -273,9 +260,9 @@ class Fitter:
 
     def lift(self, rows: Floats) -> Floats:
         """Take off whitened rows (N + nuisances, ...) what imperfections of that size explain."""
-        if self.random is None or self.sizes is None:
+        if not self.random.kinds:
             return rows
-        n, root = len(self.random.columns), self.random.root(self.sizes)
+        n, root = self.whitener.size, self.random.root(self.sizes)
         return np.concatenate([self.random.lift(root, rows[:n]), rows[n:]])
 
     def follow(self, raw: Floats, predict: Callable[[], Floats | None]) -> Floats | None:
@@ -288,16 +275,14 @@ class Fitter:
             The residual there; None where nothing changes, or nothing is gained by going.
 
         """
-        built, random, sizes = self.built, self.random, self.sizes
-        assert built is not None and random is not None and sizes is not None
-        here = built.split.around
+        random, sizes, here = self.random, self.sizes, self.around
         goal = random.named(random.best(raw, sizes), sizes)
-        there, cost = self._shift(here), None
-        if np.linalg.norm(self._shift(goal) - there) < SHIFT_SETTLED:
+        there = self._shift(here)
+        if np.square(self._shift(goal) - there).sum() < DEVIANCE_CONVERGED:
             return None
         cost = random.misfit(raw - there, sizes) + random.cost(here, sizes)
-        for share in WAY_SHARES:
-            moved = _between(here, goal, share)
+        for fraction in STEP_FRACTIONS:
+            moved = _between(here, goal, fraction)
             self.go_around(moved)
             markers = predict()
             if markers is None:
@@ -311,45 +296,45 @@ class Fitter:
 
     def _shift(self, members: Members) -> Floats:
         """Whitened (N,) move of the markers by members, by their slopes."""
-        assert self.built is not None
-        moved = np.broadcast_to(self.built.imperfections.moved(members), self.measured.shape)
+        moved = np.broadcast_to(self.imperfections.moved(members), self.measured.shape)
         return self.whitener.white(moved)
 
     def estimate(self, search: Search) -> Sizes:
         """Estimate the sizes of the imperfections where a search is."""
-        assert self.random is not None
-        raw, slopes = search.raw, search.derivative(near=True)
-        n = len(self.random.columns)
+        n = self.whitener.size
         weights = np.append(np.full(search.count, 1e-9), 1.0 / search.spread**2)
-        return self.random.estimate(raw[:n], slopes[:n], self.sizes, weights)
+        slopes = search.derivative(near=True)
+        return self.random.estimate(search.raw[:n], slopes[:n], self.sizes, weights)
 
 
-def _between(here: Members, goal: Members, share: float) -> Members:
-    """Return members on the way to others; those that are not there yet start at nothing."""
+def _between(here: Members, goal: Members, fraction: float) -> Members:
+    """Return members on the path to others; those that are not there yet start at nothing."""
     return {
-        name: (1.0 - share) * here.get(name, np.zeros_like(value)) + share * value
+        name: (1.0 - fraction) * here.get(name, np.zeros_like(value)) + fraction * value
         for name, value in goal.items()
     }
 
 
 class Descent:
     """
-    A fit of an arm as built on its way, round by round.
+    A running fit, round by round; of an exact arm the first round is the last.
 
     Parameters are searched where imperfections are linear, which promises a place for all three
     (parameters, imperfections and their sizes); whether to go there is told by what the model
-    predicts there. So the deviance never rises, however little slopes tell of friction that turns
-    over.
+    predicts there. So the deviance never rises, however little slopes tell of friction that
+    reverses.
     """
 
-    def __init__(self, fitter: Fitter, search: Search, turns: int = TURNS) -> None:
+    def __init__(self, fitter: Fitter, search: Search, steps: int = STEPS_MAX) -> None:
         """Search for parameters where a search has begun, the fitter being there."""
-        self.fitter, self.turns = fitter, turns
-        self.here, self._search = fitter.place(search), search
+        self.fitter, self.steps, self._search = fitter, steps, search
+        self.here = fitter.place(search)
         self.gain = np.inf  # in the last round
-        self.settled = False
+        self.converged = False
         self._rounds = 0
-        search.run(turns)
+        search.run(steps)
+        if not fitter.random.kinds:
+            self.here, self.converged = fitter.place(search), True
 
     def at(self, fitter: Fitter) -> Descent:
         """Go on with another fitter, of another thread."""
@@ -359,23 +344,23 @@ class Descent:
     def go_on(self, hopeless: float = np.inf) -> None:
         """Do one more round; none is left where what the next ones promise is `hopeless`."""
         fitter, search = self.fitter, self._search
-        fitter.take(self.here.sizes)
+        fitter.sizes = self.here.sizes
         fitter.go_around(self.here.around)
         estimated = fitter.estimate(search)
         if estimated.deviance - GAINS_TO_COME * self.gain > hopeless:
-            self.settled = True
+            self.converged = True
             return
-        fitter.take(estimated.values)
+        fitter.sizes = estimated.values
         search.weigh_again()
-        search.run(self.turns)
+        search.run(self.steps)
         there = fitter.first_better(self.here, search, estimated.values)
         self._rounds += 1
-        self.settled = there is None or self._rounds == ROUNDS
+        self.converged = there is None or self._rounds == ROUNDS_MAX
         if there is None:
             return
         self.gain, self.here = self.here.deviance - there.deviance, there
         self._search = fitter.go(there)
-        self.settled = self.settled or self.gain < DEVIANCE_SETTLED
+        self.converged = self.converged or self.gain < DEVIANCE_CONVERGED
 
     def fit(self) -> Fit:
         """Freeze it where it is."""

@@ -29,7 +29,7 @@ KINK, ACROSS, GAIN, HOLE = 'cell_kink', 'cell_kink_across', 'channel_gain', 'hol
 ZERO, POSITION, ROTATION = 'pull_zero', 'position', 'rotation'
 REMAINDER = 'remainder'  # what no imperfection explains: another one in every posture
 KINDS_WITH_FEW_MEMBERS = (GAIN, HOLE, ZERO, POSITION, ROTATION)  # kinds with few members
-REMAINDER_SHAPES = 4  # shapes along the arm that a remainder may have
+REMAINDER_SHAPES = 4  # [1] along the arm, because the others hold 1 of 1600 of the variance
 # Kind -> (unit, 1 sd that is plausible where nothing is declared, step of its derivative)
 PLAUSIBLE_SIZES: dict[str, tuple[str, float, float]] = {
     CELLS: ('1', 0.03, 0.01),
@@ -41,7 +41,8 @@ PLAUSIBLE_SIZES: dict[str, tuple[str, float, float]] = {
     POSITION: ('m', 5e-4, 1e-3),
     ROTATION: ('rad', math.radians(0.3), 1e-3),
 }
-PLAUSIBLE_LENGTH = 0.2  # [m] of the arm up to which plausible lengths are these; then they grow
+PLAUSIBLE_LENGTH = 0.2  # [m] of an arm; of a longer one lengths grow because its parts do
+BEND_MAX_RAD = 0.5  # [rad] of one cell, else the whole arm would be wrong: docs/diagnosis.md
 REST = 'pre_curvature'  # the effect whose parameters are the bends at rest
 PUSH, WEIGHT = 'push', 'gravity'  # a force at the middle of a cell; the effect that it uses
 Members = Mapping[str, Floats]  # kind -> size of each of its members
@@ -81,6 +82,9 @@ class Imperfections:
         own = [kind for kind in self.kinds if kind.name != REMAINDER]  # it is the last
         sizes = np.concatenate([members.get(kind.name, np.zeros(len(kind))) for kind in own])
         return np.asarray(np.tensordot(sizes, self.moves[: len(sizes)], 1))
+
+
+NO_IMPERFECTIONS = Imperfections((), np.empty((), dtype=float))  # of an exact arm
 
 
 def remainders(predictor: Predictor) -> Floats:

@@ -13,7 +13,7 @@ inputs, the tracker's frame), where it lowers them as well.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -26,7 +26,7 @@ from ..common.errors import InputError, NoEquilibriumError, Progress, listener, 
 from ..common.processes import one_thread
 from ..comparison.predict import FreeParameter, Predictor
 from ..data import DataSet, DataSetLike, load_dataset
-from ..effects import Catalogue, CatalogueLike, load_catalogue
+from ..effects import CatalogueLike, load_catalogue
 from ..robot import Robot, RobotLike, load_robot
 from .add import Addition, fit_effects, more_at_work, settle, with_origin
 from .crossval import (
@@ -39,7 +39,8 @@ from .crossval import (
     written_markers,
 )
 from .description import OF_THE_ARM, route_changes, stiffness_change
-from .fit import Fit, covariance_of
+from .fit import Fit, covariance_of, covariance_root
+from .fitter import FAILURES
 from .imperfections import POSITION, ROTATION, SplitPredictor
 from .intervals import QUANTILE, loads_of, values_of
 from .local_tests import faults_of, local_faults
@@ -47,24 +48,14 @@ from .report_rows import arm_report, left_out
 from .result import AS_FOUND, Improvement, ImprovementStep, LoadVector, Value, total
 from .session import Session
 from .slopes import imperfections
-from .stepwise import (
-    POSTURES_MIN,
-    PRIOR_TYPICALS,
-    STEPS_MAX,
-    Held,
-    Joining,
-    State,
-    Stepwise,
-    Ways,
-    grown,
-)
+from .stepwise import GROUPS_MIN, PRIOR_TYPICALS, STEPS_MAX, Rates, State, Stepwise, grown
 from .verdict import P_SINGLE_MIN, STRAY_SD_MAX
 
 Floats = npt.NDArray[np.float64]
+Held = npt.NDArray[np.int64]
 Values = dict[str, dict[str, Value]]
 FRAME = (POSITION, ROTATION)
-NO_FIT = (ArithmeticError, np.linalg.LinAlgError, NoEquilibriumError)
-GROUPS_MAX = 16  # groups of postures that the search is made without
+GROUPS_MAX = 16  # [1] of postures, because the whole search is made without each of them
 
 
 @dataclass(frozen=True)
@@ -111,40 +102,25 @@ class AsFound:
         gain, scatter = fall(before, self.left_out)
         return gain > scatter
 
-    @property
-    def scatter(self) -> dict[str, Any] | None:
-        """The scatter of the arm, as reports read it."""
-        return arm_report(self.session, self.fit)
-
-    @property
-    def local_faults(self) -> tuple[dict[str, Any], ...]:
-        """Where it is still wrong by more than what remains everywhere."""
-        return tuple(faults_of(self.session, self.fit))
-
     @cached_property
     def values(self) -> Values:
         """Values of the effects, with 95 % intervals; the arm itself may change where it did."""
         made = values_of(self._freed, self.scale, self._freed.covariance)
+        kinds = [kind.name for kind in self.fit.built.kinds]
         for free in self.state.effects.frees:
-            if (found := self._with_its_like(free)) is not None:
-                made.setdefault(free.effect, {})[free.key] = found
+            tolerance = free.parameter.tolerance
+            if tolerance in FRAME and tolerance in kinds:
+                own = self._with_imperfection(free, kinds.index(tolerance))
+                made.setdefault(free.effect, {})[free.key] = own
         return made
 
-    def _with_its_like(self, free: FreeParameter) -> Value | None:
+    def _with_imperfection(self, free: FreeParameter, k: int) -> Value:
         """
-        Return a parameter of the frame with the imperfection that it stands for, if there is one.
+        Return a parameter of the frame with the imperfection that it stands for.
 
         Where both are in the fit only their sum is told.
         """
         fit, built = self.fit, self.fit.built
-        names = [] if built is None else [kind.name for kind in built.kinds]
-        if (
-            built is None
-            or free.parameter.tolerance not in FRAME
-            or free.parameter.tolerance not in names
-        ):
-            return None
-        k = names.index(free.parameter.tolerance)
         mix, size = built.random.mixtures[k]['xyz'.index(free.parameter.name[-1])], built.sizes[k]
         ahead = np.zeros(len(fit.values))
         ahead[len(fit.all_frees) + np.flatnonzero(built.random.owners == k)] = size * mix
@@ -161,24 +137,18 @@ class AsFound:
     @cached_property
     def _freed(self) -> Fit:
         """The fit with what joined of the arm itself as further parameters."""
-        fit = self.fit
-        for joining in self._ways_of_the_arm():
+        fit, whitener = self.fit, self.session.whitener
+        blocks = [block for block in self.state.blocks if block.label in OF_THE_ARM]
+        if not blocks:
+            return fit
+        off = whitener.white(self.search.measured - self.state.fit.markers)
+        there = replace(self.state.fit, residual=off)
+        for joining in Rates(self.search.predictor, whitener, there).of(blocks):
             frees = joining.block.frees
             spread = np.array([PRIOR_TYPICALS * free.parameter.typical for free in frees])
             residual, jacobian = grown(fit, joining, np.zeros(len(frees)), spread)
             fit = replace(fit, residual=residual, jacobian=jacobian)
         return fit
-
-    def _ways_of_the_arm(self) -> list[Joining]:
-        """Return how the stiffness along the arm and the routes that joined move the markers."""
-        blocks = [block for block in self.state.blocks if block.label in OF_THE_ARM]
-        if not blocks:
-            return []
-        whitener = self.session.whitener
-        off = whitener.white(self.search.measured - self.state.fit.markers)
-        return list(
-            Ways(self.search.predictor, whitener, replace(self.state.fit, residual=off)).of(blocks)
-        )
 
     @property
     def loads(self) -> dict[str, LoadVector]:
@@ -188,17 +158,17 @@ class AsFound:
 
     @property
     def values_of_the_search(self) -> Values:
-        """Values that the search has found; their intervals are those of here and hold them."""
-        point, found = self.state.fit.point, Values()
+        """Values of the search; their intervals are those of here and hold them."""
+        point, made = self.state.fit.point, Values()
         for free in self.state.effects.frees:
             own, value = self.values[free.effect][free.key], point[free]
             moved = replace(own, value=value, low=min(own.low, value), high=max(own.high, value))
-            found.setdefault(free.effect, {})[free.key] = moved
-        return found
+            made.setdefault(free.effect, {})[free.key] = moved
+        return made
 
     @property
     def loads_of_the_search(self) -> dict[str, LoadVector]:
-        """Forces that the search has found; the covariance knows how far they are from these."""
+        """Forces of the search; the covariance knows how far they are from these."""
         values = np.array([self.state.fit.point[free] for free in self.fit.frees])
         q, off = len(values), values - self.fit.values[: len(values)]
         spread = self.scale * self._freed.covariance[:q, :q] + np.outer(off, off)
@@ -206,66 +176,67 @@ class AsFound:
         return loads_of(moved, self.session.predictor, covariance=spread)
 
 
-def as_found(search: Stepwise, state: State) -> AsFound | None:
-    """Fit what a search found again; None where that has no equilibrium."""
-    session, names = _session(search, state)
-    try:
-        session.weigh({})
-        found = settle(session, names, {})
-    except NO_FIT:
-        return None
-    return AsFound(search, state, session, _as_plausible(session, found.fit), found.scale)
-
-
-def as_found_without(
-    search: Stepwise, state: State, held: Held, by_accuracy: bool
+def as_found(
+    search: Stepwise, state: State, held: Held | None = None, by_accuracy: bool = False
 ) -> AsFound | None:
-    """Fit what a search found again that does not know some postures; weighed by a rule."""
-    session, names = _session(search, state)
-    session.held, session.use_accuracy = held, by_accuracy
-    try:
-        session.weigh({})
-        fit = fit_effects(session, names, {})
-    except NO_FIT:
-        return None
-    return AsFound(search, state, session, _as_plausible(session, fit))
-
-
-def of_the_search(state: State) -> Fit:
-    """Return the effects of a state, as far as the search tells their values: of an exact arm."""
-    spread = covariance_of(state.fit.jacobian)
-    own = np.flatnonzero([free.effect not in OF_THE_ARM for free in state.fit.frees])
-    jacobian = np.linalg.inv(np.linalg.cholesky(spread[np.ix_(own, own)]))
-    effects = tuple(state.fit.frees[i] for i in own)
-    nothing = np.zeros(len(own))
-    return replace(state.fit, frees=effects, values=state.fit.values[own], residual=nothing,
-                   jacobian=jacobian)  # fmt: skip
-
-
-def _session(search: Stepwise, state: State) -> tuple[Session, list[str]]:
     """
-    Return a session of the description with what was found, and the effects that it fits.
+    Fit a state of a search again, with the arm as it is built; None without an equilibrium.
 
     A frame that is off by no more than any tracker's is no effect but an imperfection: free, it
     would take the errors of kinks, whose size would then be estimated as too small.
+
+    Parameters
+    ----------
+    search : Stepwise
+    state : State
+    held : (n,), optional
+        Postures without a part in the fit, which is then weighed as it is said.
+    by_accuracy : bool
+        Whether the declared accuracy weighs.
+
     """
     robot, before = search.written(state), search.robot
     names = [name for block in state.blocks for name in block.names if name not in OF_THE_ARM]
     frame = [free for free in state.fit.frees if free.parameter.tolerance in FRAME]
     if frame and not set(FRAME) & set(before.tolerances):
         sizes = {kind.name: kind.plausible for kind in SplitPredictor(search.predictor).kinds()}
-        off = [
-            (state.fit.point[free] - search.predictor.value(free))
-            / sizes[free.parameter.tolerance]
-            for free in frame
-        ]
+        moved = [state.fit.point[free] - search.predictor.value(free) for free in frame]
+        usual = [sizes[free.parameter.tolerance] for free in frame]
         name = frame[0].effect
-        if np.abs(off).max() <= STRAY_SD_MAX:
+        if np.abs(np.divide(moved, usual)).max() <= STRAY_SD_MAX:
             names.remove(name)
             robot = robot.without_effect(name)
             if name in before.effects:
                 robot = robot.with_effect(name, before.effects[name], before.fitted.get(name))
-    return Session(search.dataset, robot, search.catalogue, workers=1), names
+    session, scale = Session(search.dataset, robot, search.catalogue, workers=1), 1.0
+    if held is not None:
+        session.held, session.use_accuracy = held, by_accuracy
+    try:
+        session.weigh({})
+        if held is None:
+            settled = settle(session, names, {})
+            fit, scale = settled.fit, settled.scale
+        else:
+            fit = fit_effects(session, names, {})
+    except (*FAILURES, NoEquilibriumError):
+        return None
+    return AsFound(search, state, session, _as_plausible(session, fit), scale)
+
+
+def of_the_search(state: State) -> Fit:
+    """Return the effects of a state, as far as the search tells their values: of an exact arm."""
+    spread = covariance_of(*covariance_root(state.fit.jacobian))
+    own = np.flatnonzero([free.effect not in OF_THE_ARM for free in state.fit.frees])
+    jacobian = np.linalg.inv(np.linalg.cholesky(spread[np.ix_(own, own)]))
+    effects = tuple(state.fit.frees[i] for i in own)
+    nothing = np.zeros(len(own))
+    return replace(
+        state.fit,
+        frees=effects,
+        values=state.fit.values[own],
+        residual=nothing,
+        jacobian=jacobian,
+    )
 
 
 def _as_plausible(session: Session, fit: Fit) -> Fit:
@@ -275,7 +246,7 @@ def _as_plausible(session: Session, fit: Fit) -> Fit:
     Several effects that were chosen by the same measurements take from the imperfections what
     those did: their estimated sizes are too small, and so would the intervals be.
     """
-    if fit.built is None:
+    if not fit.as_built:
         return fit
     usual = np.nan_to_num(fit.built.random.plausible, posinf=0.0)
     fitter = session.fitters[0]
@@ -322,96 +293,55 @@ def improve(
     before = dataset.robot if robot is None else load_robot(robot)
     other = None if check is None else load_dataset(check, before)
     search = Stepwise(dataset, before, load_catalogue(catalogue))
-    held = _held(search.dataset)
-    most = STEPS_MAX * (1 + len(held))
-    states = search.path(show=lambda k: show('searching', k, most))
-    search.refuse_mistake(states[-1])
-    paths = _paths(search, held, len(states), workers, show)
-    errors, chosen = _predicted(search, paths, len(states))
-    way = _Way(search, states, errors, how_many(states, errors), chosen)
-    if not search.robot.exact:
-        way = replace(way, found=as_found(search, way.final))
-    if way.found is not None and way.found.is_worthwhile:
-        way = _with_the_arm(way, way.found, paths, workers)
-    return _result(way, other)
-
-
-@dataclass(frozen=True)
-class _Way:
-    """The steps of a search, and the errors of those that did not know some postures."""
-
-    search: Stepwise
-    states: list[State]
-    errors: Floats  # (K, P, J) [m²] after every step
-    taken: int
-    chosen: Floats  # (P, J) [m²] where the number of steps was chosen without them as well
-    found: AsFound | None = None  # the arm after the steps that are taken; None: it is exact
-    last: Floats | None = None  # (P, J) [m²] with the arm as found; None: not tried
-    arm_taken: bool = False  # whether the arm as it was found is the last step
-
-    @property
-    def final(self) -> State:
-        """The last step that is taken, the arm as it was found apart."""
-        return self.states[self.taken]
-
-
-def _held(dataset: DataSet) -> list[npt.NDArray[np.int64]]:
-    """Return groups of postures to leave out; those of the same inputs go together."""
-    seen = np.flatnonzero(dataset.trials > 0)
-    groups = np.unique(dataset.groups[seen])
-    if len(groups) < POSTURES_MIN:
+    seen = np.flatnonzero(search.dataset.trials > 0)
+    groups = np.unique(search.dataset.groups[seen])  # postures of the same inputs go together
+    if len(groups) < GROUPS_MIN:
         raise InputError(
-            f'{dataset.name}: {len(groups)} different inputs, expected {POSTURES_MIN} or more'
+            f'{search.dataset.name}: {len(groups)} different inputs, expected {GROUPS_MIN} or more'
         )
     folds = min(GROUPS_MAX, len(groups))
-    return [seen[np.isin(dataset.groups[seen], groups[fold::folds])] for fold in range(folds)]
+    held = [
+        seen[np.isin(search.dataset.groups[seen], groups[fold::folds])] for fold in range(folds)
+    ]
+    states = search.path(show=lambda k: show('searching', k, STEPS_MAX * (1 + folds)))
+    search.refuse_mistake(states[-1])
+    done, every = len(states), len(states) * (1 + folds)
 
-
-def _paths(
-    search: Stepwise,
-    held: Sequence[npt.NDArray[np.int64]],
-    steps: int,
-    workers: int,
-    show: Progress,
-) -> list[tuple[npt.NDArray[np.int64], list[State]]]:
-    """Return the way of a search that does not know them, for every group of postures."""
-    done = steps
-
-    def work(worker: int) -> list[tuple[npt.NDArray[np.int64], list[State]]]:
+    def search_without(group: Held, own: Stepwise) -> list[State]:
         nonlocal done
-        own, found = search.again(), []
-        for group in held[worker::workers]:
-            found.append((group, own.path(group)))
-            done += steps
-            show('searching without some postures', done, steps * (1 + len(held)))
-        return found
+        path = own.path(group)
+        done += len(states)
+        show('searching without some postures', done, every)
+        return path
 
-    with ThreadPoolExecutor(workers) as pool:
-        return [one for found in pool.map(work, range(workers)) for one in found]
-
-
-def _predicted(
-    search: Stepwise, paths: Sequence[tuple[npt.NDArray[np.int64], list[State]]], count: int
-) -> tuple[Floats, Floats]:
-    """
-    Return squared errors [m²] of predictions by searches that did not know the posture.
-
-    Returns
-    -------
-    errors : (K, P, J)
-        After 0, 1, ... steps.
-    chosen : (P, J)
-        After as many steps as the search itself would take, without the posture.
-
-    """
-    errors = np.full((count, *search.measured.shape[:2]), np.nan)
+    searches = [search.again() for _ in range(workers)]
+    paths = _spread(held, lambda group, w: search_without(group, searches[w]), workers)
+    errors = np.full((len(states), *search.measured.shape[:2]), np.nan)
     chosen = np.full(errors.shape[1:], np.nan)
-    for group, path in paths:
+    for group, path in zip(held, paths, strict=True):
         own = [((search.measured - state.fit.markers) ** 2).sum(axis=2)[group] for state in path]
-        for k in range(count):
+        for k in range(len(states)):
             errors[k, group] = own[min(k, len(path) - 1)]
         chosen[group] = own[last_worthwhile(inner(path))]
-    return errors, chosen
+    taken = how_many(states, errors)
+    searched = Searched(search, states, errors, taken, chosen, other)
+    arm = None if search.robot.exact else as_found(search, states[taken])
+    if arm is not None:
+        searched = replace(searched, arm=arm)
+        if arm.is_worthwhile:
+            searched = searched.with_the_arm(list(zip(held, paths, strict=True)), workers)
+    return searched.result()
+
+
+def _spread[T, R](items: Sequence[T], do: Callable[[T, int], R], workers: int) -> list[R]:
+    """Do something with every item, by as many threads; it gets the number of its thread."""
+
+    def work(worker: int) -> list[R]:
+        return [do(item, worker) for item in items[worker::workers]]
+
+    with ThreadPoolExecutor(workers) as pool:
+        parts = list(pool.map(work, range(workers)))
+    return [parts[i % workers][i // workers] for i in range(len(items))]
 
 
 def inner(states: Sequence[State]) -> Floats:
@@ -443,174 +373,151 @@ def shown(errors: Floats, taken: int) -> list[int]:
     return [*kept, *range(taken + 1, len(squares))]
 
 
-def _with_the_arm(
-    way: _Way, found: AsFound, paths: Sequence[tuple[npt.NDArray[np.int64], list[State]]],
-    workers: int,
-) -> _Way:  # fmt: skip
-    """
-    Judge the arm as it was found as a last step, by searches that did not know the posture.
+@dataclass(frozen=True)
+class Searched:
+    """The steps of a search, and the errors of searches that did not know some postures."""
 
-    Every search takes it by its own left-out errors, as any other step. That of all postures
-    does; it is written where the error of the column falls as well.
-    """
-    search, by_accuracy = way.search, found.session.use_accuracy
-    last, chosen = way.errors[way.taken].copy(), way.chosen.copy()
+    search: Stepwise
+    states: list[State]
+    errors: Floats  # (K, P, J) [m²] after 0, 1, ... steps
+    taken: int  # steps
+    chosen: (
+        Floats  # (P, J) [m²] after as many steps as a search that did not know the posture took
+    )
+    check: DataSet | None
+    arm: AsFound | None = None  # the arm after the steps that are taken; None: it is exact
+    last: Floats | None = None  # (P, J) [m²] with the arm as found; None: not tried
+    arm_taken: bool = False  # whether the arm as it was found is the last step
 
-    def work(worker: int) -> None:
-        for held, path in paths[worker::workers]:
-            own, k = last_worthwhile(inner(path)), min(way.taken, len(path) - 1)
-            there = as_found_without(search, path[k], held, by_accuracy)
+    def with_the_arm(self, paths: Sequence[tuple[Held, list[State]]], workers: int) -> Searched:
+        """
+        Judge the arm as it was found as a last step, by searches that did not know the posture.
+
+        Every search takes it by its own left-out errors, as any other step. That of all postures
+        does; it is written where the error of the column falls as well.
+        """
+        assert self.arm is not None
+        search, by_accuracy = self.search, self.arm.session.use_accuracy
+        last, chosen = self.errors[self.taken].copy(), self.chosen.copy()
+
+        def judge(one: tuple[Held, list[State]], worker: int) -> None:
+            held, path = one
+            own, k = last_worthwhile(inner(path)), min(self.taken, len(path) - 1)
+            there = as_found(search, path[k], held, by_accuracy)
             if there is not None and np.isfinite(there.markers[held]).all():
                 last[held] = there.squares[held]
             if own != k:
-                there = as_found_without(search, path[own], held, by_accuracy)
+                there = as_found(search, path[own], held, by_accuracy)
             if there is not None and there.is_worthwhile:
                 chosen[held] = there.squares[held]
 
-    with ThreadPoolExecutor(workers) as pool:
-        list(pool.map(work, range(workers)))
-    lower = float(np.nanmean(last)) < float(np.nanmean(way.errors[way.taken]))
-    return replace(way, last=last, chosen=chosen, arm_taken=lower)
+        _spread(paths, judge, workers)
+        lower = float(np.nanmean(last)) < float(np.nanmean(self.errors[self.taken]))
+        return replace(self, last=last, chosen=chosen, arm_taken=lower)
 
+    def result(self) -> Improvement:
+        """Write the description, and say how the error fell."""
+        search, states, arm, taken = self.search, self.states, self.arm, self.taken
+        final, dataset = states[taken], search.dataset
+        robots = [search.written(state) for state in states]
+        kept, steps = shown(self.errors, taken), list[ImprovementStep]()
+        for begin, k in zip([-1, *kept], kept, strict=False):
+            taken_as_one = states[begin + 1 : k + 1]
+            joined = [state.joined for state in taken_as_one]
+            left = [name for state in taken_as_one for name in state.left]
+            stayed = [name for name in joined if name and name not in left]
+            went = tuple(name for name in left if name not in joined)
+            before = self.errors[min(max(begin, 0), taken)]
+            steps.append(self._step(' + '.join(stayed), went, robots[k], before, self.errors[k]))
+        own, errors, robot = kept.index(taken), self.errors[taken], robots[taken]
+        if self.last is not None and arm is not None:
+            step = self._step(AS_FOUND, (), arm.robot, errors, self.last)
+            steps.insert(own + 1 if self.arm_taken else len(steps), step)
+            if self.arm_taken:
+                own, errors, robot = own + 1, self.last, arm.robot
+        predictor, markers = predict(dataset, robot, search.catalogue)
+        made = self._addition(steps[: own + 1], robot, markers)
+        tips = np.sqrt(errors[:, -1])
+        return Improvement(
+            robot=with_origin(made, search.robot),
+            steps=tuple(steps),
+            taken=own,
+            chosen=np.sqrt(np.nanmean(self.chosen, axis=0)),
+            values=made.values,
+            loads=made.loads,
+            profile=stiffness_change(search.robot, final.fit.point),
+            routes=route_changes(final.fit.point),
+            markers=tuple(marker.name for marker in dataset.markers),
+            data=dataset.name,
+            check='' if self.check is None else self.check.name,
+            noise_floor=search.plain.floor(),
+            probability=made.probability,
+            more_at_work=made.more_at_work,
+            tips={dataset.postures[p]: float(tips[p]) for p in np.flatnonzero(np.isfinite(tips))},
+            local_faults=self._faults(predictor),
+            left_out=left_out(dataset, search.outliers, search.unsettled),
+            as_built=arm_report(arm.session, arm.fit) if arm and self.arm_taken else None,
+        )
 
-def _together(states: Sequence[State]) -> tuple[str, tuple[str, ...]]:
-    """Return what joined in some steps, taken as one, and what left of what was there before."""
-    joined = [state.joined for state in states]
-    left = [name for state in states for name in state.left]
-    stayed = [name for name in joined if name and name not in left]
-    return ' + '.join(stayed), tuple(name for name in left if name not in joined)
+    def _step(
+        self, joined: str, left: tuple[str, ...], robot: Robot, before: Floats, after: Floats
+    ) -> ImprovementStep:
+        """Return a step with its errors, those left out (P, J) [m²] before and after it."""
 
+        def errors(dataset: DataSet) -> Floats:  # (J,) [m] of a description as it stands
+            off = dataset.mean - predict(dataset, robot, self.search.catalogue)[1]
+            return np.asarray(np.sqrt(np.nanmean((off**2).sum(axis=2), axis=0)))
 
-def _result(way: _Way, check: DataSet | None) -> Improvement:
-    """Write the description, and say how the error fell."""
-    search, states, final = way.search, way.states, way.final
-    robots = [search.written(state) for state in states]
-    kept = shown(way.errors, way.taken)
-    steps = _steps(way, robots, check, kept)
-    own = kept.index(way.taken)
-    errors, robot = way.errors[way.taken], robots[way.taken]
-    if way.last is not None and way.found is not None:
-        step = _arm_step(way, way.last, way.found.robot, check)
-        place = own + 1 if way.arm_taken else len(steps)
-        steps = (*steps[:place], step, *steps[place:])
-        if way.arm_taken:
-            own, errors, robot = place, way.last, way.found.robot
-    predictor, markers = predict(search.dataset, robot, search.catalogue)
-    made = _addition(way, steps[: own + 1], robot, markers, check)
-    postures, tips = search.dataset.postures, np.sqrt(errors[:, -1])
-    return Improvement(
-        robot=with_origin(made, search.robot),
-        steps=steps,
-        taken=own,
-        chosen=np.sqrt(np.nanmean(way.chosen, axis=0)),
-        values=made.values,
-        loads=made.loads,
-        profile=stiffness_change(search.robot, final.fit.point),
-        routes=route_changes(final.fit.point),
-        markers=tuple(marker.name for marker in search.dataset.markers),
-        data=search.dataset.name,
-        check='' if check is None else check.name,
-        noise_floor=search.plain.floor(),
-        probability=made.probability,
-        more_at_work=made.more_at_work,
-        tips={postures[p]: float(tips[p]) for p in np.flatnonzero(np.isfinite(tips))},
-        local_faults=_faults(way, predictor),
-        left_out=left_out(search.dataset, search.outliers, search.unsettled),
-        as_built=way.found.scatter if way.found is not None and way.arm_taken else None,
-    )
+        return ImprovementStep(
+            joined,
+            left,
+            errors(self.search.dataset),
+            np.sqrt(np.nanmean(after, axis=0)),
+            None if self.check is None else errors(self.check),
+            *fall(before, after),
+        )
 
+    def _addition(
+        self, steps: Sequence[ImprovementStep], robot: Robot, markers: Floats
+    ) -> Addition:
+        """Return what was added, with its errors, as descriptions hold it."""
+        search, dataset, check, arm = self.search, self.search.dataset, self.check, self.arm
+        kind, judged = ('left out', dataset) if check is None else ('check', check)
+        floor, first, last = search.plain.floor(), steps[0], steps[-1]
 
-def _steps(
-    way: _Way, robots: Sequence[Robot], check: DataSet | None, kept: Sequence[int]
-) -> tuple[ImprovementStep, ...]:
-    """Return the steps that are shown, with those before them that are not."""
-    return tuple(
-        _step(way, _together(way.states[begin + 1 : k + 1]), robots[k], check,
-              way.errors[min(max(begin, 0), way.taken)], way.errors[k])
-        for begin, k in zip([-1, *kept], kept, strict=False)
-    )  # fmt: skip
+        def errors(kind: str, data: DataSet, floor: float | None) -> Errors:
+            before, after = total(first.errors[kind]), total(last.errors[kind])
+            return Errors(kind, data.name, int((data.trials > 0).sum()), before, after, floor)
 
+        fitted = errors('fitted', dataset, floor)
+        final = self.states[self.taken]
+        chance = search.chance(replace(final, fit=replace(final.fit, markers=markers)))
+        if arm is None:
+            known = of_the_search(final)
+            values, loads = values_of(known), loads_of(known, search.predictor)
+        elif self.arm_taken:
+            values, loads = arm.values, arm.loads
+        else:
+            values, loads = arm.values_of_the_search, arm.loads_of_the_search
+        return Addition(
+            robot,
+            values,
+            fitted,
+            errors(kind, judged, floor if check is None else None),
+            chance,
+            more_at_work=more_at_work(fitted, chance) if chance <= P_SINGLE_MIN else '',
+            beside=self.arm_taken,
+            loads=loads,
+        )
 
-def _arm_step(way: _Way, last: Floats, robot: Robot, check: DataSet | None) -> ImprovementStep:
-    """Return the arm as it was found as a step."""
-    return _step(way, (AS_FOUND, ()), robot, check, way.errors[way.taken], last)
-
-
-def _step(
-    way: _Way,
-    what: tuple[str, tuple[str, ...]],
-    robot: Robot,
-    check: DataSet | None,
-    before: Floats,
-    after: Floats,
-) -> ImprovementStep:
-    """Return a step with its errors, those left out (P, J) [m²] before and after it."""
-    search = way.search
-    return ImprovementStep(
-        *what,
-        _errors(search.dataset, robot, search.catalogue),
-        np.sqrt(np.nanmean(after, axis=0)),
-        None if check is None else _errors(check, robot, search.catalogue),
-        *fall(before, after),
-    )
-
-
-def _errors(dataset: DataSet, robot: Robot, catalogue: Catalogue) -> Floats:
-    """Return the rms error (J,) [m] of a description, just as it stands."""
-    left = dataset.mean - predict(dataset, robot, catalogue)[1]
-    return np.asarray(np.sqrt(np.nanmean((left**2).sum(axis=2), axis=0)))
-
-
-def _addition(
-    way: _Way,
-    steps: Sequence[ImprovementStep],
-    robot: Robot,
-    markers: Floats,
-    check: DataSet | None,
-) -> Addition:
-    """Return what was added, with its errors, as descriptions hold it."""
-    search, kind = way.search, 'left out' if check is None else 'check'
-    floor, count = search.plain.floor(), int((search.dataset.trials > 0).sum())
-    first, last = steps[0], steps[-1]
-    fitted = Errors(
-        'fitted', search.dataset.name, count, total(first.fitted), total(last.fitted), floor
-    )
-    judged = Errors(
-        kind,
-        search.dataset.name if check is None else check.name,
-        count if check is None else int((check.trials > 0).sum()),
-        total(first.errors[kind]),
-        total(last.errors[kind]),
-        floor if check is None else None,
-    )
-    fit = replace(way.final.fit, markers=markers)
-    chance = search.chance(replace(way.final, fit=fit))
-    more = more_at_work(fitted, chance) if chance <= P_SINGLE_MIN else ''
-    values, loads = _known(way)
-    return Addition(
-        robot, values, fitted, judged, chance, {}, more, beside=way.arm_taken, loads=loads
-    )
-
-
-def _known(way: _Way) -> tuple[dict[str, dict[str, Value]], dict[str, LoadVector]]:
-    """Return the values and loads that are written, with their intervals."""
-    if way.found is None:
-        known = of_the_search(way.final)
-        return values_of(known), loads_of(known, way.search.predictor)
-    if way.arm_taken:
-        return way.found.values, way.found.loads
-    return way.found.values_of_the_search, way.found.loads_of_the_search
-
-
-def _faults(way: _Way, predictor: Predictor) -> tuple[dict[str, Any], ...]:
-    """Return where the improved description is wrong by more than what remains everywhere."""
-    if way.found is not None and way.arm_taken:
-        return way.found.local_faults
-    found = imperfections(SplitPredictor(predictor), {})
-    if found is None:
-        return ()
-    search, final = way.search, way.final
-    faults = local_faults(
-        found.kinds, found.moves, final.whitener, final.fit, search.noise.freedom
-    )
-    return tuple(fault.to_json(predictor.robot, search.dataset.postures) for fault in faults)
+    def _faults(self, predictor: Predictor) -> tuple[dict[str, Any], ...]:
+        """Return where the improved description is wrong by more than what remains everywhere."""
+        if self.arm is not None and self.arm_taken:
+            return tuple(faults_of(self.arm.session, self.arm.fit))
+        found = imperfections(SplitPredictor(predictor), {})
+        if found is None:
+            return ()
+        final, freedom = self.states[self.taken], self.search.noise.freedom
+        faults = local_faults(found.kinds, found.moves, final.whitener, final.fit, freedom)
+        postures = self.search.dataset.postures
+        return tuple(fault.to_json(predictor.robot, postures) for fault in faults)

@@ -10,69 +10,31 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from ..common.words import spoken
-from ..comparison.predict import FreeParameter, Point, Predictor, SettledShapes, Tangent
+from ..comparison.predict import FreeParameter, Point, Predictor
 from ..comparison.statistics import chi2_isf, chi2_sf, normal_ppf
 from .fit import Fit
-from .fitter import Fitter
-from .marginal import LEAST_SHARE, SIZE_MAX, Likelihood, RandomEffects
+from .fitter import FAILURES, ROUNDS_MAX, Fitter
+from .marginal import NEGLIGIBLE, SIZE_MAX, Likelihood, Prior, RandomEffects
 from .result import LoadVector, Value
-from .verdict import (
-    CORRELATED_FROM,
-)
-
-if TYPE_CHECKING:
-    pass
+from .verdict import CORRELATED_FROM, SIGNIFICANCE
 
 Floats = npt.NDArray[np.float64]
-QUANTILE = normal_ppf(0.975)
-PROFILE_FROM_ERROR = 0.1  # relative error of a Gaussian endpoint from which the profile decides
-SEARCH_STEPS_MAX = 6  # of the search for an endpoint
-AXIS = np.array([0.0, 0.0, 1.0])  # of the straight arm, from base to tip
-TOLD_WITHIN_RAD = 0.25 * math.pi  # [rad] half an interval from which a direction is not told
-NODES = 14  # sizes of a kind, evenly spaced by their logarithms, at which its estimate is known
-TAIL = 0.025  # chance beyond each end
-ENDS_WITHIN = 1e-3  # of an end
-HARDLY_SHOWN, ALL_SHOWN = 1e-12, 1.0 - 1e-9  # share v / (v + n) that counts, at least, at most
-
-
-class Pinned(Predictor):
-    """A predictor some of whose parameters stay where they are put."""
-
-    def __init__(self, predictor: Predictor, values: Point) -> None:
-        """Share everything with the predictor."""
-        self.__dict__.update(predictor.__dict__)
-        self._inner, self._pinned = predictor, dict(values)
-
-    def markers(
-        self,
-        point: Point,
-        inputs: Floats | None = None,
-        stiffness: Floats | None = None,
-        near: SettledShapes | None = None,
-    ) -> Floats | None:
-        """Predict markers (P, J, 3) [m]; see `Predictor.markers`."""
-        predicted = self._inner.markers({**point, **self._pinned}, inputs, stiffness, near)
-        self.settled = self._inner.settled
-        return predicted
-
-    def tangent(
-        self, point: Point, frees: Sequence[FreeParameter], settled: SettledShapes
-    ) -> Tangent | None:
-        """Return how freed parameters move what settled; see `Predictor.tangent`."""
-        return self._inner.tangent({**point, **self._pinned}, frees, settled)
+QUANTILE = normal_ppf(1.0 - 0.5 * SIGNIFICANCE)  # [1] sd, so that 95 % are inside
+CURVATURE_ERROR_MAX = 0.1  # [1] of an end by curvature, else the profile likelihood decides
+TOLD_WITHIN_RAD = 0.25 * math.pi  # [rad] half an interval, else the direction would be a guess
+NODES = 14  # [1] sizes at which an estimate is known, so that neighbours differ by a factor of 1.7
 
 
 def intervals(
     fitter: Fitter, fit: Fit, scale: float = 1.0
 ) -> dict[FreeParameter, tuple[float, float]]:
     """
-    Return 95 % intervals of the free parameters of a settled fit.
+    Return 95 % intervals of the free parameters of a converged fit.
 
     An endpoint comes from the curvature at the fit where chi² there is what the curvature says;
     else (bounds, asymmetry, friction's kinks) it is where the profile of chi² has risen by 3.84.
@@ -92,7 +54,7 @@ def intervals(
     fitter.resume(fit)
     ends = {}
     for i, free in enumerate(fit.frees):
-        spread = float(np.sqrt(max(fit.told[i, i], 0.0)))
+        spread = float(np.sqrt(max(fit.interval_covariance[i, i], 0.0)))
         if not np.isfinite(spread):
             ends[free] = (free.parameter.low, free.parameter.high)
             continue
@@ -108,10 +70,10 @@ def _endpoint(fitter: Fitter, fit: Fit, i: int, spread: float, wide: float) -> f
     end = value + wide * spread
     wide *= abs(spread) / math.sqrt(fit.covariance[i, i])  # of what rises at the estimated sizes
     outside = end > parameter.high if spread > 0.0 else end < parameter.low
-    first, profile = (_ridge_rise, _profile_rise) if fit.built is None else (_risen, _risen)
+    profile = _rise if fit.as_built else _profile_rise
     if not outside:
-        rise = first(fitter, fit, i, end)
-        if abs(rise - wide) < PROFILE_FROM_ERROR * wide:
+        rise = _rise(fitter, fit, i, end)
+        if abs(rise - wide) < CURVATURE_ERROR_MAX * wide:
             return end
     if value == bound:
         return value
@@ -119,7 +81,7 @@ def _endpoint(fitter: Fitter, fit: Fit, i: int, spread: float, wide: float) -> f
     rise = profile(fitter, fit, i, end)
     if outside and rise < wide:
         return bound
-    for _ in range(SEARCH_STEPS_MAX):
+    for _ in range(ROUNDS_MAX):
         if abs(rise - wide) < 0.02 * wide or not np.isfinite(rise):
             break
         stretch = float(np.clip(wide / max(rise, 1e-6), 0.2, 5.0))
@@ -130,14 +92,29 @@ def _endpoint(fitter: Fitter, fit: Fit, i: int, spread: float, wide: float) -> f
     return end if np.isfinite(rise) else plain
 
 
-def _ridge_rise(fitter: Fitter, fit: Fit, i: int, end: float) -> float:
-    """Root of the rise of chi² where the curvature says the profile runs; NaN: no equilibrium."""
-    moved, prior = _along(fit, i, end)
-    markers = fitter.predictor.markers(moved)
-    if markers is None:
-        return float('nan')
-    white = fitter.residual(markers)
-    return float(np.sqrt(max(float(white @ white) + prior - fit.chi2, 0.0)))
+def _rise(fitter: Fitter, fit: Fit, i: int, end: float) -> float:
+    """
+    Root of the rise of the deviance where the curvature says the profile runs.
+
+    Of an arm as built all linear parameters go along, but for the sizes of its imperfections. NaN:
+    no equilibrium.
+    """
+    ends, deviances = (float(fit.values[i]), end) if fit.as_built else (end,), []
+    for at in ends:
+        moved, prior = _along(fit, i, at)
+        markers = fitter.predictor.markers(moved)
+        if markers is None:
+            return float('nan')
+        residual = fitter.residual(markers)
+        if not fit.as_built:
+            return float(np.sqrt(max(float(residual @ residual) + prior - fit.chi2, 0.0)))
+        others = np.delete(np.arange(len(fit.all_frees)), i)
+        slopes = fit.jacobian[: fitter.whitener.size, others]
+        random, sizes = fit.built.random, fit.built.sizes
+        work = Likelihood(random.parts, residual, slopes, fit.precisions[others])
+        deviances.append(work.deviance(sizes**2) + prior)
+    here, there = deviances
+    return float(np.sqrt(max(there - here, 0.0)))
 
 
 def _along(fit: Fit, i: int, end: float) -> tuple[Point, float]:
@@ -155,40 +132,16 @@ def _along(fit: Fit, i: int, end: float) -> tuple[Point, float]:
     return point, float(np.sum(np.square(prior)))
 
 
-def _risen(fitter: Fitter, fit: Fit, i: int, end: float) -> float:
-    """Root of the rise of the deviance of an arm as built; NaN: no equilibrium."""
-    here, there = (_deviance(fitter, fit, i, at) for at in (float(fit.values[i]), end))
-    return float(np.sqrt(max(there - here, 0.0)))
-
-
-def _deviance(fitter: Fitter, fit: Fit, i: int, at: float) -> float:
-    """Deviance with one parameter put somewhere: all else goes along, but for the sizes."""
-    moved, prior = _along(fit, i, at)
-    markers = fitter.predictor.markers(moved)
-    if markers is None or fit.built is None:
-        return float('nan')
-    others = np.delete(np.arange(len(fit.all_frees)), i)
-    slopes = fit.jacobian[: fitter.whitener.size, others]
-    parts, sizes = fit.built.random.parts, fit.built.sizes
-    likelihood = Likelihood(parts, fitter.residual(markers), slopes, fit.precisions[others])
-    return likelihood.deviance(sizes**2) + prior
-
-
 def _profile_rise(fitter: Fitter, fit: Fit, i: int, end: float) -> float:
     """Root of the rise of chi² with one parameter put somewhere and all others refitted."""
-    free, others = fit.frees[i], fit.frees[:i] + fit.frees[i + 1 :]
-    pinned = Fitter(
-        Pinned(fitter.predictor, {free: end}),
-        fitter.whitener,
-        fit.nuisances,
-        fitter.columns,
-        fitter.built,
-    )
-    pinned.resume(fit)
-    sizes = None if fit.built is None else fit.built.sizes
+    free = fit.frees[i]
+    pinned = replace(free, parameter=replace(free.parameter, low=end, high=end))
+    frees = (*fit.frees[:i], pinned, *fit.frees[i + 1 :])
+    start = {key: value for key, value in fit.point.items() if key != free} | {pinned: end}
+    fitter.resume(fit)
     try:
-        refit = pinned.fit(others, fit.point, turns=8, sizes=sizes)
-    except (ArithmeticError, np.linalg.LinAlgError):
+        refit = fitter.fit(frees, start, steps=8, sizes=fit.built.sizes)
+    except FAILURES:
         return float('inf')
     return float(np.sqrt(max(refit.chi2 - fit.chi2, 0.0)))
 
@@ -221,16 +174,16 @@ def load_of(
     down = None if gravity is None or not np.any(gravity) else np.array(gravity, dtype=float)
     return LoadVector(
         Value(size, max(size - half, 0.0), size + half, 'N'),
-        _angle(vector, spread, AXIS),
+        _angle(vector, spread, np.eye(3)[2]),
         float(np.arctan2(vector[1], vector[0])),
         None if down is None else _angle(vector, spread, down / np.linalg.norm(down)),
     )
 
 
-def _sd(spread: Floats, way: Floats) -> float:
-    """Return 1 sd [N] of a force along a way (3,); of no way: along its worst."""
-    length = float(np.linalg.norm(way))
-    variance = way @ spread @ way / length**2 if length > 0.0 else np.linalg.eigvalsh(spread)[-1]
+def _sd(spread: Floats, axis: Floats) -> float:
+    """Return 1 sd [N] of a force along an axis (3,); of a zero one: along its worst."""
+    length = float(np.linalg.norm(axis))
+    variance = axis @ spread @ axis / length**2 if length > 0.0 else np.linalg.eigvalsh(spread)[-1]
     return math.sqrt(max(float(variance), 0.0))
 
 
@@ -241,24 +194,20 @@ def _angle(vector: Floats, spread: Floats, axis: Floats) -> Value | None:
         return None
     along = float(vector @ axis)
     across = vector - along * axis
-    away = across * size**2 - vector * float(across @ vector)  # the way in which the angle grows
+    away = across * size**2 - vector * float(across @ vector)  # in which the angle grows
     half = QUANTILE * _sd(spread, away) / size
     if not half < TOLD_WITHIN_RAD:
         return None
     angle = float(np.arctan2(np.linalg.norm(across), along))
     low, high = max(angle - half, 0.0), min(angle + half, math.pi)
-    if _may_be_chance(across, spread, axis):
-        low, high = (0.0, high) if along > 0.0 else (low, math.pi)
-    return Value(angle, low, high, 'rad')
-
-
-def _may_be_chance(across: Floats, spread: Floats, axis: Floats) -> bool:
-    """Tell whether what lies across an axis is inside of the 95 % ellipse around nothing."""
     plane = np.linalg.svd(axis[None])[2][1:]  # (2, 3) across the axis
     seen, known = plane @ across, plane @ spread @ plane.T
-    if not known.any():
-        return not seen.any()
-    return float(seen @ np.linalg.pinv(known) @ seen) < chi2_isf(0.05, 2)
+    by_chance = not seen.any()  # or inside of the 95 % ellipse around nothing
+    if known.any():
+        by_chance = float(seen @ np.linalg.pinv(known) @ seen) < chi2_isf(SIGNIFICANCE, 2)
+    if by_chance:
+        low, high = (0.0, high) if along > 0.0 else (low, math.pi)
+    return Value(angle, low, high, 'rad')
 
 
 def loads_of(
@@ -269,12 +218,14 @@ def loads_of(
 
     `scale` is of the covariance; default: the fit's.
     """
-    made, known = {}, fit.told if covariance is None else covariance
+    made, known = {}, fit.interval_covariance if covariance is None else covariance
+    parts = {tuple(part.gravity.tolist()) for part in predictor.parts}
+    gravity = next(iter(parts)) if len(parts) == 1 else None  # the same in all postures
     for effect in dict.fromkeys(free.effect for free in fit.frees):
         rows = vector_rows(fit.frees, effect)
         spread = known[np.ix_(rows, rows)]
         if rows and np.isfinite(spread).all():
-            made[effect] = load_of(fit.values[rows], spread, gravity_of(predictor), scale)
+            made[effect] = load_of(fit.values[rows], spread, gravity, scale)
     return made
 
 
@@ -283,16 +234,13 @@ def vector_rows(frees: Sequence[FreeParameter], effect: str) -> list[int]:
     rows = {f.key: i for i, f in enumerate(frees) if (f.effect, f.parameter.unit) == (effect, 'N')}
     stems = [key.removesuffix('_x') for key in rows if key.endswith('_x')]
     return next(
-        ([rows[f'{stem}_{axis}'] for axis in 'xyz'] for stem in stems
-         if {f'{stem}_y', f'{stem}_z'} <= set(rows)),
+        (
+            [rows[f'{stem}_{axis}'] for axis in 'xyz']
+            for stem in stems
+            if {f'{stem}_y', f'{stem}_z'} <= set(rows)
+        ),
         [],
-    )  # fmt: skip
-
-
-def gravity_of(predictor: Predictor) -> tuple[float, ...] | None:
-    """Return gravity (3,) [m/s²] where it was the same in all postures, else None."""
-    found = {tuple(part.gravity.tolist()) for part in predictor.parts}
-    return next(iter(found)) if len(found) == 1 else None
+    )
 
 
 class SizeIntervals:
@@ -324,13 +272,13 @@ class SizeIntervals:
         slopes = np.zeros((rows, 0)) if slopes is None else slopes
         if parts.kind is not None and sizes[parts.kind] == 0.0:
             parts = replace(parts, kind=None)
-        work = Likelihood(parts, np.zeros(rows), slopes, weights, prior=0)
+        work = Likelihood(parts, np.zeros(rows), slopes, weights, Prior.NONE)
         usual = np.where(np.isfinite(random.plausible), random.plausible, 0.0)
-        others = np.maximum(sizes, 0.1 * LEAST_SHARE * usual) ** 2
+        others = np.maximum(sizes, 0.1 * NEGLIGIBLE * usual) ** 2
         self._kinds = []
         for k, plausible in enumerate(random.plausible.tolist()):
             shows = np.isfinite(plausible) and bool((random.owners == k).any())
-            shares = np.geomspace(LEAST_SHARE, 2.0 * SIZE_MAX, NODES)
+            shares = np.geomspace(NEGLIGIBLE, 2.0 * SIZE_MAX, NODES)
             grid = (shares * plausible) ** 2 if shows else np.zeros(0)
             self._kinds.append(_Estimate.of(work, others, k, grid))
 
@@ -338,7 +286,7 @@ class SizeIntervals:
         """
         Return the 95 % intervals (K,) of the sizes of which `found` (K,) are the estimates.
 
-        The lower end is zero where a size of `LEAST_SHARE` of what is plausible is no rare cause;
+        The lower end is zero where a size of `NEGLIGIBLE` of what is plausible is no rare cause;
         the upper one infinite where no size up to twice `SIZE_MAX` is a rare one.
         """
         pairs = [own.ends(value) for own, value in zip(self._kinds, found.tolist(), strict=True)]
@@ -369,7 +317,7 @@ class _Estimate:
         if not len(grid) or told.min() <= 0.0:
             return cls(np.zeros(0), told, told)
         logs = np.log(grid)
-        share = (1.0 - 0.5 * np.gradient(np.log(told), logs)).clip(HARDLY_SHOWN, ALL_SHOWN)
+        share = (1.0 - 0.5 * np.gradient(np.log(told), logs)).clip(1e-12, 1.0 - 1e-9)
         return cls(logs, np.log(told / share**2), logs + np.log(1.0 / share - 1.0))
 
     def chance(self, estimate: float, log: float) -> float:
@@ -383,8 +331,8 @@ class _Estimate:
         """Return the interval of the size whose estimate is `size`."""
         if not len(self.grid):
             return 0.0, np.inf
-        low, high = (self._size(size**2, tail) for tail in (TAIL, 1.0 - TAIL))
-        return low, high
+        tail = 0.5 * SIGNIFICANCE
+        return self._size(size**2, tail), self._size(size**2, 1.0 - tail)
 
     def _size(self, estimate: float, tail: float) -> float:
         """Return the size of which at least such an estimate has a chance; see `ends`."""
@@ -393,7 +341,7 @@ class _Estimate:
             return 0.0
         if self.chance(estimate, high) < tail:
             return np.inf if tail > 0.5 else float(np.exp(0.5 * high))
-        while high - low > ENDS_WITHIN:
+        while high - low > 0.1 * NEGLIGIBLE:
             middle = 0.5 * (low + high)
             if self.chance(estimate, middle) < tail:
                 low = middle
@@ -410,8 +358,8 @@ def values_of(
 
     `covariance` (default: what the fit tells) is that of the freed parameters, the first ones.
     """
-    quantile = normal_ppf(0.975) * np.sqrt(scale)
-    known = fit.told if covariance is None else covariance
+    quantile = QUANTILE * np.sqrt(scale)
+    known = fit.interval_covariance if covariance is None else covariance
     spread = np.sqrt(np.maximum(np.diag(known), 0.0))
     values: dict[str, dict[str, Value]] = {}
     for i, free in enumerate(fit.frees):

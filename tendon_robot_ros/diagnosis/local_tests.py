@@ -24,18 +24,24 @@ import numpy.typing as npt
 
 from ..comparison.noise import Whitener
 from ..comparison.predict import CELLS
-from ..comparison.statistics import false_discovery_control, normal_ppf, t_sf
+from ..comparison.statistics import chi2_isf, false_discovery_control, t_sf
 from ..robot import Robot
 from .fit import Fit
-from .imperfections import ACROSS, GAIN, HOLE, KINK, ZERO, Kind, SplitPredictor
-from .slopes import imperfections
-from .verdict import (
-    FALSE_DISCOVERY_RATE,
-    LOCAL_BEND_MAX_RAD,
-    LOCAL_CHANGE_MAX,
-    LOCAL_FAULTS_MAX,
-    LOCAL_SHARE_MIN,
+from .imperfections import (
+    ACROSS,
+    BEND_MAX_RAD,
+    GAIN,
+    HOLE,
+    KINK,
+    ZERO,
+    Imperfections,
+    Kind,
+    SplitPredictor,
 )
+from .intervals import QUANTILE
+from .marginal import NEGLIGIBLE
+from .slopes import imperfections
+from .verdict import FALSE_DISCOVERY_RATE, P_SEVERAL_MIN
 
 if TYPE_CHECKING:
     from .session import Session
@@ -44,9 +50,8 @@ Floats = npt.NDArray[np.float64]
 IN_CELLS = (CELLS, KINK, ACROSS)
 IN_INPUTS = (GAIN, HOLE, ZERO)
 ONCE = (KINK, ACROSS, GAIN, ZERO)  # kinds that are also looked for in single postures
-NEVER_NAMED_BELOW_SD = 1.9  # at the rate that is held
-REFINEMENTS = 2  # rounds in which places are looked for again beside the others
-SAME_AS_BEST_CHI2 = 6.63  # below the strongest: neighbours not told apart from it (99 %)
+FAULTS_MAX = 8  # [1] places that are named, because nobody looks at more
+CHANGE_MAX = 3.0  # [1] of the stiffness of one cell, by slopes: docs/diagnosis.md
 
 
 @dataclass(frozen=True)
@@ -113,25 +118,25 @@ def local_faults(
         Degrees of freedom behind the noise.
 
     """
-    places, columns = _places(kinds, moves, whitener)
-    found = faults_among(places, columns, fit.residual, fit.jacobian, freedom)
-    return list(takewhile(lambda fault: not is_absurd(fault), found))
+    places, columns = places_in(kinds, moves, whitener)
+    faults = faults_among(places, columns, fit.residual, fit.jacobian, freedom)
+    return list(takewhile(lambda fault: not is_absurd(fault), faults))
 
 
 def is_absurd(fault: LocalFault) -> bool:
     """Tell whether a place asks for more than it can be off by: then the cause lies elsewhere."""
-    most = {CELLS: LOCAL_CHANGE_MAX, KINK: LOCAL_BEND_MAX_RAD, ACROSS: LOCAL_BEND_MAX_RAD}
+    most = {CELLS: CHANGE_MAX, KINK: BEND_MAX_RAD, ACROSS: BEND_MAX_RAD}
     return abs(fault.size) > most.get(fault.place.kind, np.inf)
 
 
 def faults_of(session: Session, fit: Fit) -> list[dict[str, Any]]:
     """Return the local faults of a fit in a session that was weighed there, as plain data."""
-    found = session.imperfections
-    if found is None:
-        found = imperfections(SplitPredictor(session.predictor), fit.point)
-    if found is None:
+    own: Imperfections | None = session.imperfections
+    if not session.random.kinds:  # of an exact arm, too
+        own = imperfections(SplitPredictor(session.predictor), fit.point)
+    if own is None:
         return []
-    faults = local_faults(found.kinds, found.moves, session.whitener, fit, session.freedom)
+    faults = local_faults(own.kinds, own.moves, session.whitener, fit, session.freedom)
     return [fault.to_json(session.robot, session.dataset.postures) for fault in faults]
 
 
@@ -160,7 +165,7 @@ def faults_among(
     """
     tests = _Tests(places, columns, residual, jacobian)
     chosen, rates = list[int](), list[float]()
-    while len(chosen) < LOCAL_FAULTS_MAX:
+    while len(chosen) < FAULTS_MAX:
         z, _ = tests.beside(chosen)
         rate = _rates(places, z, np.isfinite(z), freedom)
         lowest = np.flatnonzero(rate <= rate.min(initial=1.0))
@@ -168,7 +173,7 @@ def faults_among(
             break
         chosen.append(int(lowest[np.argmax(np.abs(z[lowest]))]))
         rates.append(float(rate[chosen[-1]]))
-    for _ in range(REFINEMENTS):  # a place is told best when what the others do is known
+    for _ in range(2):  # a place is told best when what the others do is known
         for k in range(len(chosen)):
             z, _ = tests.beside(chosen[:k] + chosen[k + 1 :])
             told = tests.same_kind(chosen[k], z)  # none: the others do all that it would
@@ -178,11 +183,11 @@ def faults_among(
         z, length = tests.beside(chosen[:k] + chosen[k + 1 :])
         if not np.isfinite(z[best]):
             continue
-        size, half = float(z[best] / length[best]), float(normal_ppf(0.975) / length[best])
+        size, half = float(z[best] / length[best]), float(QUANTILE / length[best])
         alike = tuple(
             places[i].name
             for i in tests.same_kind(best, z)
-            if z[i] ** 2 > z[best] ** 2 - SAME_AS_BEST_CHI2
+            if z[i] ** 2 > z[best] ** 2 - chi2_isf(P_SEVERAL_MIN, 1)
         )
         faults.append(
             LocalFault(
@@ -239,7 +244,7 @@ class _Tests:
         squares = columns.squares()
         self._squares = squares - np.square(self._told).sum(axis=1)
         self._along = columns.products(self.residual[:n, None])[:, 0]
-        self.least = LOCAL_SHARE_MIN * np.maximum(np.sqrt(squares), 1e-12)
+        self.least = 2.0 * NEGLIGIBLE * np.maximum(np.sqrt(squares), 1e-12)
         self.families = [(place.kind, place.posture) for place in places]
 
     def beside(self, chosen: Sequence[int]) -> tuple[Floats, Floats]:
@@ -273,16 +278,17 @@ def _rates(
         families.setdefault((places[i].kind, places[i].posture is None), []).append(i)
     rates = np.ones(len(places))
     for members in families.values():
-        p = np.array([_p_value(abs(value), freedom) for value in z[members].tolist()])
+        p = np.ones(len(members))  # what cannot be named counts as certain
+        for i, size in enumerate(np.abs(z[members]).tolist()):
+            if size > QUANTILE:
+                p[i] = (
+                    t_sf(size, freedom)
+                    if np.isfinite(freedom)
+                    else 0.5 * math.erfc(size / math.sqrt(2.0))
+                )
+                p[i] *= 2.0
         rates[members] = np.minimum(len(families) * false_discovery_control(p), 1.0)
     return rates
-
-
-def _p_value(z: float, freedom: float) -> float:
-    """Chance of so large a deviation to either side; what cannot be named counts as certain."""
-    if z < NEVER_NAMED_BELOW_SD:
-        return 1.0
-    return 2.0 * t_sf(z, freedom) if np.isfinite(freedom) else math.erfc(z / math.sqrt(2.0))
 
 
 def _basis(jacobian: Floats) -> Floats:
@@ -294,7 +300,7 @@ def _basis(jacobian: Floats) -> Floats:
     return np.asarray(used @ (vectors[:, kept] / np.sqrt(values[kept])))
 
 
-def _places(
+def places_in(
     kinds: Sequence[Kind], moves: Floats, whitener: Whitener
 ) -> tuple[list[Place], PlaceColumns]:
     """List what may be wrong, and what a unit of it does to the whitened markers."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 from functools import cached_property
 
 import numpy as np
@@ -18,19 +19,24 @@ import numpy.typing as npt
 from .imperfections import KINDS_WITH_FEW_MEMBERS, REMAINDER, Kind, Members
 
 Floats = npt.NDArray[np.float64]
-LEAF = 32  # [1] rows of a triangle that is inverted as it is
-NORMAL_LEAST = 1e-12  # of the parameters, each of them scaled to move the residual by one
-SIZES, LOGARITHMS = 1, 2  # what is likeliest: s exp(-s²/p²) ds = s² exp(-s²/p²) d log s
-SEARCH_STEPS_MAX = 25  # of the search for the standard deviations
-DEVIANCE_GAIN_MIN = 0.02  # gain in -2 log likelihood at which it ends
-LEAST_SHARE = 0.01  # of the plausible size, that members may have of a kind without any
-SIZE_MAX = 5.0  # [1] of the plausible sizes: what is larger is no imperfection
-START_SHARE = 0.5  # of the plausible sizes, where it begins
-UNSEEN_MOVE = 0.01  # sd of the noise that a plausible imperfection may do and count as unseen
-ROOTS_KEPT = 4  # of the sizes that were asked for last
-STEP_SHARES = (1.0, 0.3, 0.1, 0.03)  # of a step, tried before a slower one that never fails
-STEP_MAX = 2.0  # of the logarithm of a variance
-BEND_LEAST = 0.05  # of the deviance by logarithms, that a step counts on
+NEGLIGIBLE = 0.01  # [1] of a plausible size, or of the noise, because nobody measures so little
+SIZE_MAX = 5.0  # [1] of a plausible size, because what scatters more is no imperfection
+STEPS_MAX = 25  # [1] of a damped search, else one that creeps would not end
+DEVIANCE_GAIN_MIN = 0.02  # [1] of a step, because a likelihood ratio of 1 % decides nothing
+STEP_MAX = 2.0  # [1] of the logarithm of a variance, else a flat likelihood would send it away
+STEP_FRACTIONS = (1.0, 0.3, 0.1, 0.03)  # [1] of a step, because Newton's may be too long
+CURVATURE_MIN = 0.05  # [1] of the deviance by logarithms, else a flat one would make steps endless
+ROOTS_KEPT = 4  # [1] because a fit goes back and forth between few sets of sizes
+TRIANGLE_ROWS = 32  # [1] inverted at once, because dividing fewer costs more than it saves
+RIDGE = 1e-10  # [1] of scaled normal matrices, else rounding would be divided by rounding
+
+
+class Prior(IntEnum):
+    """What is likeliest: a size s or its logarithm, s exp(-s²/p²) ds = s² exp(-s²/p²) d log s."""
+
+    NONE = 0
+    SIZES = 1
+    LOGARITHMS = 2
 
 
 def root_inverse(matrix: Floats) -> Floats:
@@ -46,22 +52,24 @@ def root_inverse(matrix: Floats) -> Floats:
         The matrix is not positive definite.
 
     """
-    return _inverse_of_triangle(np.linalg.cholesky(matrix))
-
-
-def _inverse_of_triangle(lower: Floats) -> Floats:
-    n = len(lower)
-    if n <= LEAF:
-        return np.linalg.inv(lower)
-    half, inverse = n // 2, np.zeros_like(lower)
-    inverse[:half, :half] = _inverse_of_triangle(lower[:half, :half])
-    inverse[half:, half:] = _inverse_of_triangle(lower[half:, half:])
-    below = inverse[half:, half:] @ (lower[half:, :half] @ inverse[:half, :half])
-    inverse[half:, :half] = -below
+    inverse = np.linalg.cholesky(matrix)
+    _invert_triangle(inverse)
     return inverse
 
 
-def prior_of(share: Floats, of: int = SIZES) -> float:
+def _invert_triangle(lower: Floats) -> None:
+    """Replace a lower triangle by its inverse."""
+    n = len(lower)
+    if n <= TRIANGLE_ROWS:
+        lower[:] = np.linalg.inv(lower)
+        return
+    half = n // 2
+    _invert_triangle(lower[:half, :half])
+    _invert_triangle(lower[half:, half:])
+    lower[half:, :half] = -lower[half:, half:] @ (lower[half:, :half] @ lower[:half, :half])
+
+
+def prior_of(share: Floats, of: Prior = Prior.SIZES) -> float:
     """Return -2 log (s exp(-s²/p²)) of all kinds from shares (s/p)², up to a constant."""
     proper = share[share > 0.0]
     return float(2.0 * share.sum() - of * np.log(proper).sum())
@@ -133,15 +141,15 @@ class Likelihood:
         residual: Floats,
         slopes: Floats,
         weights: Floats | None,
-        prior: int = SIZES,
+        prior: Prior = Prior.SIZES,
     ) -> None:
         """
         Take products of a residual (N,) and its slopes (N, k), whose priors weigh (k,).
 
-        Sizes have a prior, of them or their logarithms, or (`prior` 0) the data alone say them:
+        Sizes have a prior, of them or their logarithms, or (`Prior.NONE`) the data alone say them:
         what they leave beside the parameters (restricted, Patterson and Thompson 1971).
         """
-        self.restricted = prior == 0
+        self.restricted = prior is Prior.NONE
         self.prior, self.precision = prior, float(prior > 0) / columns.plausible**2
         self.proper = np.where(np.isfinite(columns.plausible), prior, 0)
         self.kind, self.owners, self.kinds = columns.kind, columns.owners, columns.kinds
@@ -190,7 +198,7 @@ class Likelihood:
         """
         Return gradient, curvature and a step that cannot fail, of the best parameters everywhere.
 
-        With P what V^-1 is beside the parameters: rise tr(X'V^-1 X), restricted tr(X'P X), found
+        With P what V^-1 is beside the parameters: rise tr(X'V^-1 X), restricted tr(X'P X), seen
         |X'P r|² of each kind, and its slopes u'X'P X u (Johnson and Thompson 1995). The step is
         minorise-maximise of variance components: slow, but always a descent.
         """
@@ -205,7 +213,7 @@ class Likelihood:
         beside = w - taken @ taken.T  # X'P X
         told = beside if self.restricted else w
         u = m @ ahead
-        rise, found = kinds @ np.diag(told), kinds @ (u * u)
+        rise, seen = kinds @ np.diag(told), kinds @ (u * u)
         information, along = kinds @ (told * told) @ kinds.T, kinds * u
         turned = along @ beside @ along.T
         if self.kind is not None:
@@ -219,7 +227,7 @@ class Likelihood:
             if not self.restricted:
                 cross, own = last.cross, last.own
             both = np.square(cross).sum(axis=1)
-            rise[k], found[k] = np.trace(own), mine @ mine
+            rise[k], seen[k] = np.trace(own), mine @ mine
             information[k] += kinds @ both
             information[:, k] += kinds @ both
             information[k, k] = np.square(own).sum()
@@ -227,9 +235,9 @@ class Likelihood:
         push = self.proper / np.maximum(v, 1e-300)  # away from zero
         proper = np.diag(push / np.maximum(v, 1e-300))
         rise = np.maximum(rise, 1e-300)
-        apart = np.sqrt(self.proper**2 + 4.0 * rise * v**2 * found)
+        apart = np.sqrt(self.proper**2 + 4.0 * rise * v**2 * seen)
         slower = (self.proper + apart) / (2.0 * rise)
-        gradient = rise - push - found
+        gradient = rise - push - seen
         return Slopes(gradient, information + proper, 2.0 * turned - information + proper, slower)
 
     def _last(self, at: _Reduced, half: Floats, through: Floats, ahead: Floats) -> _Last:
@@ -245,7 +253,7 @@ class Likelihood:
         if len(m) < 2:
             return np.zeros((0, 0))
         values, vectors = np.linalg.eigh(m[:-1, :-1] + self.ridge)
-        return np.asarray((vectors / np.sqrt(np.maximum(values, NORMAL_LEAST))).T)
+        return np.asarray((vectors / np.sqrt(np.maximum(values, RIDGE))).T)
 
     def _best(self, m: Floats) -> tuple[Floats, float]:
         """Return the best linear parameters and chi² there."""
@@ -293,18 +301,24 @@ class RandomEffects:
 
         """
         self.kinds = tuple(kinds)
-        self.plausible = np.array([kind.plausible for kind in kinds])
+        self.plausible = np.array([kind.plausible for kind in kinds], dtype=float)
         own = [columns[:, owners == k] for k in range(len(kinds))]
         self.mixtures = [_mixture(c, p) for c, p in zip(own, self.plausible, strict=True)]
-        self.columns = np.hstack([c @ mix for c, mix in zip(own, self.mixtures, strict=True)])
+        mixed = [c @ mix for c, mix in zip(own, self.mixtures, strict=True)]
+        self.columns = np.hstack([columns[:, :0], *mixed])
         self.owners = np.repeat(np.arange(len(kinds)), [mix.shape[1] for mix in self.mixtures])
-        self.few = np.array([kind.name in KINDS_WITH_FEW_MEMBERS for kind in kinds])
+        self.few = np.array([kind.name in KINDS_WITH_FEW_MEMBERS for kind in kinds], dtype=bool)
         self._roots: dict[bytes, Floats] = {}  # of the last sizes
+
+    @classmethod
+    def none(cls, rows: int) -> RandomEffects:
+        """Return those of an exact arm: no kinds, for so many whitened values."""
+        return cls(np.zeros((rows, 0)), np.zeros(0, dtype=np.int64), ())
 
     @property
     def start(self) -> Floats:
         """Sizes (K,) to begin with: no remainder."""
-        usual = np.where(np.isfinite(self.plausible), START_SHARE * self.plausible, 0.0)
+        usual = np.where(np.isfinite(self.plausible), 0.5 * self.plausible, 0.0)
         return np.where(self.few, self.plausible, usual)
 
     @cached_property
@@ -344,19 +358,14 @@ class RandomEffects:
             np.diag(self.gram)[d],
         )
 
-    def spread(self, sizes: Floats) -> Floats:
-        """Return the standard deviation (r,) of every mixture."""
-        return np.asarray(sizes[self.owners])
-
-    def members(self, units: Floats, sizes: Floats) -> list[Floats]:
-        """Return the members of each kind from mixtures (r,) in units of their sd."""
-        values = units * self.spread(sizes)
-        return [mix @ values[self.owners == k] for k, mix in enumerate(self.mixtures)]
-
     def named(self, units: Floats, sizes: Floats) -> dict[str, Floats]:
-        """Return the members by kind, without the remainder."""
-        own = zip(self.kinds, self.members(units, sizes), strict=True)
-        return {kind.name: values for kind, values in own if kind.name != REMAINDER}
+        """Return the members by kind, without the remainder, from mixtures (r,) in units of sd."""
+        values = units * sizes[self.owners]
+        return {
+            kind.name: self.mixtures[k] @ values[self.owners == k]
+            for k, kind in enumerate(self.kinds)
+            if kind.name != REMAINDER
+        }
 
     def best(self, residual: Floats, sizes: Floats) -> Floats:
         """Return the most likely mixtures (r,), in units of their sd, at a residual (N,)."""
@@ -366,7 +375,7 @@ class RandomEffects:
         along = basis[:, :n].T @ residual
         along += inverse @ along
         along += inverse.T @ along
-        return np.asarray(self.spread(sizes) * (triangle[:n].T @ along))
+        return np.asarray(sizes[self.owners] * (triangle[:n].T @ along))
 
     def freedom(self, shift: Floats, sizes: Floats) -> float:
         """
@@ -377,33 +386,33 @@ class RandomEffects:
         along imperfections of a kind that the data hardly tell otherwise; infinite where noise
         alone could be the cause.
         """
-        spread = self.spread(sizes)
+        spread = sizes[self.owners]
         along = np.divide(self.best(shift, sizes), spread, where=spread > 0.0, out=0.0 * spread)
         turned = np.bincount(self.owners, along**2, len(self.kinds))
-        variance = float(turned @ self.doubt(sizes) @ turned)
+        variance = float(turned @ self.variance_of_sizes(sizes) @ turned)
         lifted = self.lift(self.root(sizes), shift)
         size = float(lifted @ lifted)
         return 2.0 * size**2 / variance if variance > 0.0 else np.inf
 
-    def doubt(self, sizes: Floats, prior: int = SIZES) -> Floats:
+    def variance_of_sizes(self, sizes: Floats, prior: Prior = Prior.SIZES) -> Floats:
         """Return the covariance (K, K) of the estimated variances; of few members they count."""
         told = np.flatnonzero((sizes > 0.0) & ~self.few)
         rows = len(self.columns)
         work = Likelihood(self.parts, np.zeros(rows), np.zeros((rows, 0)), None, prior)
         information = work.slopes(sizes**2).information[np.ix_(told, told)]
-        found = np.zeros((len(sizes), len(sizes)))
-        found[np.ix_(told, told)] = 2.0 * np.linalg.pinv(information, hermitian=True)
-        return found
+        covariance = np.zeros((len(sizes), len(sizes)))
+        covariance[np.ix_(told, told)] = 2.0 * np.linalg.pinv(information, hermitian=True)
+        return covariance
 
-    def log_doubt(self, sizes: Floats) -> Floats:
+    def log_variance_of_sizes(self, sizes: Floats) -> Floats:
         """Return the covariance (K, K) of the logarithms of the estimated variances."""
         v = np.where(sizes > 0.0, sizes, np.inf) ** 2
-        return np.asarray(self.doubt(sizes, LOGARITHMS) / np.outer(v, v))
+        return np.asarray(self.variance_of_sizes(sizes, Prior.LOGARITHMS) / np.outer(v, v))
 
     def misfit(self, errors: Floats, sizes: Floats) -> float:
         """Return the chi² of errors (N,) that only noise and the remainder explain."""
         own, length2 = self._last
-        gain = sizes[-1] ** 2 * length2
+        gain = sizes[-1:] ** 2 * length2
         along = (own @ errors) ** 2 / np.maximum(length2, 1e-300)
         return float(errors @ errors - (along * gain / (1.0 + gain)).sum())
 
@@ -412,7 +421,7 @@ class RandomEffects:
         total = 0.0
         for kind, size in zip(self.kinds, sizes.tolist(), strict=True):
             if kind.name in members:
-                least = max(size, LEAST_SHARE * kind.plausible)
+                least = max(size, NEGLIGIBLE * kind.plausible)
                 total += float(np.sum((members[kind.name] / least) ** 2))
         return total
 
@@ -427,15 +436,15 @@ class RandomEffects:
     def root(self, sizes: Floats) -> Floats:
         """Return A (n, n), by which `lift` whitens: of the columns up to the last that is any."""
         key = sizes.tobytes()
-        found = self._roots.get(key)
-        if found is None:
-            spread = self.spread(sizes)
+        root = self._roots.get(key)
+        if root is None:
+            spread = sizes[self.owners]
             used = int(np.flatnonzero(spread)[-1]) + 1 if spread.any() else 0
             scaled = self._basis[1][:used, :used] * spread[:used]
             inverse = root_inverse(np.eye(len(scaled)) + scaled @ scaled.T)
-            found = inverse - np.eye(len(inverse))
-            self._roots = dict([*self._roots.items()][1 - ROOTS_KEPT :]) | {key: found}
-        return found
+            root = inverse - np.eye(len(inverse))
+            self._roots = dict([*self._roots.items()][1 - ROOTS_KEPT :]) | {key: root}
+        return root
 
     def lift(self, root: Floats, rows: Floats) -> Floats:
         """Take off rows (N, ...) what imperfections explain: W with W'W = V^-1."""
@@ -449,8 +458,7 @@ class RandomEffects:
         start: Floats | None = None,
         weights: Floats | None = None,
         remainder: bool = True,
-        told: bool = True,
-        prior: int = SIZES,
+        prior: Prior = Prior.SIZES,
     ) -> Sizes:
         """
         Maximise the likelihood over the standard deviations and linear parameters.
@@ -467,38 +475,38 @@ class RandomEffects:
             Precision of priors of the parameters at their present values.
         remainder : bool
             Whether there may be one.
-        told : bool
-            Whether sizes have a prior, and kinds with few members are as large as is plausible;
-            else the data alone say it.
-        prior : int
-            Whether the likeliest sizes are asked for, or the likeliest `LOGARITHMS`: effects
+        prior : Prior
+            With `NONE` the data alone say the sizes; else kinds with few members are as large as
+            is plausible. Whether sizes are the likeliest, or their logarithms: effects
             compete by the former, but where few members tell a size these are too often small.
 
         """
-        work = Likelihood(self.parts, residual, slopes, weights, prior=prior if told else 0)
+        work = Likelihood(self.parts, residual, slopes, weights, prior)
         sizes = self.start if start is None else np.asarray(start, dtype=float)
         usual = np.where(np.isfinite(self.plausible), self.plausible, 0.0)
-        fixed = self.few & told
-        low = np.where(fixed, usual, LEAST_SHARE * usual) ** 2
+        fixed = self.few & (prior is not Prior.NONE)
+        low = np.where(fixed, usual, NEGLIGIBLE * usual) ** 2
         high = np.where(fixed, usual, SIZE_MAX * self.plausible) ** 2
-        free = np.array([remainder or kind.name != REMAINDER for kind in self.kinds])
+        free = np.array([remainder or kind.name != REMAINDER for kind in self.kinds], dtype=bool)
         low, high = np.where(free, low, 0.0), np.where(free, high, 0.0)
         v = np.clip(sizes**2, low, high)
         cost, least = work.deviance(v), self._least
-        for _ in range(SEARCH_STEPS_MAX):
+        for _ in range(STEPS_MAX):
             there = work.slopes(v)
             step, promised = _step(v - low, high - v, v + least, there)
             if promised < DEVIANCE_GAIN_MIN:
                 break
-            ways = [(v + least) * np.exp(share * step) - least for share in STEP_SHARES]
-            for moved in (*ways, there.slower):
+            shorter = [
+                (v + least) * np.exp(fraction * step) - least for fraction in STEP_FRACTIONS
+            ]
+            for moved in (*shorter, there.slower):
                 new = np.clip(moved, low, high)
-                found = work.deviance(new)
-                if found < cost:
+                deviance = work.deviance(new)
+                if deviance < cost:
                     break
-            gain = cost - found
+            gain = cost - deviance
             if gain > 0.0:
-                v, cost = new, found
+                v, cost = new, deviance
             if gain < DEVIANCE_GAIN_MIN:
                 break
         return Sizes(np.sqrt(v), cost)
@@ -510,7 +518,7 @@ class RandomEffects:
 
         It may be zero; the others may not.
         """
-        own = np.array([kind.name == REMAINDER for kind in self.kinds])
+        own = np.array([kind.name == REMAINDER for kind in self.kinds], dtype=bool)
         shows = np.sqrt(np.square(self.parts.size2).sum())
         return np.where(own & (shows > 0.0), 1.0 / max(shows, 1e-300), 0.0)
 
@@ -518,7 +526,7 @@ class RandomEffects:
 def _mixture(columns: Floats, plausible: float) -> Floats:
     """Return the independent directions (q, r) of a kind that show."""
     values, vectors = np.linalg.eigh(columns.T @ columns)
-    least = (UNSEEN_MOVE / plausible) ** 2 if np.isfinite(plausible) else 0.0
+    least = (NEGLIGIBLE / plausible) ** 2 if np.isfinite(plausible) else 0.0
     return np.asarray(vectors[:, values > max(least, 1e-14 * values.max(initial=0.0))][:, ::-1])
 
 
@@ -538,7 +546,7 @@ def _step(down: Floats, up: Floats, stretch: Floats, slopes: Slopes) -> tuple[Fl
     along = t * gradient[index]
     bend = slopes.curvature[np.ix_(index, index)] * np.outer(t, t) + np.diag(along)
     values, vectors = np.linalg.eigh(bend)
-    own = -vectors @ ((vectors.T @ along) / np.maximum(np.abs(values), BEND_LEAST))
+    own = -vectors @ ((vectors.T @ along) / np.maximum(np.abs(values), CURVATURE_MIN))
     own *= STEP_MAX / max(STEP_MAX, float(np.abs(own).max()))
     step[index] = own
     return step, float(-along @ own)

@@ -13,18 +13,16 @@ from ..common.words import mm
 from ..comparison.predict import Predictor
 from ..data import DataSet
 from ..robot import Robot
+from .marginal import NEGLIGIBLE
 from .setup_hypotheses import Mistake, as_unit, times, tried
+from .verdict import ERROR_LEFT_MAX, MISTAKEN_RATIO_MIN, QUIET_FLOORS
 
 Floats = npt.NDArray[np.float64]
-SAME_PLACE_SHARE = 1e-6  # of the arm's length, within which two markers are in one place
-APART_FROM_FLOORS = 5.0  # noise floors that markers in one place are not apart
-APART_FROM_SHARE = 0.2  # nor of a cell's length
-CELLS_MISCOUNTED_MAX = 3
-MARKER_OFF_SHARE_MIN = 0.02  # of the arm's length: a marker less far off is a tolerance
-SCALE_OFF_MIN = 1.5  # [1] by which all distances of markers are off in a mistake of the unit
-EXCHANGED_LEFT_MAX = 0.3  # of what distances are off, that an exchange of two markers may leave
-EXCHANGED_OFF_MIN = 0.3  # [1] of the usual distance of neighbours, rms, from which it is tried
-EXCHANGED_SHARE_MIN = 0.1  # of the trials: fewer are readings that the others contradict
+SAME_PLACE = 1e-6  # [1] of the arm's length, so that only rounding lies within
+APART_MIN = 0.2  # [1] of a cell's length, else markers beside each other would be apart
+CELLS_MISCOUNTED_MAX = 3  # [1] too many or too few, else hundreds of arms would be tried
+EXCHANGED_OFF_MIN = 0.3  # [1] of neighbours' distance, rms, because models are off by less
+EXCHANGED_TRIALS_MIN = 0.1  # [1] of all, because fewer are readings that others contradict
 
 
 def along(dataset: DataSet, robot: Robot, longer: Robot) -> Iterator[tuple[str, list[float]]]:
@@ -46,7 +44,7 @@ def uncut(dataset: DataSet, robot: Robot) -> Floats:
     apart as the others mostly are.
     """
     places, length = dataset.arc_lengths, robot.length
-    apart, least = np.diff(places), SAME_PLACE_SHARE * length
+    apart, least = np.diff(places), SAME_PLACE * length
     if not (apart > least).any() or not (apart >= 0.0).all():
         return places
     usual, going_on = float(np.median(apart[apart > least])), places.copy()
@@ -64,8 +62,8 @@ def in_one_place(dataset: DataSet, robot: Robot, floor: float) -> tuple[list[int
     """
     near = np.abs(np.subtract.outer(dataset.arc_lengths, dataset.arc_lengths))
     beside = np.linalg.norm(dataset.offsets[:, None] - dataset.offsets, axis=2)
-    same = np.triu(near + beside < SAME_PLACE_SHARE * robot.length, 1)
-    least = max(APART_FROM_FLOORS * floor, APART_FROM_SHARE * robot.sections[-1].cell_length)
+    same = np.triu(near + beside < SAME_PLACE * robot.length, 1)
+    least = max(QUIET_FLOORS * floor, APART_MIN * robot.sections[-1].cell_length)
     group: set[int] = set()
     far = 0.0
     for i, j in zip(*np.nonzero(same), strict=True):
@@ -112,12 +110,12 @@ def exchanged(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
         order[[i, j]] = j, i
         others[k] = np.where(odd, _off(seen[..., order, :][..., order], should), np.inf)
     best = np.argmin(others, axis=0)
-    wrong = odd & (others.min(axis=0) < EXCHANGED_LEFT_MAX * off)
+    wrong = odd & (others.min(axis=0) < ERROR_LEFT_MAX * off)
     if not wrong.any():
         return
     k = int(np.bincount(best[wrong]).argmax())
     where = wrong & (best == k)
-    if where.sum() < EXCHANGED_SHARE_MIN * dataset.trials.sum():
+    if where.sum() < EXCHANGED_TRIALS_MIN * dataset.trials.sum():
         return
     order = np.arange(J)
     order[list(pairs[k])] = pairs[k][::-1]
@@ -181,7 +179,16 @@ def _counted(predictor: Predictor, s: int, count: int, length: float) -> Iterato
     if section.is_plate:
         return
     place = f'section {section.name}' if len(robot.own_sections) > 1 else 'the arm'
-    longer = _of_cells(robot, s, count, length)
+    again = count * (section.bending_stiffness[-1],)
+    other = replace(
+        section,
+        cells=count,
+        cell_length=length,
+        bending_stiffness=(section.bending_stiffness + again)[:count],
+        mass_profile=(section.mass_profile + count * section.mass_profile[-1:])[:count],
+    )
+    sections = (*robot.sections[:s], other, *robot.sections[s + 1 :])
+    longer = replace(robot, sections=sections, fitted={})
     same = longer.length == robot.length
     each = f' of {1e3 * length:g} mm' if same else ''
     stay = [('stay', dataset.arc_lengths.tolist())]
@@ -202,31 +209,17 @@ def _counted(predictor: Predictor, s: int, count: int, length: float) -> Iterato
         )
 
 
-def _of_cells(robot: Robot, s: int, count: int, length: float) -> Robot:
-    """Return the description with another number of cells in a section, of a length [m] each."""
-    section = robot.sections[s]
-    again = count * (section.bending_stiffness[-1],)
-    other = replace(
-        section,
-        cells=count,
-        cell_length=length,
-        bending_stiffness=(section.bending_stiffness + again)[:count],
-        mass_profile=(section.mass_profile + count * section.mass_profile[-1:])[:count],
-    )
-    return replace(
-        robot, sections=(*robot.sections[:s], other, *robot.sections[s + 1 :]), fitted={}
-    )
-
-
 def spots(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     """Try markers that sit elsewhere along the arm: nearer to the base, or the tip."""
     dataset, length = predictor.dataset, predictor.robot.length
     cell = predictor.robot.own_sections[0].cell_length
     moves = [
-        *((f'{abs(c):g} cell nearer to the {"base" if c < 0 else "tip"}', 1.0, c * cell)
-          for c in (-1.0, -0.5, 0.5, 1.0)),
+        *(
+            (f'{abs(c):g} cell nearer to the {"base" if c < 0 else "tip"}', 1.0, c * cell)
+            for c in (-1.0, -0.5, 0.5, 1.0)
+        ),
         *((f'at {100 * s:.0f} % of their arc lengths', s, 0.0) for s in (0.8, 0.9, 1.1, 1.25)),
-    ]  # fmt: skip
+    ]
     for how, share, shift in moves:
         places = share * dataset.arc_lengths + shift
         if places.min() < -1e-9 * length or places.max() > (1.0 + 1e-9) * length:
@@ -247,7 +240,7 @@ def by_distances(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     ratio = np.nanmedian(chords[0] / chords[1], axis=0)
     straightest = np.nanmax(chords[0], axis=0)  # a chord is never longer than the arm between
     scale = float(np.median(straightest / apart))
-    if not 1.0 / SCALE_OFF_MIN < scale < SCALE_OFF_MIN:
+    if not 1.0 / MISTAKEN_RATIO_MIN < scale < MISTAKEN_RATIO_MIN:
         factor = as_unit(1.0 / scale)
         for one in tried(
             predictor,
@@ -263,10 +256,10 @@ def by_distances(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     more = (ratio - 1.0) * apart  # [m] of arm between neighbours than described
     for k, j in enumerate(order):
         told = [*more[k - 1 : k][:k], *(-more[k : k + 1])]
-        way = float(np.mean(told))
-        if abs(way) > MARKER_OFF_SHARE_MIN * predictor.robot.length:
+        off = float(np.mean(told))
+        if abs(off) > 2.0 * NEGLIGIBLE * predictor.robot.length:
             places = dataset.arc_lengths.copy()
-            places[j] += way
+            places[j] += off
             where = f'{mm(places[j])} along the arm instead of {mm(dataset.arc_lengths[j])}'
             name = dataset.markers[j].name
             yield from _elsewhere(predictor, places, f'with marker {name} at {where}')

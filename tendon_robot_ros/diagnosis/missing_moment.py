@@ -21,11 +21,11 @@ from ..data import DataSet
 from ..effects import Catalogue
 from ..model.shape import ShapeBatch
 from ..robot import Robot
+from .imperfections import BEND_MAX_RAD
 
 Floats = npt.NDArray[np.float64]
-BLOCKS_PER_SECTION = 3  # of a section
-UNTOLD_FROM_RAD = 0.5  # [rad] sd of a block's bend beyond which the markers do not tell it
-DIRECTION_FROM_RAD = 1e-3  # [rad] bend of a cell that has a direction
+BLOCKS_PER_SECTION = 3  # [1] because bends of single cells drown in the noise of markers
+BEND_MIN = 1e-3  # [rad] of a cell, else rounding would be its direction
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,13 +74,16 @@ def missing_moment(
     missed = measured.mean - markers
     fits = [arm.fit(p, missed[p], sd[p], edges) for p in range(len(sd))]
     bend, spread = np.array(fits).swapaxes(0, 1)
-    spread = np.where(spread < UNTOLD_FROM_RAD, spread, np.nan)
+    spread = np.where(spread < BEND_MAX_RAD, spread, np.nan)
     bend = np.where(np.isfinite(spread), bend, np.nan)
     cells = predictor.model.arrays.cells
     stiffness = _means(cells[None, :, 1], edges)
     offsets = predictor.model.arrays.offset
     return MissingMoment(
-        blocks=tuple(_name(a - below, b - below) for a, b in edges),
+        blocks=tuple(
+            f'cell {b - below}' if b - a == 1 else f'cells {a - below + 1} to {b - below}'
+            for a, b in edges
+        ),
         bend=bend,
         bend_sd=spread,
         moment=stiffness * bend,
@@ -135,15 +138,15 @@ class _Arm:
         bend, frames = self.shapes.bend, self.frames
         size = np.linalg.norm(bend, axis=2, keepdims=True)
         own = np.stack([-bend[..., 1], bend[..., 0], np.zeros_like(bend[..., 0])], axis=-1)
-        whole = _oriented(bending_axes(self.shapes.positions), own, frames)
+        whole = bending_axes(self.shapes.positions)  # (b, 3); the posture bends by more than 0
+        total = np.einsum('bnrc,bnc->br', frames, own)
+        whole = whole * np.where((whole * total).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]
         there = np.einsum('bnrc,br->bnc', frames, whole)
         there[..., 2] = 0.0
         there /= np.maximum(np.linalg.norm(there, axis=2, keepdims=True), 1e-12)
         own = own / np.maximum(size, 1e-300)
         against = np.sign((own * there).sum(axis=2, keepdims=True))
-        return np.asarray(
-            np.where(size > DIRECTION_FROM_RAD, own * np.where(against < 0, -1.0, 1.0), there)
-        )
+        return np.asarray(np.where(size > BEND_MIN, own * np.where(against < 0, -1.0, 1.0), there))
 
     def fit(
         self, p: int, residual: Floats, sd: Floats, edges: list[tuple[int, int]]
@@ -152,7 +155,8 @@ class _Arm:
         axes = np.einsum('nrc,nc->nr', self.frames[p], self.axes[p])
         arms = self.markers[p][None] - self.pivots[p][:, None]  # (n, J, 3)
         moves = np.cross(axes[:, None], arms) * (
-            self.arc_lengths[None, :, None] > self.middle[:, None, None])  # fmt: skip
+            self.arc_lengths[None, :, None] > self.middle[:, None, None]
+        )
         seen = np.isfinite(residual).all(axis=1)
         if not seen.any():
             return np.full(len(edges), np.nan), np.full(len(edges), np.nan)
@@ -181,17 +185,6 @@ class _Arm:
         return np.asarray((residual * np.cross(axes, tangents)).sum(axis=1))
 
 
-def _oriented(axes: Floats, own: Floats, frames: Floats) -> Floats:
-    """Turn the axes (b, 3) of postures so that the whole posture bends by a positive angle."""
-    total = np.einsum('bnrc,bnc->br', frames, own)
-    sign = np.where((axes * total).sum(axis=1) < 0.0, -1.0, 1.0)
-    return np.asarray(axes * sign[:, None])
-
-
 def _means(values: Floats, edges: list[tuple[int, int]]) -> Floats:
     """Means (P, B) over the cells of blocks; values (P, n)."""
     return np.stack([values[:, a:b].mean(axis=1) for a, b in edges], axis=1)
-
-
-def _name(first: int, end: int) -> str:
-    return f'cell {end}' if end - first == 1 else f'cells {first + 1} to {end}'

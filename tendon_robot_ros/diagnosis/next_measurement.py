@@ -14,14 +14,12 @@ from ..comparison.predict import Predictor
 from ..data import DataSet
 from ..workspace.postures import default_postures
 from .candidates import Ranked
-from .fit import Fit
 from .result import NextMeasurement
 from .session import Session
+from .verdict import NEAR_SCORE
 
 Floats = npt.NDArray[np.float64]
-GRID_POSTURES_MAX = 400  # postures that the grid may hold
-PULL_POSTURES_MAX = 40  # postures of wire pulls: those are slower
-DISTANCE_MAX = 30.0  # squared whitened distance beyond which more does not help
+GRID_POSTURES_MAX = 400  # [1] of the grid, because each is solved for every effect and parameter
 
 
 def propose(session: Session, group: Sequence[Ranked]) -> NextMeasurement | None:
@@ -41,7 +39,11 @@ def propose(session: Session, group: Sequence[Ranked]) -> NextMeasurement | None
 def _conditions(session: Session, group: Sequence[Ranked]):  # type: ignore[no-untyped-def]
     """Yield gravity, posture to come from, and the grid of inputs."""
     if session.dataset.input == 'displacement':
-        yield None, None, default_postures(session.robot, PULL_POSTURES_MAX, 1, 'displacement')
+        yield (
+            None,
+            None,
+            default_postures(session.robot, GRID_POSTURES_MAX // 10, 1, 'displacement'),
+        )
         return
     grid = input_grid(session.dataset, session.robot.tension_limits)
     yield None, None, grid
@@ -109,7 +111,6 @@ def _compare(
     """Find the best posture of a grid and how well it separates the class."""
     grid = _posture_set(session, inputs, gravity, after)
     predictor = Predictor(grid, session.robot, session.catalogue)
-    assert session.noise is not None
     slopes = input_slopes(predictor, group[0].fit.point)
     whitener = Whitener(grid, session.noise, slopes)
     shown = slice(1, None, 2) if after is not None else slice(None)
@@ -118,12 +119,16 @@ def _compare(
         markers = predictor.markers(ranked.fit.point)
         if markers is None:
             return None
+        columns = []  # (q, P, J, 3) by the fitted parameters
+        for free, value in ranked.fit.point.items():
+            h = 1e-3 * free.parameter.typical
+            moved = predictor.markers({**ranked.fit.point, free: value + h})
+            columns.append(np.zeros_like(markers) if moved is None else (moved - markers) / h)
         predictions.append(markers)
-        sloped.append(_parameter_slopes(predictor, ranked.fit, markers))
-    worth = np.zeros(len(grid.inputs))
-    for p in range(len(worth)):
-        worth[p] = _separation(group, whitener, predictions, sloped, p)
-    worth = worth[shown]
+        sloped.append(np.array(columns).reshape(-1, *markers.shape))
+    worth = np.array(
+        [separation(group, whitener, predictions, sloped, p) for p in range(len(grid.inputs))]
+    )[shown]
     p = int(np.argmax(worth))
     row = p * 2 + 1 if after is not None else p
     tips = np.array([markers[row, -1] for markers in predictions])
@@ -140,17 +145,7 @@ def _compare(
     )
 
 
-def _parameter_slopes(predictor: Predictor, fit: Fit, markers: Floats) -> Floats:
-    """Return the derivative (q, P, J, 3) of the markers by the fitted parameters."""
-    slopes = []
-    for free, value in fit.point.items():
-        h = 1e-3 * free.parameter.typical
-        moved = predictor.markers({**fit.point, free: value + h})
-        slopes.append(np.zeros_like(markers) if moved is None else (moved - markers) / h)
-    return np.array(slopes).reshape(-1, *markers.shape)
-
-
-def _separation(
+def separation(
     group: Sequence[Ranked],
     whitener: Whitener,
     predictions: Sequence[Floats],
@@ -173,5 +168,5 @@ def _separation(
             u = np.concatenate([give[a], give[b]])
             small = np.eye(len(u)) + u @ u.T
             left = d @ d - (u @ d) @ np.linalg.solve(small, u @ d)
-            total += min(float(left), DISTANCE_MAX)
+            total += min(float(left), 0.5 * NEAR_SCORE)
     return total

@@ -11,30 +11,19 @@ import numpy.typing as npt
 
 from ..comparison.noise import Whitener
 from ..comparison.predict import CELLS, SOFT_CELL, TAPER, FreeParameter, Point
-from ..comparison.statistics import chi2_sf
+from ..comparison.statistics import chi2_isf, chi2_sf
 from ..effects import Parameter
 from .fit import Fit
-from .fitter import TURN_GAIN_MIN, Fitter
-from .imperfections import PUSH, typical_force
+from .fitter import FAILURES, REVERSAL_GAIN_MIN, ROUNDS_MAX, Fitter
+from .imperfections import PUSH, SplitPredictor, typical_force
 from .intervals import load_of
+from .search import DIFFERENCE_STEP
 from .session import side_by_side
 from .slopes import pushes
-from .verdict import (
-    APART_FROM_SCORE,
-    NEAR_SCORE,
-)
+from .verdict import APART_FROM_SCORE, BEST_FEW, NEAR_SCORE, SAME_ERROR_RATIO, SIGNIFICANCE
 
-TELLING_RATIO = 1.25  # up to which a cell bends by so many per cent more, not times as much
 Floats = npt.NDArray[np.float64]
-SAME_CELL_WITHIN = 3.84  # of the best deviance, that another cell would do as well (95 %)
-FAR_SCORE = 2.0 * NEAR_SCORE  # behind what competes, from which no other start is tried
-PLACES = 3  # at which a pattern is fitted: those where it promises most
-SOFTNESS = Parameter(
-    'softness', '1', -1.5, 4.0, 0.0, 0.1
-)  # log of the bend over what it should be
-PATTERN_STEP = 0.02  # [1] of the softness of a cell, where only differences tell
 NAMES = ('contact', 'soft_cell', 'taper', 'gain_per_posture', 'rotation_per_posture')
-ROUNDS = 4  # of sizes of the imperfections and imperfections in turn
 
 
 @dataclass(frozen=True)
@@ -51,6 +40,11 @@ class Pattern:
     values: tuple[float, ...] = ()  # one per posture [1] or [rad]; contact: force (3,) [N]
     alike: tuple[int, ...] = ()  # 1-based cells where it would do as well, its own among them
 
+    @property
+    def everywhere(self) -> bool:
+        """Whether it is the same in every posture."""
+        return self.name in NAMES[:3]
+
     def gain_p_value(self, deviance: float) -> float:
         """Chance of so much gain over a deviance without the pattern, its place searched."""
         return self.places * chi2_sf(max(deviance - self.deviance, 0.0), self.free)
@@ -64,26 +58,28 @@ class Pattern:
         """Say where to look, given the names of the postures."""
         if self.name == 'contact':
             angle = load_of(self.values).from_axis
-            way = '' if angle is None else f", {np.degrees(angle.value):.0f}° from the arm's axis"
+            off_axis = ''
+            if angle is not None:
+                off_axis = f", {np.degrees(angle.value):.0f}° from the arm's axis"
             return (
-                f'The remainder looks like a force of {1e3 * self.size:.2g} mN{way}, at cell '
+                f'The remainder looks like a force of {1e3 * self.size:.2g} mN{off_axis}, at cell '
                 f'{self.cell}, the same in every posture: does a cable pull there, or something '
                 'touch?'
             )
         if self.name == 'soft_cell':
             much = f'{self.size:.1f} times as much as'
-            if TELLING_RATIO > self.size > 1.0 / TELLING_RATIO:
-                way = 'more' if self.size > 1.0 else 'less'
-                much = f'{100.0 * abs(self.size - 1.0):.2g} % {way} than'
+            if SAME_ERROR_RATIO > self.size > 1.0 / SAME_ERROR_RATIO:
+                more = 'more' if self.size > 1.0 else 'less'
+                much = f'{100.0 * abs(self.size - 1.0):.2g} % {more} than'
             return (
                 f'The remainder is the same in every posture: cell '
                 f'{" or ".join(map(str, self.alike))} bends {much} it should. '
                 'Look at that cell.'
             )
         if self.name == 'taper':
-            way = 'stiffer' if self.size > 0.0 else 'softer'
+            how = 'stiffer' if self.size > 0.0 else 'softer'
             return (
-                f'The remainder is the same in every posture: the arm is {way} towards the tip, '
+                f'The remainder is the same in every posture: the arm is {how} towards the tip, '
                 f'by {100.0 * abs(self.size):.0f} % from base to tip.'
             )
         values = np.array(self.values)
@@ -102,7 +98,7 @@ class Pattern:
 
 class Patterns:
     """
-    Fits the patterns on top of a settled fit.
+    Fits the patterns on top of a converged fit.
 
     Where a pattern has a number for every posture, the parameters of the fit stay where they are;
     imperfections and tolerances of cells give way: one soft cell is not thirty that deviate a
@@ -110,14 +106,15 @@ class Patterns:
     """
 
     def __init__(
-        self, fitter: Fitter, fit: Fit, line: float = np.inf, turns: bool = False
+        self, fitter: Fitter, fit: Fit, line: float = np.inf, reversals: bool = False
     ) -> None:
         """
         Keep the fit and its whitened residual.
 
-        Fits far behind the `line` are given up; `turns`: others look beyond turns of friction.
+        Fits far behind the `line` are given up; `reversals`: others are tried beyond reversals of
+        friction.
         """
-        self.fitter, self.fit, self.line, self.turns = fitter, fit, line, turns
+        self.fitter, self.fit, self.line, self.reversals = fitter, fit, line, reversals
         self.point: Point = fit.point
         fitter.resume(fit)
         self.relief = CellRelief(fit, fitter.whitener)
@@ -141,13 +138,13 @@ class Patterns:
         markers, fitter = predict(), self.fitter
         if markers is None:
             return np.inf
-        if fitter.random is None or self.fit.built is None:
+        if not self.fit.as_built:
             white = self.white(markers)
             return float(white @ white) + self.prior
         raw, nothing = fitter.residual(markers), np.zeros((self.fitter.whitener.size, 0))
-        for _ in range(ROUNDS):
+        for _ in range(ROUNDS_MAX):
             estimated = fitter.random.estimate(raw, nothing, fitter.sizes)
-            fitter.take(estimated.values)
+            fitter.sizes = estimated.values
             followed = fitter.follow(raw, predict)
             if followed is None:
                 break
@@ -164,11 +161,11 @@ class Patterns:
 
     def contact(self) -> Pattern | None:
         """Fit a force at one cell, the same in all postures: where, and how strong."""
-        built = self.fitter.built
-        if built is None or not built.split.pushable:
+        split = self.fitter.predictor
+        if not isinstance(split, SplitPredictor) or not split.pushable:
             return None
-        unit = typical_force(built.split.whole)
-        slopes = pushes(built.split, self.point, 1e-3 * unit)
+        unit = typical_force(split.whole)
+        slopes = pushes(split, self.point, 1e-3 * unit)
         if slopes is None:
             return None
         gains = [self._gain(-moves) for moves in slopes]
@@ -178,7 +175,7 @@ class Patterns:
         if fit is None:
             return None
         force, n = fit.values[len(self.fit.frees) : len(fit.frees)], len(slopes)
-        size, place = float(np.linalg.norm(force)), i + 1 - built.split.whole.plate_cells
+        size, place = float(np.linalg.norm(force)), i + 1 - split.whole.plate_cells
         return Pattern(
             'contact', fit.deviance, fit.rank + 1, place, size, 3, n, tuple(force.tolist())
         )
@@ -186,22 +183,27 @@ class Patterns:
     def soft_cell(self) -> Pattern | None:
         """One cell with its own stiffness: where, and how soft."""
         n = self.fitter.predictor.model.arrays.chain.n
-        frees = [FreeParameter(SOFT_CELL, SOFTNESS, i) for i in range(n)]
-        self._others_as_usual()
+        softness = Parameter('softness', '1', -1.5, 4.0, 0.0, 0.1)  # logarithm of the bend
+        frees = [FreeParameter(SOFT_CELL, softness, i) for i in range(n)]
+        usual = self.fit.built.sizes.copy()  # a cell that scatters by more is what is searched
+        for k, kind in enumerate(self.fit.built.kinds):
+            usual[k] = min(usual[k], kind.plausible) if kind.name == CELLS else usual[k]
+        self.fitter.sizes = usual
         gains = [self._gain(-moves) for moves in self._moved(frees)]
         fits = self._at_best_places(gains, lambda i: [frees[i]])
         fit, i = min(fits, key=_deviance)
         if fit is None:
             return None
         size = float(np.exp(fit.values[len(self.fit.frees)]))
-        near = [row for row in fits if _deviance(row) < fit.deviance + SAME_CELL_WITHIN]
+        alike_below = fit.deviance + chi2_isf(SIGNIFICANCE, 1)
+        near = [row for row in fits if _deviance(row) < alike_below]
         first = 1 - self.fitter.predictor.robot.plate_cells  # number of the model's cell 0
         alike = tuple(sorted(cell + first for _, cell in near))
         return Pattern('soft_cell', fit.deviance, fit.rank + 1, i + first, size, 1, n, alike=alike)
 
     def _moved(self, frees: Sequence[FreeParameter]) -> Iterator[Floats]:
         """Yield what parameters that are zero do to the markers, (1, P, J, 3) per unit."""
-        predictor, near, step = self.fitter.predictor, self.settled, PATTERN_STEP
+        predictor, near, step = self.fitter.predictor, self.settled, DIFFERENCE_STEP
         found = None if near is None else predictor.tangent(self.point, frees, near)
         for i, free in enumerate(frees):
             if found is not None:
@@ -232,9 +234,10 @@ class Patterns:
         Fit a pattern at the places that promise most.
 
         Of an arm as built also with the imperfections of the fit to start from: at the best place,
-        and at others that such a start may bring before it.
+        and at others that such a start may bring before it; and where that is better, beyond a
+        reversal of friction.
         """
-        places = np.argsort(gains)[::-1][:PLACES].tolist()
+        places = np.argsort(gains)[::-1][:BEST_FEW].tolist()
         fits = sorted(((self._refit(frees(i)), i) for i in places), key=_deviance)
         reach = APART_FROM_SCORE
         for k, (fit, i) in enumerate(fits):
@@ -245,33 +248,24 @@ class Patterns:
             if again is not None and again.deviance < fit.deviance:
                 reach = max(reach, APART_FROM_SCORE + fit.deviance - again.deviance)
                 fits[k] = again, i
-        return self._beyond_turns(fits, frees)
-
-    def _beyond_turns(
-        self,
-        fits: list[tuple[Fit | None, int]],
-        frees: Callable[[int], list[FreeParameter]],
-    ) -> list[tuple[Fit | None, int]]:
-        """Return the fits, those near the best beyond a turn of friction where that is better."""
         best = min(fits, key=_deviance)[0]
-        if not self.turns or best is None or self._beaten(best):
+        if not self.reversals or best is None or self._beaten(best):
             return fits
-        turned = self.fitter.over_turns(best)
+        beyond = self.fitter.over_reversals(best)
         self.fitter.resume(self.fit)
-        if turned.built is None or turned.deviance > best.deviance - TURN_GAIN_MIN:
+        if beyond.deviance > best.deviance - REVERSAL_GAIN_MIN:
             return fits
-        around, sizes, found = turned.built.around, turned.built.sizes, fits.copy()
         for k, (fit, i) in enumerate(fits):
-            again = turned if fit is best else None
-            if fit is not None and fit.built is not None and again is None:
-                there = replace(fit.built, around=around, sizes=sizes)
-                again = self._refit(frees(i), replace(fit, built=there))
-            found[k] = min((fit, i), (again, i), key=_deviance)
-        return found
+            again = beyond if fit is best else None
+            if fit is not None and again is None:
+                scatter = replace(fit.built, around=beyond.built.around, sizes=beyond.built.sizes)
+                again = self._refit(frees(i), replace(fit, built=scatter))
+            fits[k] = min((fit, i), (again, i), key=_deviance)
+        return fits
 
     def _beaten(self, fit: Fit) -> bool:
         """Tell whether a fit needs no other start: there is none, or it is far behind the line."""
-        return self.fit.built is None or fit.deviance > self.line + FAR_SCORE
+        return not self.fit.as_built or fit.deviance > self.line + 2.0 * NEAR_SCORE
 
     def _refit(self, frees: Sequence[FreeParameter], start: Fit | None = None) -> Fit | None:
         """
@@ -281,11 +275,11 @@ class Patterns:
         from those of another fit.
         """
         hopeless = min(self.fit.deviance, self.line) + NEAR_SCORE  # it contains the fit
-        anew = self.fit.point if self.fit.built is not None else self.fit
+        anew = self.fit.point if self.fit.as_built else self.fit
         try:
             every = (*self.fit.frees, *frees)
             return self.fitter.fit(every, start or anew, hopeless=hopeless)
-        except (ArithmeticError, np.linalg.LinAlgError):
+        except FAILURES:
             return None
         finally:
             self.fitter.resume(self.fit)
@@ -295,17 +289,6 @@ class Patterns:
         white = self.relief.apply(self.fitter.lift(self.fitter.whitener.white(slopes).T))
         here = self.white(self.markers)
         return float(here @ white @ np.linalg.lstsq(white, here, rcond=1e-9)[0])
-
-    def _others_as_usual(self) -> None:
-        """Let no cell scatter more than is plausible: one that does is what is searched."""
-        random, built = self.fitter.random, self.fit.built
-        if random is None or built is None:
-            return
-        sizes = built.sizes.copy()
-        for k, kind in enumerate(random.kinds):
-            if kind.name == CELLS:
-                sizes[k] = min(sizes[k], kind.plausible)
-        self.fitter.take(sizes)
 
     def gain_per_posture(self) -> Pattern | None:
         """Every posture with its own factor on the inputs."""
@@ -368,18 +351,18 @@ def patterns_of(
     fit: Fit,
     progress: Callable[[str, int, int], None] | None = None,
     line: float = np.inf,
-    turns: bool = False,
+    reversals: bool = False,
 ) -> list[Pattern]:
     """
     Fit all patterns on top of a fit; those without equilibrium drop out.
 
     Those whose deviance stays far above a `line` need not be fitted to their ends; the others are
-    tried beyond `turns` of friction as well.
+    tried beyond `reversals` of friction as well.
     """
     found: dict[str, Pattern | None] = {}
 
     def work(worker: int, names: Sequence[str]) -> None:
-        own = Patterns(fitters[worker], fit, line, turns)
+        own = Patterns(fitters[worker], fit, line, reversals)
         for name in names:
             found[name] = getattr(own, name)()
             if progress is not None:
@@ -399,7 +382,7 @@ class CellRelief:
     """
     What the tolerance of the cells takes off a whitened residual when it is free to do so.
 
-    For patterns that are fitted on top of a settled fit: its cells give way to the pattern.
+    For patterns that are fitted on top of a converged fit: its cells give way to the pattern.
     Without such a tolerance nothing changes.
     """
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 FORMAT = 'tendon_robot_ros/diagnosis@1'
-CANDIDATES_DRAWN = 12
+CANDIDATES_DRAWN = 12  # [1] because more bars could not be read
 NOT_NEEDED = 'not needed'  # status where the model is adequate: there is nothing to explain
 Floats = npt.NDArray[np.float64]
 AS_FOUND = 'arm_as_found'  # the step that writes cells, inputs and the frame as they were found
@@ -56,7 +56,7 @@ class LoadVector:
     around_axis : float
         [rad] about that axis, from x towards y.
     from_gravity : Value, optional
-        [rad] from the way in which weights pull; None: not told, or gravity is not known.
+        [rad] from the direction in which weights pull; None: not told, or gravity is not known.
 
     """
 
@@ -207,8 +207,14 @@ class Diagnosis(TextResult):
             height = 1.6 + 0.3 * max(len(rows), len(self.remainder) // 60)
             axes = plt.figure(figsize=(6.4, height), layout='constrained').add_subplot()
         if not rows:
-            axes.text(0.5, 0.5, fill(f'{self.verdict}: {self.remainder}', 60), ha='center',
-                      va='center', transform=axes.transAxes)  # fmt: skip
+            axes.text(
+                0.5,
+                0.5,
+                fill(f'{self.verdict}: {self.remainder}', 60),
+                ha='center',
+                va='center',
+                transform=axes.transAxes,
+            )
             axes.set_axis_off()
             return axes
         chosen = {effect.name for effect in self.effects}
@@ -241,7 +247,7 @@ def _plain(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class ImprovementStep:
-    """A description on the way, and its errors: rms over postures, per marker (J,) [m]."""
+    """A description of the search, and its errors: rms over postures, per marker (J,) [m]."""
 
     joined: str  # effects, 'bending_stiffness' along the arm, by ' + '; AS_FOUND; '' as it was
     left: tuple[str, ...]  # what was no longer needed with it
@@ -268,7 +274,7 @@ class ImprovementStep:
 
 @dataclass(frozen=True)
 class Improvement(TextResult):
-    """An improved description, the way there, and what remains."""
+    """An improved description, the steps to it, and what remains."""
 
     robot: Robot  # with what was taken
     steps: tuple[ImprovementStep, ...]  # first: as it was; some more than were taken

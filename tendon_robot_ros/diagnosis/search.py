@@ -13,15 +13,14 @@ from ..comparison.predict import FreeParameter, Point, Predictor, SettledShapes
 from .fit import Fit, Nuisance
 
 Floats = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.intp]
-Ways = tuple[Floats, ...]  # states (q, P, 3n) and tensions (q, P, m), per unit
-GAIN_LEAST, GAIN_LEAST_SHARE = 1e-3, 1e-5  # of chi², and of its size: a smaller gain ends a search
-PROMISED_SHARE = 0.3  # of that: what a step must promise to be tried
-LADDER = (0.03, 0.1, 0.3, 1.0, 3.0)  # typical sizes from which a single one is looked for
-NEAR_TYPICALS = 0.03  # typical sizes within which a Jacobian is good enough for the next step
+Rates = tuple[Floats, ...]  # states (q, P, 3n) and tensions (q, P, m), per unit
+GAIN_MIN = 1e-3  # [1] of chi²: a smaller gain ends a search, because no decision rests on it
+GAIN_RATIO_MIN = 1e-5  # [1] of chi², else a search far from any fit would not end
+LADDER = (0.03, 0.1, 0.3, 1.0, 3.0)  # [1] typical sizes to start at, because chi² has local minima
+DIFFERENCE_STEP = 0.02  # [1] of a typical size or input, solved for, because laws have kinks
 
 
-class Weighing(Protocol):
+class Weighs(Protocol):
     """What a search asks of the one who weighs its errors."""
 
     predictor: Predictor
@@ -39,7 +38,7 @@ class Search:
     """One running fit: scaled parameters, damping, best point."""
 
     def __init__(
-        self, fitter: Weighing, frees: tuple[FreeParameter, ...], nuisances: tuple[Nuisance, ...]
+        self, fitter: Weighs, frees: tuple[FreeParameter, ...], nuisances: tuple[Nuisance, ...]
     ) -> None:
         """Scale the parameters by their typical sizes."""
         self.fitter, self.frees, self.nuisances = fitter, frees, nuisances
@@ -59,7 +58,7 @@ class Search:
         self.count = count
         self.damping = 1e-3
         self.slopes: Floats | None = None  # Jacobian at the values `taken`
-        self.ways: Ways | None = None  # how states and tensions follow the values there
+        self.rates: Rates | None = None  # how states and tensions follow the values there
         self.fresh = False  # whether it is of the best point
         self.raw: Floats  # whitened residual with prior rows at the best point
         self.r: Floats  # the same, less what imperfections explain
@@ -93,9 +92,9 @@ class Search:
                 starts.append(np.clip(point, self.low, self.high))
         return list({tuple(point.tolist()): point for point in starts}.values())
 
-    def run(self, turns: int) -> None:
+    def run(self, steps: int) -> None:
         """Improve until nothing is left to gain."""
-        for _ in range(turns):
+        for _ in range(steps):
             if not self.improve():
                 break
 
@@ -153,35 +152,45 @@ class Search:
     def derivative(self, near: bool = False) -> Floats:
         """Jacobian (N + nuisances, q) of the residual; `near`: one from near by will do."""
         if self.slopes is None or not (near or self.fresh):
-            self.slopes, self.ways = self._slopes()
+            self.slopes, self.rates = self._slopes()
             self.taken, self.fresh = self.values.copy(), True
         return self.slopes
 
-    def _slopes(self) -> tuple[Floats, Ways | None]:
+    def _slopes(self) -> tuple[Floats, Rates | None]:
         """Take the Jacobian, and how the states follow (q, P, 3n), where that is known."""
         slopes = np.zeros((len(self.raw), len(self.scale)))
-        ways: Ways | None = None
-        known = [self._known(i) for i in range(len(self.scale))]
-        asked = [i for i, column in enumerate(known) if column is None]
+        rates: Rates | None = None
+        known: list[Floats | None] = []
+        for i, free in enumerate(self.all):
+            column = self.fitter.columns.get(free)
+            if self.low[i] == self.high[i]:  # it is pinned
+                known.append(np.zeros_like(self.raw))
+            elif column is None:
+                known.append(None)
+            else:
+                prior = np.zeros(len(self.spread))
+                prior[i - self.count] = 1.0 / self.spread[i - self.count]
+                known.append(np.concatenate([column, prior]))
+        unknown = [i for i, column in enumerate(known) if column is None]
         moved = None
-        if asked and self.settled is not None:
-            frees = [self.all[i] for i in asked]
+        if unknown and self.settled is not None:
+            frees = [self.all[i] for i in unknown]
             moved = self.fitter.predictor.tangent(self.point, frees, self.settled)
         if moved is not None and np.isfinite(moved.markers).all():
             columns = self.fitter.whitener.white(moved.markers).T
             n, followed = len(columns), (moved.states, moved.tensions)
-            ways = tuple(np.zeros((len(known), *one.shape[1:])) for one in followed)
-            for way, one in zip(ways, followed, strict=True):
-                way[asked] = one
-            slopes[:n, asked] = -columns
+            rates = tuple(np.zeros((len(known), *one.shape[1:])) for one in followed)
+            for rate, one in zip(rates, followed, strict=True):
+                rate[unknown] = one
+            slopes[:n, unknown] = -columns
             for i in range(self.count, len(known)):
                 slopes[n + i - self.count, i] = 1.0 / self.spread[i - self.count]
         for i, column in enumerate(known):
             if column is not None:
                 slopes[:, i] = column
-            elif ways is None:
+            elif rates is None:
                 slopes[:, i] = self._difference(i)
-        return slopes, ways
+        return slopes, rates
 
     def _difference(self, i: int) -> Floats:
         """Column of the Jacobian by a difference of the settled model."""
@@ -195,15 +204,6 @@ class Search:
             if predicted is not None:
                 return np.asarray((predicted[0] - self.raw) / step)
         return np.zeros_like(self.raw)
-
-    def _known(self, i: int) -> Floats | None:
-        """Column of a nuisance that is known already; None where it must be taken."""
-        column = self.fitter.columns.get(self.all[i])
-        if column is None:
-            return None
-        prior = np.zeros(len(self.spread))
-        prior[i - self.count] = 1.0 / self.spread[i - self.count]
-        return np.concatenate([column, prior])
 
     def improve(self) -> bool:
         """Take one damped step within the bounds; False when there is nothing to gain."""
@@ -219,12 +219,16 @@ class Search:
             return False
         normal = scaled.T @ scaled
         cost = float(self.r @ self.r)
-        least = GAIN_LEAST + GAIN_LEAST_SHARE * cost
+        least = GAIN_MIN + GAIN_RATIO_MIN * cost
         for _ in range(12):
-            moved = self._stepped(normal, gradient, free)
+            part, step = normal[np.ix_(free, free)], np.zeros(len(self.scale))
+            damped = part + self.damping * np.diag(np.diag(part) + 1e-12)
+            step[free] = -np.linalg.solve(damped, gradient[free])
+            moved = self.values + np.clip(step, -30.0, 30.0) * self.scale
+            moved = np.clip(moved, self.low, self.high)
             step = (moved - self.values) / self.scale
             promised = -float(step @ (2.0 * gradient + normal @ step))
-            if promised < PROMISED_SHARE * least:
+            if promised < 0.3 * least:
                 break
             predicted = self.residual(moved, self._ahead(moved))
             lifted = None if predicted is None else self.fitter.lift(predicted[0])
@@ -243,27 +247,19 @@ class Search:
         self.slopes = None  # it was too old
         return self.improve()
 
-    def _stepped(self, normal: Floats, gradient: Floats, free: Indices) -> Floats:
-        """Return the values (q,) after a damped step of the free ones."""
-        part, step = normal[np.ix_(free, free)], np.zeros(len(self.scale))
-        damped = part + self.damping * np.diag(np.diag(part) + 1e-12)
-        step[free] = -np.linalg.solve(damped, gradient[free])
-        moved = self.values + np.clip(step, -30.0, 30.0) * self.scale
-        return np.asarray(np.clip(moved, self.low, self.high))
-
     def _ahead(self, values: Floats) -> SettledShapes | None:
         """Return where the postures are about to settle at other values."""
-        if self.settled is None or self.ways is None:
+        if self.settled is None or self.rates is None:
             return self.settled
         move = values - self.values
-        states, tensions = (np.tensordot(move, way, 1) for way in self.ways)
+        states, tensions = (np.tensordot(move, rate, 1) for rate in self.rates)
         return SettledShapes(
             np.maximum(self.settled.tensions + tensions, 0.0), self.settled.state + states
         )
 
     def _age(self) -> None:
         """Note that the Jacobian is of another point, and forget it where that is far."""
-        far = np.abs(self.values - self.taken) > NEAR_TYPICALS * self.scale
+        far = np.abs(self.values - self.taken) > LADDER[0] * self.scale
         self.fresh = False
         if far.any():
             self.slopes = None

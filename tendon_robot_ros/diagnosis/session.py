@@ -1,4 +1,4 @@
-"""One diagnosis at work: noise, weights, base fit, and the fits of all candidates."""
+"""One data set and description: noise, weights, the base fit, and the fits of all candidates."""
 
 from __future__ import annotations
 
@@ -27,16 +27,14 @@ from .candidates import (
     nuisances_of,
 )
 from .fit import Fit
-from .fitter import GAINS_TO_COME, AsBuilt, Descent, Fitter
-from .imperfections import Imperfections, Members, SplitPredictor
+from .fitter import FAILURES, GAINS_TO_COME, Descent, Fitter
+from .imperfections import NO_IMPERFECTIONS, REMAINDER, Imperfections, Members, SplitPredictor
 from .marginal import RandomEffects
 from .slopes import imperfections
-from .verdict import ALARM_LEVEL, NEAR_SCORE, P_SEVERAL_MIN, P_SINGLE_MIN, TIE_WITHIN_SCORE
+from .verdict import ALARM_LEVEL, NEAR_SCORE, P_SEVERAL_MIN, P_SINGLE_MIN, TIE_SCORE
 
-Starts = Mapping[str, Fit | Point]
-ROUNDS_EARLY = 2  # of every fit, before those far behind are given up
-FAILURES = (ArithmeticError, np.linalg.LinAlgError)  # no equilibrium at a start, or on the way
 Floats = npt.NDArray[np.float64]
+Starts = Mapping[str, Fit | Point]
 
 
 def side_by_side(tasks: Sequence[Callable[[int], object]], workers: int) -> None:
@@ -58,8 +56,8 @@ class Race:
     """
     Fits of candidates, spread over fitters; those without equilibrium drop out.
 
-    Of an arm as built a fit that is `NEAR_SCORE` and what it may still gain behind the best one
-    after `ROUNDS_EARLY` rounds is left there.
+    A fit that is `NEAR_SCORE` and what it may still gain behind the best one after two rounds
+    is left there.
     """
 
     def __init__(
@@ -74,63 +72,50 @@ class Race:
     def run(self, starts: Starts | None = None) -> list[tuple[Candidate, Fit]]:
         """Fit all, from `starts` by the labels of the candidates."""
         every, known = range(len(self.candidates)), starts or {}
-        if self.fitters[0].random is None:
-            self._each(every, lambda i, fitter: self._fit(i, fitter, known))
-        else:
-            self._each(every, lambda i, fitter: self._begin(i, fitter, known))
-            near = self._near()
-            self._each(near, self._finish)
-            self._behind = [i for i in self._descents if i not in near]
-            self._each(self._behind, self._leave)
-        return self._found(every)
+
+        def begin(i: int, fitter: Fitter) -> None:
+            candidate = self.candidates[i]
+            try:
+                descent = fitter.begin(candidate.frees, known.get(candidate.label))
+                for _ in range(2):
+                    if not descent.converged:
+                        descent.go_on()
+                self._descents[i] = descent
+            except FAILURES:
+                self.done()
+
+        self._each(every, begin)
+        scores = {
+            i: descent.here.deviance + 2.0 * len(self.candidates[i].frees)
+            for i, descent in self._descents.items()
+        }
+        limit = min(scores.values(), default=np.inf) + NEAR_SCORE
+        promised = {i: s - GAINS_TO_COME * self._descents[i].gain for i, s in scores.items()}
+        self._behind = [i for i, score in promised.items() if score > limit]
+        self._each([i for i in self._descents if i not in self._behind], self._finish)
+        self._each(self._behind, self._leave)
+        return self._made(every)
 
     def behind(self) -> list[tuple[Candidate, Fit]]:
         """Return those that were left behind."""
-        return self._found(self._behind)
+        return self._made(self._behind)
 
     def go_on(self) -> list[tuple[Candidate, Fit]]:
         """Fit those that were left behind to their ends."""
         self._each(self._behind, self._finish)
-        return self._found(self._behind)
+        return self._made(self._behind)
 
-    def _found(self, which: Sequence[int]) -> list[tuple[Candidate, Fit]]:
+    def _made(self, which: Sequence[int]) -> list[tuple[Candidate, Fit]]:
         return [(self.candidates[i], fit) for i in which if (fit := self._fits[i]) is not None]
 
     def _each(self, which: Sequence[int], do: Callable[[int, Fitter], None]) -> None:
         tasks = [lambda worker, i=i: do(i, self.fitters[worker]) for i in which]
         side_by_side(tasks, len(self.fitters))
 
-    def _fit(self, i: int, fitter: Fitter, starts: Starts) -> None:
-        candidate = self.candidates[i]
-        with suppress(*FAILURES):
-            self._fits[i] = fitter.fit(candidate.frees, starts.get(candidate.label))
-        self.done()
-
-    def _begin(self, i: int, fitter: Fitter, starts: Starts) -> None:
-        candidate = self.candidates[i]
-        try:
-            descent = fitter.begin(candidate.frees, starts.get(candidate.label))
-            for _ in range(ROUNDS_EARLY):
-                if not descent.settled:
-                    descent.go_on()
-            self._descents[i] = descent
-        except FAILURES:
-            self.done()
-
-    def _near(self) -> list[int]:
-        """Return those that are the best, or may become so."""
-        scores = {i: self._score(i) for i in self._descents}
-        limit = min(scores.values(), default=np.inf) + NEAR_SCORE
-        promised = {i: s - GAINS_TO_COME * self._descents[i].gain for i, s in scores.items()}
-        return [i for i, score in promised.items() if score <= limit]
-
-    def _score(self, i: int) -> float:
-        return self._descents[i].here.deviance + 2.0 * len(self.candidates[i].frees)
-
     def _finish(self, i: int, fitter: Fitter) -> None:
-        descent = self._descents[i].at(fitter)
         with suppress(*FAILURES):
-            while not descent.settled:
+            descent = self._descents[i].at(fitter)
+            while not descent.converged:
                 descent.go_on()
             self._fits[i] = descent.fit()
         self.done()
@@ -165,9 +150,10 @@ class Session:
         self.accuracy = dataset.accuracy or 0.0
         self.use_accuracy = False
         self.brief = False  # nobody asks what remains where no effect explains the data
-        self.noise: Noise | None = None
-        self.random: RandomEffects | None = None  # None: the description is exact
-        self.imperfections: Imperfections | None = None
+        self.noise: Noise  # known when `weigh` has returned True, and so are the next three
+        self.whitener: Whitener
+        self.random: RandomEffects
+        self.imperfections: Imperfections
 
     def mended(self, dataset: DataSet) -> Session:
         """Return a session of the measurements without a mistake: whether effects explain them."""
@@ -210,38 +196,36 @@ class Session:
         Estimate the noise and set the weights at a point; False: nothing tells the noise.
 
         Imperfections are linear around those that are given (`at`), and inputs act on an arm that
-        has these: friction turns over where a cell is kinked the other way.
+        has these: friction reverses where a cell is kinked the other way.
         """
-        slopes = self._input_slopes(point, at)
-        self.noise = estimate_noise(self.dataset, slopes)
-        if self.noise is None:
+        model = self.predictor
+        if self.splits and at:
+            model = self.splits[0]
+            self.splits[0].around = at
+        slopes = input_slopes(model, point)
+        noise = estimate_noise(self.dataset, slopes)
+        if noise is None:
             return False
+        self.noise = noise
         accuracy = self.accuracy if self.use_accuracy else 0.0
-        self.whitener = Whitener(self.dataset, self.noise, slopes, accuracy).without(self.held)
+        self.whitener = Whitener(self.dataset, noise, slopes, accuracy).without(self.held)
         changes = cell_slopes(self.predictor, self.nuisances, point)
         self._columns = {free: -self.whitener.white(change) for free, change in changes.items()}
-        self.imperfections = imperfections(self.splits[0], point, at) if self.splits else None
-        self.random = None
-        if self.imperfections is not None:
-            columns = self.whitener.white(self.imperfections.moves).T
-            owners, kinds = self.imperfections.owners, self.imperfections.kinds
-            self.random = RandomEffects(columns, owners, kinds)
+        found = imperfections(self.splits[0], point, at) if self.splits else None
+        self.imperfections = found or NO_IMPERFECTIONS
+        self.random = RandomEffects.none(self.whitener.size)
+        if found is not None:
+            columns = self.whitener.white(found.moves).T
+            self.random = RandomEffects(columns, found.owners, found.kinds)
         self.fitters = [self.fitter(worker) for worker in range(self.workers)]
         return True
 
-    def _input_slopes(self, point: Point, at: Members | None) -> Floats:
-        """Return how the markers answer to the inputs; see `input_slopes`."""
-        if not self.splits or not at:
-            return input_slopes(self.predictor, point)
-        self.splits[0].around = at
-        return input_slopes(self.splits[0], point)
-
     def fitter(self, worker: int = 0) -> Fitter:
         """Return a fitter of a worker with the weights of now."""
-        if self.random is None or self.imperfections is None:
-            return Fitter(self.predictors[worker], self.whitener, self.nuisances, self._columns)
-        built = AsBuilt(self.splits[worker], self.random, self.imperfections)
-        return Fitter(self.splits[worker], self.whitener, self.nuisances, self._columns, built)
+        model = self.splits[worker] if self.random.kinds else self.predictors[worker]
+        return Fitter(
+            model, self.whitener, self.nuisances, self._columns, self.random, self.imperfections
+        )
 
     def mimic(
         self, markers: Floats, frees: Sequence[FreeParameter], start: Point, like: Fit
@@ -249,14 +233,31 @@ class Session:
         """Fit parameters to predicted markers (P, J, 3), imperfections as large as in a fit."""
         fitter = self.fitter()
         fitter.measured = markers  # predicted without imperfections
-        sizes = None if like.built is None else like.built.sizes
-        return fitter.fit(frees, start, sizes=sizes)
+        return fitter.fit(frees, start, sizes=like.built.sizes)
 
     @property
     def freedom(self) -> float:
         """Degrees of freedom behind the noise."""
-        assert self.noise is not None
         return self.noise.freedom
+
+    def floor_with(self, sizes: Floats) -> float:
+        """Return the expected rms [m] of a perfect model of an arm that scatters by sizes (K,)."""
+        noise, kinds = self.whitener.floor(), self.imperfections.kinds
+        if not kinds:
+            return noise
+        seen = self.dataset.counts > 0
+        spread = [
+            np.full(len(kind), size if kind.name != REMAINDER else 0.0)
+            for kind, size in zip(kinds, sizes, strict=True)
+        ]
+        lengths = np.linalg.norm(self.imperfections.moves, axis=3)
+        moved = ((np.concatenate(spread)[:, None, None] * lengths) ** 2).sum(axis=0)
+        return float(np.sqrt(noise**2 + moved[seen].mean()))
+
+    @property
+    def usual_floor(self) -> float:
+        """Expected rms [m] of a perfect model of an arm that is built as usual."""
+        return self.floor_with(self.random.plausible)
 
     def rank(self, candidate: Candidate, fit: Fit) -> Ranked:
         """Judge a fit."""
@@ -274,10 +275,7 @@ class Session:
         return Race(self.fitters, candidates, one_more)
 
     def fit_all(
-        self,
-        candidates: Sequence[Candidate],
-        starts: Mapping[str, Fit | Point] | None = None,
-        what: str = 'effects',
+        self, candidates: Sequence[Candidate], starts: Starts | None = None, what: str = 'effects'
     ) -> list[Ranked]:
         """
         Fit candidates; those without equilibrium drop out.
@@ -285,22 +283,18 @@ class Session:
         `starts` are fits of their own, or of a part of them, to start from. Of an arm as built
         those that fall far behind the best are not fitted to their ends.
         """
-        return self.ranked(self.race(candidates, what).run(starts))
-
-    def ranked(self, found: Sequence[tuple[Candidate, Fit]]) -> list[Ranked]:
-        """Judge fits of candidates."""
-        return [self.rank(candidate, fit) for candidate, fit in found]
+        return [self.rank(*one) for one in self.race(candidates, what).run(starts)]
 
     def fit_joint(
         self, candidates: Sequence[Candidate], starts: Mapping[str, Fit], what: str
     ) -> list[Ranked]:
         """Fit combinations from fits of a part of them; the best from an exact arm too."""
-        found = self.fit_all(candidates, starts, what)
-        if self.random is None or not found:
-            return found
-        top = min(r.score for r in found) + NEAR_SCORE
-        near = [r.candidate for r in found if r.score <= top]
-        return better(found, self.fit_all(near, {c.label: starts[c.label].point for c in near}))
+        made = self.fit_all(candidates, starts, what)
+        if not self.random.kinds or not made:
+            return made
+        top = min(r.score for r in made) + NEAR_SCORE
+        near = [r.candidate for r in made if r.score <= top]
+        return better(made, self.fit_all(near, {c.label: starts[c.label].point for c in near}))
 
     def score(self, score: float) -> float:
         """Return a score that may be held against that of another session on the same readings."""
@@ -314,11 +308,11 @@ class Session:
         """
         Fit the declared tolerances and the imperfections alone; also from where `starts` are.
 
-        Friction is kinked: what is found depends on where imperfections start.
+        Friction is kinked: the result depends on where imperfections start.
         """
         fits = [self.fitters[0].fit(())]
-        for start in starts if self.random is not None else ():
-            with suppress(ArithmeticError, np.linalg.LinAlgError):  # no equilibrium there
+        for start in starts if self.random.kinds else ():
+            with suppress(*FAILURES):
                 fits.append(self.fitters[0].fit((), start))
         return min(fits, key=lambda fit: fit.deviance)
 
@@ -328,13 +322,13 @@ class Session:
 
         Of an arm as built those that are far from the best stay as they are.
         """
-        top = min(r.score for r in ranked) + (np.inf if self.random is None else NEAR_SCORE)
+        top = min(r.score for r in ranked) + (NEAR_SCORE if self.random.kinds else np.inf)
         near = [r for r in ranked if r.score <= top]
         starts = {r.candidate.label: r.fit for r in near}
-        found = self.fit_all([r.candidate for r in near], starts, 'effects again')
-        worse = [r.candidate for r in found if r.fit.deviance > base.deviance + TIE_WITHIN_SCORE]
+        made = self.fit_all([r.candidate for r in near], starts, 'effects again')
+        worse = [r.candidate for r in made if r.fit.deviance > base.deviance + TIE_SCORE]
         again = self.fit_all(worse, {c.label: base for c in worse}, 'effects again')
-        return better(found, again) + [r for r in ranked if r.score > top]
+        return better(made, again) + [r for r in ranked if r.score > top]
 
     def split_tested(self, point: Point) -> tuple[list[Candidate], list[Candidate]]:
         """Split the candidates into those that these postures show at a point, and the rest."""
@@ -349,8 +343,6 @@ class Session:
     def gain_p_value(self, base: Fit, ranked: Ranked) -> float:
         """Probability of so large a gain by chance."""
         described = [self.predictor.value(free) for free in ranked.candidate.frees]
-        if base.built is None:
-            return gain_p_value(base, ranked.fit, described)
         shift = self.whitener.white(ranked.fit.markers - base.markers)
         freedom = base.built.random.freedom(shift, base.built.sizes)
         return gain_p_value(base, ranked.fit, described, freedom)
@@ -363,10 +355,27 @@ class Session:
     def best(self, ranked: Sequence[Ranked]) -> Ranked:
         """Return the best by score; within a tie the first of the catalogue."""
         top = min(r.score for r in ranked)
-        return next(r for r in ranked if r.score <= top + TIE_WITHIN_SCORE)
+        return next(r for r in ranked if r.score <= top + TIE_SCORE)
+
+    def contains(self, large: Ranked, small: Ranked) -> bool:
+        """Tell whether the larger candidate can predict just what the smaller one predicts."""
+        if small.names[0] in self.catalogue[large.names[0]].contains:
+            return True
+        if set(small.names) < set(large.names):
+            return True
+        if large.fit.rank <= small.fit.rank:
+            return False
+        point = large.fit.point
+        mimic = self.mimic(small.fit.markers, large.candidate.frees, point, small.fit)
+        return mimic.chi2 < TIE_SCORE
+
+    def twin_of(self, quantity: str) -> str | None:
+        """Return the effect that does what a declared quantity does."""
+        twin = self.catalogue.twin(quantity)
+        return None if twin is None else twin[0]
 
 
-def better(found: Sequence[Ranked], again: Sequence[Ranked]) -> list[Ranked]:
+def better(first: Sequence[Ranked], again: Sequence[Ranked]) -> list[Ranked]:
     """Return the better of two fits of every candidate; some were fitted again."""
     others = {r.candidate.label: r for r in again}
-    return [min(r, others.get(r.candidate.label, r), key=lambda r: r.fit.deviance) for r in found]
+    return [min(r, others.get(r.candidate.label, r), key=lambda r: r.fit.deviance) for r in first]

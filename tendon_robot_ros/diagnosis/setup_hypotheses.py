@@ -16,14 +16,8 @@ from ..common.rotations import rigid_fit, turn_angle, turn_onto, upright_fit
 from ..comparison.noise import rms
 from ..comparison.predict import Point, Predictor
 from ..data import DataSet
-from ..robot import Robot
-from .verdict import (
-    ERROR_SHARE_LEFT_LIMIT,
-    FRAME_HARDLY_KNOWN_RAD,
-    FRAME_LEVEL_RAD,
-    FRAME_OFF_SHARE_MIN,
-    FRAME_TURNED_MIN_DEG,
-)
+from .marginal import NEGLIGIBLE
+from .verdict import ERROR_LEFT_MAX
 
 Floats = npt.NDArray[np.float64]
 UNIT_FACTORS = {
@@ -32,16 +26,20 @@ UNIT_FACTORS = {
     0.1: 'a decimal point', 2.0: 'a double count', 0.5: 'half a count',
     25.4: 'inches', 1.0 / 25.4: 'millimetres as inches',
 }  # fmt: skip
-UNIT_WITHIN = 1.1  # [1] of a unit's factor: a ratio of distances that near to it means it
-INPUTS_PERMUTED_MAX = 4  # all orders of so many are tried; of more, one exchange after another
+FRAME_TURNED_MIN_DEG = 10.0  # [deg] because a load bends an arm as a smaller turn does
+FRAME_SHIFTED_MIN = 0.1  # [1] of the arm's length, because a load shifts its markers by less
+FRAME_HARDLY_KNOWN_RAD = 0.017  # [rad] 1°, which an import declares: docs/diagnosis.md
+FRAME_LEVEL_RAD = 0.05  # [rad] above it the vertical was not known either, else it would turn
+UNIT_RATIO_MAX = 1.1  # [1] to the factor of a unit, because distances tell it to a tenth
+INPUTS_PERMUTED_MAX = 4  # [1] whose 24 orders are all tried; five would have 120
 STIFFNESS_FACTORS = {
     10.0: 'a decimal point', 0.1: 'a decimal point', 100.0: 'N/cm² for N/mm²',
     0.01: 'N/mm² for N/cm²', 1000.0: 'MPa for GPa', 0.001: 'GPa for MPa',
     16.0: 'the radius of the rod for its diameter', 0.0625: 'its diameter for the radius',
 }  # fmt: skip
-CONSTANT_SHARE_MAX = 0.01  # of the largest input: a reading that moves less is constant
-DEAD_SIZES, DEAD_UP_TO, DEAD_ROUNDS = 26, 1.25, 3  # sizes tried up to so many times the largest
-EARTH, EARTH_WITHIN_SHARE = 9.81, 0.01  # [m/s²] gravity, and by how much it differs on land
+# [1] of the largest input, in steps of 5 %: a parabola tells the least between, so that few do
+DEAD_SIZES = np.linspace(0.0, 1.25, 26)
+EARTH = 9.81  # [m/s²] gravity on land, within 0.3 % (WGS 1984)
 
 
 @dataclass(frozen=True)
@@ -66,7 +64,7 @@ class Mistake:
         if self.mended is None:
             return math.inf
         places = self.mended.mean
-        return ERROR_SHARE_LEFT_LIMIT * rms(places - np.nanmean(places, axis=0))
+        return ERROR_LEFT_MAX * rms(places - np.nanmean(places, axis=0))
 
     def text(self, before: float) -> str:
         """Say it with the error before and after."""
@@ -146,7 +144,7 @@ def times(factor: float) -> str:
 def as_unit(factor: float) -> float:
     """Return the factor of a unit that is near, or the factor as it is."""
     near = min(UNIT_FACTORS, key=lambda one: abs(math.log(factor / one)))
-    return near if abs(math.log(factor / near)) < math.log(UNIT_WITHIN) else factor
+    return near if abs(math.log(factor / near)) < math.log(UNIT_RATIO_MAX) else factor
 
 
 def swapped_inputs(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
@@ -247,7 +245,7 @@ def moved_rows(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
 
 
 def turned_axes(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
-    """Try all ways in which axes may be flipped and swapped."""
+    """Try all orders and signs of the axes."""
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):
             if list(order) == [0, 1, 2] and min(signs) > 0.0:
@@ -272,7 +270,7 @@ def registered(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     seen = np.isfinite(measured).all(axis=2)
     turn, shift = rigid_fit(measured[seen], markers[seen])
     angle = math.degrees(turn_angle(turn))
-    far = np.linalg.norm(shift) > FRAME_OFF_SHARE_MIN * predictor.robot.length
+    far = np.linalg.norm(shift) > FRAME_SHIFTED_MIN * predictor.robot.length
     if angle < FRAME_TURNED_MIN_DEG and not far:
         return
     millimetres = ', '.join(f'{1e3 * x:.1f}' for x in shift)
@@ -336,26 +334,20 @@ def wrong_stiffness(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     """Try a bending stiffness far beyond what any rod is off: a wrong unit, or diameter."""
     for factor, why in STIFFNESS_FACTORS.items():
         stiffer = np.full(predictor.model.arrays.chain.n, factor)
+        sections = tuple(
+            s
+            if s.is_plate
+            else replace(s, bending_stiffness=tuple(factor * k for k in s.bending_stiffness))
+            for s in predictor.robot.sections
+        )
         yield from tried(
             predictor,
             predictor.markers({}, stiffness=stiffer),
             'stiffness',
             f'with the bending stiffness {times(factor)}',
             f'check how it was worked out ({why}?): modulus, diameter, length of a cell',
-            robot=_stiffer(predictor.robot, factor),
+            robot=replace(predictor.robot, sections=sections),
         )
-
-
-def _stiffer(robot: Robot, factor: float) -> Robot:
-    sections = tuple(
-        section
-        if section.is_plate
-        else replace(
-            section, bending_stiffness=tuple(factor * k for k in section.bending_stiffness)
-        )
-        for section in robot.sections
-    )
-    return replace(robot, sections=sections)
 
 
 def gravities(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
@@ -369,12 +361,12 @@ def gravities(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     size = float(np.linalg.norm(described))
     if not predictor.model.acts('gravity'):
         return
-    ways = [described / size] if size > 0.0 else []
-    ways += [sign * axis for axis in np.eye(3) for sign in (1.0, -1.0)]
-    sizes = {size} if abs(size / EARTH - 1.0) < EARTH_WITHIN_SHARE else {size, EARTH} - {0.0}
+    axes = [described / size] if size > 0.0 else []
+    axes += [sign * axis for axis in np.eye(3) for sign in (1.0, -1.0)]
+    sizes = {size} if abs(size / EARTH - 1.0) < NEGLIGIBLE else {size, EARTH} - {0.0}
     positions = predictor.dataset.positions
-    for way, much in product(ways, sizes):
-        vector = np.round(much * way, 9) + 0.0
+    for axis, much in product(axes, sizes):
+        vector = np.round(much * axis, 9) + 0.0
         if np.allclose(vector, described):
             continue
         with predictor.under_gravity(vector):
@@ -402,9 +394,9 @@ def dead_inputs(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     if predictor.dataset.input != 'tension' or len(given) < 2:
         return
     most, spans = float(np.nanmax(given)), np.ptp(given, axis=0)
-    if spans.max() < 10.0 * CONSTANT_SHARE_MAX * most:
+    if spans.max() < 10.0 * NEGLIGIBLE * most:
         return
-    for j in np.flatnonzero(spans < CONSTANT_SHARE_MAX * most).tolist():
+    for j in np.flatnonzero(spans < NEGLIGIBLE * most).tolist():
         one = _dead(predictor, j, {})
         if one is not None:
             yield one
@@ -414,9 +406,9 @@ def _dead(predictor: Predictor, j: int, point: Point) -> Mistake | None:
     """Give an input in each posture what suits its markers best, with effects of some values."""
     dataset, given = predictor.dataset, predictor.inputs
     name, fitted, most = predictor.robot.inputs[j], given.copy(), float(np.nanmax(given))
-    sizes = np.linspace(0.0, DEAD_UP_TO * most, DEAD_SIZES)
+    sizes = most * DEAD_SIZES
     moved = [predictor.markers(point, _with_one(j, size, given)) for size in sizes.tolist()]
-    for _ in range(DEAD_ROUNDS):
+    for _ in range(3):
         now = predictor.markers(point, fitted)
         if now is None:
             break
@@ -429,7 +421,13 @@ def _dead(predictor: Predictor, j: int, point: Point) -> Mistake | None:
                 for one in moved
             ]
         )
-        fitted[:, j] = _least(sizes, np.where(np.isnan(errors), np.inf, errors))
+        errors = np.where(np.isnan(errors), np.inf, errors)  # (S, P): least between sizes, too
+        k = np.clip(np.argmin(errors, axis=0), 1, len(sizes) - 2)
+        below, here, above = (errors[k + i, np.arange(len(given))] for i in (-1, 0, 1))
+        with np.errstate(invalid='ignore', divide='ignore'):
+            between = 0.5 * (below - above) / (below - 2.0 * here + above)
+        between = np.clip(np.where(np.isfinite(between), between, 0.0), -1.0, 1.0)
+        fitted[:, j] = sizes[k] + between * (sizes[1] - sizes[0])
     own = fitted[:, j]
     made = tried(
         predictor,
@@ -444,13 +442,3 @@ def _dead(predictor: Predictor, j: int, point: Point) -> Mistake | None:
     beside = partial(_dead, predictor, j)
     one = next(made, None)
     return one and replace(one, fitted=len(given), free_input=j, beside=beside)
-
-
-def _least(sizes: Floats, errors: Floats) -> Floats:
-    """Return where errors (S, P) at equal steps of sizes (S,) are least, between steps as well."""
-    k = np.clip(np.argmin(errors, axis=0), 1, len(sizes) - 2)
-    before, here, after = (errors[k + way, np.arange(errors.shape[1])] for way in (-1, 0, 1))
-    with np.errstate(invalid='ignore', divide='ignore'):
-        way = 0.5 * (before - after) / (before - 2.0 * here + after)
-    way = np.clip(np.where(np.isfinite(way), way, 0.0), -1.0, 1.0)
-    return np.asarray(sizes[k] + way * (sizes[1] - sizes[0]))

@@ -8,6 +8,7 @@ the error before and after, and what mends it.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,7 +21,7 @@ from ..data import DataSet
 from ..effects import Catalogue
 from .candidates import Candidate, joining_effects, nuisances_of
 from .fit import Fit
-from .fitter import Fitter
+from .fitter import FAILURES, Fitter
 from .marker_hypotheses import (
     by_distances,
     exchanged,
@@ -31,8 +32,8 @@ from .marker_hypotheses import (
     spots,
     uncut,
 )
-from .report_rows import usual_floor
 from .result import Diagnosis
+from .search import DIFFERENCE_STEP
 from .session import Session
 from .setup_hypotheses import (
     Mistake,
@@ -50,19 +51,15 @@ from .setup_hypotheses import (
     wrong_units,
 )
 from .verdict import (
-    AS_GOOD_WITHIN,
-    CUT_AS_GOOD_WITHIN,
+    BEST_FEW,
     EFFECTS_MAX,
-    ERROR_SHARE_LEFT_LIMIT,
-    ERROR_SHARE_LEFT_MAX,
-    EXPLAINED_WITHIN_FLOORS,
-    GROSS_FROM_FLOORS,
+    ERROR_LEFT_MAX,
+    ERROR_LEFT_USUAL,
     MISTAKE_HANDICAP,
+    MISTAKEN_RATIO_MIN,
     ODD_FROM_FLOORS,
-    QUIET_WITHIN_FLOORS,
-    STIFFNESS_FACTOR_MAX,
-    STILL_FROM_FLOORS,
-    STILL_SHARE_MAX,
+    QUIET_FLOORS,
+    SAME_ERROR_RATIO,
 )
 
 # The plainest first: what a free registration can do, some of the others can do as well. It can
@@ -86,13 +83,9 @@ HYPOTHESES = (*DISCRETE, registered)
 BESIDE_EFFECTS = (*DISCRETE, dead_inputs)  # the last needs values of its own
 NEARLY_EFFECTS = (gravities,)  # a load can take up nearly all that the weight of a light arm does
 Floats = npt.NDArray[np.float64]
-FITTED_MAX = 3  # effects whose first steps promise most, and which are fitted
-TURNS = 8  # of such a fit
-OF_A_KIND_MAX = 3  # hypotheses of a kind that leave least by themselves, and are fitted
-FITTED_IN_TURN = 2  # rounds of an effect, and of the values that a mistake asks for beside it
-STEP_SHARE = 0.02  # of the largest input, by which one is moved to see what it does
+STEPS_FEW = 8  # [1] of a fit, because hundreds are made and none is told
+CUT_AS_GOOD_RATIO = 1.05  # [1] to the least error, so that the fewest cells are said
 WEIGHT = ('gravity', 'linear_density')  # which a scale tells: no tolerance is a factor
-NO_FIT = (ArithmeticError, np.linalg.LinAlgError)
 
 
 OF_INPUTS = (
@@ -118,21 +111,23 @@ def find_mistake(predictor: Predictor, floor: float, usual: float = 0.0) -> Mist
 
     """
     markers = predictor.markers({})
-    if markers is None:
-        return _shapeless(predictor, floor)
+    if markers is None:  # the mistake without which the model has an equilibrium at all
+        nothing = np.full_like(predictor.dataset.mean, np.nan)
+        mistakes = [one for kind in OF_INPUTS for one in kind(predictor, nothing)]
+        return _plainest([one for one in mistakes if one.after < one.most], floor)
     few = alone(predictor, markers, floor)
     if few and few[0].certain:
         return few[0]
     before = off(predictor, predictor.dataset.mean, markers)
     if before < ODD_FROM_FLOORS * floor:
         return None
-    tries = HYPOTHESES if before > GROSS_FROM_FLOORS * floor else DISCRETE
-    enough = max(ERROR_SHARE_LEFT_MAX * before, EXPLAINED_WITHIN_FLOORS * floor, 2.0 * usual)
+    tries = HYPOTHESES if before > 2.0 * ODD_FROM_FLOORS * floor else DISCRETE
+    enough = max(ERROR_LEFT_USUAL * before, QUIET_FLOORS * floor, 2.0 * usual)
     mistakes = few + [one for kind in tries for one in kind(predictor, markers)]
     certain = next((one for one in mistakes if one.certain), None)
     if certain is not None:
         return certain
-    enough = min(enough, ERROR_SHARE_LEFT_LIMIT * before)
+    enough = min(enough, ERROR_LEFT_MAX * before)
     likely = [one for one in mistakes if one.after < min(enough, one.most)]
     return _plainest(likely, max(floor, 0.3 * usual))
 
@@ -144,20 +139,12 @@ def alone(predictor: Predictor, markers: Floats, floor: float) -> list[Mistake]:
     return [one for one in found if one is not None]
 
 
-def _shapeless(predictor: Predictor, floor: float) -> Mistake | None:
-    """Find the mistake without which the model has an equilibrium at all."""
-    measured = predictor.dataset.mean
-    nothing = np.full_like(measured, np.nan)
-    mistakes = [one for kind in OF_INPUTS for one in kind(predictor, nothing)]
-    return _plainest([one for one in mistakes if one.after < one.most], floor)
-
-
 def _plainest(likely: Sequence[Mistake], floor: float) -> Mistake | None:
     """Return the first kind of those that do about as well as the best; of a kind the best."""
     if not likely:
         return None
     least = min(one.after for one in likely) + floor
-    plain = next(one for one in likely if one.after <= AS_GOOD_WITHIN * least)
+    plain = next(one for one in likely if one.after <= SAME_ERROR_RATIO * least)
     return min((one for one in likely if one.name == plain.name), key=lambda one: one.after)
 
 
@@ -180,7 +167,7 @@ def _cut(predictor: Predictor, markers: Floats, floor: float) -> Mistake | None:
     ]
     least = min((one.after for one in better), default=np.inf)
     for one in better:  # the fewest cells: beyond the last marker more of them do as well
-        if one.after <= CUT_AS_GOOD_WITHIN * least:
+        if one.after <= CUT_AS_GOOD_RATIO * least:
             return replace(one, sentence=f'{one_place}; {one.sentence}', certain=True)
     keep = np.delete(np.arange(len(dataset.markers)), group[1:])
     mend = 'count the cells of the arm, or give these markers the places or offsets that they have'
@@ -196,7 +183,7 @@ def _frozen(predictor: Predictor, markers: Floats, floor: float) -> Mistake | No
         return None
     should = np.sqrt(np.var(markers, axis=0).sum(axis=1))
     still = np.flatnonzero(
-        (spread < STILL_SHARE_MAX * should) & (should > STILL_FROM_FLOORS * floor)
+        (spread < ERROR_LEFT_USUAL * should) & (should > ODD_FROM_FLOORS * floor)
     )
     if len(still) != 1:
         return None
@@ -239,7 +226,7 @@ def is_odd(effect: str, key: str, value: float, described: float) -> bool:
         factor = value / described
     else:
         return False
-    return not 1.0 / STIFFNESS_FACTOR_MAX < factor < STIFFNESS_FACTOR_MAX
+    return not 1.0 / MISTAKEN_RATIO_MIN < factor < MISTAKEN_RATIO_MIN
 
 
 class Explaining:
@@ -251,7 +238,7 @@ class Explaining:
 
     def with_effect(self, mistake: Mistake) -> Mistake:
         """Return a mistake whose fitted values suit an effect that acts as well."""
-        for _ in range(FITTED_IN_TURN):
+        for _ in range(2):
             if mistake.beside is None or mistake.mended is None:
                 break
             beside = self.explain(mistake.mended, 1, 0.0, mistake.free_input)
@@ -273,14 +260,23 @@ class Explaining:
         predictor = Predictor(dataset, dataset.robot, self.catalogue)
         noise = Noise(self.usual / np.sqrt(3.0), 0.0, 1.0, np.inf, 'declared')
         slopes = np.zeros((*predictor.inputs.shape, len(dataset.markers), 3))
-        if free is not None:
-            slopes[:, free] = _answer(predictor, free)
+        if free is not None:  # how markers answer to it, per its largest value
+            inputs = predictor.inputs
+            step, sides = DIFFERENCE_STEP * float(np.nanmax(inputs)), []
+            for sign in (1.0, -1.0):
+                moved = inputs.copy()
+                moved[:, free] = np.maximum(moved[:, free] + sign * step, 0.0)
+                sides.append(predictor.markers({}, moved))
+            if sides[0] is not None and sides[1] is not None:
+                width = 2.0 * step - np.maximum(step - inputs[:, free], 0.0)
+                per_largest = (step / DIFFERENCE_STEP / width)[:, None, None]
+                slopes[:, free] = (sides[0] - sides[1]) * per_largest
         nuisances = nuisances_of(dataset.robot, self.catalogue, predictor)
         fitter = Fitter(predictor, Whitener(dataset, noise, slopes), nuisances)
         effects = joining_effects(dataset.robot, self.catalogue, dataset)
         try:
-            fit = fitter.fit((), turns=TURNS)
-        except NO_FIT:
+            fit = fitter.fit((), steps=STEPS_FEW)
+        except FAILURES:
             return None
         names: tuple[str, ...] = ()
         while len(names) < most and rms(dataset.mean - fit.markers) > enough:
@@ -294,51 +290,27 @@ class Explaining:
         self, fitter: Fitter, fit: Fit, names: tuple[str, ...], effects: Sequence[Candidate]
     ) -> tuple[Fit, tuple[str, ...]] | None:
         """Return the best fit with one more effect; None where none does better."""
-        found = list[tuple[float, int, Fit, tuple[str, ...]]]()
-        for candidate in self._promising(fitter, fit, names, effects):
+        promised = list[tuple[float, int, Candidate]]()  # by first steps
+        for candidate in effects:
+            with suppress(*FAILURES):
+                if not set(candidate.names) & set(names):
+                    left = fitter.promised((*fit.frees, *candidate.frees), fit.point)
+                    promised.append((left, len(promised), candidate))
+        fits = list[tuple[float, int, Fit, tuple[str, ...]]]()
+        for *_, candidate in sorted(promised)[:BEST_FEW]:
             frees = (*fit.frees, *candidate.frees)
             try:
-                made = fitter.fit(frees, fit.point if names else None, TURNS)
-            except NO_FIT:
+                made = fitter.fit(frees, fit.point if names else None, STEPS_FEW)
+            except FAILURES:
                 continue
             known = fitter.predictor
             odd = [is_odd(f.effect, f.key, made.point[f], known.value(f)) for f in made.frees]
             if not any(odd):  # what nothing is off by explains nothing
-                found.append((_score(made), len(found), made, candidate.names))
-        if not found:
+                fits.append((_score(made), len(fits), made, candidate.names))
+        if not fits:
             return None
-        score, _, made, more = min(found)
+        score, _, made, more = min(fits)
         return (made, names + more) if score < _score(fit) else None
-
-    def _promising(
-        self, fitter: Fitter, fit: Fit, names: tuple[str, ...], effects: Sequence[Candidate]
-    ) -> list[Candidate]:
-        """Return the effects whose first steps promise to leave least."""
-        promised = list[tuple[float, int, Candidate]]()
-        for candidate in effects:
-            if set(candidate.names) & set(names):
-                continue
-            try:
-                left = fitter.promised((*fit.frees, *candidate.frees), fit.point)
-            except NO_FIT:
-                continue
-            promised.append((left, len(promised), candidate))
-        return [candidate for *_, candidate in sorted(promised)[:FITTED_MAX]]
-
-
-def _answer(predictor: Predictor, j: int) -> Floats | float:
-    """Return how markers (P, J, 3) [m] answer to an input, per its largest value; 0 if unknown."""
-    inputs = predictor.inputs
-    step = STEP_SHARE * float(np.nanmax(inputs))
-    sides = []
-    for sign in (1.0, -1.0):
-        moved = inputs.copy()
-        moved[:, j] = np.maximum(moved[:, j] + sign * step, 0.0)
-        sides.append(predictor.markers({}, moved))
-    if sides[0] is None or sides[1] is None:
-        return 0.0
-    width = 2.0 * step - np.maximum(step - inputs[:, j], 0.0)
-    return np.asarray((sides[0] - sides[1]) * (step / STEP_SHARE / width)[:, None, None])
 
 
 def _score(fit: Fit) -> float:
@@ -346,24 +318,26 @@ def _score(fit: Fit) -> float:
 
 
 @dataclass(frozen=True)
-class Rival:
+class Mended:
     """A mistake, and what explains the data set without it."""
 
     mistake: Mistake
     explained: Explained
 
-    def told(self, left: float, names: Sequence[str]) -> Mistake:
+    def with_rest(self, left: float, names: Sequence[str]) -> Mistake:
         """Return the mistake with what becomes of the error [m] that it leaves."""
-        helps = names and left < self.mistake.after / AS_GOOD_WITHIN
+        helps = names and left < self.mistake.after / SAME_ERROR_RATIO
         rest = f', and with {listed(names)} to {mm(left)}' if helps else ''
         return replace(self.mistake, rest=rest)
 
     def agrees(self, diagnosis: Diagnosis) -> bool:
         """Tell whether the values of effects are those of a diagnosis, or it names none."""
         known = {effect.name: effect.parameters for effect in diagnosis.effects}
-        told = [(known[f.effect].get(f.key), x) for f, x in self.explained.point.items()
-                if f.effect in known]  # fmt: skip
-        return all(one is None or one.low <= value <= one.high for one, value in told)
+        return all(
+            (there := known[free.effect].get(free.key)) is None or there.low <= value <= there.high
+            for free, value in self.explained.point.items()
+            if free.effect in known
+        )
 
     def possible(self, quiet: bool) -> str:
         """Say it beside effects that may be as well; `quiet` where they leave as little."""
@@ -380,7 +354,7 @@ def _rivals(
     described: Explained,
     floor: float,
     progress: Callable[[str, int, int], None],
-) -> list[Rival]:
+) -> list[Mended]:
     """
     Return the mistakes that explain more than the best effects do, the best first.
 
@@ -410,11 +384,9 @@ def _rivals(
         for one in kind(predictor, markers):
             kinds.setdefault(f'{kind.__name__} {one.name}', []).append(one)
     tried = [
-        one
-        for own in kinds.values()
-        for one in sorted(own, key=lambda one: one.after)[:OF_A_KIND_MAX]
+        one for own in kinds.values() for one in sorted(own, key=lambda one: one.after)[:BEST_FEW]
     ]
-    found = []
+    rivals = []
     for k, one in enumerate(tried):
         progress('mistakes of the set-up', k + 1, len(tried))
         if one.mended is None:
@@ -425,31 +397,32 @@ def _rivals(
         if explained is None:
             continue
         if described.quiet:  # errors as large as usual tell nothing there
-            better = explained.left < AS_GOOD_WITHIN * described.left
+            better = explained.left < SAME_ERROR_RATIO * described.left
         else:
             handicap = 2.0 * one.fitted + MISTAKE_HANDICAP
             better = explained.score + handicap < described.score
         if better and explained.left < one.most:
-            found.append(Rival(one, explained))
-    if not found:
+            rivals.append(Mended(one, explained))
+    if not rivals:
         return []
-    least = AS_GOOD_WITHIN * (min(one.explained.left for one in found) + floor)
-    near = [one for one in found if one.explained.left <= least]  # the plainest is the first
+    least = SAME_ERROR_RATIO * (min(one.explained.left for one in rivals) + floor)
+    near = [one for one in rivals if one.explained.left <= least]  # the plainest is the first
     first = min(
         (one for one in near if one.mistake.name == near[0].mistake.name),
         key=lambda one: one.explained.left,
     )
-    others = sorted((one for one in found if one is not first), key=lambda one: one.explained.left)
+    others = [one for one in rivals if one is not first]
+    others.sort(key=lambda one: one.explained.left)
     alike = [one.mistake for one in others if one in near]  # those of its kind say most
     alike.sort(key=lambda one: one.name != first.mistake.name)
     if alike:
         said = dict.fromkeys(one.sentence for one in (first.mistake, *alike))
-        sentence = ', or '.join([*said][:OF_A_KIND_MAX])
-        first = Rival(replace(first.mistake, sentence=sentence), first.explained)
+        sentence = ', or '.join([*said][:BEST_FEW])
+        first = Mended(replace(first.mistake, sentence=sentence), first.explained)
     return [first, *others]
 
 
-def rivals_of(session: Session, enough: float) -> tuple[Explained | None, list[Rival]]:
+def mended_rivals(session: Session, enough: float) -> tuple[Explained | None, list[Mended]]:
     """
     Return what effects explain of the data set as it is, and the mistakes that explain more.
 
@@ -462,8 +435,8 @@ def rivals_of(session: Session, enough: float) -> tuple[Explained | None, list[R
         return None, []
     if off(predictor, session.dataset.mean, markers) < ODD_FROM_FLOORS * floor:
         return None, []
-    enough = min(enough, QUIET_WITHIN_FLOORS * floor)
-    explaining = Explaining(session.catalogue, usual_floor(session))
+    enough = min(enough, QUIET_FLOORS * floor)
+    explaining = Explaining(session.catalogue, session.usual_floor)
     dataset = replace(session.dataset, robot=session.robot)
     described = explaining.explain(dataset, 1, enough)
     if described is None:
@@ -477,7 +450,7 @@ def rivals_of(session: Session, enough: float) -> tuple[Explained | None, list[R
 
 
 def implausible(diagnosis: Diagnosis) -> list[str]:
-    """Say which found values nothing is off by; nothing where all may be."""
+    """Say which estimated values are no tolerance; nothing where all may be one."""
     said = []
     for effect in diagnosis.effects:
         there = diagnosis.details.get('described', {}).get(effect.name, {})

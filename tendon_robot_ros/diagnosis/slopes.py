@@ -41,7 +41,7 @@ from .imperfections import (
 )
 
 Floats = npt.NDArray[np.float64]
-STEP = 1e-6  # [1], [rad]: of differences of what is settled already
+STEP = 1e-6  # [1], [rad], [N] of differences without solving, because rounding is 1e-16
 
 
 def imperfections(
@@ -136,33 +136,33 @@ class _Slopes:
 
     def of(self, kinds: tuple[Kind, ...]) -> Floats:
         """Return the derivatives (q, P, J, 3) by the members of all kinds."""
-        parts = []
+        parts, seen = [], self.split.see(self.shapes)
         for kind in kinds:
             if kind.name == POSITION:
-                parts.append(np.array([np.ones_like(self.seen) * axis for axis in np.eye(3)]))
+                parts.append(np.array([np.ones_like(seen) * axis for axis in np.eye(3)]))
             elif kind.name == ROTATION:
-                parts.append(np.array([np.cross(axis, self.seen) for axis in np.eye(3)]))
+                parts.append(np.array([np.cross(axis, seen) for axis in np.eye(3)]))
             else:
-                parts.append(self._held(self._of(kind)).swapaxes(0, 1))
+                parts.append(self.held(self.by_kind(kind)).swapaxes(0, 1))
         return np.concatenate(parts)
 
-    def _of(self, kind: Kind) -> _Seen:
+    def by_kind(self, kind: Kind) -> _Seen:
         """Return what the members of a kind do at constant tensions."""
         if kind.name == CELLS:
-            return self._cells()
+            return self.by_cells()
         if kind.name == HOLE:
-            return self._holes()
+            return self.by_holes()
         if kind.name in (KINK, ACROSS):
-            return self._kinks(kind)
+            return self.by_kinks(kind)
         given = np.nan_to_num(self.commanded)
         if self.split.dataset.input == 'tension':
             own = self.by_tension
             return _Seen(own.markers * given[..., None, None], own.pulls * given[..., None])
         sizes = given if kind.name == GAIN else np.ones_like(given)  # else the zeros of pulls
-        asked = -np.eye(given.shape[1]) * sizes[:, None]  # to pull more is to be off by less
-        return _Seen(np.zeros_like(self.by_tension.markers), asked)
+        commands = -np.eye(given.shape[1]) * sizes[:, None]  # to pull more is to be off by less
+        return _Seen(np.zeros_like(self.by_tension.markers), commands)
 
-    def _held(self, moved: _Seen) -> Floats:
+    def held(self, moved: _Seen) -> Floats:
         """Return changes (P, q, J, 3) of the markers; tensions keep the pulls that are set."""
         if self.split.dataset.input == 'tension':
             return moved.markers
@@ -188,7 +188,6 @@ class _Slopes:
         shown = self._shown(inputs, moved.reshape(-1, self.state.shape[1]))
         markers = shown.markers.reshape(b, size + 1, *shown.markers.shape[1:])
         pulls = shown.pulls.reshape(b, size + 1, -1)
-        self.seen = markers[:, 0]
         return _Seen(
             (markers[:, 1:] - markers[:, :1]) / STEP, (pulls[:, 1:] - pulls[:, :1]) / STEP
         )
@@ -201,7 +200,7 @@ class _Slopes:
             moved.append(self._difference(up, down, (up - down) @ unit))
         return _joined(moved)
 
-    def _holes(self) -> _Seen:
+    def by_holes(self) -> _Seen:
         """Return the derivatives by the relative radius of every tendon."""
         offset, inputs, moved = self.model.arrays.offset, self.shapes.inputs, []
         was, radii = offset.copy(), np.ones(offset.shape[1])
@@ -258,9 +257,11 @@ class _Slopes:
 
     def _along(self, rates: Floats) -> _Seen:
         """Return what is seen of residuals' rates (P, q, u): the state follows."""
-        ways, by = rates @ self.answers, self.by_state.markers
-        markers = ways @ by.reshape(*by.shape[:2], -1)
-        return _Seen(markers.reshape(*ways.shape[:2], *by.shape[2:]), ways @ self.by_state.pulls)
+        states, by = rates @ self.answers, self.by_state.markers
+        markers = states @ by.reshape(*by.shape[:2], -1)
+        return _Seen(
+            markers.reshape(*states.shape[:2], *by.shape[2:]), states @ self.by_state.pulls
+        )
 
     def _own(self, arrange: Callable[[float], None]) -> Floats:
         """Return rates (P, n, u) of what changes every cell's bending, one cell each."""
@@ -274,7 +275,7 @@ class _Slopes:
             own[:, n, 2 * n + xy] = rates[:, 2 * n + xy]
         return own
 
-    def _cells(self) -> _Seen:
+    def by_cells(self) -> _Seen:
         """Return the derivatives by the relative stiffness of every cell."""
         stiffness = self.model.arrays.cells[:, 1]
         was, off = stiffness.copy(), 1.0 + self.split.around.get(CELLS, np.zeros(len(stiffness)))
@@ -286,7 +287,7 @@ class _Slopes:
         stiffness[:] = was
         return self._along(rates)
 
-    def _kinks(self, kind: Kind) -> _Seen:
+    def by_kinks(self, kind: Kind) -> _Seen:
         """Return the derivatives by the bend at rest of every cell."""
         arrays, axis = self.model.arrays, planar_axis(self.split.whole)
         rests = self.split.rests
@@ -300,7 +301,7 @@ class _Slopes:
             arrays.values[row, cell] += side * STEP
 
         if self.model.sticks or self.split.dataset.input == 'displacement':
-            found = self._each_kink(kinked, rests)
+            found = self.by_each_kink(kinked, rests)
         else:
             every = slice(None)
             rates = [self._own(partial(kinked, row=row, cell=every)) for row in rests]
@@ -309,12 +310,12 @@ class _Slopes:
         arrays.values[:], arrays.on[:] = values, on
         return found
 
-    def _each_kink(self, kinked: Callable[..., None], rests: Sequence[int]) -> _Seen:
+    def by_each_kink(self, kinked: Callable[..., None], rests: Sequence[int]) -> _Seen:
         """
         Return the derivatives by every kink, one at a time.
 
         Tendons travel from the shape at rest: a kink is travel for the motors, and where travel
-        beyond an eyelet decides which way friction acts, it changes the balance of other cells.
+        beyond an eyelet decides the direction of friction, it changes the balance of other cells.
         """
         inputs = self.shapes.inputs
         width = np.full(len(inputs), 2.0 * STEP)

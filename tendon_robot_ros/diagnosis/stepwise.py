@@ -19,41 +19,34 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import InputError
-from ..comparison.noise import Noise, Whitener, estimate_noise, input_slopes, likely, rms
+from ..comparison.noise import Whitener, estimate_noise, input_slopes, likely, rms
 from ..comparison.outliers import find_outliers, without_unsettled
 from ..comparison.predict import FreeParameter, Point, Predictor, SettledShapes
 from ..comparison.statistics import chi2_sf, f_sf
 from ..data import DataSet
-from ..effects import Catalogue, Parameter
+from ..effects import Catalogue
 from ..robot import Robot
 from ..robot.estimates import natural_sizes
 from .candidates import Candidate, joining_effects
 from .crossval import Groups, left_out_errors, predict
-from .description import (
-    OF_THE_ARM,
-    DescribedArm,
-    arm_with,
-    blocks_of_the_arm,
-    changed_robot,
-)
-from .fit import Fit, Nuisance, covariance_of
-from .fitter import Fitter
+from .description import OF_THE_ARM, DescribedArm, arm_with, blocks_of_the_arm, changed_robot
+from .fit import Fit, Nuisance, covariance_of, covariance_root
+from .fitter import FAILURES, Fitter
+from .marginal import NEGLIGIBLE
+from .marginal import STEPS_MAX as ITERATIONS_MAX
+from .search import DIFFERENCE_STEP, LADDER
 from .setup_hypotheses import Mistake
 from .setup_mistakes import find_mistake
-from .verdict import P_SINGLE_MIN
+from .verdict import P_SINGLE_MIN, POSTURES_MIN
 
-JOINING_STEP = 0.02  # typical sizes from which a fit begins, where laws have kinks
-SIZES_TRIED = (0.03, 0.3, 3.0)  # typical sizes of a law that acts whatever its value
-TURNED_SHARE = 0.05  # of such a value, for its slope
-TURNING = ('torsion', 'memory')  # stages that, when absent, only a solution tells
 Floats = npt.NDArray[np.float64]
 Held = Sequence[int] | npt.NDArray[np.int64]
-POSTURES_MIN = 4  # that must be measured
-PRIOR_TYPICALS = 10.0  # sd of the priors, in typical sizes of the parameters
-STEPS_MAX = 12  # effects that may join
-TRIED_MAX = 2  # effects that are fitted at a step: those that promise most
-TURNS_TRIED, TURNS = 3, 25  # of fits that are tried, and of the one that is made
-FALL_MIN = 0.005  # of the squared error on left-out postures, for a step to be made at all
+SOLVED = ('torsion', 'memory')  # stages of which, when absent, only a solution tells
+GROUPS_MIN = POSTURES_MIN + 1  # [1] of different inputs, because one is left out
+PRIOR_TYPICALS = 10.0  # [1] sd of the priors, so that only what nothing tells stays as described
+STEPS_MAX = 12  # [1] effects that may join, else a model that fits nothing would collect them all
+TRIED_MAX = 2  # [1] effects fitted at a step, because fits are what a search takes its time for
+STEPS_TRIED = 3  # [1] of a fit that is tried, because the one that is made goes on from there
 
 
 @dataclass(frozen=True)
@@ -66,7 +59,7 @@ class Joining:
     columns: Floats  # (N, q) derivatives
 
 
-class Ways:
+class Rates:
     """How blocks may join a fit."""
 
     def __init__(self, predictor: Predictor, whitener: Whitener, fit: Fit) -> None:
@@ -93,10 +86,10 @@ class Ways:
             free
             for block in blocks
             for free in block.frees
-            if free.effect not in effects or effects[free.effect].stage not in TURNING
+            if free.effect not in effects or effects[free.effect].stage not in SOLVED
         ]
         moved = self.predictor.tangent(self.fit.point, smooth, self.settled) if smooth else None
-        slopes = {}
+        slopes, here = dict[FreeParameter, Floats](), self.fit.residual[: self.whitener.size]
         if moved is not None:
             columns = -self.whitener.white(moved.markers)
             told = np.isfinite(columns).all(axis=1)
@@ -106,31 +99,33 @@ class Ways:
             if any(effects[name].always_on for name in absent & set(effects)):
                 yield from self._jumping(block)
                 continue
-            start = {f: described(self.predictor, f) + off(self.predictor, f) for f in block.frees}
-            own = [
-                slopes[free] if free in slopes else self._secant(free, value)
-                for free, value in start.items()
-            ]
+            start, own = {}, []
+            for free in block.frees:
+                value = described(self.predictor, free)
+                step = DIFFERENCE_STEP * free.parameter.typical
+                step = step if value + step <= free.parameter.high else -step
+                start[free] = value + step
+                column = slopes.get(free)
+                if column is None:
+                    there = self._residual({**self.fit.point, free: value + step})
+                    column = np.zeros_like(here) if there is None else (there - here) / step
+                own.append(column)
             yield Joining(block, start, 0.0, np.array(own).T)
-
-    def _secant(self, free: FreeParameter, value: float) -> Floats:
-        """Return the derivative (N,) of the whitened residual from the described value on."""
-        step = value - described(self.predictor, free)
-        moved = self._residual({**self.fit.point, free: value})
-        own = self.fit.residual[: self.whitener.size]
-        return np.zeros_like(own) if moved is None else (moved - own) / step
 
     def _jumping(self, block: Candidate) -> Iterator[Joining]:
         """Yield how a block whose law jumps from absent to acting may join."""
         own = self.fit.residual[: self.whitener.size]
-        for size in SIZES_TRIED:
-            start = {free: _sized(free.parameter, size) for free in block.frees}
+        for size in LADDER[::2]:
+            start = {
+                free: float(np.clip(size * p.typical, p.low, p.high))
+                for free, p in ((free, free.parameter) for free in block.frees)
+            }
             here = self._residual({**self.fit.point, **start})
             if here is None:
                 continue
             columns = []
             for free, value in start.items():
-                step = TURNED_SHARE * value
+                step = DIFFERENCE_STEP * value
                 moved = self._residual({**self.fit.point, **start, free: value + step})
                 columns.append(np.zeros_like(here) if moved is None else (moved - here) / step)
             yield Joining(block, start, here - own, np.array(columns).T)
@@ -148,19 +143,9 @@ def described(predictor: Predictor, free: FreeParameter) -> float:
     return float(np.clip(predictor.value(free), free.parameter.low, free.parameter.high))
 
 
-def off(predictor: Predictor, free: FreeParameter) -> float:
-    """Return a small step from the described value that stays inside the bounds."""
-    step = JOINING_STEP * free.parameter.typical
-    return step if described(predictor, free) + step <= free.parameter.high else -step
-
-
-def _sized(parameter: Parameter, size: float) -> float:
-    return float(np.clip(size * parameter.typical, parameter.low, parameter.high))
-
-
 def promised(residual: Floats, jacobian: Floats, whitener: Whitener, groups: Groups) -> float:
     """Return the mean squared error [m²] of left-out postures after one whole step of a fit."""
-    step = covariance_of(jacobian, blind=0.0) @ (jacobian.T @ residual)
+    step = covariance_of(*covariance_root(jacobian), blind=0.0) @ (jacobian.T @ residual)
     errors = left_out_errors(residual - jacobian @ step, jacobian, whitener, groups)
     return float(np.nanmean(errors))
 
@@ -232,8 +217,8 @@ class Stepwise:
         NoEquilibriumError
 
         """
-        if int((dataset.trials > 0).sum()) < POSTURES_MIN:
-            raise InputError(f'{dataset.name}: expected {POSTURES_MIN} or more measured postures')
+        if int((dataset.trials > 0).sum()) < GROUPS_MIN:
+            raise InputError(f'{dataset.name}: expected {GROUPS_MIN} or more measured postures')
         self.robot, self.catalogue = robot, catalogue.sized(natural_sizes(robot))
         every = DescribedArm(dataset, robot, self.catalogue)
         settled, self.unsettled = without_unsettled(every)
@@ -242,35 +227,37 @@ class Stepwise:
         self.predictor = DescribedArm(self.dataset, robot, self.catalogue)
         self.measured = self.dataset.mean
         self.slopes = input_slopes(self.predictor, {})
-        self.noise = _noise(self.dataset, self.slopes)
+        noise = estimate_noise(self.dataset, self.slopes)
+        if noise is None:
+            raise InputError(
+                f'{self.dataset.name}: one trial per posture and no position_noise in '
+                'dataset.yaml: repeat the postures, or declare the noise of the tracker'
+            )
+        self.noise = noise
         self.plain = Whitener(self.dataset, self.noise, self.slopes)
-        self.doubt = self._doubtful_mistake()
+        # a mistake that effects may explain better; one that they do not is refused
+        self.doubt = find_mistake(self.predictor, self.plain.floor())
+        if self.doubt is not None and not self.doubt.doubtful:
+            self._refuse(self.doubt)
         self.blocks = [
             *joining_effects(robot, self.catalogue, self.dataset),
             *blocks_of_the_arm(robot),
         ]
 
-    def _doubtful_mistake(self) -> Mistake | None:
-        """Return the mistake that effects may explain better; refuse one that they do not."""
-        mistake = find_mistake(self.predictor, self.plain.floor())
-        if mistake is not None and not mistake.doubtful:
-            self._refuse(mistake)
-        return mistake
-
     def _refuse(self, mistake: Mistake) -> None:
         before = rms(self.measured - self.predict({}))
         raise InputError(f'{self.dataset.name}: {mistake.text(before)}')
 
-    def refuse_mistake(self, found: State) -> None:
+    def refuse_mistake(self, last: State) -> None:
         """
-        Refuse the mistake in doubt where it explains more than what was found.
+        Refuse the mistake in doubt where it explains more than a search.
 
         Raises
         ------
         InputError
 
         """
-        if self.doubt is not None and rms(self.measured - found.fit.markers) > self.doubt.after:
+        if self.doubt is not None and rms(self.measured - last.fit.markers) > self.doubt.after:
             self._refuse(self.doubt)
 
     def predict(self, point: Point) -> Floats:
@@ -304,17 +291,17 @@ class Stepwise:
 
     def step(self, here: State) -> State | None:
         """Let the block join that lowers the error most, and idle ones leave; None: none does."""
-        found = []
+        tried = []
         for joining in self.promising(here):
             blocks, start = (*here.blocks, joining.block), {**here.fit.point, **joining.start}
             label = joining.block.label
-            made = self.tried(blocks, start, here.whitener, label, TURNS_TRIED)
-            found += [] if made is None else [made]
-        if not found:
+            made = self.tried(blocks, start, here.whitener, label, STEPS_TRIED)
+            tried += [] if made is None else [made]
+        if not tried:
             return None
-        best = min(found, key=lambda state: state.score)
+        best = min(tried, key=lambda state: state.score)
         best = self.tried(best.blocks, best.fit.point, here.whitener, best.joined) or best
-        if best.score > (1.0 - FALL_MIN) * here.score:
+        if best.score > (1.0 - 0.5 * NEGLIGIBLE) * here.score:
             return None
         return self.without_idle(best)
 
@@ -338,11 +325,11 @@ class Stepwise:
     def promising(self, here: State) -> list[Joining]:
         """Return how the blocks would join that promise the smallest errors."""
         try:
-            ways = Ways(self.predictor, here.whitener, here.fit)
+            rates = Rates(self.predictor, here.whitener, here.fit)
         except ArithmeticError:
             return []
         best: dict[str, tuple[float, Joining]] = {}
-        for joining in ways.of([block for block in self.blocks if self.may_join(block, here)]):
+        for joining in rates.of([block for block in self.blocks if self.may_join(block, here)]):
             error, label = self.promise(here, joining), joining.block.label
             if error < best.get(label, (here.score,))[0]:
                 best[label] = (error, joining)
@@ -387,7 +374,7 @@ class Stepwise:
         start: Point,
         whitener: Whitener,
         joined: str = '',
-        turns: int = TURNS,
+        steps: int = ITERATIONS_MAX,
     ) -> State:
         """Fit blocks together, with their priors."""
         frees = tuple(free for block in blocks for free in block.frees)
@@ -396,9 +383,13 @@ class Stepwise:
             Nuisance(free.effect, free, centre, PRIOR_TYPICALS * free.parameter.typical)
             for free, centre in zip(frees, centres, strict=True)
         ]
-        found = Fitter(self.predictor, whitener, priors).fit((), start, turns)
-        fit = Fit(frees, (), found.values, found.residual, found.jacobian, found.markers)
-        free = fit.jacobian[:, ~_pressed(fit)]
+        made = Fitter(self.predictor, whitener, priors).fit((), start, steps)
+        fit = Fit(frees, (), made.values, made.residual, made.jacobian, made.markers)
+        low = np.array([free.parameter.low for free in frees])
+        high = np.array([free.parameter.high for free in frees])
+        slope = fit.jacobian.T @ fit.residual
+        pressed = (fit.values <= low) & (slope > 0.0) | (fit.values >= high) & (slope < 0.0)
+        free = fit.jacobian[:, ~pressed]
         errors = left_out_errors(fit.residual, free, whitener, self.dataset.groups)
         return State(blocks, fit, whitener, errors, joined)
 
@@ -406,7 +397,7 @@ class Stepwise:
         """Fit blocks together; None where the arm has no equilibrium there. See `state`."""
         try:
             return self.state(*arguments)
-        except (ArithmeticError, np.linalg.LinAlgError):
+        except FAILURES:
             return None
 
     def weights(self, markers: Floats, held: Held) -> Whitener:
@@ -426,23 +417,3 @@ class Stepwise:
         """Return the description with what a state has fitted."""
         robot = changed_robot(self.robot, self.catalogue, state.effects, self.dataset)
         return arm_with(robot, state.fit.point)
-
-
-def _pressed(fit: Fit) -> npt.NDArray[np.bool_]:
-    """Tell which parameters (q,) stand at a bound that they would pass."""
-    low = np.array([free.parameter.low for free in fit.frees])
-    high = np.array([free.parameter.high for free in fit.frees])
-    slope = fit.jacobian.T @ fit.residual
-    return np.asarray(
-        ((fit.values <= low) & (slope > 0.0)) | ((fit.values >= high) & (slope < 0.0))
-    )
-
-
-def _noise(dataset: DataSet, slopes: Floats) -> Noise:
-    noise = estimate_noise(dataset, slopes)
-    if noise is None:
-        raise InputError(
-            f'{dataset.name}: one trial per posture and no position_noise in dataset.yaml: '
-            'repeat the postures, or declare the noise of the tracker'
-        )
-    return noise

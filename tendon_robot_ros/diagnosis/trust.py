@@ -21,13 +21,15 @@ from ..effects import load_catalogue
 from ..robot import Robot
 from .candidates import Candidate
 from .fit import Fit
-from .select import gather, is_alarming
+from .fitter import FAILURES
+from .intervals import QUANTILE
+from .select import gather
 from .session import Session
-from .verdict import ALARM_LEVEL
+from .verdict import ALARM_LEVEL, is_alarming
 
 Floats = npt.NDArray[np.float64]
-SECONDS = 50.0  # [s] of simulations
-DETECTED_SHARE = 0.8  # share of cases in which such a size raises the alarm
+SECONDS = 50.0  # [s] of simulations, so that a report with them takes a minute
+DETECTED_SHARE = 0.8  # [1] power of a test, as is usual (Cohen 1988)
 
 
 @dataclass(frozen=True)
@@ -70,28 +72,20 @@ def _size(session: Session, base: Fit, free: FreeParameter, length: float) -> fl
     start = base.point.get(free, session.predictor.value(free))
     side = 1.0 if start + size <= parameter.high else -1.0
     for _ in range(8):
-        change = _change(session, base, free, start + side * size)
-        if change is None or change <= 0.0:
+        markers = session.predictor.markers({**base.point, free: start + side * size})
+        if markers is None:
+            return None
+        try:  # after the tolerances took up their part
+            change = float(np.sqrt(session.mimic(markers, (), base.point, base).chi2))
+        except FAILURES:
+            return None
+        if change <= 0.0:
             return None
         ratio = length / change
         size *= float(np.clip(ratio, 0.1, 10.0))
         if abs(ratio - 1.0) < 0.02:
             break
     return size if parameter.low <= start + side * size <= parameter.high else None
-
-
-def _change(session: Session, base: Fit, free: FreeParameter, value: float) -> float | None:
-    """Length of the whitened change of the markers, after the tolerances took up their part."""
-    markers = session.predictor.markers({**base.point, free: value})
-    if markers is None:
-        return None
-    if not session.nuisances and base.built is None:
-        change = session.whitener.white(markers - base.markers)
-        return float(np.linalg.norm(change))
-    try:
-        return float(np.sqrt(session.mimic(markers, (), base.point, base).chi2))
-    except (ArithmeticError, np.linalg.LinAlgError):
-        return None
 
 
 @cache
@@ -107,9 +101,6 @@ def noncentrality(freedom: int, alpha: float) -> float:
         low, high = (middle, high) if power < DETECTED_SHARE else (low, middle)
     return high**2
 
-
-# -----------------------------------------------------------------------------
-# How far to trust a diagnosis: its alarm rate and what it can see, on the user's own postures.
 
 Task = tuple[int, FreeParameter | None, float]  # seed, hidden parameter and its size
 
@@ -183,7 +174,6 @@ def assess(
     if session.predictor.markers({}) is None or not session.weigh({}):
         return None
     evidence = gather(session)
-    assert session.noise is not None
     seen = smallest_sizes(session, evidence.base, [r.candidate for r in evidence.singles])
     hidden = [one for one in seen if one.size is not None]
     clean: list[Task] = [(seed, None, 0.0) for seed in range(runs)]
@@ -273,7 +263,7 @@ def wilson(hits: int, runs: int) -> tuple[float, float]:
     """Return the 95 % interval of a rate."""
     if runs == 0:
         return 0.0, 1.0
-    z2, share = 1.96**2, hits / runs
+    z2, share = QUANTILE**2, hits / runs
     centre = (share + z2 / (2 * runs)) / (1.0 + z2 / runs)
     half = np.sqrt(z2 * (share * (1.0 - share) / runs + z2 / (4 * runs**2))) / (1.0 + z2 / runs)
     return max(float(centre - half), 0.0), min(float(centre + half), 1.0)

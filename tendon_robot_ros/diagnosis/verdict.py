@@ -1,68 +1,58 @@
 """
-The thresholds by which a verdict is found, and the one table of what a verdict is.
+The rule by which a verdict is reached: thresholds, gates, and the table of the verdicts.
 
-`diagnose` decides by them. What belongs to one test alone stands beside it: readings that others
-contradict in comparison/outliers.py, the noise of trials in comparison/noise.py, drift in
-monitoring/watch.py.
-
-Nothing else decides what is said of a data set; the reports, the monitor and the live page read
-what is said from here.
+`decide` looks at nothing but the evidence. Nothing else decides what is said of a data set; the
+reports, the monitor and the live page read what is said from here. What belongs to one test alone
+stands beside it: contradicted readings in comparison/outliers.py, the noise of trials in
+comparison/noise.py, drift in monitoring/watch.py.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from enum import StrEnum
+from typing import Protocol
 
-TESTED_FROM_CHI2 = 1.0  # whitened squared change by a typical size that counts as tested
-ALARM_LEVEL = 0.005  # of the omnibus alarm, of the best candidate's and of a pattern's, each
-MISFIT_ALARM_LEVEL = 1e-4  # of the omnibus alarm of an arm as built, whose scatter is estimated
-P_SINGLE_MIN = 0.001  # p-value above which one effect is adequate
-P_SEVERAL_MIN = 0.01  # and several together
-APART_FROM_SCORE = 9.21  # chi² + 2 k within which candidates cannot be told apart
-SAME_WITHIN_CHI2 = 0.5  # chi² below which two predictions are the same
-NEAR_SCORE = 60.0  # chi² + 2 k beyond the best from which a candidate is out of the race
-TIE_WITHIN_SCORE = 0.5  # chi² + 2 k below which the order of the catalogue decides
-EFFECTS_MAX = 3  # effects in a combination
-PAIRED_MAX = 7  # best single effects whose pairs are tried
-FIRST_STEP_GAIN_MIN = 5.0  # in deviance at a first step that makes a further effect worth a fit
-STRAY_SD_MAX = 3.0  # declared sd that a quantity may move
-LEFT_OUT_SHARE_MAX = 0.95  # of the left-out error, from which imperfections are written as well
-CORRELATED_FROM = 0.98  # between two parameters: their values are not told apart
-POSTURES_MIN = 3  # measured postures from which anything is judged
-POSTURES_ENOUGH = 6  # below which it is said that they are few
-COVERED_SHARE_MIN = 0.9  # of the arm that markers reach, below which that is said
-NOISE_FACTOR_MAX = 2.0  # from the declared noise to that of the trials, beyond which it is said
-ODD_FROM_FLOORS = 10.0  # noise floors of error from which a mistake of the set-up is looked for
-FRAME_TURNED_MIN_DEG = 10.0  # by which the frame of the tracker is turned in a mistake
-FRAME_OFF_SHARE_MIN = 0.1  # of the length of the arm, by which it is shifted in one
-GROSS_FROM_FLOORS = 20.0  # and from which the frame of the tracker may be far off
-FRAME_HARDLY_KNOWN_RAD = 0.017  # tolerance of its rotation from which the model has found it
-FRAME_LEVEL_RAD = 0.05  # below which only the turn about the vertical was found so
-ERROR_SHARE_LEFT_MAX = 0.1  # of the error, that a mistake may leave
-QUIET_WITHIN_FLOORS = 5.0  # of error that the best effect leaves: no mistake is looked for
-EXPLAINED_WITHIN_FLOORS = 8.0  # or so many noise floors, if that is more
-ERROR_SHARE_LEFT_LIMIT = 0.3  # of the error, that it may leave in any case
-PLAIN_WITHIN_FLOORS = (
-    1.2  # floors of an arm built as usual; a mistake that leaves more is no proof
-)
-PARTLY_LEFT_MAX = 0.6  # of the error, that a mistake may leave where effects are at work as well
-PARTLY_TRIED_MAX = 3  # such mistakes without which the measurements are judged again
-STIFFNESS_FACTOR_MAX = 1.9  # by which a value may be off: two is a mistake, told to 5 %
-MISTAKE_HANDICAP = 6.0  # of score against effects: some twenty ways of miscounting are tried
-AS_GOOD_WITHIN = 1.3  # times the least error left: then the plainest mistake is said
-CUT_AS_GOOD_WITHIN = 1.05  # the same of a number of cells where markers were cut at the tip
-STILL_SHARE_MAX = 0.05  # of the way that a marker should go, below which it is frozen
-STILL_FROM_FLOORS = 10.0  # noise floors that it should go by at least to be called so
-NOISE_WITHIN_FLOORS = 1.25  # noise floors up to which what is left equals the repeatability
-PATTERN_SHARE_MIN = 0.33  # of the excess in deviance that a pattern takes to be told of
-SEPARABLE_FROM_SD = 2.0  # sd of a mean that predictions must differ to be worth a measurement
-FALSE_OUT_OF_LINE_PROBABILITY = 0.05  # that any member of a healthy arm is called out of line
-TOLD_SPAN_MAX = 30.0  # upper over lower end of the interval of a plausible scatter that is told
-FALSE_DISCOVERY_RATE = 0.05  # among the places at which the best model is said to be wrong
-LOCAL_FAULTS_MAX = 8  # places that are named
-LOCAL_BEND_MAX_RAD = 0.5  # that one cell may be kinked by to be called so
-LOCAL_CHANGE_MAX = 3.0  # relative, of the stiffness of one cell, by slopes
-LOCAL_SHARE_MIN = 0.02  # of what a fault does, that a fit must not be able to do as well
+# Significance and likelihood
+SIGNIFICANCE = 0.05  # [1] 1 of 20 by chance: of 95 % intervals, and of what is named
+FALSE_DISCOVERY_RATE = SIGNIFICANCE  # among the places at which the best model is said to be wrong
+ALARM_LEVEL = 0.005  # [1] p-value of every alarm, so that measurements of a true model raise few
+# [1] p-value of the misfit of an arm as built; lower because its scatter is estimated as well
+MISFIT_ALARM_LEVEL = 1e-4
+P_SINGLE_MIN = 0.001  # [1] p-value of one effect: the true one falls below in 1 of 1000
+P_SEVERAL_MIN = 0.01  # [1] p-value of several; stricter because two imitate more than one does
+# [1] of deviance + 2 k: chi² with two degrees of freedom exceeds it by chance in 1 of 100
+APART_FROM_SCORE = 9.21
+NEAR_SCORE = 60.0  # [1] of deviance + 2 k behind the best: docs/diagnosis.md
+TIE_SCORE = 0.5  # [1] of deviance + 2 k: below it twins would be ordered by rounding
+EFFECTS_MAX = 3  # [1] together, because more of them fit any dozen of postures
+BEST_FEW = 3  # [1] of an order by a cheap estimate that are fitted, because the estimate may err
+STRAY_SD_MAX = 3.0  # [1] declared sd that a quantity may move; 1 of 370 by chance
+CORRELATED_FROM = 0.98  # [1] correlation of two values; else an interval would be 5 times as wide
+# [1] ratio of the errors left out from which the arm as found is written: docs/diagnosis.md
+LEFT_OUT_RATIO_MAX = 0.95
+
+SAME_ERROR_RATIO = 1.25  # [1] of errors that count as equal, because floors are estimates
+
+# Mistakes of the set-up, and measurements that do not suffice: docs/diagnosis.md
+POSTURES_MIN = 3  # [1] because nearly every effect explains two
+POSTURES_ENOUGH = 6  # [1] because different causes look alike in fewer
+COVERAGE_MIN = 0.9  # [1] of the arm that markers reach, else what is beyond would pass as seen
+ODD_FROM_FLOORS = 10.0  # [1] noise floors of error that call for a mistake: docs/diagnosis.md
+QUIET_FLOORS = 5.0  # [1] noise floors that an explanation may leave: docs/diagnosis.md
+ERROR_LEFT_USUAL = 0.1  # [1] of the error that a mistake may leave, because no arm is exact
+ERROR_LEFT_MAX = 0.3  # [1] of the error that a mistake may leave in any case: docs/diagnosis.md
+PARTLY_LEFT_MAX = 0.6  # [1] of it where effects are at work as well: docs/diagnosis.md
+PLAIN_FLOORS = 1.2  # [1] floors of an arm built as usual, else it is no proof: docs/diagnosis.md
+MISTAKEN_RATIO_MIN = 1.9  # [1] because a ratio of two, told to 5 %, is a mistake and no tolerance
+MISTAKE_HANDICAP = 6.0  # [1] of score: 2 log 20, because some twenty mistakes are tried
+
+# What is said beside the verdict
+PATTERN_GAIN_MIN = 0.33  # [1] of the excess in chi², else the pattern would be a minor part
+SEPARABLE_FROM_SD = 2.0  # [1] of a mean, else one more posture would hardly tell two effects
+
+
 ADD = 'Add it to the robot description: `{command} --add better.yaml`'
 CLICK_3 = 'Found. Click 3: the model gets the effect while the arm goes on.'
 
@@ -170,3 +160,258 @@ class Verdict(StrEnum):
         False,
         False,
     )
+
+
+class Hypothesis(Protocol):
+    """What the rule looks at of effects that were fitted."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Effects."""
+
+    @property
+    def present(self) -> bool:
+        """Whether the description has them already."""
+
+    @property
+    def probability(self) -> float:
+        """Chance of so large a misfit if it is the truth."""
+
+    @property
+    def score(self) -> float:
+        """Deviance plus twice the number of parameters."""
+
+    @property
+    def misfit(self) -> float:
+        """Chi² over its degrees of freedom."""
+
+
+class Rival(Protocol):
+    """What the rule looks at of a cause from outside the catalogue."""
+
+    @property
+    def everywhere(self) -> bool:
+        """Whether it is the same in every posture."""
+
+    @property
+    def score(self) -> float:
+        """Deviance plus twice the number of parameters."""
+
+    def gain_p_value(self, deviance: float) -> float:
+        """Chance of so much gain over a deviance without it."""
+
+
+class Described(Protocol):
+    """What the rule looks at of the description as it stands."""
+
+    @property
+    def as_built(self) -> bool:
+        """Whether imperfections of the arm are estimated."""
+
+    @property
+    def deviance(self) -> float:
+        """Of the measurements."""
+
+    @property
+    def prior_z(self) -> Mapping[str, float]:
+        """How many of its declared sd each quantity moved."""
+
+    def probability(self, noise_freedom: float) -> float:
+        """Chance of so large a misfit if it is the truth."""
+
+
+class Weighing[H](Protocol):
+    """How hypotheses compare."""
+
+    @property
+    def freedom(self) -> float:
+        """Degrees of freedom behind the noise."""
+
+    @property
+    def brief(self) -> bool:
+        """Whether nobody asks what remains where no effect explains the data."""
+
+    def holds(self, ranked: H) -> bool:
+        """Tell whether several effects are adequate, on left-out postures as well."""
+
+    def best(self, ranked: Sequence[H]) -> H:
+        """Return the best by score; within a tie the first of the catalogue."""
+
+    def contains(self, large: H, small: H) -> bool:
+        """Tell whether a candidate can predict just what a smaller one predicts."""
+
+    def twin_of(self, quantity: str) -> str | None:
+        """Return the effect that does what a declared quantity does."""
+
+
+class Facts[H, R](Protocol):
+    """What is known of a data set; what takes long is worked out when it is asked for."""
+
+    @property
+    def session(self) -> Weighing[H]:
+        """How hypotheses compare."""
+
+    @property
+    def base(self) -> Described:
+        """The description as it stands."""
+
+    @property
+    def singles(self) -> Sequence[H]:
+        """Single effects."""
+
+    @property
+    def best(self) -> H | None:
+        """The best of them."""
+
+    @property
+    def patterns(self) -> Sequence[R]:
+        """Causes from outside."""
+
+    def rivals(self, score: float) -> Sequence[R]:
+        """Causes from outside, except those far behind a score."""
+
+    def stands_out(self, ranked: H) -> bool:
+        """Tell whether it gains more than the best of all would by chance."""
+
+    def is_there(self, ranked: H, scale: float = 1.0) -> bool:
+        """Tell whether each of its effects is other than described."""
+
+    def joined(self, best: H) -> H | None:
+        """Join further effects while each gains more than chance; None where one is enough."""
+
+    def combined(self) -> tuple[Facts[H, R], H | None]:
+        """Return the best combination, and the facts weighed at it."""
+
+
+@dataclass(frozen=True)
+class Conclusion[H, R]:
+    """A verdict and what it rests on."""
+
+    verdict: Verdict
+    chosen: H | None = None  # effects to add
+    together: tuple[str, ...] = ()  # names that cannot be told apart
+    strays: tuple[str, ...] = ()  # declared quantities that moved too far
+    alike: tuple[H, ...] = ()  # hypotheses that another posture may separate
+    rival: R | None = None  # the cause from outside that won
+    scale: float = 1.0  # chi² over freedom of the best, where nothing is adequate
+
+
+def is_alarming[H, R: Rival](facts: Facts[H, R]) -> bool:
+    """Tell whether the description is off: as a whole, beyond a tolerance, or one cause gains."""
+    level = MISFIT_ALARM_LEVEL if facts.base.as_built else ALARM_LEVEL
+    return (
+        facts.base.probability(facts.session.freedom) < level
+        or any(abs(z) > STRAY_SD_MAX for z in facts.base.prior_z.values())
+        or (facts.base.as_built and outside_by_itself(facts) is not None)
+        or any(facts.stands_out(ranked) for ranked in facts.singles)
+    )
+
+
+def outside_by_itself[H, R: Rival](facts: Facts[H, R]) -> R | None:
+    """Return the cause from outside that gains more than chance would over no effect, if any."""
+    likely = [
+        rival
+        for rival in facts.patterns
+        if rival.everywhere and rival.gain_p_value(facts.base.deviance) < ALARM_LEVEL
+    ]
+    return min(likely, key=lambda rival: rival.score, default=None)
+
+
+def decide[H: Hypothesis, R: Rival](facts: Facts[H, R]) -> tuple[Facts[H, R], Conclusion[H, R]]:
+    """
+    Say what explains the error: nothing, one effect, a class, several, or no effect at all.
+
+    Returns
+    -------
+    facts
+        Those that the decision rests on: a combination weighs the measurements anew.
+    decision : Conclusion
+
+    """
+    if not is_alarming(facts):
+        return facts, Conclusion(Verdict.ADEQUATE)
+    group = [r for r in indistinct(facts.session, facts.singles) if facts.is_there(r)]
+    if group:
+        rival = _competing(facts.rivals(group[0].score), group[0].score)
+        if rival is None and facts.base.as_built and not facts.stands_out(group[0]):
+            alone = outside_by_itself(facts)  # what raised the alarm, the effect would not have
+            rival = alone if alone is not None and alone.score < group[0].score else None
+        if rival is not None:
+            return facts, _outside(facts, group[0], rival)
+        more = facts.joined(group[0]) if facts.base.as_built else None
+        if more is not None and facts.is_there(more):
+            return facts, Conclusion(Verdict.SEVERAL, more)
+        return facts, _named(facts, group)
+    facts, combined = facts.combined()
+    holds = combined is not None and facts.session.holds(combined) and facts.is_there(combined)
+    scores = [r.score for r in (combined, facts.best) if r is not None]
+    rival = None
+    if scores and (holds or not facts.session.brief):
+        rival = _competing(facts.rivals(min(scores)), min(scores))
+    if combined is not None and holds and rival is None:
+        return facts, Conclusion(Verdict.SEVERAL, combined)
+    return facts, _outside(facts, facts.best, rival)
+
+
+def indistinct[H: Hypothesis](session: Weighing[H], ranked: Sequence[H]) -> list[H]:
+    """
+    Return the adequate single effects that cannot be told apart, the best first.
+
+    Those within `APART_FROM_SCORE` of the best; a larger candidate that contains a smaller one of
+    the class drops out; among ties the first of the catalogue is best.
+    """
+    adequate = [r for r in ranked if r.probability > P_SINGLE_MIN]
+    if not adequate:
+        return []
+    top = min(r.score for r in adequate)
+    near = [r for r in adequate if r.score <= top + APART_FROM_SCORE]
+    kept = [
+        r for r in near if not any(small is not r and session.contains(r, small) for small in near)
+    ]
+    best = session.best(kept)
+    return sorted(kept, key=lambda r: r is not best)
+
+
+def _competing[R: Rival](rivals: Sequence[R], score: float) -> R | None:
+    """Return the cause from outside that beats a score by more than chance would, if any."""
+    top = min(rivals, key=lambda rival: rival.score, default=None)
+    return top if top is not None and top.score < score - APART_FROM_SCORE else None
+
+
+def _named[H: Hypothesis, R](facts: Facts[H, R], group: Sequence[H]) -> Conclusion[H, R]:
+    """Decide for a class of adequate single effects, best first."""
+    best, names = group[0], [r.names[0] for r in group]
+    twins = {quantity: facts.session.twin_of(quantity) for quantity in facts.base.prior_z}
+    strays = tuple(
+        quantity
+        for quantity, z in facts.base.prior_z.items()
+        if abs(z) > STRAY_SD_MAX and twins[quantity] in names
+    )
+    if strays or all(r.present for r in group):
+        verdict = Verdict.WRONG_PARAMETER
+    else:
+        verdict = Verdict.MISSING_EFFECT if len(group) == 1 else Verdict.AMBIGUOUS
+    if strays:  # the declared quantity is what moved: its twin is what to add
+        best = next(r for r in group if r.names[0] == twins[strays[0]])
+    several = len(group) > 1
+    together = tuple(names) if several or strays else ()
+    return Conclusion(verdict, best, together, strays, tuple(group) if several else ())
+
+
+def _outside[H: Hypothesis, R](
+    facts: Facts[H, R], best: H | None, rival: R | None
+) -> Conclusion[H, R]:
+    """Nothing in the catalogue is adequate, or something simpler outside it is better."""
+    if best is None:
+        return Conclusion(Verdict.OUTSIDE_CATALOGUE, rival=rival)
+    scale = max(1.0, best.misfit)
+    apart = APART_FROM_SCORE * scale
+    if not (best.score < facts.base.deviance - apart and facts.is_there(best, scale)):
+        return Conclusion(Verdict.OUTSIDE_CATALOGUE, rival=rival, scale=scale)
+    near = [
+        ' + '.join(r.names)
+        for r in facts.singles
+        if r.score <= best.score + apart and r is not best
+    ]
+    together = (' + '.join(best.names), *near) if near else ()
+    return Conclusion(Verdict.OUTSIDE_CATALOGUE, best, together, rival=rival, scale=scale)

@@ -17,8 +17,8 @@ from ..diagnosis.add import Addition
 from ..diagnosis.crossval import share_gone
 from ..diagnosis.result import Diagnosis, NextMeasurement
 from ..diagnosis.verdict import (
-    NOISE_WITHIN_FLOORS,
     P_SINGLE_MIN,
+    SAME_ERROR_RATIO,
     SEPARABLE_FROM_SD,
     Verdict,
 )
@@ -191,7 +191,7 @@ def what_remains(diagnosis: Diagnosis) -> str:
     floor = diagnosis.noise_floor
     if not diagnosis.effects:
         size = f'{digits(diagnosis.error_before / floor)} times the noise'
-        if diagnosis.error_before < NOISE_WITHIN_FLOORS * floor:
+        if diagnosis.error_before < SAME_ERROR_RATIO * floor:
             size = f'not random, though it is only {size}'
         return f'no effect of the catalogue helps; the error is {size}'
     best = next((row for row in diagnosis.candidates if row.status == 'best'), None)
@@ -209,7 +209,7 @@ def what_remains(diagnosis: Diagnosis) -> str:
         p = best.probability
         sure = ' (p < 1e-6)' if p < 1e-6 else f' (p = {digits(p, 1)})'
     size = f'{digits(after / floor)} times the noise'
-    if after < NOISE_WITHIN_FLOORS * floor:
+    if after < SAME_ERROR_RATIO * floor:
         return f'{text}what remains is not random{sure}, though it is only {size}'
     return f'{text}what remains is {size}{sure}'
 
