@@ -26,6 +26,14 @@ def short(value: object) -> str:
     return _SHORT.repr(value)
 
 
+REASON_MAX = 200  # [1] characters of what a parser says, so that a message stays one line
+
+
+def reason_of(error: BaseException) -> str:
+    """Return on one line what a parser says, or the kind of its error where it says nothing."""
+    return ' '.join(str(error).split())[:REASON_MAX] or type(error).__name__
+
+
 class TendonRobotError(Exception):
     """Base of every error that the command line prints as one line."""
 

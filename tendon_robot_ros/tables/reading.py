@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..common.errors import DataSetError, MissingExtraError, short
+from ..common.errors import DataSetError, MissingExtraError, reason_of, short
 from ..common.files import TABLE_ENDINGS, TEXT_ENDINGS
 from ..common.results import pandas
 from ..common.words import find_unit, listing
@@ -52,7 +52,6 @@ MAKERS_OWN = {
 # of a .c3d file: the axis that points up on the screen, as it is written
 UP_OF_SCREEN = {axis.upper(): axis for axis in ('x', 'y', 'z', '-x', '-y', '-z')}
 UP_OF_SCREEN |= {f'+{axis}': axis.lower() for axis in 'XYZ'}
-REASON_MAX = 160  # [1] letters of what a parser says, so that a message stays one line
 BYTES_MAX = 1_000_000_000  # [1] bytes, so that a file and its numbers fit into memory
 HEAD = 1 << 16  # [1] bytes that show what kind of file it is, because no header is longer
 SAMPLE = 200  # [1] rows of a part that tell header from data, because no header is longer
@@ -96,8 +95,8 @@ def read_tables(path: str | Path) -> list[RawTable]:
         except ImportError:
             raise MissingExtraError('pyarrow', 'tables') from None
         except Exception as error:  # a damaged file can fail anywhere in the parser
-            why = ' '.join(str(error).split())[:REASON_MAX]
-            raise DataSetError(shown, f'is no Parquet file ({why})', 'export it again') from None
+            problem = f'is no Parquet file ({reason_of(error)})'
+            raise DataSetError(shown, problem, 'export it again') from None
         return [table_of(shown, frame, {}, None, ())]
     if ending == '.c3d':
         return [read_c3d(shown, path)]
@@ -234,8 +233,8 @@ def _read_part(
             nrows=rows,
         )
     except (ValueError, OSError) as error:  # ParserError is a ValueError
-        reason = ' '.join(str(error).split())[:REASON_MAX]
-        raise DataSetError(shown, f'cannot be read ({reason})', 'export it again') from None
+        problem = f'cannot be read ({reason_of(error)})'
+        raise DataSetError(shown, problem, 'export it again') from None
     if rows is not None:
         notes = (*notes, f'the last row, {part.line + rows + 1}, is cut short: left out')
     blank = [name for name in frame.columns if name.startswith('column ')]
@@ -362,8 +361,8 @@ def read_c3d(shown: str, path: Path) -> RawTable:
     try:
         content = ezc3d.c3d(str(path))
     except Exception as error:  # a damaged file can fail anywhere in the parser
-        reason = ' '.join(str(error).split())[:REASON_MAX]
-        raise DataSetError(shown, f'is no .c3d file ({reason})', 'export it again') from None
+        problem = f'is no .c3d file ({reason_of(error)})'
+        raise DataSetError(shown, problem, 'export it again') from None
     points = content['data']['points']  # (4, J, F)
     rate, count = _value(content, 'POINT', 'RATE', 0.0), points.shape[2]
     if not points.shape[1] or not count or rate <= 0.0:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ...common.errors import DataSetError
+from ...common.errors import DataSetError, reason_of
 from ...common.rotations import from_quaternion
 from ...common.words import PROGRAM, listing
 from ..arrays import NO_ROTATION
@@ -148,9 +148,10 @@ def opened(path: str | Path) -> Iterator[Any]:
     except DataSetError:
         raise
     except Exception as error:  # a damaged file can fail anywhere in the parser
-        reason = ' '.join(str(error).split())[:200] or type(error).__name__
         raise DataSetError(
-            str(path), f'cannot be read ({reason})', 'repair it (mcap recover) or record it again'
+            str(path),
+            f'cannot be read ({reason_of(error)})',
+            'repair it (mcap recover) or record it again',
         ) from None
 
 
