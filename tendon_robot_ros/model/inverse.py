@@ -226,7 +226,9 @@ class _Search:
             cost, state = seek(task, 0.1 * SEEKING_WIDTH, inputs, state, self.model.limits)
         else:
             for weight in RELAXING_WEIGHTS:
-                cost, state = aim(task, GAIN_MIN, inputs, state, self.model.limits, weight)
+                cost, state = aim(
+                    task, GAIN_MIN, inputs, state, self.model.limits, task.tension(weight)
+                )
         made = TriedTensions(cost, inputs, state)
         return made if cost < best.cost and self._converged(made) else best
 
@@ -284,9 +286,10 @@ class _Search:
                 return one.cost
             return task.worth(one.cost + task.above_lowest(weight, one.inputs), one.inputs)
 
-        search: Aim = partial(aim, task, GAIN_MIN, priced=True)
+        tension = task.tension(weight, priced=True)
+        search: Aim = partial(aim, task, GAIN_MIN, tension=tension)
         if self.policy.frugal:
-            search = partial(aim_frugally, task, weight, TRIALS_MAX, priced=True)
+            search = partial(aim_frugally, task, tension, TRIALS_MAX)
         inputs = start.inputs.copy()
         cost, state = search(inputs, start.state, self.limits)
         if task.by_pulls:  # of the wires that pull there

@@ -67,10 +67,9 @@ def aim(
     inputs: Floats,
     bend: Floats,
     limits: Floats,
-    weight: float = LOW_TENSION_WEIGHT,
+    tension: Floats | None = None,
     cost_max: float = np.inf,
     trials: int = TRIALS_MAX,
-    priced: bool = False,
 ) -> tuple[float, Floats]:
     """
     Improve inputs in place, from equilibrium to equilibrium; return the cost [m²] and the bends.
@@ -82,36 +81,31 @@ def aim(
     inputs, bend : (m,) [N] and (3n,) [rad]
         Where the search starts.
     limits : (m, 2) [N]
-    weight : float
-        Of tensions above their lowest [1], in units of `TipTask.per_newton`.
+    tension : (4,), optional
+        What it costs (`TipTask.tension`); default: so little that it decides between equal tips.
     cost_max : float
         A start that costs more stays as it is [m²].
     trials : int
         Equilibria that may be tried.
-    priced : bool
-        To what a target beyond reach is worth, see `TipTask.worth`.
 
     """
     bends = np.array([bend, bend])
     begin, end = _kernel_arguments(task, inputs, bends, limits)
-    tension = task.tension(weight, priced)
+    tension = task.tension(LOW_TENSION_WEIGHT) if tension is None else tension
     search = task.model.arrays.part('inverse').aim
     return float(search(*begin, tension, trials, gain_min, cost_max, *end)), bends[0]
 
 
 def aim_frugally(
     task: TipTask,
-    weight: float,
+    tension: Floats,
     trials: int,
     inputs: Floats,
     bend: Floats,
     limits: Floats,
-    priced: bool = False,
 ) -> tuple[float, Floats]:
     """Improve inputs in place with tension that counts; return the plain cost [m²] and bends."""
-    bends = aim(
-        task, TRACKING_GAIN_MIN, inputs, bend, limits, weight, trials=trials, priced=priced
-    )[1]
+    bends = aim(task, TRACKING_GAIN_MIN, inputs, bend, limits, tension, trials=trials)[1]
     return cost_there(task, inputs, bends, limits)
 
 
@@ -205,7 +199,7 @@ def starts_of(task: TipTask, policy: Policy, reports: bool) -> Iterator[Start]:
         trials = TRIALS_MAX if not model.remembers else REMEMBERING_TRIALS_MAX
         trials = STICKING_TRIALS_MAX if model.sticks else trials
         track = partial(aim, task, TRACKING_GAIN_MIN, trials=trials)
-        frugal = partial(aim_frugally, task, policy.tension_weight, trials)
+        frugal = partial(aim_frugally, task, task.tension(policy.tension_weight), trials)
         far = model.sticks and task.cost(guess) >= far_cost(task)
         if not far and (model.sticks or not policy.frugal):
             yield track, here.copy(), guess.state

@@ -220,7 +220,7 @@ class TipTask:
         low, high = self.model.limits.T
         return float((high - low).mean())
 
-    def tension(self, weight: float, priced: bool) -> Floats:
+    def tension(self, weight: float, priced: bool = False) -> Floats:
         """
         Return what tension costs in a search (4,), see `aim` of the kernel.
 
