@@ -308,7 +308,12 @@ def confusion_figure(rows: Sequence[CaseRow]) -> Figure:
     }
     layout = {
         'xaxis': {'tickangle': -60, 'type': 'category'},
-        'yaxis': titled('hidden', autorange='reversed', type='category'),
+        # a little off, so that the title does not lie on long names
+        'yaxis': {
+            'title': {'text': 'hidden', 'standoff': 8},
+            'autorange': 'reversed',
+            'type': 'category',
+        },
     }
     caption = 'cases; a class of effects that cannot be told apart counts as the hidden member'
     title = 'What was said (columns) of what was hidden (rows)'
