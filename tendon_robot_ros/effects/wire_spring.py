@@ -13,8 +13,8 @@ EFFECT = Effect(
     title='the wires end in springs',
     stage='winding',
     law=law,
-    # wire in the spring, in radii, at the tension that bends the arm by a radian: at most 30, because
-    # springs may be far softer than the arm
+    # wire in the spring, in radii, at the tension that bends the arm by a radian: at most 30,
+    # because springs may be far softer than the arm
     parameters=(
         Parameter('compliance', 'm/N', 0.0, 30.0, 0.0, typical=0.05, of='give', per_tendon=True),
     ),
