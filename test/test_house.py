@@ -1,4 +1,4 @@
-"""The style that no tool checks: short functions, one place for verdicts, no private machine."""
+"""The style that no tool checks: short functions, numbers with reasons, no private machine."""
 
 import ast
 import functools
@@ -48,6 +48,53 @@ def test_functions_are_short():
 
 def test_every_exception_is_still_needed():
     assert sorted(set(LONGER) - too_long()) == []
+
+
+UNIT = re.compile(r'\[[^\[\]]+\]')
+# what a comment says of a number: a source, or what another value would do
+REASON = re.compile(
+    r'because|so that|measured|else |would|by chance|probab|p-value|significance|1 of '
+    r'|manual|datasheet|docs/|eq\.|Kato|(?:19|20)\d\d',
+    re.I,
+)
+TABLE = 6  # [1] numbers; a dictionary or call with more is a table, whose source stands at its head
+
+
+def numbers(path):
+    """Yield line, name and comment of every number that a module names: beside it or above it."""
+    lines = (ROOT / path).read_text(encoding='utf-8').split('\n')
+    for node in parse(path).body:
+        if not isinstance(node, ast.Assign | ast.AnnAssign) or node.value is None:
+            continue
+        target = node.targets[0] if isinstance(node, ast.Assign) else node.target
+        named = target.elts if isinstance(target, ast.Tuple) else [target]
+        names = [n.id for n in named if isinstance(n, ast.Name) and n.id.lstrip('_').isupper()]
+        values = [
+            n.value
+            for n in ast.walk(node.value)
+            if isinstance(n, ast.Constant)
+            and isinstance(n.value, int | float)
+            and not isinstance(n.value, bool)
+        ]
+        table = isinstance(node.value, ast.Dict | ast.Call) and len(values) > TABLE
+        if names and values and not table:
+            first = node.lineno - 1
+            while lines[first - 1].startswith('#'):
+                first -= 1
+            block = lines[first : node.end_lineno]
+            comment = ' '.join(line.partition('#')[2].strip() for line in block)
+            yield node.lineno, ', '.join(names), comment
+
+
+def test_every_number_has_a_unit_and_a_reason():
+    wrong = [
+        f'{path}:{line} {name}: its comment gives '
+        + ('no reason' if UNIT.search(comment) else 'no unit in brackets')
+        for path in files('tendon_robot_ros/*.py')
+        for line, name, comment in numbers(path)
+        if ',' in name or not UNIT.search(comment) or not REASON.search(comment)
+    ]
+    assert not wrong, '\n'.join(wrong)
 
 
 def test_a_verdict_is_named_in_its_table_only():
