@@ -57,7 +57,22 @@ REASON = re.compile(
     r'|manual|datasheet|docs/|eq\.|Kato|(?:19|20)\d\d',
     re.I,
 )
-TABLE = 6  # [1] numbers; a dictionary or call with more is a table, whose source stands at its head
+TABLE = (
+    6  # [1] numbers; a dictionary or call with more is a table, whose source stands at its head
+)
+
+
+def outside_functions(node):
+    """Yield the nodes of an expression without the bodies of its lambdas."""
+    if not isinstance(node, ast.Lambda):
+        yield node
+        for child in ast.iter_child_nodes(node):
+            yield from outside_functions(child)
+
+
+def is_number(node):
+    """Whether a node is a literal number."""
+    return isinstance(node, ast.Constant) and type(node.value) in (int, float)
 
 
 def numbers(path):
@@ -69,15 +84,10 @@ def numbers(path):
         target = node.targets[0] if isinstance(node, ast.Assign) else node.target
         named = target.elts if isinstance(target, ast.Tuple) else [target]
         names = [n.id for n in named if isinstance(n, ast.Name) and n.id.lstrip('_').isupper()]
-        values = [
-            n.value
-            for n in ast.walk(node.value)
-            if isinstance(n, ast.Constant)
-            and isinstance(n.value, int | float)
-            and not isinstance(n.value, bool)
-        ]
+        values = [n for n in outside_functions(node.value) if is_number(n)]
         table = isinstance(node.value, ast.Dict | ast.Call) and len(values) > TABLE
-        if names and values and not table:
+        # an effect declares each parameter with its unit
+        if names and values and not table and names != ['EFFECT']:
             first = node.lineno - 1
             while lines[first - 1].startswith('#'):
                 first -= 1

@@ -59,7 +59,7 @@ PACKET_GAP_S = 0.02  # [s] of silence that ends a broken packet, else it would w
 SECONDARY_OFF = 253  # [id] from which a secondary id is none: manual, address 12
 BOOT_TIME_S = 0.3  # [s] of silence after a reboot, so that a driver has to wait for it
 LOG_MAX = 200_000  # [entries] so that minutes of goals at 100 Hz are kept
-# the status return level (address 68) from which a servo answers; the others need 2: manual
+# [level] of status return (address 68) from which a servo answers; the others need 2: manual
 ANSWERS_FROM_LEVEL: dict[int, int] = {
     InstructionCode.PING: 0,
     InstructionCode.READ: 1,

@@ -126,10 +126,10 @@ class Policy:
 
 # A target that has nothing to do with where the arm is
 COLD = Policy(relax=True)
-# A motion that goes on from the guess, as a twist: from elsewhere the tensions would jump
+# [1] A motion that goes on from the guess, as a twist: from elsewhere the tensions would jump
 TRACK = Policy(starts=0)
-# Targets that follow each other closely: weights so that newtons of all tendons against each other
-# are not spent on tenths of a millimetre where tendons hardly lead the tip (docs/model.md)
+# [1] Targets that follow each other closely: weights so that newtons of all tendons against each
+# other are not spent on tenths of a millimetre where tendons hardly lead the tip (docs/model.md)
 STREAM = Policy(starts=12, relax=True, tension_weight=0.02, change_weight=0.06)
 
 

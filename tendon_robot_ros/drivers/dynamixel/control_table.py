@@ -207,7 +207,7 @@ MODELS = {
     )
 }
 MODEL_NAMES = {model.number: model.name for model in MODELS.values()}
-# model number -> name of motors without current control: manual, address 0
+# [model number] -> name of motors without current control: manual, address 0
 WITHOUT_CURRENT = {
     1060: 'XL430-W250',
     1070: 'XC430-W150',

@@ -17,7 +17,7 @@ from enum import IntEnum, IntFlag
 import numpy as np
 from numpy.typing import NDArray
 
-VERSION = 1  # of the protocol, docs/serial_protocol.md
+VERSION = 1  # [1] of the protocol, docs/serial_protocol.md
 CHANNELS_MAX = 8  # [1] a board can have: docs/serial_protocol.md, a byte has a bit for each
 CRC_BYTES = 3  # [bytes] six bits in each: docs/serial_protocol.md
 MICRO = 1e-6  # [N], [m] of one count: docs/serial_protocol.md
