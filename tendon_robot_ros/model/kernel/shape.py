@@ -317,7 +317,7 @@ def measured(robot, points):
 
 
 # [1] parts of a path at most. Measured at 288 postures of kato_10_1, spatial_3 and spatial_6: nine
-# of ten tips are within 6 µm of those of 1024 parts; with 64, in three quarters of the time, 180
+# of ten tips are within 7.4 µm of those of 1024 parts; with 64, in three quarters of the time, 180
 PARTS = 256
 # [rad] by which a part and its halves may differ. Measured at the same postures: ten times as much
 # saves 5 to 30 % of the time and moves the tips by up to 10 µm
