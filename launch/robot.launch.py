@@ -42,7 +42,7 @@ ARGUMENTS = {
     ),
 }
 CHOICES = {'respawn': ['false', 'true']}
-RESPAWN_DELAY = 2.0  # [s]
+RESPAWN_DELAY = 2.0  # [s] as between two attempts of a node to start, else it would fill the log
 # launch ends at once when it is told to with SIGTERM or killed; a node that knows its parent then
 # releases the arm and ends, too
 PARENT = {'TENDON_ROBOT_ROS_PARENT': str(os.getpid())}
