@@ -41,9 +41,8 @@ def write(path, rows, markers):
     names, values = raw_table(
         plant,
         default_postures(robot, postures),
-        lab=replace(lab, hold=stands),
+        lab=replace(lab, hold=stands, trials=trials),
         noise=SimulatedNoise(),
-        trials=trials,
         markers=markers_at(places),
     )
     write_table(path, names, values)

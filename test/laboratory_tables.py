@@ -44,9 +44,8 @@ def recorded(
     names, values = raw_table(
         plant,
         default_postures(robot, count),
-        lab=lab,
+        lab=replace(lab, trials=trials),
         noise=noise or QUIET,
-        trials=trials,
         markers=places,
     )
     return pandas.DataFrame(values, columns=names)

@@ -28,7 +28,7 @@ from ..data.measurement_files import read_inputs
 from ..effects import load_catalogue
 from ..robot import Robot, load_robot
 from ..simulation.hidden import Workmanship
-from ..simulation.measurements import SimulatedNoise, raw_table, simulate, write_table
+from ..simulation.measurements import Laboratory, SimulatedNoise, raw_table, simulate, write_table
 from ..simulation.plant import Plant, make_plant
 from ..workspace.postures import default_postures
 from .options import add_effect_files, named_numbers, numbers, progress, refuse_existing, vector
@@ -139,7 +139,7 @@ def write_tables(args: argparse.Namespace, plant: Plant) -> int:
                 plant,
                 default_postures(plant.robot, max(count // (1 + which), 1), which),
                 noise=simulated_noise(args.noise),
-                trials=args.trials,
+                lab=Laboratory(trials=args.trials),
                 seed=args.seed,
                 which=which,
                 markers=_markers(args.markers, plant.robot),

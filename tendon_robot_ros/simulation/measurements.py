@@ -182,6 +182,7 @@ class Laboratory:
     """How a recording is made."""
 
     rate: float = 50.0  # [1/s]
+    trials: int = 3  # of every posture
     hold: float = 2.0  # [s] that a posture stands, and the rest between two
     move: float = 0.5  # [s]
     turned: float = float(np.radians(30.0))  # [rad] of the tracker about the vertical
@@ -210,7 +211,6 @@ def raw_table(
     *,
     lab: Laboratory | None = None,
     noise: SimulatedNoise | None = None,
-    trials: int = 3,
     seed: int = 0,
     which: int = 0,
     markers: Sequence[Marker] | None = None,
@@ -232,8 +232,6 @@ def raw_table(
         How it is recorded.
     noise : SimulatedNoise, optional
         Of tracker and tendons, from trial to trial.
-    trials : int
-        Of every posture.
     seed : int
         Of the noise, and of the numbers of the markers.
     which : int
@@ -251,19 +249,19 @@ def raw_table(
         plant,
         np.vstack([rest, rows]),
         noise=noise,
-        trials=trials,
+        trials=lab.trials,
         seed=2 * seed + which,
         markers=markers,
         progress=progress,
     )
     places = np.array(seen.positions)  # (1 + P, Q, J, 3) [m], rest first
     for _ in range(lab.slips):
-        p, q = int(random.integers(len(rows))), int(random.integers(trials))
+        p, q = int(random.integers(len(rows))), int(random.integers(lab.trials))
         slipped = rows[p].copy()
         slipped[slipped.argmax()] *= lab.slipped
         places[p + 1, q] = plant.markers(slipped[None], seen.arc_lengths, seen.offsets)[0]
     stops = [(0, 0)]
-    for q in range(trials):
+    for q in range(lab.trials):
         for p in range(1, len(rows) + 1):
             stops += [(p, q), (0, q)]
     values = over_time([np.append(seen.inputs[p], places[p, q].ravel()) for p, q in stops], lab)
