@@ -232,8 +232,9 @@ class Motor:
             advice = 'stays off until it is enabled again'
             yield Fault('restarted', f'{who}: {words}; {advice}', True, self.names)
         if not self.answers:
-            words = talker or 'check its cable and the motor supply'
-            yield Fault('silent', f'{who}: no answer; {words}', False, self.names)
+            words = 'no answer; check its cable and the motor supply'
+            words = f'no answer; {talker}' if talker else words
+            yield Fault('silent', f'{who}: {words}', False, self.names)
         if self.tripped:
             words = 'its bus watchdog stopped it: no instruction came in time'
             yield Fault('watchdog', f'{who}: {words}', False, self.names)
