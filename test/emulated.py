@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import processes
 
 from tendon_robot_ros.drivers import make_driver
 from tendon_robot_ros.drivers.dynamixel.control_table import MODELS
@@ -172,17 +173,9 @@ def until(driver, command, wanted, seconds=SOON):
     return found[0]
 
 
-def wait(condition):
-    """Let the emulated world go on, without a word to it, until something holds."""
-    end = time.monotonic() + SOON
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
-
-
 def watchdogs_trip(line):
     """Wait until nothing that came over the bus for too long has stopped every motor."""
-    wait(lambda: all(servo.tripped for servo in line.rig.servos.values()))
+    processes.until(lambda: all(servo.tripped for servo in line.rig.servos.values()))
 
 
 def settled(driver, command):

@@ -18,7 +18,7 @@ from pathlib import Path
 from subprocess import DEVNULL, PIPE, STDOUT, CompletedProcess, TimeoutExpired
 
 __all__ = ['DEVNULL', 'PIPE', 'STDOUT', 'CompletedProcess', 'Process', 'TimeoutExpired',
-           'free_port', 'package', 'run']  # fmt: skip
+           'free_port', 'package', 'run', 'until']  # fmt: skip
 
 ROOT = Path(__file__).resolve().parents[1]
 SET_DEATH_SIGNAL, SET_SUBREAPER = 1, 36  # prctl
@@ -62,6 +62,14 @@ def run(command, timeout=PATIENCE, **settings):
     with Process(command, **settings) as process:
         out, err = process.communicate(timeout=timeout)
     return CompletedProcess(command, process.returncode, out, err)
+
+
+def until(condition, what='it', seconds=30.0):
+    """Wait until something holds."""
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, f'waited {seconds} s for {what}'
+        time.sleep(0.002)
 
 
 def free_port():

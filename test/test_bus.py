@@ -1,10 +1,10 @@
 """The thread that talks to the motors: it releases before it ends, whatever ends it."""
 
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from processes import until
 
 pytest.importorskip('rclpy')
 
@@ -59,13 +59,6 @@ def bus():
     made.activate()
     yield made
     made.close()
-
-
-def until(condition, seconds=30.0):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.002)
 
 
 def follow(bus, command=COMMAND):

@@ -6,7 +6,6 @@ import os
 import shutil
 import signal
 import sys
-import time
 
 import processes
 import pytest
@@ -44,10 +43,10 @@ def started(folder, workers, protocol='tcp', **environment):
             for which in (scheduler, [*worker, *kept])
         ]
     try:
-        end = time.monotonic() + 60.0
-        while not (told.exists() and told.read_text().rstrip().endswith('}')):  # written whole
-            assert time.monotonic() < end
-            time.sleep(0.05)
+        # written whole
+        processes.until(
+            lambda: told.exists() and told.read_text().rstrip().endswith('}'), seconds=60
+        )
         yield json.loads(told.read_text())['address'], both[0]
     finally:
         for process in reversed(both):

@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 import pytest
-from processes import run
+from processes import run, until
 
 from tendon_robot_ros.common import processes
 from tendon_robot_ros.common.errors import NoEquilibriumError
@@ -48,13 +48,6 @@ def worker():
     made = Worker()
     yield made
     made.close()
-
-
-def until(condition, what):
-    end = time.monotonic() + 20.0
-    while not condition():
-        assert time.monotonic() < end, f'waited in vain for {what}'
-        time.sleep(0.001)
 
 
 def served(worker, condition, what):

@@ -3,7 +3,6 @@
 import os
 import re
 import sys
-import time
 from pathlib import Path
 
 import processes
@@ -59,13 +58,8 @@ def test_the_demo_reaches_its_postures(tmp_path):
 def test_an_interrupted_demo_leaves_no_processes(tmp_path):
     process = demo(tmp_path)
     namespace = f'/demo_{process.pid}'
-    end = time.monotonic() + 120
-    while len(children(namespace)) < 2 and time.monotonic() < end:
-        time.sleep(0.2)
-    assert len(children(namespace)) == 2
+    processes.until(lambda: len(children(namespace)) == 2, 'both nodes', 120)
     process.kill()  # it cannot tidy up: the kernel tells its children
     process.communicate()
-    end = time.monotonic() + 60  # one that still begins hears of it when it has begun
-    while children(namespace) and time.monotonic() < end:
-        time.sleep(0.2)
-    assert children(namespace) == []
+    # one that still begins hears of it when it has begun
+    processes.until(lambda: children(namespace) == [], 'their end', 60)

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 
 import emulated
 import numpy as np
+import processes
 import pytest
 import yaml
 
@@ -210,7 +211,7 @@ def test_a_port_lost_while_calibrating_is_one_line(scales, capsys):
     calibrate, line, _ = scales
 
     def unplug_while_it_turns():
-        emulated.wait(lambda: line.servo(1).torque)
+        processes.until(lambda: line.servo(1).torque)
         line.unplug()
 
     threading.Thread(target=unplug_while_it_turns).start()

@@ -2,6 +2,7 @@
 
 import time
 
+import processes
 import pytest
 
 pytest.importorskip('rclpy')
@@ -38,10 +39,7 @@ def test_what_is_destroyed_while_an_event_of_the_middleware_waits_ends_nobody():
         said = passing_publisher(node, PointStamped, 'tip', LISTEN)
         others = [person.create_publisher(PointStamped, name, LISTEN) for name in TOPICS]
         asked = person.create_subscription(PointStamped, 'tip', print, COMMAND)
-        end = time.monotonic() + 30.0
-        while not all(map(node.count_publishers, TOPICS)):
-            assert time.monotonic() < end
-            time.sleep(0.005)
+        processes.until(lambda: all(map(node.count_publishers, TOPICS)))
         time.sleep(0.2)  # what the middleware says of it comes by another way
 
         def gone(ears=ears, said=said):

@@ -49,13 +49,6 @@ def context():
     rclpy.try_shutdown()
 
 
-def until(condition, what, seconds=30.0):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, what
-        time.sleep(0.005)
-
-
 def test_commands_and_stops_reach_the_motors_while_no_callback_is_served(context):
     """The main thread here never spins: as if a callback took for ever."""
     parameters = ['robot:=kato_10_1', 'config:=mock_twin', 'rate_limit:=1000.0']
@@ -72,9 +65,9 @@ def test_commands_and_stops_reach_the_motors_while_no_callback_is_served(context
             commands.publish(message)
             return driver.loop.driver.read().tensions[0] > 1.5
 
-        until(followed, 'the command at the motors')
+        processes.until(followed, 'the command at the motors')
         stops.publish(Bool(data=True))
-        until(lambda: driver.loop.supervisor.latch, 'the stop')
+        processes.until(lambda: driver.loop.supervisor.latch, 'the stop')
     finally:
         driver.end()
         driver.destroy_node()
@@ -190,12 +183,12 @@ def test_the_controllers_stop_is_heard_while_no_callback_is_served(context, monk
         assert 'no model and commands nothing, so the driver is told nothing' in answer.message
         assert controller._stopped
         controller.core = SimpleNamespace(latch=StopLatch())
-        until(controller._commands.get_subscription_count, 'a listener')
+        processes.until(controller._commands.get_subscription_count, 'a listener')
         answer = call(executor, client)
         assert answer.success
         assert 'the driver releases the arm' in answer.message
         assert controller.core.latch.reasons == ['stop was called']
-        until(lambda: executor.spin_once(timeout_sec=0.1) or commands, 'a command')
+        processes.until(lambda: executor.spin_once(timeout_sec=0.1) or commands, 'a command')
         assert not commands[0].name  # the driver lets go
     finally:
         controller.core = None
@@ -219,7 +212,9 @@ def test_nodes_go_on_while_the_clock_of_ros_stands_still(
     node, executor = kind(), make_executor()
     executor.add_node(node)
     try:
-        until(lambda: executor.spin_once(timeout_sec=0.05) or len(cycles) > 3, 'its cycles')
+        processes.until(
+            lambda: executor.spin_once(timeout_sec=0.05) or len(cycles) > 3, 'its cycles'
+        )
     finally:
         executor.remove_node(node)
         executor.shutdown(timeout_sec=1.0)

@@ -102,10 +102,7 @@ ctypes.CDLL(None).pthread_exit(None)
 def test_a_process_counts_as_dead_when_its_main_thread_is():
     with processes.Process([sys.executable, '-c', WITHOUT_MAIN]) as process:
         seen = SenderProcess(process.pid)
-        end = time.monotonic() + 30.0
-        while not seen.died:
-            assert time.monotonic() < end
-            time.sleep(0.01)
+        processes.until(lambda: seen.died)
         assert process.poll() is None  # another thread goes on
 
 

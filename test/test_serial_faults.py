@@ -8,7 +8,7 @@ import emulated_board
 import numpy as np
 import processes
 import pytest
-from emulated import arrive, codes, healthy, until, wait
+from emulated import arrive, codes, healthy, until
 from emulated_board import needs_compiler
 
 from tendon_robot_ros.common.errors import DriverError
@@ -157,7 +157,9 @@ def test_a_board_that_heard_no_command_releases_and_says_so_once(watched_arm):
     driver, line, command = watched_arm
     for _ in range(10):
         arrive(driver, command, 0.1)
-        wait(lambda: np.all(line.rig.tensions < 0.7 * np.max(command)))  # busy elsewhere
+        processes.until(
+            lambda: np.all(line.rig.tensions < 0.7 * np.max(command))
+        )  # busy elsewhere
         reading = until(driver, command, lambda r: r.faults)
         if codes(reading) != {'silent'}:  # else too long: a board that nobody asks tells nothing
             break
@@ -209,7 +211,7 @@ def test_a_new_process_finds_an_arm_under_tension_and_lets_it_go_slowly(arm):
     other = emulated_board.driver_for(line)
     other.open()
     assert enabled(line) == [False] * 4
-    wait(lambda: np.max(line.rig.tensions) < 0.5)  # on its way down
+    processes.until(lambda: np.max(line.rig.tensions) < 0.5)  # on its way down
     other.close()
 
 

@@ -31,7 +31,7 @@ import numpy as np
 import yaml
 
 from ..common.errors import InputError, MissingExtraError, short
-from ..common.files import file_to_write, new_file, read_text
+from ..common.files import file_to_write, new_file, read_text, write_text
 from ..common.words import STANDARD_GRAVITY
 from ..common.yaml_reading import parse_yaml
 from ..robot import load_robot
@@ -256,8 +256,7 @@ def _write(path: Path, tendon: str, lines: dict[str, Any], units: str) -> None:
     """Put the lines of a tendon into the file, keep those of the others."""
     content = {**(_content(str(path)) if path.exists() else {}), tendon: lines}
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
-    with new_file(path) as draft:
-        draft.write_text(f'# {units}; written by calibrate\n{text}', encoding='utf-8')
+    write_text(path, f'# {units}; written by calibrate\n{text}')
 
 
 def draw(result: CurrentFit, tendon: str, path: Path) -> None:

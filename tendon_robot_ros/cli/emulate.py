@@ -16,7 +16,6 @@ import sys
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -25,7 +24,7 @@ import yaml
 from numpy.typing import NDArray
 
 from ..common.errors import InputError
-from ..common.files import file_to_write, new_file
+from ..common.files import file_to_write, write_text
 from ..drivers.dynamixel.calibration import smallest_spool
 from ..drivers.dynamixel.control_table import BAUD_RATES, MODELS
 from ..emulator.board import BoardRig, EmulatedBoard
@@ -96,8 +95,7 @@ def serve(args: argparse.Namespace, made: Emulated, ending: threading.Event) -> 
     with made.line as line:
         if args.write_config:
             text = yaml.safe_dump(made.config, sort_keys=False, default_flow_style=None)
-            with new_file(Path(args.write_config)) as draft:
-                draft.write_text(f'# emulated: {made.words}\n{text}', encoding='utf-8')
+            write_text(args.write_config, f'# emulated: {made.words}\n{text}')
         print(line.port, flush=True)
         print(f'{made.words}; type help for faults', file=sys.stderr)
         more = (line.obey, ending, args.ends_with_input)

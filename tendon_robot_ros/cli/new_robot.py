@@ -24,7 +24,7 @@ from typing import Any, TextIO
 import yaml
 
 from ..common.errors import InputError
-from ..common.files import file_to_write, new_file
+from ..common.files import file_to_write, new_file, write_text
 from ..common.words import STANDARD_GRAVITY
 from ..robot import Robot, dump_robot, parse_robot
 from ..robot.estimates import (
@@ -74,8 +74,7 @@ def run(args: argparse.Namespace) -> int:
         return path, parse_robot(yaml.safe_dump(ask(questions, name)), str(path))
 
     path, robot = questions.until_answered(ask_all)
-    with new_file(path) as draft:
-        draft.write_text(FILE_HEAD + dump_robot(robot), encoding='utf-8')
+    write_text(path, FILE_HEAD + dump_robot(robot))
     print(description(robot))
     picture = path.with_suffix('.png')
     from ..model.model import Model

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from tqdm import tqdm
 
 from ..common.errors import InputError, Progress, TendonRobotError, listener
-from ..common.files import file_to_write, new_file
+from ..common.files import file_to_write, write_text
 from ..common.words import TYPED_LENGTHS, digits, other_unit, read_quantity
 from ..data import DataSet, join, load_dataset
 from ..data.folder import described_robot
@@ -103,8 +103,7 @@ def emit(args: argparse.Namespace, content: dict[str, Any], table: str) -> None:
         print(text)
         return
     if args.json is not None:
-        with new_file(Path(args.json)) as draft:
-            draft.write_text(text + '\n', encoding='utf-8')
+        write_text(args.json, text + '\n')
     print(table)
 
 
@@ -366,8 +365,7 @@ def refuse_existing(option: str, path: str | None, overwrite: bool) -> None:
 
 def write_description(robot: Robot, path: str) -> None:
     """Write a description, whole or not at all."""
-    with new_file(Path(path)) as draft:
-        draft.write_text(dump_robot(robot), encoding='utf-8')
+    write_text(path, dump_robot(robot))
 
 
 def next_step(path: str) -> str:

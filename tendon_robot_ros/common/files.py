@@ -132,6 +132,12 @@ def new_file(path: Path) -> Iterator[Path]:
             draft.replace(path)
 
 
+def write_text(path: str | Path, text: str) -> None:
+    """Write a file of text, whole or not at all."""
+    with new_file(Path(path)) as draft:
+        draft.write_text(text, encoding='utf-8')
+
+
 @contextmanager
 def write_errors(path: Path) -> Iterator[None]:
     """Name the destination in errors, such as a full disk, that name none or a temporary file."""

@@ -74,31 +74,23 @@ def turn_onto(direction: Array, other: Array) -> Array:
     return rotation
 
 
+def angle_between(direction: Array, other: Array) -> Array:
+    """Return the angles (...) [rad] between unit vectors (..., 3)."""
+    return np.asarray(np.arccos(np.clip((direction * other).sum(axis=-1), -1.0, 1.0)))
+
+
 def quaternions(rotations: Array) -> Array:
     """Return quaternions (n, 4) x, y, z, w of rotation matrices (n, 3, 3)."""
-    r = rotations
-    # four times the square of each component; the largest one is safe to divide by
-    squares = np.stack(
-        [
-            1 + r[:, 0, 0] - r[:, 1, 1] - r[:, 2, 2],
-            1 - r[:, 0, 0] + r[:, 1, 1] - r[:, 2, 2],
-            1 - r[:, 0, 0] - r[:, 1, 1] + r[:, 2, 2],
-            1 + r[:, 0, 0] + r[:, 1, 1] + r[:, 2, 2],
-        ],
-        1,
-    )
-    a, b, c = r[:, 2, 1], r[:, 0, 2], r[:, 1, 0]
-    d, e, f = r[:, 1, 2], r[:, 2, 0], r[:, 0, 1]
-    rows = np.stack(
-        [
-            np.stack([squares[:, 0], c + f, b + e, a - d], 1),
-            np.stack([c + f, squares[:, 1], a + d, b - e], 1),
-            np.stack([b + e, a + d, squares[:, 2], c - f], 1),
-            np.stack([a - d, b - e, c - f, squares[:, 3]], 1),
-        ],
-        1,
-    )
-    best = rows[np.arange(len(r)), np.argmax(squares, 1)]
+    trace = np.trace(rotations, axis1=1, axis2=2)
+    # four times the products of every two components; the largest square is safe to divide by
+    products = np.empty((len(rotations), 4, 4))
+    products[:, :3, :3] = rotations + rotations.transpose(0, 2, 1)
+    products[:, :3, :3] += (1.0 - trace)[:, None, None] * np.eye(3)
+    skew = (rotations - rotations.transpose(0, 2, 1))[:, [2, 0, 1], [1, 2, 0]]
+    products[:, :3, 3] = products[:, 3, :3] = skew
+    products[:, 3, 3] = 1.0 + trace
+    largest = np.diagonal(products, axis1=1, axis2=2).argmax(axis=1)
+    best = products[np.arange(len(rotations)), largest]
     return best / np.linalg.norm(best, axis=1, keepdims=True)
 
 

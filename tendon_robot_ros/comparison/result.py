@@ -274,8 +274,8 @@ class Comparison(TextResult):
 
 def mean_over(values: Floats, axis: int) -> Floats:
     """Mean along an axis; NaN = missing, and where all is missing."""
-    count = np.isfinite(values).sum(axis=axis)
-    total = np.nansum(values, axis=axis)
+    seen = np.isfinite(values)
+    count, total = seen.sum(axis=axis), np.where(seen, values, 0.0).sum(axis=axis)
     return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
 
 

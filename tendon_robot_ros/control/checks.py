@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import InputError
+from ..common.rotations import from_quaternion
 from ..robot import Robot
 
 Array = NDArray[np.float64]
@@ -112,8 +113,7 @@ def direction(quaternion: Sequence[float], what: str) -> Array:
             f'{what}: orientation (x, y, z, w) has norm {norm:.4g}, '
             'expected 1; for a position alone use the point topic',
         )
-    x, y, z, w = np.array([x, y, z, w]) / norm
-    return np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
+    return from_quaternion((x / norm, y / norm, z / norm, w / norm))[:, 2]
 
 
 def by_name(

@@ -36,8 +36,7 @@ class Marker:
 
 def default_markers(robot: Robot) -> tuple[Marker, ...]:
     """Return one marker per cell, named '1' to 'n', at the cell's distal end."""
-    lengths = np.repeat([s.cell_length for s in robot.sections], [s.cells for s in robot.sections])
-    ends = np.cumsum(lengths).round(12).tolist()  # 0.108, not 0.10800000000000003
+    ends = np.cumsum(robot.cell_lengths).round(12).tolist()  # 0.108, not 0.10800000000000003
     return tuple(Marker(str(i + 1), end) for i, end in enumerate(ends))
 
 

@@ -431,9 +431,11 @@ class DataSet(TextResult):
         check = {name for name, command in measured.items() if commands.index(command) in drawn}
         return self.select(set(measured) - check), self.select(check)
 
-    def by_origin(self, split: Split, own: BoolArray) -> DataSet:
-        """Return the postures apart by where the arm came from; `own` (P, Q) are their trials."""
+    def by_origin(self, split: Split, trials: IntArray | None) -> DataSet:
+        """Return postures by where the arm came from; rows (R,) are of a trial, or of all."""
         inputs = self.inputs[split.command]
+        own = np.zeros((len(split.postures), self.positions.shape[1]), dtype=bool)
+        own[split.posture, slice(None) if trials is None else trials] = True
 
         def part(array: FloatArray, other: FloatArray | float = np.nan) -> FloatArray:
             wide = own.reshape(*own.shape, *(1,) * (array.ndim - 2))

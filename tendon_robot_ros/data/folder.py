@@ -338,9 +338,7 @@ def _by_history(dataset: DataSet, commands: Commands) -> DataSet:
         order = np.argsort(commands.visit)
         trial = trial[order]
         split = split_by_order(dataset.postures, code[order], trial, measured[order])
-    own = np.zeros((len(split.postures), len(dataset.trial_names)), dtype=bool)
-    own[split.posture, slice(None) if trial is None else trial] = True
-    return dataset.by_origin(split, own)
+    return dataset.by_origin(split, trial)
 
 
 FILES = ('dataset.yaml', 'inputs.csv', 'robot.yaml', 'shapes.csv')

@@ -216,7 +216,7 @@ def may_wind(robot: Robot) -> bool:
 
 def profile_factors(coefficients: Sequence[float], robot: Robot) -> Floats:
     """Return a factor (n,) on the stiffness of every cell: exp of a Legendre polynomial."""
-    lengths = np.array([s.cell_length for s in robot.sections for _ in range(s.cells)])
+    lengths = robot.cell_lengths
     places = (2.0 * np.cumsum(lengths) - lengths) / robot.length - 1.0
     return np.asarray(np.exp(legendre.legval(places, [0.0, *coefficients])))
 

@@ -81,8 +81,7 @@ class LocalFault:
         p, words = self.place.posture, self.place.name.split()
         along = None
         if words[0] == 'cell' and self.place.kind in IN_CELLS:
-            lengths = [s.cell_length for s in robot.sections for _ in range(s.cells)]
-            ends = np.cumsum([0.0, *lengths])
+            ends = np.cumsum([0.0, *robot.cell_lengths])
             cell = robot.cell_names.index(' '.join(words[:2]))
             along = ends[cell : cell + 2].tolist()
         return {

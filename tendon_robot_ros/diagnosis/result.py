@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.colours import ERROR, GOOD, HELD_OUT, PREDICTED
-from ..common.files import new_file
+from ..common.files import write_text
 from ..common.results import TextResult, make_frame
 from ..robot import Robot
 from .description import PROFILE
@@ -231,8 +231,7 @@ class Diagnosis(TextResult):
 
     def save(self, path: str | Path) -> None:
         """Write the JSON file."""
-        with new_file(Path(path)) as draft:
-            draft.write_text(json.dumps(self.to_json(), indent=1), encoding='utf-8')
+        write_text(path, json.dumps(self.to_json(), indent=1))
 
 
 def _plain(value: Any) -> Any:

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.rotations import rigid_fit, turn_angle, turn_onto, upright_fit
+from ..common.words import STANDARD_GRAVITY
 from ..comparison.noise import rms
 from ..comparison.predict import Point, Predictor
 from ..data import DataSet
@@ -20,8 +21,9 @@ from .marginal import NEGLIGIBLE
 from .verdict import ERROR_LEFT_MAX
 
 Floats = npt.NDArray[np.float64]
+EARTH = round(STANDARD_GRAVITY, 2)  # [m/s²] as descriptions have it, because new-robot rounds so
 UNIT_FACTORS = {
-    1000.0: 'milli', 0.001: 'kilo', 9.81: 'kilograms of force', 1.0 / 9.81: 'newtons twice',
+    1000.0: 'milli', 0.001: 'kilo', EARTH: 'kilograms of force', 1.0 / EARTH: 'newtons twice',
     4.448: 'pounds', 1.0 / 4.448: 'newtons as pounds', 10.0: 'a decimal point',
     0.1: 'a decimal point', 2.0: 'a double count', 0.5: 'half a count',
     25.4: 'inches', 1.0 / 25.4: 'millimetres as inches',
@@ -39,7 +41,6 @@ STIFFNESS_FACTORS = {
 }  # fmt: skip
 # [1] of the largest input, in steps of 5 %: a parabola tells the least between, so that few do
 DEAD_SIZES = np.linspace(0.0, 1.25, 26)
-EARTH = 9.81  # [m/s²] gravity on land, within 0.3 % (WGS 1984)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ import yaml
 from numpy.typing import NDArray
 
 from ..common.errors import DriverError, InputError
-from ..common.files import new_file, read_text
+from ..common.files import read_text, write_text
 from ..common.processes import ends_between
 from ..common.yaml_reading import ConfigFields, parse_yaml
 from .interface import CYCLE_S, Driver
@@ -168,8 +168,7 @@ def save_reference(path: Path, reference: TendonReference) -> None:
     """Write a reference."""
     text = yaml.safe_dump(reference.to_mapping(), sort_keys=False, default_flow_style=None)
     head = '# tendons at a reference posture, SI; written by calibrate --check\n'
-    with new_file(path) as draft:
-        draft.write_text(head + text, encoding='utf-8')
+    write_text(path, head + text)
 
 
 def due(path: Path) -> str:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import TendonRobotError
+from ..common.words import STANDARD_GRAVITY
 from ..drivers.dynamixel.control_table import REGISTERS
 from .servo import STEP_S, Load, Servo
 
@@ -76,7 +77,9 @@ class SpringArm:
 class HangingWeights:
     """A weight on every wire, for a calibration: constant tension once it is off the ground."""
 
-    def __init__(self, masses: Array, gravity: float = 9.80665, stiffness: float = 2e4) -> None:
+    def __init__(
+        self, masses: Array, gravity: float = STANDARD_GRAVITY, stiffness: float = 2e4
+    ) -> None:
         """Take the masses [kg], shape (m,), gravity [m/s²] and the wire's stiffness [N/m]."""
         self.weights = np.asarray(masses, dtype=float) * gravity
         self.stiffness, self.gravity = stiffness, gravity

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..common.files import new_file
+from ..common.files import write_text
 from ..common.words import digits, listed
 from ..comparison.noise import Noise
 from ..comparison.predict import FreeParameter, frees_of
@@ -389,8 +389,7 @@ def write_results(findings: Findings, folder: Path, catalogue: Catalogue, add: b
     if made is not None:
         text += [never_used(made), *addition_warnings(made)]
         if made.helps and (findings.may_add or add):
-            with new_file(folder / BETTER) as draft:
-                draft.write_text(dump_robot(made.robot), encoding='utf-8')
+            write_text(folder / BETTER, dump_robot(made.robot))
             written.append(BETTER)
             text.append(f'controller parameter model := {folder / BETTER}')
     return [*text, f'written: {folder}: {", ".join(written)}']

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import InputError, TendonRobotError
-from ..common.files import new_file, read_text
+from ..common.files import read_text, write_text
 from ..data import DataSet, Marker, load_dataset, save_dataset
 from ..robot import Robot, dump_robot
 
@@ -193,8 +193,7 @@ class Record:
             'changed': self.changed,
             'outcome': self.outcome,
         }
-        with new_file(self.folder / LOG) as draft:
-            draft.write_text(json.dumps(content, indent=1) + '\n', encoding='utf-8')
+        write_text(self.folder / LOG, json.dumps(content, indent=1) + '\n')
 
 
 def empty_dataset(arm: MeasurableArm, name: str, trials: int) -> DataSet:

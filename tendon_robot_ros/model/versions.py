@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 
 from ..common.errors import InputError
-from ..common.files import cache_folder, new_file
+from ..common.files import cache_folder, write_text
 from ..effects import Catalogue, load_catalogue
 from . import forward
 from .compile import kernel_key
@@ -49,8 +49,7 @@ def catalogue_of(effects: tuple[UserEffect, ...]) -> Catalogue:
         folder = cache_folder() / 'effects' / digest
         folder.mkdir(parents=True, exist_ok=True)
         if not (folder / effect.name).is_file():
-            with new_file(folder / effect.name) as draft:
-                draft.write_text(effect.text, encoding='utf-8')
+            write_text(folder / effect.name, effect.text)
         files.append(folder / effect.name)
     return load_catalogue(files)
 

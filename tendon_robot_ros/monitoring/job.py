@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from ..common.errors import InputError, TendonRobotError
-from ..common.files import new_file
+from ..common.files import write_text
 from ..common.words import PROGRAM, listed, mm
 from ..diagnosis.verdict import Verdict
 
@@ -134,8 +134,7 @@ def work(folder: Path, effects: Sequence[str]) -> None:
         made = add_effects(
             dataset, names, None, catalogue, None, diagnosis.effects, partial=partial
         )
-        with new_file(folder / BETTER) as draft:
-            draft.write_text(dump_robot(made.robot), encoding='utf-8')
+        write_text(folder / BETTER, dump_robot(made.robot))
         say('addition', file=str(folder / BETTER), effects=names, partial=partial,
             before=made.check.before, after=made.check.after, floor=made.check.floor)  # fmt: skip
         if report:  # again, with pictures and with what the addition changes

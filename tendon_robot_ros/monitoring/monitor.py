@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import DataSetError, InputError, NoEquilibriumError
+from ..comparison.result import mean_over
 from ..comparison.statistics import chi2_isf
 from ..data import DataSet, Marker, default_markers
 from ..robot import Robot
@@ -151,11 +152,13 @@ class StillWindow:
             return None
         if np.abs(inputs[early].mean(axis=0) - inputs[~early].mean(axis=0)).max() > self.change:
             return None
-        moved = np.linalg.norm(mean(positions[early]) - mean(positions[~early]), axis=1)
+        moved = np.linalg.norm(
+            mean_over(positions[early], 0) - mean_over(positions[~early], 0), axis=1
+        )
         moved = moved[np.isfinite(moved)]
         if not len(moved) or np.sqrt((moved**2).mean()) > self.speed * self.duration / 2:
             return None
-        middle = mean(positions)
+        middle = mean_over(positions, 0)
         deviations = positions - middle
         freedom = max(int(np.isfinite(deviations).sum()) - middle.size, 1)
         return StillMeasurement(
@@ -166,14 +169,6 @@ class StillWindow:
             begin=float(times[0]),
             end=float(times[-1]),
         )
-
-
-def mean(positions: Array) -> Array:
-    """Return the mean (J, 3) [m] over frames (F, J, 3); nan where no frame saw the marker."""
-    seen = np.isfinite(positions)
-    count = seen.sum(axis=0)
-    total = np.where(seen, positions, 0.0).sum(axis=0)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
 @dataclass(frozen=True)
@@ -227,7 +222,7 @@ class FrameMean:
         at, now, _ = self._new[-1]
         rows = [y for _, t, y in self._new if self._same(t, now)]
         self._new.clear()
-        batch = _Batch(at, now, mean(np.array(rows)), len(rows))
+        batch = _Batch(at, now, mean_over(np.array(rows), 0), len(rows))
         while self._kept and self._kept[0].at < at - self.longest:
             self._kept.popleft()
         if self._kept and self._changed(batch, slopes):

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, pchip_interpolate
 
 from ..common.errors import InputError
+from ..common.rotations import angle_between
 from ..control.state import STREAM_PERIOD_S, Trajectory
 from ..model.inverse import reach
 from ..model.tip_task import TipTask
@@ -102,7 +103,7 @@ def tip_path(
     parts = [
         np.diff(when) / SAMPLE_PERIOD_S,
         np.linalg.norm(np.diff(positions, axis=0), axis=1) / POSITION_TOLERANCE_M,
-        np.nan_to_num(angles(directions[:-1], directions[1:])) / DIRECTION_TOLERANCE_RAD,
+        np.nan_to_num(angle_between(directions[:-1], directions[1:])) / DIRECTION_TOLERANCE_RAD,
         np.ones(len(positions) - 1),
     ]
     counts = np.ceil(np.max(parts, axis=0) - 1e-9).astype(np.int64)
@@ -167,7 +168,7 @@ def interpolated_directions(directions: Array, piece: NDArray[np.int64], share: 
 
     """
     before, after = directions[piece], directions[piece + 1]
-    angle = angles(before, after)
+    angle = angle_between(before, after)
     opposite = angle > np.pi - DIRECTION_TOLERANCE_RAD
     if opposite.any():
         row = int(piece[int(np.argmax(opposite))])
@@ -184,11 +185,6 @@ def interpolated_directions(directions: Array, piece: NDArray[np.int64], share: 
     turned = np.where(share[:, None] == 0.0, before, turned)
     turned = np.where(share[:, None] == 1.0, after, turned)
     return np.asarray(turned / np.linalg.norm(turned, axis=1, keepdims=True))
-
-
-def angles(a: Array, b: Array) -> Array:
-    """Return the angles (n,) [rad] between unit vectors (n, 3)."""
-    return np.asarray(np.arccos(np.clip((a * b).sum(axis=1), -1.0, 1.0)))
 
 
 @dataclass(frozen=True)
@@ -308,7 +304,7 @@ def plan(
     gaps = np.diff(path.times)
     for changes, largest in (
         (np.linalg.norm(np.diff(path.positions, axis=0), axis=1), pace.speed),
-        (np.nan_to_num(angles(path.directions[:-1], path.directions[1:])), pace.turning),
+        (np.nan_to_num(angle_between(path.directions[:-1], path.directions[1:])), pace.turning),
         (np.abs(np.diff(tensions, axis=0)).max(axis=1, initial=0.0), pace.tension),
     ):
         gaps = np.maximum(gaps, changes / largest)
@@ -441,8 +437,8 @@ class PathRun:
         """Return distances (n,) [m] and angles (n,) [rad] between tip and target at times."""
         asked, views = self.asked_at(times)
         places, along = self.tip_at(times)
-        cosine = (views * along).sum(axis=1) / np.linalg.norm(views, axis=1)
-        return np.linalg.norm(places - asked, axis=1), np.arccos(np.clip(cosine, -1.0, 1.0))
+        views = views / np.linalg.norm(views, axis=1, keepdims=True)
+        return np.linalg.norm(places - asked, axis=1), angle_between(views, along)
 
     def across(self) -> Array:
         """Return distances (T,) [m] of the tip from the path, whenever it was due there."""

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from ..common.colours import ERROR, INK, KINDS, Look
 from ..common.errors import MissingExtraError
-from ..common.files import new_file
+from ..common.files import write_text
 
 Trace = dict[str, Any]  # what plotly draws, or a part of its layout
 FOLDER = Path(__file__).parent
@@ -240,8 +240,7 @@ class Page:
     def write(self, path: str | Path) -> Path:
         """Write the page; a file that was there is replaced at the end."""
         html = self.html()
-        with new_file(Path(path)) as draft:
-            draft.write_text(html, encoding='utf-8')
+        write_text(path, html)
         return Path(path)
 
 

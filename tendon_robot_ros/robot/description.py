@@ -152,6 +152,11 @@ class Robot(TextResult):
         return sum(section.cells * section.cell_length for section in self.sections)
 
     @cached_property
+    def cell_lengths(self) -> Floats:
+        """Length of every cell, (n,) [m]."""
+        return np.repeat([s.cell_length for s in self.sections], [s.cells for s in self.sections])
+
+    @cached_property
     def tendon_cells(self) -> tuple[int, ...]:
         """Number of cells that each tendon runs through."""
         total, end = 0, {}
@@ -340,8 +345,7 @@ def helix_angles(robot: Robot) -> Floats:
 
 def _tendon_ends(robot: Robot, k: int) -> tuple[Floats, Floats]:
     """Arc lengths at the ends of the cells of a tendon, and the lengths of these cells [m]."""
-    lengths = np.concatenate([[s.cell_length] * s.cells for s in robot.sections])
-    lengths = lengths[: robot.tendon_cells[k]]
+    lengths = robot.cell_lengths[: robot.tendon_cells[k]]
     return np.cumsum(lengths), lengths
 
 

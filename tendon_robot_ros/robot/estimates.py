@@ -82,7 +82,7 @@ def sag(robot: Robot, force: float = 0.0, weight: float = 0.0) -> float:
         [N] of the arm, spread evenly.
 
     """
-    lengths = np.concatenate([[s.cell_length] * s.cells for s in robot.sections])
+    lengths = robot.cell_lengths
     beyond = robot.length - (np.cumsum(lengths) - 0.5 * lengths)  # [m] from mid-cell to the tip
     moments = force * beyond + 0.5 * weight / robot.length * beyond**2
     return float(np.sum(moments / stiffnesses(robot) * beyond))

@@ -68,7 +68,7 @@ def transforms(robot: Robot, angles: Floats, prefix: str) -> list[Transform]:
 
     """
     parent, before, made = f'{prefix}base', 0.0, list[Transform]()
-    lengths = [s.cell_length for s in robot.sections for _ in range(s.cells)]
+    lengths = robot.cell_lengths.tolist()
     axes = len(joint_axes(robot))
     for i, name in enumerate(_cell_names(robot)):
         turns = angles[axes * i : axes * (i + 1)]
@@ -92,7 +92,7 @@ def urdf(robot: Robot, prefix: str = '') -> str:
     of its own.
     """
     radius = 1.15 * max(math.hypot(*at) for t in robot.tendons for at in (t.base, t.end))
-    lengths = [s.cell_length for s in robot.sections for _ in range(s.cells)]
+    lengths = robot.cell_lengths.tolist()
     colours = [i % 2 for i, s in enumerate(robot.sections) for _ in range(s.cells)]
     lines = ['<?xml version="1.0"?>', f'<robot name={quoteattr(robot.name)}>', *_MATERIALS]
     lines += _link(f'{prefix}base', 0.5 * lengths[0], radius, 0)

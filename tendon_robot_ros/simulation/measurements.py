@@ -152,11 +152,7 @@ def simulate(
         setting_noise=noise.setting if declare else 0.0,
         trial_noise=noise.trial if declare else 0.0,
     )
-    if split is None:
-        return dataset
-    own = np.zeros((len(split.postures), int(split.visits.trials.max()) + 1), dtype=bool)
-    own[split.posture, split.visits.trials] = True
-    return dataset.by_origin(split, own)
+    return dataset if split is None else dataset.by_origin(split, split.visits.trials)
 
 
 def markers_seen(

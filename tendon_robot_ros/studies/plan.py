@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ..common.errors import InputError, Progress
-from ..common.files import new_file, read_text
+from ..common.files import read_text, write_text
 from ..common.workers import Workers
 from ..common.yaml_reading import Reader, parse_yaml
 from ..data import load_dataset
@@ -363,9 +363,8 @@ def claim(folder: Path, plan: CampaignPlan, accept_change: bool = False) -> None
     elif folder.exists() and any(folder.iterdir()):
         raise InputError(f'{folder}: is not empty and no campaign; use another --output')
     folder.mkdir(parents=True, exist_ok=True)
-    with new_file(path) as draft:
-        content = {'versions': ours, 'contents': contents, 'earlier': earlier}
-        draft.write_text(json.dumps(content, indent=1) + '\n', encoding='utf-8')
+    content = {'versions': ours, 'contents': contents, 'earlier': earlier}
+    write_text(path, json.dumps(content, indent=1) + '\n')
 
 
 def _content(folder: Path) -> dict[str, Any]:

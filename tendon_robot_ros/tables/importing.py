@@ -363,9 +363,7 @@ def as_visits(dataset: DataSet, segments: Sequence[Segment], begins: Sequence[in
     fresh = np.isin(np.arange(len(segments)), begins)
     measured = dataset.trial_mask[commands, trials]
     split = split_by_order(dataset.postures, commands, trials, measured, fresh)
-    own = np.zeros((len(split.postures), len(dataset.trial_names)), dtype=bool)
-    own[split.posture, trials] = True
-    divided = dataset.by_origin(split, own)
+    divided = dataset.by_origin(split, trials)
     if dataset.position_noise is None and divided.trials.max(initial=0) < 2:
         squares = np.array([one.noise**2 for one in segments])
         if np.isfinite(squares).any():  # nothing was repeated: the noise of frames

@@ -14,6 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..common.errors import DataSetError
+from ..common.rotations import angle_between
 from ..common.words import listed, listing, mm
 from ..data import DataSet, default_markers
 from ..data.tracker_faults import BoolArray
@@ -480,7 +481,7 @@ def _lengths_to_tip(
     chords = np.linalg.norm(steps, axis=2)
     with np.errstate(invalid='ignore', divide='ignore'):
         along = steps / chords[..., None]
-        turns = np.arccos(np.clip((along[:, 1:] * along[:, :-1]).sum(axis=2), -1.0, 1.0))
+        turns = angle_between(along[:, 1:], along[:, :-1])
     turns = np.nan_to_num(turns)
     beside = np.concatenate([turns[:, :1], turns, turns[:, -1:]], axis=1)
     half = 0.25 * (beside[:, 1:] + beside[:, :-1]) if turns.shape[1] else np.zeros(chords.shape)

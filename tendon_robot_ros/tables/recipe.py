@@ -10,12 +10,13 @@ from typing import Any
 
 import yaml
 
-from ..common.errors import DataSetError, refusal, short
+from ..common.errors import DataSetError, refusal
 from ..common.files import read_text
 from ..common.words import UNITS, find_unit
-from ..common.yaml_reading import Reader, parse_yaml
+from ..common.yaml_reading import parse_yaml
 from ..data.arrays import Vector
 from ..data.dataset import PATHS
+from ..data.folder import DatasetFields
 from .columns import ColumnUse
 from .markers import CHOICES
 
@@ -146,14 +147,8 @@ class Recipe:
     leave_out: tuple[tuple[str, str], ...] | None = None  # posture, trial
 
 
-class RecipeFields(Reader):
+class RecipeFields(DatasetFields):
     """Checked reading of import.yaml."""
-
-    def error(self, key: str, expected: str, got: object) -> DataSetError:
-        """Build the error for a key."""
-        return DataSetError(
-            f'{self.source}: {self._where(key)}', f'got {short(got)}', f'expected {expected}'
-        )
 
     def text(self, key: str) -> str | None:
         """Return a text such as the name of a column, None when absent."""

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from ..common.errors import DataSetError, InputError
 from ..common.rotations import (
+    angle_between,
     from_rotation_vector,
     rigid_fit,
     rotation_about,
@@ -470,8 +471,9 @@ def _gravity(
                 else 'says that gravity is zero: up is not used, and no weight is looked for'
             ),
         )
-    cosine = float(np.dot(known, seen) / (STANDARD_GRAVITY * np.linalg.norm(known)))
-    apart = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    apart = float(
+        angle_between(np.divide(known, np.linalg.norm(known)), np.divide(seen, STANDARD_GRAVITY))
+    )
     if apart < GRAVITY_APART_MAX_RAD:
         return None, ()
     return None, (

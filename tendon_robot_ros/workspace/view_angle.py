@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import InputError, Progress, listener
+from ..common.rotations import angle_between
 from ..model.forward import TOLERANCE
 from ..model.model import Model
 from ..model.shape import Shape, ShapeBatch
@@ -277,7 +278,7 @@ def tip_angles(bend: Floats, direction: Floats) -> Floats:
     """
     flat = np.abs(bend[..., 1]).max(axis=1, initial=0.0) < 1e-9
     total: Floats = bend[..., 0].sum(axis=1)
-    return np.asarray(np.where(flat, total, np.arccos(np.clip(direction[:, 2], -1.0, 1.0))))
+    return np.asarray(np.where(flat, total, angle_between(direction, np.array([0.0, 0.0, 1.0]))))
 
 
 def save_workspace(workspace: Workspace, folder: Path) -> None:

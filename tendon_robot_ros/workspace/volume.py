@@ -23,6 +23,7 @@ import numpy.typing as npt
 
 from ..common.errors import InputError, Progress, listener
 from ..common.files import new_file
+from ..common.rotations import angle_between
 from ..common.workers import SAVED_EVERY_S, ChunkSize, LostWork, Workers
 from ..effects import load_catalogue
 from ..model import forward
@@ -166,10 +167,8 @@ class SortedTips:
         self.sphere = np.zeros(FINER**2 * LOOKS, dtype=bool)  # directions that were looked into
         self.counts = np.zeros(3, dtype=np.int64)  # postures, without equilibrium, folded
         self.largest = np.zeros(1)  # [rad]
+        # (n,) [m], the farthest tendon
         self.thickness = np.linalg.norm(tendon_offsets(sampling.robot), axis=2).max(axis=1)
-        self.lengths = np.concatenate(
-            [np.full(section.cells, section.cell_length) for section in sampling.robot.sections]
-        )  # (n,) [m]; thickness (n,) [m]: the farthest tendon
 
     @property
     def cubes(self) -> list[Cubes]:
@@ -196,11 +195,11 @@ class SortedTips:
         """Put solved postures where they belong, those that the arm cannot have left out."""
         tips, along = batch.tip_position, batch.tip_direction
         solved = changes < forward.TOLERANCE
-        free = ~folds(batch.positions, self.thickness, self.lengths)
+        free = ~folds(batch.positions, self.thickness, self.sampling.robot.cell_lengths)
         self.counts += np.array([len(tips), (~solved).sum(), (solved & ~free).sum()])
         good = solved & free
         inputs, tips, along = batch.inputs[good], tips[good], along[good]
-        angle = np.arccos(np.clip(along[:, 2], -1.0, 1.0))
+        angle = angle_between(along, np.array([0.0, 0.0, 1.0]))
         self.largest = np.maximum(self.largest, angle.max(initial=0.0))
         self.sphere[sphere_part(along, FINER)] = True
         self.all.add(inputs, tips, along)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ...common.colours import COLOURS, ERROR
 from ...common.files import new_file
+from ...common.rotations import angle_between
 from ...control.loading import load
 from ...effects import load_catalogue
 from ...model.model import Model
@@ -134,7 +135,7 @@ def go(pilot: Pilot, posture: Posture) -> Outcome:
     return Outcome(
         position=place,
         miss=float(np.linalg.norm(place - posture.position)),
-        turn=float(np.arccos(np.clip(along @ posture.direction, -1.0, 1.0))),
+        turn=float(angle_between(along, posture.direction)),
         tensions=commands[-1],
         status=pilot.status['code'],
         at_limit=tuple(filter(None, pilot.status['at_limit'].split(', '))),

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...common.errors import InputError
+from ...common.rotations import angle_between
 from ...common.words import TYPED_LENGTHS, other_unit, read_quantity
 from ...report.pictures import place
 from ..shared.robot_client import Pilot, add_controller
@@ -60,7 +61,7 @@ def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
             tip, looks = pilot.tip()
             miss = f'{1e3 * np.linalg.norm(tip - target):.2f} mm'
             if along is not None:
-                miss += f' and {np.degrees(np.arccos(np.clip(looks @ along, -1.0, 1.0))):.2f}°'
+                miss += f' and {np.degrees(angle_between(looks, along)):.2f}°'
             measured = pilot.tips()[0]
             print(
                 f'tip at ({place(tip)}) mm{"" if measured else ", as the model sees it"}: '

@@ -94,8 +94,7 @@ class MockTracker:
         self._random = np.random.default_rng(int(self._config.seed))
         robot = driver.robot
         self._frame = base_frame(parameters, robot.name)
-        lengths = [section.cell_length for section in robot.sections for _ in range(section.cells)]
-        self._arc_lengths = np.cumsum(lengths)
+        self._arc_lengths = np.cumsum(robot.cell_lengths)
         self._tip = passing_publisher(node, PoseStamped, 'measured_tip', STATE)
         self._shape = passing_publisher(node, PoseArray, 'measured_shape', STATE)
         self._timer = repeat(node, 1.0 / self._config.rate, self._publish)
