@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from tendon_robot_ros.common.processes import one_thread
+from tendon_robot_ros.data import even_markers
 from tendon_robot_ros.diagnosis.crossval import last_worthwhile
 from tendon_robot_ros.diagnosis.improve import as_found, inner
 from tendon_robot_ros.diagnosis.stepwise import Stepwise
@@ -80,7 +81,7 @@ def judge(robot_name, hidden, level, markers, seed):
         robot = robot.without_effect(name) if name in robot.effects else robot
     truth = sizes(robot, hidden, np.random.default_rng([seed, 3]))
     plant = make_plant(robot, truth, seed=seed, work=Workmanship().times(level))
-    where = None if markers is None else markers_of(robot, markers)
+    where = None if markers is None else even_markers(robot, markers)
     data = simulate(plant, default_postures(robot, 12), trials=5, seed=seed, markers=where)
     found = searched(data, robot)
     known = {**truth, FRAME: frame_of(plant.built)}
@@ -108,14 +109,6 @@ def searched(data, robot):
     final = states[last_worthwhile(inner(states))]
     found = as_found(search, final)
     return found.values if found.is_worthwhile else found.values_of_the_search
-
-
-def markers_of(robot, count):
-    """Return so many markers, evenly spaced, the last one at the tip."""
-    from tendon_robot_ros.data import Marker
-
-    places = robot.length * (np.arange(count) + 1.0) / count
-    return tuple(Marker(str(i + 1), float(place)) for i, place in enumerate(places))
 
 
 def told(draw):

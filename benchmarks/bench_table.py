@@ -12,10 +12,9 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 from machine import machine
 
-from tendon_robot_ros.data import Marker
+from tendon_robot_ros.data import even_markers
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.measurements import (
     Laboratory,
@@ -35,7 +34,6 @@ def write(path, rows, markers):
     """Write a recording of so many rows at 1000 frames a second, with gaps and a slip."""
     robot = replace(load_robot(ROBOT), gravity=(0.0, 0.0, 9.81))
     plant = make_plant(robot, {'hinge_friction': {}})
-    places = robot.length * (np.arange(markers) + 1.0) / markers
     lab, postures, trials = Laboratory(rate=1000.0), 12, 3
     stands = rows / (lab.rate * (2 * postures * trials + 1)) - lab.move
     names, values = raw_table(
@@ -43,15 +41,10 @@ def write(path, rows, markers):
         default_postures(robot, postures),
         lab=replace(lab, hold=stands, trials=trials),
         noise=SimulatedNoise(),
-        markers=markers_at(places),
+        markers=even_markers(robot, markers),
     )
     write_table(path, names, values)
     return len(values), robot
-
-
-def markers_at(places):
-    """Return markers at arc lengths [m]."""
-    return [Marker(str(i + 1), float(s)) for i, s in enumerate(places)]
 
 
 def main():

@@ -3,9 +3,11 @@
 from dataclasses import replace
 
 import numpy as np
+from source_tree import ROOT
 
+from tendon_robot_ros.common.rotations import turned_in_plane
 from tendon_robot_ros.effects import load_catalogue
-from tendon_robot_ros.robot import Robot, Section, Tendon
+from tendon_robot_ros.robot import Robot, Section, Tendon, load_robot
 
 GRAVITY = (1.0, -2.0, 9.4)
 OWN_SIZES = {  # where the typical size, or its sign, would show less
@@ -50,6 +52,19 @@ UNITS = {  # unit -> powers of length and force
     'kg/m': (-1, 1),
 }
 CATALOGUE = load_catalogue()
+THREE = load_robot(ROOT / 'config/robots/spatial_3.yaml')
+COARSE = replace(
+    THREE,
+    sections=(
+        replace(
+            THREE.sections[0],
+            cells=8,
+            cell_length=0.015,
+            bending_stiffness=(0.016,) * 8,
+            mass_profile=(1.0,) * 8,
+        ),
+    ),
+)
 
 
 def planar(cells=6, effects=None, bends_as='arc', stiffness=0.027, length=0.007, arm=0.0055):
@@ -123,10 +138,9 @@ def section(name, cells, length, stiffness, bends_as='arc'):
 
 def turned(robot, angle):
     """Return the robot turned about z, with what of its effects and gravity has a direction."""
-    c, s = np.cos(angle), np.sin(angle)
 
     def turn(x, y):
-        return (float(c * x - s * y), float(s * x + c * y))
+        return tuple(turned_in_plane(np.array([x, y]), angle).tolist())
 
     effects = {name: dict(values) for name, values in robot.effects.items()}
     for name, stem in (('pre_curvature', 'angle'), ('tip_load', 'force')):

@@ -7,10 +7,9 @@ import pytest
 pytest.importorskip('pandas')
 
 import pandas
-from source_tree import ROOT
+from arms import COARSE
 
 from tendon_robot_ros.data import Marker
-from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.measurements import (
     Laboratory,
@@ -20,15 +19,7 @@ from tendon_robot_ros.simulation.measurements import (
 from tendon_robot_ros.simulation.plant import make_plant
 from tendon_robot_ros.workspace.postures import default_postures
 
-THREE = load_robot(ROOT / 'config/robots/spatial_3.yaml')
-COARSE = replace(
-    THREE.sections[0],
-    cells=8,
-    cell_length=0.015,
-    bending_stiffness=(0.016,) * 8,
-    mass_profile=(1.0,) * 8,
-)
-ARM = replace(THREE, sections=(COARSE,), gravity=(-9.81, 0.0, 0.0))  # quick to diagnose
+ARM = replace(COARSE, gravity=(-9.81, 0.0, 0.0))  # quick to diagnose
 PLACES = tuple(Marker(str(i), s) for i, s in enumerate((0.03, 0.06, 0.09, 0.12)))
 EXACT = Workmanship().times(0.0)
 QUIET = SimulatedNoise(position=0.0, setting=0.0, trial=0.0)

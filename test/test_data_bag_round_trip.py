@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from measurements import TENTACLE, blind
 from numpy.testing import assert_array_equal
-from small_dataset import INPUTS, SHAPES, write
+from small_dataset import INPUTS, SHAPES, assert_same, write
 
 from tendon_robot_ros.common.errors import DataSetError
 from tendon_robot_ros.data import load_dataset, save_dataset
@@ -20,13 +20,6 @@ from tendon_robot_ros.data.recording.importing import import_bag
 from tendon_robot_ros.data.recording.writer import POSE_ARRAY, Timing, export_bag, parse_pose_array
 
 QUICK = Timing(hold=1.0, move=0.2, rate=20.0)
-
-
-def assert_same(copy, data):
-    """Compare all that a recording carries."""
-    for field in dataclasses.fields(data):
-        if field.name not in ('name', 'robot'):
-            assert_array_equal(getattr(copy, field.name), getattr(data, field.name), field.name)
 
 
 @pytest.mark.parametrize(

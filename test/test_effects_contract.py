@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from arms import GRAVITY, TYPICAL, planar, spatial, turned, two_sections
 
+from tendon_robot_ros.common.rotations import about
 from tendon_robot_ros.effects import BUILT_IN, STAGES, load_catalogue
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot.estimates import natural_sizes
@@ -138,8 +139,7 @@ def test_a_batch_equals_single_postures(effect):
 def test_a_robot_turned_about_z_moves_the_same_way(effect, bends_as):
     """A planar robot is nothing special: in a plane at 40 degrees all is as in that of x and z."""
     angle = np.deg2rad(40.0)
-    c, s = np.cos(angle), np.sin(angle)
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    turn = about(2, angle)
     robot = replace(with_effects(planar(bends_as=bends_as), effect), gravity=(2.0, 0.0, 9.0))
     flat = {'pre_curvature': 'angle_y', 'tip_load': 'force_y'}
     for name in set(flat) & set(robot.effects):
@@ -156,8 +156,7 @@ def test_a_robot_turned_about_z_moves_the_same_way(effect, bends_as):
 def test_a_spatial_robot_turned_about_z_moves_the_same_way(effect):
     robot = with_effects(spatial(), effect)
     angle = 1.1
-    c, s = np.cos(angle), np.sin(angle)
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    turn = about(2, angle)
     for row in SPATIAL_INPUTS:
         one, other = Model(robot).shape(row), Model(turned(robot, angle)).shape(row)
         assert np.allclose(other.positions, one.positions @ turn.T, rtol=0, atol=1e-10)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tendon_robot_ros.common.errors import RobotDescriptionError, TendonRobotError
+from tendon_robot_ros.common.rotations import about
 from tendon_robot_ros.robot.keep_out import (
     Box,
     KeepOut,
@@ -37,10 +38,9 @@ def test_a_box_is_as_far_as_its_nearest_face_edge_or_corner():
 
 def test_a_turned_box_is_the_box_among_points_turned_back():
     turn, random = 0.7, np.random.default_rng(3)
-    c, s = np.cos(turn), np.sin(turn)
-    rotation = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     points = random.normal(size=(50, 3))
-    there = Box((0.0, 0.0, 0.0), (0.5, 1.0, 0.3), (0.0, 0.0, turn)).distance(points @ rotation.T)
+    turned = points @ about(2, turn).T
+    there = Box((0.0, 0.0, 0.0), (0.5, 1.0, 0.3), (0.0, 0.0, turn)).distance(turned)
     assert there == pytest.approx(Box((0.0, 0.0, 0.0), (0.5, 1.0, 0.3)).distance(points))
 
 

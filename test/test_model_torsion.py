@@ -8,6 +8,7 @@ from arms import planar, section, spatial, turned, wound
 from reference import Reference
 from scipy.optimize import brentq
 
+from tendon_robot_ros.common.rotations import about, turned_in_plane
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import Robot, Tendon
 
@@ -113,8 +114,7 @@ def test_a_wound_arm_turned_about_z_moves_the_same_way():
     robot = replace(wound(spatial(3, effects), beside=(0.0, 0.0)), gravity=(2.0, 1.0, 9.0))
     on_axis = tuple(replace(s, mass_offset=()) for s in robot.sections)
     robot, angle = replace(robot, sections=on_axis), 1.1
-    c, s = np.cos(angle), np.sin(angle)
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    turn = about(2, angle)
     for row in ([0.3, 0.0, 1.1, 0.5, 0.0, 0.2], [0.0, 1.3, 0.2, 0.0, 0.9, 0.4]):
         one, other = Model(robot).shape(row), Model(turned(robot, angle)).shape(row)
         assert np.allclose(other.positions, one.positions @ turn.T, rtol=0, atol=1e-10)
@@ -150,11 +150,7 @@ def test_an_offset_per_cell_is_the_same_as_one_that_winds():
     places = (np.arange(6) + 0.5) * L * 12.0
     tendons = []
     for tendon in robot.tendons:
-        x, y = tendon.base
-        listed = tuple(
-            (float(np.cos(a) * x - np.sin(a) * y), float(np.sin(a) * x + np.cos(a) * y))
-            for a in places
-        )
+        listed = tuple(map(tuple, turned_in_plane(np.array([tendon.base]), places).tolist()))
         tendons.append(replace(tendon, helix=0.0, offsets=listed))
     listed = replace(robot, tendons=tuple(tendons))
     one, other = (Model(r).shape([0.5, 2.0, 0.1]) for r in (robot, listed))

@@ -12,6 +12,7 @@ from source_tree import ROOT
 import tendon_robot_ros
 from tendon_robot_ros import Model, compare, load_dataset, load_robot
 from tendon_robot_ros.common.errors import InputError
+from tendon_robot_ros.common.rotations import about
 from tendon_robot_ros.model.shape import bending_azimuth, plot_arms, views_of
 
 ROBOTS = ROOT / 'config' / 'robots'
@@ -66,9 +67,8 @@ def test_an_arm_is_drawn_flat_or_in_space(name, axis):
 
 @pytest.mark.parametrize('turn', [0.0, 1.0, 2.5, -2.0])
 def test_an_arm_is_seen_across_the_plane_in_which_it_bends(turn):
-    c, s = np.cos(turn), np.sin(turn)
     bent = np.array([[0.0, 0.0, 0.1], [0.03, 0.002, 0.18], [np.nan] * 3, [0.08, -0.002, 0.2]])
-    arm = bent @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    arm = bent @ about(2, turn).T
     azimuth = bending_azimuth(arm)
     assert azimuth == pytest.approx(turn + bending_azimuth(bent), abs=1e-12)
     np.testing.assert_allclose(views_of(arm, turn), bent, atol=1e-12)

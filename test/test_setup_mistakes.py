@@ -9,7 +9,7 @@ import simulated
 from marks import slow
 from simulated import CATALOGUE, measured
 
-from tendon_robot_ros.common.rotations import upright_fit
+from tendon_robot_ros.common.rotations import about, upright_fit
 from tendon_robot_ros.comparison.noise import rms
 from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.diagnosis.diagnose import diagnose
@@ -37,8 +37,7 @@ def right():
 
 
 def turned(dataset, angle):
-    c, s = np.cos(angle), np.sin(angle)
-    return dataset.positions @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    return dataset.positions @ about(2, angle).T
 
 
 MISTAKES = {

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 pytest.importorskip('pandas')
 
-from laboratory_tables import ARM, CALM, COARSE, PLACES, calm_recording, noisy_recording, recorded
+from laboratory_tables import ARM, CALM, PLACES, calm_recording, noisy_recording, recorded
 
 from tendon_robot_ros.common.errors import DataSetError, InputError
 from tendon_robot_ros.model.model import Model
@@ -115,7 +115,9 @@ def test_a_mirrored_tracker_is_said(calm):
 
 
 def test_a_marker_that_would_sit_at_the_base_and_moves_asks_for_the_length_of_the_arm(calm):
-    short = replace(COARSE, cells=6, bending_stiffness=(0.016,) * 6, mass_profile=(1.0,) * 6)
+    short = replace(
+        ARM.sections[0], cells=6, bending_stiffness=(0.016,) * 6, mass_profile=(1.0,) * 6
+    )
     look = import_table(calm, replace(ARM, sections=(short,)), {'up': 'y'}).look
     assert any('would sit at the base: is the arm longer than its 90' in one for one in look)
     assert not any('sit at the base' in one for one in import_table(calm, ARM, {'up': 'y'}).look)

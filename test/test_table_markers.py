@@ -1,24 +1,14 @@
 """Which marker is where on the arm, and how two clouds of points lie to each other."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from arms import COARSE
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
-from source_tree import ROOT
 
 from tendon_robot_ros.common.errors import DataSetError
 from tendon_robot_ros.common.rotations import rigid_fit
-from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.tables.markers import order_markers
-
-THREE = load_robot(ROOT / 'config/robots/spatial_3.yaml')
-COARSE = replace(
-    THREE.sections[0], cells=8, cell_length=0.015, bending_stiffness=(0.016,) * 8,
-    mass_profile=(1.0,) * 8,
-)  # fmt: skip
-ARM = replace(THREE, sections=(COARSE,))
 
 
 def arc(radius, lengths, towards=0.0):
@@ -33,9 +23,9 @@ def test_markers_that_were_never_seen_together_have_no_order():
     postures = np.array([arc(r, lengths, t) for r, t in ((1e5, 0), (0.1, 0), (0.08, 2), (0.1, 4))])
     postures[:2, 1], postures[2:, 2] = np.nan, np.nan
     with pytest.raises(DataSetError, match='some markers are never seen together'):
-        order_markers(postures, ARM)
+        order_markers(postures, COARSE)
     postures[2:, 1] = np.nan
-    order = order_markers(postures, ARM)
+    order = order_markers(postures, COARSE)
     assert (order.members, order.unseen) == ((0, 2, 3), (1,))
 
 
@@ -43,10 +33,10 @@ def test_order_and_places_follow_from_the_straight_arm():
     lengths = np.array([0.012, 0.03, 0.066, 0.12])
     postures = np.array([arc(r, lengths, t) for r, t in ((1e5, 0), (0.1, 0), (0.08, 2), (0.1, 4))])
     shuffled = [2, 0, 3, 1]
-    order = order_markers(postures[:, shuffled] + 5.0, ARM)
+    order = order_markers(postures[:, shuffled] + 5.0, COARSE)
     assert [shuffled[j] for j in order.members] == [0, 1, 2, 3]
     assert_allclose(order.arc_lengths, lengths, atol=3e-4)  # bends of 0.8 rad between markers
-    known = order_markers(postures[:, shuffled], ARM, (0.01, 0.028, 0.064, 0.118))
+    known = order_markers(postures[:, shuffled], COARSE, (0.01, 0.028, 0.064, 0.118))
     assert known.arc_lengths == (0.01, 0.028, 0.064, 0.118)
 
 
@@ -54,17 +44,17 @@ def test_metres_that_are_called_millimetres_are_refused():
     lengths = np.array([0.03, 0.06, 0.09, 0.12])
     postures = np.array([arc(r, lengths, t) for r, t in ((1e5, 0), (0.1, 0), (0.08, 2))])
     with pytest.raises(DataSetError, match=r'up to 0\.09 mm apart, the arm is 120 mm'):
-        order_markers(1e-3 * postures, ARM)
+        order_markers(1e-3 * postures, COARSE)
 
 
 def test_places_are_measured_along_an_arm_that_is_never_straight():
     lengths = np.array([0.012, 0.03, 0.066, 0.12])
     random = np.random.default_rng(1)
     postures = np.array([arc(r, lengths, t) for r in (0.15, 0.1, 0.08, -0.1) for t in range(9)])
-    order = order_markers(postures + random.normal(0.0, 2e-4, postures.shape), ARM)
+    order = order_markers(postures + random.normal(0.0, 2e-4, postures.shape), COARSE)
     assert_allclose(order.arc_lengths, lengths, atol=3e-4)
     even = np.array([arc(r, [0.03, 0.06, 0.09, 0.12]) for r in (1e5, 0.1, 0.07)])
-    assert order_markers(even, ARM).arc_lengths == (0.03, 0.06, 0.09, 0.12)
+    assert order_markers(even, COARSE).arc_lengths == (0.03, 0.06, 0.09, 0.12)
 
 
 def test_markers_beside_the_arm_and_markers_that_stand_twice_are_left_out():
@@ -72,7 +62,7 @@ def test_markers_beside_the_arm_and_markers_that_stand_twice_are_left_out():
     postures = np.array([arc(r, lengths) for r in (1e5, 0.1, 0.07)])
     base, twice = np.array([0.0, 0.0, -0.04]), postures[:, 1:2] + 1e-4
     everything = np.concatenate([postures, np.tile(base, (3, 1, 1)), twice], axis=1)
-    order = order_markers(everything, ARM)
+    order = order_markers(everything, COARSE)
     assert order.members == (0, 1, 2, 3)
     assert (order.off_arm, order.twice) == ((4,), (5,))
 
@@ -87,7 +77,7 @@ def test_markers_beside_the_arm_and_markers_that_stand_twice_are_left_out():
 def test_places_that_do_not_fit_are_refused(places, message):
     postures = np.array([arc(r, [0.03, 0.06, 0.09, 0.12]) for r in (1e5, 0.1, 0.07)])
     with pytest.raises(DataSetError, match=message):
-        order_markers(postures, ARM, places)
+        order_markers(postures, COARSE, places)
 
 
 def test_a_rigid_fit_gives_rotation_and_shift_back():

@@ -19,13 +19,11 @@ from ..common.files import TABLE_ENDINGS, new_folder, refuse_taken
 from ..common.words import PROGRAM
 from ..common.yaml_reading import Reader, parse_yaml
 from ..robot import Robot, dump_robot, load_robot
-from .arrays import PLAUSIBLE_FACTOR, Marker, Vector, default_markers
+from .arrays import PLAUSIBLE_FACTOR, POSITION, QUATERNION, Marker, Vector, default_markers
 from .dataset import INPUTS, PATHS, DataSet, HasDataSet, Known, as_dataset
 from .measurement_files import (
     KEYS,
-    ORIENTATION,
     ORIGIN,
-    POSITION,
     VISIT,
     Commands,
     read_inputs,
@@ -464,7 +462,7 @@ def _visit_rows(dataset: DataSet, visits: Visits) -> Iterator[Iterable[object]]:
 
 def _shape_rows(dataset: DataSet) -> Iterator[Iterable[object]]:
     turned = dataset.orientations
-    yield (*KEYS, *POSITION, *(ORIENTATION if turned is not None else ()))
+    yield (*KEYS, *POSITION, *(QUATERNION if turned is not None else ()))
     visits = dataset.visits
     for p, posture in enumerate(dataset.postures if visits is None else visits.commands):
         positions = dataset.positions[p].tolist()

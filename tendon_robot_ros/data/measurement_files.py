@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..common.errors import DataSetError
 from ..common.words import listing
 from ..robot import Robot
-from .arrays import PLAUSIBLE_FACTOR, VALUES_MAX, too_tense
+from .arrays import PLAUSIBLE_FACTOR, POSITION, QUATERNION, VALUES_MAX, too_tense
 from .csv_file import NEEDED, CsvFile, IntArray, Table
 from .dataset import FloatArray
 from .visits import STRAIGHT
@@ -224,8 +224,6 @@ def _check(file: CsvFile, values: FloatArray, robot: Robot, kind: str) -> None:
 
 
 KEYS = ('posture', 'trial', 'marker')
-POSITION = ('x', 'y', 'z')  # [m]
-ORIENTATION = ('qx', 'qy', 'qz', 'qw')
 Places = tuple[IntArray, IntArray, NDArray[np.bool_], tuple[str, ...]]
 
 
@@ -265,13 +263,13 @@ def read_shapes(
     """
     required = (*KEYS, *POSITION)
     missing = 'leave the cell empty where the marker was not seen'
-    file = CsvFile(path, required, (*required, *ORIENTATION), missing)
-    turned = tuple(name for name in ORIENTATION if name in file.header)
-    if turned and turned != ORIENTATION:
+    file = CsvFile(path, required, (*required, *QUATERNION), missing)
+    turned = tuple(name for name in QUATERNION if name in file.header)
+    if turned and turned != QUATERNION:
         raise file.error(
             1,
             f'{", ".join(turned)} alone are no quaternion',
-            f'write {", ".join(ORIENTATION)}, or none of them',
+            f'write {", ".join(QUATERNION)}, or none of them',
         )
     table = file.read(KEYS, (*POSITION, *turned))
     xyz = np.stack([table.numbers[name] for name in POSITION], axis=1)
@@ -381,7 +379,7 @@ def _check_trials(
 
 def _quaternions(file: CsvFile, table: Table, seen: NDArray[np.bool_]) -> FloatArray:
     """Return unit quaternions, (n, 4)."""
-    q = np.stack([table.numbers[name] for name in ORIENTATION], axis=1)
+    q = np.stack([table.numbers[name] for name in QUATERNION], axis=1)
     missing = np.isnan(q)
     _refuse(
         file,

@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from ..common.rotations import turned_in_plane
 from ..model.model import Model
 from ..robot import Robot
 from ..simulation.measurements import SimulatedNoise
@@ -232,9 +233,8 @@ def spread(robot: Robot, degrees: float) -> Robot:
     tendons = list(robot.tendons)
     for members in robot.input_tendons:
         for k, turn in zip(members, np.radians([-degrees, 0.0, degrees]), strict=True):
-            (x, y), c, s = tendons[k].base, float(np.cos(turn)), float(np.sin(turn))
-            place = (c * x - s * y, s * x + c * y)
-            tendons[k] = replace(tendons[k], base=place, end=place)
+            x, y = turned_in_plane(np.array(tendons[k].base), turn).tolist()
+            tendons[k] = replace(tendons[k], base=(x, y), end=(x, y))
     return replace(robot, tendons=tuple(tendons))
 
 

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.errors import InputError, Progress, listener
-from ..common.rotations import angle_between
+from ..common.rotations import about, angle_between
 from ..model.forward import TOLERANCE
 from ..model.model import Model
 from ..model.shape import Shape, ShapeBatch
@@ -472,10 +472,8 @@ def _around(model: Model, angle: float, steps: int) -> list[Posture]:
     )
     postures, shape = [], first.shape
     for i, turn in enumerate(np.linspace(0.0, 2.0 * np.pi, steps)):
-        c, s = np.cos(turn), np.sin(turn)
-        about = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        place = about @ first.shape.tip_position
-        along = about @ np.array([np.sin(angle), 0.0, np.cos(angle)])
+        place = about(2, turn) @ first.shape.tip_position
+        along = about(2, turn) @ np.array([np.sin(angle), 0.0, np.cos(angle)])
         solution = model.reach(place, along, guess=shape)
         if (
             solution.position_error > POSITION_TOLERANCE_M
