@@ -10,6 +10,7 @@ workers.py        chunks of independent work: here, in processes, on a cluster
 processes.py      children that end with who started them; who goes first; one thread
 local_stop.py     a stop on the same computer, without discovery
 estimation.py     Gaussian estimates: the update by a linear measurement, the fit of a model
+arrays.py         types of arrays
 rotations.py      rotation matrices, rotation vectors and quaternions
 colours.py        the colours of measured, predicted and the rest, for pages and pictures
 """

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+from .arrays import Floats
+
 # [1] iterations of a fit; one that takes more goes to and fro, and would never end
 ITERATIONS_MAX = 12
 # [1] of a step, tried one after the other until the cost is lower, because far from the solution

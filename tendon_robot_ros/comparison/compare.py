@@ -8,8 +8,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.errors import InputError, NoEquilibriumError, Progress, choice, listener
 from ..data import DataSet, DataSetLike, default_markers, load_dataset
 from ..effects import Catalogue, CatalogueLike, load_catalogue
@@ -22,7 +22,6 @@ from .predict import Predictor
 from .result import Comparison, Measured, ModelErrors
 from .statistics import ERRORS
 
-Floats = npt.NDArray[np.float64]
 Models = RobotLike | Sequence[RobotLike | tuple[str, RobotLike]] | Mapping[str, RobotLike]
 
 

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..data import DataSet
 from .predict import Point, Predictor
 from .statistics import chi2_isf, minimum
 
-Floats = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 # [1] relative variance, or singular value, below which a cause is left out, because it changes no
 # weight by more than a thousandth

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.errors import NoEquilibriumError
 from ..common.words import listed
 from ..data import DataSet
@@ -31,7 +32,6 @@ from .noise import NEGLIGIBLE, input_slopes
 from .predict import Point, Predictor
 from .statistics import chi2_isf, f_isf
 
-Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 Counts = npt.NDArray[np.int64]
 # [1] probability that the most extreme of all readings, or of all trials, is left out by chance

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.errors import EffectError, TendonRobotError
 from ..data import DataSet, Part
 from ..data.visits import Visits
@@ -21,8 +22,6 @@ from ..model.model import Model
 from ..model.pulls import SLACK_BELOW_N, pull_shapes
 from ..model.shape import FIELDS, ShapeBatch
 from ..robot import Robot
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

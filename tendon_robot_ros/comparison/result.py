@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.errors import InputError
 from ..common.files import read_text
 from ..common.results import TextResult, make_frame
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Floats = npt.NDArray[np.float64]
 # [1] times the noise floor, from which an error is called more than noise, because the squared
 # error of a marker over two postures exceeds four times its mean with a probability of 0.05 %
 GROWN_FROM_FLOORS = 2.0

@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-Floats = npt.NDArray[np.float64]
+from ..common.arrays import Floats
+
 ERRORS = ('ci', 'sem')  # 95 % t-interval of the mean, or its standard error
 
 

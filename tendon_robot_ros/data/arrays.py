@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..common.arrays import Floats
 from ..common.errors import DataSetError, refusal, short
 from ..common.words import UNITS, listed
 from ..robot import Robot
@@ -87,7 +88,6 @@ def markers_of(
         raise refusal(f'{name}: markers', MARKERS_EXPECTED, given) from None
 
 
-Floats = NDArray[np.float64]
 Codes = NDArray[np.int64]
 POSITION = ('x', 'y', 'z')
 QUATERNION = ('qx', 'qy', 'qz', 'qw')

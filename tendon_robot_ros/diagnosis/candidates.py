@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..comparison.noise import Whitener
 from ..comparison.predict import CELLS, FreeParameter, Point, Predictor, free_parameters
 from ..comparison.statistics import chi2_sf, f_sf
@@ -22,8 +23,6 @@ from ..effects import Catalogue, Effect, Parameter
 from ..robot import Robot
 from .fit import FREEDOM_MANY, Fit, Nuisance
 from .imperfections import PLAUSIBLE_SIZES
-
-Floats = npt.NDArray[np.float64]
 
 
 def why_untested(effect: Effect, dataset: DataSet, robot: Robot) -> str:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.errors import NoEquilibriumError
 from ..comparison.noise import Whitener, estimate_noise, input_slopes, rms
 from ..comparison.predict import Predictor
@@ -28,7 +29,6 @@ from .verdict import LEFT_OUT_RATIO_MAX
 if TYPE_CHECKING:
     from .session import Session
 
-Floats = npt.NDArray[np.float64]
 FOLDS = 6  # [1] groups of postures left out in turn, because each is predicted by the model
 Groups = npt.NDArray[np.int64]
 

@@ -11,9 +11,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 from numpy.polynomial import legendre
 
+from ..common.arrays import Floats
 from ..comparison.predict import CELLS, Conditions, FreeParameter, Point, Predictor
 from ..data import DataSet
 from ..effects import Catalogue, Parameter
@@ -23,7 +23,6 @@ from .candidates import Candidate
 from .fit import Fit
 from .imperfections import GAIN, HOLE, POSITION, ROTATION, ZERO
 
-Floats = npt.NDArray[np.float64]
 WRITABLE_KINDS = (CELLS, GAIN, HOLE, ZERO, POSITION, ROTATION)  # kinds that a description can hold
 PROFILE = 'bending_stiffness'  # of the description: how it changes along the arm
 PROFILE_DEGREE = 4  # [1] of a polynomial, because a dozen of markers tell no more of it

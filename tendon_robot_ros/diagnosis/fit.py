@@ -9,12 +9,12 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..comparison.predict import FreeParameter
 from ..comparison.statistics import chi2_sf, f_sf, normal_ppf, t_ppf
 from .imperfections import Kind, Members
 from .marginal import Prior, RandomEffects, Sizes, root_inverse
 
-Floats = npt.NDArray[np.float64]
 LEVERAGE_MAX = 0.999  # [1] of a value on its own prediction, else rounding would predict it
 FREEDOM_MIN = 3.0  # [1] of a variance: below, the t distribution would have no variance
 FREEDOM_MANY = 1e3  # [1] of a variance, because t and F are then their limits to three digits

@@ -8,8 +8,8 @@ from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..comparison.noise import Whitener
 from ..comparison.predict import FreeParameter, Point, Predictor
 from .fit import Fit, Nuisance, with_imperfections
@@ -25,7 +25,6 @@ from .marginal import STEP_FRACTIONS, STEPS_MAX, Prior, RandomEffects, Sizes
 from .search import Search
 from .verdict import BEST_FEW
 
-Floats = npt.NDArray[np.float64]
 FAILURES = (ArithmeticError, np.linalg.LinAlgError)  # no equilibrium at a start, or on the path
 ROUNDS_MAX = 8  # [1] of parameters, imperfections and sizes in turn, else one that creeps goes on
 DEVIANCE_CONVERGED = 0.1  # [1] of a round, because a likelihood ratio of 5 % decides nothing

@@ -18,13 +18,13 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..comparison.predict import CELLS, Conditions, FreeParameter, Point, Predictor, SettledShapes
 from ..effects import Catalogue
 from ..model.shape import ShapeBatch
 from ..robot import Robot, Section
 from ..robot.description import EffectValues
 
-Floats = npt.NDArray[np.float64]
 KINK, ACROSS, GAIN, HOLE = 'cell_kink', 'cell_kink_across', 'channel_gain', 'hole_radius'
 ZERO, POSITION, ROTATION = 'pull_zero', 'position', 'rotation'
 REMAINDER = 'remainder'  # what no imperfection explains: another one in every posture

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.errors import InputError, NoEquilibriumError, Progress, listener, whole
 from ..common.processes import one_thread
 from ..comparison.predict import FreeParameter, Predictor
@@ -51,7 +52,6 @@ from .slopes import imperfections
 from .stepwise import GROUPS_MIN, PRIOR_TYPICALS, STEPS_MAX, Rates, State, Stepwise, grown
 from .verdict import P_SINGLE_MIN, STRAY_SD_MAX
 
-Floats = npt.NDArray[np.float64]
 Held = npt.NDArray[np.int64]
 Values = dict[str, dict[str, Value]]
 FRAME = (POSITION, ROTATION)

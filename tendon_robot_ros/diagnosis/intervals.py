@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.words import spoken
 from ..comparison.predict import FreeParameter, Point, Predictor
 from ..comparison.statistics import chi2_isf, chi2_sf, normal_ppf
@@ -23,7 +24,6 @@ from .marginal import NEGLIGIBLE, SIZE_MAX, Likelihood, Prior, RandomEffects
 from .result import LoadVector, Value
 from .verdict import CORRELATED_FROM, SIGNIFICANCE
 
-Floats = npt.NDArray[np.float64]
 QUANTILE = normal_ppf(1.0 - 0.5 * SIGNIFICANCE)  # [1] sd, so that 95 % are inside
 CURVATURE_ERROR_MAX = 0.1  # [1] of an end by curvature, else the profile likelihood decides
 TOLD_WITHIN_RAD = 0.25 * math.pi  # [rad] half an interval, else the direction would be a guess

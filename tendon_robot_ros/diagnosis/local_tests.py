@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..comparison.noise import Whitener
 from ..comparison.predict import CELLS
 from ..comparison.statistics import chi2_isf, false_discovery_control, t_sf
@@ -46,7 +47,6 @@ from .verdict import FALSE_DISCOVERY_RATE, P_SEVERAL_MIN
 if TYPE_CHECKING:
     from .session import Session
 
-Floats = npt.NDArray[np.float64]
 IN_CELLS = (CELLS, KINK, ACROSS)
 IN_INPUTS = (GAIN, HOLE, ZERO)
 ONCE = (KINK, ACROSS, GAIN, ZERO)  # kinds that are also looked for in single postures

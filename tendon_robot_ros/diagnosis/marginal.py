@@ -16,9 +16,9 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from ..common.arrays import Floats
 from .imperfections import KINDS_WITH_FEW_MEMBERS, REMAINDER, Kind, Members
 
-Floats = npt.NDArray[np.float64]
 NEGLIGIBLE = 0.01  # [1] of a plausible size, or of the noise, because nobody measures so little
 SIZE_MAX = 5.0  # [1] of a plausible size, because what scatters more is no imperfection
 STEPS_MAX = 25  # [1] of a damped search, else one that creeps would not end

@@ -7,8 +7,8 @@ from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.words import mm
 from ..comparison.predict import Predictor
 from ..data import DataSet
@@ -17,7 +17,6 @@ from .marginal import NEGLIGIBLE
 from .setup_hypotheses import Mistake, as_unit, times, tried
 from .verdict import ERROR_LEFT_MAX, MISTAKEN_RATIO_MIN, QUIET_FLOORS
 
-Floats = npt.NDArray[np.float64]
 SAME_PLACE = 1e-6  # [1] of the arm's length, so that only rounding lies within
 APART_MIN = 0.2  # [1] of a cell's length, else markers beside each other would be apart
 CELLS_MISCOUNTED_MAX = 3  # [1] too many or too few, else hundreds of arms would be tried

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..comparison.compare import bending_axes, equilibria
 from ..comparison.predict import Predictor
 from ..comparison.result import Measured
@@ -23,7 +23,6 @@ from ..model.shape import ShapeBatch
 from ..robot import Robot
 from .imperfections import BEND_MAX_RAD
 
-Floats = npt.NDArray[np.float64]
 BLOCKS_PER_SECTION = 3  # [1] because bends of single cells drown in the noise of markers
 BEND_MIN = 1e-3  # [rad] of a cell, else rounding would be its direction
 

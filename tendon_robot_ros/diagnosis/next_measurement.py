@@ -7,8 +7,8 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..comparison.noise import Whitener, input_slopes
 from ..comparison.predict import Predictor
 from ..data import DataSet
@@ -18,7 +18,6 @@ from .result import NextMeasurement
 from .session import Session
 from .verdict import NEAR_SCORE
 
-Floats = npt.NDArray[np.float64]
 GRID_POSTURES_MAX = 400  # [1] of the grid, because each is solved for every effect and parameter
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..comparison.noise import Whitener
 from ..comparison.predict import CELLS, SOFT_CELL, TAPER, FreeParameter, Point
 from ..comparison.statistics import chi2_isf, chi2_sf
@@ -22,7 +22,6 @@ from .session import side_by_side
 from .slopes import pushes
 from .verdict import APART_FROM_SCORE, BEST_FEW, NEAR_SCORE, SAME_ERROR_RATIO, SIGNIFICANCE
 
-Floats = npt.NDArray[np.float64]
 NAMES = ('contact', 'soft_cell', 'taper', 'gain_per_posture', 'rotation_per_posture')
 
 

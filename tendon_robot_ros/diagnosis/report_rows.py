@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ..common.words import mm
 from ..comparison.outliers import Outliers
@@ -39,7 +38,6 @@ from .verdict import (
     Verdict,
 )
 
-Floats = npt.NDArray[np.float64]
 Concluded = Conclusion[Ranked, Pattern]
 NOISE_KEYS = ('position', 'shift', 'trial', 'setting', 'source')
 SPAN_MAX = 30.0  # [1] ratio of the ends of an interval, else nobody would know the size

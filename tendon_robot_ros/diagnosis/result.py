@@ -10,8 +10,8 @@ from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.colours import ERROR, GOOD, HELD_OUT, PREDICTED
 from ..common.files import write_text
 from ..common.results import TextResult, make_frame
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 FORMAT = 'tendon_robot_ros/diagnosis@1'
 CANDIDATES_DRAWN = 12  # [1] because more bars could not be read
 NOT_NEEDED = 'not needed'  # status where the model is adequate: there is nothing to explain
-Floats = npt.NDArray[np.float64]
 AS_FOUND = 'arm_as_found'  # the step that writes cells, inputs and the frame as they were found
 IMPROVEMENT_FORMAT = 'tendon_robot_ros/improvement@1'
 COLOURS = {'fitted': PREDICTED, 'left out': HELD_OUT, 'check': GOOD}

@@ -6,13 +6,12 @@ from collections.abc import Mapping
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..comparison.noise import Whitener
 from ..comparison.predict import FreeParameter, Point, Predictor, SettledShapes
 from .fit import Fit, Nuisance
 
-Floats = npt.NDArray[np.float64]
 Rates = tuple[Floats, ...]  # states (q, P, 3n) and tensions (q, P, m), per unit
 GAIN_MIN = 1e-3  # [1] of chi²: a smaller gain ends a search, because no decision rests on it
 GAIN_RATIO_MIN = 1e-5  # [1] of chi², else a search far from any fit would not end

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..comparison.predict import Point
 from ..comparison.statistics import chi2_sf
 from .candidates import Candidate, Ranked
@@ -30,8 +30,6 @@ from .verdict import (
     P_SINGLE_MIN,
     SIGNIFICANCE,
 )
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

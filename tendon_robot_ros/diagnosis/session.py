@@ -9,6 +9,7 @@ from contextlib import suppress
 import numpy as np
 import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.errors import Progress, listener
 from ..comparison.noise import Noise, Whitener, estimate_noise, input_slopes
 from ..comparison.outliers import Outliers, without_unsettled
@@ -33,7 +34,6 @@ from .marginal import RandomEffects
 from .slopes import imperfections
 from .verdict import ALARM_LEVEL, NEAR_SCORE, P_SEVERAL_MIN, P_SINGLE_MIN, TIE_SCORE
 
-Floats = npt.NDArray[np.float64]
 Starts = Mapping[str, Fit | Point]
 
 

@@ -10,8 +10,8 @@ from itertools import combinations, permutations, product
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.rotations import rigid_fit, turn_angle, turn_onto, upright_fit
 from ..common.words import STANDARD_GRAVITY
 from ..comparison.noise import rms
@@ -20,7 +20,6 @@ from ..data import DataSet
 from .marginal import NEGLIGIBLE
 from .verdict import ERROR_LEFT_MAX
 
-Floats = npt.NDArray[np.float64]
 EARTH = round(STANDARD_GRAVITY, 2)  # [m/s²] as descriptions have it, because new-robot rounds so
 UNIT_FACTORS = {
     1000.0: 'milli', 0.001: 'kilo', EARTH: 'kilograms of force', 1.0 / EARTH: 'newtons twice',

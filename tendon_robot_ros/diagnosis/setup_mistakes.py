@@ -12,8 +12,8 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.words import listed, mm
 from ..comparison.noise import Noise, Whitener, rms
 from ..comparison.predict import Point, Predictor
@@ -82,7 +82,6 @@ DISCRETE = (
 HYPOTHESES = (*DISCRETE, registered)
 BESIDE_EFFECTS = (*DISCRETE, dead_inputs)  # the last needs values of its own
 NEARLY_EFFECTS = (gravities,)  # a load can take up nearly all that the weight of a light arm does
-Floats = npt.NDArray[np.float64]
 STEPS_FEW = 8  # [1] of a fit, because hundreds are made and none is told
 CUT_AS_GOOD_RATIO = 1.05  # [1] to the least error, so that the fewest cells are said
 WEIGHT = ('gravity', 'linear_density')  # which a scale tells: no tolerance is a factor

@@ -15,8 +15,8 @@ from functools import partial
 from itertools import product
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..comparison.predict import CELLS, Point
 from ..model.derivatives import residuals, responses, shown
 from ..model.pulls import SLACK_BELOW_N
@@ -40,7 +40,6 @@ from .imperfections import (
     remainders,
 )
 
-Floats = npt.NDArray[np.float64]
 STEP = 1e-6  # [1], [rad], [N] of differences without solving, because rounding is 1e-16
 
 

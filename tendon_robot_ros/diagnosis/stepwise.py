@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.errors import InputError
 from ..comparison.noise import Whitener, estimate_noise, input_slopes, likely, rms
 from ..comparison.outliers import find_outliers, without_unsettled
@@ -39,7 +40,6 @@ from .setup_hypotheses import Mistake
 from .setup_mistakes import find_mistake
 from .verdict import P_SINGLE_MIN, POSTURES_MIN
 
-Floats = npt.NDArray[np.float64]
 Held = Sequence[int] | npt.NDArray[np.int64]
 SOLVED = ('torsion', 'memory')  # stages of which, when absent, only a solution tells
 GROUPS_MIN = POSTURES_MIN + 1  # [1] of different inputs, because one is left out

@@ -9,7 +9,6 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ..common.errors import Progress, listener
 from ..common.workers import Workers
@@ -27,7 +26,6 @@ from .select import gather
 from .session import Session
 from .verdict import ALARM_LEVEL, is_alarming
 
-Floats = npt.NDArray[np.float64]
 SECONDS = 50.0  # [s] of simulations, so that a report with them takes a minute
 DETECTED_SHARE = 0.8  # [1] power of a test, as is usual (Cohen 1988)
 

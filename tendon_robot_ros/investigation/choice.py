@@ -24,8 +24,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.errors import InputError, NoEquilibriumError, TendonRobotError
 from ..comparison.noise import Noise, Whitener, input_slopes
 from ..comparison.predict import FreeParameter, Point, Predictor, frees_of
@@ -42,7 +42,6 @@ from ..robot.keep_out import KeepOut
 from ..workspace.postures import default_postures
 from .goal import Goal
 
-Floats = npt.NDArray[np.float64]
 # [1] postures to choose from; a third of these of wire pulls, because each is a search
 POOL_POSTURES = 120
 # [1] places on the path to a posture at which the arm has to keep clear of regions; between two of

@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.files import write_text
 from ..common.words import digits, listed
 from ..comparison.noise import Noise
@@ -66,7 +66,6 @@ from .record import (
     with_posture,
 )
 
-Floats = npt.NDArray[np.float64]
 RECORDING, RESULT, REPORT = 'recording.mcap', 'diagnosis.json', 'report.html'
 # [nat] information below which a posture tells nothing: an interval that it narrows would become
 # shorter by 2 %

@@ -11,16 +11,14 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.errors import TendonRobotError
 from ..common.words import commands
 from ..monitoring.change import APART_PROBABILITY, ChangeFinder, Suspect, described
 from .choice import Room
 from .goal import Goal
 from .record import BrokenMeasurementError, MeasurableArm, PostureMeasured, Record
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

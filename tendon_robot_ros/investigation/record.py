@@ -13,14 +13,13 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.errors import InputError, TendonRobotError
 from ..common.files import read_text, write_text
 from ..data import DataSet, Marker, load_dataset, save_dataset
 from ..robot import Robot, dump_robot
 
-Floats = npt.NDArray[np.float64]
 DATA, CHECK, LOG, BETTER = 'data', 'check', 'investigation.json', 'better.yaml'
 FORMAT = 'tendon_robot_ros/investigation@1'
 

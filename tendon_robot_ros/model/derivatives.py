@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.errors import InputError
 from .pulls import SLACK_BELOW_N
 from .shape import Shape, ShapeBatch
@@ -17,7 +18,6 @@ from .shape import Shape, ShapeBatch
 if TYPE_CHECKING:
     from .forward import ForwardModel
 
-Floats = npt.NDArray[np.float64]
 Seen = Callable[[ShapeBatch], Floats]
 Column = str | tuple[str, str] | tuple[str, str, int | None]
 EPSILON = float(np.finfo(float).eps)

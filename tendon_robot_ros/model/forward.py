@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.errors import NoEquilibriumError
 from ..effects import STAGES, CatalogueLike, load_catalogue
 from ..robot import RobotLike, load_robot
@@ -19,7 +20,6 @@ from ..robot.inputs import TensionsLike, are_tensions, input_rows, tensions_of
 from .compile import KernelArrays
 from .shape import FIELDS, ResultLayout, Shape, ShapeBatch
 
-Floats = npt.NDArray[np.float64]
 # [rad] last change of an equilibrium; the kernel's BEND_TOLERANCE, which is not imported because
 # numba would be
 TOLERANCE = 1e-10

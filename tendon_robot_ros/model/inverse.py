@@ -8,8 +8,8 @@ from functools import partial
 from itertools import islice
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.errors import NoEquilibriumError
 from .program import within
 from .pulls import Aim, aim_by_pulls, limits_by_pulls, pull_shape
@@ -29,7 +29,6 @@ from .starts import (
 )
 from .tip_task import COLD, LOW_TENSION_WEIGHT, Patience, Policy, Preferences, TipTask
 
-Floats = npt.NDArray[np.float64]
 # [m] of a target that counts as reached: an order below trackers, so that they see no error
 # (docs/model.md)
 POSITION_TOLERANCE_M = 1e-4

@@ -7,11 +7,12 @@ from dataclasses import replace
 
 import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.errors import refusal, whole
 from ..robot.inputs import TensionsLike
 from ..robot.keep_out import KeepOut
 from .derivatives import Column, Seen, TipStiffness, derivatives, tip_jacobian, tip_stiffness
-from .forward import Floats, ForwardModel
+from .forward import ForwardModel
 from .inverse import reach
 from .pulls import pull_shape
 from .shape import Reach, Shape, ShapeBatch

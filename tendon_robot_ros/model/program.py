@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+from ..common.arrays import Floats
+
 # [1] of the largest slope: along directions of the tip with less, a step would ask for much
 # tension
 STEP_DAMPING = 0.1

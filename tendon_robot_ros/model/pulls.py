@@ -8,8 +8,8 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.errors import InputError, NoEquilibriumError
 from ..robot.inputs import TensionsLike, wire_pulls
 
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from .shape import Shape, ShapeBatch
     from .tip_task import TipTask
 
-Floats = npt.NDArray[np.float64]
 Aim = Callable[[Floats, Floats, Floats], tuple[float, Floats]]
 GAP_CLOSED_M = 1e-8  # [m] gap of a wire that ends a search, so that no tip is off by 1 µm
 STRETCH_ERROR_N = 0.1  # [N] error of stretched wires: stiffer springs would correct no more

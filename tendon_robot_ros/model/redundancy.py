@@ -20,8 +20,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.errors import NoEquilibriumError
 from ..robot.keep_out import KeepOut
 from .derivatives import (
@@ -37,7 +37,6 @@ from .tip_task import Preferences, TipTask
 if TYPE_CHECKING:
     from .shape import Shape
 
-Floats = npt.NDArray[np.float64]
 # [1] weight of the square of the tip's error in lengths of the robot, against preferences of about
 # 1, so that one that asks for a whole range moves the tip by 1/600 of the length at most
 TIP_WEIGHT = 4e5

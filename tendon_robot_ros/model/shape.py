@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.colours import ERROR, MEASURED, look
 from ..common.errors import InputError
 from ..common.results import TextResult, make_frame
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Floats = npt.NDArray[np.float64]
 EPSILON, TINY = float(np.finfo(float).eps), float(np.finfo(float).tiny)
 
 

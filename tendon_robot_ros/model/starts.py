@@ -15,8 +15,8 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Floats
 from .program import within
 from .pulls import Aim
 from .tip_task import LOW_TENSION_WEIGHT, Policy, TipTask
@@ -24,7 +24,6 @@ from .tip_task import LOW_TENSION_WEIGHT, Policy, TipTask
 if TYPE_CHECKING:
     from .shape import Shape, ShapeBatch
 
-Floats = npt.NDArray[np.float64]
 Start = tuple[Aim, Floats, Floats]  # how to search, tensions (m,) [N] and bends to start from
 # [1] of the cost, gained by a step: less ends a search, because rounding gains as much
 GAIN_MIN = 1e-6

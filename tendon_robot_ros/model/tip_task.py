@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.errors import InputError, short
 from ..robot import Robot
 from ..robot.inputs import finite
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from .forward import ForwardModel
     from .shape import Shape
 
-Floats = npt.NDArray[np.float64]
 # [1] weight of ln of what is left of the tensions' range, beside ln of the error that is left: 1 /
 # (1 + D²) with D a half, so that a tension grows evenly until the error that no tension takes away
 # is half of what it takes away (docs/model.md)

@@ -34,8 +34,8 @@ from statistics import NormalDist
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.estimation import kalman_update
 from ..common.words import listed, with_unit
 from ..comparison.predict import FreeParameter, free_parameters
@@ -47,7 +47,6 @@ from ..robot import Robot
 from .built_arm import ODD_PROBABILITY, REMAINDERS, BuiltArm
 from .change import CONFIRMED_POSTURES
 
-Floats = npt.NDArray[np.float64]
 # [1] standard deviations of half of a 95 % interval, as values are by chance
 INTERVAL_SD = NormalDist().inv_cdf(0.975)
 # [1] probability of a difference from what is in use by chance; with more it is none

@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.estimation import kalman_update
 from ..comparison.predict import Point, Predictor, SettledShapes
 from ..data import DataSet, Marker
@@ -30,7 +31,6 @@ from ..robot import Robot
 from ..robot.estimates import bend_rates, end_sections, natural_sizes
 from .references import Reference, contradicted, log_likelihoods, widening
 
-Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 # [1] of the length, at the tip: 1 sd of what no imperfection explains; factors of three, because
 # the likelihood tells no finer

@@ -26,6 +26,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.estimation import gauss_newton
 from ..common.words import digits, mm, spoken, with_unit
 from ..comparison.predict import CELLS, FreeParameter, Point, Predictor, free_parameters
@@ -37,7 +38,6 @@ from ..diagnosis.slopes import imperfections
 from ..report.sentences import load_words
 from .built_arm import ODD_PROBABILITY, BuiltArm
 
-Floats = npt.NDArray[np.float64]
 TRACKER, FRAME = 'the tracker', 'base_misalignment'  # a tracker that was bumped does what it does
 SHIFT = 'shift'  # of the frame; the other keys of the effect are a rotation
 # [1] relative 1 sd of a change of a kind of imperfection: what is seen on arms that wear

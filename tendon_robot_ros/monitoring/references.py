@@ -30,9 +30,9 @@ from statistics import NormalDist
 import numpy as np
 import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..comparison.outliers import outlier_limits
 
-Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 # C (n, q), y (n,), B (n, k), and of R (n, n) eigenvalues (n,) and eigenvectors (n, n)
 Posture = tuple[Floats, Floats, Floats, tuple[Floats, Floats]]

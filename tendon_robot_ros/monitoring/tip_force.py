@@ -25,13 +25,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.estimation import gauss_newton
 from ..comparison.predict import FreeParameter, SettledShapes, free_parameters
 from ..comparison.statistics import chi2_isf
 from ..diagnosis.slopes import pushes
 from .built_arm import BuiltArm
 
-Floats = npt.NDArray[np.float64]
 EFFECT = 'tip_load'
 # [1] of a typical force, of a difference: less would be lost in the equilibrium's tolerance
 DIFFERENCE = 0.02

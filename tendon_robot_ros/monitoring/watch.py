@@ -31,8 +31,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.errors import InputError
 from ..common.processes import ComputingThread
 from ..common.words import listed
@@ -45,7 +45,6 @@ from .built_arm import ODD_PROBABILITY, BuiltArm, Expected
 from .change import ChangeFinder, Suspect, changes_of, described
 from .tip_force import TipForce, TipForceObserver
 
-Floats = npt.NDArray[np.float64]
 FORMAT = 'tendon_robot_ros/change@1'
 SIZES = 'remainder', 'setting', 'widening'  # of an arm as it was learned
 # [1] postures; without a change no alarm before, on average and at least (docs/investigate.md)

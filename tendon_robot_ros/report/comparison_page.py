@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from ..common.arrays import Floats
 from ..common.colours import FLOOR, MEASURED, WARN, look
 from ..common.words import capital, mm
-from ..comparison.result import Comparison, Floats
+from ..comparison.result import Comparison
 from ..model.shape import bending_azimuth, views_of
 from . import comparison_text as say
 from .error_plots import Step, angles, per_marker, per_posture, staircase, tip_boxes

@@ -9,11 +9,12 @@ from textwrap import wrap
 
 import numpy as np
 
+from ..common.arrays import Floats
 from ..common.colours import FLOOR
 from ..common.words import capital, columns, digits, mm, probability
 from ..comparison.compare import compare
 from ..data import DataSet
-from ..diagnosis.result import COLOURS, Floats, Improvement, total
+from ..diagnosis.result import COLOURS, Improvement, total
 from ..effects import Catalogue
 from .comparison_page import add_shapes
 from .error_plots import per_marker, per_posture

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.colours import COLOURS, ERROR, FLOOR, INK, MEASURED, PREDICTED
 from ..common.errors import NoEquilibriumError
 from ..common.files import new_file
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
     from ..model.model import Model
 
-Floats = npt.NDArray[np.float64]
 # kind of picture -> width and height [in], dots per inch, and [pt] letters: about 1200 px wide, so
 # that letters have 9 px on a phone
 STYLES = {

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.colours import ERROR, FLOOR, INK, PREDICTED, look
 from ..common.words import commands, digits, listed
-from ..workspace.cubes import LOOKS, Floats, Numbers, Reached
+from ..workspace.cubes import LOOKS, Numbers, Reached
 from ..workspace.view_angle import Family, Workspace
 from ..workspace.volume import Volume, bends_as_one
 from .page import (

@@ -9,8 +9,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..common.arrays import Floats
 from ..common.errors import InputError, RobotDescriptionError
 from ..common.results import TextResult
 from ..common.yaml_reading import Reader, parse_yaml
@@ -28,7 +28,6 @@ TOLERANCES = (
     'rotation',
 )
 XY = tuple[float, float]  # [m]
-Floats = NDArray[np.float64]
 # [m] of a section that only holds the holes of the base plate, because no cell is so short
 PLATE_LENGTH_MAX_M = 1e-5
 EffectValues = dict[str, float | tuple[float, ...]]

@@ -7,10 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from ..common.arrays import Floats
 from ..common.words import STANDARD_GRAVITY
 from .description import Robot, tendon_offsets
 
-Floats = NDArray[np.float64]
 # [rad] 20°, that the highest tension bends a section by, else its stiffness, or an offset, is in
 # another unit: by a thousand, or ten
 BEND_MIN_RAD = 0.35

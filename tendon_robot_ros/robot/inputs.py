@@ -7,12 +7,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any, TypeGuard
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.errors import InputError, meant, named_columns, refusal, short
 from .description import Robot
 
-Floats = npt.NDArray[np.float64]
 TensionsLike = Mapping[str, float] | Sequence[float] | Floats
 
 

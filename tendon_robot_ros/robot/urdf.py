@@ -6,12 +6,11 @@ import math
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.rotations import about
 from . import Robot
 
-Floats = npt.NDArray[np.float64]
 Transform = tuple[str, str, Floats, float]  # parent, child, rotation (3, 3), shift up [m]
 
 

@@ -12,14 +12,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.errors import EffectError, InputError, meant, refusal
 from ..effects import Catalogue, Effect, Parameter
 from ..robot import Robot
 from ..robot.description import EffectValues
 
-Floats = npt.NDArray[np.float64]
 CauseValues = dict[str, float]
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.errors import Progress, choice, listener, names, number, refusal, whole
 from ..common.files import new_file
 from ..common.rotations import towards
@@ -24,8 +25,6 @@ from ..data.visits import split_by_order
 from ..robot import RobotLike
 from ..robot.inputs import input_rows
 from .plant import Plant, make_plant
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

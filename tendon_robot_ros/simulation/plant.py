@@ -17,6 +17,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.errors import number, whole
 from ..common.rotations import bent
 from ..effects import Catalogue, CatalogueLike, Effect, load_catalogue
@@ -27,8 +28,6 @@ from ..robot import Robot, RobotLike, Section, load_robot
 from ..robot.description import XY, EffectValues, helix_angles
 from ..robot.estimates import natural_sizes
 from .hidden import Built, Damage, Hidden, Workmanship, hide, plant_catalogue
-
-Floats = npt.NDArray[np.float64]
 
 
 def parts_per_cell(

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..comparison.noise import Whitener, estimate_noise, input_slopes
 from ..comparison.predict import Predictor
 from ..data import DataSet, Marker, even_markers
@@ -24,7 +24,6 @@ from ..simulation.measurements import SimulatedNoise, simulate
 from ..simulation.plant import make_plant
 from ..workspace.postures import default_postures
 
-Floats = npt.NDArray[np.float64]
 HiddenSizes = dict[str, float | list[float]]
 NOTHING = 'none'
 # [1] whitened squared change of the markers that stands out of the noise: as chi² of three

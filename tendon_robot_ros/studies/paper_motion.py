@@ -6,15 +6,13 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.rotations import turned_in_plane
 from ..model.model import Model
 from ..robot import Robot
 from ..simulation.measurements import SimulatedNoise
 from ..workspace.view_angle import Family, Pair, Workspace, bisect, find_workspace
-
-Floats = npt.NDArray[np.float64]
 
 
 class Published:

@@ -12,6 +12,7 @@ from itertools import product
 
 import numpy as np
 
+from ..common.arrays import Floats
 from ..common.errors import InputError
 from ..comparison.compare import compare
 from ..comparison.result import Comparison
@@ -23,7 +24,7 @@ from ..robot import Robot
 from ..simulation.measurements import simulate
 from ..simulation.plant import Plant, make_plant
 from ..workspace.view_angle import Pair, pairs_of
-from .paper_motion import Assumed, Floats, Published, at_view, pcca, with_arm, with_cells
+from .paper_motion import Assumed, Published, at_view, pcca, with_arm, with_cells
 
 HEIGHT_NAMES = ('maximum tip height', 'median tip height', 'minimum tip height')
 HINGE_MODEL = 'FKM + hinge friction'

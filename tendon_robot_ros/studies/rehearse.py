@@ -20,10 +20,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from ..cli.options import add_effect_files
 from ..cli.simulate import hidden_effect, simulated_noise
+from ..common.arrays import Floats
 from ..common.errors import InputError, NoEquilibriumError
 from ..data import Marker, default_markers
 from ..data.dataset import INPUTS, LOADINGS
@@ -40,7 +40,6 @@ from ..simulation.plant import Plant, make_plant
 HELP = 'investigate a simulated robot that hides something, as the real one will be'
 # [1] readings of a posture of a sequence, because it is measured once
 READINGS = 5
-Floats = npt.NDArray[np.float64]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

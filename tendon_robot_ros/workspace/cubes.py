@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..robot import Robot
 
-Floats = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.int64]
 # [1] equal areas of the sphere of directions, by height and around the base: 48, so that a bit for
 # each fits into 64

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.errors import choice, whole
 from ..model.model import Model
 from ..robot import Robot, RobotLike, load_robot
 from ..robot.estimates import bend_rates, end_sections
 
-Floats = npt.NDArray[np.float64]
 INPUTS = ('tension', 'displacement')
 PATHS = ('from_straight', 'sequence', 'visits')  # of a data set
 # [rad] largest bend of a section by the frictionless model: U-shaped, so that all of its cells are

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.errors import InputError, Progress, listener
 from ..common.rotations import about, angle_between
 from ..model.forward import TOLERANCE
@@ -26,7 +26,6 @@ from ..paths.path import DIRECTION_TOLERANCE_RAD, POSITION_TOLERANCE_M
 from ..robot import Robot
 from ..robot.description import tendon_offsets
 
-Floats = npt.NDArray[np.float64]
 # [1] postures of a grid or a cloud; more would take hours, and is a mistyped step as a rule
 POSTURES_MAX = 100_000_000
 # [1] postures solved at once, so that their shapes (some MB) stay in the cache

@@ -21,6 +21,7 @@ from zipfile import BadZipFile
 import numpy as np
 import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.errors import InputError, Progress, listener
 from ..common.files import new_file
 from ..common.rotations import angle_between
@@ -31,7 +32,7 @@ from ..model.model import Model
 from ..model.shape import ShapeBatch
 from ..robot import Robot, dump_robot
 from ..robot.description import tendon_offsets
-from .cubes import LOOKS, Cubes, Floats, Reached, beyond, folds, sphere_part
+from .cubes import LOOKS, Cubes, Reached, beyond, folds, sphere_part
 from .view_angle import POSTURES_AT_ONCE, POSTURES_MAX
 
 # [1] postures wanted for every cube: with fewer some stay empty by chance
