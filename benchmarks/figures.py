@@ -55,7 +55,7 @@ PARTS = {
     'orders': Part(tuple(f'{ORDERS} {robot}' for robot in (PLANAR, SPATIAL))),
     'stop': Part(
         tuple(
-            f'bench_stop.py --trials 10 {robot} --mode {mode}'
+            f'bench_stop.py --trials 3 {robot} --mode {mode}'
             for robot in (PLANAR, SIX)
             for mode in ('tension', 'pull')
         )
