@@ -6,7 +6,7 @@ from control_rig import CYCLE, Rig, model, reachable
 
 from tendon_robot_ros.control import Refusal
 from tendon_robot_ros.control.state import Trajectory
-from tendon_robot_ros.control.status import controller_status
+from tendon_robot_ros.control.status import controller_values
 
 LIMITS = np.array([[0.1, 5.0]] * 4)
 NAMES = ('prox_left', 'prox_right', 'dist_left', 'dist_right')
@@ -24,7 +24,7 @@ def test_tensions_follow_the_straight_lines_in_time_and_the_end_is_held():
     rig.run(0.5)
     assert rig.tensions == pytest.approx([0.6, 0.1, 0.1, 0.35], abs=1e-9)
     assert rig.code() == 'playing'
-    said = controller_status(rig.core, rig.now).values
+    said = controller_values(rig.core, rig.now)
     assert (said['trajectory_time (s)'], said['trajectory_duration (s)']) == ('0.500', '1.000')
     rig.run(1.0)
     assert rig.tensions == pytest.approx(END)

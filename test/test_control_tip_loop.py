@@ -6,7 +6,7 @@ from friction_rig import CYCLE, TARGETS, Rig, model
 
 from tendon_robot_ros.common.errors import NoEquilibriumError
 from tendon_robot_ros.control import ControllerCore, Settings, Target, target_search, tip_loop
-from tendon_robot_ros.control.status import controller_status
+from tendon_robot_ros.control.status import controller_values
 from tendon_robot_ros.control.tip_estimator import TipEstimate, TipStep
 from tendon_robot_ros.model.derivatives import tip_slopes
 from tendon_robot_ros.model.program import STEP_GAIN, bounded_step
@@ -132,7 +132,7 @@ def test_an_arm_that_snaps_on_its_way_is_not_given_up_and_one_that_stays_away_is
         for _ in range(round(seconds / 0.02)):
             rig.run(0.02)
             rig.core.tip_measured(rig.now, rig.shape.tip_position + away)
-        return controller_status(rig.core, rig.now).values['correction_frozen']
+        return controller_values(rig.core, rig.now)['correction_frozen']
 
     def far(steps):  # no jumps
         for step in steps:

@@ -112,7 +112,7 @@ def written(key):
 @pytest.mark.parametrize(
     ('node', 'path', 'function', 'count'),
     [
-        ('controller', 'control/status.py', 'controller_status', 8),
+        ('controller', 'control/status.py', 'controller_values', 8),
         ('controller', 'control/null_space.py', 'values', 2),
         ('controller', 'control/tip_loop.py', 'values', 3),
         ('controller', 'ros/controller/node.py', '_tell', 4),

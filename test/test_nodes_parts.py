@@ -172,6 +172,26 @@ def test_the_last_state_that_stays_is_the_last_line_of_the_log(status):
     assert told[2:] == ['stopped: so it is']
 
 
+def test_values_are_formatted_only_when_they_may_go_out(status):
+    formatted = []
+
+    def values():
+        formatted.append(status.now[0])
+        return {'tension (N)': str(status.now[0] > 0.5)}
+
+    for status.now[0] in 100.0 + 0.02 * np.arange(200):  # unchanged: once a second
+        status.say(lifecycle.OK, 'holding', 'so it is', values)
+    assert 35 < len(formatted) <= 40
+    assert len(status.sent) in (2 * 4, 2 * 5)  # and in /diagnostics
+    published = len(status.sent)
+    status.now[0] += 0.02
+    status.say(lifecycle.ERROR, 'holding', 'so it is', values)  # news: at once
+    status.say(lifecycle.ERROR, 'holding', 'so it is', values, ['overload'])  # 20 ms later
+    status.now[0] += 0.021
+    status.say(lifecycle.ERROR, 'holding', 'so it is', values, ['overload'])
+    assert len(status.sent) == published + 4
+
+
 @pytest.mark.parametrize('lag', [0.02, 0.05, 0.1, 0.15])
 def test_a_tip_is_told_where_it_stands_however_slowly_the_motors_come_to_rest(monkeypatch, lag):
     monkeypatch.setattr(robot_client, 'time', SimpleNamespace(monotonic=lambda: now[0]))

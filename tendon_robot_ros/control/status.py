@@ -37,12 +37,15 @@ class ControllerStatus:
     level: str
     code: str
     message: str
-    values: dict[str, str]
 
 
 def controller_status(core: ControllerCore, now: float) -> ControllerStatus:
-    """Say how the controller is; codes are listed in docs/ros_interface.md."""
-    level, code, message = _condition(core, now)
+    """Return how the controller is; codes are listed in docs/ros_interface.md."""
+    return ControllerStatus(*_condition(core, now))
+
+
+def controller_values(core: ControllerCore, now: float) -> dict[str, str]:
+    """Return the values of the status, with their unit in the key: docs/ros_interface.md."""
     values = {'moving': str(core.moving).lower()}
     if stamp := followed(core):
         values['target_stamp'] = stamp
@@ -64,7 +67,7 @@ def controller_status(core: ControllerCore, now: float) -> ControllerStatus:
     values.update(core.null_space.values())
     if core.settings.tip_gain > 0.0:
         values.update(core.loop.values(now))
-    return ControllerStatus(level, code, message, values)
+    return values
 
 
 def followed(core: ControllerCore) -> str:

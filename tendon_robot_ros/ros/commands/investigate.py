@@ -440,7 +440,7 @@ class Investigator:
         """Publish how it is."""
         code = 'asking' if self._busy else 'waiting'
         text = 'investigating' if self._busy else 'call ~/start to investigate'
-        self._status.say(WARN if self._busy else OK, code, text, {})
+        self._status.say(WARN if self._busy else OK, code, text)
 
     def _start(self, request: object, response: Trigger.Response) -> Trigger.Response:
         response.success = not self._busy

@@ -28,7 +28,7 @@ from ...common.processes import Realtime, go_realtime, in_realtime
 from ...control import ControllerCore, Refusal
 from ...control.checks import another_robot
 from ...control.solver import SOLVER, Worker
-from ...control.status import controller_status
+from ...control.status import controller_status, controller_values
 from ...drivers.safety import StopLatch
 from ...model.model import Model
 from ...robot.keep_out import KeepOut
@@ -293,9 +293,6 @@ class ControllerNode(StoppableNode):
     def _tell(self, core: ControllerCore, now: float) -> None:
         """Publish the status."""
         status = controller_status(core, now)
-        if self._loading.note:
-            status.values['model'] = self._loading.note
-        status.values['target_to_command (s)'] = f'{self._latency:.5f}'
         level, message = LEVELS[status.level], status.message
         drivers = self._names.of(self._drivers.others(now))
         controllers = self._own.others(now)
@@ -303,8 +300,18 @@ class ControllerNode(StoppableNode):
             level = max(level, LEVELS['warn'])
             message += f'; ignores tendon_states of {drivers}' if drivers else ''
             message += f'; another publishes tendon_command: {controllers}' if controllers else ''
-        status.values.update({'ignored': drivers, 'other_controllers': controllers})
-        self.status.say(level, status.code, message, status.values)
+
+        def values() -> dict[str, str]:
+            model = {'model': self._loading.note} if self._loading.note else {}
+            return {
+                **controller_values(core, now),
+                **model,
+                'target_to_command (s)': f'{self._latency:.5f}',
+                'ignored': drivers,
+                'other_controllers': controllers,
+            }
+
+        self.status.say(level, status.code, message, values)
 
     def _reload(self, core: ControllerCore) -> None:
         """Take a model that was asked for and is loaded by now."""

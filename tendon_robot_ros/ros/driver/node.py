@@ -317,26 +317,30 @@ class DriverNode(StoppableNode):
         notes += [f'another publishes tendon_states: {drivers}'] if drivers else []
         if notes:
             level, message = max(level, WARN), '; '.join([message, *notes])
-        values = {
-            'state': state,
-            'tendon_check': self._check_due,
-            'stopped': str(stopped).lower(),
-            'reasons': '; '.join(decision.reasons),
-            'released': cycle.held,
-            'releases': str(cycle.releases),
-            'mode': loop.driver.mode,
-            'tension_source': cycle.reading.source,
-            'clipped': ', '.join(decision.clipped),
-            'torque_off': ', '.join(loop.off),
-            'faults': ', '.join(fault.code for fault in cycle.faults),
-            'follows': follows,
-            # not of a middleware whose messages carry another gid than its graph
-            'follows_gid': gid_text(first) if first and self._names.known(first) else '',
-            'ignored': ignored,
-            'other_drivers': drivers,
-            **loop.driver.describe(),
-        }
-        self.status.say(level, code, message, values)
+        faults = [fault.code for fault in cycle.faults]
+
+        def values() -> dict[str, str]:
+            return {
+                'state': state,
+                'tendon_check': self._check_due,
+                'stopped': str(stopped).lower(),
+                'reasons': '; '.join(decision.reasons),
+                'released': cycle.held,
+                'releases': str(cycle.releases),
+                'mode': loop.driver.mode,
+                'tension_source': cycle.reading.source,
+                'clipped': ', '.join(decision.clipped),
+                'torque_off': ', '.join(loop.off),
+                'faults': ', '.join(faults),
+                'follows': follows,
+                # not of a middleware whose messages carry another gid than its graph
+                'follows_gid': gid_text(first) if first and self._names.known(first) else '',
+                'ignored': ignored,
+                'other_drivers': drivers,
+                **loop.driver.describe(),
+            }
+
+        self.status.say(level, code, message, values, faults)
 
     def _cancelled(self) -> bool:
         """Whether to end a search for slack; asked in the motor thread."""

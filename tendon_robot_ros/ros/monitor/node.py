@@ -286,7 +286,7 @@ class MonitorNode(Runnable, Node):
                 self._tell_progress(news['text'])
         level, code, message = self._condition()
         self.status.arm = '' if self.monitor is None else self.monitor.model.robot.name
-        self.status.say(level, code, message, self._values())
+        self.status.say(level, code, message, self._values)
 
     def _condition(self) -> tuple[bytes, str, str]:
         if self._said:

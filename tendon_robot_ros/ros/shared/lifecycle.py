@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import time
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -168,10 +168,11 @@ class Status:
         self._name = f'{node.get_fully_qualified_name().removeprefix("/")}: {what}'
         self._latched = node.create_publisher(DiagnosticStatus, '~/status', LATCHED)
         self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', STATE)
-        self._sent: DiagnosticStatus | None = None
-        self._sent_at = 0.0
+        # what was published last: the message for a person, the robot, the values
+        self._sent: tuple[str, str, dict[str, str]] | None = None
+        self._sent_at = self._read_at = 0.0  # [s] when it was published, when values were read
         self._key: tuple[bytes, str, str] | None = None
-        self._logged: dict[tuple[bytes, str, str], float] = {}
+        self._logged: dict[tuple[bytes, str, str], float] = {}  # key -> when [s]
         self._to_log = False
 
     def say(
@@ -179,11 +180,12 @@ class Status:
         level: bytes,
         code: str,
         message: str,
-        values: Mapping[str, str] | None = None,
+        values: Callable[[], Mapping[str, str]] = dict,
+        faults: Collection[str] = (),
         once: bool = False,
     ) -> None:
         """
-        Say how the node is.
+        Publish how the node is, if that is new or due.
 
         Parameters
         ----------
@@ -193,31 +195,25 @@ class Status:
             Short and stable, for programs; also under the key `code`.
         message : str
             One sentence for a person.
-        values : mapping, optional
-            More: numbers plain, with their unit in the key, as `position_error (m)`; `faults`
-            lists the codes of what is broken.
+        values : callable, optional
+            Returns more: numbers plain, with their unit in the key, as `position_error (m)`. It
+            is called only when values may go out, because to format them costs more than to ask.
+        faults : collection of str
+            Codes of what is broken.
         once : bool
-            Nobody will say it again: goes out however soon it comes after something else.
+            The caller will not repeat it: it is published however soon it comes after another.
 
         """
         now = time.monotonic()
-        faults = ', '.join(sorted(set((values or {}).get('faults', '').split(', '))))
-        key = level, code, message if once else faults
+        key = level, code, message if once else ', '.join(sorted(set(faults)))
         news = key != self._key
-        wait = 0.0 if once else NEWS_PERIOD_S if news else VALUES_PERIOD_S
-        if now - self._sent_at < wait:
+        if not once and (
+            now - self._sent_at < NEWS_PERIOD_S if news else now - self._read_at < VALUES_PERIOD_S
+        ):
             return
-        status = DiagnosticStatus(
-            level=level,
-            name=self._name,
-            message=message,
-            hardware_id=self.arm,
-            values=[
-                KeyValue(key=key, value=value)
-                for key, value in {'code': code, **(values or {})}.items()
-            ],
-        )
-        if not news and status == self._sent and now - self._sent_at < STATUS_PERIOD_S:
+        self._read_at = now
+        content = message, self.arm, {'code': code, **values()}
+        if not news and content == self._sent and now - self._sent_at < STATUS_PERIOD_S:
             return
         self._to_log |= news
         if self._to_log and now - self._logged.get(key, -RETRY_PERIOD_S) >= RETRY_PERIOD_S:
@@ -229,7 +225,14 @@ class Status:
                 logger.warning(text)
             else:
                 logger.error(text)
-        self._key, self._sent, self._sent_at = key, status, now
+        self._key, self._sent, self._sent_at = key, content, now
+        status = DiagnosticStatus(
+            level=level,
+            name=self._name,
+            message=message,
+            hardware_id=self.arm,
+            values=[KeyValue(key=name, value=value) for name, value in content[2].items()],
+        )
         self._latched.publish(status)
         array = DiagnosticArray(status=[status])
         array.header.stamp = stamp_now(self._node)

@@ -188,7 +188,7 @@ class ViewerNode(Runnable, Node):
                 'frames (Hz)': f'{frames:.1f}',
                 'hears': ', '.join(name for name, (level, _) in statuses if level != 'silent'),
             }
-            self._status_out.say(OK, 'serving', f'page on port {self.page.port}', values)
+            self._status_out.say(OK, 'serving', f'page on port {self.page.port}', lambda: values)
 
     def _command(self, name: str, value: object) -> None:
         """Do what somebody has clicked."""
