@@ -39,9 +39,9 @@ def nodes():
     space = LaunchConfiguration('namespace')
     spacemouse = EqualsSubstitution(device, 'spacemouse')
     gamepad = EqualsSubstitution(device, 'gamepad')
-    told = [FindPackageShare('tendon_robot_ros'), '/config/teleop_', device, '.yaml']
+    config = [FindPackageShare('tendon_robot_ros'), '/config/teleop_', device, '.yaml']
     frame = ParameterValue(LaunchConfiguration('frame'), value_type=str)
-    heard = PythonExpression(["'spacenav/joy' if '", device, "' == 'spacemouse' else 'joy'"])
+    topic = PythonExpression(["'spacenav/joy' if '", device, "' == 'spacemouse' else 'joy'"])
     return [
         Node(
             package='joy',
@@ -62,9 +62,9 @@ def nodes():
             package='teleop_twist_joy',
             executable='teleop_node',
             namespace=space,
-            parameters=[told, {'frame': frame}],
+            parameters=[config, {'frame': frame}],
             remappings=[
-                ('joy', heard),
+                ('joy', topic),
                 ('cmd_vel', [LaunchConfiguration('controller'), '/delta_twist']),
             ],
             on_exit=[Shutdown(reason=REASON)],

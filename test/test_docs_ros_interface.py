@@ -79,7 +79,7 @@ def test_every_status_code_is_documented():
     text = '\n'.join(sources)
     codes = set(re.findall(r"Refusal\(\s*'(\w+)'", text))
     codes |= set(re.findall(r"return (?:OK|WARN|ERROR), '(\w+)'", text))
-    codes |= set(re.findall(r"status\.say\(\s*[^,]+, '(\w+)'", text))
+    codes |= set(re.findall(r"status\.publish\(\s*[^,]+, '(\w+)'", text))
     assert len(codes) > 15
     assert [code for code in codes - {'mock_fault', 'reset'} if f'`{code}`' not in DOC] == []
 
@@ -115,8 +115,8 @@ def written(key):
         ('controller', 'control/status.py', 'controller_values', 8),
         ('controller', 'control/null_space.py', 'values', 2),
         ('controller', 'control/tip_loop.py', 'values', 3),
-        ('controller', 'ros/controller/node.py', '_tell', 4),
-        ('driver', 'ros/driver/node.py', '_tell', 9),
+        ('controller', 'ros/controller/node.py', '_publish_status', 4),
+        ('driver', 'ros/driver/node.py', '_publish_status', 9),
         ('monitor', 'ros/monitor/node.py', '_values', 8),
         ('monitor', 'ros/monitor/watching.py', 'values', 7),
     ],

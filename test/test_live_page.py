@@ -51,7 +51,7 @@ class Opened:
     def show(self, shown):
         self.shown = shown
         self.page.draw(shown)
-        self.page.tell(shown, 0.0)
+        self.page.update(shown, 0.0)
 
     def browser(self, width):
         """Open one more."""
@@ -155,7 +155,7 @@ def test_a_desktop_and_a_phone_see_both_arms_from_base_to_tip(trusted, tmp_path)
     whole = np.ptp(seen(framed(0.208, Picture(FOV, 400, 900)), arm, 400, 900)[:, 1])  # [px]
 
     def seen_from_base_to_tip():
-        page.tell(shown, 0.0)
+        page.update(shown, 0.0)
         return spans(browsers[1], tmp_path, is_measured, 0.9 * whole)
 
     browsers[1].until(seen_from_base_to_tip, 'the whole arm above the panel of a phone')
@@ -197,7 +197,7 @@ def test_the_camera_follows_the_length_of_the_arm(trusted, tmp_path):
         tip = np.array([[0.0, 0.0, 3.0 * long]])
 
         def whole():
-            page.tell(opened.shown, 0.0)  # again and again, as the node does
+            page.update(opened.shown, 0.0)  # again and again, as the node does
             width, height = browser.run(SCENE)
             view = framed((1.0 + 0.5 * MEASURED_WIDTH) * 3.0 * long, Picture(FOV, width, height))
             blue = places(browser, tmp_path, rgb(PREDICTED))

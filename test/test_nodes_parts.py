@@ -150,12 +150,12 @@ def status(monkeypatch):
 
 def test_a_refusal_right_after_another_word_is_said_and_logged_once(status):
     for status.now[0] in (1.0, 3.5, 6.0):
-        status.say(lifecycle.WARN, 'starting', 'switches torque on')
-        status.say(lifecycle.ERROR, 'not_ready', 'no answer', once=True)
-        status.say(lifecycle.ERROR, 'not_ready', 'no port', once=True)
+        status.publish(lifecycle.WARN, 'starting', 'switches torque on')
+        status.publish(lifecycle.ERROR, 'not_ready', 'no answer', once=True)
+        status.publish(lifecycle.ERROR, 'not_ready', 'no port', once=True)
         assert status.sent[-2].message == 'no port'  # and in /diagnostics
     for status.now[0] in (8.5, 11.0):  # tried again and again
-        status.say(lifecycle.ERROR, 'not_ready', 'no port', once=True)
+        status.publish(lifecycle.ERROR, 'not_ready', 'no port', once=True)
     assert status.told == 3 * [
         'starting: switches torque on', 'not_ready: no answer', 'not_ready: no port',
     ]  # fmt: skip
@@ -165,10 +165,10 @@ def test_the_last_state_that_stays_is_the_last_line_of_the_log(status):
     told, now = status.told, status.now
     for now[0] in np.arange(0.0, 1.9, 0.1):  # it comes and goes, and stays
         code = 'stopped' if now[0] < 0.25 or now[0] > 0.55 else 'following'
-        status.say(lifecycle.OK, code, 'so it is')
+        status.publish(lifecycle.OK, code, 'so it is')
     assert told == ['stopped: so it is', 'following: so it is']
     for now[0] in np.arange(1.9, 9.0, 0.1):
-        status.say(lifecycle.OK, 'stopped', 'so it is')
+        status.publish(lifecycle.OK, 'stopped', 'so it is')
     assert told[2:] == ['stopped: so it is']
 
 
@@ -180,15 +180,15 @@ def test_values_are_formatted_only_when_they_may_go_out(status):
         return {'tension (N)': str(status.now[0] > 0.5)}
 
     for status.now[0] in 100.0 + 0.02 * np.arange(200):  # unchanged: once a second
-        status.say(lifecycle.OK, 'holding', 'so it is', values)
+        status.publish(lifecycle.OK, 'holding', 'so it is', values)
     assert 35 < len(formatted) <= 40
     assert len(status.sent) in (2 * 4, 2 * 5)  # and in /diagnostics
     published = len(status.sent)
     status.now[0] += 0.02
-    status.say(lifecycle.ERROR, 'holding', 'so it is', values)  # news: at once
-    status.say(lifecycle.ERROR, 'holding', 'so it is', values, ['overload'])  # 20 ms later
+    status.publish(lifecycle.ERROR, 'holding', 'so it is', values)  # news: at once
+    status.publish(lifecycle.ERROR, 'holding', 'so it is', values, ['overload'])  # 20 ms later
     status.now[0] += 0.021
-    status.say(lifecycle.ERROR, 'holding', 'so it is', values, ['overload'])
+    status.publish(lifecycle.ERROR, 'holding', 'so it is', values, ['overload'])
     assert len(status.sent) == published + 4
 
 
@@ -216,11 +216,11 @@ def test_a_tip_error_is_the_mean_of_enough_frames_since_the_arm_stands_however_f
         times = np.arange(2 * rate + 15) / rate
         seen = [(at, moving if at < 2.0 else off) for at in times]
         director._tips = director._errors = director._tensions = seen
-        director._stands_since = 2.0 - 1e-9
-        assert director._seen()
+        director._standing_since = 2.0 - 1e-9
+        assert director._measured_enough()
         assert director.error() == pytest.approx(0.005)
-        director._stands_since = 2.0 + 1e-9  # one frame less
-        assert not director._seen()
+        director._standing_since = 2.0 + 1e-9  # one frame less
+        assert not director._measured_enough()
     director._errors = [(3.0, np.full(3, np.nan))] * 20
     assert np.isnan(director.error())
 

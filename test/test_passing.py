@@ -13,7 +13,7 @@ from geometry_msgs.msg import PointStamped
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from tendon_robot_ros.ros.shared.inbox import hear_anybody
+from tendon_robot_ros.ros.shared.inbox import subscribe_any_qos
 from tendon_robot_ros.ros.shared.messages import (
     COMMAND,
     LISTEN,
@@ -33,7 +33,7 @@ def test_what_is_destroyed_while_an_event_of_the_middleware_waits_ends_nobody():
     executor.add_node(node)
     for _ in range(3):
         ears = [
-            *hear_anybody(node, PointStamped, 'target', print, print),
+            *subscribe_any_qos(node, PointStamped, 'target', print, print),
             passing_subscription(node, PointStamped, 'twist', print, COMMAND),
         ]
         said = passing_publisher(node, PointStamped, 'tip', LISTEN)

@@ -161,7 +161,7 @@ def test_emulated_motors_find_the_load_and_the_controller_uses_it(made):
 class Hesitating:
     """The part of a running arm that judges a measurement; its controller says these codes."""
 
-    measure, _goes_on = RunningArm.measure, RunningArm._goes_on
+    measure, _controller_works = RunningArm.measure, RunningArm._controller_works
 
     def __init__(self, *codes):
         self.codes = list(codes)

@@ -15,7 +15,7 @@ from ros_station import LOW, Station, holding, last, point, start, values
 from std_msgs.msg import Bool, String
 
 from tendon_robot_ros.common.processes import child_environment
-from tendon_robot_ros.ros.shared.inbox import hear_anybody
+from tendon_robot_ros.ros.shared.inbox import subscribe_any_qos
 from tendon_robot_ros.ros.shared.messages import COMMAND, COMMAND_ALL, LATCHED, LISTEN
 
 pytestmark = pytest.mark.ros
@@ -156,7 +156,7 @@ def test_a_tracker_is_heard_while_the_loop_is_closed(running):
 @pytest.mark.parametrize(('qos', 'ways'), [(COMMAND, 2), (LISTEN, 1)])
 def test_what_comes_by_two_ways_is_heard_once(running, qos, ways):
     heard, node = [], running.node
-    ears = hear_anybody(node, PointStamped, 'anything', heard.append, heard.append)
+    ears = subscribe_any_qos(node, PointStamped, 'anything', heard.append, heard.append)
     person = node.create_publisher(PointStamped, 'anything', qos)
 
     def begun():

@@ -31,9 +31,9 @@ from tendon_robot_ros.ros.shared.messages import COMMAND, LATCHED
 from tendon_robot_ros.ros.shared.runtime import (
     SIGNAL_ECHO_S,
     make_executor,
+    on_end_request,
     ros,
     run,
-    when_asked_to_end,
 )
 from tendon_robot_ros.ros.shared.timing import NEWS_PERIOD_S
 
@@ -78,7 +78,7 @@ def test_a_signal_is_heard_while_the_main_thread_is_in_the_middleware():
     heard, found = threading.Event(), []
     with ros([]) as ending:
         executor = make_executor()
-        when_asked_to_end(heard.set)
+        on_end_request(heard.set)
 
         def person():
             os.kill(os.getpid(), signal.SIGINT)
@@ -125,12 +125,12 @@ def test_a_closed_terminal_ends_who_was_not_started_with_nohup(before, ends):
     heard = threading.Event()
     try:
         with ros([]) as ending:
-            when_asked_to_end(heard.set)
+            on_end_request(heard.set)
             os.kill(os.getpid(), signal.SIGHUP)
             assert heard.wait(20.0 if ends else 0.2) == ends
-            ending.asked(signal.SIGTERM)
+            ending.request(signal.SIGTERM)
             time.sleep(SIGNAL_ECHO_S + 0.1)
-            ending.asked(signal.SIGHUP)  # nobody insists with that
+            ending.request(signal.SIGHUP)  # nobody insists with that
         assert signal.getsignal(signal.SIGHUP) == before
     finally:
         signal.signal(signal.SIGHUP, old)
@@ -199,7 +199,7 @@ def test_the_controllers_stop_is_heard_while_no_callback_is_served(context, monk
 
 @pytest.mark.parametrize(
     ('kind', 'action', 'robot'),
-    [(ControllerNode, '_cycle', 'model'), (DriverNode, '_tell', 'robot')],
+    [(ControllerNode, '_cycle', 'model'), (DriverNode, '_publish_status', 'robot')],
 )
 def test_nodes_go_on_while_the_clock_of_ros_stands_still(
     context, monkeypatch, kind, action, robot

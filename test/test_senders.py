@@ -23,7 +23,7 @@ from sensor_msgs.msg import JointState
 
 from tendon_robot_ros.common.processes import child_environment
 from tendon_robot_ros.ros.controller.topics import DriverLink
-from tendon_robot_ros.ros.shared.inbox import UNTOLD, Inbox, Received
+from tendon_robot_ros.ros.shared.inbox import UNKNOWN_GID, Inbox, Received
 from tendon_robot_ros.ros.shared.messages import LATCHED, seconds
 from tendon_robot_ros.ros.shared.senders import (
     NAMED_MAX,
@@ -70,12 +70,12 @@ def test_where_no_publisher_is_told_they_are_told_apart_by_their_numbers():
     senders, one, two = Senders(), count(5000), count(1)
     for cycle in range(100):
         now = 0.005 * cycle
-        assert senders.counts(now, said_by(UNTOLD, next(one)))
-        assert not senders.counts(now, said_by(UNTOLD, next(two)))
-    assert senders.others(0.5) == [UNTOLD]
+        assert senders.counts(now, said_by(UNKNOWN_GID, next(one)))
+        assert not senders.counts(now, said_by(UNKNOWN_GID, next(two)))
+    assert senders.others(0.5) == [UNKNOWN_GID]
 
 
-@pytest.mark.parametrize('publisher', [UNTOLD, ONE])
+@pytest.mark.parametrize('publisher', [UNKNOWN_GID, ONE])
 def test_a_middleware_that_does_not_number_messages_is_no_hindrance(publisher):
     senders = Senders()
     assert all(senders.counts(0.01 * i, said_by(publisher)) for i in range(5))
@@ -136,7 +136,7 @@ def test_the_death_of_who_is_followed_is_seen_and_the_next_is_followed_at_once()
     assert not senders.died()
 
 
-@pytest.mark.parametrize('publisher', [UNTOLD, ONE])
+@pytest.mark.parametrize('publisher', [UNKNOWN_GID, ONE])
 def test_who_is_of_another_computer_or_package_is_known_by_its_silence_only(publisher):
     senders = Senders()
     assert senders.counts(0.0, said_by(publisher))
@@ -157,7 +157,7 @@ def test_a_controller_knows_by_the_gid_whether_the_driver_follows_it(own, follow
     link = DriverLink(None, '', own, lambda *said_: said.append(said_))
     told = {'follows': '/controller (process 7)', 'follows_gid': follows}
     pairs = [KeyValue(key=key, value=value) for key, value in told.items()]
-    link.hear(DiagnosticStatus(values=pairs))
+    link.receive(DiagnosticStatus(values=pairs))
     assert said == [('', '', 0, other)]
 
 

@@ -97,7 +97,7 @@ def test_it_tells_once_why_the_tip_does_not_move(capsys):
 
     def says(code, message):
         values = [KeyValue(key='code', value=code)]
-        TeleopNode._hear(node, DiagnosticStatus(message=message, values=values))
+        TeleopNode._receive(node, DiagnosticStatus(message=message, values=values))
         return capsys.readouterr().out
 
     refused = "delta_twist: frame 'kato_10_1_base', expected 'my_arm_base' or 'my_arm_tip'"

@@ -14,7 +14,7 @@ from tendon_robot_ros.ros.viewer.state import ViewState
 def said(state, **values):
     """Let the monitor say something; return what the page then tells."""
     known = {'recording': 'false', 'postures': '0', 'diagnosing': 'false', 'addition': ''}
-    state.hear_status(0.0, 'monitor', 0, '', {**known, **values})
+    state.set_status(0.0, 'monitor', 0, '', {**known, **values})
     return state.guide()
 
 
@@ -32,7 +32,7 @@ def published(verdict):
 def test_the_page_leads_from_the_first_click_to_the_fallen_error():
     state = ViewState()
     assert 'Waiting for the robot' in state.guide()
-    state.hear_error(0.0, 5e-3)
+    state.add_error(0.0, 5e-3)
     assert 'click 1 to record' in said(state)
     assert not state.can_diagnose and not state.can_add
     assert 'Recording: 3 of 8' in said(state, recording='true', postures='3')
@@ -40,7 +40,7 @@ def test_the_page_leads_from_the_first_click_to_the_fallen_error():
     assert state.can_diagnose
     assert 'Comparing every' in said(state, postures='9', diagnosing='true')
     assert not state.can_diagnose and not state.can_record
-    state.hear_verdict(published(Verdict.MISSING_EFFECT))
+    state.set_verdict(published(Verdict.MISSING_EFFECT))
     assert 'Fitting' in said(state, postures='9', diagnosing='true')
     assert 'Click 3' in said(state, postures='9', addition='gravity')
     assert state.can_record
@@ -52,7 +52,7 @@ def test_the_page_leads_from_the_first_click_to_the_fallen_error():
 
 def test_the_first_button_says_what_a_click_on_it_does_to_what_is_recorded():
     state = ViewState()
-    state.hear_error(0.0, 5e-3)
+    state.add_error(0.0, 5e-3)
     said(state, kept='true')
     assert state.record_label == '1  Record'
     assert '1 stops' in said(state, recording='true', postures='49', kept='false')
@@ -65,7 +65,7 @@ def test_the_first_button_says_what_a_click_on_it_does_to_what_is_recorded():
 
 def test_a_new_diagnosis_forgets_the_verdict_before():
     state = ViewState()
-    state.hear_verdict(published(Verdict.ADEQUATE))
+    state.set_verdict(published(Verdict.ADEQUATE))
     assert 'Nothing is missing' in said(state, postures='9')
     assert 'Comparing every' in said(state, postures='9', diagnosing='true')
     assert state.verdict == {}
@@ -73,7 +73,7 @@ def test_a_new_diagnosis_forgets_the_verdict_before():
 
 def test_what_the_catalogue_cannot_name_is_not_added():
     state = ViewState()
-    state.hear_verdict(published(Verdict.OUTSIDE_CATALOGUE))
+    state.set_verdict(published(Verdict.OUTSIDE_CATALOGUE))
     assert 'no name for this cause' in said(state, postures='9', addition='tip_load')
     assert not state.can_add
 
@@ -81,18 +81,18 @@ def test_what_the_catalogue_cannot_name_is_not_added():
 def test_reset_is_offered_after_a_stop_only():
     state = ViewState()
     assert not state.stopped
-    state.hear_status(0.0, 'driver', 2, '', {'stopped': 'true'})
+    state.set_status(0.0, 'driver', 2, '', {'stopped': 'true'})
     assert state.stopped
 
 
 def test_the_marker_that_is_off_most_is_named_as_of_now():
     state = ViewState()
     assert state.per_marker() == ''
-    state.hear_markers(0.0, (0.001, 0.004, 0.002))
+    state.add_marker_errors(0.0, (0.001, 0.004, 0.002))
     assert state.per_marker() == 'most at marker 2 of 3: 4.0 mm'
-    state.hear_markers(2.0, (0.001, float('nan'), 0.002))
+    state.add_marker_errors(2.0, (0.001, float('nan'), 0.002))
     assert state.per_marker() == 'most at the tip: 2.0 mm'
-    state.hear_markers(3.0, ())  # another arm
+    state.add_marker_errors(3.0, ())  # another arm
     assert state.per_marker() == ''
 
 
@@ -102,15 +102,15 @@ def test_numbers_of_the_page_do_not_jump_with_single_readings():
     shown, worst = set(), set()
     for i in range(300):
         now, wild = 0.2 * i, i % 4 == 3
-        state.hear_error(now, random.uniform(0.0, 0.02) if wild else 0.002)
-        state.hear_markers(now, (0.03, 0.0, 0.0) if wild else (0.0005, 0.001, 0.002))
+        state.add_error(now, random.uniform(0.0, 0.02) if wild else 0.002)
+        state.add_marker_errors(now, (0.03, 0.0, 0.0) if wild else (0.0005, 0.001, 0.002))
         if now > 1.5:
             shown.add(round(1e3 * state.rolling(now), 1))
             worst.add(state.per_marker())
     assert shown == {2.0} and worst == {'most at the tip: 2.0 mm'}
     assert np.isnan(state.rolling(now + 2.0)), 'what is old is not shown'
     for i in range(8):  # what stays is shown within a second
-        state.hear_error(now + 0.2 * (i + 1), 0.005)
+        state.add_error(now + 0.2 * (i + 1), 0.005)
     assert state.rolling(now + 1.6) == 0.005
 
 
@@ -123,34 +123,34 @@ def test_squares_of_the_grid_have_round_sizes(length, square):
 def test_the_news_of_an_investigation_are_kept_until_the_next_one_begins():
     state = ViewState()
     assert not state.can_investigate
-    state.hear_status(0.0, 'investigate', 0, 'free', {'code': 'waiting'})
+    state.set_status(0.0, 'investigate', 0, 'free', {'code': 'waiting'})
     assert state.can_investigate
     first = {'kind': 'posture', 'number': 1, 'text': 'posture 1'}
     round_ = {'kind': 'diagnosis', 'postures': 4, 'text': '  4 postures: <b>tip_load</b>'}
     for news in (first, round_):
-        state.hear_investigation(json.dumps(news))
+        state.add_investigation(json.dumps(news))
     shown = page_parts.investigation(state.investigation)
     assert '<td>&lt;b&gt;tip_load' in shown
     assert 'just wait' in state.guide()
     end = {'kind': 'end', 'names': ['tip_load'], 'text': '5 postures: no posture separates it'}
-    state.hear_investigation(json.dumps(end))
+    state.add_investigation(json.dumps(end))
     assert 'over after 5 postures: no posture separates it' in state.guide()
     assert 'record' not in state.guide()
     sent = {'kind': 'sent', 'taken': True, 'text': 'the controller uses it'}
-    state.hear_investigation(json.dumps(sent))
+    state.add_investigation(json.dumps(sent))
     assert 'The model now has tip_load' in state.guide()
     state.verdict = {'guide': 'something older'}
-    state.hear_investigation(json.dumps(first))
+    state.add_investigation(json.dumps(first))
     assert state.investigation == [first]
     assert 'just wait' in state.guide()
-    state.hear_investigation(json.dumps({'kind': 'failed', 'text': 'it was stopped'}))
+    state.add_investigation(json.dumps({'kind': 'failed', 'text': 'it was stopped'}))
     assert 'it was stopped. Click Investigate' in state.guide()
     assert page_parts.investigation([]) == ''
 
 
 def test_after_an_alarm_the_page_offers_investigate_and_shows_what_has_changed():
     state = ViewState()
-    state.hear_status(0.0, 'investigate', 0, 'free', {'code': 'waiting'})
+    state.set_status(0.0, 'investigate', 0, 'free', {'code': 'waiting'})
     drifted = 'no longer what the model says: looks like gain of left (97 %)'
     said(state, drift='true', watch=drifted)
     assert state.guide().startswith(f'The arm is {drifted}. Click Investigate')
@@ -160,7 +160,7 @@ def test_after_an_alarm_the_page_offers_investigate_and_shows_what_has_changed()
         {'kind': 'changed', 'text': '  1 postures: has changed: gain of left (+3.0 %)',
          'postures': 1},
     ):  # fmt: skip
-        state.hear_investigation(json.dumps(news))
+        state.add_investigation(json.dumps(news))
     assert [news['kind'] for news in state.investigation] == ['change', 'posture', 'changed']
     assert 'Click Investigate' not in state.guide()
     assert '<td>has changed: gain of left (+3.0 %)</td>' in page_parts.investigation(

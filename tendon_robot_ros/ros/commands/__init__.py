@@ -1,12 +1,12 @@
 """
-Commands that speak to running nodes, or start them.
+Commands that use running nodes, or start them.
 
 demo.py, live.py   whole demonstrations, with their processes
-follow.py          along a path
-go_to.py           to one place
+follow.py          follows a path
+go_to.py           moves the tip to one position
 investigate.py     the robot chooses its own postures
-stop.py            stops all there is
-record.py          a recording of all that is said
-teleop.py          the keyboard
+stop.py            stops every controller and driver
+record.py          records all topics
+teleop.py          moves the tip by the keyboard
 robot_model.py     the arm for RViz and Foxglove
 """

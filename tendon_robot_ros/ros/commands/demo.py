@@ -31,8 +31,8 @@ from ..shared.timing import STAND_TIMEOUT_S, WORK_TIMEOUT_S
 
 HELP = "the paper's postures with a mock arm: a table and a picture, in under a minute"
 ROBOT = 'kato_10_1'
-# [m] by which the tip of an arm that hides nothing may miss its target, because nothing but the
-# tolerance of the search is between the two
+# [m] between the tip of an arm that equals the model and its target, because only the tolerance
+# of the search separates them
 MISS_MAX_M = 0.5e-3
 PICTURE = Path('demo/postures.png')
 Array = NDArray[np.float64]
@@ -83,7 +83,7 @@ def main(arguments: Sequence[str]) -> int:
     missed = [
         posture.name
         for posture, outcome in zip(postures, outcomes, strict=True)
-        if outcome.reachable and outcome.miss > MISS_MAX_M
+        if outcome.reachable and outcome.position_error > MISS_MAX_M
     ]
     if missed or not outcomes[0].reachable:
         print(
@@ -96,7 +96,7 @@ def main(arguments: Sequence[str]) -> int:
 
 def _row(posture: Posture, outcome: Outcome) -> str:
     x, _, z = 1e3 * outcome.position
-    error = f'{1e3 * outcome.miss:.2f} mm {np.degrees(outcome.turn):.2f}°'
+    error = f'{1e3 * outcome.position_error:.2f} mm {np.degrees(outcome.direction_error):.2f}°'
     tensions = ' '.join(f'{value:.2f}' for value in outcome.tensions)
     limits = f'  {", ".join(outcome.at_limit)} at its limit' if outcome.at_limit else ''
     return (
@@ -107,11 +107,11 @@ def _row(posture: Posture, outcome: Outcome) -> str:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Where the arm went."""
+    """The result of a target."""
 
     position: Array  # (3,) [m] of the mock's tip
-    miss: float  # [m]
-    turn: float  # [rad] between the directions
+    position_error: float  # [m] from the target
+    direction_error: float  # [rad] between the directions
     tensions: Array  # (m,) [N] commanded
     status: str
     at_limit: tuple[str, ...]
@@ -119,12 +119,12 @@ class Outcome:
 
     @property
     def reachable(self) -> bool:
-        """Whether the controller said that the target can be reached."""
+        """Whether the controller has reached the target."""
         return self.status == 'reached'
 
 
 def go(pilot: Pilot, posture: Posture) -> Outcome:
-    """Send a target and wait until the arm is still."""
+    """Send a target and wait until the arm is at rest."""
     pilot.clear()
     sent = time.monotonic()
     stamp = pilot.send(posture.position, posture.direction)
@@ -157,7 +157,7 @@ def draw(
     axes.plot(np.zeros(len(straight) + 1), [0.0, *straight], ':', color=ERROR, label='straight')
     for posture, outcome, color in zip(postures, outcomes, COLOURS, strict=False):
         arm = 1e3 * np.vstack([np.zeros(3), model.shape(outcome.tensions).positions])
-        label = f'{posture.name}: {1e3 * outcome.miss:.2f} mm'
+        label = f'{posture.name}: {1e3 * outcome.position_error:.2f} mm'
         axes.plot(arm[:, 0], arm[:, 2], 'o-', color=color, markersize=3, label=label)
         axes.plot(*(1e3 * posture.position[[0, 2]]), 'x', color=color, markersize=10)
         (x, _, z), (u, _, w) = 1e3 * outcome.position, 12.0 * posture.direction

@@ -84,10 +84,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
-    """Follow and report; Ctrl-C leaves the arm at the target of the moment."""
+    """Follow and report; Ctrl-C leaves the arm at its present target."""
     pace = _pace(args)
     refuse_ending('--picture', args.picture)
-    if is_bag(args.path):  # what cannot be read is said before the arm is asked for
+    if is_bag(args.path):  # errors of the file are reported before the controller is needed
         with opened(args.path):
             pass
     elif not first_line(Path(args.path), NO_PATH).strip():
@@ -128,14 +128,14 @@ def _tips(pilot: Pilot, rows: TipRows, options: argparse.Namespace, pace: Pace) 
     if options.backwards:
         path = path.backwards()
     model = pilot.model()
-    # where the search begins; in pull mode nobody says the tensions
+    # start of the search; in pull mode the tensions are unknown
     start = model.shape(model.limits[:, 0] if pilot.pull else pilot.commands()[1][-1])
     regions = load_keep_out(options.keep_out) if options.keep_out else None
     planned = plan(model, path, pace, start, regions)
     length = np.linalg.norm(np.diff(path.positions, axis=0), axis=1).sum()
     timed = rows.times is not None and planned.duration > planned.asked + 0.01
-    asked = f' instead of {planned.asked:.1f} s, to keep the limits' if timed else ''
-    print(f'{len(path.rows)} rows, {1e3 * length:.0f} mm of path, {planned.duration:.1f} s{asked}')
+    note = f' instead of {planned.asked:.1f} s, to keep the limits' if timed else ''
+    print(f'{len(path.rows)} rows, {1e3 * length:.0f} mm of path, {planned.duration:.1f} s{note}')
     if problem := planned.out_of_reach():
         if not (options.anyway or options.plan):
             raise InputError(f'{options.path}: {problem}; nothing moved (--anyway would)')
@@ -143,13 +143,13 @@ def _tips(pilot: Pilot, rows: TipRows, options: argparse.Namespace, pace: Pace) 
     elif detour := planned.detour():
         print(detour)
     if regions and not options.anyway:
-        here = _standing(pilot, model)
-        first = np.abs(planned.tensions[0] - here.inputs).max() / pace.tension  # [s] to its start
-        times = planned.path.times + float(first)
-        if refusal := entered(model, here, Trajectory(times, planned.tensions), regions, False):
+        current = _commanded_shape(pilot, model)
+        change = float(np.abs(planned.tensions[0] - current.inputs).max())
+        times = planned.path.times + change / pace.tension  # after the move to its start
+        if refusal := entered(model, current, Trajectory(times, planned.tensions), regions, False):
             if not options.plan:
-                raise InputError(f'{options.path}: {_said(refusal)}')
-            print(_said(refusal))
+                raise InputError(f'{options.path}: {_without_prefix(refusal)}')
+            print(_without_prefix(refusal))
     if options.plan:
         return None
     with pilot.keeping_out(text_of(options.keep_out)) if regions else nullcontext():
@@ -163,31 +163,31 @@ def _tendons(
     if options.backwards:
         times, values = times[-1] - times[::-1], values[::-1]
     print(f'{len(times)} rows of {"wire pulls" if pilot.pull else "tensions"}, {times[-1]:.1f} s')
-    rate, here = pace.pull if pilot.pull else pace.tension, pilot.commands()[1][-1]
-    # the time to the first row, and that of the rows where they would be faster than the rate
-    times = max(float(np.abs(values[0] - here).max()) / rate, MOVE_MIN_S) + stretched(
+    rate, current = pace.pull if pilot.pull else pace.tension, pilot.commands()[1][-1]
+    # the move to the first row, then the rows, slower where they would exceed the rate
+    times = max(float(np.abs(values[0] - current).max()) / rate, MOVE_MIN_S) + stretched(
         times, values, rate
     )
     if options.keep_out:
         model, regions = pilot.model(), load_keep_out(options.keep_out)
-        stands = _standing(pilot, model)
-        if refusal := entered(model, stands, Trajectory(times, values), regions, pilot.pull):
-            raise InputError(f'{options.path}: {_said(refusal)}')
+        shape = _commanded_shape(pilot, model)
+        if refusal := entered(model, shape, Trajectory(times, values), regions, pilot.pull):
+            raise InputError(f'{options.path}: {_without_prefix(refusal)}')
     return None if options.plan else run_tendons(pilot, times, values)
 
 
-def _standing(pilot: Pilot, model: Model) -> Shape:
-    """Return the arm as it is commanded now."""
+def _commanded_shape(pilot: Pilot, model: Model) -> Shape:
+    """Return the predicted shape under the present command."""
     now = pilot.commands()[1][-1]
     return model.pull_shape(now) if pilot.pull else model.shape(now)
 
 
-def _said(refusal: Refusal) -> str:
+def _without_prefix(refusal: Refusal) -> str:
     return str(refusal).removeprefix('tendon_trajectory: ')
 
 
 def _read(options: argparse.Namespace, pilot: Pilot) -> TipRows | TendonRows:
-    """Read the file, or what a recording was sent: its targets, else its commands."""
+    """Read the file, or the targets of a recording, else its commands."""
     if not is_bag(options.path):
         return read_path(options.path, pilot.inputs)
     moves = read_moves(options.path)
@@ -218,7 +218,7 @@ def _pace(options: argparse.Namespace) -> Pace:
 
 
 def run_tips(pilot: Pilot, plan: Plan) -> PathRun:
-    """Go to the first row of a plan, then send targets in time, and wait until the arm stands."""
+    """Go to the first row of a plan, send targets by its times, wait until the arm is at rest."""
     pilot.clear()
     stamp = pilot.send(*plan.at(0.0))
     pilot.settle(stamp, MOVE_TIMEOUT_S, 'the arm at the first row')
@@ -237,14 +237,14 @@ def run_tips(pilot: Pilot, plan: Plan) -> PathRun:
         pilot.require_good()
     pilot.settle(stamp, MOVE_TIMEOUT_S, 'the arm at the last row')
     pilot.stand()
-    sent.append((time.monotonic() - began, *sent[-1][1:]))  # a target stands until the next
+    sent.append((time.monotonic() - began, *sent[-1][1:]))  # a target holds until the next one
     rows = plan.path.times[plan.path.rows].copy()
-    rows[-1] = sent[-1][0]  # the last row counts when the arm stands there
+    rows[-1] = sent[-1][0]  # the last row counts when the arm is at rest there
     return _path_run(pilot, began, sent, rows)
 
 
 def run_tendons(pilot: Pilot, when: Array, values: Array) -> PathRun:
-    """Play values (n, m) of the tendons at times (n,) [s], from where they are."""
+    """Play values (n, m) [N] or [m] of the tendons at times (n,) [s]."""
     pilot.clear()
     sent = thinned(when, values) if len(when) > POINTS_MAX else np.arange(len(when))
     began = time.monotonic()
@@ -257,7 +257,7 @@ def run_tendons(pilot: Pilot, when: Array, values: Array) -> PathRun:
 
 
 def run_back(pilot: Pilot, pace: Pace) -> None:
-    """Play the commands since the last `clear` backwards: the arm leaves by the way it came."""
+    """Play the commands since the last `clear` backwards: the arm returns by its own path."""
     times, commands = pilot.commands()
     back = retreat(times, commands, pace.pull if pilot.pull else pace.tension)
     pilot.clear()
@@ -270,16 +270,16 @@ def _path_run(
 ) -> PathRun:
     measured, tip_times, tips, views = pilot.tips()
     command_times, commands = pilot.commands()
-    seen, commanded = tip_times >= began, command_times >= began
+    during, commanded = tip_times >= began, command_times >= began
     return PathRun(
         inputs=pilot.inputs,
         asked_times=np.array([at for at, _, _ in sent]),
         asked=np.array([place for _, place, _ in sent]).reshape(-1, 3),
         asked_directions=np.array([view for _, _, view in sent]).reshape(-1, 3),
         row_times=rows,
-        tip_times=tip_times[seen] - began,
-        tips=tips[seen],
-        tip_directions=views[seen],
+        tip_times=tip_times[during] - began,
+        tips=tips[during],
+        tip_directions=views[during],
         measured=measured,
         command_times=command_times[commanded] - began,
         commands=commands[commanded],

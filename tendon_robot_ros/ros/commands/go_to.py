@@ -20,7 +20,7 @@ from ..shared.runtime import ros
 from ..shared.timing import MOVE_TIMEOUT_S
 
 HELP = 'send the tip to a place, say where it went'
-# [m] of a tip from its base, so that a number that is meant in another unit is noticed
+# [m] of a tip from its base, so that a number in another unit is detected
 DISTANCE_MIN_M = 1e-3
 DISTANCE_MAX_M = 20.0  # [m] because the largest continuum arms have a few metres
 
@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
-    """Send a target and wait until the arm stands."""
+    """Send a target and wait until the arm is at rest."""
     target, along = _target((args.x, args.y, args.z), args.unit), None
     if args.direction is not None:
         along = np.array(args.direction)
@@ -58,10 +58,10 @@ def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
             pilot.clear()
             pilot.settle(pilot.send(target, along), MOVE_TIMEOUT_S, 'the arm to stand there')
             pilot.stand()
-            tip, looks = pilot.tip()
+            tip, direction = pilot.tip()
             miss = f'{1e3 * np.linalg.norm(tip - target):.2f} mm'
             if along is not None:
-                miss += f' and {np.degrees(angle_between(looks, along)):.2f}°'
+                miss += f' and {np.degrees(angle_between(direction, along)):.2f}°'
             measured = pilot.tips()[0]
             print(
                 f'tip at ({place(tip)}) mm{"" if measured else ", as the model sees it"}: '
@@ -73,13 +73,13 @@ def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
 
 
 def _target(texts: Sequence[str], unit: str) -> np.ndarray:
-    """Read a place [m] (3,); none that no tip can be at, where another unit is meant."""
+    """Parse a position (3,) [m]; InputError: no tip is at that distance (another unit?)."""
     pairs = zip('xyz', texts, strict=True)
     target = np.array([read_quantity(axis, text, unit, 'length') for axis, text in pairs])
-    away = float(np.linalg.norm(target))
-    if not DISTANCE_MIN_M < away < DISTANCE_MAX_M:
-        mend = other_unit(','.join(texts), away, unit, DISTANCE_MIN_M, DISTANCE_MAX_M)
+    distance = float(np.linalg.norm(target))
+    if not DISTANCE_MIN_M < distance < DISTANCE_MAX_M:
+        mend = other_unit(','.join(texts), distance, unit, DISTANCE_MIN_M, DISTANCE_MAX_M)
         raise InputError(
-            f'target: {" ".join(texts)} {unit} is {1e3 * away:.4g} mm from the base{mend}'
+            f'target: {" ".join(texts)} {unit} is {1e3 * distance:.4g} mm from the base{mend}'
         )
     return target

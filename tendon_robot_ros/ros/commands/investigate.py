@@ -60,24 +60,24 @@ from ..shared.messages import (
     time_now,
 )
 from ..shared.parameters import parsed
-from ..shared.robot_client import HEARD_MAX, MOVE_MIN_S, WORKING_CODES, Pilot, add_controller
+from ..shared.robot_client import MESSAGES_MAX, MOVE_MIN_S, WORKING_CODES, Pilot, add_controller
 from ..shared.runtime import SPIN_S, Ending, repeat, ros
 from ..shared.timing import NODE_TIMEOUT_S, SILENCE_S, STAND_TIMEOUT_S, STATUS_PERIOD_S
 
 HELP = 'the running robot chooses postures by itself until it knows what its model lacks'
 Array = NDArray[np.float64]
-DRIVER = 'driver'  # name of the node whose status says how tensions are told
-BY_GEARS = 'current'  # tensions that motors tell by their current: gear friction hides them
-# [1/s] of an input, in its largest tension (in pull mode a tenth of the arm's length), so that a
-# posture is reached in some seconds
+DRIVER = 'driver'  # name of the node whose status has the source of tensions
+BY_GEARS = 'current'  # source of tensions: the current of motors, falsified by gear friction
+# [1/s] of an input, in fractions of its largest tension (in pull mode of a tenth of the arm's
+# length), so that a posture is reached in some seconds
 SPEED = 0.2
-# [rad] that an arm may bend beyond its description until a slack wire is taut: what the
-# description lacks would else pull the wire, and the posture were another one
+# [rad] that an arm may bend beyond its description until a slack wire is taut: a missing effect
+# would else pull the wire, and change the posture
 SLACK_ANGLE = 0.6
-# [1] of a requested tension: a motor that is off by more is broken, because neither friction of a
-# transmission nor noise of a load cell takes half
+# [1] of a requested tension: a motor with a larger error is broken, because neither friction of a
+# transmission nor noise of a load cell reaches half
 OFF_MAX = 0.5
-# [1] of the tension limit, besides, so that a request near zero is not judged by noise
+# [1] of the tension limit, in addition, so that noise does not decide for a request near zero
 OFF_LIMIT_MAX = 0.02
 SLIP_HINT = 'did its tendon slip, or does its motor stick?'
 GEARS_HINT = (
@@ -87,7 +87,7 @@ GEARS_HINT = (
 
 
 class StoppedError(TendonRobotError):
-    """Somebody asked to end it."""
+    """The service `~/stop` ended the investigation."""
 
 
 class RunningArm(Pilot):
@@ -95,11 +95,11 @@ class RunningArm(Pilot):
     A `MeasurableArm` of a running controller, driver and monitor.
 
     Where the driver measures tensions, postures are tensions, whatever it commands; else wire
-    lengths, also where it commands lengths and tells tensions by the current of geared motors.
-    A wire that a posture leaves slack is let out by what the described arm needs and a little
-    more. What the description lacks may pull it taut all the same: its length is measured, too.
-    Every posture is reached from the released arm (`from_straight`), or one after the
-    other (`sequence`).
+    lengths, also where it commands lengths and estimates tensions from the current of geared
+    motors. A wire that is slack in a posture is let out by the travel of the described arm and a
+    margin. A missing effect may pull it taut all the same: its length is measured, too. Every
+    posture is reached from the released arm (`from_straight`), or one after the other
+    (`sequence`).
 
     Parameters
     ----------
@@ -122,16 +122,16 @@ class RunningArm(Pilot):
         path: str = 'from_straight',
         speed: float = SPEED,
     ) -> None:
-        """Connect."""
+        """Create publishers and subscriptions."""
         super().__init__('investigate', controller, ending, namespace, (DRIVER, monitor))
-        self.path, self.stop_asked = path, False
+        self.path, self.stop_requested = path, False
         self._monitor, self.speed = monitor, speed
         self._frames: list[tuple[float, Array]] = []
         self._states, self._kinds = History(8.0), set[str]()
 
         def frame(message: PoseArray) -> None:
             self._frames.append((seconds(message.header.stamp), points_of(message)))
-            del self._frames[:-HEARD_MAX]
+            del self._frames[:-MESSAGES_MAX]
 
         def states(message: JointState) -> None:
             if self._own is None:
@@ -149,16 +149,16 @@ class RunningArm(Pilot):
         self.create_subscription(JointState, 'tendon_states', states, LISTEN)
         self._own: Model | None = None
         self.input = 'tension'
-        self._variances: list[float] = []  # [m²] of the means so far
+        self._variances: list[float] = []  # [m²] of the mean positions so far
 
     def begin(self) -> None:
         """
-        Wait for the robot and take its model and markers.
+        Wait for the robot and read its model and markers.
 
         Raises
         ------
         TendonRobotError
-            A node does not come, or does not work.
+            A node does not answer, or does not work.
 
         """
         self.connect()
@@ -172,18 +172,18 @@ class RunningArm(Pilot):
             NODE_TIMEOUT_S,
             f'{self._monitor}/measured and tendon_states: does the tracker see the arm?',
         )
-        self.spin(SILENCE_S)  # a reading of a cell may be missing now and then
+        self.spin(SILENCE_S)  # single readings of a load cell may be missing
         measured = 'tension' in self._kinds and not (self.pull and self._by_gears)
         self.input = 'tension' if measured else 'displacement'
 
     def change(self) -> ChangeFinder | None:
-        """Return what the monitor knows of a change; None where it has no alarm."""
+        """Return the change that the monitor has estimated; None: it has no alarm."""
         self.wait(lambda: self.statuses[self._monitor], SILENCE_S, 'its status', strict=False)
         if self.statuses[self._monitor].get('drift') != 'true' or self.input != 'tension':
             return None
         assert self._own is not None
-        told = self.triggered(f'{self._monitor}/change')
-        return load_change(told, self._own.catalogue)
+        answer = self.triggered(f'{self._monitor}/change')
+        return load_change(answer, self._own.catalogue)
 
     @property
     def robot(self) -> Robot:
@@ -193,27 +193,27 @@ class RunningArm(Pilot):
 
     @property
     def position_noise(self) -> float | None:
-        """Standard deviation [m] of a coordinate of a trial: of the frames of those so far."""
+        """Standard deviation [m] of a coordinate of a trial, from the frames so far."""
         return max(float(np.sqrt(np.mean(self._variances))), 1e-6) if self._variances else None
 
     @property
     def input_noise(self) -> tuple[float, float]:
-        """Relative 1 sd of an input."""
+        """Standard deviation of an input: relative [1] and absolute."""
         return MonitorSettings().setting_noise, 0.0
 
     def measure(self, inputs: Array, trials: int) -> PostureMeasured:
-        """Go there, wait until it stands, and record; from rest every time."""
+        """Measure a posture: go there `trials` times, wait for rest, and record."""
         try:
             return self._measured(inputs, trials)
         except (StoppedError, BrokenMeasurementError, InputError):
             raise
         except TendonRobotError as error:
-            if not self._goes_on():
+            if not self._controller_works():
                 raise
             raise BrokenMeasurementError(f'{error}; it goes on') from None
 
-    def _goes_on(self) -> bool:
-        """Tell whether the controller takes commands, or does so again soon: a driver was late."""
+    def _controller_works(self) -> bool:
+        """Return whether the controller works, or does so again soon after a late driver."""
 
         def works() -> bool:
             return self.status.get('code') in (*WORKING_CODES, 'released')
@@ -222,15 +222,15 @@ class RunningArm(Pilot):
         return works() or (late and self.wait(works, NODE_TIMEOUT_S, 'the driver', strict=False))
 
     def _measured(self, inputs: Array, trials: int) -> PostureMeasured:
-        """Measure once."""
-        stood = []
+        """Measure a posture once."""
+        measurements = []
         for _ in range(trials):
             if self.path == 'from_straight':
                 self._go(self._rest())
             self._go(self._command(inputs))
-            stood.append(self._stand())
-        for one in stood if self.input == 'tension' else ():
-            # motors that do not pull what is requested: a slipped tendon, a motor that sticks
+            measurements.append(self._stand())
+        for one in measurements if self.input == 'tension' else ():
+            # motors without the requested tension: a slipped tendon, or a motor that sticks
             off = np.abs(one.inputs - inputs) - OFF_MAX * inputs
             worst = int(np.argmax(off))
             if off[worst] > OFF_LIMIT_MAX * self.robot.tension_limits[1]:
@@ -238,14 +238,15 @@ class RunningArm(Pilot):
                     f'{self.robot.inputs[worst]} pulls {one.inputs[worst]:.2f} N instead of '
                     f'{inputs[worst]:.2f} N: {GEARS_HINT if self._by_gears else SLIP_HINT}'
                 )
-        self._variances += [one.spread**2 / one.frames for one in stood]
-        least = 0.0 if self.input == 'tension' else -np.inf  # a cell near none reads below it, too
-        taken = np.array([np.maximum(one.inputs, least) for one in stood])
-        frames = sum(one.frames for one in stood)
-        return PostureMeasured(np.array([one.positions for one in stood]), taken, frames)
+        self._variances += [one.spread**2 / one.frames for one in measurements]
+        # an unloaded load cell also reads less than 0
+        minimum = 0.0 if self.input == 'tension' else -np.inf
+        measured = np.array([np.maximum(one.inputs, minimum) for one in measurements])
+        frames = sum(one.frames for one in measurements)
+        return PostureMeasured(np.array([one.positions for one in measurements]), measured, frames)
 
     def release(self) -> None:
-        """Let go, even after a signal; a controller that is stopped has let go already."""
+        """Release the arm, even after a signal; a stopped controller has released it already."""
         if self._own is None or not self._commands:
             return
         stamp = self.play(self._move(self._rest()))
@@ -256,9 +257,9 @@ class RunningArm(Pilot):
                 return
 
     def spin_once(self, timeout: float) -> None:
-        """Serve one message; end when somebody asked for it."""
+        """Serve one message; StoppedError: the service `~/stop` was called."""
         super().spin_once(timeout)
-        if self.stop_asked:
+        if self.stop_requested:
             raise StoppedError('the investigation was stopped')
 
     def _rest(self) -> Array:
@@ -268,7 +269,7 @@ class RunningArm(Pilot):
         return np.asarray(self._own.shape(lowest).pulls) if self.pull else lowest
 
     def _command(self, inputs: Array) -> Array:
-        """Return what to command for a posture: tensions [N], or wire pulls [m]."""
+        """Return the command (m,) for a posture: tensions [N], or wire pulls [m]."""
         assert self._own is not None
         low, high = self._own.limits.T
         if self.input == 'tension':
@@ -291,21 +292,21 @@ class RunningArm(Pilot):
         return np.where(np.isnan(inputs), pulls - out, inputs)
 
     def _move(self, target: Array) -> Trajectory:
-        """Return the straight path from the present command, as fast as is allowed."""
+        """Return the straight path from the present command, at the set speed."""
         assert self._own is not None
-        here = self._commands[-1][1]
-        most = self._own.limits[:, 1] if not self.pull else 0.1 * self.robot.length
-        fraction = float(np.max(np.abs(target - here) / most))
+        current = self._commands[-1][1]
+        largest = self._own.limits[:, 1] if not self.pull else 0.1 * self.robot.length
+        fraction = float(np.max(np.abs(target - current) / largest))
         return Trajectory(np.array([max(fraction / self.speed, MOVE_MIN_S)]), target[None])
 
     def _go(self, target: Array) -> None:
-        """Drive there and wait until the controller says so."""
+        """Play the path to a command and wait for its end."""
         path = self._move(target)
         stamp = self.play(path)
         self.settle(stamp, path.times[-1] + STAND_TIMEOUT_S, 'the arm to get there')
 
     def _stand(self) -> StillMeasurement:
-        """Wait until the arm stands and is seen."""
+        """Wait until the arm is at rest and visible; return the mean of its frames."""
         robot = self.robot
         tension = self.input == 'tension'
         change = 0.01 * robot.tension_limits[1] if tension else 0.002 * robot.length
@@ -313,7 +314,7 @@ class RunningArm(Pilot):
         window = StillWindow(still.still_time, still.still_speed, change)
         self._frames.clear()
         since, end = time_now(self), time.monotonic() + STAND_TIMEOUT_S
-        seen = 0
+        visible = 0
         while time.monotonic() < end:
             self.spin_once(SPIN_S)
             self.require_good()
@@ -321,7 +322,7 @@ class RunningArm(Pilot):
                 inputs = self._states.at(at)
                 if at < since or inputs is None or positions.shape[0] != len(self.markers):
                     continue
-                seen += bool(np.isfinite(positions).any())
+                visible += bool(np.isfinite(positions).any())
                 window.put(at, self._own_half(inputs), positions)
             self._frames.clear()
             settled = window.settled()
@@ -329,13 +330,13 @@ class RunningArm(Pilot):
                 mean = self._states.mean(settled.begin, settled.end)
                 inputs = settled.inputs if mean is None else self._own_half(mean)
                 return replace(settled, inputs=inputs)
-        if not seen:
+        if not visible:
             raise BrokenMeasurementError(f'the tracker saw nothing for {STAND_TIMEOUT_S:g} s')
         raise BrokenMeasurementError(f'the arm did not stand within {STAND_TIMEOUT_S:g} s')
 
     @property
     def _by_gears(self) -> bool:
-        """Whether geared motors tell tensions by their current."""
+        """Whether tensions are estimated from the current of geared motors."""
         return self.statuses[DRIVER].get('tension_source') == BY_GEARS
 
     def _own_half(self, state: Array) -> Array:
@@ -358,8 +359,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
-    """Investigate once, or whenever it is asked."""
-    goal_of(args)  # what cannot be is refused before anything is started
+    """Investigate once, or at every call of the service `~/start`."""
+    goal_of(args)  # invalid arguments are refused before anything is started
     if not 0.001 <= args.speed <= 100.0:
         raise InputError(f'--speed: expected 0.001 to 100, got {args.speed:g}')
     regions = load_keep_out(args.keep_out) if args.keep_out else KeepOut()
@@ -378,35 +379,35 @@ def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
 
 
 class Investigator:
-    """ROS around an investigation: services, progress, status."""
+    """ROS interface of an investigation: services, progress, status."""
 
     def __init__(self, arm: RunningArm, args: argparse.Namespace, regions: KeepOut) -> None:
-        """Offer the services."""
+        """Create publishers and services."""
         self.arm, self.args, self.regions = arm, args, regions
-        self._asked = False
+        self._start_requested = False
         self._busy = False
         self._status = Status(arm, 'investigation')
         self._progress = arm.create_publisher(String, '~/progress', LATCHED_BY_MANY)
         self._tour = arm.create_publisher(Bool, 'tour', LATCHED)
         arm.create_service(Trigger, '~/start', self._start)
         arm.create_service(Trigger, '~/stop', self._stop)
-        repeat(arm, STATUS_PERIOD_S, self._say)
+        repeat(arm, STATUS_PERIOD_S, self._publish_status)
 
     def serve(self) -> None:
-        """Investigate whenever it is asked, until a signal comes."""
+        """Investigate at every call of the service `~/start`, until a signal comes."""
         while True:
-            self._asked = self.arm.stop_asked = False
-            while not self._asked:
+            self._start_requested = self.arm.stop_requested = False
+            while not self._start_requested:
                 self.arm.spin_once(0.1)
             folder = Path(self.args.output) / time.strftime('%Y-%m-%d_%H-%M-%S')
             try:
                 self.once(folder, False)
             except TendonRobotError as error:
-                self.arm.stop_asked = False
-                self.tell(News('failed', ' '.join(str(error).split())))
+                self.arm.stop_requested = False
+                self.publish_news(News('failed', ' '.join(str(error).split())))
 
     def once(self, folder: Path, resume: bool) -> Findings:
-        """Investigate, write, and give the controller what was found."""
+        """Investigate, write the results, and send the controller the better description."""
         args = self.args
         self._busy = True
         try:
@@ -414,42 +415,43 @@ class Investigator:
             self.arm.begin()
             goal, change = goal_of(args), self.arm.change()
             investigation = Investigation(
-                self.arm, goal, folder, self.regions, self.tell, resume, change
+                self.arm, goal, folder, self.regions, self.publish_news, resume, change
             )
             findings = investigation.run()
             lines = write_results(findings, folder, investigation.catalogue, args.add)
             print(*lines, sep='\n', flush=True)
             if (folder / BETTER).exists() and not args.keep:
                 better = str((folder / BETTER).resolve())
-                taken, why = self.arm.put('model', better, 2.0 * NODE_TIMEOUT_S)
-                said = 'the controller uses it' if taken else f'the controller refuses it: {why}'
-                self.tell(News('sent', said, {'taken': taken}))
+                accepted, reason = self.arm.put('model', better, 2.0 * NODE_TIMEOUT_S)
+                answer = 'uses it' if accepted else f'refuses it: {reason}'
+                text = f'the controller {answer}'
+                self.publish_news(News('sent', text, {'taken': accepted}))
             return findings
         finally:
             self._busy = False
             self._tour.publish(Bool(data=True))
-            self._say()
+            self._publish_status()
 
-    def tell(self, news: News) -> None:
-        """Print and publish what happens."""
+    def publish_news(self, news: News) -> None:
+        """Print and publish progress."""
         print(news.text, flush=True)
         content: dict[str, Any] = {'kind': news.kind, 'text': news.text, **news.content}
         self._progress.publish(String(data=json.dumps(content)))
 
-    def _say(self) -> None:
-        """Publish how it is."""
+    def _publish_status(self) -> None:
+        """Publish the status."""
         code = 'asking' if self._busy else 'waiting'
         text = 'investigating' if self._busy else 'call ~/start to investigate'
-        self._status.say(WARN if self._busy else OK, code, text)
+        self._status.publish(WARN if self._busy else OK, code, text)
 
     def _start(self, request: object, response: Trigger.Response) -> Trigger.Response:
         response.success = not self._busy
         response.message = 'an investigation runs already' if self._busy else 'investigating'
-        self._asked = not self._busy
+        self._start_requested = not self._busy
         return response
 
     def _stop(self, request: object, response: Trigger.Response) -> Trigger.Response:
         response.success = self._busy
         response.message = 'stopping' if self._busy else 'no investigation runs'
-        self.arm.stop_asked = self._busy
+        self.arm.stop_requested = self._busy
         return response

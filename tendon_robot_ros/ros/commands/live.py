@@ -54,7 +54,7 @@ from ...simulation.rehearsal import (
     tour,
 )
 from ..shared.messages import LATCHED, LATCHED_BY_MANY, LISTEN, STATE, seconds, time_now
-from ..shared.robot_client import HEARD_MAX, TIP_AVERAGE_S, RobotClient
+from ..shared.robot_client import MESSAGES_MAX, TIP_AVERAGE_S, RobotClient
 from ..shared.runtime import Ending, NodeProcess, ros
 from ..shared.timing import MOVE_TIMEOUT_S, STAND_TIMEOUT_S, WORK_TIMEOUT_S
 from . import investigate as investigation
@@ -63,24 +63,24 @@ HELP = 'a mock robot that hides something: watch, diagnose, add, see the error f
 Array = NDArray[np.float64]
 LOG = 'nodes.log'
 INVESTIGATION = ('--add', '--speed', '2', '--output')  # how the mock is investigated, and where
-# [1] messages of each kind over which a mean is taken, so that the noise of a tracker falls to a
-# quarter: half a second at 30 Hz
+# [1] messages of each kind in a mean, so that the noise of a tracker falls to a quarter: 0.5 s at
+# 30 Hz
 MESSAGES_MIN = 15
 STARTING_CODES = (None, 'loading', 'compiling', 'building', 'not_ready')
 
 
 @dataclass
 class Performance:
-    """What is played: the robot as described, what the mock hides, and the options of a person."""
+    """One run: the described robot, what the mock hides, and the options of the user."""
 
     options: argparse.Namespace
     robot: Robot
     hidden: Hidden
     seed: int
-    folder: Path  # of all files that are written
+    folder: Path  # for all files
 
     def start(self, stack: ExitStack, director: Director) -> None:
-        """Start the nodes; the stack ends them in the opposite order."""
+        """Start the nodes; the stack ends them in reverse order."""
         folder, headless = self.folder.resolve(), self.options.headless
         described = folder / 'paper.yaml'
         described.write_text(dump_robot(self.robot), encoding='utf-8')
@@ -98,7 +98,9 @@ class Performance:
             'tracker': {'rate': 30.0, 'noise': 2e-4, 'seed': self.seed + 1},
         }
         plain = yaml.safe_dump(json.loads(json.dumps(config)))  # lists in place of tuples
-        rate = {'rate': 100.0} if headless else {}  # [Hz] a busy machine has time for the others
+        rate = (
+            {'rate': 100.0} if headless else {}
+        )  # [Hz] so that a busy machine has time for the other nodes
         watched = {'path': 'from_straight', 'force_rate': 5.0, 'reference_postures': 20.0}
         own = ['--wait', *INVESTIGATION, str(folder / 'found')]
         nodes: list[tuple[str, dict[str, object], list[str]]] = [
@@ -113,7 +115,7 @@ class Performance:
             director.nodes.append(stack.enter_context(process))
 
     def play(self, director: Director, model: Model, story: Story) -> int:
-        """Serve the page until it is ended, or tell the story as text; return the exit code."""
+        """Serve the page until a signal comes, or run as text; return the exit code."""
         options = self.options
         director.wait_until_up()
         if not options.headless:
@@ -125,7 +127,7 @@ class Performance:
         elif options.investigate:
             investigate(director, story, self.folder)
         else:
-            tell(director, model, story, options.postures)
+            play_as_text(director, model, story, options.postures)
         print(story.end())
         return 1 if story.problem else 0
 
@@ -159,7 +161,7 @@ def main(arguments: Sequence[str]) -> int:
             code = 0
         except TendonRobotError as error:
             text = (folder / LOG).read_text(encoding='utf-8', errors='replace')
-            last_lines = text.strip().splitlines()[-12:]  # of the nodes: why they do not work
+            last_lines = text.strip().splitlines()[-12:]  # of the nodes: why they failed
             print('error:', error, *last_lines, sep='\n  ', file=sys.stderr)
             code = 1
         if options.reveal:
@@ -190,15 +192,15 @@ def _options(arguments: list[str]) -> argparse.Namespace:
 
 
 class Director(RobotClient):
-    """Speaks to controller, driver and monitor as any other node could."""
+    """A client of controller, driver and monitor."""
 
     def __init__(self, namespace: str, base: str, ending: Ending) -> None:
-        """Connect."""
+        """Create the subscriptions."""
         super().__init__('tour', ending, namespace, base, watched=('monitor',))
         self.progress, self.verdict = '', dict[str, Any]()
-        self.touring = True  # the page may switch it off
-        self._stands_since = np.inf  # [s] by the stamps of messages
-        self.nodes: list[NodeProcess] = []  # that were started for it
+        self.touring = True  # switched by the page
+        self._standing_since = np.inf  # [s] by the stamps of messages
+        self.nodes: list[NodeProcess] = []  # started for this run
         self._tips: list[tuple[float, Array]] = []
         self._errors: list[tuple[float, Array]] = []
         self._tensions: list[tuple[float, Array]] = []
@@ -212,12 +214,12 @@ class Director(RobotClient):
         def keep(name: str) -> Callable[[Any], None]:
             return lambda message: setattr(self, name, message.data)
 
-        def put(heard: list[tuple[float, Array]], values: Callable[[Any], Any]) -> Any:
-            def hear(message: Any) -> None:
-                heard.append((seconds(message.header.stamp), np.array(values(message))))
-                del heard[:-HEARD_MAX]
+        def put(samples: list[tuple[float, Array]], values: Callable[[Any], Any]) -> Any:
+            def receive(message: Any) -> None:
+                samples.append((seconds(message.header.stamp), np.array(values(message))))
+                del samples[:-MESSAGES_MAX]
 
-            return hear
+            return receive
 
         tip = put(self._tips, lambda m: xyz(m.pose.position))
         error = put(self._errors, lambda m: xyz(m.vector))
@@ -230,15 +232,15 @@ class Director(RobotClient):
         self.create_subscription(Bool, 'tour', keep('touring'), LATCHED)
 
     def print_investigation(self) -> None:
-        """Print from now on what an investigation says of each posture, as the page shows it."""
+        """Print the progress of an investigation from now on, as the page shows it."""
 
-        def heard(message: String) -> None:
+        def show(message: String) -> None:
             print(json.loads(message.data)['text'], flush=True)
 
-        self.create_subscription(String, 'investigate/progress', heard, LATCHED_BY_MANY)
+        self.create_subscription(String, 'investigate/progress', show, LATCHED_BY_MANY)
 
     def wait_until_up(self) -> None:
-        """Wait for all nodes, however slow the computer is, as long as none has ended."""
+        """Wait until all nodes work; TendonRobotError: one has ended."""
 
         def up() -> bool:
             for node in self.nodes:
@@ -252,25 +254,24 @@ class Director(RobotClient):
 
     def go(self, stop: TourPosture) -> bool:
         """
-        Send a target and wait until the arm has stood there, seen often enough.
+        Send a target and wait until the arm was measured at rest there.
 
         Returns
         -------
         bool
-            Whether it did, and was seen; what `tip` and `tensions` say is then of this posture.
+            Whether it was; `tip`, `error` and `tensions` are then of this posture.
 
         """
-        self._stands_since, stamp = np.inf, self.send(stop.position, stop.direction)
+        self._standing_since, stamp = np.inf, self.send(stop.position, stop.direction)
 
-        def stood() -> bool:
-            now = time_now(self)
+        def standing() -> bool:
+            soon = time_now(self) + TIP_AVERAGE_S
             settled = self.settled(stamp)
-            self._stands_since = (
-                min(self._stands_since, now + TIP_AVERAGE_S) if settled else np.inf
-            )
-            return self._seen() or not self.touring
+            self._standing_since = min(self._standing_since, soon) if settled else np.inf
+            return self._measured_enough() or not self.touring
 
-        return self.wait(stood, STAND_TIMEOUT_S, 'the arm to stand', strict=False) and self.touring
+        at_rest = self.wait(standing, STAND_TIMEOUT_S, 'the arm to stand', strict=False)
+        return at_rest and self.touring
 
     def record(self, stop: TourPosture) -> bool:
         """Go to a posture and wait until the monitor has recorded it; return whether it did."""
@@ -283,43 +284,42 @@ class Director(RobotClient):
 
     @property
     def recorded(self) -> int:
-        """How many postures the monitor has."""
+        """Number of postures that the monitor has recorded."""
         return int(self.statuses['monitor'].get('postures', '0'))
 
     def uses(self, effects: Sequence[str]) -> bool:
-        """Whether controller and monitor have these effects in their model."""
+        """Return whether controller and monitor have these effects in their model."""
         models = [values.get('model', '') for values in self.statuses.values()]
         return all(name in model for name in effects for model in models)
 
     def tip(self) -> Array:
-        """Return the mean measured tip (3,) [m] since the arm stands."""
+        """Return the mean measured tip (3,) [m] since the arm is at rest."""
         return self._mean(self._tips)
 
     def error(self) -> float:
-        """Return how far the tip is off [m]: the mean error since the arm stands."""
+        """Return the norm of the mean tip error [m] since the arm is at rest."""
         return float(np.linalg.norm(self._mean(self._errors)))
 
     def tensions(self) -> Array:
-        """Return the mean measured tensions (m,) [N] since the arm stands."""
+        """Return the mean measured tensions (m,) [N] since the arm is at rest."""
         return self._mean(self._tensions)
 
-    def _standing(self, heard: Sequence[tuple[float, Array]]) -> list[Array]:
-        """Return what was measured since the arm stands: a busy machine hears late, and less."""
-        return [
-            value for at, value in heard if at > self._stands_since and np.isfinite(value).all()
-        ]
+    def _standing(self, samples: Sequence[tuple[float, Array]]) -> list[Array]:
+        """Return the finite values since the arm is at rest, by their stamps."""
+        since = self._standing_since
+        return [value for at, value in samples if at > since and np.isfinite(value).all()]
 
-    def _seen(self) -> bool:
+    def _measured_enough(self) -> bool:
         kinds = (self._tips, self._errors, self._tensions)
-        return all(len(self._standing(heard)) >= MESSAGES_MIN for heard in kinds)
+        return all(len(self._standing(samples)) >= MESSAGES_MIN for samples in kinds)
 
-    def _mean(self, heard: Sequence[tuple[float, Array]]) -> Array:
-        values = self._standing(heard)
+    def _mean(self, samples: Sequence[tuple[float, Array]]) -> Array:
+        values = self._standing(samples)
         return np.array(np.mean(values, axis=0)) if values else np.full(3, np.nan)
 
 
-def tell(director: Director, model: Model, story: Story, postures: int) -> None:
-    """Record, diagnose, add, look again; fill in the story and print it as it happens."""
+def play_as_text(director: Director, model: Model, story: Story, postures: int) -> None:
+    """Record, diagnose, add, measure again; fill in the story and print progress."""
     robot = model.robot
     print(
         f'robot {robot.name}: {robot.cells} cells, {len(robot.tendons)} tendons   model: '
@@ -364,7 +364,7 @@ def tell(director: Director, model: Model, story: Story, postures: int) -> None:
 
 
 def investigate(director: Director, story: Story, folder: Path) -> None:
-    """Let the arm find out by itself; fill in the story."""
+    """Run an investigation; fill in the story."""
     parser = argparse.ArgumentParser()
     investigation.add_arguments(parser)
     args = parser.parse_args([*INVESTIGATION, str(folder / 'found')])
@@ -386,7 +386,7 @@ def investigate(director: Director, story: Story, folder: Path) -> None:
 
 
 def tour_forever(director: Director, model: Model, postures: int) -> None:
-    """Go through the postures again and again, while the page lets it."""
+    """Repeat the postures for ever, while the page has the tour switched on."""
     while True:
         for stop in tour(model, postures, 0):
             director.wait(lambda: director.touring, float('inf'), 'the tour')

@@ -44,9 +44,9 @@ from ..shared.runtime import repeat, ros
 from ..shared.timing import NEWS_PERIOD_S, VALUES_PERIOD_S
 
 HELP = 'record the running robot to an mcap file'
-TOPICS_LEFT_OUT = ('/rosout', '/parameter_events')
+TOPICS_EXCLUDED = ('/rosout', '/parameter_events')
 TOPICS_OF_ALL = ('/tf', '/tf_static', '/diagnostics')  # of every namespace
-# [1] messages of a topic that may wait: two seconds of 1 kHz, so that a busy machine loses none
+# [1] queued messages of a topic: two seconds at 1 kHz, so that a busy machine loses none
 QUEUE_DEPTH = 2000
 # a robot that moves from posture to posture; its tensions are known to 0.2 %, as in the monitor
 DATASET_DEFAULTS = 'path: sequence\ntension_noise: {setting: 0.002}\n'
@@ -69,7 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
-    """Record until a signal comes or the time is over."""
+    """Record until a signal comes or the duration is over."""
     need_rosbags()
     if args.duration is not None and not args.duration > 0.0:
         raise InputError(f'--duration: expected more than 0, got {args.duration:g}')
@@ -100,7 +100,7 @@ def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
 
 class Polled(CallbackGroup):
     """
-    Subscriptions that no executor serves: `drain` takes what has come.
+    Subscriptions that no executor serves: `drain` takes their messages.
 
     An executor takes one message per wait, which is late on a busy machine; here the time of a
     message is that of its arrival, however late it is taken.
@@ -115,29 +115,29 @@ class Polled(CallbackGroup):
         return False
 
     def ending_execution(self, entity: object) -> None:
-        """Do nothing: nothing was begun."""
+        """Do nothing: there is no execution."""
 
 
 class Recorder(Node):
-    """Subscribes to whatever is published, raw, and writes it."""
+    """Subscribes to topics and writes their serialised messages."""
 
     def __init__(self, writer: BagWriter, controller: str, topics: Sequence[str]) -> None:
-        """Look for topics at once, and again and again."""
+        """Discover topics now and periodically."""
         super().__init__('record')
         self._writer, self.counts = writer, dict[str, int]()
         self._only = {self.resolve_topic_name(topic) for topic in topics}
-        self._seen: set[str] = set()
-        self._polled, self._ears = Polled(), list[tuple[str, Any]]()
+        self._subscribed: set[str] = set()
+        self._polled, self._sources = Polled(), list[tuple[str, Any]]()
         self._robot = RemoteParameter(self, controller, 'model')
         self._robot_written = False
         for topic in (DESCRIPTION, ROBOT):
             writer.add_topic(topic, STRING, latched=True)
         self._write_text(DESCRIPTION, DATASET_DEFAULTS)
-        repeat(self, VALUES_PERIOD_S, self._look)
-        self._look()
+        repeat(self, VALUES_PERIOD_S, self._discover)
+        self._discover()
 
     def summary(self, output: str, seconds: float) -> str:
-        """Say what was recorded."""
+        """Return a summary of the recording, as text."""
         total = sum(self.counts.values())
         text = f'{total} messages of {len(self.counts)} topics in {seconds:.1f} s: {output}'
         if not total:
@@ -146,15 +146,15 @@ class Recorder(Node):
             text += '\nno description of the robot: name it with --robot when you use this'
         return f'{text}\nnext: python -m tendon_robot_ros plot {output}'
 
-    def _look(self) -> None:
+    def _discover(self) -> None:
         space = self.get_namespace().rstrip('/') + '/'
         for topic, kinds in self.get_topic_names_and_types():
             own = topic.startswith(space) or topic in TOPICS_OF_ALL
-            wanted = topic in self._only or (not self._only and own)
-            if wanted and topic not in self._seen and topic not in TOPICS_LEFT_OUT:
+            selected = topic in self._only or (not self._only and own)
+            if selected and topic not in self._subscribed and topic not in TOPICS_EXCLUDED:
                 publishers = self.get_publishers_info_by_topic(topic)
                 if publishers:
-                    self._seen.add(topic)
+                    self._subscribed.add(topic)
                     self._subscribe(topic, kinds[0], publishers)
 
         def write(text: str) -> None:
@@ -177,22 +177,22 @@ class Recorder(Node):
         try:
             message = getattr(importlib.import_module(f'{package}.msg'), name)
             self._writer.add_topic(topic, kind, latched)
-        except Exception as error:  # a type that is not installed, or that rosbags does not know
+        except Exception as error:  # the type is not installed, or unknown to rosbags
             print(f'left out: {topic}: {kind} is not known here ({error})', file=sys.stderr)
             return
         qos = quality(QUEUE_DEPTH, reliable=reliable, latched=latched)
-        ear = self.create_subscription(
+        source = self.create_subscription(
             message, topic, print, qos, raw=True, callback_group=self._polled
         )
-        self._ears.append((topic, ear))
+        self._sources.append((topic, source))
 
     def drain(self) -> None:
-        """Write everything that has come, with the time of its arrival."""
-        for topic, ear in self._ears:
-            with ear.handle:
-                while (taken := ear.handle.take_message(ear.msg_type, True)) is not None:
-                    data, about = taken
-                    time = about['received_timestamp'] or about['source_timestamp']
+        """Write all received messages, with the times of their arrival."""
+        for topic, source in self._sources:
+            with source.handle:
+                while (received := source.handle.take_message(source.msg_type, True)) is not None:
+                    data, info = received
+                    time = info['received_timestamp'] or info['source_timestamp']
                     self.counts[topic] = self.counts.get(topic, 0) + 1
                     self._writer.write(topic, time or self.get_clock().now().nanoseconds, data)
 

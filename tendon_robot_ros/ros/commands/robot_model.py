@@ -42,10 +42,10 @@ Array = NDArray[np.float64]
 
 
 class RobotModelNode(Runnable, Node):
-    """Turns predicted shapes into joints and frames of the URDF."""
+    """Converts predicted shapes to joints and frames of the URDF."""
 
     def __init__(self) -> None:
-        """Read the robot, or wait for that of the controller."""
+        """Read the robot of the parameter, or request that of the controller."""
         super().__init__('robot_model')
         self.parameters = Parameters(self, SPECS)
         controller = self.parameters['controller']
@@ -66,14 +66,14 @@ class RobotModelNode(Runnable, Node):
             repeat(self, STATUS_PERIOD_S, self._ask)
 
     def start(self) -> None:
-        """Say where the frames are."""
+        """Log it if no frames are published."""
         if self._broadcaster is None:
             self.get_logger().info('no tf2_ros, or publish_tf is false: frames are not published')
 
     def _ask(self) -> None:
-        """Ask the controller for its model; effects may change at run time, cells may not."""
+        """Request the model of the controller once: its cells do not change at run time."""
 
-        def hear(text: str) -> None:
+        def receive(text: str) -> None:
             try:
                 self._take(text)
             except (TendonRobotError, OSError) as error:
@@ -82,7 +82,7 @@ class RobotModelNode(Runnable, Node):
                     self.get_logger().error(f'the model of the controller: {error}')
 
         if self._robot is None:
-            self._remote.ask(hear)
+            self._remote.ask(receive)
 
     def _take(self, text: str) -> None:
         robot = load_robot(text)

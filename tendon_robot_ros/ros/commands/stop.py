@@ -36,27 +36,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
-    """Stop all that is found."""
+    """Stop every controller and driver that is discovered."""
     go_first()
     below, text = '/' + args.namespace.strip('/'), os.environ.get('ROS_DOMAIN_ID') or '0'
     if not text.isdecimal():
         raise InputError(f'ROS_DOMAIN_ID: expected a number, got {text!r}')
     domain = int(text)
     local = stop_local(domain, below, STOP_ANSWER_S)
-    from ..shared.stopping import stop_found  # what takes long to import comes after that
+    from ..shared.stopping import stop_nodes  # a slow import, after the local stop
 
-    print(verdict(stop_found(ros_arguments, below, local), below, domain))
+    print(verdict(stop_nodes(ros_arguments, below, local), below, domain))
     return 0
 
 
-def verdict(found: dict[str, tuple[bool, str]], below: str, domain: int) -> str:
+def verdict(results: dict[str, tuple[bool, str]], below: str, domain: int) -> str:
     """
-    Say who has stopped.
+    Return which nodes have stopped, as text.
 
     Parameters
     ----------
-    found : dict
-        Of every node, whether it drives motors, and why it has not stopped, '' if it has.
+    results : dict
+        Name of a node -> whether it drives motors, and why it has not stopped ('': it has).
     below : str
         Namespace.
     domain : int
@@ -64,20 +64,20 @@ def verdict(found: dict[str, tuple[bool, str]], below: str, domain: int) -> str:
     Raises
     ------
     TendonRobotError
-        Somebody has not, or nobody was found.
+        A node has not stopped, or none was discovered.
 
     """
-    if not found:
+    if not results:
         where = below if below != '/' else 'any namespace'
         raise TendonRobotError(
             f'nothing was stopped: no controller or driver found in {where} of ROS_DOMAIN_ID '
             f'{domain}; if an arm moves, {NO_SOFTWARE}'
         )
-    if said := [f'{name} {why}' for name, (_, why) in sorted(found.items()) if why]:
-        raise TendonRobotError(f'not stopped: {"; ".join(said)}; {NO_SOFTWARE}')
-    driven = {name.rpartition('/')[0] for name, (drives, _) in found.items() if drives}
-    names = ', '.join(sorted(found))
-    for name in sorted(found):
+    if problems := [f'{name} {why}' for name, (_, why) in sorted(results.items()) if why]:
+        raise TendonRobotError(f'not stopped: {"; ".join(problems)}; {NO_SOFTWARE}')
+    driven = {name.rpartition('/')[0] for name, (drives, _) in results.items() if drives}
+    names = ', '.join(sorted(results))
+    for name in sorted(results):
         if name.rpartition('/')[0] not in driven:
             raise TendonRobotError(
                 f'stopped: {names}; but no driver was found beside {name}; {NO_SOFTWARE}'

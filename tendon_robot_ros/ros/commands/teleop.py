@@ -1,5 +1,5 @@
 """
-Move the tip with the keyboard; letting go stops it.
+Move the tip with the keyboard; it stops when the key is released.
 
 Topics: ~/delta_twist remapped to that of the controller (published). Services called: stop and
 reset of the controller. Parameters and units: docs/ros_interface.md.
@@ -42,10 +42,10 @@ KEPT_FROM_MOVING = 'stopped', 'driver_stopped', 'released', 'no_driver', 'not_re
 
 
 class TeleopNode(Runnable, Node):
-    """Keys in, twists out."""
+    """Converts keys to twists."""
 
     def __init__(self) -> None:
-        """Take the terminal."""
+        """Read the terminal key by key; InputError: there is none."""
         super().__init__('teleop')
         if not sys.stdin.isatty():
             raise InputError('teleop: expected a terminal to read keys from, got a pipe or file')
@@ -56,8 +56,8 @@ class TeleopNode(Runnable, Node):
             key: self.create_client(Trigger, f'{name}/{service}')
             for key, service in ((' ', 'stop'), ('c', 'reset'))
         }
-        self._problem = ''  # of the controller, as it was told last
-        self.create_subscription(DiagnosticStatus, f'{name}/status', self._hear, LATCHED)
+        self._problem = ''  # of the controller, as printed last
+        self.create_subscription(DiagnosticStatus, f'{name}/status', self._receive, LATCHED)
         self._deadman = Deadman(self.parameters['hold'])
         self._factor, self._in_tip, self._quit, self._moved = 1.0, False, False, False
         self._keyboard = keyboard()
@@ -65,7 +65,7 @@ class TeleopNode(Runnable, Node):
         repeat(self, NEWS_PERIOD_S, self._cycle)
 
     def start(self) -> None:
-        """Tell the keys."""
+        """Print the keys."""
         print(LEGEND, end='', flush=True)
 
     def running(self) -> bool:
@@ -73,7 +73,7 @@ class TeleopNode(Runnable, Node):
         return not self._quit
 
     def end(self) -> None:
-        """Stop the tip and give the terminal back."""
+        """Stop the tip and restore the terminal."""
         self._send([0.0] * 6)
         self._keyboard.__exit__(None, None, None)
 
@@ -85,7 +85,7 @@ class TeleopNode(Runnable, Node):
         velocity = self._deadman.velocity(
             now, scale * self.parameters['linear_speed'], scale * self.parameters['angular_speed']
         )
-        if velocity is not None or self._moved:  # one zero twist ends it at once
+        if velocity is not None or self._moved:  # one zero twist stops the tip at once
             self._send(velocity or [0.0] * 6)
         self._moved = velocity is not None
 
@@ -103,8 +103,8 @@ class TeleopNode(Runnable, Node):
         elif key in self._calls:
             self._call(key)
 
-    def _hear(self, status: DiagnosticStatus) -> None:
-        """Tell why the tip does not move: twists in frames of another robot are refused."""
+    def _receive(self, status: DiagnosticStatus) -> None:
+        """Print why the tip does not move, as when twists are in frames of another robot."""
         code = status_values(status).get('code', '')
         problem = ''
         if code.startswith('refused_') or code in KEPT_FROM_MOVING:
@@ -168,9 +168,9 @@ hold a key to move the tip, let go to stop
 @dataclass
 class Deadman:
     """
-    A velocity that lives only as long as its key repeats.
+    A velocity that is valid only while its key repeats.
 
-    Terminals do not tell when a key is let go; they repeat it while it is held. The tip stops
+    Terminals do not report the release of a key; they repeat it while it is held. The tip stops
     `hold` seconds after the last repeat.
     """
 
@@ -179,7 +179,7 @@ class Deadman:
     until: float = -1.0
 
     def press(self, key: str, now: float) -> None:
-        """Take a key."""
+        """Set the key that is held."""
         self.key, self.until = key, now + self.hold
 
     def velocity(self, now: float, linear: float, angular: float) -> list[float] | None:
@@ -192,7 +192,7 @@ class Deadman:
 
 @contextmanager
 def keyboard() -> Iterator[None]:
-    """Read single keys from the terminal; it is itself again afterwards."""
+    """Read single keys from the terminal within the context; restore it afterwards."""
     before = termios.tcgetattr(sys.stdin)
     tty.setcbreak(sys.stdin)
     try:
@@ -202,7 +202,7 @@ def keyboard() -> Iterator[None]:
 
 
 def pressed(wait: float) -> list[str]:
-    """Return the keys that were pressed, after at most some seconds."""
+    """Return the pressed keys, after at most `wait` [s]."""
     if not select.select([sys.stdin], [], [], wait)[0]:
         return []
     text = os.read(sys.stdin.fileno(), 1024).decode(errors='ignore')

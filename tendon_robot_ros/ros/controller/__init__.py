@@ -1,8 +1,8 @@
 """
-The controller node: targets of the tip in, tendon commands out; control/ decides.
+The controller node: targets of the tip in, tendon commands out; control/ computes them.
 
 node.py         topics, services, the cycle
 actions.py      goals with feedback, result and cancel: trajectories, poses
 parameters.py   its parameters (docs/ros_interface.md holds the same table), and its model
-topics.py       what comes in, checked and in the base frame; the prediction, which goes out
+topics.py       messages received, checked and in the base frame; the published prediction
 """

@@ -2,8 +2,8 @@
 Actions: goals with feedback, result and cancel, for scripts and behaviour trees.
 
 ~/follow_joint_trajectory (control_msgs), ~/navigate_to_pose and ~/navigate_through_poses
-(nav2_msgs): offered where the package of the type is installed. What the arm does for a goal is
-control/status.py; here it is only translated.
+(nav2_msgs): offered where the package of the type is installed. control/status.py pursues a goal;
+this module only converts messages.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ Array = NDArray[np.float64]
 
 
 class ActionKind(Protocol):
-    """A type of action: from its messages to goals and back."""
+    """Converts the messages of an action type to goals and back."""
 
     type: Any
 
     def goal(self, request: Any, incoming: Incoming, stamp: str) -> MotionGoal:
-        """Read a goal; Refusal says what is wrong."""
+        """Return the goal of a request; Refusal: it is invalid."""
 
     def feedback(self, progress: Progress, header: Header) -> Any:
-        """Write how far a goal is."""
+        """Return the feedback message of a goal."""
 
     def result(self, outcome: GoalOutcome) -> Any:
-        """Write how a goal ended."""
+        """Return the result message of a goal."""
 
 
 # error_code of a goal, by the code of its outcome ('': reached; None: any other), as in
@@ -51,7 +51,7 @@ ERROR_CODES: dict[str, dict[str | None, int]] = {
     'control_msgs': {
         None: -1,  # INVALID_GOAL
         '': 0,
-        'canceled': 0,  # the status of the goal tells, as with joint_trajectory_controller
+        'canceled': 0,  # the status of the goal has it, as with joint_trajectory_controller
         'names': -2,  # INVALID_JOINTS
         'stale': -3,  # OLD_HEADER_TIMESTAMP
         'path_tolerance': -4,  # PATH_TOLERANCE_VIOLATED
@@ -65,12 +65,12 @@ class TendonTrajectory:
     """control_msgs/FollowJointTrajectory: tensions [N] in `effort`, or wire pulls [m]."""
 
     def __init__(self, kind: Any) -> None:
-        """Take the type."""
+        """Keep the type."""
         self.type, self._pull = kind, False
         self._inputs: tuple[str, ...] = ()
 
     def goal(self, request: Any, incoming: Incoming, stamp: str) -> MotionGoal:
-        """Read a goal; Refusal says what is wrong."""
+        """Return the goal of a request; Refusal: it is invalid."""
         if request.multi_dof_trajectory.points:
             raise Refusal('length', 'multi_dof_trajectory: expected none, tendons have one axis')
         playing = incoming.trajectory(request.trajectory)
@@ -78,8 +78,8 @@ class TendonTrajectory:
             raise Refusal('length', 'trajectory: expected points, got none')
         inputs, pull = incoming.inputs, incoming.pull
         self._inputs, self._pull, tolerance = inputs, pull, None
-        asked = [*request.path_tolerance, *request.goal_tolerance]
-        if not pull and any(one.position > 0.0 for one in asked):
+        tolerances = [*request.path_tolerance, *request.goal_tolerance]
+        if not pull and any(one.position > 0.0 for one in tolerances):
             raise Refusal(
                 'mode',
                 'path_tolerance, goal_tolerance: they are of positions; expected none, or a '
@@ -102,7 +102,7 @@ class TendonTrajectory:
         return MotionGoal([replace(playing, stamp=stamp)], tolerance)
 
     def feedback(self, progress: Progress, header: Header) -> Any:
-        """Write how far a goal is."""
+        """Return the feedback message of a goal."""
         quantity, nothing = 'positions' if self._pull else 'effort', np.array([])
         desired, actual = (
             nothing if values is None else values for values in (progress.desired, progress.actual)
@@ -117,7 +117,7 @@ class TendonTrajectory:
         return self.type.Feedback(header=header, joint_names=list(self._inputs), **points)
 
     def result(self, outcome: GoalOutcome) -> Any:
-        """Write how a goal ended."""
+        """Return the result message of a goal."""
         codes = ERROR_CODES['control_msgs']
         code = codes.get(outcome.code, codes[None])
         return self.type.Result(error_code=code, error_string=outcome.message)
@@ -127,15 +127,15 @@ class TipPoses:
     """
     nav2_msgs/NavigateToPose and NavigateThroughPoses: poses of the tip, each to be reached.
 
-    An orientation of zeros asks for a position alone.
+    An orientation of zeros requests a position alone.
     """
 
     def __init__(self, kind: Any) -> None:
-        """Take the type."""
+        """Keep the type."""
         self.type = kind
 
     def goal(self, request: Any, incoming: Incoming, stamp: str) -> MotionGoal:
-        """Read a goal; Refusal says what is wrong."""
+        """Return the goal of a request; Refusal: it is invalid."""
         many = hasattr(request, 'poses')
         poses = getattr(request.poses, 'goals', request.poses) if many else [request.pose]
         if not poses:
@@ -153,7 +153,7 @@ class TipPoses:
         return MotionGoal(targets)
 
     def feedback(self, progress: Progress, header: Header) -> Any:
-        """Write how far a goal is."""
+        """Return the feedback message of a goal."""
         message = self.type.Feedback(
             navigation_time=duration(progress.passed),
             estimated_time_remaining=duration(progress.left),
@@ -167,7 +167,7 @@ class TipPoses:
         return message
 
     def result(self, outcome: GoalOutcome) -> Any:
-        """Write how a goal ended."""
+        """Return the result message of a goal."""
         message, codes = self.type.Result(), ERROR_CODES['nav2_msgs']
         code = codes.get(outcome.code, codes[None])
         _fill(message, error_code=code, error_msg=outcome.message)
@@ -175,7 +175,7 @@ class TipPoses:
 
 
 def _fill(message: Any, **values: object) -> None:
-    """Set those fields that this version of the type has."""
+    """Set the fields that this version of the type has."""
     for name, value in values.items():
         if hasattr(message, name):
             setattr(message, name, value)
@@ -192,12 +192,12 @@ class CycledServer(ActionServer):
     """
     An action server whose goals are served by the cycle of its node.
 
-    rclpy has a coroutine wait for the end of every goal, and its executors poll that without
-    rest: a third of a processor.
+    In rclpy a coroutine waits for the end of every goal, and its executors poll it without pause:
+    a third of a processor.
     """
 
     def __init__(self, node: Node, kind: Any, name: str, accepted: Callable[[Any], None]) -> None:
-        """Offer the action."""
+        """Create the server."""
         super().__init__(
             node,
             kind,
@@ -208,31 +208,31 @@ class CycledServer(ActionServer):
         )
 
     def notify_execute(self, goal_handle: Any, execute_callback: Any) -> None:
-        """Have nothing executed, unless it is the end."""
+        """Execute a callback only for the end of a goal."""
         if execute_callback is not None:
             super().notify_execute(goal_handle, execute_callback)
 
     def end(self, handle: Any, result: Any) -> None:
-        """Answer with the result of a goal that has come to its end."""
+        """Send the result of a goal that has ended."""
         self.notify_execute(handle, lambda _: result)
 
 
 @dataclass
 class Pursued:
-    """A goal that a client waits for."""
+    """A goal of a client that is being pursued."""
 
     server: CycledServer
     kind: ActionKind
     handle: Any
     goal: MotionGoal | None = None  # until the next cycle reads it
-    told: float = -np.inf  # [s] when feedback was sent
+    feedback_at: float = -np.inf  # [s] when feedback was sent
 
 
 class Actions:
     """The action servers of the controller, and the goals that they pursue."""
 
     def __init__(self, node: Node) -> None:
-        """Offer the actions whose types can be imported."""
+        """Create the servers of the action types that can be imported."""
         self._node = node
         self._pursued: list[Pursued] = []
         self.names: list[str] = []
@@ -259,14 +259,14 @@ class Actions:
         self.names.append(name)
 
     def serve(self, now: float, core: ControllerCore, incoming: Incoming) -> None:
-        """Begin what came, look how the rest goes, end what is over; called once per cycle."""
+        """Start new goals, update the others, end finished ones; called once per cycle."""
         for one in list(self._pursued):
             if one.handle.is_cancel_requested:
                 if one.goal is not None:
                     one.goal.cancel(core, now)
                 self._end(one, GoalOutcome('canceled', 'canceled; the arm holds'))
             elif one.goal is None:
-                try:  # what is refused ends with the reason and changes nothing else
+                try:  # a refused goal changes nothing
                     stamp = bytes(one.handle.goal_id.uuid).hex()
                     one.goal = one.kind.goal(one.handle.request, incoming, stamp)
                     one.goal.begin(core, now)
@@ -274,14 +274,14 @@ class Actions:
                     self._end(one, GoalOutcome(refusal.code, str(refusal)))
             elif (outcome := one.goal.look(core, now)) is not None:
                 self._end(one, outcome)
-            elif now - one.told >= VALUES_PERIOD_S:
-                one.told = now
+            elif now - one.feedback_at >= VALUES_PERIOD_S:
+                one.feedback_at = now
                 header = Header(frame_id=incoming.base, stamp=stamp_now(self._node))
                 progress = one.goal.progress(core, now)
                 one.handle.publish_feedback(one.kind.feedback(progress, header))
 
     def drop(self, reason: str) -> None:
-        """End all goals: the controller commands nothing."""
+        """Abort all goals: the controller commands nothing."""
         for one in list(self._pursued):
             self._end(one, GoalOutcome('ended', reason))
 

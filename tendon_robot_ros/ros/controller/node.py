@@ -1,5 +1,5 @@
 """
-The controller node: takes targets of the tip and publishes the tendon commands that reach them.
+The controller node: receives targets of the tip, publishes tendon commands that reach them.
 
 Topics: ~/target_pose, ~/target_point, ~/delta_twist, ~/tendon_trajectory, tendon_states, stop
 (subscribed);
@@ -32,11 +32,11 @@ from ...control.status import controller_status, controller_values
 from ...drivers.safety import StopLatch
 from ...model.model import Model
 from ...robot.keep_out import KeepOut
-from ..shared.inbox import Inbox, Received, Service, hear_anybody
+from ..shared.inbox import Inbox, Received, Service, subscribe_any_qos
 from ..shared.lifecycle import LEVELS, Status, StoppableNode
 from ..shared.messages import COMMAND, JOINTS, LISTEN, passing_subscription, refilled, stamp_now
 from ..shared.parameters import Parameters
-from ..shared.runtime import goes_first, repeat, run
+from ..shared.runtime import has_priority, repeat, run
 from ..shared.senders import OwnPublisher, PublisherNames, Senders, gid_text
 from ..shared.timing import NEWS_PERIOD_S
 from . import parameters
@@ -55,10 +55,10 @@ STARTING_WORDS = {
 
 
 class ControllerNode(StoppableNode):
-    """ROS around the controller core: one thread, and one that hears stops."""
+    """ROS interface of the controller core: one thread, and one that receives stops."""
 
     def __init__(self) -> None:
-        """Declare parameters and begin to load the model; nothing is commanded yet."""
+        """Declare parameters and start to load the model; nothing is commanded yet."""
         super().__init__('controller', drives=False)
         self.parameters = Parameters(self, parameters.SPECS)
         self.status = Status(self, 'control')
@@ -73,7 +73,7 @@ class ControllerNode(StoppableNode):
         self.parameters.watch(checks, self._retune)
         self._incoming: Incoming | None = None
         self._prediction: Prediction | None = None
-        self._latency = self._told = self._asked = 0.0  # [s]
+        self._latency = self._status_at = self._target_at = 0.0  # [s]
         self._solver: Worker | None = None
         self._targets: list[Subscription] = []
         self._actions: Actions | None = None
@@ -84,39 +84,39 @@ class ControllerNode(StoppableNode):
         self._own = OwnPublisher(self, self._commands)
         self._measured = Inbox(self, JointState, 'tendon_states', JOINTS)
         self._tracker: Subscription | None = None
-        self._hear_tip()
+        self._subscribe_tip()
         topic, gid = self.parameters['driver_status'], gid_text(self._own.gid)
 
-        def driver_said(*said: Any) -> None:
+        def driver_status(*values: Any) -> None:
             if self.core is not None:
-                self.core.driver_says(*said)
+                self.core.driver_says(*values)
 
         def predict() -> None:
             if self.core is not None and self._prediction is not None:
                 self.core.predict(time.monotonic(), self._prediction.publish)
 
-        self._driver = DriverLink(self, topic, gid, driver_said)
-        self.listen(Service(self, Trigger, '~/reset', self._asked_to_reset))
+        self._driver = DriverLink(self, topic, gid, driver_status)
+        self.listen(Service(self, Trigger, '~/reset', self._request_reset))
         repeat(self, 1.0 / self.parameters['rate'], self._cycle)
         repeat(self, 1.0 / self.parameters['shape_rate'], predict)
 
     @property
     def latch(self) -> StopLatch | None:
-        """What holds the stops; None while there is no model."""
-        core = self.core  # any thread may ask
+        """The latch of stops; None while there is no model."""
+        core = self.core  # read once: any thread may call
         return None if core is None else core.latch
 
     def ready(self) -> bool:
-        """Whether the model is compiled, so that `configure` returns soon."""
-        done = self._loading.done
-        if not done:
-            doing = self._loading.doing
-            self.status.say(LEVELS['warn'], doing, STARTING_WORDS[doing])
-        return done
+        """Return whether the model is compiled, so that `configure` returns soon."""
+        loaded = self._loading.done
+        if not loaded:
+            stage = self._loading.doing
+            self.status.publish(LEVELS['warn'], stage, STARTING_WORDS[stage])
+        return loaded
 
     def configure(self) -> None:
         """Load the model."""
-        self.ready()  # says what takes so long, also where a person configures
+        self.ready()  # reports what takes long, also if a user configures
         model = self._loading.result()
         self._loading.accept(model)
         self.status.arm = model.robot.name
@@ -124,17 +124,17 @@ class ControllerNode(StoppableNode):
         self._fence(self.parameters['keep_out'])
         settings = parameters.settings(self.parameters, self._keep_out)
         self.core = ControllerCore(model, settings, self._solver)
-        self.core.driver_says(*self._driver.said)
-        self.stop_as_told()
+        self.core.driver_says(*self._driver.last)
+        self.latch_early_stops()
         self._incoming = Incoming(self, self.parameters, model)
         self._prediction = Prediction(self, self._incoming.base, model)
-        if goes_first():
+        if has_priority():
             go_realtime(Realtime.CONTROLLER, but=[SOLVER])
-            if in_realtime():  # the thread that limits it
+            if in_realtime():  # this thread limits the time of the solver
                 self._solver.lend_realtime()
 
     def activate(self) -> None:
-        """Begin to hear targets: who waits for a subscriber sends none in vain."""
+        """Subscribe to targets, not before, so that no target is lost."""
         if self._actions is None:
             self._actions = Actions(self)
 
@@ -150,20 +150,20 @@ class ControllerNode(StoppableNode):
                 self.core.refusals['target'] = Refusal('length', problem)
 
         self._targets = [
-            *hear_anybody(self, PoseStamped, '~/target_pose', pose, too_long),
-            *hear_anybody(self, PointStamped, '~/target_point', point, too_long),
+            *subscribe_any_qos(self, PoseStamped, '~/target_pose', pose, too_long),
+            *subscribe_any_qos(self, PointStamped, '~/target_point', point, too_long),
             passing_subscription(self, TwistStamped, '~/delta_twist', twist, LISTEN),
-            *hear_anybody(self, JointTrajectory, '~/tendon_trajectory', play, too_long),
+            *subscribe_any_qos(self, JointTrajectory, '~/tendon_trajectory', play, too_long),
         ]
 
     def deactivate(self) -> None:
-        """Have the arm let go, and go silent."""
+        """Have the arm released, and send no more commands."""
         while self._targets:
             self.destroy_subscription(self._targets.pop())
         self._let_go()
 
     def cleanup(self) -> None:
-        """Forget the model; the next `configure` loads it anew."""
+        """Drop the model; the next `configure` loads it again."""
         if self._prediction is not None:
             self._prediction.close()
         if self._solver is not None:
@@ -172,19 +172,21 @@ class ControllerNode(StoppableNode):
         self._loading.forget()
 
     def end(self) -> None:
-        """End; the driver is told to release the arm, and hears no commands."""
+        """End the node: the driver releases the arm."""
         self._loading.cancel()
         super().end()
-        time.sleep(NEWS_PERIOD_S)  # a message is lost when its publisher leaves before it is heard
+        time.sleep(
+            NEWS_PERIOD_S
+        )  # a message is lost if its publisher is destroyed before it is received
 
     def destroy_node(self) -> None:
-        """Hear no more."""
+        """Destroy subscriptions, socket and node."""
         self._measured.close()
         self._own.close()
         super().destroy_node()
 
-    def _hear_tip(self) -> None:
-        """Subscribe to the tracker while the loop is closed: nobody is woken in vain."""
+    def _subscribe_tip(self) -> None:
+        """Subscribe to the tracker only while the loop is closed, to save processor time."""
         closed = self.parameters['tip_gain'] > 0.0
         if self._tracker is not None and not closed:
             self.destroy_subscription(self._tracker)
@@ -201,7 +203,7 @@ class ControllerNode(StoppableNode):
     def _take(
         self, kind: str, action: Callable[[ControllerCore, Incoming, Any], None], message: Any
     ) -> None:
-        """Use a message, or say why not."""
+        """Apply an action to a message, or keep its refusal for the status."""
         core = self.core
         if core is None or self._incoming is None:
             return
@@ -213,19 +215,19 @@ class ControllerNode(StoppableNode):
             return
         core.refusals.pop(kind, None)
         if kind == 'target':
-            core.refusals.pop('model', None)  # has been said
-            self._asked = began
+            core.refusals.pop('model', None)  # it was published
+            self._target_at = began
 
     def _states(
-        self, core: ControllerCore, incoming: Incoming, heard: Received[JointState]
+        self, core: ControllerCore, incoming: Incoming, received: Received[JointState]
     ) -> None:
-        """Take what the driver measures, if it is the one to follow."""
-        now, measured = time.monotonic(), incoming.states(heard.message)
-        if self._drivers.counts(now, heard):
+        """Use a measurement of the followed driver."""
+        now, measured = time.monotonic(), incoming.states(received.message)
+        if self._drivers.counts(now, received):
             core.measured(now, *measured)
 
     def _wake(self) -> None:
-        """Have a target that is solved commanded before the next cycle; called by the solver."""
+        """Command a solved target before the next cycle; called by the solver."""
 
         def answer() -> None:
             if (core := self.core) is None:
@@ -234,19 +236,19 @@ class ControllerNode(StoppableNode):
             core.solver.serve()
             if core.solution is not before:
                 self._cycle()
-                self._latency = time.monotonic() - self._asked
+                self._latency = time.monotonic() - self._target_at
 
         if self.executor is not None:
             self.executor.create_task(answer)
 
     def _cycle(self) -> None:
-        """Hear stops and states, publish a command."""
+        """Receive stops and states, publish a command."""
         self.stop_topic.poll()
         if self._solver is not None:
             self._solver.limit_realtime()
         core = self.core
-        for heard in self._measured.take():
-            self._take('states', self._states, heard)
+        for received in self._measured.take():
+            self._take('states', self._states, received)
         now = time.monotonic()
         if (problem := self._measured.refused()) and core is not None:
             core.refusals['states'] = Refusal('length', problem)
@@ -264,33 +266,33 @@ class ControllerNode(StoppableNode):
             pulls = output.pulls
             tensions = output.tensions if pulls is None else None
             with self._speaking:
-                if not core.latch:  # a stop that came meanwhile has the last word
+                if not core.latch:  # unless a stop came meanwhile
                     self._command.name = core.model.inputs
                     self._commands.publish(
                         refilled(self._command, stamp_now(self), pulls, tensions)
                     )
-        if now - self._told >= NEWS_PERIOD_S:
-            self._told = now
-            self._tell(core, now)
+        if now - self._status_at >= NEWS_PERIOD_S:
+            self._status_at = now
+            self._publish_status(core, now)
 
     def _let_go(self) -> None:
-        """Have the driver release at once: a command without tendons. Silence does it later."""
+        """Have the driver release the arm at once: send a command without tendons."""
         with self._speaking:
             self._commands.publish(JointState(header=Header(stamp=stamp_now(self))))
 
     def _idle(self, now: float) -> None:
-        """Publish that it waits for a transition: the last status would go on being heard."""
+        """Publish that the node waits for a transition, in place of its last status."""
         if self._actions is not None:
             self._actions.drop('the controller is not active')
-        if now - self._told < NEWS_PERIOD_S:
+        if now - self._status_at < NEWS_PERIOD_S:
             return
-        self._told = now
+        self._status_at = now
         if self.phase == 'inactive':
-            self.status.say(LEVELS['warn'], 'off', 'not active: it commands nothing')
+            self.status.publish(LEVELS['warn'], 'off', 'not active: it commands nothing')
         elif not self.parameters['autostart']:
-            self.status.say(LEVELS['warn'], 'unconfigured', 'waits to be configured')
+            self.status.publish(LEVELS['warn'], 'unconfigured', 'waits to be configured')
 
-    def _tell(self, core: ControllerCore, now: float) -> None:
+    def _publish_status(self, core: ControllerCore, now: float) -> None:
         """Publish the status."""
         status = controller_status(core, now)
         level, message = LEVELS[status.level], status.message
@@ -311,11 +313,11 @@ class ControllerNode(StoppableNode):
                 'other_controllers': controllers,
             }
 
-        self.status.say(level, status.code, message, values)
+        self.status.publish(level, status.code, message, values)
 
     def _reload(self, core: ControllerCore) -> None:
-        """Take a model that was asked for and is loaded by now."""
-        if not (self._loading.asked and self._loading.done):
+        """Use a requested model as soon as it is loaded."""
+        if not (self._loading.change_requested and self._loading.done):
             return
 
         def refuse(error: TendonRobotError) -> None:
@@ -323,7 +325,7 @@ class ControllerNode(StoppableNode):
             core.refusals['model'] = Refusal('model', f'the old model stays: {error}')
 
         def swapped(model: Model, error: TendonRobotError | None) -> None:
-            """Hear that the model works where the arm is, or why not."""
+            """Accept the model if it has an equilibrium at the present tensions."""
             if error is not None:
                 refuse(error)
             elif self._incoming is not None and self._prediction is not None:
@@ -344,39 +346,40 @@ class ControllerNode(StoppableNode):
             core.set_model(model, lambda error: swapped(model, error))
 
     def _resumed(self, follows: bool, why: str) -> None:
-        """Hear whether the driver follows again."""
+        """Pass on whether the driver follows again."""
         if self.core is not None and follows:
             self.core.resumed()
         elif self.core is not None:
             self.core.not_resumed(why)
 
-    def stop_said(self, reason: str) -> None:
-        """Stop and have the arm let go: the topic says so."""
+    def stop_by_topic(self, reason: str) -> None:
+        """Stop and have the arm released, by the topic `stop`."""
         if self.core is not None:
             self.core.stop('stop topic', reason, lasting=True)
             self._let_go()
 
     def stop_now(self) -> None:
-        """Stop at once, in the thread that hears of it; the core drops its target next."""
+        """Stop at once, in the thread that receives the stop; the core drops its target."""
         super().stop_now()
         if self.core is not None:
             self._let_go()
 
     def stop_called(self) -> Trigger.Response:
-        """Stop, and answer who has called the service."""
+        """Stop, and return the response of the service `~/stop`."""
         self.stop_now()
         if self.core is None:
-            told = 'it has no model and commands nothing, so the driver is told nothing'
+            consequence = 'it has no model and commands nothing, so the driver is told nothing'
         elif another := self._driver.another:
-            told = f'the driver does not hear it, {another}'
+            consequence = f'the driver does not hear it, {another}'
         elif not self._commands.get_subscription_count():
-            told = 'no driver hears it'
+            consequence = 'no driver hears it'
         else:
-            told = 'the driver releases the arm'
-        return Trigger.Response(success=True, message=f'stopped; {told}; call reset to go on')
+            consequence = 'the driver releases the arm'
+        message = f'stopped; {consequence}; call reset to go on'
+        return Trigger.Response(success=True, message=message)
 
-    def _asked_to_reset(self, request: Trigger.Request, send: Callable[[object], None]) -> None:
-        """Have the executor reset; the thread that hears stops does not wait for the driver."""
+    def _request_reset(self, request: Trigger.Request, send: Callable[[object], None]) -> None:
+        """Reset in the executor: the thread that receives stops must not wait for the driver."""
         if self.core is None or self.executor is None:
             stopped, self._stopped = self._stopped, False
             send(Trigger.Response(success=stopped, message=NOT_READY[stopped]))
@@ -384,7 +387,7 @@ class ControllerNode(StoppableNode):
             self.executor.create_task(lambda: self._reset(send))
 
     def _reset(self, send: Callable[[object], None]) -> None:
-        """Clear the stops when the driver says that it follows: its status comes later."""
+        """Clear the stops once the driver has answered that it follows."""
 
         def reset() -> None:
             response = Trigger.Response(success=True, message='waiting for a target')
@@ -409,12 +412,12 @@ class ControllerNode(StoppableNode):
 
     def _retune(self) -> None:
         """Apply changed parameters."""
-        self._hear_tip()
+        self._subscribe_tip()
         if self.core is not None:
             self.core.settings = parameters.settings(self.parameters, self._keep_out)
 
     def _fence(self, text: str) -> None:
-        """Take keep-out regions; they are read once, when they are set."""
+        """Set the keep-out regions; they are parsed only when they change."""
         self._keep_out = parameters.keep_out_of(text)
 
 

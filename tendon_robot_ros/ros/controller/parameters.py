@@ -20,10 +20,10 @@ from ...robot.loading import robot_file
 from ..shared.lifecycle import AUTOSTART
 from ..shared.parameters import BASE_FRAME, COMMAND_MODE, FRAME_PREFIX, Parameters, Spec, fixed
 
-# [1] regions to keep out of, because each is checked along every path that is planned
+# [1] keep-out regions, because each is checked along every planned path
 REGIONS_MAX = 50
-# [1] characters of a description that is read before the parameter is accepted: a longer one would
-# hold up the commands while it is read
+# [1] characters of a description that is parsed before the parameter is accepted: a longer one
+# would delay the commands
 READ_AT_ONCE_MAX = 4_000
 # [1] defaults and ranges, each with its unit: docs/ros_interface.md
 SPECS = (
@@ -129,12 +129,12 @@ SPECS = (
 def keep_out_of(text: str) -> KeepOut:
     """Read regions from the path of a file, or from YAML text."""
     inside = text_of(text)
-    made = parse_keep_out(inside, 'keep_out' if inside == text else text)
-    if len(made.regions) > REGIONS_MAX:
+    keep_out = parse_keep_out(inside, 'keep_out' if inside == text else text)
+    if len(keep_out.regions) > REGIONS_MAX:
         raise InputError(
-            f'keep_out: expected at most {REGIONS_MAX} regions, got {len(made.regions)}'
+            f'keep_out: expected at most {REGIONS_MAX} regions, got {len(keep_out.regions)}'
         )
-    return made
+    return keep_out
 
 
 def direction_of(text: str) -> tuple[float, float, float]:
@@ -150,14 +150,14 @@ def direction_of(text: str) -> tuple[float, float, float]:
     return x, y, z
 
 
-# weights of what may be preferred of tensions, as named in `Preferences`
+# weights of the preferences of tensions, as named in `Preferences`
 WEIGHTS = 'low_tension', 'stiffness', 'slack', 'limit', 'smooth'
-# settings of the core that are parameters of the same name, as they are
+# settings of the core that equal the parameter of the same name
 SAME = {s.name for s in SPECS} & {f.name for f in fields(Settings)} - {'keep_out'}
 
 
 def settings(parameters: Parameters, keep_out: KeepOut) -> Settings:
-    """Return what the core is told; nothing is preferred while all weights are 0."""
+    """Return the settings of the core; without preferences if all weights are 0."""
     weights = {name: parameters[f'prefer_{name}'] for name in WEIGHTS}
     preferences = None
     if any(weights.values()):
@@ -177,39 +177,39 @@ def settings(parameters: Parameters, keep_out: KeepOut) -> Settings:
 
 
 class ModelLoading:
-    """Loads the model that the parameter names; another one at run time."""
+    """Loads the model of the parameter `model`, again when it changes."""
 
     def __init__(self, parameters: Parameters) -> None:
-        """Begin with what the node was started with."""
+        """Start to load the model."""
         self._parameters = parameters
         self._loader: Loader | None = None
-        self._in_use = self._wanted = self._taken = ''
+        self._in_use = self._requested = self._loaded = ''
         self._inputs: tuple[str, ...] = ()  # of the model in use
-        self.asked = False  # another model, at run time
+        self.change_requested = False  # another model was requested at run time
         self.note = ''
-        self._begun()
+        self._current_loader()
 
     @property
     def doing(self) -> str:
-        """What takes so long: loading, compiling or building."""
-        return self._begun().doing
+        """The present stage: loading, compiling or building."""
+        return self._current_loader().doing
 
     @property
     def done(self) -> bool:
-        """Whether `result` returns soon; asking begins to load."""
-        return self._begun().done
+        """Whether `result` returns soon; starts to load if necessary."""
+        return self._current_loader().done
 
     def forget(self) -> None:
-        """Load what the parameter says the next time."""
+        """Drop the model; the next access loads that of the parameter."""
         self.cancel()
-        self._loader, self._inputs, self.asked = None, (), False
+        self._loader, self._inputs, self.change_requested = None, (), False
 
     def change(self, text: str) -> None:
-        """Begin to load another model; raise what is quickly found wrong with it."""
+        """Start to load another model; raise errors that are quickly detected."""
         file, size = robot_file(text), len(text)
-        if file is not None and file.exists():  # what is no file, as a pipe, takes time
+        if file is not None and file.exists():  # to read anything else, as a pipe, may block
             size = file.stat().st_size if file.is_file() else DESCRIPTION_MAX
-        if not READ_AT_ONCE_MAX < size <= DESCRIPTION_MAX:  # read, or refused, in no time
+        if not READ_AT_ONCE_MAX < size <= DESCRIPTION_MAX:  # read or refused without delay
             robot = load_robot(text)
             if self._inputs:
                 check_inputs(robot.inputs, self._inputs)
@@ -218,38 +218,38 @@ class ModelLoading:
                 for name in robot.effects:
                     catalogue[name]
         self.cancel()
-        self._loader, self._wanted, self.asked = self._begin(text), text, True
+        self._loader, self._requested, self.change_requested = self._begin(text), text, True
 
     def result(self) -> Model:
-        """Return the model; raise when there is none."""
-        loader = self._begun()
-        self.asked, self._taken = False, self._wanted
+        """Return the loaded model; TendonRobotError: it is invalid."""
+        loader = self._current_loader()
+        self.change_requested, self._loaded = False, self._requested
         try:
             return loader.result()
         except TendonRobotError:
             if not self._inputs:
-                self.forget()  # the file may be right the next time
+                self.forget()  # the file may be corrected
             raise
 
     def accept(self, model: Model) -> None:
-        """Keep the model that was taken last."""
-        self._in_use, self._inputs = self._taken, model.inputs
+        """Use the model that was loaded last."""
+        self._in_use, self._inputs = self._loaded, model.inputs
         self.note = f'{model.robot.name} ({", ".join(model.robot.effects) or "PCCA"})'
 
     def refuse(self) -> None:
-        """Go back to the model before: the parameter names the one in use, or one to come."""
-        if not self.asked:
+        """Restore the parameter of the model in use, unless another one was requested."""
+        if not self.change_requested:
             self._parameters.put_back('model', self._in_use)
 
     def cancel(self) -> None:
-        """End what is being loaded."""
+        """Cancel the loading."""
         if self._loader is not None:
             self._loader.cancel()
 
-    def _begun(self) -> Loader:
+    def _current_loader(self) -> Loader:
         if self._loader is None:
-            self._in_use = self._wanted = self._parameters['model']
-            self._loader = self._begin(self._wanted)
+            self._in_use = self._requested = self._parameters['model']
+            self._loader = self._begin(self._requested)
         return self._loader
 
     def _begin(self, text: str) -> Loader:

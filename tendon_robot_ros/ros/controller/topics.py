@@ -1,7 +1,7 @@
 """
-What goes over the controller's topics: messages checked and in the base frame, and its prediction.
+Topics of the controller: received messages, checked and in the base frame; its prediction.
 
-And what the driver says to the controller, with the one thing that the controller asks of it.
+Also the status of the driver, and the service of the driver that the controller calls.
 """
 
 from __future__ import annotations
@@ -51,21 +51,21 @@ from ..shared.parameters import Parameters, base_frame
 from ..shared.timing import SILENCE_S, VALUES_PERIOD_S
 
 Array = NDArray[np.float64]
-# [1] points of a trajectory: more would hold up the commands while they are read
+# [1] points of a trajectory: more would delay the commands while they are parsed
 POINTS_MAX = 500
 
 
 class Incoming:
-    """Turns messages into targets, twists and states; raises `Refusal`."""
+    """Converts messages to targets, twists and states; Refusal: a message is invalid."""
 
     def __init__(self, node: Node, parameters: Parameters, model: Model) -> None:
-        """Begin with a model."""
+        """Create the transforms and use a model."""
         self._node, self._parameters = node, parameters
         self._frames = Frames(node, '')
         self.use(model)
 
     def use(self, model: Model) -> None:
-        """Know the names and limits of a model; frames are named after its robot."""
+        """Use the names and limits of a model, and the frames named after its robot."""
         parameters, robot = self._parameters, model.robot
         self.base = base_frame(parameters, robot.name)
         self.tip = parameters['frame_prefix'] + (parameters['tip_frame'] or f'{robot.name}_tip')
@@ -74,7 +74,7 @@ class Incoming:
 
     @property
     def robot(self) -> Robot:
-        """Whose frames they are."""
+        """The robot of the frames."""
         return self._model.robot
 
     @property
@@ -103,16 +103,16 @@ class Incoming:
         return Target(place, stamp=stamp_text(message.header.stamp))
 
     def measured_tip(self, message: PoseStamped) -> Array:
-        """Return a measured tip [m]."""
+        """Return a measured tip (3,) [m] in the base frame."""
         what, p = 'measured_tip', message.pose.position
         rotation, shift = self._to_base(message.header, what)
-        seen = finite([p.x, p.y, p.z], what)
-        if not_there(seen):  # what trackers send for a marker that they do not see
-            raise Refusal('not_finite', f'measured_tip: {seen.tolist()} says that it is not seen')
-        return self._within_reach(rotation @ seen + shift, what)
+        point = finite([p.x, p.y, p.z], what)
+        if not_there(point):  # sent by trackers for a marker that is not visible
+            raise Refusal('not_finite', f'measured_tip: {point.tolist()} says that it is not seen')
+        return self._within_reach(rotation @ point + shift, what)
 
     def twist(self, message: TwistStamped) -> Twist:
-        """Return a velocity, in the axes of base or tip."""
+        """Return a velocity [m/s, rad/s] in the axes of base or tip."""
         frame, axes, what = message.header.frame_id, np.eye(3), 'delta_twist'
         if frame == self.tip:
             self._fresh(message.header, what)
@@ -133,7 +133,7 @@ class Incoming:
         return Twist(axes @ values[:3], axes @ values[3:], frame == self.tip)
 
     def states(self, message: JointState) -> tuple[Array, Array]:
-        """Return tensions [N] and wire pulls [m]; nan where not observable."""
+        """Return tensions (m,) [N] and wire pulls (m,) [m]; nan where not observable."""
         self._fresh(message.header, 'tendon_states')
         tensions, pulls = tensions_and_pulls(message, self._model.inputs)
         for quantity, values in (('effort', message.effort), ('position', message.position)):
@@ -183,17 +183,17 @@ class Incoming:
         return self._frames.to_base(header.frame_id, what, stamp, now, tolerance)
 
     def _fresh(self, header: Header, what: str) -> float:
-        """Refuse a stamp that is old, or of the future; return the time [s]."""
+        """Return the time [s]; Refusal: the stamp is too old, or in the future."""
         now = time_now(self._node)
         check_stamp(seconds(header.stamp), now, self._parameters['stamp_tolerance'], what)
         return now
 
 
 class Prediction:
-    """Shape, tip and markers of the predicted arm."""
+    """Publishes shape, tip and markers of the predicted arm."""
 
     def __init__(self, node: Node, frame: str, model: Model) -> None:
-        """Make the publishers."""
+        """Create the publishers."""
         self._node = node
         self.use(frame, model)
         self._shape = passing_publisher(node, PoseArray, '~/predicted_shape', STATE)
@@ -201,7 +201,7 @@ class Prediction:
         self._markers = passing_publisher(node, MarkerArray, '~/markers', STATE)
 
     def use(self, frame: str, model: Model) -> None:
-        """Draw the robot of a model, in a frame."""
+        """Use the robot of a model and the name of its base frame."""
         self._frame = frame
         offsets = [abs(value) for t in model.robot.tendons for value in (*t.base, *t.end)]
         self._thickness = 2.0 * max(offsets)
@@ -219,7 +219,7 @@ class Prediction:
             )
 
     def close(self) -> None:
-        """Stop to publish."""
+        """Destroy the publishers."""
         for publisher in (self._shape, self._tip, self._markers):
             self._node.destroy_publisher(publisher)
 
@@ -230,76 +230,76 @@ STATUS, RESUME = '/status', '/resume'
 
 class DriverLink:
     """
-    Hears the status of the driver; asks it to follow again after a release.
+    Receives the status of the driver; requests that it follows again after a release.
 
     Parameters
     ----------
     node : Node
     topic : str
-        Of the status; empty: nobody is heard or asked. The service is beside it.
+        Of the status; empty: no link. The service has the same namespace.
     own : str
-        Gid of this controller's commands; the driver says whose it follows.
-    hear : callable
+        Gid of this controller's commands; the status has that of the followed publisher.
+    callback : callable
         Called with the arguments of `ControllerCore.driver_says`.
 
     """
 
     def __init__(
-        self, node: Node, topic: str, own: str, hear: Callable[[str, str, int, str], None]
+        self, node: Node, topic: str, own: str, callback: Callable[[str, str, int, str], None]
     ) -> None:
-        """Listen."""
-        self.said = '', '', 0, ''
-        self._own, self._hear = own, hear
+        """Create subscription and client."""
+        self.last = '', '', 0, ''
+        self._own, self._callback = own, callback
         self._client: Client | None = None
         self._future: Future | None = None
-        self._asked = float('-inf')  # [s]
+        self._requested_at = float('-inf')  # [s]
         self._answers: list[Resumed] = []
         if topic:
-            node.create_subscription(DiagnosticStatus, topic, self.hear, LATCHED)
+            node.create_subscription(DiagnosticStatus, topic, self.receive, LATCHED)
         if topic.endswith(STATUS):
             self._client = node.create_client(Trigger, topic.removesuffix(STATUS) + RESUME)
 
     @property
     def another(self) -> str:
-        """Whom the driver follows instead of this controller; '' while it does not."""
-        return self.said[-1]
+        """The publisher that the driver follows instead of this controller, '' for none."""
+        return self.last[-1]
 
     @property
     def may_ask(self) -> bool:
-        """Whether to ask again without anybody waiting for it."""
-        return self._future is None and time.monotonic() - self._asked > VALUES_PERIOD_S
+        """Whether a request may be repeated: none is pending, and the last one is old enough."""
+        return self._future is None and time.monotonic() - self._requested_at > VALUES_PERIOD_S
 
     def resume(self, answer: Resumed) -> bool:
-        """Ask the driver to follow commands again; False: there is none that could answer."""
+        """Request that the driver follows commands again; return False without a service."""
         if self._client is None or not self._client.service_is_ready():
             return False
 
         def done(future: Future) -> None:
             if future is self._future:
-                told = future.result()
-                self._tell(told.success, told.message)
+                response = future.result()
+                self._answer_all(response.success, response.message)
 
         self._answers.append(answer)
         if self._future is None:
-            self._asked = time.monotonic()
+            self._requested_at = time.monotonic()
             self._future = self._client.call_async(Trigger.Request())
             self._future.add_done_callback(done)
         return True
 
     def poll(self) -> None:
-        """Give up on an answer that does not come."""
-        if self._future is not None and time.monotonic() - self._asked > SILENCE_S:
+        """Drop a request without an answer."""
+        if self._future is not None and time.monotonic() - self._requested_at > SILENCE_S:
             assert self._client is not None
             self._client.remove_pending_request(self._future)
-            self._tell(False, f'the driver does not answer within {SILENCE_S:g} s')
+            self._answer_all(False, f'the driver does not answer within {SILENCE_S:g} s')
 
-    def _tell(self, done: bool, why: str) -> None:
+    def _answer_all(self, follows: bool, why: str) -> None:
         answers, self._answers, self._future = self._answers, [], None
         for answer in answers:
-            answer(done, why)
+            answer(follows, why)
 
-    def hear(self, message: DiagnosticStatus) -> None:
-        """Take the status of the driver."""
+    def receive(self, message: DiagnosticStatus) -> None:
+        """Parse the status of the driver and pass it on."""
         values = status_values(message)
         stopped = values.get('reasons', message.message) if values.get('stopped') == 'true' else ''
         follows = values.get('follows_gid', '')
@@ -307,5 +307,5 @@ class DriverLink:
         other = f'it follows {values.get("follows", follows)}' if another else ''
         releases = values.get('releases', '0')
         count = int(releases) if releases.isdecimal() else 0
-        self.said = stopped, values.get('released', ''), count, other
-        self._hear(*self.said)
+        self.last = stopped, values.get('released', ''), count, other
+        self._callback(*self.last)

@@ -1,7 +1,7 @@
 """
-The driver behind the driver node: made as the parameters say, with the rules that they set.
+The driver of the driver node and its safety rules, from the parameters.
 
-And what the mock moves: an arm that is the controller's own model, and a tracker that sees it.
+Also the mock arm with the controller's own model, and its tracker.
 """
 
 from __future__ import annotations
@@ -45,10 +45,10 @@ Array = NDArray[np.float64]
 
 
 class Twin:
-    """The plant of `make demo`; friction remembers what the arm went through."""
+    """A mock arm that equals the model, with the memory of its friction (`make demo`)."""
 
     def __init__(self, robot: Robot) -> None:
-        """Begin straight and slack."""
+        """Start straight and slack."""
         self._model = Model(robot)
         self._last: Shape | None = None
 
@@ -65,18 +65,18 @@ class Twin:
 
 @dataclass(frozen=True)
 class TrackerConfig:
-    """What a configuration may say of the tracker of the mock arm; a camera by default."""
+    """Configuration of the tracker of the mock arm; the defaults are a camera."""
 
     rate: float = 30.0  # [Hz]
     noise: float = 0.0  # [m] 1 sd
     seed: float = 0.0
-    missing: float = 0.0  # [1] of the markers is not seen
-    lost: float = 0.0  # [1] of the frames
+    missing: float = 0.0  # [1] fraction of markers that is not visible
+    lost: float = 0.0  # [1] fraction of frames that is lost
 
 
 class MockTracker:
     """
-    Publishes what cameras would see of the mock arm: measured_tip and measured_shape.
+    Publishes the simulated measurements of the mock arm: measured_tip and measured_shape.
 
     The shape has one marker at the end of every cell.
     """
@@ -84,7 +84,7 @@ class MockTracker:
     def __init__(
         self, node: Node, driver: MockDriver, config: Mapping[str, Any], parameters: Parameters
     ) -> None:
-        """Begin to publish."""
+        """Create publishers and timer; InputError: unknown keys in the configuration."""
         known = [field.name for field in fields(TrackerConfig)]
         for key in config:
             if key not in known:
@@ -100,24 +100,24 @@ class MockTracker:
         self._timer = repeat(node, 1.0 / self._config.rate, self._publish)
 
     def close(self) -> None:
-        """Stop to publish."""
+        """Destroy publishers and timer."""
         for publisher in (self._tip, self._shape):
             self._node.destroy_publisher(publisher)
         self._node.destroy_timer(self._timer)
 
     def _publish(self) -> None:
         arm: Any = self._driver.truth
-        tip_heard = self._tip.get_subscription_count() > 0
-        shape_heard = self._shape.get_subscription_count() > 0
+        tip_subscribed = self._tip.get_subscription_count() > 0
+        shape_subscribed = self._shape.get_subscription_count() > 0
         if (
             arm is None
-            or not (tip_heard or shape_heard)
+            or not (tip_subscribed or shape_subscribed)
             or self._random.random() < self._config.lost
         ):
             return
         header = Header(frame_id=self._frame, stamp=stamp_now(self._node))
         n = len(self._arc_lengths)
-        points = arm.markers(self._arc_lengths, np.zeros((n, 3)))  # a plant's: as it is tracked
+        points = arm.markers(self._arc_lengths, np.zeros((n, 3)))  # in the frame of the tracker
         tip = arm.tip_position
         ahead = np.stack([tip, tip + arm.tip_direction])
         tracked = getattr(self._driver.plant, 'tracked', None)
@@ -126,23 +126,23 @@ class MockTracker:
         along = ahead[1] - ahead[0]
         positions = points + self._random.normal(0.0, self._config.noise, (n, 3))
         positions[self._random.random(n) < self._config.missing] = np.nan
-        if shape_heard:
+        if shape_subscribed:
             self._shape.publish(pose_array(header, positions))
-        if tip_heard and np.isfinite(positions[-1]).all():
+        if tip_subscribed and np.isfinite(positions[-1]).all():
             along /= np.linalg.norm(along)
             self._tip.publish(pose_stamped(header, positions[-1], towards(along)))
 
 
-MOCK_KEYS = {'plant', 'tracker', 'lag'}  # what no other backend has in its configuration
+MOCK_KEYS = {'plant', 'tracker', 'lag'}  # keys of the configuration of the mock alone
 # [1/N] strain of the wires of a mock arm, because stiff wires pull against each other without
 # bound: 1 / (E A) of steel wires of 0.25 mm (E = 200 GPa)
 WIRE_COMPLIANCE = 1e-4
-# [1/N] of an arm that is the controller's own model, so that its tip is where that model has it
+# [1/N] of an arm that equals the controller's model, so that its tip is where the model predicts
 TWIN_COMPLIANCE = 0.1 * WIRE_COMPLIANCE
 
 
 def make(robot: Robot, parameters: Parameters, node: Node) -> tuple[Driver, dict[str, Any]]:
-    """Make the driver, not open yet; also return what its tracker is told (backend mock)."""
+    """Return the driver, not open yet, and the configuration of its tracker (backend mock)."""
     text, mode, backend = (parameters[key] for key in ('config', 'command_mode', 'backend'))
     config = read_mapping(text, 'config')
     source = text if text and '\n' not in text and ':' not in text else 'config'
@@ -163,7 +163,7 @@ def make(robot: Robot, parameters: Parameters, node: Node) -> tuple[Driver, dict
 
 
 def _plant(robot: Robot, mode: str, config: dict[str, Any], source: str) -> Any:
-    """Make the mock arm; imported here because drivers of hardware load no compiler."""
+    """Return the mock arm; imports are local, because hardware drivers load no compiler."""
     twin = config.pop('twin', False)
     if mode == 'pull' and not {'tendon_elongation', 'wire_spring'} & set(robot.effects):
         compliance = TWIN_COMPLIANCE if twin else WIRE_COMPLIANCE
@@ -179,7 +179,7 @@ def _plant(robot: Robot, mode: str, config: dict[str, Any], source: str) -> Any:
 
 
 def rules(robot: Robot, driver: Driver, parameters: Parameters) -> SafetyRules:
-    """Combine the limits of robot, driver and parameters; the narrowest holds."""
+    """Return the safety rules: the narrowest limits of robot, driver and parameters."""
     limits = np.array(driver.limits, dtype=float)
     if driver.mode == 'tension':
         low, high = robot.tension_limits
@@ -188,11 +188,11 @@ def rules(robot: Robot, driver: Driver, parameters: Parameters) -> SafetyRules:
         high = parameters['pull_limit'] or np.inf
         low, rate, release = -high, parameters['pull_rate_limit'], parameters['pull_release_rate']
     limits = np.column_stack([np.maximum(limits[:, 0], low), np.minimum(limits[:, 1], high)])
-    rest, stop_tension, wanted = np.zeros(len(limits)), None, parameters['pretension']
+    rest, stop_tension, pretension = np.zeros(len(limits)), None, parameters['pretension']
     if driver.mode == 'tension':
-        rest = limits[:, 0].copy() if wanted < 0.0 else np.full(len(limits), wanted)
+        rest = limits[:, 0].copy() if pretension < 0.0 else np.full(len(limits), pretension)
     elif driver.limits_current:
-        stop_tension = robot.tension_limits[0] if wanted < 0.0 else wanted
+        stop_tension = robot.tension_limits[0] if pretension < 0.0 else pretension
     soon = driver.mode == 'tension' or driver.limits_current
     return SafetyRules(
         inputs=robot.inputs,
@@ -213,31 +213,31 @@ State = tuple[float, float, float]
 
 
 class Ros2ControlLink:
-    """Publishes std_msgs/Float64MultiArray, hears sensor_msgs/JointState."""
+    """Publishes std_msgs/Float64MultiArray, subscribes to sensor_msgs/JointState."""
 
     def __init__(self, node: Node, command_topic: str, state_topic: str) -> None:
-        """Begin to listen."""
-        self._node, self._heard = node, dict[str, State]()
+        """Create publisher and subscription."""
+        self._node, self._joints = node, dict[str, State]()
         self._commands = passing_publisher(node, Float64MultiArray, command_topic, COMMAND)
-        self._states = passing_subscription(node, JointState, state_topic, self._hear, JOINTS)
+        self._states = passing_subscription(node, JointState, state_topic, self._receive, JOINTS)
 
     def send(self, values: list[float]) -> None:
-        """Send one value per joint, in the order of the controller."""
+        """Publish one value per joint, in the order of the controller."""
         self._commands.publish(Float64MultiArray(data=values))
 
     def states(self) -> Mapping[str, State]:
         """Return joint -> (monotonic time [s], position, effort), the newest of each."""
-        return self._heard
+        return self._joints
 
     def close(self) -> None:
-        """Stop to listen."""
+        """Destroy publisher and subscription."""
         self._node.destroy_subscription(self._states)
         self._node.destroy_publisher(self._commands)
 
-    def _hear(self, message: JointState) -> None:
-        now, heard = time.monotonic(), dict(self._heard)
+    def _receive(self, message: JointState) -> None:
+        now, joints = time.monotonic(), dict(self._joints)
         for i, name in enumerate(message.name):
             position = message.position[i] if i < len(message.position) else float('nan')
             effort = message.effort[i] if i < len(message.effort) else float('nan')
-            heard[name] = now, position, effort
-        self._heard = heard  # the motor thread reads the old one or the new one, never half
+            joints[name] = now, position, effort
+        self._joints = joints  # replaced as a whole: the motor thread reads it meanwhile

@@ -1,4 +1,4 @@
-"""The one thread that talks to the motors: supervisor, write, read, in a fixed cycle."""
+"""The only thread that accesses the motors: supervisor, write, read, in a fixed cycle."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from ...drivers import Driver, Fault, Reading
 from ...drivers.safety import FOLLOWING, LIMP, OFF, RELEASED, Decision, Supervisor
 
 Array = NDArray[np.float64]
-# [s] to switch torque on, because a driver may look for the slack of its wires first: else each of
-# a dozen wires would have to be found within 10 s
+# [s] to switch torque on, because a driver may search for the slack of its wires first: else
+# each of a dozen wires would have at most 10 s
 ENABLE_TIMEOUT_S = 120.0
-# [s] for the motors to do what is asked of them, or to be ramped down after a failure, because a
+# [s] for the motors to carry out a call, or to be ramped down after a failure, because a
 # Dynamixel that restarts answers after up to 2 s
 CALL_TIMEOUT_S = 5.0
 # [s] that motors may lag behind the end of the ramp: twenty cycles at the default rate, else
@@ -31,21 +31,21 @@ RAMP_SETTLE_S = 0.1
 
 @dataclass(frozen=True)
 class Cycle:
-    """What one cycle did, and what the motors said after it."""
+    """The decision of one cycle, and the reading of the motors after it."""
 
     reading: Reading
     decision: Decision
-    faults: tuple[Fault, ...]  # the decision's own: those of `reading` are judged next
+    faults: tuple[Fault, ...]  # of the decision: those of `reading` count in the next cycle
     held: str = ''  # why the arm was released, until commands are followed again
-    releases: int = 0
+    releases: int = 0  # number of releases so far
 
 
 class MotorLoop:
     """
-    Runs a driver that is open.
+    Runs an open driver in a thread.
 
-    Everything that touches driver or supervisor runs in this thread: `call` hands over a
-    function and waits for its result.
+    All access to driver and supervisor is in this thread: `call` runs a function there and waits
+    for its result.
     """
 
     def __init__(
@@ -54,40 +54,39 @@ class MotorLoop:
         supervisor: Supervisor,
         period: float,
         report: Callable[[Cycle], None],
-        hear: Callable[[], None] = lambda: None,
+        receive: Callable[[], None] = lambda: None,
     ) -> None:
-        """Take what to run; the thread calls `hear` before every cycle and `report` after it."""
+        """Keep driver and supervisor; `receive` is called before a cycle, `report` after it."""
         self.driver, self.supervisor = driver, supervisor
-        self._period, self._report, self._hear = period, report, hear
+        self._period, self._report, self._receive = period, report, receive
         self._calls: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._command: Array | None = None
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name='motors', daemon=True)
         self._off: tuple[str, ...] = driver.inputs
         self._last: Reading | None = None
-        self._cycles = 0
         self.crashed: BaseException | None = None
 
     def start(self) -> None:
-        """Begin to read."""
+        """Start the thread, which reads the motors."""
         self._thread.start()
 
     def put(self, command: Array) -> None:
-        """Give the newest command, shape (m,); only the newest counts."""
+        """Set the newest command, (m,) [N] or [m], for the next cycle."""
         self._command = command
 
     def newcomer(self) -> None:
-        """Follow whoever begins to command, unless what released the arm is still there."""
+        """Follow a new publisher, unless the cause of a release persists."""
         with contextlib.suppress(DriverError):
             self.supervisor.resume()
 
     def let_go(self, reason: str) -> None:
-        """Release at once; a command that was given before counts no more."""
+        """Release the arm at once and drop the pending command."""
         self._command = None
         self.supervisor.let_go(reason)
 
     def call[T](self, function: Callable[[], T], timeout: float = CALL_TIMEOUT_S) -> T:
-        """Run a function in the thread; raise what it raises."""
+        """Run a function in the thread; return its result or raise its error."""
         if not self._thread.is_alive():
             raise DriverError(f'the motor thread has ended: {self.crashed or "closed"}')
         result: Future[T] = Future()
@@ -104,23 +103,17 @@ class MotorLoop:
         except TimeoutError:
             raise DriverError(f'the motors did not answer within {timeout:g} s') from None
 
-    def look(self) -> None:
-        """Wait until what the motors say from now on has been judged."""
-        seen, deadline = self._cycles, time.monotonic() + 1.0
-        while self._cycles < seen + 2 and time.monotonic() < deadline and self._thread.is_alive():
-            time.sleep(self._period / 4.0)
-
     def activate(self) -> None:
-        """Torque on, from the measured state."""
+        """Switch torque on, starting from the measured state."""
         self.call(self._enable, ENABLE_TIMEOUT_S)
 
     def reset(self) -> None:
-        """Take back latched stops, and what failed searches for slack have wound."""
+        """Clear latched stops, and undo the travel of failed searches for slack."""
         self.supervisor.reset()
         self.driver.reset()
 
     def reboot(self) -> None:
-        """Restart the motors; their torque comes back with the next reset."""
+        """Restart the motors; the next reset switches torque on again."""
         self._off = self.driver.inputs
         if self.supervisor.state != OFF:
             self.supervisor.latch.stop('reboot', 'rebooted, torque is off')
@@ -133,7 +126,7 @@ class MotorLoop:
 
     def release(self, key: str, reason: str, timeout: float) -> bool:
         """
-        Ramp to rest and wait for it.
+        Ramp the arm to rest and wait, at most `timeout` [s].
 
         Returns
         -------
@@ -173,24 +166,24 @@ class MotorLoop:
             self._last = self.driver.read()
             while not self._ending.is_set():
                 self._cycle()
-                self._cycles += 1
                 due = max(due + self._period, time.monotonic())
-                time.sleep(max(due - time.monotonic(), 0.0))  # Event.wait costs three times that
+                # Event.wait would cost three times as much
+                time.sleep(max(due - time.monotonic(), 0.0))
         except Exception as error:
             self.crashed = error
             self._rescue()
 
     def _cycle(self) -> None:
         began = time.monotonic()
-        self._hear()
+        self._receive()
         while not self._calls.empty():
             self._calls.get()()
         command, self._command = self._command, None
         assert self._last is not None
         judged = self._last
         decision = self.supervisor.step(began, command, judged)
-        began_again = self._torque(decision)
-        if decision.state not in (OFF, LIMP) and not began_again:
+        restored = self._torque(decision)
+        if decision.state not in (OFF, LIMP) and not restored:
             self._write(decision)
         self._last = self.driver.read()
         supervisor = self.supervisor
@@ -227,7 +220,7 @@ class MotorLoop:
         return True
 
     def _rescue(self) -> None:
-        """After an error nobody foresaw: ramp down if the driver still works, else torque off."""
+        """Handle an unexpected error: ramp down if the driver works, else switch torque off."""
         try:
             self.supervisor.latch.stop('crash', f'the driver process failed: {self.crashed}')
             for _ in range(round(CALL_TIMEOUT_S / self._period)):

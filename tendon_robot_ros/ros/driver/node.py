@@ -1,5 +1,5 @@
 """
-The driver node: puts tendon commands on motors, and lets the arm go safely when they stay away.
+The driver node: applies tendon commands to motors, and releases the arm when they stop.
 
 Topics: tendon_command, stop (subscribed); tendon_states, ~/status, /diagnostics (published);
 with the mock also measured_tip and measured_shape. Services: ~/stop, ~/reset, ~/reboot.
@@ -38,7 +38,7 @@ from ..shared.inbox import Inbox, Received
 from ..shared.lifecycle import AUTOSTART, ERROR, OK, WARN, Status, StoppableNode
 from ..shared.messages import JOINTS, STATE, refilled, seconds, stamp_now, time_now
 from ..shared.parameters import BASE_FRAME, COMMAND_MODE, Parameters, Spec, fixed
-from ..shared.runtime import asked_to_end, goes_first, repeat, run, when_asked_to_end
+from ..shared.runtime import end_requested, has_priority, on_end_request, repeat, run
 from ..shared.senders import OwnPublisher, PublisherNames, Senders, gid_text
 from ..shared.timing import SILENCE_S, VALUES_PERIOD_S
 from . import backend
@@ -134,10 +134,10 @@ SPECS = (
 
 
 class DriverNode(StoppableNode):
-    """ROS around a driver: the motor thread moves the motors, this thread hears and tells."""
+    """ROS interface of a driver: its motor thread commands, this thread serves topics."""
 
     def __init__(self) -> None:
-        """Declare parameters; nothing is opened yet."""
+        """Declare the parameters; no device is opened yet."""
         super().__init__('driver', drives=True)
         self.parameters = Parameters(self, SPECS)
         self.parameters.watch({'mock_fault': self._inject}, self._retune)
@@ -145,7 +145,7 @@ class DriverNode(StoppableNode):
         self.loop: MotorLoop | None = None
         self._tracker: MockTracker | None = None
         self._refusal: Refusal | None = None
-        self._check_due = ''  # why the tendons are to be checked
+        self._check_due = ''  # why the tendons need a check
         self._cycle: Cycle | None = None
         self._senders, self._names = Senders(), PublisherNames(self, 'tendon_command')
         self._state = JointState()
@@ -154,28 +154,28 @@ class DriverNode(StoppableNode):
         self._commands = Inbox(self, JointState, 'tendon_command', JOINTS)
         self.listen()
         self.create_service(Trigger, '~/reset', self._reset)
-        for name, act, done in (
+        for name, act, outcome in (
             ('resume', lambda loop: loop.supervisor.resume(), 'waiting for commands'),
             ('reboot', MotorLoop.reboot, 'rebooted; call reset next'),
         ):
-            self.create_service(Trigger, f'~/{name}', partial(self._try, act, done))
-        repeat(self, VALUES_PERIOD_S, self._tell)  # a release is told at once
+            self.create_service(Trigger, f'~/{name}', partial(self._try, act, outcome))
+        repeat(self, VALUES_PERIOD_S, self._publish_status)  # a release is published at once
 
         def let_go() -> None:
-            """Begin to release: `deactivate` comes when the main thread can."""
+            """Start the release; the main thread calls `deactivate` later."""
             if (latch := self.latch) is not None:
                 latch.stop(INACTIVE, INACTIVE_REASON)
 
-        when_asked_to_end(let_go)
+        on_end_request(let_go)
 
     @property
     def latch(self) -> StopLatch | None:
-        """What holds the stops; None while no motors are open."""
-        loop = self.loop  # any thread may ask
+        """The latch of stops; None while no motors are open."""
+        loop = self.loop  # read once: any thread may call
         return None if loop is None else loop.supervisor.latch
 
     def configure(self) -> None:
-        """Read the robot, open the port, begin to read."""
+        """Read the robot, open the port, start to read the motors."""
         robot = load_robot(self.parameters['robot'])
         self.status.arm = robot.name
         reference = self.parameters['tendon_reference']
@@ -183,28 +183,29 @@ class DriverNode(StoppableNode):
         if self._check_due:
             self.get_logger().warning(self._check_due)
         if self.parameters['backend'] == 'mock':
-            self.status.say(WARN, 'starting', 'makes the mock arm; compiles it, once: a minute')
+            text = 'makes the mock arm; compiles it, once: a minute'
+            self.status.publish(WARN, 'starting', text)
         driver, tracker = backend.make(robot, self.parameters, self)
         supervisor = Supervisor(backend.rules(robot, driver, self.parameters))
-        if hasattr(driver, 'cancelled'):  # it may look long for the slack of its wires
+        if hasattr(driver, 'cancelled'):  # its search for the slack of wires may take long
             driver.cancelled = self._cancelled
         driver.open()
         self.loop = MotorLoop(
-            driver, supervisor, 1.0 / self.parameters['rate'], self._report, self._hear
+            driver, supervisor, 1.0 / self.parameters['rate'], self._report, self._receive
         )
         if isinstance(driver, MockDriver):
             self._tracker = MockTracker(self, driver, tracker, self.parameters)
-        self.stop_as_told()
+        self.latch_early_stops()
         self.loop.start()
-        if goes_first():  # a mock arm computes: motors of another robot go before it
+        if has_priority():  # a mock arm computes: motors of another robot have priority
             mock = isinstance(driver, MockDriver)
             go_realtime(Realtime.MOCK_DRIVER if mock else Realtime.DRIVER)
 
     def activate(self) -> None:
-        """Torque on, from the measured state."""
+        """Switch torque on, starting from the measured state."""
         assert self.loop is not None
         loop = self.loop
-        self.status.say(WARN, 'starting', 'switches torque on; looks for slack first if told')
+        self.status.publish(WARN, 'starting', 'switches torque on; looks for slack first if told')
         loop.call(lambda: loop.supervisor.latch.forget(INACTIVE))
         loop.activate()
         if strength := loop.driver.strength():
@@ -213,9 +214,9 @@ class DriverNode(StoppableNode):
             self.get_logger().info(f'motors left in silence stop after {silence}')
 
     def deactivate(self) -> None:
-        """Ramp to pretension, then torque off if so told."""
+        """Ramp to pretension, then switch torque off if `release_to` is limp."""
         assert self.loop is not None
-        if self.loop.crashed is not None:  # the thread has already done what it could
+        if self.loop.crashed is not None:  # the thread has already released the arm
             return
         rules = self.loop.supervisor.rules
         longest = float(np.max(np.ptp(rules.limits, axis=1)) / rules.release_rate) + SILENCE_S
@@ -224,7 +225,7 @@ class DriverNode(StoppableNode):
             self.loop.call(self.loop.driver.disable)
 
     def cleanup(self) -> None:
-        """Close the port; torque stays as the release left it."""
+        """Close the port; torque stays as after the release."""
         if self._tracker is not None:
             self._tracker.close()
         if self.loop is not None:
@@ -232,23 +233,23 @@ class DriverNode(StoppableNode):
         self.loop = self._tracker = self._cycle = None
 
     def running(self) -> bool:
-        """Go on unless the motor thread died."""
+        """Raise the error of a motor thread that failed; else as the base class."""
         if self.loop is not None and self.loop.crashed is not None:
             raise self.loop.crashed
         return super().running()
 
     def destroy_node(self) -> None:
-        """Hear no more."""
+        """Destroy subscriptions, socket and node."""
         self._commands.close()
         self._own.close()
         super().destroy_node()
 
-    def _hear(self) -> None:
-        """Hear what cannot wait; runs in the motor thread before every cycle."""
+    def _receive(self) -> None:
+        """Receive stops and commands; runs in the motor thread before every cycle."""
         self.stop_topic.poll()
-        for heard in self._commands.take():
+        for received in self._commands.take():
             try:
-                self._take(heard)
+                self._take(received)
             except Refusal as refusal:
                 self._refusal = refusal
         if problem := self._commands.refused():
@@ -256,15 +257,15 @@ class DriverNode(StoppableNode):
         if self._senders.died() and self.loop is not None:
             self.loop.let_go('the sender of the commands has died')
 
-    def _take(self, heard: Received[JointState]) -> None:
-        """Follow a command, if its publisher is the one to follow; Refusal: it is wrong."""
-        loop, message, what = self.loop, heard.message, 'tendon_command'
+    def _take(self, received: Received[JointState]) -> None:
+        """Follow a command of the followed publisher; Refusal: the command is invalid."""
+        loop, message, what = self.loop, received.message, 'tendon_command'
         if loop is None:
             return
         tolerance = self.parameters['stamp_tolerance']
         check_stamp(seconds(message.header.stamp), time_now(self), tolerance, what)
         if not message.name:
-            if self._senders.counts(time.monotonic(), heard):
+            if self._senders.counts(time.monotonic(), received):
                 loop.let_go(NO_MORE)
             return
         tension = loop.driver.mode == 'tension'
@@ -272,7 +273,7 @@ class DriverNode(StoppableNode):
         values = message.effort if tension else message.position
         ordered = by_name(message.name, values, loop.driver.inputs, what, quantity)
         command = finite(ordered.tolist(), what)
-        if self._senders.counts(time.monotonic(), heard):
+        if self._senders.counts(time.monotonic(), received):
             if self._senders.new:
                 loop.newcomer()
             loop.put(command)
@@ -283,20 +284,20 @@ class DriverNode(StoppableNode):
         before, self._cycle = self._cycle, cycle
         assert self.loop is not None
         if before is not None and before.releases < cycle.releases and self.executor is not None:
-            self.executor.create_task(self._tell)  # who commands hears of it at once
+            self.executor.create_task(self._publish_status)  # so that the controller knows at once
         message, reading = self._state, cycle.reading
         message.name = self.loop.driver.inputs
         refilled(message, stamp_now(self), reading.pulls, reading.tensions)
         self._states.publish(message)
 
-    def _tell(self) -> None:
+    def _publish_status(self) -> None:
         """Publish the status."""
         cycle, loop = self._cycle, self.loop
         if loop is None:
             self.stop_topic.poll()
         if cycle is None or loop is None:
             if self.phase == 'unconfigured' and not self.parameters['autostart']:
-                self.status.say(WARN, 'unconfigured', 'waits to be configured')
+                self.status.publish(WARN, 'unconfigured', 'waits to be configured')
             return
         decision, latched = cycle.decision, loop.supervisor.latch.reasons  # the latch is newer
         stopped = bool(latched)
@@ -333,22 +334,22 @@ class DriverNode(StoppableNode):
                 'torque_off': ', '.join(loop.off),
                 'faults': ', '.join(faults),
                 'follows': follows,
-                # not of a middleware whose messages carry another gid than its graph
+                # empty where the gids of messages and of discovery differ
                 'follows_gid': gid_text(first) if first and self._names.known(first) else '',
                 'ignored': ignored,
                 'other_drivers': drivers,
                 **loop.driver.describe(),
             }
 
-        self.status.say(level, code, message, values, faults)
+        self.status.publish(level, code, message, values, faults)
 
     def _cancelled(self) -> bool:
-        """Whether to end a search for slack; asked in the motor thread."""
+        """Return whether to cancel a search for slack; called in the motor thread."""
         self.stop_topic.poll()
-        return asked_to_end() or bool(self.latch)
+        return end_requested() or bool(self.latch)
 
     def stop_called(self) -> Trigger.Response:
-        """Stop, and answer who has called the service."""
+        """Stop, and return the response of the service `~/stop`."""
         self.stop_now()
         does = 'releasing' if self.loop is not None else 'stopped; no motors are open'
         return Trigger.Response(success=True, message=f'{does}; call reset to go on')
@@ -362,19 +363,19 @@ class DriverNode(StoppableNode):
             self._stopped = False
             response.success, response.message = True, 'the stop is over; no motors are open'
             return response
-        done = 'waiting for commands' if self.phase == 'active' else 'activate it next'
-        return self._try(reset, done, request, response)
+        outcome = 'waiting for commands' if self.phase == 'active' else 'activate it next'
+        return self._try(reset, outcome, request, response)
 
     def _try(
         self,
         action: Callable[[MotorLoop], None],
-        done: str,
+        outcome: str,
         request: Trigger.Request,
         response: Trigger.Response,
     ) -> Trigger.Response:
-        """Have the motor thread do something; answer that it is done, or why not."""
+        """Run an action in the motor thread; respond with `outcome`, or with the error."""
         loop = self.loop
-        response.success, response.message = loop is not None, done
+        response.success, response.message = loop is not None, outcome
         if loop is None:
             response.message = 'the driver is not configured'
             return response
@@ -399,8 +400,8 @@ class DriverNode(StoppableNode):
         """Apply changed rates and times."""
         if self.loop is not None:
             loop = self.loop
-            made = backend.rules(loop.driver.robot, loop.driver, self.parameters)
-            loop.supervisor.rules = made
+            rules = backend.rules(loop.driver.robot, loop.driver, self.parameters)
+            loop.supervisor.rules = rules
 
 
 def main(arguments: Sequence[str]) -> int:

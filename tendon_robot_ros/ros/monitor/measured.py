@@ -1,4 +1,4 @@
-"""What a tracker sends, as markers in the base frame; how far the model is off, as messages."""
+"""Frames of a tracker as markers in the base frame; errors of the model as messages."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ from ..shared.timing import SILENCE_S, VALUES_PERIOD_S
 
 Array = NDArray[np.float64]
 # [s] between the stamps of markers on topics of their own that belong to one frame: less than a
-# frame at 30 Hz, else two frames would be taken for one
+# period at 30 Hz, else two frames would be merged
 FRAME_SPAN_S = 0.02
 
 
 class MarkerInput:
     """
-    Hears the tracker and hands over frames.
+    Receives the topics of the tracker and passes on frames.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class MarkerInput:
     base : str
         The base frame.
     monitor : Monitor
-        poses[i] is its markers[i]; a frame waits until states as new as itself are there.
+        poses[i] is its markers[i]; a frame waits for states that are as new as itself.
     take : callable
         Called with the time [s] of the frame and positions (J, 3) [m], nan where missing.
 
@@ -62,7 +62,7 @@ class MarkerInput:
         monitor: Monitor,
         take: Callable[[float, Array], None],
     ) -> None:
-        """Subscribe."""
+        """Create the subscriptions; InputError: a parameter is invalid."""
         self._node, self._parameters, self._taker = node, parameters, take
         self._monitor, self.markers, self.problem = monitor, monitor.markers, ''
         self._waiting: tuple[float, Array] | None = None
@@ -71,21 +71,21 @@ class MarkerInput:
         topics = parsed(parameters['measured_markers'], 'measured_markers', dict)
         self._frame: tuple[float, Array] | None = None
         if topics:
-            places = {marker.name: index for index, marker in enumerate(self.markers)}
+            indices = {marker.name: index for index, marker in enumerate(self.markers)}
             for name, topic in topics.items():
-                if str(name) not in places:
+                if str(name) not in indices:
                     raise InputError(
-                        f'measured_markers: expected names of {", ".join(places)}, got {name!r}'
+                        f'measured_markers: expected names of {", ".join(indices)}, got {name!r}'
                     )
-                heard = partial(self._marker, places[str(name)])
-                node.create_subscription(PoseStamped, str(topic), heard, LISTEN)
+                callback = partial(self._marker, indices[str(name)])
+                node.create_subscription(PoseStamped, str(topic), callback, LISTEN)
         else:
             node.create_subscription(PoseArray, 'measured_shape', self._shape, LISTEN)
             node.create_subscription(PoseStamped, 'measured_tip', self._tip, LISTEN)
         self._shape_at = -np.inf
 
     def hand_over(self, late: bool = False) -> None:
-        """Hand over the frame that waits if the states are as new, or if it is late."""
+        """Pass on the waiting frame if the states are as new, or if it is late."""
         if self._waiting is not None and (late or self._monitor.states.newest >= self._waiting[0]):
             frame, self._waiting = self._waiting, None
             self._taker(*frame)
@@ -108,12 +108,12 @@ class MarkerInput:
         self._give(message.header, points, 'measured_shape')
 
     def _tip(self, message: PoseStamped) -> None:
-        if time_now(self._node) - self._shape_at >= SILENCE_S:  # else the shape says more
+        if time_now(self._node) - self._shape_at >= SILENCE_S:  # else the shape has more markers
             points = self._only(len(self.markers) - 1, message)
             self._give(message.header, points, 'measured_tip')
 
     def _marker(self, index: int, message: PoseStamped) -> None:
-        """Gather markers that come one by one into frames."""
+        """Merge markers on topics of their own into frames."""
         at = self._time(message.header)
         points = self._in_base(message.header, self._only(index, message), 'measured_markers')
         if points is None:
@@ -127,7 +127,7 @@ class MarkerInput:
             self._frame[1][index] = points[index]
 
     def _only(self, index: int, message: PoseStamped) -> Array:
-        """Return positions (J, 3) [m] of which only one is known."""
+        """Return positions (J, 3) [m], nan for all markers but one."""
         points = np.full((len(self.markers), 3), np.nan)
         p = message.pose.position
         points[index] = p.x, p.y, p.z
@@ -158,7 +158,7 @@ class MarkerInput:
 
 
 def _transform(text: str) -> tuple[Array, Array] | None:
-    """Read rotation (3, 3) and translation (3,) [m] of the tracker in the base; None: not told."""
+    """Parse rotation (3, 3) and translation (3,) [m] from tracker to base; None: no text."""
     if not text.strip():
         return None
     try:
@@ -176,10 +176,10 @@ def _transform(text: str) -> tuple[Array, Array] | None:
 
 
 class MonitorOutput:
-    """Errors, and both shapes at the markers."""
+    """Publishes errors, and both shapes at the markers."""
 
     def __init__(self, node: Node) -> None:
-        """Make the publishers."""
+        """Create the publishers."""
         self._node, publish = node, node.create_publisher
         self._error = publish(Vector3Stamped, '~/error', STATE)
         self._rolling = publish(Float64, '~/rolling_error', STATE)
@@ -188,7 +188,7 @@ class MonitorOutput:
         self._predicted = publish(PoseArray, '~/predicted', STATE)
 
     def publish(self, frame: str, compared: Compared) -> None:
-        """Publish a frame; what was not seen is nan."""
+        """Publish a compared frame; markers that are not visible are nan."""
         header = Header(frame_id=frame, stamp=stamp_now(self._node))
         errors = compared.errors
         x, y, z = errors[-1].tolist()

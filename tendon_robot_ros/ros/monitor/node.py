@@ -1,9 +1,9 @@
 """
-Watch the model meet the measurement: compare, record, diagnose, add the effect.
+Compare the model with the measurements of the running arm; record, diagnose, add the effect.
 
 Topics: tendon_states and measured_shape, measured_tip or a topic per marker (subscribed); ~/error,
 ~/rolling_error, ~/marker_errors, ~/measured, ~/predicted, ~/progress, ~/verdict, ~/status
-(published). ~/tip_force, ~/tip_force_covariance, ~/drift, ~/adaptation where asked. Services:
+(published); ~/tip_force, ~/tip_force_covariance, ~/drift, ~/adaptation by parameter. Services:
 ~/record, ~/diagnose, ~/add, ~/learn, ~/change, ~/undo. Parameters: docs/ros_interface.md.
 """
 
@@ -150,17 +150,17 @@ SETTINGS = 'still_time', 'still_speed', 'rolling', 'position_noise', 'setting_no
 
 
 class MonitorNode(Runnable, Node):
-    """ROS around the monitor; diagnosis runs in a child process."""
+    """ROS interface of the monitor; a diagnosis runs in a child process."""
 
     def __init__(self) -> None:
-        """Begin to listen; the model comes when the controller answers."""
+        """Create topics and services; the model comes when the controller answers."""
         super().__init__('monitor')
         self.parameters = Parameters(self, SPECS)
         self.status = Status(self, 'model error')
         self.monitor: Monitor | None = None
         self.work = Work()
         self._loader: Loader | None = None
-        self._in_use = self._loading = self._base = self._said = ''
+        self._in_use = self._loading = self._base = self._problem = ''
         self._measured: MarkerInput | None = None
         self._last_error = self._frame_at = float('nan')
         self._remote = RemoteParameter(self, self.parameters['controller'], 'model')
@@ -177,7 +177,7 @@ class MonitorNode(Runnable, Node):
             'add': lambda: self.work.add(self.parameters['partial']),
             'learn': self.learn,
             'undo': self.undo,
-            'change': lambda: self._watched().change(),  # what is known of one, to `investigate`
+            'change': lambda: self._watched().change(),  # the estimated change, for `investigate`
         }
         for name, act in services.items():
             self.create_service(Trigger, f'~/{name}', partial(self._answer, name, act))
@@ -186,22 +186,22 @@ class MonitorNode(Runnable, Node):
             repeat(self, STATUS_PERIOD_S, lambda: self._remote.ask(self._load))
 
     def start(self) -> None:
-        """Take the model that is given; else that of the controller, when it answers."""
+        """Load the model of the parameter, if there is one."""
         if self.parameters['model']:
             self._load(self.parameters['model'])
 
     def end(self) -> None:
-        """End what runs."""
+        """Cancel a running diagnosis."""
         self.work.cancel()
 
     def _load(self, text: str) -> None:
-        """Begin to load a description, unless it is the one in use."""
+        """Start to load a description, unless it is the one in use."""
         if not text or text in (self._in_use, self._loading):
             return
         try:
             robot = load_robot(text)
         except TendonRobotError as error:
-            self._said = f'model: {error}'
+            self._problem = f'model: {error}'
             return
         loader = Loader(lambda: robot, self.parameters['effects'])
         if self._loader is not None:
@@ -223,20 +223,20 @@ class MonitorNode(Runnable, Node):
                 self._measured = MarkerInput(
                     self, self.parameters, self._base, self.monitor, self._frame
                 )
-                self.watching = Watching.wanted(self, self.parameters, self.monitor)
+                self.watching = Watching.if_enabled(self, self.parameters, self.monitor)
                 self.adapting = Adapting(
                     self, self.parameters, self.monitor, self._loading, self._remote.put
                 )
             else:
                 self.monitor.set_model(model)
-                # the arm is still watched where the description has only followed it
+                # an adapted description does not restart the detection of drift
                 anew = self.adapting is None or self.adapting.set_model(model, self._loading)
                 if anew and self.watching is not None:
                     self.watching.set_model(model)
         except TendonRobotError as error:
-            self._said = f'model: {error}'
+            self._problem = f'model: {error}'
         else:
-            self._in_use, self._said = self._loading, ''
+            self._in_use, self._problem = self._loading, ''
             self.get_logger().info(f'comparing with {", ".join(model.robot.effects) or "PCCA"}')
 
     def _states(self, message: JointState) -> None:
@@ -245,52 +245,55 @@ class MonitorNode(Runnable, Node):
         try:
             measured = tensions_and_pulls(message, self.monitor.model.inputs)
         except Refusal as refusal:
-            self._said = str(refusal)
+            self._problem = str(refusal)
             return
         self.monitor.put_states(seconds(message.header.stamp) or time_now(self), *measured)
         if self._measured is not None:
             self._measured.hand_over()
 
     def _frame(self, at: float, positions: Array) -> None:
-        """Compare a frame of the tracker and publish how far it is off."""
+        """Compare a frame of the tracker with the model and publish the errors."""
         assert self.monitor is not None
         before = len(self.monitor.recorded)
-        compared = self.monitor.put_frame(at, positions)  # of as many markers: see Measured
+        compared = self.monitor.put_frame(
+            at, positions
+        )  # `MarkerInput` has checked the number of markers
         if len(self.monitor.recorded) > before:
-            self._tell_progress(f'recording: {len(self.monitor.recorded)} postures')
+            self._publish_progress(f'recording: {len(self.monitor.recorded)} postures')
         if compared is not None:
             self._frame_at = time.monotonic()
             if np.isfinite(compared.rolling):
                 self._last_error = compared.rolling
             self._output.publish(self._base, compared)
-            stood = self.monitor.stands()
-            if stood is not None and self.adapting is not None:
-                self.adapting.stands(stood)
+            still = self.monitor.stands()
+            if still is not None and self.adapting is not None:
+                self.adapting.stands(still)
             if self.watching is not None:
-                self.watching.frame(at, compared.measured, self._base, stood)
+                self.watching.frame(at, compared.measured, self._base, still)
 
     def _cycle(self) -> None:
-        """Take what the child says; tell how things are."""
+        """Handle the messages of the child process; publish the status."""
         self._take_model()
         if self.watching is not None and time.monotonic() - self._frame_at > SILENCE_S:
-            # wire pulls tell the force
+            # without the tracker, wire pulls determine the force
             self.watching.blind(self._base)
         for news in self.work.news():
             if news['kind'] == 'verdict':
                 self._verdict.publish(String(data=json.dumps(news['content'])))
             if news['kind'] == 'add':
                 self._remote.put(
-                    news['file'], lambda *answer: self._tell_progress(self.work.answered(*answer))
+                    news['file'],
+                    lambda *answer: self._publish_progress(self.work.answered(*answer)),
                 )
             if news['text']:
-                self._tell_progress(news['text'])
+                self._publish_progress(news['text'])
         level, code, message = self._condition()
         self.status.arm = '' if self.monitor is None else self.monitor.model.robot.name
-        self.status.say(level, code, message, self._values)
+        self.status.publish(level, code, message, self._values)
 
     def _condition(self) -> tuple[bytes, str, str]:
-        if self._said:
-            return ERROR, 'problem', self._said
+        if self._problem:
+            return ERROR, 'problem', self._problem
         if self.monitor is None:
             return WARN, 'waiting', 'waiting for the model of the controller'
         if self._measured is not None and self._measured.problem:
@@ -321,17 +324,17 @@ class MonitorNode(Runnable, Node):
             **({} if self.adapting is None else self.adapting.values()),
         }
 
-    def _tell_progress(self, text: str) -> None:
+    def _publish_progress(self, text: str) -> None:
         self._progress.publish(String(data=text))
 
     def undo(self) -> str:
-        """Take the last change of the controller's model back."""
+        """Undo the last change of the controller's model; return a text."""
         self._require_monitor()
         assert self.adapting is not None
         return self.adapting.undo()
 
     def learn(self) -> str:
-        """Learn the arm anew."""
+        """Restart the learning of the arm; return a text."""
         self._watched().learn_anew()
         return self._watched().text
 
@@ -341,7 +344,7 @@ class MonitorNode(Runnable, Node):
         return self.watching.watch
 
     def record(self) -> str:
-        """Begin to record postures, or stop."""
+        """Start to record postures, or stop; return a text."""
         monitor = self._require_monitor()
         count = len(monitor.recorded)
         if monitor.recording:
@@ -354,7 +357,7 @@ class MonitorNode(Runnable, Node):
         return 'recording every posture in which the arm stands still; then call diagnose'
 
     def diagnose(self) -> str:
-        """Begin to diagnose what was recorded."""
+        """Start the diagnosis of the recording; return a text."""
         monitor = self._require_monitor()
         if self.work.running:
             raise InputError('a diagnosis runs already')
@@ -373,13 +376,13 @@ class MonitorNode(Runnable, Node):
     def _answer(
         self, name: str, act: Callable[[], str], request: object, response: Trigger.Response
     ) -> Trigger.Response:
-        """Do what a service asks for; answer and publish what came of it, or why not."""
+        """Run the action of a service; respond with its text, or with the error."""
         try:
             response.message, response.success = act(), True
         except TendonRobotError as error:
             response.success, response.message = False, ' '.join(str(error).split())
-        if name != 'change':  # a file, which nobody reads
-            self._tell_progress(response.message)
+        if name != 'change':  # its response is a file, not for users
+            self._publish_progress(response.message)
         return response
 
 

@@ -1,4 +1,4 @@
-"""Drift, tip force and adaptation of the monitor: when they are asked, and what is published."""
+"""Drift, tip force and adaptation in the monitor node: rates and publishers."""
 
 from __future__ import annotations
 
@@ -31,17 +31,17 @@ from ..shared.parameters import Parameters
 
 Array = NDArray[np.float64]
 # [1] of the largest tension: frames under tensions that differ by less are averaged, so that the
-# noise of a load cell does not begin a new mean
+# noise of a load cell does not start a new mean
 SAME_TENSION = 0.01
 LOG = 'adaptation.jsonl'  # in the folder of the monitor: a line for every change
 Send = Callable[[str, Callable[[bool, str], None]], None]
 
 
 class Watching:
-    """Hands postures and frames of a monitor to the watch, and publishes what it says."""
+    """Passes postures and frames to the detection of drift and forces; publishes results."""
 
     def __init__(self, node: Node, parameters: Parameters, monitor: Monitor) -> None:
-        """Begin to learn the arm."""
+        """Start to learn the arm."""
         self._node, self._monitor = node, monitor
         postures = int(parameters['reference_postures']) or WatchSettings.reference_postures
         settings = WatchSettings(
@@ -60,47 +60,47 @@ class Watching:
         self._wrench = publish(WrenchStamped, '~/tip_force', STATE)
         self._covariance = publish(Float64MultiArray, '~/tip_force_covariance', STATE)
         self._state = publish(String, '~/drift', LATCHED)
-        self._told = ''
+        self._published = ''
 
     force: TipForce | None
 
     @classmethod
-    def wanted(cls, node: Node, parameters: Parameters, monitor: Monitor) -> Watching | None:
-        """Return what watches a monitor; None where nothing is to be watched."""
+    def if_enabled(cls, node: Node, parameters: Parameters, monitor: Monitor) -> Watching | None:
+        """Return an instance, None if the parameters request neither force nor drift."""
         if parameters['force_rate'] > 0.0 or parameters['reference_postures'] > 0.0:
             return cls(node, parameters, monitor)
         return None
 
     def set_model(self, model: Model) -> None:
-        """Learn the arm anew, with another description."""
+        """Restart the learning with another description."""
         self.watch = ArmWatch(model, self.watch.markers, self.watch.settings)
 
     @property
     def drifted(self) -> bool:
-        """Whether there is an alarm."""
+        """Whether there is an alarm of drift."""
         state = self.watch.state
         return state is not None and state.alarm
 
     def values(self) -> dict[str, str]:
-        """Return what the status says."""
-        said = {}
+        """Return values for the status."""
+        values = {}
         if self._drift:
-            said = {'drift': str(self.drifted).lower(), 'watch': self.watch.text}
+            values = {'drift': str(self.drifted).lower(), 'watch': self.watch.text}
         if self.force is not None:
             gravity = self.watch.model.robot.gravity
             load = load_of(self.force.force, self.force.covariance, gravity)
-            said['tip_force'] = load_words(load)
-            said['tip_force (N)'] = f'{float(np.linalg.norm(self.force.force)):.4g}'
-            said['touched_at_cell'] = str(self.force.cell or '')
-        return said
+            values['tip_force'] = load_words(load)
+            values['tip_force (N)'] = f'{float(np.linalg.norm(self.force.force)):.4g}'
+            values['touched_at_cell'] = str(self.force.cell or '')
+        return values
 
     def frame(
-        self, at: float, positions: Array, base: str, stood: StillMeasurement | None
+        self, at: float, positions: Array, base: str, still: StillMeasurement | None
     ) -> None:
-        """Take a frame of the tracker, and the posture if the arm has come to stand."""
-        if self._drift and stood is not None:
-            self.watch.stands(stood.inputs, stood.positions, stood.frames)
-            self._tell()
+        """Use a frame, positions (J, 3) [m], and the posture if the arm is at rest."""
+        if self._drift and still is not None:
+            self.watch.stands(still.inputs, still.positions, still.frames)
+            self._publish_state()
         state = self._monitor.states.at(at)
         if state is None or not np.isfinite(self._period):
             return
@@ -110,7 +110,7 @@ class Watching:
             self._publish(base, tensions, *self._frames.take(self.watch.slopes), None)
 
     def blind(self, base: str) -> None:
-        """Without the tracker: wire pulls and tensions tell the force where both are measured."""
+        """Estimate the force without the tracker, from wire pulls and tensions if both exist."""
         states = self._monitor.states
         state = states.at(states.newest)
         if state is not None and self._is_due():
@@ -139,7 +139,7 @@ class Watching:
         self._wrench.publish(message)
         self._covariance.publish(Float64MultiArray(data=self.force.covariance.ravel().tolist()))
 
-    def _tell(self) -> None:
+    def _publish_state(self) -> None:
         """Publish the state of the alarm when it has changed."""
         state = self.watch.state
         content: dict[str, Any] = {'text': self.watch.text, 'alarm': self.drifted}
@@ -149,25 +149,25 @@ class Watching:
                 'suspects': [vars(suspect) for suspect in state.suspects],
             }
         text = json.dumps(content)
-        if text != self._told:
-            self._told = text
+        if text != self._published:
+            self._published = text
             self._state.publish(String(data=text))
 
 
 class Adapting:
-    """Hands postures to the estimate, and its changes to the controller."""
+    """Passes postures to the adaptation, and its changes to the controller."""
 
     def __init__(
         self, node: Node, parameters: Parameters, monitor: Monitor, text: str, send: Send
     ) -> None:
-        """Begin with the model in use and its text; `send` gives the controller another one."""
+        """Start from the model in use and its text; `send` sends the controller another one."""
         self._node, self._parameters, self._monitor = node, parameters, monitor
         self._send, self._sent, self._waiting = send, text, False
         self._publisher = node.create_publisher(String, '~/adaptation', LATCHED)
         self._begin(monitor.model)
 
     def set_model(self, model: Model, text: str) -> bool:
-        """Begin anew with another description, unless it came from here; return whether."""
+        """Restart with another description unless it was sent from here; return whether."""
         if text == self._sent:
             return False
         self._sent = text
@@ -175,31 +175,31 @@ class Adapting:
         return True
 
     def values(self) -> dict[str, str]:
-        """Return what the status says."""
-        on, made = bool(self._parameters['adapt']), len(self._adaptation.changes)
-        said = {'adapt': str(on).lower(), 'adapted': str(made)}
-        return said | ({'follows': self._adaptation.text} if on else {})
+        """Return values for the status."""
+        on, count = bool(self._parameters['adapt']), len(self._adaptation.changes)
+        values = {'adapt': str(on).lower(), 'adapted': str(count)}
+        return values | ({'follows': self._adaptation.text} if on else {})
 
-    def stands(self, stood: StillMeasurement) -> None:
-        """Take a posture at which the arm stands."""
+    def put(self, still: StillMeasurement) -> None:
+        """Use a posture of the arm at rest."""
         change = self._parameters['adapt']
         if self._waiting or not (change or self._parameters['reference_postures']):
             return
-        made = self._adaptation.stands(stood.inputs, stood.positions, change, stood.frames)
-        if made is not None:
-            self._tell('changed', made)
+        applied = self._adaptation.stands(still.inputs, still.positions, change, still.frames)
+        if applied is not None:
+            self._log_change('changed', applied)
             self._put(self._adaptation.robot)
         else:
             self._publish()
 
     def undo(self) -> str:
         """
-        Take the last change back and follow no longer.
+        Undo the last change and switch the adaptation off; return a text.
 
         Raises
         ------
         InputError
-            Nothing was changed, or the controller has not answered yet.
+            There was no change, or the controller has not answered yet.
 
         """
         if self._waiting:
@@ -208,13 +208,13 @@ class Adapting:
         if undone is None:
             raise InputError('nothing was changed since this description was taken')
         self._parameters.put_back('adapt', False)
-        self._tell('undone', undone)
+        self._log_change('undone', undone)
         self._put(self._adaptation.robot)
-        said = '; '.join(
+        text = '; '.join(
             f'{one.effect}.{one.parameter} is {with_unit(f"{one.after:.4g}", one.unit)} again'
             for one in undone.parameters
         )
-        return f'{said}; adapt is false now'
+        return f'{text}; adapt is false now'
 
     def _begin(self, model: Model) -> None:
         noise = self._parameters['tracker_noise']
@@ -225,20 +225,20 @@ class Adapting:
             )
 
     def _put(self, robot: Robot) -> None:
-        """Send a description to the controller; one that it refuses is taken back."""
+        """Send a description to the controller; undo the change if it refuses."""
         before, self._sent, self._waiting = self._sent, dump_robot(robot), True
 
-        def answered(taken: bool, reason: str) -> None:
+        def answered(accepted: bool, reason: str) -> None:
             self._waiting = False
-            if not taken:
+            if not accepted:
                 self._sent = before
                 self._adaptation.undo()
                 self._node.get_logger().warning(f'the controller keeps its model: {reason}')
 
         self._send(self._sent, answered)
 
-    def _tell(self, what: str, change: ModelChange) -> None:
-        """Log a change: to the console, the topic, and the file."""
+    def _log_change(self, what: str, change: ModelChange) -> None:
+        """Write a change to console, topic and file."""
         for one in change.parameters:
             self._node.get_logger().info(f'{what}: {one}')
         now = datetime.now().astimezone().isoformat(timespec='seconds')
@@ -248,20 +248,20 @@ class Adapting:
             path.parent.mkdir(parents=True, exist_ok=True)
             with path.open('a', encoding='utf-8') as log:
                 log.write(json.dumps({'what': what, 'time': now, **change.to_json()}) + '\n')
-        except OSError as error:  # the arm goes on: a full disk
+        except OSError as error:  # a full disk must not stop the node
             self._node.get_logger().warning(f'{path}: cannot be written ({error.strerror})')
 
     def _publish(self, last: dict[str, object] | None = None) -> None:
         """Publish the estimate, and the last change."""
-        made = self._adaptation
+        estimate = self._adaptation
         content: dict[str, object] = {
-            'text': made.text,
-            'postures': made.postures,
-            'memory_postures': made.memory if made.memory < 1e9 else None,
+            'text': estimate.text,
+            'postures': estimate.postures,
+            'memory_postures': estimate.memory if estimate.memory < 1e9 else None,
             'parameters': {
-                key: {'value': value, 'sd': sd} for key, (value, sd) in made.values().items()
+                key: {'value': value, 'sd': sd} for key, (value, sd) in estimate.values().items()
             },
-            'changes': len(made.changes),
+            'changes': len(estimate.changes),
         }
         if last is not None:
             content['last'] = last

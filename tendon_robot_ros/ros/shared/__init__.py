@@ -1,13 +1,13 @@
 """
-What the nodes share.
+Code that the nodes share.
 
-messages.py            ROS messages to arrays and back; their frames (TF); quality of service
+messages.py            ROS messages to arrays and back; frames (TF); quality of service
 timing.py              times that several nodes share, each with its reason
 parameters.py          declared parameters with range and unit; those of another node
-lifecycle.py           nodes that start by themselves and can be stopped; their status
-inbox.py               what a thread of its own hears: subscriptions, services, the topic `stop`
-senders.py             who published a message; of several, whose messages count
-runtime.py             running nodes so that they end safe; nodes as processes; their transport
-robot_client.py        who speaks to a running robot: waits, sends targets, reads statuses
-stopping.py            every node that can be stopped, found and stopped
+lifecycle.py           lifecycle nodes that start by themselves and can be stopped; status
+inbox.py               polled subscriptions and services; the topic `stop`
+senders.py             publishers of a topic: which one is followed, names of the others
+runtime.py             running nodes so that they end safely; nodes as processes; transport
+robot_client.py        client of a running robot: sends targets, reads statuses, waits
+stopping.py            stops every node that can be discovered
 """

@@ -1,8 +1,8 @@
 """
-Subscriptions and services that whoever needs them asks, in a thread of its own choice.
+Subscriptions and services that are polled, from a thread of the caller's choice.
 
-Every message comes with the gid of its publisher (rmw: globally unique identifier). rclpy does not
-hand it on, the C library below it does.
+Every message comes with the gid of its publisher (rmw: globally unique identifier). rclpy drops
+it; the C library below does not.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ from .messages import (
 )
 from .timing import SILENCE_S, VALUES_PERIOD_S
 
-UNTOLD = b''  # publisher of a message where the middleware does not say
-# [B] of a message that is read beside the commands: measured, 10 MB take seconds
+UNKNOWN_GID = b''  # gid of a publisher that the middleware does not report
+# [B] of a message that is parsed between commands: measured, 10 MB take seconds
 MESSAGE_BYTES_MAX = 250_000
 # [1] manual of rmw, rmw/types.h: RMW_MESSAGE_INFO_SEQUENCE_NUMBER_UNSUPPORTED
 NOT_COUNTED = 2**64 - 1
@@ -48,15 +48,15 @@ SPARE_BYTES = 256
 
 @dataclass(frozen=True)
 class Received[M]:
-    """A message, and what the middleware says of it."""
+    """A message and its metadata from the middleware."""
 
     message: M
     sent: int  # [ns] clock of the publisher
-    number: int  # counts the messages of its publisher; 0 where the middleware does not
-    publisher: bytes = UNTOLD  # as `endpoint_gid` in what a node knows of the publishers
+    number: int  # sequence number of its publisher; 0 where the middleware has none
+    publisher: bytes = UNKNOWN_GID  # gid, as `endpoint_gid` of rclpy's endpoint information
 
     def repeats(self, last: Received[M]) -> bool:
-        """Whether it is no newer than the last one of the same publisher."""
+        """Return whether it is no newer than the last message of the same publisher."""
         if self.number:
             return self.number <= last.number
         return self.sent == last.sent
@@ -98,13 +98,13 @@ class _Info(ctypes.Structure):
 
 class Inbox[M]:
     """
-    Takes messages when it is asked.
+    A subscription that is polled.
 
-    What an executor calls waits for everything else that the executor calls. Commands, states and
-    stops do not: the thread that needs them takes them, once per cycle, and no message wakes
-    anybody. rclpy's own subscriptions cannot be kept from the executor of their node; this one has
-    what is inside them. Publishers of another quality of service are passed over silently: the
-    same topic may have another inbox for them.
+    A callback of an executor waits for all its other callbacks. Commands, states and stops must
+    not wait: the thread that needs them polls them once per cycle, and no message wakes a thread.
+    The executor of a node serves all subscriptions of rclpy; this class holds the handle inside
+    such a subscription instead. Publishers with an incompatible quality of service are ignored
+    silently: the same topic may have another inbox for them.
     """
 
     def __init__(self, node: Node, kind: type[M], topic: str, qos: QoSProfile) -> None:
@@ -120,30 +120,30 @@ class Inbox[M]:
             allocator = ctypes.CDLL('librcutils.so').rcutils_get_default_allocator
             allocator.restype = _Allocator
             self._bytes: _Bytes | None = _Bytes(allocator=allocator())
-        except (OSError, AttributeError):  # messages then come without their publisher
+        except (OSError, AttributeError):  # messages then have no gid
             self._bytes = None
 
     def take(self) -> list[Received[M]]:
-        """Give the messages that came since the last time, oldest first, that can be read."""
-        taken: list[Received[M]] = []
+        """Return the valid messages since the last call, oldest first."""
+        messages: list[Received[M]] = []
         with self.handle:
             while (raw := self._next()) is not None:
                 problem, message = _read(raw[0], self._kind)
                 if problem:
                     self._problem = problem
                 else:
-                    taken.append(Received(message, *raw[1:]))
-        return taken
+                    messages.append(Received(message, *raw[1:]))
+        return messages
 
     def _next(self) -> tuple[bytes, int, int, bytes] | None:
-        """Return the next message as bytes, sent, number, publisher; in the entered handle."""
+        """Return bytes, sent, number and publisher of the next message; None: there is none."""
         if self._bytes is None:
-            taken = self.handle.take_message(self._kind, True)
-            if taken is None:
+            pair = self.handle.take_message(self._kind, True)
+            if pair is None:
                 return None
-            data, about = taken
-            number = about['publication_sequence_number'] or 0
-            return data, about['source_timestamp'], number, UNTOLD
+            data, metadata = pair
+            number = metadata['publication_sequence_number'] or 0
+            return data, metadata['source_timestamp'], number, UNKNOWN_GID
         info, pointer = self._info, ctypes.c_void_p(self.handle.pointer)
         failed = self._take_bytes(pointer, ctypes.byref(self._bytes), ctypes.byref(info), None)
         if failed:  # there is none
@@ -153,7 +153,7 @@ class Inbox[M]:
         return data, info.sent, number, bytes(info.publisher)
 
     def refused(self) -> str:
-        """Say why a message since the last time was not read, '' for none."""
+        """Return why a message since the last call was invalid, '' for none."""
         problem, self._problem = self._problem, ''
         return problem and f'{self.topic}: {problem}'
 
@@ -166,7 +166,7 @@ class Inbox[M]:
 
 
 def _read(data: bytes, kind: type) -> tuple[str, Any]:
-    """Return why bytes are not read as a message, '' if they are, and the message."""
+    """Return why bytes are no valid message ('': they are) and the message."""
     if len(data) > MESSAGE_BYTES_MAX:
         return f'expected at most {MESSAGE_BYTES_MAX:,} bytes, got {len(data):,}', None
     try:
@@ -181,12 +181,12 @@ Answer = Callable[[object], None]
 
 class Service:
     """
-    A service that answers when it is asked to, whatever its node's executor is doing.
+    A service that is served by `serve`, independently of the executor of its node.
 
     Parameters
     ----------
     answer : callable
-        Gets a request, and a function that sends the response, now or when it is known.
+        Called with a request and a function that sends the response, at once or later.
 
     """
 
@@ -201,7 +201,7 @@ class Service:
             self.handle = _rclpy.Service(node.handle, kind, name, qos)
 
     def serve(self) -> None:
-        """Hand on the requests that came since the last time."""
+        """Answer the requests since the last call."""
         while True:
             with self.handle:
                 request, header = self.handle.service_take_request(self._kind.Request)
@@ -210,25 +210,25 @@ class Service:
             self._answer(request, partial(self._send, header.request_id))
 
     def _send(self, request_id: Any, response: object) -> None:
-        """Send a response, unless who asked, or this service, has gone."""
+        """Send a response, unless the client or this service has been destroyed."""
         with contextlib.suppress(_rclpy.RCLError, _rclpy.InvalidHandle), self.handle:
             self.handle.service_send_response(response, request_id)
 
     def close(self) -> None:
-        """Offer it no more."""
+        """Destroy the service."""
         self.handle.destroy_when_not_in_use()
 
 
 class Waiting:
-    """Sleeps until an inbox has a message or a service a request, or until it is woken."""
+    """Blocks until an inbox has a message, a service has a request, or `wake` is called."""
 
     def __init__(self, node: Node) -> None:
-        """Wait in the context of a node."""
+        """Create the guard condition in the context of a node."""
         self._context = node.context
         self._guard = GuardCondition(None, None, node.context)
 
     def wait(self, inboxes: Sequence[Inbox[Any]], services: Sequence[Service] = ()) -> None:
-        """Sleep."""
+        """Block until there is something to do."""
         waits = _rclpy.WaitSet(len(inboxes), 1, 0, 0, len(services), 0, self._context.handle)
         with waits:
             waits.clear_entities()
@@ -240,26 +240,31 @@ class Waiting:
             waits.wait(-1)
 
     def wake(self) -> None:
-        """End a sleep, also one that has not begun."""
+        """End the present or the next wait."""
         self._guard.trigger()
 
     def close(self) -> None:
-        """Give back what wakes."""
+        """Destroy the guard condition."""
         self._guard.destroy()
 
 
-def hear_anybody[M](
-    node: Node, kind: type[M], topic: str, hear: Callable[[M], None], refuse: Callable[[str], None]
+def subscribe_any_qos[M](
+    node: Node,
+    kind: type[M],
+    topic: str,
+    handle: Callable[[M], None],
+    refuse: Callable[[str], None],
 ) -> list[Subscription]:
     """
     Subscribe to publishers of any quality of service; return the subscriptions.
 
-    A best-effort subscription hears everybody, a reliable one loses nothing of who is reliable;
-    what comes by both is heard once. What is too long to be read beside the commands is refused.
+    A best-effort subscription matches all publishers, a reliable one loses no message of those
+    that are reliable; a message that arrives by both is handled once. A message that is too long
+    to be parsed between commands is refused.
     """
     waiting: tuple[deque[tuple[float, bytes]], deque[tuple[float, bytes]]] = deque(), deque()
 
-    def come(message: bytes, path: int) -> None:
+    def receive(message: bytes, path: int) -> None:
         now, own, other = time.monotonic(), waiting[path], waiting[1 - path]
         for queue in waiting:
             while queue and now - queue[0][0] > SILENCE_S:
@@ -273,55 +278,57 @@ def hear_anybody[M](
         if problem:
             refuse(f'{topic.removeprefix("~/")}: {problem}')
         else:
-            hear(read)
+            handle(read)
 
     return [
-        passing_subscription(node, kind, topic, partial(come, path=path), qos, raw=True)
+        passing_subscription(node, kind, topic, partial(receive, path=path), qos, raw=True)
         for path, qos in enumerate((COMMAND, LISTEN))
     ]
 
 
-PASSED_ON = '_stop_heard'  # hidden, as ROS has it
-WORD = re.compile(
+FORWARDED = '_stop_heard'  # a hidden topic: its name begins with _
+FORWARDED_MESSAGE = re.compile(
     r'(?P<publisher>([0-9a-f]{2}){0,32}) (?P<number>\d{1,20}) (?P<sent>-?\d{1,20}) '
-    r'(?P<says>true|false)'
+    r'(?P<value>true|false)'
 )
 STOP_REASON = 'topic stop says true (publish false on it to end that)'
 
 
-def _received(message: String) -> Received[Bool] | None:
-    """Read what was written down; None where it is something else."""
-    word = WORD.fullmatch(message.data)
-    if word is None:
+def _parse_forwarded(message: String) -> Received[Bool] | None:
+    """Parse a forwarded message; None where the text is invalid."""
+    match = FORWARDED_MESSAGE.fullmatch(message.data)
+    if match is None:
         return None
-    number, sent = int(word['number']), int(word['sent'])
-    who = bytes.fromhex(word['publisher'])
-    return Received(Bool(data=word['says'] == 'true'), sent, number, who)
+    number, sent = int(match['number']), int(match['sent'])
+    gid = bytes.fromhex(match['publisher'])
+    return Received(Bool(data=match['value'] == 'true'), sent, number, gid)
 
 
 class StopTopic:
     """
-    Hears std_msgs/Bool of any publisher, whatever its quality of service.
+    Receives std_msgs/Bool of the topic `stop` from publishers of any quality of service.
 
-    A best-effort subscription hears everybody; a reliable one loses nothing of those who are
-    reliable, and a latched one hears what was said before. A word heard twice counts once.
+    A best-effort subscription matches all publishers; a reliable one loses no message of those
+    that are reliable, and a latched one receives earlier messages, too. A message that arrives
+    twice counts once.
 
-    A true stops at once. A false only tells that the cause is gone: the arm goes on after a
-    `reset`. It does not speak for another publisher: after a false, the cause is gone when
-    nobody who is still there has said true last.
+    A true stops at once. A false only clears the cause: the arm goes on after a `reset`. It does
+    not count for another publisher: after a false, the cause is cleared when no publisher that
+    still exists has sent true last.
 
-    A publisher that speaks and leaves may be gone before all have found it (`ros2 topic pub
-    --once` waits for one of them): who has heard it passes it on, on a topic that all keep open.
+    A publisher that sends and leaves may be gone before all nodes have discovered it (`ros2 topic
+    pub --once` waits for one of them): a node that has received the message forwards it, on a
+    topic that all nodes keep open.
 
     Parameters
     ----------
     node : Node
     stop : callable
-        Called with why, at every true.
-    gone : callable
-        Called when the cause is gone.
+        Called with the reason at every true.
+    cleared : callable
+        Called when the cause is cleared.
     services : sequence of Service
-        Answered in the thread that hears the topic.
+        Answered in the thread that receives the topic.
 
     """
 
@@ -329,41 +336,41 @@ class StopTopic:
         self,
         node: Node,
         stop: Callable[[str], None],
-        gone: Callable[[], None],
+        cleared: Callable[[], None],
         services: Sequence[Service] = (),
     ) -> None:
-        """Subscribe, and wait for words in a thread that does nothing else."""
-        self._node, self._stop, self._gone, self._services = node, stop, gone, services
-        self.says = False
-        self._denied = False  # somebody has said false since the last true
-        self._looked = float('-inf')  # [s]
-        self._last: dict[bytes, Received[Bool]] = {}  # of every publisher
-        self._heard: deque[Received[Bool]] = deque()
-        self._passing = node.create_publisher(String, PASSED_ON, COMMAND_ALL)
+        """Subscribe, and receive messages in a thread of its own."""
+        self._node, self._stop, self._cleared, self._services = node, stop, cleared, services
+        self.active = False
+        self._denied = False  # a false was received since the last true
+        self._checked_at = float('-inf')  # [s]
+        self._last: dict[bytes, Received[Bool]] = {}  # message of every publisher
+        self._queue: deque[Received[Bool]] = deque()
+        self._forwarding = node.create_publisher(String, FORWARDED, COMMAND_ALL)
         self._closed = False
         self._waiting = Waiting(node)
         self._thread = threading.Thread(target=self._listen, name='stop', daemon=True)
         self._thread.start()
 
     def poll(self) -> None:
-        """Act on what was said since the last time, in the thread of the caller."""
-        while self._heard:
-            word = self._heard.popleft()
-            last = self._last.get(word.publisher)
-            if last is not None and word.repeats(last):
-                continue  # it came by another subscription before
-            self._last[word.publisher] = word
-            if word.message.data:
-                self.says, self._denied = True, False
+        """Act on the messages since the last call, in the thread of the caller."""
+        while self._queue:
+            received = self._queue.popleft()
+            last = self._last.get(received.publisher)
+            if last is not None and received.repeats(last):
+                continue  # another subscription has received it before
+            self._last[received.publisher] = received
+            if received.message.data:
+                self.active, self._denied = True, False
                 self._stop(STOP_REASON)
-            elif self.says:
+            elif self.active:
                 self._denied = True
-                self._look()
-        if self.says and self._denied and time.monotonic() - self._looked > VALUES_PERIOD_S:
-            self._look()
+                self._check_publishers()
+        if self.active and self._denied and time.monotonic() - self._checked_at > VALUES_PERIOD_S:
+            self._check_publishers()
 
     def close(self) -> None:
-        """Hear no more."""
+        """End the thread and destroy the subscriptions."""
         self._closed = True
         self._waiting.wake()
         self._thread.join()
@@ -371,38 +378,40 @@ class StopTopic:
 
     def _listen(self) -> None:
         """
-        Take every word as soon as it comes.
+        Take every message as soon as it arrives.
 
-        A word that waits is lost when its publisher leaves: Fast DDS takes it back.
+        Fast DDS drops a message that was not taken when its publisher leaves.
         """
         kinds = LISTEN_ALL, COMMAND_ALL, LATCHED_BY_MANY
         inboxes = [Inbox(self._node, Bool, 'stop', qos) for qos in kinds]
-        passed = Inbox(self._node, String, PASSED_ON, COMMAND_ALL)
-        told = ''
+        forwarded = Inbox(self._node, String, FORWARDED, COMMAND_ALL)
+        last_text = ''
         while not self._closed:
             for inbox in inboxes:
-                for word in inbox.take():
-                    self._heard.append(word)
-                    says = 'true' if word.message.data else 'false'
-                    text = f'{word.publisher.hex()} {word.number} {word.sent} {says}'
-                    if text != told:
-                        told = text
-                        self._passing.publish(String(data=text))
-            self._heard += filter(None, (_received(word.message) for word in passed.take()))
+                for received in inbox.take():
+                    self._queue.append(received)
+                    value = 'true' if received.message.data else 'false'
+                    text = f'{received.publisher.hex()} {received.number} {received.sent} {value}'
+                    if text != last_text:
+                        last_text = text
+                        self._forwarding.publish(String(data=text))
+            parsed = (_parse_forwarded(received.message) for received in forwarded.take())
+            self._queue += filter(None, parsed)
             for service in self._services:
                 service.serve()
-            self._waiting.wait([*inboxes, passed], self._services)
-        for inbox in (*inboxes, passed):
+            self._waiting.wait([*inboxes, forwarded], self._services)
+        for inbox in (*inboxes, forwarded):
             inbox.close()
         for service in self._services:
             service.close()
 
-    def _look(self) -> None:
-        """Look whether anybody is there who has not taken back a true."""
-        self._looked = time.monotonic()
+    def _check_publishers(self) -> None:
+        """Clear the cause unless an existing publisher has sent true last."""
+        self._checked_at = time.monotonic()
         known = self._node.get_publishers_info_by_topic('stop')
-        there = {bytes(one.endpoint_gid) for one in known}
-        self._last = {who: word for who, word in self._last.items() if who in there | {UNTOLD}}
-        if not any(word.message.data for word in self._last.values()):
-            self.says = False
-            self._gone()
+        existing = {bytes(one.endpoint_gid) for one in known}
+        existing.add(UNKNOWN_GID)
+        self._last = {gid: last for gid, last in self._last.items() if gid in existing}
+        if not any(last.message.data for last in self._last.values()):
+            self.active = False
+            self._cleared()

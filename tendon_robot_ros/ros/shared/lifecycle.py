@@ -43,18 +43,19 @@ class ManagedNode(Runnable, LifecycleNode):
     status: Status
 
     def __init__(self, name: str) -> None:
-        """Begin unconfigured."""
+        """Create the node, unconfigured."""
         super().__init__(name)
         service = self._service_change_state
-        asked_to_change = service.callback
+        change_state = service.callback
 
         def change(request: Any, response: Any) -> Any:
-            """Refuse a transition that this state does not have: rclpy ends the process."""
+            """Refuse a transition that this state does not have; rclpy would end the process."""
             try:
-                return asked_to_change(request, response)
+                return change_state(request, response)
             except RCLError as error:
-                wanted = request.transition.label or f'transition {request.transition.id}'
-                self.get_logger().warning(f'refused: {wanted}: the node is {self.phase}: {error}')
+                transition = request.transition.label or f'transition {request.transition.id}'
+                text = f'refused: {transition}: the node is {self.phase}: {error}'
+                self.get_logger().warning(text)
                 response.success = False
                 return response
 
@@ -63,7 +64,7 @@ class ManagedNode(Runnable, LifecycleNode):
         self._tried = -RETRY_PERIOD_S
 
     def running(self) -> bool:
-        """Configure and activate when that is due."""
+        """Configure and activate the node when an attempt is due; return True: it goes on."""
         due = self.phase != 'active' and time.monotonic() - self._tried >= RETRY_PERIOD_S
         if self.parameters['autostart'] and due and self.ready():
             self._tried = time.monotonic()
@@ -74,30 +75,30 @@ class ManagedNode(Runnable, LifecycleNode):
         return True
 
     def end(self) -> None:
-        """Leave the active state the proper way, then close."""
+        """Deactivate and clean up, as the present state requires."""
         if self.phase == 'active':
             self.trigger_deactivate()
         if self.phase == 'inactive':
             self.trigger_cleanup()
 
     def ready(self) -> bool:
-        """Whether it makes sense to configure now."""
+        """Return whether `configure` may be attempted now."""
         return True
 
     def configure(self) -> None:
-        """Read what is needed, open what is needed."""
+        """Read the configuration and open devices."""
 
     def activate(self) -> None:
-        """Begin to act."""
+        """Start to command."""
 
     def deactivate(self) -> None:
-        """Stop to act, safely."""
+        """Stop to command, safely."""
 
     def cleanup(self) -> None:
-        """Give everything back."""
+        """Close devices and release what `configure` acquired."""
 
     def problem(self, message: str) -> None:
-        """Say why a transition was refused."""
+        """Report why a transition was refused."""
         self.get_logger().error(message)
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -105,7 +106,7 @@ class ManagedNode(Runnable, LifecycleNode):
         passed = self._pass(self.configure, 'inactive')
         gc.unfreeze()
         gc.collect()
-        gc.freeze()  # what is left stays: to look at it again costs 15 ms, every few seconds
+        gc.freeze()  # else every collection scans the objects that stay: measured, 15 ms each
         return passed
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -113,7 +114,7 @@ class ManagedNode(Runnable, LifecycleNode):
         return self._pass(self.activate, 'active')
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Run `deactivate`; a person who deactivates does not want autostart."""
+        """Run `deactivate`; a requested transition ends the autostart."""
         self._tried = float('inf')
         return self._pass(self.deactivate, 'inactive')
 
@@ -123,7 +124,7 @@ class ManagedNode(Runnable, LifecycleNode):
         return self._pass(self.cleanup, 'unconfigured')
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Leave whatever state it is in."""
+        """Deactivate and clean up from any state."""
         self._tried = float('inf')
         if self.phase == 'active':
             self._pass(self.deactivate, 'inactive')
@@ -135,11 +136,11 @@ class ManagedNode(Runnable, LifecycleNode):
         try:
             action()
         except TendonRobotError as error:
-            if isinstance(error, MovedError):  # only a person tries that again
+            if isinstance(error, MovedError):  # only a person may repeat the attempt
                 self._tried = float('inf')
             self.problem(' '.join(str(error).split()))
             return TransitionCallbackReturn.FAILURE
-        except Exception:  # rclpy would say nothing
+        except Exception:  # rclpy would not report it
             self.problem(f'unexpected: {traceback.format_exc()}')
             raise
         self.phase = phase
@@ -150,20 +151,20 @@ class Status:
     """
     Publishes a level, a sentence, a code and values.
 
-    A new level, code or fault goes out at once and into the log (what comes and goes is logged
-    again after some seconds, or as soon as it stays); changed values go out at most ten times a
-    second, and everything at least once a second.
+    A new level, code or fault is published at once and logged (one that comes and goes is logged
+    again after some seconds, or as soon as it stays). Changed values are published at most ten
+    times a second, and the whole status at least once a second.
 
     Parameters
     ----------
     node : Node
     what : str
-        What the status is about: its name is `node: what`, as diagnostic_updater has it.
+        Subject of the status; its name is `node: what`, as in diagnostic_updater.
 
     """
 
     def __init__(self, node: Node, what: str) -> None:
-        """Make the publishers."""
+        """Create the publishers."""
         self._node, self.arm = node, ''  # hardware_id: the robot, once it is known
         self._name = f'{node.get_fully_qualified_name().removeprefix("/")}: {what}'
         self._latched = node.create_publisher(DiagnosticStatus, '~/status', LATCHED)
@@ -175,7 +176,7 @@ class Status:
         self._logged: dict[tuple[bytes, str, str], float] = {}  # key -> when [s]
         self._to_log = False
 
-    def say(
+    def publish(
         self,
         level: bytes,
         code: str,
@@ -185,23 +186,24 @@ class Status:
         once: bool = False,
     ) -> None:
         """
-        Publish how the node is, if that is new or due.
+        Publish the state of the node if it is new or due.
 
         Parameters
         ----------
         level : bytes
             OK, WARN or ERROR.
         code : str
-            Short and stable, for programs; also under the key `code`.
+            Short and stable, for programs; also published as the value `code`.
         message : str
             One sentence for a person.
         values : callable, optional
-            Returns more: numbers plain, with their unit in the key, as `position_error (m)`. It
-            is called only when values may go out, because to format them costs more than to ask.
+            Returns key -> text: plain numbers with their unit in the key, as
+            `position_error (m)`. It is called only when values may be published, because to
+            format them fifty times a second costs a hundredth of a core.
         faults : collection of str
-            Codes of what is broken.
+            Codes of the present faults.
         once : bool
-            The caller will not repeat it: it is published however soon it comes after another.
+            The caller does not repeat it: it is published however soon after another one.
 
         """
         now = time.monotonic()
@@ -219,7 +221,7 @@ class Status:
         if self._to_log and now - self._logged.get(key, -RETRY_PERIOD_S) >= RETRY_PERIOD_S:
             self._logged[key], self._to_log = now, False
             text, logger = f'{code}: {message}', self._node.get_logger()
-            if level == OK:  # rclpy: a line of code logs with one level
+            if level == OK:  # rclpy allows one level per line of code
                 logger.info(text)
             elif level == WARN:
                 logger.warning(text)
@@ -243,31 +245,31 @@ class StoppableNode(ManagedNode):
     """
     A node that the service ~/stop, the topic `stop` and the command `stop` stop at once.
 
-    A stop that comes before there is anything to stop counts when there is: a subclass calls
-    `stop_as_told` at the end of its `configure`.
+    A stop that arrives before there is anything to stop is kept: a subclass calls
+    `latch_early_stops` at the end of its `configure`.
 
     Parameters
     ----------
     name : str
     drives : bool
-        Whether it drives motors.
+        Whether the node drives motors.
 
     """
 
     def __init__(self, name: str, drives: bool) -> None:
-        """Begin unconfigured; `listen` begins to hear stops."""
+        """Create the node, unconfigured; `listen` subscribes to stops."""
         super().__init__(name)
         self._drives, self._stopped = drives, False
 
     def listen(self, *services: Service) -> None:
-        """Hear stops, and answer services, in a thread that does nothing else."""
+        """Receive stops and answer services in a thread of their own."""
         stop = Service(self, Trigger, '~/stop', lambda _, send: send(self.stop_called()))
 
-        def gone() -> None:
+        def cleared() -> None:
             if (latch := self.latch) is not None:
                 latch.cause_gone('stop topic')
 
-        self.stop_topic = StopTopic(self, self.stop_said, gone, [stop, *services])
+        self.stop_topic = StopTopic(self, self.stop_by_topic, cleared, [stop, *services])
         self._local_stop = StopListener(
             self.context.get_domain_id(),
             Stoppable(self.get_fully_qualified_name(), self._drives),
@@ -276,37 +278,37 @@ class StoppableNode(ManagedNode):
 
     @property
     def latch(self) -> StopLatch | None:
-        """What holds the stops; None while there is nothing to stop."""
+        """The latch of stops; None while there is nothing to stop."""
         raise NotImplementedError
 
     def stop_called(self) -> Trigger.Response:
-        """Stop, and answer who has called the service."""
+        """Stop, and return the response of the service `~/stop`."""
         raise NotImplementedError
 
-    def stop_said(self, reason: str) -> None:
-        """Stop: the topic says so."""
+    def stop_by_topic(self, reason: str) -> None:
+        """Latch the stop of the topic `stop`."""
         if (latch := self.latch) is not None:
             latch.stop('stop topic', reason, lasting=True)
 
     def stop_now(self) -> None:
-        """Latch a stop, in the thread that hears of it."""
+        """Latch a stop, in the thread that receives it."""
         self._stopped = True
         if (latch := self.latch) is not None:
             latch.stop('stop', STOP_CALLED)
 
-    def stop_as_told(self) -> None:
-        """Latch the stops that came before there was anything to stop."""
-        if self.stop_topic.says:
-            self.stop_said(STOP_REASON)
+    def latch_early_stops(self) -> None:
+        """Latch the stops that arrived before there was anything to stop."""
+        if self.stop_topic.active:
+            self.stop_by_topic(STOP_REASON)
         if self._stopped:
             self.stop_now()
 
     def problem(self, message: str) -> None:
-        """Say why a transition was refused."""
-        self.status.say(ERROR, 'not_ready', message, once=True)
+        """Report why a transition was refused."""
+        self.status.publish(ERROR, 'not_ready', message, once=True)
 
     def destroy_node(self) -> None:
-        """Hear no more."""
+        """Close the subscriptions and destroy the node."""
         self.stop_topic.close()
         self._local_stop.close()
         super().destroy_node()

@@ -35,12 +35,12 @@ def seconds(stamp: Time) -> float:
 
 
 def stamp_text(stamp: Time) -> str:
-    """Return a stamp as a status names it: seconds with nine decimals."""
+    """Return a stamp as text, as in a status: seconds with nine decimals."""
     return f'{stamp.sec}.{stamp.nanosec:09d}'
 
 
 def nanoseconds_now(node: Node) -> int:
-    """Return the time of a node's clock [ns]; rclpy makes an object of it that costs more."""
+    """Return the time of a node's clock [ns]; the Time object of rclpy costs more."""
     clock = node.get_clock().handle
     with clock:
         return int(clock.get_now().nanoseconds)
@@ -115,7 +115,7 @@ def joint_state(
 def refilled(
     message: JointState, stamp: Time, position: Array | None, effort: Array | None
 ) -> JointState:
-    """Return a joint message with new values: to make one for every cycle costs more."""
+    """Fill a joint message with new values and return it: cheaper than a new message."""
     message.header.stamp = stamp
     message.position = () if position is None else position.tolist()
     message.effort = () if effort is None else effort.tolist()
@@ -126,7 +126,7 @@ def tensions_and_pulls(message: JointState, inputs: Sequence[str]) -> tuple[Arra
     """
     Return tensions (m,) [N] and wire pulls (m,) [m] in the order of the inputs.
 
-    What a message leaves out is nan. Refusal: other names, or another number of values.
+    Missing values are nan. Refusal: other names, or another number of values.
     """
     names, blank = message.name, [math.nan] * len(message.name)
     what = 'tendon_states'
@@ -158,16 +158,16 @@ def arm_markers(
     return MarkerArray(markers=[line, tip])
 
 
-# [1] messages of a topic that wait, so that a subscriber that is held up for two cycles of the
-# fastest node, or hears joints in a message each, loses none
+# [1] queued messages of a topic, so that a subscriber that is late by two cycles of the fastest
+# node, or receives joints in a message each, loses none
 DEPTH = 10
-# [1] where every message counts, of whoever comes and goes: as many for each of five publishers,
-# else those of the first would be lost
+# [1] where every message of several publishers counts: as many for each of five, else those of
+# the first would be lost
 DEPTH_ALL = 5 * DEPTH
 
 
 def quality(depth: int = 1, *, reliable: bool = True, latched: bool = False) -> QoSProfile:
-    """Keep the last so many messages; a latched topic also for who comes later."""
+    """Keep the last `depth` messages; a latched topic keeps them for later subscribers."""
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=depth,
@@ -182,19 +182,19 @@ COMMAND = quality()
 STATE = quality(DEPTH)
 # states of joints that may come in several messages: from reliable publishers, too
 JOINTS = quality(DEPTH, reliable=False)
-# states, trackers and velocities as subscribed: hears publishers of either kind
+# states, trackers and velocities as subscribed: matches reliable and best-effort publishers
 LISTEN = quality(reliable=False)
-# statuses: who comes later still gets the last one
+# statuses: a later subscriber gets the last one
 LATCHED = quality(latched=True)
-# every message counts, of whoever comes and goes
+# every message of several publishers counts
 COMMAND_ALL = quality(DEPTH_ALL)
 LISTEN_ALL = quality(DEPTH_ALL, reliable=False)
-# what several publishers keep for who comes later: the last messages of all of them
+# the last messages of several publishers, for later subscribers
 LATCHED_BY_MANY = quality(DEPTH_ALL, latched=True)
 
 
 class Frames:
-    """Brings positions and directions into the base frame."""
+    """Transforms from the frames of messages to the base frame, by TF."""
 
     def __init__(self, node: Node, base: str) -> None:
         """Listen to TF where tf2_ros is installed (the wheels of rclpy do not have it)."""
@@ -215,18 +215,18 @@ class Frames:
         Parameters
         ----------
         frame, what : str
-            The frame, and what the message is called.
+            The frame, and the name of the message.
         stamp : float
-            When the message is of [s]; 0: now.
+            Time of the message [s]; 0: now.
         now : float
-            By the clock of the node [s].
+            Time of the clock of the node [s].
         tolerance : float
-            Largest age of a transform that moves [s]; a static one has none.
+            Largest age of a transform [s]; a static one has no age.
 
         Raises
         ------
         Refusal
-            No transform between the two is known, or none of that time.
+            There is no transform between the two frames, or none of that time.
 
         """
         if frame == self.base:
@@ -255,10 +255,10 @@ class Frames:
 
 def passing_publisher(node: Node, kind: Any, topic: str, qos: QoSProfile) -> Publisher:
     """
-    Make a publisher that may be destroyed while its node goes on.
+    Create a publisher that may be destroyed while its node runs.
 
-    It hears no events of the middleware: where one waits (of somebody with another quality of
-    service or type) when it is destroyed, rclpy's executor of events ends or crashes.
+    It has no callbacks for events of the middleware: if one is pending (an endpoint with another
+    quality of service or type) when it is destroyed, rclpy's executor of events ends or crashes.
     """
     quiet = PublisherEventCallbacks(use_default_callbacks=False)
     return node.create_publisher(kind, topic, qos, event_callbacks=quiet)
@@ -268,10 +268,10 @@ def passing_subscription(
     node: Node,
     kind: Any,
     topic: str,
-    hear: Callable[[Any], None],
+    callback: Callable[[Any], None],
     qos: QoSProfile,
     raw: bool = False,
 ) -> Subscription:
-    """Make a subscription that may be destroyed while its node goes on: see the publisher."""
+    """Create a subscription that may be destroyed while its node runs, as a publisher."""
     quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
-    return node.create_subscription(kind, topic, hear, qos, raw=raw, event_callbacks=quiet)
+    return node.create_subscription(kind, topic, callback, qos, raw=raw, event_callbacks=quiet)

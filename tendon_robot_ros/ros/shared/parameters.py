@@ -1,9 +1,8 @@
 """
-Parameters: declared with description, unit and range, refused with a reason; those of other nodes.
+Parameters: declared with description, unit and range; refusals; parameters of other nodes.
 
-A setting that a node was started with and does not know is refused, too: ROS would swallow a
-misspelt `-p`, or a file of parameters for nodes of other names, and the node would run with its
-defaults.
+A parameter that a node is started with and does not declare is refused, too: ROS would ignore a
+misspelt `-p`, or a file of parameters for other nodes, and the node would run with its defaults.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ from ...robot.description import DESCRIPTION_MAX
 from .runtime import given
 from .timing import ANSWER_TIMEOUT_S
 
-TYPES = {  # of a default: the type of ROS, and what a person is told to give
+TYPES = {  # type of a default -> type of ROS, and what a refusal expects
     bool: (ParameterType.PARAMETER_BOOL, 'true or false'),
     float: (ParameterType.PARAMETER_DOUBLE, 'a number'),
     str: (ParameterType.PARAMETER_STRING, 'text'),
@@ -61,10 +60,10 @@ class Spec:
     choices: tuple[str, ...] = ()
 
     def checked(self, value: Any) -> Any:
-        """Return the value in its type; InputError says what was expected."""
+        """Return the value converted to its type; InputError: it has another type or range."""
         kind = type(self.default)
         if kind is float and isinstance(value, int) and not isinstance(value, bool):
-            value = float(value)  # a person writes 10 and means 10.0
+            value = float(value)  # so that 10 may be written for 10.0
         if kind is list and isinstance(value, (list, tuple)):
             value = [str(item) for item in value if str(item)]
         expected = ''
@@ -79,21 +78,21 @@ class Spec:
         return value
 
     def descriptor(self) -> ParameterDescriptor:
-        """Describe the parameter to ROS."""
+        """Return the description of the parameter for ROS."""
         unit = f' [{self.unit}]' if self.unit else ''
-        made = ParameterDescriptor(
+        descriptor = ParameterDescriptor(
             name=self.name,
             description=self.text + unit,
             read_only=self.read_only,
             type=TYPES[type(self.default)][0],
-            dynamic_typing=True,  # `checked` takes 10 for 10.0
+            dynamic_typing=True,  # so that `checked` may accept 10 for 10.0
             additional_constraints=' | '.join(self.choices),
         )
         if math.isfinite(self.low) and math.isfinite(self.high):
-            made.floating_point_range = [
+            descriptor.floating_point_range = [
                 FloatingPointRange(from_value=self.low, to_value=self.high)
             ]
-        return made
+        return descriptor
 
 
 def fixed(
@@ -105,7 +104,7 @@ def fixed(
     high: float = math.inf,
     choices: tuple[str, ...] = (),
 ) -> Spec:
-    """Return a parameter that cannot be changed once its node runs."""
+    """Return a parameter that cannot be changed at run time."""
     return Spec(name, default, text, unit, low, high, True, choices)
 
 
@@ -124,7 +123,7 @@ class Parameters:
     """The parameters of a node, by name; always valid."""
 
     def __init__(self, node: Node, specs: Sequence[Spec]) -> None:
-        """Declare them; InputError when the node was started with an impossible one."""
+        """Declare them; InputError when the node was started with an invalid one."""
         self._node = node
         self._specs = {spec.name: spec for spec in specs}
         self._values: dict[str, Any] = {}
@@ -149,7 +148,7 @@ class Parameters:
         self, hooks: Mapping[str, Callable[[Any], object]], changed: Callable[[], None]
     ) -> None:
         """
-        Hear of changes at run time.
+        Set callbacks for changes at run time.
 
         Parameters
         ----------
@@ -162,7 +161,7 @@ class Parameters:
         self._hooks, self._changed = dict(hooks), changed
 
     def put_back(self, name: str, value: Any) -> None:
-        """Set a parameter to a value it had, without asking the hooks."""
+        """Restore an earlier value of a parameter without calling its hook."""
         hook = self._hooks.pop(name, None)
         self._node.set_parameters([Parameter(name, value=value)])
         if hook is not None:
@@ -194,7 +193,11 @@ def base_frame(parameters: Parameters | Mapping[str, Any], robot: str) -> str:
 NODES = 'driver', 'controller', 'monitor', 'viewer', 'teleop', 'robot_model'  # of launch files
 ALL = '/**'
 SPEC = re.compile(r"\b(?:Spec|fixed)\(\s*'(\w+)'")
-OF_ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides.')  # any node has them
+OF_ROS = (
+    'use_sim_time',
+    'start_type_description_service',
+    'qos_overrides.',
+)  # declared by every node
 
 
 def check_overrides(
@@ -208,12 +211,12 @@ def check_overrides(
     overrides : collection of str
         Names that the node was started with.
     known : collection of str
-        Names that it declares.
+        Names that the node declares.
     node : str
-        Its name, for the message.
+        Name of the node, for the message.
     arguments : sequence of str
-        The command line, for ROS: a section for all nodes of a file may name parameters of
-        another node of this package.
+        ROS arguments: the section for all nodes in a file may have parameters of another node of
+        this package.
 
     """
     unknown = [name for name in sorted(overrides) if name not in {*known}]
@@ -223,7 +226,9 @@ def check_overrides(
     for_all = {
         name for _, content in _files(arguments) for name in _sections(content).get(ALL, ())
     }
-    sources = Path(__file__).parents[1].rglob('*.py')  # to import all nodes takes long
+    sources = (
+        Path(__file__).parents[1].rglob('*.py')
+    )  # read as text, because to import all nodes takes long
     of_any = {name for file in sources for name in SPEC.findall(file.read_text(encoding='utf-8'))}
     for name in unknown:
         if name not in for_all & of_any:
@@ -237,20 +242,20 @@ def check_overrides(
 
 def check_files(arguments: Sequence[str], node: str) -> list[str]:
     """
-    Look for files of parameters that say nothing to a node.
+    Find files of parameters that have none for a node.
 
     Parameters
     ----------
     arguments : sequence of str
-        The command line, for ROS.
+        ROS arguments.
     node : str
         Name of the node, with its namespace.
 
     Returns
     -------
     list of str
-        What to warn of: files for other nodes of this package. Launch files may give one file to
-        several nodes.
+        Warnings about files for other nodes of this package: a launch file may give one file
+        to several nodes.
 
     Raises
     ------
@@ -261,24 +266,24 @@ def check_files(arguments: Sequence[str], node: str) -> list[str]:
     warnings = []
     for file, content in _files(arguments):
         keys = list(_sections(content))
-        # whether one means this node, as rcl has it
+        # whether one matches this node, by the rules of rcl
         escaped = [re.escape(key) for key in keys]
         patterns = [e.replace(r'/\*\*', '(/.+)?').replace(r'\*', '[^/]+') for e in escaped]
         if not keys or any(re.fullmatch(pattern, node) for pattern in patterns):
             continue
-        said = f'{file}: its parameters are for {", ".join(keys)}, not for {node}'
+        problem = f'{file}: its parameters are for {", ".join(keys)}, not for {node}'
         names = [key.rpartition('/')[2] for key in keys]
         if node.rpartition('/')[2] in names or not any(name in NODES for name in names):
-            raise InputError(f'{said}; write {node}: or /**: as the first line')
-        warnings.append(f'{said}, which takes none of them')
+            raise InputError(f'{problem}; write {node}: or /**: as the first line')
+        warnings.append(f'{problem}, which takes none of them')
     return warnings
 
 
 def _files(arguments: Sequence[str]) -> Iterator[tuple[str, Any]]:
-    """Read the files of parameters of a command line."""
+    """Yield path and content of the files of parameters among ROS arguments."""
     for flag, file in pairwise(arguments):
         if flag == '--params-file':
-            with contextlib.suppress(OSError, ValueError):  # rclpy has read it
+            with contextlib.suppress(OSError, ValueError):  # rclpy has reported it
                 yield file, parse_yaml(Path(file).read_text(encoding='utf-8'))
 
 
@@ -294,7 +299,7 @@ def _sections(content: Any, before: str = '') -> dict[str, dict[str, Any]]:
 
 
 def read_mapping(text: str, what: str) -> dict[str, Any]:
-    """Read a configuration: a path, the name of a file in config, or YAML text; '' is empty."""
+    """Read a configuration: a path, the name of a file in config, or YAML text; '': empty."""
     if text.strip() and '\n' not in text and ':' not in text:
         own = None if Path(text).is_file() else shared_file(f'config/{text}.yaml')
         path = own or Path(text)
@@ -312,7 +317,7 @@ def read_mapping(text: str, what: str) -> dict[str, Any]:
 
 
 def parsed(text: str, what: str, kind: type, expected: str = '') -> Any:
-    """Return YAML text of a kind, empty where there is none; InputError where it is not."""
+    """Parse YAML text as a list or dict, empty for no text; InputError: it is something else."""
     try:
         value = parse_yaml(text)
     except ValueError as error:
@@ -320,23 +325,23 @@ def parsed(text: str, what: str, kind: type, expected: str = '') -> Any:
     if value is None:
         return kind()
     if not isinstance(value, kind):
-        wanted = expected or f'a YAML {kind.__name__}'
-        raise InputError(f'{what}: expected {wanted}, got {value!r}')
+        description = expected or f'a YAML {kind.__name__}'
+        raise InputError(f'{what}: expected {description}, got {value!r}')
     return value
 
 
 class RemoteParameter:
-    """A parameter of another node, a text or a list of them; that node may come and go."""
+    """A parameter of another node, a text or a list of texts; the node may start and end."""
 
     def __init__(self, node: Node, other: str, name: str) -> None:
-        """Make the clients."""
+        """Create the clients."""
         self._name, self._other = name, other
         get = node.create_client(GetParameters, f'{other}/get_parameters')
         put = node.create_client(SetParametersAtomically, f'{other}/set_parameters_atomically')
         self._get, self._set = Question(get), Question(put)
 
     def ask(self, answer: Callable[[Any], object]) -> None:
-        """Ask for the value; call it now and then: what was never answered is said again."""
+        """Request the value; to be called periodically: it repeats overdue requests."""
         self._set.repeat()
 
         def done(response: GetParameters.Response) -> None:
@@ -349,7 +354,7 @@ class RemoteParameter:
         self._get.repeat()
 
     def put(self, value: str, answer: Callable[[bool, str], object]) -> None:
-        """Set the value; the answer is whether it was taken, and why not."""
+        """Set the value; `answer` gets whether it was accepted, and why not."""
         message = Parameter(self._name, value=value).to_parameter_msg()
         request = SetParametersAtomically.Request(parameters=[message])
 
@@ -361,23 +366,23 @@ class RemoteParameter:
 
 
 class Question:
-    """A request that is made again until it is answered; a new one takes its place."""
+    """A request that is repeated until it is answered; a new request replaces it."""
 
     def __init__(self, client: Client) -> None:
-        """Take the client."""
+        """Keep the client."""
         self._client = client
         self._future: Future | None = None
         self._request: object = None
         self._answer: Callable[..., object] | None = None
-        self._asked = 0.0
+        self._sent_at = 0.0
 
     @property
     def waiting(self) -> bool:
-        """Whether an answer is still to come."""
+        """Return whether an answer is pending."""
         return self._future is not None
 
     def ask(self, request: object, answer: Callable[..., object]) -> bool:
-        """Make a request; return whether the server is there."""
+        """Send a request; return whether the service exists."""
         if self._future is not None:
             self._client.remove_pending_request(self._future)
             self._future = None
@@ -388,13 +393,13 @@ class Question:
         return True
 
     def repeat(self) -> None:
-        """Make it again if the answer is overdue."""
-        if self._future is not None and time.monotonic() - self._asked > ANSWER_TIMEOUT_S:
+        """Repeat the request if its answer is overdue."""
+        if self._future is not None and time.monotonic() - self._sent_at > ANSWER_TIMEOUT_S:
             self._client.remove_pending_request(self._future)
             self._send()
 
     def _send(self) -> None:
-        self._asked = time.monotonic()
+        self._sent_at = time.monotonic()
         future = self._future = self._client.call_async(self._request)
 
         def done(answered: Future) -> None:

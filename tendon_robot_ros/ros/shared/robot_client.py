@@ -1,4 +1,4 @@
-"""Speaking to a running robot: targets, statuses, waiting; what the arm does meanwhile."""
+"""Client of a running robot: sends targets, reads statuses, waits; tip and commands meanwhile."""
 
 from __future__ import annotations
 
@@ -45,43 +45,43 @@ from .timing import NODE_TIMEOUT_S
 Array = NDArray[np.float64]
 SETTLED_CODES = ('reached', 'nearest', 'at_limit')
 WORKING_CODES = ('holding', 'searching', 'moving', 'playing', 'played', 'jogging', *SETTLED_CODES)
-# [s] over which a standing tip is averaged: ten frames at 30 Hz, so that the noise of a tracker
+# [s] over which a tip at rest is averaged: ten frames at 30 Hz, so that the noise of a tracker
 # falls to a third
 TIP_AVERAGE_S = 0.3
-# [m] between the mean tips of both halves of that while the arm counts as standing: with a noise
-# of 0.2 mm and five frames each, seven of eight standing arms would pass at once
+# [m] between the mean tips of both halves of that time while the arm counts as at rest: with a
+# noise of 0.2 mm and five frames each, seven of eight arms at rest would pass at once
 STILL_M = 3e-4
-# [s] to wait for an arm to stand, else one that vibrates would never be reported
+# [s] to wait for rest, else an arm that vibrates would never be reported
 STANDING_TIMEOUT_S = 4.0
-# [s] of the shortest move: ten cycles at the default rate, so that nothing is jumped to
+# [s] of the shortest move: ten cycles at the default rate, so that no command jumps
 MOVE_MIN_S = 0.05
-# [1] messages of a kind that are kept, so that those of an arm that stands for seconds are among
-# them, and the memory does not grow
-HEARD_MAX = 500
+# [1] messages kept of a kind, so that they cover several seconds of rest, and memory does not
+# grow
+MESSAGES_MAX = 500
 
 
 def add_controller(parser: argparse.ArgumentParser) -> None:
-    """Declare the name of the controller node."""
+    """Add the option for the name of the controller node."""
     text = 'of the node (default: controller)'
     parser.add_argument('--controller', default='controller', metavar='NAME', help=text)
 
 
 class RobotClient(Node):
     """
-    A node that speaks to a running robot as any other could: sends targets, reads statuses, waits.
+    A node that uses the topics of a running robot: sends targets, reads statuses, waits.
 
     Parameters
     ----------
     name : str
     ending : Ending
-        Tells that a signal came.
+        Request of a signal to end.
     namespace : str, optional
     base : str
         Frame of the targets.
     controller : str
         Name of the controller node.
     watched : sequence of str
-        Other nodes whose status is read.
+        Names of other nodes whose status is read.
 
     """
 
@@ -94,44 +94,44 @@ class RobotClient(Node):
         controller: str = 'controller',
         watched: Sequence[str] = (),
     ) -> None:
-        """Connect."""
+        """Create publishers and subscriptions."""
         super().__init__(name, namespace=namespace)
         self.ending, self._controller, self.base = ending, controller, base
         self.statuses: dict[str, dict[str, str]] = {node: {} for node in (controller, *watched)}
-        self._heard_at = 0.0  # [s] when the controller's status came
+        self._status_at = 0.0  # [s] when the controller's status came
         self._remotes: dict[tuple[str, str], RemoteParameter] = {}  # of (node, name)
         self._poses = self.create_publisher(PoseStamped, f'{controller}/target_pose', COMMAND)
         self._points = self.create_publisher(PointStamped, f'{controller}/target_point', COMMAND)
 
-        def hear(node: str, message: DiagnosticStatus) -> None:
+        def receive(node: str, message: DiagnosticStatus) -> None:
             self.statuses[node] = {**status_values(message), 'message': message.message}
             if node == controller:
-                self._heard_at = time.monotonic()
+                self._status_at = time.monotonic()
 
         for node in self.statuses:
             self.create_subscription(
-                DiagnosticStatus, f'{node}/status', partial(hear, node), LATCHED
+                DiagnosticStatus, f'{node}/status', partial(receive, node), LATCHED
             )
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self)
 
     def destroy_node(self) -> None:
-        """End the executor first: later it would find ROS shut down."""
+        """Shut down the executor and destroy the node."""
         self._executor.shutdown()
         super().destroy_node()
 
     @property
     def status(self) -> dict[str, str]:
-        """What the controller said last: `code`, `message` and its values; empty before."""
+        """The last status of the controller: `code`, `message` and values; empty before."""
         return self.statuses[self._controller]
 
     @property
     def has_listener(self) -> bool:
-        """Whether somebody takes targets."""
+        """Whether targets have a subscriber."""
         return bool(self._poses.get_subscription_count() and self._points.get_subscription_count())
 
     def send(self, position: Array, direction: Array | None) -> str:
-        """Send a target; return the stamp by which the controller names it."""
+        """Send a target, (3,) [m] and (3,) or None; return its stamp as the status reports it."""
         header = PoseStamped().header
         header.frame_id, header.stamp = self.base, stamp_now(self)
         if direction is None:
@@ -143,19 +143,19 @@ class RobotClient(Node):
         return stamp_text(header.stamp)
 
     def settled(self, stamp: str, codes: Sequence[str] = SETTLED_CODES) -> bool:
-        """Whether the controller has settled on its answer to what has this stamp."""
+        """Return whether the status has one of `codes` for the target with this stamp."""
         return self.status.get('target_stamp') == stamp and self.status['code'] in codes
 
     def wait(
         self, condition: Callable[[], object], timeout: float, what: str, strict: bool = True
     ) -> bool:
         """
-        Spin until something is true; raise, or return False, when it does not come.
+        Spin until a condition is true, at most `timeout` [s].
 
         Raises
         ------
         TendonRobotError
-            It did not come; says what the nodes say.
+            The condition stayed false, and `strict`; the text has the statuses of the nodes.
         KeyboardInterrupt
             A signal came.
 
@@ -175,13 +175,13 @@ class RobotClient(Node):
         return True
 
     def spin(self, seconds: float) -> None:
-        """Listen for a while."""
+        """Serve messages for some seconds."""
         end = time.monotonic() + seconds
-        while (left := end - time.monotonic()) > 0.0:
-            self.spin_once(left)
+        while (remaining := end - time.monotonic()) > 0.0:
+            self.spin_once(remaining)
 
     def triggered(self, name: str) -> str:
-        """Call a Trigger service; return its message, or raise what it refuses."""
+        """Call a Trigger service; return its message, raise TendonRobotError if it refuses."""
         client = self.create_client(Trigger, name)
         self.wait(client.service_is_ready, NODE_TIMEOUT_S, f'the service {name}')
         future = client.call_async(Trigger.Request())
@@ -199,7 +199,7 @@ class RobotClient(Node):
         self._executor.spin_once(timeout_sec=timeout)
 
     def parameter(self, name: str, node: str = '') -> Any:
-        """Return a parameter of a node, a text or a list of them; default: the controller."""
+        """Return a parameter, a text or a list of texts, of a node (default: the controller)."""
         node, values = node or self._controller, list[Any]()
         remote = self._remotes.setdefault((node, name), RemoteParameter(self, node, name))
 
@@ -211,17 +211,17 @@ class RobotClient(Node):
         return values[0]
 
     def put(self, name: str, value: str, timeout: float = NODE_TIMEOUT_S) -> tuple[bool, str]:
-        """Set a parameter of the controller that was read before; return if taken, or why not."""
+        """Set a parameter of the controller that was read before; return success and reason."""
         answers: list[tuple[bool, str]] = []
-        self._remotes[self._controller, name].put(value, lambda *said: answers.append(said))
+        self._remotes[self._controller, name].put(value, lambda *answer: answers.append(answer))
         end = time.monotonic() + timeout
         while not answers and time.monotonic() < end:
-            self._executor.spin_once(timeout_sec=SPIN_S)  # also after Ctrl-C
+            self._executor.spin_once(timeout_sec=SPIN_S)  # works after Ctrl-C, too
         return answers[0] if answers else (False, f'{self._controller} does not answer')
 
 
 class Pilot(RobotClient):
-    """One connection to a controller; what was heard since `clear` is kept."""
+    """A client of a controller that keeps tips and commands since `clear`."""
 
     def __init__(
         self,
@@ -231,7 +231,7 @@ class Pilot(RobotClient):
         namespace: str | None = None,
         watched: Sequence[str] = (),
     ) -> None:
-        """Connect."""
+        """Create publishers and subscriptions."""
         super().__init__(name, ending, namespace, controller=controller, watched=watched)
         self.inputs: tuple[str, ...] = ()
         self.pull = False
@@ -267,7 +267,7 @@ class Pilot(RobotClient):
         Raises
         ------
         TendonRobotError
-            It does not come, or takes no targets now.
+            The controller does not answer, or accepts no targets now.
 
         """
         self.wait(
@@ -277,7 +277,7 @@ class Pilot(RobotClient):
                 and self.status
                 and self.has_listener
                 and self._trajectories.get_subscription_count()
-                # else a tip that the driver measures might be missed
+                # else a tip that the driver publishes could be missed
                 and self.count_publishers('tendon_states')
             ),
             timeout,
@@ -294,10 +294,10 @@ class Pilot(RobotClient):
         self.require_good()
 
     def require_good(self) -> None:
-        """Raise what the controller says when it does not follow; old refusals do not count."""
+        """Raise TendonRobotError if the controller does not follow; old refusals do not count."""
         code = self.status.get('code', '')
         passing = code.startswith('refused_') or code == 'released'
-        old = passing and self._heard_at < self._since + TIP_AVERAGE_S
+        old = passing and self._status_at < self._since + TIP_AVERAGE_S
         if code not in WORKING_CODES and not old:
             raise TendonRobotError(f'the controller says {code}: {self.status.get("message")}')
 
@@ -308,13 +308,13 @@ class Pilot(RobotClient):
 
     @contextmanager
     def keeping_out(self, regions: str) -> Iterator[None]:
-        """Have the controller keep the arm out of regions, YAML text, besides its own."""
+        """Add keep-out regions (YAML text) to those of the controller within the context."""
 
         def put(text: str) -> None:
-            taken, why = self.put('keep_out', text)
-            if not taken:
+            accepted, reason = self.put('keep_out', text)
+            if not accepted:
                 node = self._controller
-                raise TendonRobotError(f'the regions of {node} were not changed: {why}')
+                raise TendonRobotError(f'the regions of {node} were not changed: {reason}')
 
         own = self.parameter('keep_out')
         put(joined(text_of(own), regions))
@@ -336,16 +336,16 @@ class Pilot(RobotClient):
         return stamp_text(stamp)
 
     def settle(self, stamp: str, timeout: float, what: str) -> None:
-        """Wait until the controller has settled on its answer to a target or a trajectory."""
+        """Wait until the status reports the result of a target or a trajectory."""
 
-        def done() -> bool:
+        def at_rest() -> bool:
             self.require_good()
             return self.settled(stamp, (*SETTLED_CODES, 'played'))
 
-        self.wait(done, timeout, what)
+        self.wait(at_rest, timeout, what)
 
     def stand(self) -> None:
-        """Wait until the tip has stood a moment, at most a few seconds: motors, trackers lag."""
+        """Wait until the tip is at rest, at most `STANDING_TIMEOUT_S`: motors, trackers lag."""
         end = time.monotonic() + STANDING_TIMEOUT_S
         self.spin(TIP_AVERAGE_S)
         while time.monotonic() < end:
@@ -356,30 +356,30 @@ class Pilot(RobotClient):
                 continue
             moved = places[late].mean(axis=0) - places[early & ~late].mean(axis=0)
             if np.linalg.norm(moved) < STILL_M:
-                self.spin(TIP_AVERAGE_S)  # `tip` then takes none of what was still on its way
+                self.spin(TIP_AVERAGE_S)  # so that `tip` averages no frames of the move
                 return
 
     def clear(self) -> None:
-        """Forget what was heard of tips and commands."""
-        for heard in self._tips.values():
-            del heard[:-1]
+        """Drop all but the last tips and commands."""
+        for samples in self._tips.values():
+            del samples[:-1]
         del self._commands[:-1]
         self._since = time.monotonic()
 
     def tips(self) -> tuple[bool, Array, Array, Array]:
-        """Return whether a tracker measures, and times (T,), positions, directions (T, 3)."""
+        """Return whether a tracker measures, times (T,) [s], positions (T, 3) [m], directions."""
         measured = len(self._tips['measured']) > 1
-        heard = self._tips['measured' if measured else 'predicted']
-        times, places, views = zip(*heard, strict=True)
+        samples = self._tips['measured' if measured else 'predicted']
+        times, places, views = zip(*samples, strict=True)
         return measured, np.array(times), np.array(places), np.array(views)
 
     def commands(self) -> tuple[Array, Array]:
-        """Return times (C,) and commands (C, m) [N] or [m]."""
+        """Return times (C,) [s] and commands (C, m) [N], or [m] in pull mode."""
         times, values = zip(*self._commands, strict=True)
         return np.array(times), np.array(values)
 
     def tip(self) -> tuple[Array, Array]:
-        """Return the mean position [m] and the direction of the tip over the last moment."""
+        """Return mean position (3,) [m] and direction (3,) of the tip over `TIP_AVERAGE_S`."""
         _, times, places, views = self.tips()
         recent = times > times[-1] - TIP_AVERAGE_S
         along = views[recent].mean(axis=0)

@@ -1,5 +1,5 @@
 """
-Running a node so that it ends safe: own signal handling, one executor, a safe end.
+Running a node so that it ends safely: signal handling, one executor, an orderly end.
 
 Nodes reach each other by UDP, on one machine too. Fast DDS, the usual middleware of Jazzy, has a
 shared-memory transport besides. A process that is killed while it holds a lock there, or leaves a
@@ -45,8 +45,8 @@ from ...common.processes import (
 )
 from .timing import SILENCE_S, VALUES_PERIOD_S
 
-given: list[str] = []  # what this process was told on its command line, for ROS
-RANGE, ONLY_HERE = 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_LOCALHOST_ONLY'
+given: list[str] = []  # the ROS arguments of this process
+RANGE, LOCALHOST_ONLY = 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_LOCALHOST_ONLY'
 TRANSPORTS, PROFILES = 'FASTDDS_BUILTIN_TRANSPORTS', 'FASTRTPS_DEFAULT_PROFILES_FILE'
 # [s] because launch passes on the signal that the terminal or systemd has sent to all, too: an
 # echo that comes so soon would else end a node before it has let the arm go
@@ -59,35 +59,35 @@ END_TIMEOUT_S = 5.0
 
 class Ending:
     """
-    Tells that a signal asked the process to end; one a while later ends it at once.
+    The request of a signal to end the process; a second signal later ends it at once.
 
-    A thread hears of the signal from the C part of Python. What Python itself calls waits until
-    the main thread comes back to it, a tenth of a second in an executor and longer in a model.
+    A thread receives the signal from the C part of Python. A handler of Python would wait until
+    the main thread returns to the interpreter: 0.1 s in an executor, and longer in a model.
     """
 
     current: Ending | None = None
 
     def __init__(self, first: bool = False) -> None:
-        """Nothing was asked yet; `first`: the process goes before others."""
+        """Start without a request; `first`: the process has priority over others."""
         self.signal, self.first, self.over = 0, first, False
-        self._asked = 0.0
+        self._requested_at = 0.0
         self._actions: list[Callable[[], object]] = []
         Ending.current = self
 
     def then(self, action: Callable[[], object]) -> None:
-        """Do something in the thread that hears the signal, as soon as it comes."""
+        """Have a function called in the thread that receives the signal, as soon as it comes."""
         self._actions.append(action)
         if self.signal:
             action()
 
-    def asked(self, number: int) -> None:
-        """Take a signal."""
+    def request(self, number: int) -> None:
+        """Handle a signal."""
         now = time.monotonic()
         if self.signal:
-            if now - self._asked > SIGNAL_ECHO_S and number != signal.SIGHUP:
+            if now - self._requested_at > SIGNAL_ECHO_S and number != signal.SIGHUP:
                 os._exit(128 + number)
             return
-        self.signal, self._asked = number, now
+        self.signal, self._requested_at = number, now
         for action in self._actions:
             try:
                 action()
@@ -96,50 +96,50 @@ class Ending:
 
     @contextlib.contextmanager
     def listening(self) -> Iterator[None]:
-        """Hear the signals."""
+        """Receive signals within the context."""
 
         def listen() -> None:
-            while data := here.recv(16):
+            while data := receiver.recv(16):
                 for number in data:
-                    if number in wanted:
-                        self.asked(number)
+                    if number in signals:
+                        self.request(number)
 
-        wanted = ending_signals()
-        here, there = socket.socketpair()
-        there.setblocking(False)
+        signals = ending_signals()
+        receiver, sender = socket.socketpair()
+        sender.setblocking(False)
         thread = threading.Thread(target=listen, name='signals', daemon=True)
         thread.start()
-        told = signal.set_wakeup_fd(there.fileno(), warn_on_full_buffer=False)
-        before = {number: signal.signal(number, lambda *_: None) for number in wanted}
+        previous = signal.set_wakeup_fd(sender.fileno(), warn_on_full_buffer=False)
+        handlers = {number: signal.signal(number, lambda *_: None) for number in signals}
         try:
             yield
         finally:
-            for number, handler in before.items():  # what ends by itself is not ended by an echo
+            for number, handler in handlers.items():  # what ends by itself is not ended by an echo
                 signal.signal(number, signal.SIG_IGN if self.over else handler)
-            signal.set_wakeup_fd(told)
-            there.close()
+            signal.set_wakeup_fd(previous)
+            sender.close()
             thread.join()
-            here.close()
+            receiver.close()
 
 
-def asked_to_end() -> bool:
-    """Whether a signal came; for what takes long and can be cancelled."""
+def end_requested() -> bool:
+    """Return whether a signal came; for long work that can be cancelled."""
     return Ending.current is not None and bool(Ending.current.signal)
 
 
-def goes_first() -> bool:
-    """Whether this process was started to move motors."""
+def has_priority() -> bool:
+    """Return whether this process has priority: it was started to move motors."""
     return Ending.current is not None and Ending.current.first
 
 
-def when_asked_to_end(action: Callable[[], object]) -> None:
-    """Have something done as soon as a signal comes, by another thread."""
+def on_end_request(action: Callable[[], object]) -> None:
+    """Have a function called by another thread as soon as a signal comes."""
     if Ending.current is not None:
         Ending.current.then(action)
 
 
 class Runnable:
-    """What `run` asks of a node; a node inherits it before its class of rclpy."""
+    """The interface that `run` expects of a node, inherited before the class of rclpy."""
 
     @property
     def node(self) -> Node:
@@ -147,40 +147,40 @@ class Runnable:
         return cast(Node, self)
 
     def start(self) -> None:
-        """Begin; called once before the first spin."""
+        """Start; called once before the first spin."""
 
     def running(self) -> bool:
-        """Whether to go on; asked after every spin."""
+        """Return whether to go on; called after every spin."""
         return True
 
     def end(self) -> None:
-        """End safe, while messages still go out."""
+        """End safely, while messages are still sent."""
 
 
 def without_shared_memory() -> None:
     """
-    Have the nodes of this process, and of its children, do without the shared memory of Fast DDS.
+    Disable the shared memory of Fast DDS for the nodes of this process and its children.
 
-    To be called before the first node. Who has set transports or a profile of his own keeps them;
+    Call it before the first node is created. Transports or a profile that the user has set stay;
     other middlewares do not read these variables. rmw_fastrtps adds the shared memory by itself
-    where `ROS_AUTOMATIC_DISCOVERY_RANGE` is LOCALHOST; a profile then says what that means. With
-    `ROS_STATIC_PEERS` it cannot, and the shared memory stays.
+    where `ROS_AUTOMATIC_DISCOVERY_RANGE` is LOCALHOST; a profile then defines that range. With
+    `ROS_STATIC_PEERS` a profile cannot, and the shared memory stays.
     """
     if os.environ.get(TRANSPORTS) or os.environ.get(PROFILES):
         return
     os.environ[TRANSPORTS] = 'UDPv4'
-    here = os.environ.get(RANGE) == 'LOCALHOST' or os.environ.get(ONLY_HERE) == '1'
+    localhost = os.environ.get(RANGE) == 'LOCALHOST' or os.environ.get(LOCALHOST_ONLY) == '1'
     profile = shared_file('config/fastdds_localhost.xml')
-    if here and profile is not None and not os.environ.get('ROS_STATIC_PEERS'):
+    if localhost and profile is not None and not os.environ.get('ROS_STATIC_PEERS'):
         os.environ[PROFILES] = str(profile)
         os.environ[RANGE] = 'SYSTEM_DEFAULT'
-        os.environ.pop(ONLY_HERE, None)
+        os.environ.pop(LOCALHOST_ONLY, None)
 
 
 @contextlib.contextmanager
 def ros(arguments: Sequence[str], first: bool = False) -> Iterator[Ending]:
     """
-    Hold ROS open; signals set a flag instead of closing it under the safe end.
+    Initialise ROS for a context; a signal sets a flag, so that nodes can end safely.
 
     Yields
     ------
@@ -194,7 +194,7 @@ def ros(arguments: Sequence[str], first: bool = False) -> Iterator[Ending]:
     given[:] = arguments
     try:
         rclpy.init(args=['node', *arguments], signal_handler_options=SignalHandlerOptions.NO)
-    except Exception as error:  # RCLError, UnknownROSArgsError: what a person typed
+    except Exception as error:  # RCLError, UnknownROSArgsError: arguments of the user
         raise InputError(f'ROS arguments: {str(error).split(", at /")[0]}') from None
     try:
         with ending.listening():
@@ -205,10 +205,10 @@ def ros(arguments: Sequence[str], first: bool = False) -> Iterator[Ending]:
 
 def make_executor() -> Executor:
     """
-    Return the executor that costs least.
+    Return the executor that needs the least processor time.
 
-    The one that is driven by events takes half the processor time of the other, which makes a new
-    wait set for every message; it is young, and not in every rclpy.
+    The executor of events needs half the time of the other, which creates a wait set for every
+    message; not every rclpy has it.
     """
     try:
         from rclpy.experimental.events_executor import EventsExecutor
@@ -219,10 +219,10 @@ def make_executor() -> Executor:
 
 def repeat(node: Node, period: float, action: Callable[[], object]) -> Any:
     """
-    Have an executor call something every `period` seconds; return the timer.
+    Have an executor call a function every `period` [s]; return the timer.
 
-    By a clock that nobody sets: that of ROS stands still when the computer's is set back, and with
-    `use_sim_time` until somebody publishes `/clock`.
+    Its clock is monotonic: that of ROS stands still when the computer's is set back, and with
+    `use_sim_time` until `/clock` is published.
     """
     return node.create_timer(period, action, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -234,11 +234,11 @@ def run(make: Callable[[], Runnable], arguments: Sequence[str], first: bool = Fa
     Parameters
     ----------
     make : callable
-        Makes the node.
+        Creates the node.
     arguments : sequence of str
         As on the command line.
     first : bool
-        It moves motors: it goes before other work of the machine, where that is allowed.
+        Whether it moves motors: it then has priority over other work, where that is allowed.
 
     Returns
     -------
@@ -257,9 +257,9 @@ def run(make: Callable[[], Runnable], arguments: Sequence[str], first: bool = Fa
         try:
             runnable = make()
             executor.add_node(runnable.node)
-            ending.then(lambda: executor.create_task(lambda: None))  # wakes it
+            ending.then(lambda: executor.create_task(lambda: None))  # ends its wait
             runnable.start()
-            gc.freeze()  # what is imported stays: a collection need not look at it
+            gc.freeze()  # imported objects stay: a collection need not scan them
             while not ending.signal and runnable.running():
                 executor.spin_once(timeout_sec=SPIN_S)
         except TendonRobotError as error:
@@ -288,15 +288,15 @@ class NodeProcess:
     Parameters
     ----------
     name : str
-        As on the command line.
+        Of the command that starts it.
     parameters : mapping
-        ROS parameters; text is quoted as YAML.
+        ROS parameters: name -> value.
     namespace : str
-        Both for its topics and for the node.
+        Of the node and its topics.
     output : file, optional
-        Where its messages go; default: where those of this process go.
+        Receives its messages; default: the output of this process.
     extra, own : sequence of str
-        More of ROS, and of its own arguments.
+        Further arguments of ROS, and its own.
 
     """
 
@@ -309,7 +309,7 @@ class NodeProcess:
         extra: Sequence[str] = (),
         own: Sequence[str] = (),
     ) -> None:
-        """Start it; it gets SIGINT when this process dies, however that happens."""
+        """Start the process; it gets SIGINT when this one dies, however that happens."""
         arguments = [*ros_arguments(parameters, namespace), *extra]
         self.name = name
         self.process = subprocess.Popen(
@@ -323,7 +323,7 @@ class NodeProcess:
         )
 
     def end(self, timeout: float = END_TIMEOUT_S) -> int:
-        """Ask it to end safe, wait, and kill it if it does not; return the exit code."""
+        """Send SIGINT, wait, and kill the process after `timeout` [s]; return the exit code."""
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
             try:
@@ -337,14 +337,14 @@ class NodeProcess:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End it."""
+        """End the process."""
         self.end()
 
 
 def ros_arguments(parameters: Mapping[str, object], namespace: str) -> list[str]:
-    """Return what a command line says of parameters, as YAML, and namespace."""
+    """Return the command-line arguments for parameters (as YAML) and a namespace."""
     arguments = ['--ros-args', '-r', f'__ns:={namespace}']
     for key, value in parameters.items():
-        # JSON is YAML: text stays text, whatever is in it
+        # JSON is YAML: quoted text stays text
         arguments += ['-p', f'{key}:={json.dumps(value, ensure_ascii=False, default=str)}']
     return arguments

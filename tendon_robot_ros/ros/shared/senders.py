@@ -1,8 +1,8 @@
 """
-Several publishers of a topic: one is followed until it is gone, the others are named.
+Several publishers of a topic: one is followed until it is gone, the others are reported.
 
-Every message comes with the gid of its publisher, which a node also knows of all publishers of a
-topic, with the names of their nodes.
+Every message comes with the gid of its publisher. A node knows the gids of all publishers of a
+topic, and the names of their nodes.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
-from .inbox import SPARE_BYTES, UNTOLD, Received
+from .inbox import SPARE_BYTES, UNKNOWN_GID, Received
 from .timing import SILENCE_S, VALUES_PERIOD_S
 
-UNDISCOVERED = '_NODE_NAME_UNKNOWN_'  # of rmw, while discovery is under way
-# [1] publishers that are named, because anybody may publish anything, and more do not fit a status
+UNDISCOVERED = '_NODE_NAME_UNKNOWN_'  # the name that rmw gives until discovery has ended
+# [1] publishers that are reported, because any number may exist and more do not fit a status
 NAMED_MAX = 8
 PF_EXITING = 0x4  # [1] flag of a process, manual of proc(5): include/linux/sched.h
 CREDENTIALS = struct.Struct('3i')  # struct ucred of unix(7): process, user, group
@@ -40,18 +40,19 @@ class _Gid(ctypes.Structure):
 
 
 def gid_of(publisher: Publisher) -> bytes:
-    """Return the gid of a publisher of this process, `UNTOLD` where it is not told."""
+    """Return the gid of a publisher of this process, `UNKNOWN_GID` where rmw has none."""
     gid = _Gid()
     try:
-        library = ctypes.CDLL('librcl.so')  # symbols of the middleware below it are found, too
-        find, tell = library.rcl_publisher_get_rmw_handle, library.rmw_get_gid_for_publisher
+        library = ctypes.CDLL('librcl.so')  # also resolves the symbols of the middleware
+        get_handle = library.rcl_publisher_get_rmw_handle
+        get_gid = library.rmw_get_gid_for_publisher
     except (OSError, AttributeError):
-        return UNTOLD
-    find.restype = ctypes.c_void_p
+        return UNKNOWN_GID
+    get_handle.restype = ctypes.c_void_p
     with publisher.handle:
-        handle = ctypes.c_void_p(find(ctypes.c_void_p(publisher.handle.pointer)))
-        failed = tell(handle, ctypes.byref(gid))
-    return UNTOLD if failed else bytes(gid.publisher)
+        handle = ctypes.c_void_p(get_handle(ctypes.c_void_p(publisher.handle.pointer)))
+        failed = get_gid(handle, ctypes.byref(gid))
+    return UNKNOWN_GID if failed else bytes(gid.publisher)
 
 
 def gid_text(gid: bytes) -> str:
@@ -64,47 +65,48 @@ def _socket_name(gid: bytes) -> str:
 
 
 def process_of(gid: bytes) -> int:
-    """Return the number of the process of a publisher; 0: not on this computer, or not told."""
+    """Return the process id of a publisher; 0: on another computer, or unknown."""
     try:
-        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asking:
-            asking.setblocking(False)
-            asking.connect(_socket_name(gid))
-            said = asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, CREDENTIALS.size)
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
+            connection.setblocking(False)
+            connection.connect(_socket_name(gid))
+            level, option = socket.SOL_SOCKET, socket.SO_PEERCRED
+            credentials = connection.getsockopt(level, option, CREDENTIALS.size)
     except OSError:
         return 0
-    return int(CREDENTIALS.unpack(said)[0])
+    return int(CREDENTIALS.unpack(credentials)[0])
 
 
 class SenderProcess:
     """
-    The process of a publisher, if it is known: its death is seen at once.
+    The process of a publisher, if it is known; its death is detected at once.
 
-    Silence alone would tell only after its time-out, and a pidfd when all its threads have had
-    processor time to die and its memory is given back, which takes long on a busy machine. That
-    its main thread is exiting is seen before: proc(5), state and flags.
+    Silence shows a death only after its time-out, and a pidfd only when all its threads have
+    ended and its memory is released, which takes long on a busy machine. The state and flags of
+    its main thread show earlier that it is exiting: proc(5).
     """
 
     def __init__(self, number: int) -> None:
-        """Look at a process; 0: at none."""
+        """Open the state of a process by its id; 0: of none."""
         self._file: int | None = None
         if number:
             with contextlib.suppress(OSError):
-                # of its main thread: the kernel need not add up those of all
+                # of its main thread: the kernel then adds up no times of the others
                 self._file = os.open(f'/proc/{number}/task/{number}/stat', os.O_RDONLY)
 
     @property
     def died(self) -> bool:
-        """Whether it has ended since."""
+        """Whether the process has ended."""
         if self._file is None:
             return False
         try:
-            said = os.pread(self._file, 1024, 0).rpartition(b') ')[2].split()
+            fields = os.pread(self._file, 1024, 0).rpartition(b') ')[2].split()
         except ProcessLookupError:
             return True
-        return said[0] in (b'Z', b'X') or bool(int(said[6]) & PF_EXITING)
+        return fields[0] in (b'Z', b'X') or bool(int(fields[6]) & PF_EXITING)
 
     def close(self) -> None:
-        """Look no more."""
+        """Close the file of its state."""
         if self._file is not None:
             os.close(self._file)
             self._file = None
@@ -112,28 +114,28 @@ class SenderProcess:
 
 class Senders:
     """
-    Tells whose messages count.
+    Selects the publisher whose messages count.
 
-    A message tells its publisher. Where the middleware does not say it, publishers are told apart
-    by the numbers that it gives to the messages of each, which grow.
+    A message carries the gid of its publisher. Where the middleware gives none, publishers are
+    distinguished by the sequence numbers of their messages, which increase.
     """
 
     def __init__(self) -> None:
-        """Nobody was heard."""
+        """Start without a publisher."""
         self._first: bytes | None = None
         self._number = 0
-        self._heard_at = float('-inf')
-        self._others: dict[bytes, float] = {}  # publisher -> when it was heard [s]
+        self._received_at = float('-inf')
+        self._others: dict[bytes, float] = {}  # gid -> when its last message came [s]
         self._process = SenderProcess(0)
         self.new = False  # whether the last message that counts was the first of its publisher
 
-    def counts(self, now: float, heard: Received[Any]) -> bool:
-        """Whether a message is of the one to follow; the first to come is followed."""
-        publisher = heard.publisher
-        number = heard.number or 0  # 0 where the middleware does not count
-        known = now - self._heard_at <= SILENCE_S
+    def counts(self, now: float, received: Received[Any]) -> bool:
+        """Return whether a message is of the publisher that is followed: the first that sends."""
+        publisher = received.publisher
+        number = received.number or 0  # 0 where the middleware does not count
+        known = now - self._received_at <= SILENCE_S
         if known and (publisher != self._first or 0 < number <= self._number):
-            if publisher not in self._others:  # takes the place of those who are silent
+            if publisher not in self._others:  # it replaces those that are silent
                 self._others = {one: self._others[one] for one in self.others(now)}
             if publisher in self._others or len(self._others) < NAMED_MAX:
                 self._others[publisher] = now
@@ -143,49 +145,49 @@ class Senders:
             self._others = {}
             self._process.close()
             self._process = SenderProcess(process_of(publisher))
-        self._first, self._number, self._heard_at = publisher, number, now
+        self._first, self._number, self._received_at = publisher, number, now
         return True
 
     def died(self) -> bool:
-        """Whether the process of the one who is followed has just ended; said once."""
+        """Return, once, whether the process of the followed publisher has ended."""
         died = self._process.died
         if died:
-            self._heard_at = float('-inf')  # the next to come is followed
+            self._received_at = float('-inf')  # the next publisher that sends is followed
             self._process.close()
         return died
 
     def first(self, now: float) -> bytes | None:
-        """Return who is followed, None while there is nobody."""
-        return None if now - self._heard_at > SILENCE_S else self._first
+        """Return the gid of the followed publisher, None while there is none."""
+        return None if now - self._received_at > SILENCE_S else self._first
 
     def others(self, now: float) -> list[bytes]:
-        """Return who is heard besides."""
+        """Return the gids of the other publishers that have sent within `SILENCE_S`."""
         return [one for one, at in list(self._others.items()) if now - at <= SILENCE_S]
 
 
 class PublisherNames:
-    """Names the publishers of a topic: node, and process where that is of this computer."""
+    """Names of the publishers of a topic: node, and process if it is on this computer."""
 
     def __init__(self, node: Node, topic: str) -> None:
-        """Know of nobody."""
+        """Start without names."""
         self._node, self._topic = node, topic
         self._known: dict[bytes, str] = {}
-        self._looked = float('-inf')
+        self._checked_at = float('-inf')
 
     def known(self, publisher: bytes) -> bool:
-        """Whether it has been named."""
+        """Return whether a gid has a name."""
         return publisher in self._known
 
     def of(self, publishers: Collection[bytes]) -> str:
-        """Return the names of publishers, '' for none; looked up ten times a second at most."""
+        """Return the names of publishers, '' for none; checked at most ten times a second."""
         now = time.monotonic()
-        if now - self._looked >= VALUES_PERIOD_S and not self._known.keys() >= set(publishers):
-            self._looked = now
-            there = _discovered(self._node, self._topic)
-            for gid, name in there.items():
+        if now - self._checked_at >= VALUES_PERIOD_S and not self._known.keys() >= set(publishers):
+            self._checked_at = now
+            discovered = _discovered(self._node, self._topic)
+            for gid, name in discovered.items():
                 process = process_of(gid)
-                there[gid] = f'{name} (process {process})' if process else name
-            self._known = there | {k: v for k, v in self._known.items() if k in publishers}
+                discovered[gid] = f'{name} (process {process})' if process else name
+            self._known = discovered | {k: v for k, v in self._known.items() if k in publishers}
         unknown = 'a node that is not discovered'
         return ', '.join(sorted(self._known.get(one, unknown) for one in publishers))
 
@@ -195,48 +197,48 @@ def _discovered(node: Node, topic: str) -> dict[bytes, str]:
     return {
         bytes(one.endpoint_gid): f'{one.node_namespace.rstrip("/")}/{one.node_name}'
         for one in node.get_publishers_info_by_topic(topic)
-        if one.node_name != UNDISCOVERED  # a moment later it is known
+        if one.node_name != UNDISCOVERED  # its name is known a moment later
     }
 
 
 class OwnPublisher:
     """
-    What a node offers of its publisher, and asks of the others of the same topic.
+    Makes the process of a publisher known to other nodes, and lists the other publishers.
 
-    It offers a socket whose name leads to its process: unix(7), abstract. That name is the
-    kernel's: it needs no file, is gone with its process, and is found by processes of the same
-    computer (of the same network namespace) alone.
+    A socket in the abstract namespace of unix(7) leads to its process: such a name needs no file,
+    ends with its process, and is visible to processes of the same computer (of the same network
+    namespace) alone.
     """
 
     def __init__(self, node: Node, publisher: Publisher) -> None:
-        """Offer the socket, on Linux, where the publisher has a gid."""
+        """Open the socket, on Linux, where the publisher has a gid."""
         self._node, self._topic = node, publisher.topic_name
-        self._names, self._looked = '', float('-inf')
+        self._names, self._checked_at = '', float('-inf')
         self.gid = gid_of(publisher)
         self._socket: socket.socket | None = None
-        if self.gid != UNTOLD:
+        if self.gid != UNKNOWN_GID:
             with contextlib.suppress(OSError):  # no Linux
-                made = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-                made.bind(_socket_name(self.gid))
-                # who connects asks the kernel, not this process: nobody accepts. The queue holds
-                # as many as the kernel lets it, one for each who has looked since the start
-                made.listen(socket.SOMAXCONN)
-                self._socket = made
+                listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+                listener.bind(_socket_name(self.gid))
+                # the kernel answers a client, so that no connection is accepted. The queue is as
+                # long as the kernel allows: one entry for each client since the start
+                listener.listen(socket.SOMAXCONN)
+                self._socket = listener
 
     def others(self, now: float) -> str:
-        """Return the nodes that publish the same, before they have said anything; '': none."""
-        if now - self._looked >= VALUES_PERIOD_S:
-            self._looked, names = now, list[str]()
+        """Return the other nodes that publish the topic, even before they send; '': none."""
+        if now - self._checked_at >= VALUES_PERIOD_S:
+            self._checked_at, names = now, list[str]()
             if self._node.count_publishers(self._topic) > 1:
                 names = sorted(_discovered(self._node, self._topic).values())
             own = self._node.get_fully_qualified_name()
-            if own in names:  # once: another process may have the same name
+            if own in names:  # only once: another process may have the same name
                 names.remove(own)
             self._names = ', '.join(names[:NAMED_MAX])
         return self._names
 
     def close(self) -> None:
-        """Be found no more."""
+        """Close the socket."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None

@@ -1,4 +1,4 @@
-"""Stopping every node that can be stopped, through ROS: services and topics of all namespaces."""
+"""Stop every node that can be stopped, by the services and topics of all namespaces."""
 
 from __future__ import annotations
 
@@ -22,37 +22,37 @@ from ...common.processes import go_realtime
 from .runtime import ros
 from .timing import NEWS_PERIOD_S, STOP_ANSWER_S
 
-# [1] the last message, also for who comes later: matches subscribers of every kind, without a
+# [1] keeps the last message for later subscribers and matches every subscription, without a
 # warning; not from messages.py, because that takes 0.9 s to import (measured)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 TRIGGER, BOOL = 'std_srvs/srv/Trigger', 'std_msgs/msg/Bool'
 STATUS = 'diagnostic_msgs/msg/DiagnosticStatus'
-# [s] for all to be found and to answer, as docs/safety.md says: on a busy machine some are found a
-# second after others
+# [s] for all nodes to be discovered and to answer (docs/safety.md): on a busy machine some are
+# discovered a second after others
 STOP_S = 2.0
-# [s] of that for all who hear the topic to acknowledge that the cause is gone, so that no false is
-# lost when its publisher leaves: forty cycles at the default rate
+# [s] of that for all subscribers to acknowledge that the cause is cleared, so that no false is
+# lost when its publisher is destroyed: forty cycles at the default rate
 ACKNOWLEDGE_S = 0.1 * STOP_S
 
 
-def stop_found(
+def stop_nodes(
     ros_arguments: Sequence[str], below: str, local: Mapping[Stoppable, bool]
 ) -> dict[str, tuple[bool, str]]:
     """
-    Stop all that is found, besides what was stopped past ROS.
+    Stop every node that is discovered, and add the results of the local stop.
 
     Parameters
     ----------
     ros_arguments : sequence of str
     below : str
-        Namespace: only nodes in it and below it.
+        Namespace; only nodes in it or below it are stopped.
     local : mapping
-        Who was told past ROS, and whether it has said that it is stopped.
+        Node stopped without ROS -> whether it has confirmed the stop.
 
     Returns
     -------
     dict
-        Of every node, whether it drives motors, and why it has not stopped, '' if it has.
+        Name of a node -> whether it drives motors, and why it has not stopped ('': it has).
 
     """
     with ros(ros_arguments):
@@ -60,13 +60,13 @@ def stop_found(
         go_realtime()  # discovery, too, on a busy machine
         try:
             person.stop({who.node for who, stopped in local.items() if stopped})
-            found = person.said()
+            results = person.results()
         finally:
             person.close()
     for who, stopped in local.items():
-        _, why = found.get(who.node, (who.drives, NO_ANSWER))
-        found[who.node] = who.drives, '' if stopped else why
-    return found
+        _, why = results.get(who.node, (who.drives, NO_ANSWER))
+        results[who.node] = who.drives, '' if stopped else why
+    return results
 
 
 NO_ANSWER = 'does not answer'
@@ -74,94 +74,94 @@ NO_ANSWER = 'does not answer'
 
 @dataclass
 class Stopping:
-    """A node that can be stopped, and what it has said to it."""
+    """A node that can be stopped, and its answers."""
 
     client: Client
-    drives: bool  # motors
-    asked: float = float('-inf')  # [s]
+    drives: bool  # whether it drives motors
+    requested_at: float = float('-inf')  # [s] when it was last called
     futures: list[Future] = field(default_factory=list)
 
     @property
     def why(self) -> str:
-        """Why it has not stopped, '' if it has said so."""
+        """Why it has not stopped, '' if it has confirmed the stop."""
         answers = [future.result() for future in self.futures if future.done()]
         if any(answer.success for answer in answers):
             return ''
         return f'refuses: {answers[-1].message}' if answers else NO_ANSWER
 
     def ask(self, now: float) -> None:
-        """Call its service, again where the answer is overdue."""
-        if self.why and now - self.asked > STOP_ANSWER_S and self.client.service_is_ready():
-            self.asked = now
+        """Call its service; repeat the call when the answer is overdue."""
+        if self.why and now - self.requested_at > STOP_ANSWER_S and self.client.service_is_ready():
+            self.requested_at = now
             self.futures.append(self.client.call_async(Trigger.Request()))
 
 
 class Person(Node):
-    """Finds what can be stopped, and stops it."""
+    """Discovers the nodes that can be stopped, and stops them."""
 
     def __init__(self, below: str) -> None:
-        """Join the network."""
+        """Create the node and its executor."""
         name = f'stop_{os.getpid()}'
         super().__init__(name, start_parameter_services=False, enable_rosout=False)
         self._below = below.rstrip('/') + '/'
-        self._found: dict[str, Stopping] = {}
+        self._targets: dict[str, Stopping] = {}
         self._topics: dict[str, Publisher] = {}
-        self._heard: dict[str, int] = {}  # topic -> how many listened when it was last said
+        self._subscribers: dict[str, int] = {}  # topic -> subscriptions at the last message
         self._began = time.monotonic()
         self._spinning = SingleThreadedExecutor()
         self._spinning.add_node(self)
 
     def stop(self, stopped: Set[str]) -> None:
-        """Stop what is found as soon as it is found, until the time is over; some have said so."""
+        """Stop nodes as soon as they are discovered, for `STOP_S`; `stopped` have confirmed."""
         while (now := time.monotonic()) - self._began < STOP_S - ACKNOWLEDGE_S:
-            self._look()
-            for one in self._found.values():
+            self._discover()
+            for one in self._targets.values():
                 one.ask(now)
             for topic, publisher in self._topics.items():
                 count = publisher.get_subscription_count()
-                if count > self._heard.get(topic, 0):  # somebody new listens
+                if count > self._subscribers.get(topic, 0):  # there is a new subscription
                     publisher.publish(Bool(data=True))
-                self._heard[topic] = count
+                self._subscribers[topic] = count
             self._spinning.spin_once(timeout_sec=NEWS_PERIOD_S)
-        if not any(one.why for name, one in self._found.items() if name not in stopped):
-            # the services have latched the stop: the cause is gone, as the topics say then
+        if not any(one.why for name, one in self._targets.items() if name not in stopped):
+            # the services have latched the stop: a false clears the cause of the topic
             for topic, publisher in self._topics.items():
-                if self._heard.get(topic):
+                if self._subscribers.get(topic):
                     publisher.publish(Bool(data=False))
             for publisher in self._topics.values():
                 publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGE_S))
 
-    def said(self) -> dict[str, tuple[bool, str]]:
-        """Return of every node whether it drives, and why it has not stopped."""
-        return {name: (one.drives, one.why) for name, one in self._found.items()}
+    def results(self) -> dict[str, tuple[bool, str]]:
+        """Return name -> whether it drives motors, and why it has not stopped."""
+        return {name: (one.drives, one.why) for name, one in self._targets.items()}
 
     def close(self) -> None:
-        """Leave."""
+        """Shut down the executor and destroy the node."""
         self._spinning.shutdown()
         self.destroy_node()
 
-    def _look(self) -> None:
-        """Look for nodes with services stop and reset and a status."""
+    def _discover(self) -> None:
+        """Discover nodes with the services stop and reset and a status."""
         services = {n for n, kinds in self.get_service_names_and_types() if TRIGGER in kinds}
         topics = dict(self.get_topic_names_and_types())
         for service in services:
             name = service.removesuffix('/stop')
-            if name in self._found or name == service or not service.startswith(self._below):
+            if name in self._targets or name == service or not service.startswith(self._below):
                 continue
             if f'{name}/reset' in services and STATUS in topics.get(f'{name}/status', []):
                 client = self.create_client(Trigger, service)
-                self._found[name] = Stopping(client, f'{name}/reboot' in services)
-        for name in self._found:
+                self._targets[name] = Stopping(client, f'{name}/reboot' in services)
+        for name in self._targets:
             for topic in self._stop_topics(name):
                 if topic not in self._topics:
                     self._topics[topic] = self.create_publisher(Bool, topic, LATCHED)
 
     def _stop_topics(self, name: str) -> list[str]:
-        """Return the topic `stop` beside a node, and those of its own that are remapped."""
+        """Return the topic `stop` in the namespace of a node, and remapped ones."""
         space, _, node = name.rpartition('/')
         topics = [f'{space}/stop']
         try:
-            heard = self.get_subscriber_names_and_types_by_node(node, space or '/')
+            own = self.get_subscriber_names_and_types_by_node(node, space or '/')
         except Exception:  # rclpy: its name is not known yet, or no longer
-            heard = []
-        return topics + [topic for topic, kinds in heard if BOOL in kinds and topic not in topics]
+            own = []
+        return topics + [topic for topic, kinds in own if BOOL in kinds and topic not in topics]

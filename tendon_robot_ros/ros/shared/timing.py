@@ -1,32 +1,32 @@
 """
-Times that several nodes share: how often they speak and ask, and when silence means absence.
+Times that several nodes share: periods of messages and requests, and time-outs.
 
-What a user may set is a parameter instead (docs/ros_interface.md).
+Times that a user may set are parameters instead (docs/ros_interface.md).
 """
 
 from __future__ import annotations
 
-# [s] Between two states of a status, so that news that comes and goes with every message at the
-# largest rate of a node fills neither network nor log.
+# [s] Between two changes of a status, so that a state that alternates at the largest rate of a
+# node fills neither network nor log.
 NEWS_PERIOD_S = 0.02
-# [s] Between two messages whose values alone have changed, and between two looks at who publishes
-# a topic, because nobody reads more than ten numbers a second.
+# [s] Between two statuses whose values alone have changed, and between two checks of the
+# publishers of a topic, because nobody reads more than ten numbers a second.
 VALUES_PERIOD_S = 0.1
-# [s] After which a status is repeated and another node is asked again, so that who comes later
-# knows within a second.
+# [s] After which a status is repeated and a request to another node too, so that a node that
+# starts later is up to date within a second.
 STATUS_PERIOD_S = 1.0
 # [s] Between two attempts to start, and between two log entries of the same kind, else a port that
 # is missing would fill the log.
 RETRY_PERIOD_S = 2.0 * STATUS_PERIOD_S
 # [s] Without a message after which its publisher counts as gone. Discovery takes as long, and a
-# busy machine is silent for tenths of a second, which would count as an absence.
+# busy machine is silent for tenths of a second, which would else count as an absence.
 SILENCE_S = 1.0
-# [s] Without an answer after which a request counts as lost and is made again, and without a
-# status, which comes every second, after which a node counts as gone: discovery takes 0.1 to
-# 2.3 s, else who comes late would be taken for who has gone.
+# [s] Without an answer after which a request is repeated, and without a status (one a second)
+# after which a node counts as gone: discovery takes 0.1 to 2.3 s, else a node that is discovered
+# late would count as gone.
 ANSWER_TIMEOUT_S = 3.0
-# [s] Without an answer after which a stop is asked for again, because sixty cycles of the default
-# rate leave an answer that is not lost enough time.
+# [s] Without an answer after which a request to stop is repeated, because sixty cycles of the
+# default rate are enough for an answer that is not lost.
 STOP_ANSWER_S = 0.3
 # [s] For a running node to be discovered and to answer, because discovery alone takes 0.1 to
 # 2.3 s, and several times that on a busy machine.

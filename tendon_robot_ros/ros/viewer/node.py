@@ -69,10 +69,10 @@ SERVICES = {
 
 
 class ViewerNode(Runnable, Node):
-    """Topics in, page out; what people click becomes messages and service calls."""
+    """Shows topics on the page; clicks become messages and service calls."""
 
     def __init__(self) -> None:
-        """Open the page and listen; the other nodes may come and go."""
+        """Open the page and create the subscriptions; the other nodes may start and end."""
         super().__init__('viewer')
         self.parameters = Parameters(self, SPECS)
         self.state = ViewState()
@@ -83,9 +83,9 @@ class ViewerNode(Runnable, Node):
             token = secrets.token_urlsafe(9)
             self.get_logger().warning(f'token for commands from the page: {token}')
         self.page = LivePage(host, int(self.parameters['port']), token)
-        self._base, self._told = '', 0.0
-        self._status_out = Status(self, 'page')
-        self._frames: deque[float] = deque(maxlen=100)  # when the arm was drawn
+        self._base, self._panel_at = '', 0.0
+        self._status = Status(self, 'page')
+        self._frames: deque[float] = deque(maxlen=100)  # [s] when the arm was drawn
         self._listen(names)
         self._targets = self.create_publisher(
             PointStamped, f'{names["controller"]}/target_point', COMMAND
@@ -107,7 +107,7 @@ class ViewerNode(Runnable, Node):
         repeat(self, STATUS_PERIOD_S, lambda: self._remote.ask(model))
 
     def start(self) -> None:
-        """Say where the page is."""
+        """Log the address of the page."""
         self.get_logger().info(f'open http://{self.parameters["host"]}:{self.page.port}')
 
     def end(self) -> None:
@@ -115,12 +115,12 @@ class ViewerNode(Runnable, Node):
         self.page.close()
 
     def _listen(self, names: dict[str, str]) -> None:
-        """Gather what the nodes say in the state of the page."""
+        """Subscribe to the topics that update the state of the page."""
         state, now, monitor = self.state, time.monotonic, names['monitor']
 
         def status(key: str, message: DiagnosticStatus) -> None:
             level, values = int.from_bytes(message.level, 'little'), status_values(message)
-            state.hear_status(now(), key, level, message.message, values)
+            state.set_status(now(), key, level, message.message, values)
 
         def states(message: JointState) -> None:
             state.inputs = tuple(message.name)
@@ -141,7 +141,7 @@ class ViewerNode(Runnable, Node):
             self.create_subscription(
                 DiagnosticStatus, f'{name}/status', partial(status, key), LATCHED
             )
-        heard: tuple[tuple[type, str, Callable[[Any], None], Any], ...] = (
+        subscriptions: tuple[tuple[type, str, Callable[[Any], None], Any], ...] = (
             (JointState, 'tendon_states', states, LISTEN),
             (PoseArray, 'measured_shape', measured, LISTEN),
             (PoseArray, f'{monitor}/predicted', keep('predicted', points_of), LISTEN),
@@ -149,38 +149,38 @@ class ViewerNode(Runnable, Node):
             (
                 Float64,
                 f'{monitor}/rolling_error',
-                lambda message: state.hear_error(now(), message.data),
+                lambda message: state.add_error(now(), message.data),
                 LISTEN,
             ),
             (
                 Float64MultiArray,
                 f'{monitor}/marker_errors',
-                lambda message: state.hear_markers(now(), message.data),
+                lambda message: state.add_marker_errors(now(), message.data),
                 LISTEN,
             ),
             (String, f'{monitor}/progress', keep('progress', lambda m: m.data), STATE),
-            (String, f'{monitor}/verdict', lambda m: state.hear_verdict(m.data), LATCHED),
+            (String, f'{monitor}/verdict', lambda m: state.set_verdict(m.data), LATCHED),
             (Bool, 'tour', keep('touring', lambda m: m.data), LATCHED),
             (
                 String,
                 f'{names["investigate"]}/progress',
-                lambda message: state.hear_investigation(message.data),
+                lambda message: state.add_investigation(message.data),
                 LATCHED_BY_MANY,
             ),
         )
-        for kind, topic, hear, quality in heard:
-            self.create_subscription(kind, topic, hear, quality)
+        for kind, topic, callback, quality in subscriptions:
+            self.create_subscription(kind, topic, callback, quality)
 
     def _cycle(self) -> None:
-        """Take clicks, draw, and now and then update the panel."""
+        """Handle clicks, draw the arms, and update the panel every `PANEL_PERIOD_S`."""
         while not self.page.commands.empty():
             self._command(*self.page.commands.get())
         now = time.monotonic()
         self.page.draw(self.state)
         self._frames.append(now)
-        if now - self._told >= PANEL_PERIOD_S:
-            self._told = now
-            self.page.tell(self.state, now)
+        if now - self._panel_at >= PANEL_PERIOD_S:
+            self._panel_at = now
+            self.page.update(self.state, now)
             frames = sum(now - at <= 2.0 for at in self._frames) / 2.0
             statuses = self.state.statuses(now).items()
             values = {
@@ -188,10 +188,10 @@ class ViewerNode(Runnable, Node):
                 'frames (Hz)': f'{frames:.1f}',
                 'hears': ', '.join(name for name, (level, _) in statuses if level != 'silent'),
             }
-            self._status_out.say(OK, 'serving', f'page on port {self.page.port}', lambda: values)
+            self._status.publish(OK, 'serving', f'page on port {self.page.port}', lambda: values)
 
     def _command(self, name: str, value: object) -> None:
-        """Do what somebody has clicked."""
+        """Handle a click."""
         if name in SERVICES:
             for owner in SERVICES[name]:
                 self._call(name, owner)
@@ -221,7 +221,7 @@ class ViewerNode(Runnable, Node):
 
 
 def is_local(host: str) -> bool:
-    """Whether only this machine reaches an address."""
+    """Return whether an address is reachable from this machine alone."""
     try:
         return host == 'localhost' or ipaddress.ip_address(host).is_loopback
     except ValueError:

@@ -28,15 +28,15 @@ BUTTONS: tuple[tuple[str, str, str, str], ...] = (  # name, label, hint, colour
     ('reset', 'Reset', 'after a stop', ERROR),
 )
 # [1] of the robot's length: the measured arm is wide and translucent, the predicted one a third of
-# that, so that neither hides the other where they coincide
+# that, so that both are visible where they coincide
 MEASURED_WIDTH = 0.034
-# [m] of the arm until it is known, as some arm of a laboratory, else nothing would be seen
+# [m] of the arm until it is known, a typical one of a laboratory, else nothing would be visible
 FIRST_LENGTH_M = 0.2
-# [1] of the robot's length: so near to where a camera was placed nobody has moved it,
+# [1] of the robot's length: a camera that is closer to its placement was not moved by a user,
 # because a browser rounds
 VIEW_TOLERANCE = 0.01
-# [1] direction of sight: from the side, so that bends in the plane x-z are seen in full, and a
-# little from above, so that the grid is seen
+# [1] viewing direction: from the side, so that bends in the plane x-z are undistorted, and
+# slightly from above, so that the grid is visible
 ALONG = np.array([0.0, 0.99, -0.14])
 # [1] of the height of a phone that viser's panel may cover, at the lower edge: `max-height` in its
 # manual; on a desktop the panel is docked beside the scene
@@ -46,21 +46,21 @@ PHONE_ASPECT = 0.8
 
 
 class Picture(NamedTuple):
-    """What a camera sees: the angle from the lower to the upper edge [rad], and the size [px]."""
+    """The image of a camera: vertical field of view [rad] and size [px]."""
 
-    fov: float = float(np.deg2rad(75.0))  # viser's own; a desktop's size
+    fov: float = float(np.deg2rad(75.0))  # default of viser; size on a desktop
     width: float = 1200.0
     height: float = 900.0
 
     @classmethod
     def of(cls, camera: Any) -> Picture:
-        """Return that of a browser's camera."""
+        """Return the image of a browser's camera."""
         return cls(float(camera.fov), float(camera.image_width), float(camera.image_height))
 
 
 @dataclass(frozen=True)
 class View:
-    """A camera: where it is, and what is in the middle of its picture, (3,) [m] each."""
+    """A camera: its position and the point at the centre of its image, (3,) [m] each."""
 
     position: Array
     look_at: Array
@@ -68,12 +68,12 @@ class View:
 
 def framed(radius: float, picture: Picture) -> View:
     """
-    Return the nearest view of a ball about the base that the panel does not cover.
+    Return the closest view of a ball about the base that the panel does not cover.
 
-    No part of an arm is further from its base than it is long, however it bends: that is the
-    radius. The ball touches a side of what is free of the picture from within where its distance
-    to the plane through the camera and that side is the radius; two sides that face each other
-    say how far away the camera is, and where the ball is between them.
+    The radius is the length of the arm: no part of it is farther from its base, however it bends.
+    The ball touches a side of the free part of the image from within where its distance to the
+    plane through the camera and that side is the radius. Two opposite sides determine the
+    distance of the camera, and the place of the ball between them.
 
     Parameters
     ----------
@@ -98,16 +98,16 @@ def framed(radius: float, picture: Picture) -> View:
 
 class LivePage:
     """
-    Serves the page; `commands` holds what people clicked, as (name, value).
+    Serves the page; `commands` is a queue of clicks, as (name, value).
 
     Parameters
     ----------
     host, port : str, int
-        Where; beyond this machine commands need the token.
+        Address and port; commands from other machines need the token.
     token : str
-        Empty: everybody who can open the page may command.
+        Empty: every browser that opens the page may command.
     size : float
-        Length of the robot [m], until another one is told by `resize`.
+        Length of the robot [m], until `resize` changes it.
 
     """
 
@@ -123,7 +123,7 @@ class LivePage:
             raise DriverError(f'port {port}: {error.strerror}; choose another port') from None
         self.commands: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
         self._token, self._allowed, self._size = token, set[int](), size
-        # client -> its picture for which it was placed, and where
+        # client -> the image for which its camera was placed, and the view
         self._views: dict[int, tuple[Picture | None, View]] = {}
         self._shown: dict[str, str] = {}
         self._scene()
@@ -137,7 +137,7 @@ class LivePage:
 
     @property
     def clients(self) -> int:
-        """How many browsers look."""
+        """Number of connected browsers."""
         return len(self._server.get_clients())
 
     def close(self) -> None:
@@ -145,7 +145,7 @@ class LivePage:
         self._server.stop()
 
     def resize(self, size: float) -> None:
-        """Show an arm of another length [m]: scene and cameras, but those that people moved."""
+        """Adapt scene and cameras to another length [m], except cameras moved by users."""
         if size == self._size:
             return
         placed = [client for client in self._server.get_clients().values() if self._holds(client)]
@@ -159,7 +159,7 @@ class LivePage:
             self._place(client)
 
     def draw(self, state: ViewState) -> None:
-        """Move the arms."""
+        """Update the arms in the scene."""
         with self._server.atomic():
             if state.measured is not None and len(state.measured):
                 self._tube(_nodes(state.measured))
@@ -176,8 +176,8 @@ class LivePage:
             if tip is not None and np.isfinite(tip).all() and not state.held:
                 self._target.position = tuple(tip.tolist())
 
-    def tell(self, state: ViewState, now: float) -> None:
-        """Update the panel; only what changed is sent."""
+    def update(self, state: ViewState, now: float) -> None:
+        """Update the panel; only changes are sent."""
         self._hold_views()
         times = list(state.times)
         self._html('scene', page_parts.scene(state.measured, state.predicted))
@@ -286,10 +286,10 @@ class LivePage:
         self._boxes['statuses'] = gui.add_html('')
 
     def _guarded(self, name: str, value: Callable[[], Any]) -> Callable[[Any], None]:
-        """Return a callback that takes a command of a browser that may give it."""
+        """Return a callback that queues a command if its browser is authorised."""
 
         def clicked(event: Any) -> None:
-            if event.client_id is None:  # this program set the value
+            if event.client_id is None:  # the value was set by this program
                 return
             if self._token and event.client_id not in self._allowed:
                 if event.client is not None:
@@ -302,7 +302,7 @@ class LivePage:
         return clicked
 
     def _welcome(self, client: Any) -> None:
-        """Show a browser all that the arm can reach; ask it for the token, if any."""
+        """Place the camera of a new browser; request the token, if there is one."""
         self._place(client)
         if not self._token:
             return
@@ -316,14 +316,14 @@ class LivePage:
         field.on_update(typed)
 
     def _place(self, client: Any) -> None:
-        """Look at all that the arm can reach."""
+        """Place a camera so that the whole workspace is visible."""
         picture = Picture.of(client.camera)
         view = framed(self._radius, picture)
         self._views[client.client_id] = picture, view
         client.camera.position, client.camera.look_at = view.position, view.look_at
 
     def _hold_views(self) -> None:
-        """Place cameras anew in windows of another shape, and those that took the first view."""
+        """Replace cameras whose window changed its shape, and those in the initial view."""
         for number, client in self._server.get_clients().items():
             picture, view = self._views.get(number, (None, self._first))
             if self._holds(client) and (
@@ -332,18 +332,18 @@ class LivePage:
                 self._place(client)
 
     def _holds(self, client: Any) -> bool:
-        """Whether a camera is where it was placed, or as it is at first."""
+        """Return whether a camera is as it was placed, or in the initial view."""
         _, view = self._views.get(client.client_id, (None, self._first))
         return self._is_at(client, view) or self._is_at(client, self._first)
 
     def _is_at(self, client: Any, view: View) -> bool:
-        """Whether nobody has moved a camera since it took a view."""
-        away = np.linalg.norm(client.camera.position - view.position)
-        return bool(away < VIEW_TOLERANCE * self._size)
+        """Return whether a camera is at a view."""
+        distance = np.linalg.norm(client.camera.position - view.position)
+        return bool(distance < VIEW_TOLERANCE * self._size)
 
     @property
     def _radius(self) -> float:
-        """Return how far from the base the arm may be seen, with its width [m]."""
+        """Largest distance of the drawn arm from the base, its width included [m]."""
         return (1.0 + 0.5 * MEASURED_WIDTH) * self._size
 
     def _html(self, name: str, content: str) -> None:
@@ -353,5 +353,5 @@ class LivePage:
 
 
 def _nodes(points: Array) -> Array:
-    """Return the base and the points (n, 3) that were seen."""
+    """Return the base and the finite points, (n, 3) [m]."""
     return np.vstack([np.zeros((1, 3)), points[np.isfinite(points).all(axis=1)]])

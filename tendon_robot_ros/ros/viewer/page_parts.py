@@ -19,22 +19,21 @@ from ...report.sentences import load_words, told_quantity
 from .state import CURVE_SPAN_S
 
 Floats = NDArray[np.float32]
-# [1] so that the predicted arm, which is thinner, is seen inside the measured one
+# [1] so that the predicted arm, which is thinner, is visible inside the measured one
 MEASURED_OPACITY = 0.4
-SIDES = 12  # [1] of the cross-section of an arm drawn as a tube: with fewer it would look edged
-# [1] times the upper quartile of the errors: larger peaks are cut off, because the arm moves now
-# and then, and the error of a standing arm would else be a flat line
+SIDES = 12  # [1] of the cross-section of a tube: with fewer it would have visible edges
+# [1] times the upper quartile of the errors: larger peaks are cut off, because they come from
+# moves, and the error at rest would else be a flat line
 PEAK = 2.0
-FITTING = 'fitting '  # how long that takes is not known: the bar moves and has no end
-STOP_MARK = 'stop-mark'  # id of what stands before the button that is always seen
+FITTING = 'fitting '  # its duration is unknown: the bar is indeterminate
+STOP_MARK = 'stop-mark'  # id of the element before the button that is always visible
 HIDDEN = 'position:absolute;width:1px;height:1px;overflow:hidden;clip-path:inset(50%)'
 STYLE = f'font-family:system-ui,sans-serif;font-size:13px;color:{INK};padding:2px 12px'
 
 
-# On a narrow screen viser puts its panel as a strip over the lower right of the scene; here it
-# lies below the arm, over the whole width, and STOP (the button after its mark) stays at the upper
-# edge.
-# What the browser says of itself goes away by itself.
+# On a narrow screen viser places its panel as a strip over the lower right of the scene; here it
+# is below the arm, over the whole width, and STOP (the button after its mark) stays at the upper
+# edge. Notifications of viser disappear by themselves.
 NARROW = f"""<style>
 @keyframes gone {{ to {{ visibility: hidden }} }}
 .mantine-Notification-root {{ animation: gone 0s 12s forwards }}
@@ -48,7 +47,7 @@ NARROW = f"""<style>
 
 
 def legend(square: float) -> str:
-    """Say which colour is which, and how long a square [m] of the grid is."""
+    """Return the legend of the colours and of the grid, whose squares have a side [m]."""
     line = '<span style="display:inline-block;width:22px;border-top:{} {}"></span> {}'
     translucent = f'rgba{(*rgb(MEASURED), MEASURED_OPACITY)}'
     return (
@@ -62,12 +61,12 @@ def legend(square: float) -> str:
 
 
 def scene(measured: NDArray[np.float64] | None, predicted: NDArray[np.float64] | None) -> str:
-    """Say in words what the scene draws of the arms (J, 3) [m], for who does not see it."""
+    """Return a description of the arms (J, 3) [m] in the scene, for screen readers."""
     tips = []
     for arm in (measured, predicted):
-        seen = np.zeros((0, 3)) if arm is None else arm[np.isfinite(arm).all(axis=1)]
-        tips.append(seen[-1] if len(seen) else None)
-    said = 'Scene in space: the arm stands on a grid, its base at the origin, z up'
+        visible = np.zeros((0, 3)) if arm is None else arm[np.isfinite(arm).all(axis=1)]
+        tips.append(visible[-1] if len(visible) else None)
+    text = 'Scene in space: the arm stands on a grid, its base at the origin, z up'
     for tip, who in zip(tips, ('measured', 'predicted'), strict=True):
         where = (
             'not there yet'
@@ -79,14 +78,14 @@ def scene(measured: NDArray[np.float64] | None, predicted: NDArray[np.float64] |
             )
             + ' mm'
         )
-        said += f'; {who} arm: {where}'
+        text += f'; {who} arm: {where}'
     if tips[0] is not None and tips[1] is not None:
-        said += f'; {mm(float(np.linalg.norm(tips[0] - tips[1])), 2)} apart'
-    return f'<div role="img" aria-label="{escape(said)}" style="{HIDDEN}"></div>'
+        text += f'; {mm(float(np.linalg.norm(tips[0] - tips[1])), 2)} apart'
+    return f'<div role="img" aria-label="{escape(text)}" style="{HIDDEN}"></div>'
 
 
 def guide(next_step: str, progress: str) -> str:
-    """Say what to do next, and below it what happened last."""
+    """Return the next step, and below it the last progress."""
     parts = re.search(r'(\d+)/(\d+)$', progress)
     percentage = re.search(r'\((\d+) %', progress)
     how_far = f'value="{percentage[1]}" max="100" ' if percentage else ''
@@ -107,7 +106,7 @@ def guide(next_step: str, progress: str) -> str:
 
 
 def big_error(rolling: float, tip: str) -> str:
-    """Show the tip error, large."""
+    """Return the tip error [m] in large type, and a line about the markers."""
     shown = mm(rolling, 2) if np.isfinite(rolling) else '–'
     return (
         f'<div style="{STYLE}">off by <b id="tip-error" style="font-size:24px">{shown}</b> '
@@ -123,7 +122,7 @@ def curve(
     floor: float | None,
 ) -> str:
     """
-    Draw the rolling error over the last two minutes.
+    Return a plot of the rolling error over the last two minutes.
 
     Parameters
     ----------
@@ -171,19 +170,19 @@ class _Axes:
     top: float
     width: int = 360
     height: int = 140
-    left: int = 40  # of which so much for the numbers, and the rest of the height for the time
-    base: int = 118
+    left: int = 40  # width of the numbers
+    base: int = 118  # height above the labels of time
 
     def x(self, age: float) -> float:
-        """Return where a time is that is so long ago [s]."""
+        """Return the abscissa [px] of an age [s]."""
         return self.left + (self.width - self.left) * max(1.0 - age / CURVE_SPAN_S, 0.0)
 
     def y(self, error: float) -> float:
-        """Return where an error [mm] is."""
+        """Return the ordinate [px] of an error [mm]."""
         return self.base * (1.0 - error / self.top) + 4
 
     def grid(self, floor: float | None) -> list[str]:
-        """Draw the grid, and the noise floor [m] as a band."""
+        """Return the grid, and the noise floor [m] as a band."""
         parts, zero = [], self.y(0.0)
         if floor is not None and np.isfinite(floor):
             band = zero - self.y(min(1e3 * floor, self.top))
@@ -209,7 +208,7 @@ class _Axes:
 
 
 def bars(names: Sequence[str], tensions: Sequence[float], low: float, high: float) -> str:
-    """Draw the tensions [N] against their limits."""
+    """Return bars of the tensions [N] between their limits."""
     rows = []
     for name, value in zip(names, tensions, strict=True):
         known = bool(np.isfinite(value))
@@ -233,7 +232,7 @@ def bars(names: Sequence[str], tensions: Sequence[float], low: float, high: floa
 
 
 def verdict(diagnosis: Mapping[str, Any], count: int = 6) -> str:
-    """Show verdict, remainder and the best candidates."""
+    """Return verdict, remainder and the best candidates of a diagnosis."""
     if not diagnosis:
         return ''
     sentences = [str(diagnosis.get(key) or '') for key in ('sentence', 'remainder')]
@@ -251,8 +250,8 @@ def verdict(diagnosis: Mapping[str, Any], count: int = 6) -> str:
                 for key in ('size', 'from_axis', 'from_gravity')
             )
             assert size is not None
-            told = load_words(LoadVector(size, axis, load['around_axis'], gravity))
-            values += f'; together {told}'
+            vector = load_words(LoadVector(size, axis, load['around_axis'], gravity))
+            values += f'; together {vector}'
         explained = None if row['status'] == NOT_NEEDED else row.get('explained')
         explains = '–' if explained is None else percent(explained)
         rows.append(
@@ -272,13 +271,13 @@ def verdict(diagnosis: Mapping[str, Any], count: int = 6) -> str:
 
 
 def _value_of(json: Mapping[str, Any]) -> Value:
-    """Return a value as a diagnosis publishes it; an end that nothing determines is none."""
+    """Parse a value of a published diagnosis; an undetermined bound is null."""
     low, high = (math.inf if json[key] is None else json[key] for key in ('low', 'high'))
     return Value(json['value'], low, high, json['unit'])
 
 
 def investigation(news: Sequence[Mapping[str, Any]]) -> str:
-    """Show where an investigation is: its diagnoses, and what it does now."""
+    """Return the diagnoses and the present step of an investigation."""
     if not news:
         return ''
     rows = ''.join(
@@ -297,7 +296,7 @@ def investigation(news: Sequence[Mapping[str, Any]]) -> str:
 
 
 def statuses(nodes: Mapping[str, tuple[str, str]]) -> str:
-    """Show what every node says: name -> (level, sentence)."""
+    """Return the statuses of the nodes: name -> (level, sentence)."""
     colours = {'ok': GOOD, 'warn': WARN, 'error': BAD, 'silent': ERROR}
     signs = {'ok': '●', 'warn': '▲', 'error': '■', 'silent': '○'}
     rows = ''.join(
@@ -309,7 +308,7 @@ def statuses(nodes: Mapping[str, tuple[str, str]]) -> str:
 
 
 def round_length(length: float) -> float:
-    """Return the nearest of 1, 2, 5, 10, ... below a length [m]."""
+    """Return the largest of 1, 2, 5, 10, ... up to a length [m]."""
     power = 10.0 ** math.floor(math.log10(length))
     return power * next(step for step in (5.0, 2.0, 1.0) if step * power <= 1.0001 * length)
 
@@ -327,7 +326,8 @@ def tube_vertices(nodes: NDArray[np.float64], radius: float) -> Floats:
     """
     Return rings (n SIDES, 3) of a radius around nodes (n, 3), n > 1, all in the same unit.
 
-    The rings do not turn against each other: each begins where the one before points, squared.
+    The tube has no twist: the first point of a ring is that of the ring before, projected into the
+    plane of the ring.
     """
     along = np.gradient(nodes, axis=0)
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)

@@ -1,4 +1,4 @@
-"""What the live page shows, gathered from the topics."""
+"""Content of the live page, from the topics."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from ...common.words import listed, mm
 from ..shared.timing import ANSWER_TIMEOUT_S, SILENCE_S
 
 Array = NDArray[np.float64]
-# [s] between two points of the curve, and two states of the panel: faster would be read by nobody
+# [s] between two points of the curve and two updates of the panel, because nobody reads faster
 PANEL_PERIOD_S = 0.2
-# [s] over which numbers are medians, so that they can be read
+# [s] over which displayed numbers are medians, so that they can be read
 STEADY_S = 1.5
-# [s] that the curve shows, so that a recording of a dozen postures is in sight
+# [s] shown by the curve, so that it covers a recording of a dozen postures
 CURVE_SPAN_S = 120.0
-# [N] of a force whose arrow has half of its largest length, because forces of a hundredth and of a
-# whole newton are to be seen in one scene
+# [N] of a force whose arrow has half of its largest length, so that forces of 0.01 N and of 1 N
+# are visible in one scene
 FORCE_HALF_N = 0.01
-# [1] postures that a diagnosis should have, else more effects explain them equally well
+# [1] postures for a diagnosis, else several effects would explain them equally well
 POSTURES_ADVISED = 8
 CHANGED_HINT = 'Click Investigate: it goes to the postures that tell what has changed.'
 COINCIDE = (
     'The model now has {}. The two arms should coincide; what is left of the error is noise.'
 )
-RECORD_AGAIN_HINT = 'Click 1 to record again.'
-LEVEL_NAMES = 'ok', 'warn', 'error', 'silent'  # as DiagnosticStatus counts them
+RECORD_HINT = 'Click 1 to record again.'
+LEVEL_NAMES = 'ok', 'warn', 'error', 'silent'  # by the numbers of DiagnosticStatus
 
 
 def _curve() -> deque[float]:
@@ -40,7 +40,7 @@ def _curve() -> deque[float]:
 
 @dataclass
 class ViewState:
-    """Everything that was heard last; times are monotonic seconds."""
+    """The last messages of all topics; times are monotonic [s]."""
 
     inputs: tuple[str, ...] = ()
     tensions: tuple[float, ...] = ()
@@ -55,9 +55,9 @@ class ViewState:
     marks: list[tuple[float, str]] = field(default_factory=list)
     verdict: dict[str, Any] = field(default_factory=dict)
     progress: str = ''
-    investigation: list[dict[str, Any]] = field(default_factory=list)  # its news, oldest first
+    investigation: list[dict[str, Any]] = field(default_factory=list)  # its messages, oldest first
     touring: bool = True
-    held: bool = False  # somebody drags, or dragged, the target
+    held: bool = False  # the target is or was dragged
     nodes: dict[str, tuple[float, str, str, dict[str, str]]] = field(default_factory=dict)
     _added: int = 0
     _addition: str = ''
@@ -65,7 +65,7 @@ class ViewState:
 
     @property
     def monitor(self) -> dict[str, str]:
-        """Values of the status of the monitor."""
+        """Values of the monitor's status."""
         return self.nodes.get('monitor', (0.0, '', '', {}))[3]
 
     @property
@@ -75,17 +75,17 @@ class ViewState:
 
     @property
     def postures(self) -> int:
-        """How many were."""
+        """Number of recorded postures."""
         return int(self.monitor.get('postures', '0'))
 
     @property
     def paused(self) -> bool:
-        """Whether a recording was stopped and not diagnosed yet: record goes on with it."""
+        """Whether a recording was stopped and is not diagnosed yet: record continues it."""
         return self.monitor.get('kept') == 'false' and not self.recording and self.postures > 0
 
     @property
     def record_label(self) -> str:
-        """What a click on the first button does now."""
+        """Label of the first button: the effect of a click."""
         if self.recording:
             return f'1  Stop recording ({self.postures})'
         return f'1  Record on, from {self.postures}' if self.paused else '1  Record'
@@ -100,17 +100,17 @@ class ViewState:
 
     @property
     def can_record(self) -> bool:
-        """Whether nothing is being diagnosed or fitted: that takes the recording."""
+        """Whether no diagnosis or fit is using the recording."""
         return self.monitor.get('diagnosing') != 'true'
 
     @property
     def can_diagnose(self) -> bool:
-        """Whether there is something to diagnose."""
+        """Whether a recording can be diagnosed."""
         return self.postures >= 2 and self.can_record
 
     @property
     def can_add(self) -> bool:
-        """Whether there is something to add."""
+        """Whether a diagnosed effect can be added."""
         return bool(self.monitor.get('addition')) and self.verdict.get('may_add') is not False
 
     @property
@@ -119,10 +119,10 @@ class ViewState:
         floor = self.verdict.get('noise_floor')
         return None if floor is None else float(floor)
 
-    def hear_status(
+    def set_status(
         self, now: float, name: str, level: int, text: str, values: dict[str, str]
     ) -> None:
-        """Take what a node says of itself."""
+        """Update the status of a node."""
         known = LEVEL_NAMES[level] if level < len(LEVEL_NAMES) else 'warn'
         self.nodes[name] = now, known, text, values
         if name == 'monitor':
@@ -135,24 +135,24 @@ class ViewState:
                 self.marks.append((now, self._addition))
             self._added = added
 
-    def hear_error(self, now: float, rolling: float) -> None:
-        """Take the rolling error [m]."""
+    def add_error(self, now: float, rolling: float) -> None:
+        """Append a rolling error [m] to the curve."""
         if not self.times or now - self.times[-1] >= PANEL_PERIOD_S:
             self.times.append(now)
             self.rollings.append(rolling)
 
-    def hear_markers(self, now: float, errors: Sequence[float]) -> None:
-        """Take the errors (J,) [m] of the markers; those of the last moment are kept."""
+    def add_marker_errors(self, now: float, errors: Sequence[float]) -> None:
+        """Append the errors (J,) [m] of the markers; those of the last `STEADY_S` are kept."""
         self.marker_errors.append((now, np.array(errors, dtype=float)))
         while now - self.marker_errors[0][0] > STEADY_S:
             self.marker_errors.popleft()
 
-    def hear_verdict(self, text: str) -> None:
-        """Take the verdict of a diagnosis."""
+    def set_verdict(self, text: str) -> None:
+        """Set the verdict of a diagnosis, from JSON."""
         self.verdict = json.loads(text)
 
-    def hear_investigation(self, text: str) -> None:
-        """Take the news of an investigation; what changed, or posture 1, begins another one."""
+    def add_investigation(self, text: str) -> None:
+        """Append a message of an investigation; a change or posture 1 starts a new one."""
         news = json.loads(text)
         last = self.investigation[-1]['kind'] if self.investigation else ''
         first = news['kind'] == 'posture' and news.get('number') == 1 and last != 'change'
@@ -163,15 +163,15 @@ class ViewState:
 
     @property
     def can_investigate(self) -> bool:
-        """Whether somebody is there who does, and is free."""
+        """Whether the node `investigate` runs and is free."""
         values = self.nodes.get('investigate', (0.0, '', '', {}))[3]
         return values.get('code') == 'waiting'
 
     def rolling(self, now: float) -> float:
-        """Return the median of the rolling error [m] of the last moment; nan when it is old."""
-        heard = zip(self.times, self.rollings, strict=True)
-        lately = [error for at, error in heard if now - at < STEADY_S and np.isfinite(error)]
-        return float(np.median(lately)) if lately else float('nan')
+        """Return the median rolling error [m] of the last `STEADY_S`; nan: there is none."""
+        samples = zip(self.times, self.rollings, strict=True)
+        recent = [error for at, error in samples if now - at < STEADY_S and np.isfinite(error)]
+        return float(np.median(recent)) if recent else float('nan')
 
     def errors(self) -> Array | None:
         """Return error vectors as segments (J, 2, 3) [m] from predicted to measured."""
@@ -192,20 +192,20 @@ class ViewState:
         return np.array([[tip, tip + long * self.force / length]])
 
     def per_marker(self) -> str:
-        """Name the marker that is off most, by the median of the last moment."""
-        heard = [one for _, one in self.marker_errors]
-        errors = np.array([one for one in heard if len(one) == len(heard[-1])])
-        seen = np.isfinite(errors).any(axis=0) if len(errors) else np.zeros(0, dtype=bool)
-        if not seen.any():
+        """Return the marker with the largest median error of the last `STEADY_S`, as text."""
+        samples = [one for _, one in self.marker_errors]
+        errors = np.array([one for one in samples if len(one) == len(samples[-1])])
+        visible = np.isfinite(errors).any(axis=0) if len(errors) else np.zeros(0, dtype=bool)
+        if not visible.any():
             return ''
-        sizes = np.full(len(seen), np.nan)
-        sizes[seen] = np.nanmedian(errors[:, seen], axis=0)
+        sizes = np.full(len(visible), np.nan)
+        sizes[visible] = np.nanmedian(errors[:, visible], axis=0)
         worst = int(np.nanargmax(sizes))
         place = 'the tip' if worst == len(sizes) - 1 else f'marker {worst + 1} of {len(sizes)}'
         return f'most at {place}: {mm(float(sizes[worst]), 2)}'
 
     def statuses(self, now: float) -> dict[str, tuple[str, str]]:
-        """Return name -> (level, sentence) of the nodes; old news is silence."""
+        """Return name -> (level, sentence) of the nodes; old ones have the level silent."""
         texts = {}
         for name in ('controller', 'driver', 'monitor'):
             at, level, text, _ = self.nodes.get(name, (-np.inf, '', '', {}))
@@ -213,7 +213,7 @@ class ViewState:
         return texts
 
     def guide(self) -> str:
-        """Say what to do next, in the words of the buttons."""
+        """Return the next step, in the words of the buttons."""
         if self.monitor.get('diagnosing') == 'true' and not self.verdict:
             return 'Comparing every known physical effect with the recording …'
         if self.recording and self.postures < POSTURES_ADVISED:
@@ -229,8 +229,8 @@ class ViewState:
             )
         if self.can_add:
             return str(self.verdict.get('guide', 'Click 3: the model gets the effect.'))
-        looked_after = any(news['kind'] == 'change' for news in self.investigation)
-        if self.monitor.get('drift') == 'true' and self.can_investigate and not looked_after:
+        investigated = any(news['kind'] == 'change' for news in self.investigation)
+        if self.monitor.get('drift') == 'true' and self.can_investigate and not investigated:
             return f'The arm is {self.monitor.get("watch", "")}. {CHANGED_HINT}'
         if self.investigation and not self.verdict:
             return self._investigation_guide()
@@ -239,8 +239,8 @@ class ViewState:
         if self.monitor.get('diagnosing') == 'true':
             return 'Fitting what was found …'
         if self.verdict:
-            fell_through = self.verdict.get('may_add', True)  # found, and nothing came of it
-            return RECORD_AGAIN_HINT if fell_through else str(self.verdict.get('guide'))
+            fell_through = self.verdict.get('may_add', True)  # an effect was found, and not added
+            return RECORD_HINT if fell_through else str(self.verdict.get('guide'))
         if not self.times:
             return 'Waiting for the robot. What the nodes say is at the bottom.'
         return (
@@ -249,13 +249,13 @@ class ViewState:
         )
 
     def _investigation_guide(self) -> str:
-        """Say how the investigation is, and what to do when it is over."""
+        """Return the state of the investigation, and the next step at its end."""
         last = self.investigation[-1]
         ends = [news for news in self.investigation if news['kind'] == 'end']
         sent = any(one['kind'] == 'sent' and one['taken'] for one in self.investigation)
         if last['kind'] == 'failed':
-            again = 'Click Investigate to begin again.'
-            return f'The investigation ended: {last["text"]}. {again}'
+            hint = 'Click Investigate to begin again.'
+            return f'The investigation ended: {last["text"]}. {hint}'
         if not ends:
             return 'The arm chooses its postures by itself: just wait. STOP ends it.'
         if not sent:
