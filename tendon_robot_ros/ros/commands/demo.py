@@ -134,8 +134,8 @@ def go(pilot: Pilot, posture: Posture) -> Outcome:
     changed = times[(commands != commands[0]).any(axis=1)]
     return Outcome(
         position=place,
-        miss=float(np.linalg.norm(place - posture.position)),
-        turn=float(angle_between(along, posture.direction)),
+        position_error=float(np.linalg.norm(place - posture.position)),
+        direction_error=float(angle_between(along, posture.direction)),
         tensions=commands[-1],
         status=pilot.status['code'],
         at_limit=tuple(filter(None, pilot.status['at_limit'].split(', '))),

@@ -267,7 +267,7 @@ class MonitorNode(Runnable, Node):
             self._output.publish(self._base, compared)
             still = self.monitor.stands()
             if still is not None and self.adapting is not None:
-                self.adapting.stands(still)
+                self.adapting.put(still)
             if self.watching is not None:
                 self.watching.frame(at, compared.measured, self._base, still)
 

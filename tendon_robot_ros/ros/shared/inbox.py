@@ -120,6 +120,9 @@ class Inbox[M]:
             allocator = ctypes.CDLL('librcutils.so').rcutils_get_default_allocator
             allocator.restype = _Allocator
             self._bytes: _Bytes | None = _Bytes(allocator=allocator())
+            with self.handle:
+                pointer = ctypes.c_void_p(self.handle.pointer)
+            self._arguments = pointer, ctypes.byref(self._bytes), ctypes.byref(self._info), None
         except (OSError, AttributeError):  # messages then have no gid
             self._bytes = None
 
@@ -144,10 +147,9 @@ class Inbox[M]:
             data, metadata = pair
             number = metadata['publication_sequence_number'] or 0
             return data, metadata['source_timestamp'], number, UNKNOWN_GID
-        info, pointer = self._info, ctypes.c_void_p(self.handle.pointer)
-        failed = self._take_bytes(pointer, ctypes.byref(self._bytes), ctypes.byref(info), None)
-        if failed:  # there is none
+        if self._take_bytes(*self._arguments):  # it fails when there is none
             return None
+        info = self._info
         data = ctypes.string_at(self._bytes.buffer, self._bytes.length)
         number = info.number if info.number < NOT_COUNTED else 0
         return data, info.sent, number, bytes(info.publisher)

@@ -198,8 +198,8 @@ class Status:
             One sentence for a person.
         values : callable, optional
             Returns key -> text: plain numbers with their unit in the key, as
-            `position_error (m)`. It is called only when values may be published, because to
-            format them fifty times a second costs a hundredth of a core.
+            `position_error (m)`. Called only when values may be published, because it takes
+            longer to format them than to check that.
         faults : collection of str
             Codes of the present faults.
         once : bool

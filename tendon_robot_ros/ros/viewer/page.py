@@ -232,7 +232,7 @@ class LivePage:
         self._target.on_update(place)
 
     def _line(self, name: str, segments: Array) -> None:
-        """Show segments (s, 2, 3) [m]; as long as their number stays, only points are sent."""
+        """Show segments (s, 2, 3) [m]; while their number stays, only the points are sent."""
         points = segments.astype(np.float32)
         line = self._lines.get(name)
         if line is not None and line.points.shape == points.shape:
@@ -245,7 +245,7 @@ class LivePage:
         )
 
     def _tube(self, nodes: Array) -> None:
-        """Show the measured arm through nodes (n, 3) [m]: wide, and what is inside it is seen."""
+        """Show the measured arm through nodes (n, 3) [m] as a wide, translucent tube."""
         if len(nodes) < 2:
             return
         vertices = tube_vertices(nodes, 0.5 * MEASURED_WIDTH * self._size)
