@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...common.arrays import Floats
 from ...common.colours import COLOURS, ERROR
 from ...common.files import new_file
 from ...common.rotations import angle_between
@@ -35,7 +35,6 @@ ROBOT = 'kato_10_1'
 # of the search separates them
 MISS_MAX_M = 0.5e-3
 PICTURE = Path('demo/postures.png')
-Array = NDArray[np.float64]
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -109,10 +108,10 @@ def _row(posture: Posture, outcome: Outcome) -> str:
 class Outcome:
     """The result of a target."""
 
-    position: Array  # (3,) [m] of the mock's tip
+    position: Floats  # (3,) [m] of the mock's tip
     position_error: float  # [m] from the target
     direction_error: float  # [rad] between the directions
-    tensions: Array  # (m,) [N] commanded
+    tensions: Floats  # (m,) [N] commanded
     status: str
     at_limit: tuple[str, ...]
     latency: float  # [s] from sending the target to the first command that differs

@@ -20,8 +20,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...common.arrays import Floats
 from ...common.errors import DataSetError, InputError
 from ...common.files import file_to_write, refuse_ending
 from ...control.approach import entered
@@ -50,7 +50,6 @@ from ..shared.robot_client import MOVE_MIN_S, Pilot, add_controller
 from ..shared.runtime import ros
 from ..shared.timing import MOVE_TIMEOUT_S, NEWS_PERIOD_S
 
-Array = NDArray[np.float64]
 HELP = 'take the tip along a path, or replay a recording; say what was reached'
 FLAGS = {
     'backwards': 'from the last row to the first',
@@ -224,7 +223,7 @@ def run_tips(pilot: Pilot, plan: Plan) -> PathRun:
     pilot.settle(stamp, MOVE_TIMEOUT_S, 'the arm at the first row')
     pilot.stand()
     began = due = time.monotonic()
-    sent: list[tuple[float, Array, Array]] = []
+    sent: list[tuple[float, Floats, Floats]] = []
     passed = 0.0
     while passed < plan.duration or not sent:
         passed = min(time.monotonic() - began, plan.duration)
@@ -243,7 +242,7 @@ def run_tips(pilot: Pilot, plan: Plan) -> PathRun:
     return _path_run(pilot, began, sent, rows)
 
 
-def run_tendons(pilot: Pilot, when: Array, values: Array) -> PathRun:
+def run_tendons(pilot: Pilot, when: Floats, values: Floats) -> PathRun:
     """Play values (n, m) [N] or [m] of the tendons at times (n,) [s]."""
     pilot.clear()
     sent = thinned(when, values) if len(when) > POINTS_MAX else np.arange(len(when))
@@ -266,7 +265,7 @@ def run_back(pilot: Pilot, pace: Pace) -> None:
 
 
 def _path_run(
-    pilot: Pilot, began: float, sent: list[tuple[float, Array, Array]], rows: Array
+    pilot: Pilot, began: float, sent: list[tuple[float, Floats, Floats]], rows: Floats
 ) -> PathRun:
     measured, tip_times, tips, views = pilot.tips()
     command_times, commands = pilot.commands()

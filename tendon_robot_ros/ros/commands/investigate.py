@@ -26,11 +26,11 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseArray
-from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 
+from ...common.arrays import Floats
 from ...common.errors import InputError, NoEquilibriumError, TendonRobotError
 from ...control.checks import Refusal
 from ...control.state import Trajectory
@@ -65,7 +65,6 @@ from ..shared.runtime import SPIN_S, Ending, repeat, ros
 from ..shared.timing import NODE_TIMEOUT_S, SILENCE_S, STAND_TIMEOUT_S, STATUS_PERIOD_S
 
 HELP = 'the running robot chooses postures by itself until it knows what its model lacks'
-Array = NDArray[np.float64]
 DRIVER = 'driver'  # name of the node whose status has the source of tensions
 BY_GEARS = 'current'  # source of tensions: the current of motors, falsified by gear friction
 # [1/s] of an input, in fractions of its largest tension (in pull mode of a tenth of the arm's
@@ -126,7 +125,7 @@ class RunningArm(Pilot):
         super().__init__('investigate', controller, ending, namespace, (DRIVER, monitor))
         self.path, self.stop_requested = path, False
         self._monitor, self.speed = monitor, speed
-        self._frames: list[tuple[float, Array]] = []
+        self._frames: list[tuple[float, Floats]] = []
         self._states, self._kinds = History(8.0), set[str]()
 
         def frame(message: PoseArray) -> None:
@@ -201,7 +200,7 @@ class RunningArm(Pilot):
         """Standard deviation of an input: relative [1] and absolute."""
         return MonitorSettings().setting_noise, 0.0
 
-    def measure(self, inputs: Array, trials: int) -> PostureMeasured:
+    def measure(self, inputs: Floats, trials: int) -> PostureMeasured:
         """Measure a posture: go there `trials` times, wait for rest, and record."""
         try:
             return self._measured(inputs, trials)
@@ -221,7 +220,7 @@ class RunningArm(Pilot):
         late = self.status.get('code') == 'no_driver'
         return works() or (late and self.wait(works, NODE_TIMEOUT_S, 'the driver', strict=False))
 
-    def _measured(self, inputs: Array, trials: int) -> PostureMeasured:
+    def _measured(self, inputs: Floats, trials: int) -> PostureMeasured:
         """Measure a posture once."""
         measurements = []
         for _ in range(trials):
@@ -262,13 +261,13 @@ class RunningArm(Pilot):
         if self.stop_requested:
             raise StoppedError('the investigation was stopped')
 
-    def _rest(self) -> Array:
+    def _rest(self) -> Floats:
         """Return the command (m,) [N] or [m] of the released arm."""
         assert self._own is not None
         lowest = self._own.limits[:, 0]
         return np.asarray(self._own.shape(lowest).pulls) if self.pull else lowest
 
-    def _command(self, inputs: Array) -> Array:
+    def _command(self, inputs: Floats) -> Floats:
         """Return the command (m,) for a posture: tensions [N], or wire pulls [m]."""
         assert self._own is not None
         low, high = self._own.limits.T
@@ -291,7 +290,7 @@ class RunningArm(Pilot):
         out = SLACK_ANGLE * natural_sizes(self.robot)['radius']
         return np.where(np.isnan(inputs), pulls - out, inputs)
 
-    def _move(self, target: Array) -> Trajectory:
+    def _move(self, target: Floats) -> Trajectory:
         """Return the straight path from the present command, at the set speed."""
         assert self._own is not None
         current = self._commands[-1][1]
@@ -299,7 +298,7 @@ class RunningArm(Pilot):
         fraction = float(np.max(np.abs(target - current) / largest))
         return Trajectory(np.array([max(fraction / self.speed, MOVE_MIN_S)]), target[None])
 
-    def _go(self, target: Array) -> None:
+    def _go(self, target: Floats) -> None:
         """Play the path to a command and wait for its end."""
         path = self._move(target)
         stamp = self.play(path)
@@ -339,7 +338,7 @@ class RunningArm(Pilot):
         """Whether tensions are estimated from the current of geared motors."""
         return self.statuses[DRIVER].get('tension_source') == BY_GEARS
 
-    def _own_half(self, state: Array) -> Array:
+    def _own_half(self, state: Floats) -> Floats:
         """Return the tensions, or the wire pulls, of a state."""
         return np.split(state, 2)[0 if self.input == 'tension' else 1]
 

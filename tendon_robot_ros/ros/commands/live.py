@@ -32,10 +32,10 @@ from typing import Any
 import numpy as np
 import yaml
 from geometry_msgs.msg import PoseStamped, Vector3Stamped
-from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
 
+from ...common.arrays import Floats
 from ...common.errors import InputError, MissingExtraError, NoEquilibriumError, TendonRobotError
 from ...common.words import mm
 from ...control.loading import load
@@ -60,7 +60,6 @@ from ..shared.timing import MOVE_TIMEOUT_S, STAND_TIMEOUT_S, WORK_TIMEOUT_S
 from . import investigate as investigation
 
 HELP = 'a mock robot that hides something: watch, diagnose, add, see the error fall'
-Array = NDArray[np.float64]
 LOG = 'nodes.log'
 INVESTIGATION = ('--add', '--speed', '2', '--output')  # how the mock is investigated, and where
 # [1] messages of each kind in a mean, so that the noise of a tracker falls to a quarter: 0.5 s at
@@ -201,9 +200,9 @@ class Director(RobotClient):
         self.touring = True  # switched by the page
         self._standing_since = np.inf  # [s] by the stamps of messages
         self.nodes: list[NodeProcess] = []  # started for this run
-        self._tips: list[tuple[float, Array]] = []
-        self._errors: list[tuple[float, Array]] = []
-        self._tensions: list[tuple[float, Array]] = []
+        self._tips: list[tuple[float, Floats]] = []
+        self._errors: list[tuple[float, Floats]] = []
+        self._tensions: list[tuple[float, Floats]] = []
 
         def xyz(point: Any) -> list[float]:
             return [point.x, point.y, point.z]
@@ -214,7 +213,7 @@ class Director(RobotClient):
         def keep(name: str) -> Callable[[Any], None]:
             return lambda message: setattr(self, name, message.data)
 
-        def put(samples: list[tuple[float, Array]], values: Callable[[Any], Any]) -> Any:
+        def put(samples: list[tuple[float, Floats]], values: Callable[[Any], Any]) -> Any:
             def receive(message: Any) -> None:
                 samples.append((seconds(message.header.stamp), np.array(values(message))))
                 del samples[:-MESSAGES_MAX]
@@ -292,7 +291,7 @@ class Director(RobotClient):
         models = [values.get('model', '') for values in self.statuses.values()]
         return all(name in model for name in effects for model in models)
 
-    def tip(self) -> Array:
+    def tip(self) -> Floats:
         """Return the mean measured tip (3,) [m] since the arm is at rest."""
         return self._mean(self._tips)
 
@@ -300,11 +299,11 @@ class Director(RobotClient):
         """Return the norm of the mean tip error [m] since the arm is at rest."""
         return float(np.linalg.norm(self._mean(self._errors)))
 
-    def tensions(self) -> Array:
+    def tensions(self) -> Floats:
         """Return the mean measured tensions (m,) [N] since the arm is at rest."""
         return self._mean(self._tensions)
 
-    def _standing(self, samples: Sequence[tuple[float, Array]]) -> list[Array]:
+    def _standing(self, samples: Sequence[tuple[float, Floats]]) -> list[Floats]:
         """Return the finite values since the arm is at rest, by their stamps."""
         since = self._standing_since
         return [value for at, value in samples if at > since and np.isfinite(value).all()]
@@ -313,7 +312,7 @@ class Director(RobotClient):
         kinds = (self._tips, self._errors, self._tensions)
         return all(len(self._standing(samples)) >= MESSAGES_MIN for samples in kinds)
 
-    def _mean(self, samples: Sequence[tuple[float, Array]]) -> Array:
+    def _mean(self, samples: Sequence[tuple[float, Floats]]) -> Floats:
         values = self._standing(samples)
         return np.array(np.mean(values, axis=0)) if values else np.full(3, np.nan)
 

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseArray, TransformStamped
-from numpy.typing import NDArray
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
+from ...common.arrays import Floats
 from ...common.errors import TendonRobotError
 from ...robot import Robot, load_robot
 from ...robot.urdf import joint_angles, joint_names, transforms, urdf
@@ -38,7 +38,6 @@ SPECS = (
     FRAME_PREFIX,
     fixed('publish_tf', True, 'frames of all cells, where tf2_ros is installed'),
 )
-Array = NDArray[np.float64]
 
 
 class RobotModelNode(Runnable, Node):
@@ -101,7 +100,7 @@ class RobotModelNode(Runnable, Node):
             self._broadcaster.sendTransform(stamped(robot, angles, self._prefix, stamp))
 
 
-def stamped(robot: Robot, angles: Array, prefix: str, stamp: object) -> list[TransformStamped]:
+def stamped(robot: Robot, angles: Floats, prefix: str, stamp: object) -> list[TransformStamped]:
     """Return the frames of all links as messages."""
     messages = []
     for parent, child, rotation, up in transforms(robot, angles, prefix):

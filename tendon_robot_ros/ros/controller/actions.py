@@ -15,7 +15,6 @@ from typing import Any, Protocol
 
 import numpy as np
 from geometry_msgs.msg import PointStamped, PoseStamped
-from numpy.typing import NDArray
 from rclpy.action.server import ActionServer, CancelResponse
 from rclpy.node import Node
 from std_msgs.msg import Header
@@ -26,8 +25,6 @@ from ...control.status import GoalOutcome, MotionGoal, Progress, Tolerance
 from ..shared.messages import duration, pose, seconds, stamp_now
 from ..shared.timing import VALUES_PERIOD_S
 from .topics import Incoming
-
-Array = NDArray[np.float64]
 
 
 class ActionKind(Protocol):

@@ -14,7 +14,6 @@ from dataclasses import replace
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped, PoseArray, PoseStamped, TwistStamped
-from numpy.typing import NDArray
 from rclpy.client import Client
 from rclpy.node import Node
 from rclpy.task import Future
@@ -24,6 +23,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
+from ...common.arrays import Floats
 from ...common.colours import PREDICTED
 from ...control import Refusal, Target, Twist
 from ...control.checks import by_name, check_frame, check_stamp, direction, finite, position
@@ -50,7 +50,6 @@ from ..shared.messages import (
 from ..shared.parameters import Parameters, base_frame
 from ..shared.timing import SILENCE_S, VALUES_PERIOD_S
 
-Array = NDArray[np.float64]
 # [1] points of a trajectory: more would delay the commands while they are parsed
 POINTS_MAX = 500
 
@@ -102,7 +101,7 @@ class Incoming:
         place = self._within_reach(rotation @ finite([p.x, p.y, p.z], what) + shift, what)
         return Target(place, stamp=stamp_text(message.header.stamp))
 
-    def measured_tip(self, message: PoseStamped) -> Array:
+    def measured_tip(self, message: PoseStamped) -> Floats:
         """Return a measured tip (3,) [m] in the base frame."""
         what, p = 'measured_tip', message.pose.position
         rotation, shift = self._to_base(message.header, what)
@@ -132,7 +131,7 @@ class Incoming:
             )
         return Twist(axes @ values[:3], axes @ values[3:], frame == self.tip)
 
-    def states(self, message: JointState) -> tuple[Array, Array]:
+    def states(self, message: JointState) -> tuple[Floats, Floats]:
         """Return tensions (m,) [N] and wire pulls (m,) [m]; nan where not observable."""
         self._fresh(message.header, 'tendon_states')
         tensions, pulls = tensions_and_pulls(message, self._model.inputs)
@@ -172,11 +171,11 @@ class Incoming:
         stamp = stamp_text(message.header.stamp)
         return replace(Trajectory.checked(times, values, limits, inputs), stamp=stamp)
 
-    def _within_reach(self, place: Array, what: str) -> Array:
+    def _within_reach(self, place: Floats, what: str) -> Floats:
         """Return a position (3,) [m]; Refusal: it is farther than any tip of this robot."""
         return position(place.tolist(), self._farthest, what)
 
-    def _to_base(self, header: Header, what: str) -> tuple[Array, Array]:
+    def _to_base(self, header: Header, what: str) -> tuple[Floats, Floats]:
         """Return rotation and translation of a message to the base; Refusal: stale, or no TF."""
         now = self._fresh(header, what)
         stamp, tolerance = seconds(header.stamp), self._parameters['stamp_tolerance']

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseArray, PoseStamped
-from numpy.typing import NDArray
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, Header
 
+from ...common.arrays import Floats
 from ...common.errors import InputError
 from ...common.rotations import towards
 from ...drivers import Driver, make_driver
@@ -41,8 +41,6 @@ from ..shared.messages import (
 from ..shared.parameters import Parameters, base_frame, read_mapping
 from ..shared.runtime import repeat
 
-Array = NDArray[np.float64]
-
 
 class Twin:
     """A mock arm that equals the model, with the memory of its friction (`make demo`)."""
@@ -52,12 +50,12 @@ class Twin:
         self._model = Model(robot)
         self._last: Shape | None = None
 
-    def respond(self, tensions: Array) -> Shape:
+    def respond(self, tensions: Floats) -> Shape:
         """Return the shape under tensions (m,) [N]."""
         self._last = self._model.follow(self._last, tensions)
         return self._last
 
-    def respond_to_pulls(self, pulls: Array) -> Shape:
+    def respond_to_pulls(self, pulls: Floats) -> Shape:
         """Return the shape under wire pulls (m,) [m], nan = slack."""
         self._last = self._model.pull_shape(pulls, self._last)
         return self._last

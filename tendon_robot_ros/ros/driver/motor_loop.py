@@ -10,14 +10,11 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from ...common.arrays import Floats
 from ...common.errors import DriverError, MovedError
 from ...drivers import Driver, Fault, Reading
 from ...drivers.safety import FOLLOWING, LIMP, OFF, RELEASED, Decision, Supervisor
 
-Array = NDArray[np.float64]
 # [s] to switch torque on, because a driver may search for the slack of its wires first: else
 # each of a dozen wires would have at most 10 s
 ENABLE_TIMEOUT_S = 120.0
@@ -60,7 +57,7 @@ class MotorLoop:
         self.driver, self.supervisor = driver, supervisor
         self._period, self._report, self._receive = period, report, receive
         self._calls: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
-        self._command: Array | None = None
+        self._command: Floats | None = None
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name='motors', daemon=True)
         self._off: tuple[str, ...] = driver.inputs
@@ -71,7 +68,7 @@ class MotorLoop:
         """Start the thread, which reads the motors."""
         self._thread.start()
 
-    def put(self, command: Array) -> None:
+    def put(self, command: Floats) -> None:
         """Set the newest command, (m,) [N] or [m], for the next cycle."""
         self._command = command
 

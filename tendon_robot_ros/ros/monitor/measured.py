@@ -7,10 +7,10 @@ from functools import partial
 
 import numpy as np
 from geometry_msgs.msg import PoseArray, PoseStamped, Quaternion, Vector3, Vector3Stamped
-from numpy.typing import NDArray
 from rclpy.node import Node
 from std_msgs.msg import Float64, Float64MultiArray, Header
 
+from ...common.arrays import Floats
 from ...common.errors import InputError
 from ...control.checks import Refusal, check_stamp
 from ...data.tracker_faults import not_there
@@ -30,7 +30,6 @@ from ..shared.messages import (
 from ..shared.parameters import Parameters, parsed
 from ..shared.timing import SILENCE_S, VALUES_PERIOD_S
 
-Array = NDArray[np.float64]
 # [s] between the stamps of markers on topics of their own that belong to one frame: less than a
 # period at 30 Hz, else two frames would be merged
 FRAME_SPAN_S = 0.02
@@ -60,16 +59,16 @@ class MarkerInput:
         parameters: Parameters,
         base: str,
         monitor: Monitor,
-        take: Callable[[float, Array], None],
+        take: Callable[[float, Floats], None],
     ) -> None:
         """Create the subscriptions; InputError: a parameter is invalid."""
         self._node, self._parameters, self._taker = node, parameters, take
         self._monitor, self.markers, self.problem = monitor, monitor.markers, ''
-        self._waiting: tuple[float, Array] | None = None
+        self._waiting: tuple[float, Floats] | None = None
         self._frames = Frames(node, base)
         self._fixed = _transform(parameters['tracker_transform'])
         topics = parsed(parameters['measured_markers'], 'measured_markers', dict)
-        self._frame: tuple[float, Array] | None = None
+        self._frame: tuple[float, Floats] | None = None
         if topics:
             indices = {marker.name: index for index, marker in enumerate(self.markers)}
             for name, topic in topics.items():
@@ -90,7 +89,7 @@ class MarkerInput:
             frame, self._waiting = self._waiting, None
             self._taker(*frame)
 
-    def _take(self, at: float, points: Array) -> None:
+    def _take(self, at: float, points: Floats) -> None:
         if self._waiting is not None:
             self.hand_over(late=at - self._monitor.states.newest > VALUES_PERIOD_S)
         self._waiting = at, points
@@ -126,19 +125,19 @@ class MarkerInput:
         else:
             self._frame[1][index] = points[index]
 
-    def _only(self, index: int, message: PoseStamped) -> Array:
+    def _only(self, index: int, message: PoseStamped) -> Floats:
         """Return positions (J, 3) [m], nan for all markers but one."""
         points = np.full((len(self.markers), 3), np.nan)
         p = message.pose.position
         points[index] = p.x, p.y, p.z
         return points
 
-    def _give(self, header: Header, points: Array, what: str) -> None:
+    def _give(self, header: Header, points: Floats, what: str) -> None:
         placed = self._in_base(header, points, what)
         if placed is not None:
             self._take(self._time(header), placed)
 
-    def _in_base(self, header: Header, points: Array, what: str) -> Array | None:
+    def _in_base(self, header: Header, points: Floats, what: str) -> Floats | None:
         try:
             tolerance = self._parameters['stamp_tolerance']
             stamp, now = seconds(header.stamp), time_now(self._node)
@@ -157,7 +156,7 @@ class MarkerInput:
         return seconds(header.stamp) or time_now(self._node)
 
 
-def _transform(text: str) -> tuple[Array, Array] | None:
+def _transform(text: str) -> tuple[Floats, Floats] | None:
     """Parse rotation (3, 3) and translation (3,) [m] from tracker to base; None: no text."""
     if not text.strip():
         return None

@@ -17,12 +17,12 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from ...common.arrays import Floats
 from ...common.errors import InputError, TendonRobotError
 from ...control import Refusal
 from ...control.loading import Loader
@@ -51,7 +51,6 @@ from .measured import MarkerInput, MonitorOutput
 from .watching import Adapting, Watching
 
 HELP = 'compare the running robot with its model; record, diagnose, add what is missing'
-Array = NDArray[np.float64]
 # [1] defaults and ranges, each with its unit: docs/ros_interface.md
 SPECS = (
     fixed(
@@ -251,7 +250,7 @@ class MonitorNode(Runnable, Node):
         if self._measured is not None:
             self._measured.hand_over()
 
-    def _frame(self, at: float, positions: Array) -> None:
+    def _frame(self, at: float, positions: Floats) -> None:
         """Compare a frame of the tracker with the model and publish the errors."""
         assert self.monitor is not None
         before = len(self.monitor.recorded)

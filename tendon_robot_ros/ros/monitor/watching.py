@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import Vector3, WrenchStamped
-from numpy.typing import NDArray
 from rclpy.node import Node
 from std_msgs.msg import Float64MultiArray, Header, String
 
+from ...common.arrays import Floats
 from ...common.errors import InputError
 from ...common.words import with_unit
 from ...diagnosis.intervals import load_of
@@ -29,7 +29,6 @@ from ...robot import Robot, dump_robot
 from ..shared.messages import LATCHED, STATE, stamp_now
 from ..shared.parameters import Parameters
 
-Array = NDArray[np.float64]
 # [1] of the largest tension: frames under tensions that differ by less are averaged, so that the
 # noise of a load cell does not start a new mean
 SAME_TENSION = 0.01
@@ -95,7 +94,7 @@ class Watching:
         return values
 
     def frame(
-        self, at: float, positions: Array, base: str, still: StillMeasurement | None
+        self, at: float, positions: Floats, base: str, still: StillMeasurement | None
     ) -> None:
         """Use a frame, positions (J, 3) [m], and the posture if the arm is at rest."""
         if self._drift and still is not None:
@@ -125,7 +124,12 @@ class Watching:
         return bool(np.isfinite(self._period))
 
     def _publish(
-        self, base: str, tensions: Array, positions: Array | None, frames: int, pulls: Array | None
+        self,
+        base: str,
+        tensions: Floats,
+        positions: Floats | None,
+        frames: int,
+        pulls: Floats | None,
     ) -> None:
         if not np.isfinite(tensions).all():
             return

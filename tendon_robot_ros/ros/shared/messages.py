@@ -11,7 +11,6 @@ import numpy as np
 from builtin_interfaces.msg import Duration, Time
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Point, Pose, PoseArray, PoseStamped, Quaternion
-from numpy.typing import NDArray
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -22,11 +21,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
+from ...common.arrays import Floats
 from ...common.colours import rgb
 from ...common.rotations import from_quaternion, quaternions
 from ...control.checks import Refusal, by_name, check_frame, cut
-
-Array = NDArray[np.float64]
 
 
 def seconds(stamp: Time) -> float:
@@ -63,24 +61,24 @@ def duration(time: float) -> Duration:
     return Duration(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
 
 
-def quaternion(rotation: Array) -> Quaternion:
+def quaternion(rotation: Floats) -> Quaternion:
     """Return the quaternion of a rotation matrix, shape (3, 3)."""
     x, y, z, w = quaternions(rotation[None])[0].tolist()
     return Quaternion(x=x, y=y, z=z, w=w)
 
 
-def matrix(message: Quaternion) -> Array:
+def matrix(message: Quaternion) -> Floats:
     """Return the rotation matrix (3, 3) of a quaternion message."""
     return from_quaternion((message.x, message.y, message.z, message.w))
 
 
-def pose(position: Array, rotation: Array) -> Pose:
+def pose(position: Floats, rotation: Floats) -> Pose:
     """Return a pose."""
     x, y, z = np.asarray(position).tolist()
     return Pose(position=Point(x=x, y=y, z=z), orientation=quaternion(rotation))
 
 
-def pose_array(header: Header, positions: Array, rotations: Array | None = None) -> PoseArray:
+def pose_array(header: Header, positions: Floats, rotations: Floats | None = None) -> PoseArray:
     """Return poses of positions (n, 3) [m] and rotation matrices (n, 3, 3); None: unrotated."""
     unrotated = np.tile([0.0, 0.0, 0.0, 1.0], (len(positions), 1))
     orientations = unrotated if rotations is None else quaternions(rotations)
@@ -94,26 +92,26 @@ def pose_array(header: Header, positions: Array, rotations: Array | None = None)
     return PoseArray(header=header, poses=poses)
 
 
-def points_of(message: PoseArray) -> Array:
+def points_of(message: PoseArray) -> Floats:
     """Return the positions (n, 3) [m] of poses."""
     points = [[p.position.x, p.position.y, p.position.z] for p in message.poses]
     return np.array(points, dtype=float).reshape(-1, 3)
 
 
-def pose_stamped(header: Header, position: Array, rotation: Array) -> PoseStamped:
+def pose_stamped(header: Header, position: Floats, rotation: Floats) -> PoseStamped:
     """Return a stamped pose."""
     return PoseStamped(header=header, pose=pose(position, rotation))
 
 
 def joint_state(
-    stamp: Time, names: Sequence[str], position: Array | None = None, effort: Array | None = None
+    stamp: Time, names: Sequence[str], position: Floats | None = None, effort: Floats | None = None
 ) -> JointState:
     """Return a joint message: position = wire pull [m], effort = tension [N]."""
     return refilled(JointState(name=list(names)), stamp, position, effort)
 
 
 def refilled(
-    message: JointState, stamp: Time, position: Array | None, effort: Array | None
+    message: JointState, stamp: Time, position: Floats | None, effort: Floats | None
 ) -> JointState:
     """Fill a joint message with new values and return it: cheaper than a new message."""
     message.header.stamp = stamp
@@ -122,7 +120,7 @@ def refilled(
     return message
 
 
-def tensions_and_pulls(message: JointState, inputs: Sequence[str]) -> tuple[Array, Array]:
+def tensions_and_pulls(message: JointState, inputs: Sequence[str]) -> tuple[Floats, Floats]:
     """
     Return tensions (m,) [N] and wire pulls (m,) [m] in the order of the inputs.
 
@@ -142,7 +140,7 @@ def status_values(message: DiagnosticStatus) -> dict[str, str]:
 
 
 def arm_markers(
-    header: Header, positions: Array, thickness: float, color: str, name: str
+    header: Header, positions: Floats, thickness: float, color: str, name: str
 ) -> MarkerArray:
     """Return a line from the base through positions (n, 3) [m], and a ball at the tip."""
     points = [Point(), *(Point(x=p[0], y=p[1], z=p[2]) for p in positions.tolist())]
@@ -208,7 +206,7 @@ class Frames:
 
     def to_base(
         self, frame: str, what: str, stamp: float = 0.0, now: float = 0.0, tolerance: float = 0.5
-    ) -> tuple[Array, Array]:
+    ) -> tuple[Floats, Floats]:
         """
         Return rotation (3, 3) and translation (3,) [m] from a frame to the base frame.
 

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped, PoseStamped
-from numpy.typing import NDArray
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from ...common.arrays import Floats
 from ...common.errors import InputError, TendonRobotError
 from ...common.rotations import towards
 from ...control.checks import direction as looks
@@ -42,7 +42,6 @@ from .parameters import RemoteParameter
 from .runtime import SPIN_S, Ending
 from .timing import NODE_TIMEOUT_S
 
-Array = NDArray[np.float64]
 SETTLED_CODES = ('reached', 'nearest', 'at_limit')
 WORKING_CODES = ('holding', 'searching', 'moving', 'playing', 'played', 'jogging', *SETTLED_CODES)
 # [s] over which a tip at rest is averaged: ten frames at 30 Hz, so that the noise of a tracker
@@ -130,7 +129,7 @@ class RobotClient(Node):
         """Whether targets have a subscriber."""
         return bool(self._poses.get_subscription_count() and self._points.get_subscription_count())
 
-    def send(self, position: Array, direction: Array | None) -> str:
+    def send(self, position: Floats, direction: Floats | None) -> str:
         """Send a target, (3,) [m] and (3,) or None; return its stamp as the status reports it."""
         header = PoseStamped().header
         header.frame_id, header.stamp = self.base, stamp_now(self)
@@ -236,8 +235,11 @@ class Pilot(RobotClient):
         self.inputs: tuple[str, ...] = ()
         self.pull = False
         self._since = np.inf  # [s] when `clear` was called
-        self._tips: dict[str, list[tuple[float, Array, Array]]] = {'measured': [], 'predicted': []}
-        self._commands: list[tuple[float, Array]] = []
+        self._tips: dict[str, list[tuple[float, Floats, Floats]]] = {
+            'measured': [],
+            'predicted': [],
+        }
+        self._commands: list[tuple[float, Floats]] = []
         self._trajectories = self.create_publisher(
             JointTrajectory, f'{controller}/tendon_trajectory', COMMAND
         )
@@ -366,19 +368,19 @@ class Pilot(RobotClient):
         del self._commands[:-1]
         self._since = time.monotonic()
 
-    def tips(self) -> tuple[bool, Array, Array, Array]:
+    def tips(self) -> tuple[bool, Floats, Floats, Floats]:
         """Return whether a tracker measures, times (T,) [s], positions (T, 3) [m], directions."""
         measured = len(self._tips['measured']) > 1
         samples = self._tips['measured' if measured else 'predicted']
         times, places, views = zip(*samples, strict=True)
         return measured, np.array(times), np.array(places), np.array(views)
 
-    def commands(self) -> tuple[Array, Array]:
+    def commands(self) -> tuple[Floats, Floats]:
         """Return times (C,) [s] and commands (C, m) [N], or [m] in pull mode."""
         times, values = zip(*self._commands, strict=True)
         return np.array(times), np.array(values)
 
-    def tip(self) -> tuple[Array, Array]:
+    def tip(self) -> tuple[Floats, Floats]:
         """Return mean position (3,) [m] and direction (3,) of the tip over `TIP_AVERAGE_S`."""
         _, times, places, views = self.tips()
         recent = times > times[-1] - TIP_AVERAGE_S

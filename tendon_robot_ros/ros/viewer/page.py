@@ -10,15 +10,14 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...common.arrays import Floats
 from ...common.colours import BAD, ERROR, GOOD, INK, MEASURED, ORANGE, PREDICTED, rgb
 from ...common.errors import DriverError, MissingExtraError
 from . import page_parts
 from .page_parts import MEASURED_OPACITY, tube_faces, tube_vertices
 from .state import ViewState
 
-Array = NDArray[np.float64]
 BUTTONS: tuple[tuple[str, str, str, str], ...] = (  # name, label, hint, colour
     ('record', '1  Record', 'every posture in which the arm stands still', ORANGE),
     ('diagnose', '2  Diagnose', 'which physical effect is missing?', PREDICTED),
@@ -62,8 +61,8 @@ class Picture(NamedTuple):
 class View:
     """A camera: its position and the point at the centre of its image, (3,) [m] each."""
 
-    position: Array
-    look_at: Array
+    position: Floats
+    look_at: Floats
 
 
 def framed(radius: float, picture: Picture) -> View:
@@ -231,7 +230,7 @@ class LivePage:
         place = self._guarded('target', lambda: np.array(self._target.position))
         self._target.on_update(place)
 
-    def _line(self, name: str, segments: Array) -> None:
+    def _line(self, name: str, segments: Floats) -> None:
         """Show segments (s, 2, 3) [m]; while their number stays, only the points are sent."""
         points = segments.astype(np.float32)
         line = self._lines.get(name)
@@ -244,7 +243,7 @@ class LivePage:
             f'/{name}', points, colour, thickness=thickness, thickness_units='world'
         )
 
-    def _tube(self, nodes: Array) -> None:
+    def _tube(self, nodes: Floats) -> None:
         """Show the measured arm through nodes (n, 3) [m] as a wide, translucent tube."""
         if len(nodes) < 2:
             return
@@ -352,6 +351,6 @@ class LivePage:
             self._boxes[name].content = content
 
 
-def _nodes(points: Array) -> Array:
+def _nodes(points: Floats) -> Floats:
     """Return the base and the finite points, (n, 3) [m]."""
     return np.vstack([np.zeros((1, 3)), points[np.isfinite(points).all(axis=1)]])

@@ -18,7 +18,7 @@ from ...diagnosis.result import NOT_NEEDED, LoadVector, Value
 from ...report.sentences import load_words, told_quantity
 from .state import CURVE_SPAN_S
 
-Floats = NDArray[np.float32]
+Floats32 = NDArray[np.float32]
 # [1] so that the predicted arm, which is thinner, is visible inside the measured one
 MEASURED_OPACITY = 0.4
 SIDES = 12  # [1] of the cross-section of a tube: with fewer it would have visible edges
@@ -322,7 +322,7 @@ def tube_faces(nodes: int) -> NDArray[np.uint32]:
     return quads.reshape(-1, 3).astype(np.uint32)
 
 
-def tube_vertices(nodes: NDArray[np.float64], radius: float) -> Floats:
+def tube_vertices(nodes: NDArray[np.float64], radius: float) -> Floats32:
     """
     Return rings (n SIDES, 3) of a radius around nodes (n, 3), n > 1, all in the same unit.
 

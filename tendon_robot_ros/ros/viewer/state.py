@@ -9,12 +9,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...common.arrays import Floats
 from ...common.words import listed, mm
 from ..shared.timing import ANSWER_TIMEOUT_S, SILENCE_S
 
-Array = NDArray[np.float64]
 # [s] between two points of the curve and two updates of the panel, because nobody reads faster
 PANEL_PERIOD_S = 0.2
 # [s] over which displayed numbers are medians, so that they can be read
@@ -45,11 +44,11 @@ class ViewState:
     inputs: tuple[str, ...] = ()
     tensions: tuple[float, ...] = ()
     limits: tuple[float, float] = (0.0, 5.0)  # [N]
-    measured: Array | None = None  # (J, 3) [m]
-    predicted: Array | None = None
-    force: Array | None = None  # (3,) [N] at the tip
+    measured: Floats | None = None  # (J, 3) [m]
+    predicted: Floats | None = None
+    force: Floats | None = None  # (3,) [N] at the tip
     force_at: float = -np.inf
-    marker_errors: deque[tuple[float, Array]] = field(default_factory=deque)  # [s], (J,) [m]
+    marker_errors: deque[tuple[float, Floats]] = field(default_factory=deque)  # [s], (J,) [m]
     times: deque[float] = field(default_factory=_curve)
     rollings: deque[float] = field(default_factory=_curve)
     marks: list[tuple[float, str]] = field(default_factory=list)
@@ -173,7 +172,7 @@ class ViewState:
         recent = [error for at, error in samples if now - at < STEADY_S and np.isfinite(error)]
         return float(np.median(recent)) if recent else float('nan')
 
-    def errors(self) -> Array | None:
+    def errors(self) -> Floats | None:
         """Return error vectors as segments (J, 2, 3) [m] from predicted to measured."""
         measured, predicted = self.measured, self.predicted
         if measured is None or predicted is None or len(measured) != len(predicted):
@@ -181,7 +180,7 @@ class ViewState:
         unseen = ~np.isfinite(measured).all(axis=1)
         return np.stack([predicted, np.where(unseen[:, None], predicted, measured)], axis=1)
 
-    def force_line(self, now: float, size: float) -> Array | None:
+    def force_line(self, now: float, size: float) -> Floats | None:
         """Return an arrow of the force as segments (1, 2, 3) [m]; None without a fresh one."""
         if self.force is None or now - self.force_at > SILENCE_S or self.measured is None:
             return None
