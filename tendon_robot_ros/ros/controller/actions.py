@@ -215,7 +215,7 @@ class CycledServer(ActionServer):
 
 
 @dataclass
-class Pursued:
+class ActiveGoal:
     """A goal of a client that is being pursued."""
 
     server: CycledServer
@@ -231,7 +231,7 @@ class Actions:
     def __init__(self, node: Node) -> None:
         """Create the servers of the action types that can be imported."""
         self._node = node
-        self._pursued: list[Pursued] = []
+        self._active: list[ActiveGoal] = []
         self.names: list[str] = []
         missing = {}
         for name, package, kind, make in OFFERED:
@@ -250,45 +250,45 @@ class Actions:
     def _offer(self, name: str, kind: ActionKind) -> None:
         def accepted(handle: Any) -> None:
             handle.execute()
-            self._pursued.append(Pursued(server, kind, handle))
+            self._active.append(ActiveGoal(server, kind, handle))
 
         server = CycledServer(self._node, kind.type, f'~/{name}', accepted)
         self.names.append(name)
 
     def serve(self, now: float, core: ControllerCore, incoming: Incoming) -> None:
         """Start new goals, update the others, end finished ones; called once per cycle."""
-        for one in list(self._pursued):
-            if one.handle.is_cancel_requested:
-                if one.goal is not None:
-                    one.goal.cancel(core, now)
-                self._end(one, GoalOutcome('canceled', 'canceled; the arm holds'))
-            elif one.goal is None:
+        for active in list(self._active):
+            if active.handle.is_cancel_requested:
+                if active.goal is not None:
+                    active.goal.cancel(core, now)
+                self._end(active, GoalOutcome('canceled', 'canceled; the arm holds'))
+            elif active.goal is None:
                 try:  # a refused goal changes nothing
-                    stamp = bytes(one.handle.goal_id.uuid).hex()
-                    one.goal = one.kind.goal(one.handle.request, incoming, stamp)
-                    one.goal.begin(core, now)
+                    stamp = bytes(active.handle.goal_id.uuid).hex()
+                    active.goal = active.kind.goal(active.handle.request, incoming, stamp)
+                    active.goal.begin(core, now)
                 except Refusal as refusal:
-                    self._end(one, GoalOutcome(refusal.code, str(refusal)))
-            elif (outcome := one.goal.look(core, now)) is not None:
-                self._end(one, outcome)
-            elif now - one.feedback_at >= VALUES_PERIOD_S:
-                one.feedback_at = now
+                    self._end(active, GoalOutcome(refusal.code, str(refusal)))
+            elif (outcome := active.goal.look(core, now)) is not None:
+                self._end(active, outcome)
+            elif now - active.feedback_at >= VALUES_PERIOD_S:
+                active.feedback_at = now
                 header = Header(frame_id=incoming.base, stamp=stamp_now(self._node))
-                progress = one.goal.progress(core, now)
-                one.handle.publish_feedback(one.kind.feedback(progress, header))
+                progress = active.goal.progress(core, now)
+                active.handle.publish_feedback(active.kind.feedback(progress, header))
 
     def drop(self, reason: str) -> None:
         """Abort all goals: the controller commands nothing."""
-        for one in list(self._pursued):
-            self._end(one, GoalOutcome('ended', reason))
+        for active in list(self._active):
+            self._end(active, GoalOutcome('ended', reason))
 
-    def _end(self, one: Pursued, outcome: GoalOutcome) -> None:
-        self._pursued.remove(one)
-        handle = one.handle
+    def _end(self, active: ActiveGoal, outcome: GoalOutcome) -> None:
+        self._active.remove(active)
+        handle = active.handle
         if handle.is_cancel_requested:
             handle.canceled()
         elif outcome.code:
             handle.abort()
         else:
             handle.succeed()
-        one.server.end(handle, one.kind.result(outcome))
+        active.server.end(handle, active.kind.result(outcome))

@@ -221,7 +221,7 @@ class Service:
         self.handle.destroy_when_not_in_use()
 
 
-class Waiting:
+class WaitSet:
     """Blocks until an inbox has a message, a service has a request, or `wake` is called."""
 
     def __init__(self, node: Node) -> None:
@@ -350,7 +350,7 @@ class StopTopic:
         self._queue: deque[Received[Bool]] = deque()
         self._forwarding = node.create_publisher(String, FORWARDED, COMMAND_ALL)
         self._closed = False
-        self._waiting = Waiting(node)
+        self._wait_set = WaitSet(node)
         self._thread = threading.Thread(target=self._listen, name='stop', daemon=True)
         self._thread.start()
 
@@ -374,9 +374,9 @@ class StopTopic:
     def close(self) -> None:
         """End the thread and destroy the subscriptions."""
         self._closed = True
-        self._waiting.wake()
+        self._wait_set.wake()
         self._thread.join()
-        self._waiting.close()
+        self._wait_set.close()
 
     def _listen(self) -> None:
         """
@@ -401,7 +401,7 @@ class StopTopic:
             self._queue += filter(None, parsed)
             for service in self._services:
                 service.serve()
-            self._waiting.wait([*inboxes, forwarded], self._services)
+            self._wait_set.wait([*inboxes, forwarded], self._services)
         for inbox in (*inboxes, forwarded):
             inbox.close()
         for service in self._services:

@@ -338,7 +338,7 @@ class RemoteParameter:
         self._name, self._other = name, other
         get = node.create_client(GetParameters, f'{other}/get_parameters')
         put = node.create_client(SetParametersAtomically, f'{other}/set_parameters_atomically')
-        self._get, self._set = Question(get), Question(put)
+        self._get, self._set = RepeatedRequest(get), RepeatedRequest(put)
 
     def ask(self, answer: Callable[[Any], object]) -> None:
         """Request the value; to be called periodically: it repeats overdue requests."""
@@ -365,7 +365,7 @@ class RemoteParameter:
             answer(False, f'{self._other} does not answer: is it running?')
 
 
-class Question:
+class RepeatedRequest:
     """A request that is repeated until it is answered; a new request replaces it."""
 
     def __init__(self, client: Client) -> None:

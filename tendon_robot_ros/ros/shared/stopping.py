@@ -56,13 +56,13 @@ def stop_nodes(
 
     """
     with ros(ros_arguments):
-        person = Person(below)
+        client = StopClient(below)
         go_realtime()  # discovery, too, on a busy machine
         try:
-            person.stop({who.node for who, stopped in local.items() if stopped})
-            results = person.results()
+            client.stop({who.node for who, stopped in local.items() if stopped})
+            results = client.results()
         finally:
-            person.close()
+            client.close()
     for who, stopped in local.items():
         _, why = results.get(who.node, (who.drives, NO_ANSWER))
         results[who.node] = who.drives, '' if stopped else why
@@ -96,7 +96,7 @@ class Stopping:
             self.futures.append(self.client.call_async(Trigger.Request()))
 
 
-class Person(Node):
+class StopClient(Node):
     """Discovers the nodes that can be stopped, and stops them."""
 
     def __init__(self, below: str) -> None:
