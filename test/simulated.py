@@ -8,7 +8,7 @@ from source_tree import ROOT
 from tendon_robot_ros.comparison.noise import Noise
 from tendon_robot_ros.comparison.predict import FreeParameter, Predictor
 from tendon_robot_ros.data import DataSet, default_markers
-from tendon_robot_ros.diagnosis.trust import measure_again
+from tendon_robot_ros.diagnosis.trust import simulated_measurements
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.workspace.postures import default_postures
@@ -77,7 +77,7 @@ def measure(dataset, hidden=None, noise=NOISE, seed=0, catalogue=CATALOGUE):
                     point[FreeParameter(effect, parameter, i, section.name)] = float(value[i])
             else:
                 point[FreeParameter(effect, parameter)] = float(value)
-    made = measure_again(predictor, point, noise, np.random.default_rng(seed))
+    made = simulated_measurements(predictor, point, noise, np.random.default_rng(seed))
     assert made is not None, 'the simulated robot has no equilibrium'
     return made
 

@@ -175,4 +175,4 @@ def test_an_effect_is_there_only_if_its_interval_leaves_out_what_is_described(le
     dataset = measured(simulated.robot(), {'hinge_friction': {'lever': lever}}, count=6)
     found = gather(sessions.Session(dataset, dataset.robot, CATALOGUE, 1))
     (ranked,) = (r for r in found.singles if r.candidate.names == ('hinge_friction',))
-    assert found.is_there(ranked) == (lever > 0.0)
+    assert found.differs(ranked) == (lever > 0.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tendon_robot_ros.diagnosis.intervals import load_of
-from tendon_robot_ros.diagnosis.report_rows import Left
+from tendon_robot_ros.diagnosis.report_rows import FittedErrors
 from tendon_robot_ros.diagnosis.result import (
     CandidateRow,
     Diagnosis,
@@ -142,8 +142,8 @@ def test_the_owner_of_a_value_is_said_in_words():
 
 def test_the_share_is_of_what_the_noise_leaves_even_where_it_was_declared_too_large():
     def shares(before, best, other, floor):
-        left = Left(before, best, best, floor, False)
-        return left.share(best), left.share(other)
+        errors = FittedErrors(before, best, best, floor, False)
+        return errors.explained(best), errors.explained(other)
 
     assert shares(5e-3, 1e-3, 3e-3, 1e-3) == (1.0, pytest.approx(0.5))
     assert shares(5e-3, 1e-3, 3e-3, 2e-3) == (1.0, pytest.approx(0.5))  # of what is left

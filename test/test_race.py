@@ -25,14 +25,14 @@ def alone(session, candidate):
 def test_the_best_is_fitted_as_if_it_were_alone_and_those_far_behind_are_left(session):
     tested, _ = session.split_tested({})
     race = session.race(tested)
-    found = {candidate.label: fit.deviance for candidate, fit in race.run()}
-    left = {candidate.label for candidate, _ in race.behind()}
-    assert set(found) == {candidate.label for candidate in tested}
-    assert min(found, key=found.get) == 'tip_load' not in left
-    assert 'hinge_friction' in left
+    deviances = {candidate.label: fit.deviance for candidate, fit in race.run()}
+    stopped = {candidate.label for candidate, _ in race.stopped_early()}
+    assert set(deviances) == {candidate.label for candidate in tested}
+    assert min(deviances, key=deviances.get) == 'tip_load' not in stopped
+    assert 'hinge_friction' in stopped
     for candidate in tested:
-        if candidate.label not in left:
-            assert found[candidate.label] == pytest.approx(alone(session, candidate), abs=1e-3)
+        if candidate.label not in stopped:
+            assert deviances[candidate.label] == pytest.approx(alone(session, candidate), abs=1e-3)
 
 
 def test_what_was_left_behind_can_go_on_to_its_end(session):

@@ -336,7 +336,7 @@ def test_half_as_many_cells_on_the_same_length_are_told_beside_a_load():
     assert said in found[0].mistake.sentence  # twice the tensions do nearly the same
     (one,) = (one for one in found if one.mistake.sentence.startswith(said))
     assert one.explained.names == ('tip_load',)
-    assert one.explained.left < session.whitener.floor()
+    assert one.explained.residual < session.whitener.floor()
 
 
 def test_a_light_arm_may_hang_upside_down_where_a_load_makes_up_for_it():

@@ -15,8 +15,8 @@ from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.session import Session
 from tendon_robot_ros.diagnosis.trust import (
     assess,
-    measure_again,
     noncentrality,
+    simulated_measurements,
     smallest_sizes,
     wilson,
 )
@@ -69,7 +69,7 @@ def test_a_simulated_set_keeps_what_was_not_seen_and_has_the_noise():
     dataset = replace(dataset, positions=positions)
     predictor = Predictor(dataset, ROBOT, CATALOGUE)
     quiet = replace(NOISE, trial=0.0, setting=0.0)
-    again = measure_again(predictor, {}, quiet, np.random.default_rng(0))
+    again = simulated_measurements(predictor, {}, quiet, np.random.default_rng(0))
     np.testing.assert_array_equal(np.isnan(again.positions), np.isnan(positions))
     left = again.positions - predictor.markers({})[:, None]
     assert np.nanstd(left) == pytest.approx(NOISE.position, rel=0.05)

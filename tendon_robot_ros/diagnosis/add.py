@@ -36,9 +36,9 @@ class Addition(TextResult):
     values: dict[str, dict[str, Value]]  # effect -> parameter -> value with its interval
     fitted: Errors  # on the postures of the fit
     check: Errors  # on a check set, else on postures left out in turn
-    probability: float  # of so much remaining error if nothing else is at work
+    probability: float  # p-value of the remaining error if no other effect acts
     moved: dict[str, float] = field(default_factory=dict)  # tolerance -> declared sd it moved
-    more_at_work: str = ''  # what the file says when the effects are not the whole story
+    more_at_work: str = ''  # note in the file where other effects act as well
     beside: bool = False  # whether tolerances that moved and imperfections are written, too
     accuracy: float | None = None  # [m] declared, that weighed; None: repeatability alone did
     loads: dict[str, LoadVector] = field(default_factory=dict)  # of effects that are forces
@@ -83,14 +83,14 @@ class Addition(TextResult):
         }
 
 
-def with_origin(made: Addition, before: Robot) -> Robot:
-    """Return the description with where its fitted values come from."""
-    robot = made.robot
+def with_origin(addition: Addition, before: Robot) -> Robot:
+    """Return the description with the origin of its fitted values."""
+    robot = addition.robot
     error: dict[str, Any] = {'unit': 'm'}
-    for one in (made.fitted, made.check):
+    for one in (addition.fitted, addition.check):
         numbers = {key: _short(getattr(one, key)) for key in ('before', 'after', 'floor')}
         error[one.kind.replace(' ', '_')] = {'data': one.data, **numbers}
-    for name, values in made.values.items():
+    for name, values in addition.values.items():
         origin: dict[str, Any] = {
             'parameters': {
                 key: {name: _short(getattr(value, name)) for name in ('value', 'low', 'high')}
@@ -98,35 +98,35 @@ def with_origin(made: Addition, before: Robot) -> Robot:
                 | ({'note': value.note} if value.note else {})
                 for key, value in values.items()
             },
-            'data': made.fitted.data,
+            'data': addition.fitted.data,
             'date': date.today().isoformat(),
             'error': error,
         }
-        if len(made.values) > 1:
-            origin['together_with'] = [other for other in made.values if other != name]
+        if len(addition.values) > 1:
+            origin['together_with'] = [other for other in addition.values if other != name]
         if name in before.effects:
             old = before.effects[name].items()
             origin['replaces'] = {k: list(v) if isinstance(v, tuple) else v for k, v in old}
-        if made.moved:
-            origin['tolerances_moved'] = {key: _short(z) for key, z in made.moved.items()}
-        if made.accuracy:
-            origin['weighed_by_accuracy'] = made.accuracy
-        if made.more_at_work:
-            origin['more_at_work'] = made.more_at_work
+        if addition.moved:
+            origin['tolerances_moved'] = {key: _short(z) for key, z in addition.moved.items()}
+        if addition.accuracy:
+            origin['weighed_by_accuracy'] = addition.accuracy
+        if addition.more_at_work:
+            origin['more_at_work'] = addition.more_at_work
         robot = robot.with_effect(name, robot.effects[name], origin)
     return robot
 
 
 def more_at_work(errors: Errors, probability: float) -> str:
-    """Say that the effects are not the whole story."""
+    """Return the note that other effects act as well."""
     floor = errors.floor or 0.0
-    left = (
+    residual = (
         f'{errors.after / floor:.1f} times the noise'
         if floor > 0.0
         else f'{1e3 * errors.after:.2g} mm'
     )
     return (
-        f'more is at work than these effects: what is left on the fitted postures is {left} '
+        f'more is at work than these effects: what is left on the fitted postures is {residual} '
         f'(p = {probability:.1g})'
     )
 
@@ -218,28 +218,28 @@ def add_effects(
         frees = [free for name in names for free in _candidate(session, name).frees]
         point = {free: by_name[free.effect].parameters[free.key].value for free in frees}
     settled = settle(session, names, point)
-    fit, made = settled.fit, settled.made
+    fit, descriptions = settled.fit, settled.descriptions
     probability, scale = settled.probability, settled.scale
     values = values_with_intervals(session.fitters[0], fit, scale)
-    robots = Staircase(session.robot, made.alone, made.robot)
+    robots = Staircase(session.robot, descriptions.alone, descriptions.robot)
     fitted = errors_on(session.dataset, robots, session.catalogue, 'fitted')
     if other is not None:
         on_check = errors_on(other, robots, session.catalogue, 'check')
     else:
-        alone = made.alone_left_out if made.beside else None
-        on_check = replace(fitted, kind='left out', alone=alone, after=made.left_out)
+        alone = descriptions.alone_left_out if descriptions.beside else None
+        on_check = replace(fitted, kind='left out', alone=alone, after=descriptions.left_out)
     more = more_at_work(fitted, probability) if partial or probability <= P_SINGLE_MIN else ''
     by = session.accuracy if session.use_accuracy else None
     loads, moved = loads_of(fit, session.predictor, scale), fit.prior_z
     added = Addition(
-        made.robot,
+        descriptions.robot,
         values,
         fitted,
         on_check,
         probability,
         moved,
         more,
-        made.beside,
+        descriptions.beside,
         by,
         loads,
         described,
@@ -249,46 +249,46 @@ def add_effects(
 
 @dataclass(frozen=True)
 class Settled:
-    """Effects fitted together, weighed as suits, and the description to write."""
+    """Effects fitted together, and the description to write."""
 
     fit: Fit
-    made: Written
-    probability: float  # that repeatability alone leaves as much
+    descriptions: Written
+    probability: float  # p-value by repeatability alone
     scale: float  # chi² over freedom where the fit is not adequate, else 1
 
 
 def settle(session: Session, names: Sequence[str], start: Point | None = None) -> Settled:
-    """Fit effects together; what repeatability cannot explain is weighed by the accuracy."""
+    """Fit effects together, weighed by the accuracy where they misfit beyond repeatability."""
     fit = fit_effects(session, names, start)
     probability, fit = fit.probability(session.freedom), session.fitters[0].for_values(fit)
-    made = written(session, fit)
+    descriptions = written(session, fit)
     if probability <= P_SINGLE_MIN and session.accuracy:
-        fit, made = _by_accuracy(session, names, fit, made)
+        fit, descriptions = _by_accuracy(session, names, fit, descriptions)
     own = fit.probability(session.freedom) if session.use_accuracy else probability
     scale = 1.0 if own > P_SINGLE_MIN else max(1.0, fit.chi2 / max(fit.freedom, 1))
-    return Settled(fit, made, probability, scale)
+    return Settled(fit, descriptions, probability, scale)
 
 
 def _by_accuracy(
-    session: Session, names: Sequence[str], fit: Fit, made: Written
+    session: Session, names: Sequence[str], fit: Fit, descriptions: Written
 ) -> tuple[Fit, Written]:
     """
-    Fit effects that are not the whole story again, weighed by the declared accuracy.
+    Refit effects, weighed by the declared accuracy, where other effects act as well.
 
-    Repeatability alone lets the postures that were measured most often, and the markers that
-    move least, decide about a model that is wrong by far more. The error on postures left out
-    never rises by it.
+    Repeatability alone would give most weight to the postures with most trials and the markers
+    with least noise, although the model error is far larger. The refit is rejected where it raises
+    the error on left-out postures.
     """
     session.use_accuracy = True
     with suppress(NoEquilibriumError):
-        again = fit_effects(session, names, fit.point) if session.weigh(fit.point) else fit
-        again = session.fitters[0].for_values(again)
-        other = written(session, again)
-        if other.left_out <= made.left_out:
-            return again, other
+        refitted = fit_effects(session, names, fit.point) if session.weigh(fit.point) else fit
+        refitted = session.fitters[0].for_values(refitted)
+        other = written(session, refitted)
+        if other.left_out <= descriptions.left_out:
+            return refitted, other
     session.use_accuracy = False
     session.weigh(fit.point, fit.built.around)
-    return fit, made
+    return fit, descriptions
 
 
 def add_effect(
@@ -388,10 +388,10 @@ def _candidate(session: Session, name: str) -> Candidate:
 
 
 def _refuse_untested(session: Session, candidate: Candidate, fit: Fit | None) -> None:
-    """Raise InputError where the postures say nothing about an effect."""
+    """Raise InputError where the postures do not show an effect."""
     effect = session.catalogue[candidate.names[0]]
     point = {} if fit is None else fit.point
-    here = session.predictor.markers(point)
+    markers = session.predictor.markers(point)
     acts = (
         effect.acts_on is None
         or effect.acts_on in session.robot.effects
@@ -399,8 +399,8 @@ def _refuse_untested(session: Session, candidate: Candidate, fit: Fit | None) ->
     )
     if (
         acts
-        and here is not None
-        and is_tested(candidate, session.predictor, session.whitener, point, here)
+        and markers is not None
+        and is_tested(candidate, session.predictor, session.whitener, point, markers)
     ):
         return
     reason = why_untested(effect, session.dataset, session.robot)

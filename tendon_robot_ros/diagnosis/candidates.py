@@ -26,7 +26,7 @@ from .imperfections import PLAUSIBLE_SIZES
 
 
 def why_untested(effect: Effect, dataset: DataSet, robot: Robot) -> str:
-    """Say in a few words why an effect does not show, and so cannot be judged."""
+    """Return in a few words why the postures do not show an effect."""
     if effect.acts_on and effect.acts_on not in robot.effects:
         return f'acts on {effect.acts_on}, which the description lacks'
     if effect.needs == 'history':
@@ -74,7 +74,7 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Ranked:
-    """A candidate with its fit and what it is worth."""
+    """A candidate with its fit and measures of its quality."""
 
     candidate: Candidate
     fit: Fit
@@ -98,7 +98,7 @@ class Ranked:
 
     @cached_property
     def probability(self) -> float:
-        """Chance of so large a chi² if it is the truth."""
+        """P-value of its chi²."""
         return self.fit.probability(self.noise_freedom)
 
     @cached_property
@@ -112,7 +112,7 @@ class Ranked:
 
     @property
     def trust(self) -> float:
-        """Chance of so much more than the fitted chi²."""
+        """P-value of the excess of `held_out` over the fitted chi²."""
         return self._left_out[1]
 
     @property
@@ -122,7 +122,7 @@ class Ranked:
 
 
 def nuisances_of(robot: Robot, catalogue: Catalogue, predictor: Predictor) -> list[Nuisance]:
-    """Return declared tolerances as parameters with priors; friction only where there is some."""
+    """Return declared tolerances as parameters with priors; friction only where described."""
     nuisances = []
     for quantity, spread in robot.tolerances.items():
         if quantity == CELLS and spread > 0.0 and robot.exact:
@@ -156,7 +156,8 @@ def joining_effects(robot: Robot, catalogue: Catalogue, dataset: DataSet) -> lis
     """
     Return the effects that may join a description that lacks several, in the catalogue's order.
 
-    What the data cannot show is left out; what only shapes another effect may also join with it.
+    Effects that the data cannot show are excluded; one that only modifies another effect may also
+    join together with it.
     """
     lacks = {'pulls': dataset.input == 'tension', 'history': not unloads(dataset)}
     own = [
@@ -172,14 +173,14 @@ def joining_effects(robot: Robot, catalogue: Catalogue, dataset: DataSet) -> lis
 
 
 def is_tested(
-    candidate: Candidate, predictor: Predictor, whitener: Whitener, point: Point, here: np.ndarray
+    candidate: Candidate, predictor: Predictor, whitener: Whitener, point: Point, markers: Floats
 ) -> bool:
-    """Tell whether the postures would show a typical size of the effect at a point."""
+    """Return whether a typical size of the effect changes the markers (P, J, 3) at a point."""
     effect = predictor.model.catalogue[candidate.names[0]]
     if effect.stage == 'memory' and not candidate.present and not unloads(predictor.dataset):
         return False
     if effect.always_on and not candidate.present:
-        # its absence is the base; what shows is what it changes there
+        # without it the arm is the base, from which its typical values differ
         shown = [f for f in candidate.frees if not f.parameter.has_default]
         moves = [{free: free.parameter.typical for free in shown}]
     else:
@@ -189,17 +190,17 @@ def is_tested(
             up = value + own.typical  # else to the side that has room
             moves.append({free: up if up <= own.high else max(value - own.typical, own.low)})
     for move in moves:
-        there = predictor.markers({**point, **move})
-        if there is None:
+        moved = predictor.markers({**point, **move})
+        if moved is None:
             return True
-        white = whitener.white(there - here)
+        white = whitener.white(moved - markers)
         if float(white @ white) > 1.0:  # more than one standard deviation of the noise
             return True
     return False
 
 
 def unloads(dataset: DataSet) -> bool:
-    """Tell whether an input is ever let go between a posture and the next one."""
+    """Return whether an input falls between a posture and the next one."""
     inputs, visits = np.nan_to_num(dataset.inputs), dataset.visits
     paths = [slice(None)] if visits is None else [visits.rows[leg] for leg in visits.legs()]
     let_go = any((np.diff(inputs[path], axis=0) < 0.0).any() for path in paths)
@@ -210,10 +211,10 @@ def gain_p_value(
     base: Fit, fit: Fit, described: Sequence[float], freedom: float = np.inf
 ) -> float:
     """
-    Probability of so large a gain in chi² by chance: likelihood ratio; half at a bound.
+    Return the p-value of a gain in deviance by the likelihood ratio test; half at a bound.
 
-    Of an arm as built by the ratio's F distribution: `freedom` deviations tell the spread that
-    what the fit changes has by chance, which the fit may make small to be paid for it.
+    Of an arm as built by an F distribution: `freedom` deviations determine the spread of the
+    change of the fit by chance, which the fit itself may underestimate.
     """
     gain, rank = base.deviance - fit.deviance, max(fit.rank, 1)
     if gain <= 0.0:
@@ -234,11 +235,11 @@ def cell_slopes(
 ) -> dict[FreeParameter, Floats]:
     """Return the derivatives (P, J, 3) [m] of the markers by the cells' stiffness at a point."""
     frees = [n.free for n in nuisances if n.free.effect == CELLS]
-    here = predictor.markers(point) if frees else None
-    if here is None:
+    markers = predictor.markers(point) if frees else None
+    if markers is None:
         return {}
     near, slopes, step = predictor.settled, {}, PLAUSIBLE_SIZES[CELLS][2]
     for free in frees:
         moved = predictor.markers({**point, free: point.get(free, 0.0) + step}, near=near)
-        slopes[free] = np.zeros_like(here) if moved is None else (moved - here) / step
+        slopes[free] = np.zeros_like(markers) if moved is None else (moved - markers) / step
     return slopes

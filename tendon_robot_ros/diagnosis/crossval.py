@@ -21,7 +21,7 @@ from ..data import DataSet
 from ..effects import Catalogue
 from ..robot import Robot
 from .description import changed_robot, with_members, with_tolerances, written_members
-from .fit import LEVERAGE_MAX, Fit, covariance_root, shares
+from .fit import LEVERAGE_MAX, Fit, covariance_root, gram_eigen
 from .fitter import Fitter
 from .marginal import RIDGE
 from .verdict import LEFT_OUT_RATIO_MAX
@@ -29,7 +29,7 @@ from .verdict import LEFT_OUT_RATIO_MAX
 if TYPE_CHECKING:
     from .session import Session
 
-FOLDS = 6  # [1] groups of postures left out in turn, because each is predicted by the model
+FOLDS = 6  # [1] groups of postures left out in turn, because each costs a run of the model
 Groups = npt.NDArray[np.int64]
 
 
@@ -42,13 +42,13 @@ class Errors:
     postures: int
     before: float
     after: float
-    floor: float | None  # of a perfect model; None: nothing tells the noise
+    floor: float | None  # of a perfect model; None: the noise is not known
     alone: float | None = None  # with the effects, the arm otherwise as described; None: as after
 
     @property
     def gone(self) -> float | None:
-        """Share of the error above the floor that is gone; None where there was none."""
-        return share_gone(self.before, self.after, self.floor or 0.0)
+        """Explained fraction of the error above the floor; None where there was none."""
+        return explained_fraction(self.before, self.after, self.floor or 0.0)
 
     def to_json(self) -> dict[str, Any]:
         """Return plain data for JSON; an effect without an equilibrium alone has no error."""
@@ -56,15 +56,15 @@ class Errors:
         return {**vars(self), 'alone': None if unknown else self.alone}
 
 
-def share_gone(before: float, after: float, floor: float) -> float | None:
+def explained_fraction(before: float, after: float, floor: float) -> float | None:
     """
-    Return which share of the explainable error is gone, at most 1; None where there was none.
+    Return the explained fraction of the explainable error, at most 1; None where there is none.
 
-    Explainable is what lies above the noise floor, or above what is left, where that is less:
-    noise that was declared too large does not make an error unexplainable.
+    The explainable error is the part above the noise floor, or above the remaining error, where
+    that is smaller: noise that was declared too large does not make an error unexplainable.
     """
-    least = min(floor, after)
-    return (before - after) / (before - least) if before > least else None
+    unexplainable = min(floor, after)
+    return (before - after) / (before - unexplainable) if before > unexplainable else None
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Staircase:
 
 
 def errors_on(dataset: DataSet, robots: Staircase, catalogue: Catalogue, kind: str) -> Errors:
-    """Compare descriptions, just as they stand, with the measurements of a data set."""
+    """Return the errors of unchanged descriptions on a data set, without any fit."""
     old = predict(dataset, robots.before, catalogue)[1]
     predictor, new = predict(dataset, robots.after, catalogue)
     same = robots.alone is robots.after
@@ -96,13 +96,13 @@ def errors_on(dataset: DataSet, robots: Staircase, catalogue: Catalogue, kind: s
 
 
 def rms_of(dataset: DataSet, robot: Robot, catalogue: Catalogue) -> float:
-    """Return the rms [m] of a description, just as it stands; nan without an equilibrium."""
+    """Return the rms error [m] of a description without any fit; nan without an equilibrium."""
     markers = Predictor(dataset, robot, catalogue).markers({})
     return np.nan if markers is None else rms(dataset.mean - markers)
 
 
 def predict(dataset: DataSet, robot: Robot, catalogue: Catalogue) -> tuple[Predictor, Floats]:
-    """Predict the markers (P, J, 3) [m]; NoEquilibriumError where that fails."""
+    """Return the predictor and its markers (P, J, 3) [m]; raise NoEquilibriumError without any."""
     predictor = Predictor(dataset, robot, catalogue)
     markers = predictor.markers({})
     if markers is None:
@@ -123,24 +123,24 @@ def left_out_markers(fitter: Fitter, fit: Fit, beside: bool = True) -> Floats:
     """
     Predict postures (P, J, 3) [m] that were not used: groups are left out in turn.
 
-    The change of the parameters that leaving a group out makes is taken from the slopes at the
-    fit; the postures left out are then predicted by the model itself, as the description will
-    say it: with the tolerances and the imperfections that it can hold (`beside`), or without.
+    The parameters without a group follow from the Jacobian at the fit (one Gauss-Newton step); the
+    model itself then predicts the left-out postures, as the description to write would: with the
+    tolerances and imperfections that it can hold (`beside`), or without.
     """
     dataset, owners = fitter.predictor.dataset, fitter.whitener.owners
     measured = np.flatnonzero(dataset.trials > 0)
-    groups = np.unique(dataset.groups[measured])  # postures of the same inputs tell of each other
+    groups = np.unique(dataset.groups[measured])  # postures of the same inputs are not independent
     folds = min(FOLDS, len(groups))
     predicted = np.full_like(fit.markers, np.nan)
     scale = np.maximum(np.linalg.norm(fit.jacobian, axis=0), 1e-300)
-    told = fit.jacobian / scale
-    normal, gradient = told.T @ told, told.T @ fit.residual
+    scaled = fit.jacobian / scale
+    normal, gradient = scaled.T @ scaled, scaled.T @ fit.residual
     for fold in range(folds):
         held = measured[np.isin(dataset.groups[measured], groups[fold::folds])]
-        gone = np.flatnonzero(np.isin(owners, held))
-        out, off = fit.jacobian[gone] / scale, fit.residual[gone]
-        left = normal - out.T @ out + RIDGE * np.eye(len(normal))
-        step = np.linalg.solve(left, gradient - out.T @ off) / scale
+        rows = np.flatnonzero(np.isin(owners, held))
+        out, off = fit.jacobian[rows] / scale, fit.residual[rows]
+        remaining = normal - out.T @ out + RIDGE * np.eye(len(normal))
+        step = np.linalg.solve(remaining, gradient - out.T @ off) / scale
         markers = written_markers(fitter, fit, fit.values - step, beside)
         if markers is not None:
             predicted[held] = markers[held]
@@ -151,24 +151,24 @@ def written_markers(
     fitter: Fitter, fit: Fit, values: Floats, beside: bool = True
 ) -> Floats | None:
     """
-    Predict the markers (P, J, 3) [m] as a description says them that has values (q,) of a fit.
+    Predict the markers (P, J, 3) [m] of a description with values (q,) of a fit.
 
-    With the tolerances and imperfections that it can hold (`beside`), or without; inside of the
-    bounds of its parameters. None without equilibrium.
+    The values are clipped to their bounds, with the tolerances and imperfections that the
+    description can hold (`beside`), or without. None without equilibrium.
     """
     frees = fit.all_frees if beside else fit.frees
     low = [free.parameter.low for free in frees]
     high = [free.parameter.high for free in frees]
     own = np.clip(values[: len(frees)], low, high)
     units = values[len(fit.all_frees) :]
-    fitter.go_around(written_members(fit, units) if beside else {})
+    fitter.linearise_around(written_members(fit, units) if beside else {})
     return fitter.predictor.markers(dict(zip(frees, own.tolist(), strict=True)))
 
 
 def fall(before: Floats, after: Floats) -> tuple[float, float]:
-    """Return how far the rms falls between squared errors (P, J) of postures, and its scatter."""
-    seen = np.isfinite(before).any(axis=1)
-    old, new = (np.nanmean(squares[seen], axis=1) for squares in (before, after))
+    """Return the fall [m] of the rms of squared errors (P, J) [m²], and its standard error [m]."""
+    measured = np.isfinite(before).any(axis=1)
+    old, new = (np.nanmean(squares[measured], axis=1) for squares in (before, after))
     width = float(np.sqrt(old.mean()) + np.sqrt(new.mean()))
     change = old - new
     scatter = float(change.std(ddof=1)) / np.sqrt(len(change))
@@ -177,7 +177,7 @@ def fall(before: Floats, after: Floats) -> tuple[float, float]:
 
 def last_worthwhile(errors: Floats) -> int:
     """
-    Return the last step that lowers the error of what was taken before by more than its scatter.
+    Return the last step that lowers the error by more than the standard error of the change.
 
     Parameters
     ----------
@@ -185,12 +185,12 @@ def last_worthwhile(errors: Floats) -> int:
         Squared errors of the predictions of left-out postures after 0, 1, ... steps.
 
     """
-    taken = 0
+    last = 0
     for k in range(1, len(errors)):
-        gain, scatter = fall(errors[taken], errors[k])
+        gain, scatter = fall(errors[last], errors[k])
         if gain > scatter:
-            taken = k
-    return taken
+            last = k
+    return last
 
 
 def left_out_errors(
@@ -200,25 +200,25 @@ def left_out_errors(
     Return the mean squared error (P,) [m²] of each posture predicted from other inputs.
 
     Exact where the model is linear, the hat matrix H: (1 - H_gg)^-1 r_g (Cook and Weisberg 1982).
-    Postures of the same group (P,) tell of each other and are left out together.
+    Postures of the same group (P,) are not independent and are left out together.
     """
     owners, (root, _) = whitener.owners, covariance_root(jacobian)
     errors = np.full(len(groups), np.nan)
     for group in np.unique(groups[owners]):
         rows = np.flatnonzero(groups[owners] == group)
-        share, vectors = shares(jacobian[rows] @ root)
+        leverage, vectors = gram_eigen(jacobian[rows] @ root)
         along = vectors.T @ residual[rows]
-        told = np.maximum(1.0 - share, 1.0 - LEVERAGE_MAX)
-        left = residual[rows] + vectors @ (along / told - along)
+        complement = np.maximum(1.0 - leverage, 1.0 - LEVERAGE_MAX)
+        deleted = residual[rows] + vectors @ (along / complement - along)
         for p in np.unique(owners[rows]):
-            metres = np.linalg.solve(whitener.root(p), left[owners[rows] == p])
+            metres = np.linalg.solve(whitener.root(p), deleted[owners[rows] == p])
             errors[p] = 3.0 * float(np.mean(metres**2))
     return errors
 
 
 @dataclass(frozen=True)
 class Written:
-    """What a fit writes; every error that is told of it is that of one of these descriptions."""
+    """The descriptions that a fit writes; every reported error is that of one of them."""
 
     alone: Robot  # with the effects; the arm otherwise as it was described
     robot: Robot  # that is written: with the arm as it was found as well, where that helps
@@ -231,8 +231,8 @@ def written(session: Session, fit: Fit) -> Written:
     """
     Return the description to write.
 
-    What was fitted beside the effects goes along where that lowers the error on postures left
-    out: tolerances that moved, and imperfections, which of an exact arm are only noise.
+    The fitted tolerances and imperfections are written as well where they lower the error on
+    left-out postures.
     """
     alone = described_by(session, fit, beside=False)
     error = left_out_error(session.fitters[0], fit, beside=False)
@@ -245,7 +245,7 @@ def written(session: Session, fit: Fit) -> Written:
 
 
 def described_by(session: Session, fit: Fit, beside: bool) -> Robot:
-    """Return the description with the effects of a fit, and with the arm as it found it."""
+    """Return the description with the effects of a fit, `beside` them the arm as found."""
     robot = changed_robot(session.robot, session.catalogue, fit, session.dataset)
     if not beside:
         return robot
@@ -254,5 +254,5 @@ def described_by(session: Session, fit: Fit, beside: bool) -> Robot:
 
 
 def error_of(session: Session, robot: Robot) -> float:
-    """Return the rms [m] of a description on the measurements; nan without an equilibrium."""
+    """Return the rms error [m] on the measurements; nan without an equilibrium."""
     return rms_of(session.dataset, robot, session.catalogue)

@@ -27,8 +27,8 @@ WRITABLE_KINDS = (CELLS, GAIN, HOLE, ZERO, POSITION, ROTATION)  # kinds that a d
 PROFILE = 'bending_stiffness'  # of the description: how it changes along the arm
 PROFILE_DEGREE = 4  # [1] of a polynomial, because a dozen of markers tell no more of it
 ROUTES = 'tendon_routes'  # of the description: every tendon turned about the axis, and winding
-TURN_MAX = 1.0  # [rad] at the base, and to the tip, else a tendon would be its neighbour
-TURN_TYPICAL = 0.03  # [rad] 2°, because holes are drilled to a few tenths of a millimetre
+ANGLE_MAX = 1.0  # [rad] at the base, and to the tip, else a tendon would be its neighbour
+ANGLE_TYPICAL = 0.03  # [rad] 2°, because holes are drilled to a few tenths of a millimetre
 OF_THE_ARM = (PROFILE, ROUTES)
 
 
@@ -36,12 +36,12 @@ def with_values(
     robot: Robot, catalogue: Catalogue, values: Iterable[tuple[FreeParameter, float]]
 ) -> Robot:
     """Return a description with values of parameters; others of their effects stay as they are."""
-    found: dict[str, dict[str, list[tuple[int | None, float]]]] = {}
+    changes: dict[str, dict[str, list[tuple[int | None, float]]]] = {}
     for free, value in values:
-        items = found.setdefault(free.effect, {})
+        items = changes.setdefault(free.effect, {})
         items.setdefault(free.parameter.name, []).append((free.column, _short(value)))
     counts = {'section': len(robot.sections), 'tendon': len(robot.tendons)}
-    for name, items in found.items():
+    for name, items in changes.items():
         parameters = {p.name: p for p in catalogue[name].parameters}
         known = {key: p.neutral for key, p in parameters.items()} | robot.effects.get(name, {})
         changed: EffectValues = {}
@@ -197,13 +197,13 @@ def blocks_of_the_arm(robot: Robot) -> Iterator[Candidate]:
     profile = [FreeParameter(PROFILE, Parameter(d, '1', -3.0, 3.0, 0.0, 0.1)) for d in degrees]
     yield Candidate((PROFILE,), tuple(profile), True)
     if may_wind(robot):
-        size, most = TURN_TYPICAL / robot.length, TURN_MAX / robot.length
-        turn = Parameter('turn', 'rad', -TURN_MAX, TURN_MAX, 0.0, TURN_TYPICAL)
-        helix = Parameter('helix', 'rad/m', -most, most, 0.0, size)
+        size, helix_max = ANGLE_TYPICAL / robot.length, ANGLE_MAX / robot.length
+        angle = Parameter('turn', 'rad', -ANGLE_MAX, ANGLE_MAX, 0.0, ANGLE_TYPICAL)
+        helix = Parameter('helix', 'rad/m', -helix_max, helix_max, 0.0, size)
         routes = [
             FreeParameter(ROUTES, parameter, i, tendon.name)
             for i, tendon in enumerate(robot.tendons)
-            for parameter in (turn, helix)
+            for parameter in (angle, helix)
         ]
         yield Candidate((ROUTES,), tuple(routes), True)
 

@@ -1,4 +1,4 @@
-"""Diagnose: which physical effect is missing, and how sure is that."""
+"""`diagnose`: which physical effect is missing from a description, and with which confidence."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ..effects import CatalogueLike, load_catalogue
 from ..robot import RobotLike, load_robot
 from .marker_hypotheses import exchanged_in
 from .next_measurement import propose
-from .report_rows import Concluded, details_of, finding, left_by, remainder_text, rows_of
+from .report_rows import Concluded, details_of, finding, fitted_errors, remainder_text, rows_of
 from .result import Diagnosis
 from .select import Evidence, gather
 from .session import Session
@@ -26,11 +26,11 @@ from .setup_mistakes import Explained, Mended, find_mistake, implausible, mended
 from .verdict import (
     APART_FROM_SCORE,
     BEST_FEW,
-    ERROR_LEFT_MAX,
     MISTAKE_HANDICAP,
-    PARTLY_LEFT_MAX,
     PLAIN_FLOORS,
     POSTURES_MIN,
+    RESIDUAL_PARTLY_MAX,
+    RESIDUAL_RATIO_MAX,
     Verdict,
     decide,
 )
@@ -69,12 +69,12 @@ def diagnose(
     dataset, workers = load_dataset(dataset), whole('workers', workers, 1)
     judged = dataset.robot if robot is None else load_robot(robot)
     session = Session(dataset, judged, load_catalogue(catalogue), workers, progress)
-    lacking = _what_is_lacking(session)
-    if isinstance(lacking, Mistake):
-        return _mistaken(session, lacking)
-    if lacking:
-        return _cannot_judge(session, lacking)
-    exchange = exchanged_in(session.predictor)  # contradicted readings may be of these
+    obstacle = _obstacle(session)
+    if isinstance(obstacle, Mistake):
+        return _mistaken(session, obstacle)
+    if obstacle:
+        return _cannot_judge(session, obstacle)
+    exchange = exchanged_in(session.predictor)  # else outliers may be exchanged markers
     if exchange is not None:
         return _mistaken(session, exchange)
     session.leave_out(find_outliers(session.predictor, {}))
@@ -84,26 +84,26 @@ def diagnose(
     if mistake is not None and (mistake.certain or (plain and not mistake.doubtful)):
         return _mistaken(session, mistake)
     described, rivals = mended_rivals(session, PLAIN_FLOORS * usual)
-    likelier = _beyond_effects(session, described, rivals)
+    likelier = _likelier_mistake(session, described, rivals)
     if likelier is not None:
         return _mistaken(session, likelier)
     session.brief = mistake is not None and plain
     diagnosis = _judge(session)
-    if mistake is not None and plain:  # an effect that explains all is the better story
+    if mistake is not None and plain:  # an effect that explains the data as well is preferred
         if not diagnosis.verdict.may_add:
             return _mistaken(session, mistake)
-        diagnosis = _likelier(session, mistake, diagnosis)
-    said = [*diagnosis.details.get('caveats', ()), *implausible(diagnosis)]
+        diagnosis = _weighed_against(session, mistake, diagnosis)
+    caveats = [*diagnosis.details.get('caveats', ()), *implausible(diagnosis)]
     quiet = described is not None and described.quiet
-    limit = np.inf if quiet else PARTLY_LEFT_MAX * diagnosis.error_after
-    first = rivals[0] if rivals and rivals[0].explained.left < limit else None
+    limit = np.inf if quiet else RESIDUAL_PARTLY_MAX * diagnosis.error_after
+    first = rivals[0] if rivals and rivals[0].explained.residual < limit else None
     if first is not None and not (quiet and first.agrees(diagnosis)):
-        said.append(first.possible(quiet))
-    return replace(diagnosis, details={**diagnosis.details, 'caveats': said})
+        caveats.append(first.possible(quiet))
+    return replace(diagnosis, details={**diagnosis.details, 'caveats': caveats})
 
 
-def _what_is_lacking(session: Session) -> str | Mistake:
-    """Say what is needed, or wrong, before anything can be judged; empty when nothing is."""
+def _obstacle(session: Session) -> str | Mistake:
+    """Return missing data or a mistake because of which no effect can be judged, else ''."""
     measured = int((session.dataset.trials > 0).sum())
     if measured < POSTURES_MIN:
         return f'{measured} measured posture(s): {POSTURES_MIN} or more are needed, six are better'
@@ -122,33 +122,34 @@ def _what_is_lacking(session: Session) -> str | Mistake:
     return ''
 
 
-def _beyond_effects(
+def _likelier_mistake(
     session: Session, described: Explained | None, rivals: Sequence[Mended]
 ) -> Mistake | None:
     """
-    Return the mistake without which the measurements are explained as they are not with it.
+    Return the mistake whose correction explains the measurements where effects alone do not.
 
-    Where it leaves far less than the effects do nothing else is asked; else where the measurements
-    without it are explained as well as the noise and the arm as built tell.
+    A residual far below that of the effects suffices; otherwise the diagnosis of the corrected
+    measurements has to be neither outside the catalogue nor implausible.
     """
     if described is None:
         return None
     for one in rivals[:BEST_FEW]:
-        if one.explained.left < ERROR_LEFT_MAX * described.left:
-            return one.with_rest(one.explained.left, one.explained.names)
-        if described.quiet or one.explained.left > PARTLY_LEFT_MAX * described.left:
+        residual = one.explained.residual
+        if residual < RESIDUAL_RATIO_MAX * described.residual:
+            return one.with_rest(residual, one.explained.names)
+        if described.quiet or residual > RESIDUAL_PARTLY_MAX * described.residual:
             continue
         assert one.mistake.mended is not None
         mended = session.mended(one.mistake.mended)
-        again = _judge(mended) if mended.weigh({}) else None
-        if again is None or again.verdict is Verdict.OUTSIDE_CATALOGUE or implausible(again):
+        judged = _judge(mended) if mended.weigh({}) else None
+        if judged is None or judged.verdict is Verdict.OUTSIDE_CATALOGUE or implausible(judged):
             continue
-        return one.with_rest(again.error_after, [effect.name for effect in again.effects])
+        return one.with_rest(judged.error_after, [effect.name for effect in judged.effects])
     return None
 
 
-def _likelier(session: Session, mistake: Mistake, diagnosis: Diagnosis) -> Diagnosis:
-    """Return what is likelier, the mistake or the effects; where both may be, say the other."""
+def _weighed_against(session: Session, mistake: Mistake, diagnosis: Diagnosis) -> Diagnosis:
+    """Return the likelier of mistake and effects, the other as a caveat where it is possible."""
     assert mistake.mended is not None
     mended, score = session.mended(mistake.mended), np.inf
     if mended.weigh({}):
@@ -157,8 +158,8 @@ def _likelier(session: Session, mistake: Mistake, diagnosis: Diagnosis) -> Diagn
         score = mended.score(mended.base_fit((base,)).deviance)
     gain = score + MISTAKE_HANDICAP - diagnosis.details['score']
     if gain > 0.0:
-        said = f'{mistake.sentence} the error would fall to {mm(mistake.after)} as well'
-        caveats = [*diagnosis.details['caveats'], f'{said}: {mistake.mend}']
+        sentence = f'{mistake.sentence} the error would fall to {mm(mistake.after)} as well'
+        caveats = [*diagnosis.details['caveats'], f'{sentence}: {mistake.mend}']
         unsure = {**diagnosis.details, 'caveats': caveats}
         return replace(diagnosis, details=unsure) if gain < APART_FROM_SCORE else diagnosis
     names = listed([effect.name for effect in diagnosis.effects])
@@ -170,7 +171,7 @@ def _judge(session: Session) -> Diagnosis:
     """
     Judge the effects, mistakes of the set-up being excluded.
 
-    What repeatability puts outside the catalogue may be good enough for the declared accuracy.
+    A misfit beyond repeatability is judged again by the declared accuracy, where there is one.
     """
     evidence, decision = decide(gather(session))
     outside = decision.verdict is Verdict.OUTSIDE_CATALOGUE
@@ -184,43 +185,43 @@ def _judge(session: Session) -> Diagnosis:
 def _result(evidence: Evidence, decision: Concluded) -> Diagnosis:
     """Return the diagnosis of a decision, with all numbers that reports read."""
     session, chosen = evidence.session, decision.chosen
-    left = left_by(session, None if chosen is None else evidence.reported(chosen))
-    if decision.verdict is Verdict.OUTSIDE_CATALOGUE and not left.after <= left.before:
-        decision = replace(decision, chosen=None, together=())  # it is no fit
-        chosen, left = None, left_by(session, None)
+    errors = fitted_errors(session, None if chosen is None else evidence.reported(chosen))
+    if decision.verdict is Verdict.OUTSIDE_CATALOGUE and not errors.after <= errors.before:
+        decision = replace(decision, chosen=None, together=())  # it does not lower the error
+        chosen, errors = None, fitted_errors(session, None)
     own = set() if chosen is None else set(chosen.names)
     return Diagnosis(
         verdict=decision.verdict,
-        effects=tuple(finding(evidence, decision, left)),
+        effects=tuple(finding(evidence, decision, errors)),
         cannot_tell_apart=decision.together,
         not_tested=tuple(c.names[0] for c in evidence.not_tested if c.names[0] not in own),
-        out_of_tolerance=decision.strays,
-        error_before=left.before,
-        error_after=left.after,
-        error_alone=left.alone,
-        noise_floor=left.floor,
+        out_of_tolerance=decision.out_of_tolerance,
+        error_before=errors.before,
+        error_after=errors.after,
+        error_alone=errors.alone,
+        noise_floor=errors.floor,
         next_measurement=propose(session, decision.alike) if decision.alike else None,
-        remainder=remainder_text(evidence, decision, left.after),
-        candidates=rows_of(evidence, decision, left),
+        remainder=remainder_text(evidence, decision, errors.after),
+        candidates=rows_of(evidence, decision, errors),
         details=details_of(evidence, decision),
     )
 
 
 def _mistaken(session: Session, mistake: Mistake) -> Diagnosis:
-    """Say the mistake of the set-up; no effect is judged before it is mended."""
+    """Return the diagnosis of a mistake; no effect is judged before it is corrected."""
     markers = session.predictor.markers({})
     before = np.inf if markers is None else rms(session.dataset.mean - markers)
     diagnosis = _cannot_judge(session, mistake.text(before))
-    told = {key: value for key, value in vars(mistake).items() if key != 'mended'}
+    fields = {key: value for key, value in vars(mistake).items() if key != 'mended'}
     return replace(
         diagnosis,
         noise_floor=diagnosis.noise_floor if markers is None else session.whitener.floor(),
         error_after=mistake.after,
-        details={**diagnosis.details, 'mistake': told},
+        details={**diagnosis.details, 'mistake': fields},
     )
 
 
-def _cannot_judge(session: Session, lacking: str) -> Diagnosis:
+def _cannot_judge(session: Session, needed: str) -> Diagnosis:
     markers = session.predictor.markers({})
     before = float('nan') if markers is None else rms(session.dataset.mean - markers)
     return Diagnosis(
@@ -233,7 +234,7 @@ def _cannot_judge(session: Session, lacking: str) -> Diagnosis:
         error_after=before,
         noise_floor=float('nan'),
         next_measurement=None,
-        remainder=lacking,
+        remainder=needed,
         candidates=(),
-        details={'needed': lacking},
+        details={'needed': needed},
     )

@@ -23,7 +23,7 @@ CONDITION_MAX = 1e10  # [1] of normal matrices, else fewer than six digits would
 
 @dataclass(frozen=True)
 class Nuisance:
-    """A declared quantity that may move: a parameter with a prior (a - a0) / s."""
+    """A declared quantity that a fit may change: a parameter with the prior (a - a0) / s."""
 
     quantity: str  # as under `tolerances`
     free: FreeParameter
@@ -38,8 +38,8 @@ class Scatter:
     random: RandomEffects
     around: Members  # where they are taken as linear
     sizes: Floats  # (K,) estimated sd of each kind
-    penalty: float  # log |V| and priors of the sizes: what chi² lacks to be a deviance
-    estimate: Callable[..., Sizes]  # of the sizes again; takes `remainder` and `prior`
+    penalty: float  # log |V| and priors of the sizes: deviance minus chi²
+    estimate: Callable[..., Sizes]  # estimates the sizes; takes `remainder` and `prior`
 
     @property
     def kinds(self) -> tuple[Kind, ...]:
@@ -78,7 +78,7 @@ class Fit:
 
     @property
     def point(self) -> dict[FreeParameter, float]:
-        """Values of all moved parameters."""
+        """Values of all fitted parameters."""
         return dict(zip(self.all_frees, self.values.tolist(), strict=False))
 
     @property
@@ -88,7 +88,7 @@ class Fit:
 
     @property
     def precisions(self) -> Floats:
-        """Precision (k,) of the priors of the moved parameters; of freed ones next to none."""
+        """Precision (k,) of the priors of the fitted parameters; of freed ones nearly zero."""
         return np.append(np.full(len(self.frees), 1e-9), [n.spread**-2 for n in self.nuisances])
 
     @property
@@ -108,7 +108,7 @@ class Fit:
 
     @cached_property
     def remainder_gain(self) -> float:
-        """Gain in deviance by a remainder that neither the model nor imperfections explain."""
+        """Gain in deviance by a remainder beside the model and its imperfections."""
         return max(self.built.estimate(remainder=False).deviance - self.deviance, 0.0)
 
     @cached_property
@@ -127,7 +127,7 @@ class Fit:
 
     @cached_property
     def covariance(self) -> Floats:
-        """Covariance (q, q) of the values; infinite diagonal where nothing determines them."""
+        """Covariance (q, q) of the values; infinite variance of undetermined ones."""
         return covariance_of(*self._root)
 
     @cached_property
@@ -137,12 +137,13 @@ class Fit:
     @cached_property
     def interval_covariance(self) -> Floats:
         """
-        Covariance (k, k) of the freed parameters by which 95 % are 1.96 sd: for intervals.
+        Covariance (k, k) of the freed parameters whose 95 % intervals are 1.96 sd to each side.
 
-        Of an arm as built the sizes of its imperfections are estimates themselves. How far each
-        kind moves the parameters is in `covariance`: the mean of its variance (log-normal) counts
-        instead of the likeliest, and what acts beside it; few deviations that tell the sizes make
-        the tails longer (Satterthwaite 1946, as Kenward and Roger 1997 do it).
+        Of an arm as built the sizes of its imperfections are estimates themselves. The part of
+        each kind in `covariance` grows by the ratio of the mean of its variance (log-normal) to
+        the likeliest one, and by imperfections that act like it (`Kind.beside`); few degrees of
+        freedom behind the sizes make the tails longer (Satterthwaite 1946, applied as by Kenward
+        and Roger 1997).
         """
         k, q = len(self.frees), len(self.all_frees)
         plain = self.covariance[:k, :k]
@@ -166,7 +167,7 @@ class Fit:
 
     @property
     def prior_z(self) -> dict[str, float]:
-        """How many of its declared sd each quantity moved (of several, the most)."""
+        """Change of each quantity in its declared sd [1]; the largest of several."""
         moved: dict[str, float] = {}
         for nuisance, value in zip(self.nuisances, self.values[len(self.frees) :], strict=False):
             z = (value - nuisance.centre) / nuisance.spread
@@ -176,9 +177,9 @@ class Fit:
 
     def probability(self, noise_freedom: float) -> float:
         """
-        Chance of so large a chi² if this model is true, the noise known that well.
+        Return the p-value of the chi² of this model, the noise estimated with this freedom.
 
-        Of an arm as built: of so large a remainder, if that is the more unlikely.
+        Of an arm as built the p-value of the remainder, where that is smaller.
         """
         if not np.isfinite(noise_freedom):
             chance = chi2_sf(self.chi2, self.freedom)
@@ -197,13 +198,13 @@ class Fit:
         chi2 : float
             Chi² of the left-out postures.
         probability : float
-            Chance of so much more than the fitted chi² if this model is true: small where single
-            postures bend the parameters to themselves.
+            P-value of its excess over the fitted chi²: small where single postures determine
+            the parameters.
 
         """
-        tells = self.jacobian[: len(owners)] @ self._root[0]
+        hat_root = self.jacobian[: len(owners)] @ self._root[0]
         left_out = [(0.0, 0.0, 0.0)] + [
-            left_out_alone(self.residual[: len(owners)][owners == p], tells[owners == p])
+            left_out_alone(self.residual[: len(owners)][owners == p], hat_root[owners == p])
             for p in np.unique(owners)
         ]
         total, weight, weight2 = (float(sum(column)) for column in zip(*left_out, strict=True))
@@ -214,46 +215,47 @@ class Fit:
         return total, chi2_sf(excess / spread, weight / spread)
 
 
-def left_out_alone(residual: Floats, tells: Floats) -> tuple[float, float, float]:
+def left_out_alone(residual: Floats, hat_root: Floats) -> tuple[float, float, float]:
     """
-    Leave out a posture with n values, H = A A' of what a fit knows from them, A (n, q).
+    Leave out a posture with n values and the hat matrix H = A A', A (n, q) `hat_root`.
 
-    Returns chi² of (1 - H)^-1 r, and the sums of the weights w that the eigenvalues of
-    (1 - H)^-1 - (1 - H) give it, and of their squares. What nothing else tells counts as it is.
+    Returns chi² of the deleted residual (1 - H)^-1 r, the sum of its weights w, the eigenvalues of
+    (1 - H)^-1 - (1 - H), and the sum of their squares. The fitted residual counts in directions
+    that no other posture determines.
     """
-    if len(tells) <= tells.shape[1]:
-        rest = np.eye(len(tells)) - tells @ tells.T
+    if len(hat_root) <= hat_root.shape[1]:
+        rest = np.eye(len(hat_root)) - hat_root @ hat_root.T
         try:
-            np.linalg.cholesky(rest - (1.0 - LEVERAGE_MAX) * np.eye(len(rest)))  # tells it alone
+            np.linalg.cholesky(rest - (1.0 - LEVERAGE_MAX) * np.eye(len(rest)))  # raises then
             root = root_inverse(rest)
             grown = root.T @ root
-            left, more = grown @ residual, grown - rest
-            return float(left @ left), float(np.trace(more)), float((more * more).sum())
+            deleted, more = grown @ residual, grown - rest
+            return float(deleted @ deleted), float(np.trace(more)), float((more * more).sum())
         except np.linalg.LinAlgError:
             pass
-    share, vectors = shares(tells)
-    only = share > LEVERAGE_MAX
-    share = np.clip(share, 0.0, LEVERAGE_MAX)
+    leverage, vectors = gram_eigen(hat_root)
+    only = leverage > LEVERAGE_MAX
+    leverage = np.clip(leverage, 0.0, LEVERAGE_MAX)
     along = vectors.T @ residual
-    left = along / np.where(only, 1.0, 1.0 - share)
-    w = 1.0 / (1.0 - share) - (1.0 - share)
-    chi2 = residual @ residual - along @ along + left @ left
+    deleted = along / np.where(only, 1.0, 1.0 - leverage)
+    w = 1.0 / (1.0 - leverage) - (1.0 - leverage)
+    chi2 = residual @ residual - along @ along + deleted @ deleted
     return float(chi2), float(w.sum()), float((w * w).sum())
 
 
 def covariance_of(root: Floats, unseen: npt.NDArray[np.bool_], blind: float = np.inf) -> Floats:
-    """Inverse of the normal matrix, `blind` for columns that tell nothing: `covariance_root`."""
-    made = root @ root.T
-    made[unseen, unseen] = blind
-    return np.asarray(made)
+    """Inverse (q, q) of the normal matrix, `blind` the variance of columns that are zero."""
+    inverse = root @ root.T
+    inverse[unseen, unseen] = blind
+    return np.asarray(inverse)
 
 
 def covariance_root(jacobian: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:
-    """Root R (q, d) of the inverse R R' of the normal matrix, and which columns tell nothing."""
+    """Root R (q, d) of the inverse R R' of the normal matrix, and which columns (q,) are zero."""
     scale = np.linalg.norm(jacobian, axis=0)
     unseen = scale < 1e-9
-    seen = jacobian[:, ~unseen] / scale[~unseen]
-    normal = seen.T @ seen
+    scaled = jacobian[:, ~unseen] / scale[~unseen]
+    normal = scaled.T @ scaled
     root = np.zeros((len(scale), len(normal)))
     try:
         upper = root_inverse(normal).T
@@ -263,21 +265,21 @@ def covariance_root(jacobian: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:
     except np.linalg.LinAlgError:
         pass
     values, vectors = np.linalg.eigh(normal)
-    told = values > 1e-13 * values.max(initial=0.0)
-    root[~unseen] = vectors / np.sqrt(np.where(told, values, 1.0)) / scale[~unseen, None]
-    return root[:, told], unseen
+    kept = values > 1e-13 * values.max(initial=0.0)
+    root[~unseen] = vectors / np.sqrt(np.where(kept, values, 1.0)) / scale[~unseen, None]
+    return root[:, kept], unseen
 
 
-def shares(rows: Floats) -> tuple[Floats, Floats]:
+def gram_eigen(rows: Floats) -> tuple[Floats, Floats]:
     """Eigenvalues (d,) and vectors (n, d) of A A' for A (n, q), without those that are zero."""
     n, q = rows.shape
     if n <= q:
         values, vectors = np.linalg.eigh(rows @ rows.T)
         return values, vectors
     values, vectors = np.linalg.eigh(rows.T @ rows)
-    told = values > 1e-15
-    values = values[told]
-    return values, rows @ (vectors[:, told] / np.sqrt(values))
+    kept = values > 1e-15
+    values = values[kept]
+    return values, rows @ (vectors[:, kept] / np.sqrt(values))
 
 
 def with_imperfections(plain: Fit, random: RandomEffects, sizes: Floats, around: Members) -> Fit:

@@ -1,4 +1,4 @@
-"""Fits of parameters, of the imperfections of an arm, and of the sizes of these, in turn."""
+"""Alternating fits of parameters, of the imperfections of an arm, and of their sizes."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ REVERSAL_GAIN_MIN = 2.0  # [1] of deviance: one parameter more would have to gai
 
 @dataclass(frozen=True)
 class FitPlace:
-    """Where a fit is: parameters, imperfections and their sizes, and what all three are worth."""
+    """State of a fit: parameters, imperfections and their sizes, and the deviance of all three."""
 
     search: Search
     around: Members
     sizes: Floats  # (K,)
-    deviance: float  # predicted there, nothing linear: priors and log |V| included
+    deviance: float  # predicted by the model, not by slopes; priors and log |V| included
 
 
 class Fitter:
@@ -49,15 +49,15 @@ class Fitter:
     Parameters
     ----------
     predictor : Predictor
-        Of an arm as built a `SplitPredictor`.
+        A `SplitPredictor` for an arm as built.
     whitener : Whitener
     nuisances : sequence of Nuisance
     columns : mapping, optional
-        Columns (N,) of the derivative that are known already.
+        Columns (N,) of the Jacobian that need not be computed.
     random : RandomEffects, optional
-        Default: none of any kind, the description is exact.
+        Default: none, the description is exact.
     imperfections : Imperfections
-        How these move the markers.
+        Slopes of the markers by these.
 
     """
 
@@ -74,9 +74,9 @@ class Fitter:
         self.columns: Mapping[FreeParameter, Floats] = dict(columns or {})
         self.random = random or RandomEffects.none(whitener.size)
         self.imperfections = imperfections
-        self.sizes = self.random.start  # (K,) for the fit that runs
+        self.sizes = self.random.start  # (K,) of the running fit
         self.nuisances = tuple(nuisances)
-        self.go_around({})
+        self.linearise_around({})
 
     def fit(
         self,
@@ -87,12 +87,27 @@ class Fitter:
         hopeless: float = np.inf,
     ) -> Fit:
         """
-        Fit free parameters, and the nuisances that they do not claim, from the described values.
+        Fit free parameters, and the nuisances for which none of them stands.
 
-        `start` spares the search for a start. Imperfections and their sizes (K,) are estimated
-        with the parameters, in turn, from where they start; where sizes are given they stay, and
-        imperfections are linear around where the fitter is. A fit that will not come below a
-        `hopeless` deviance stays as it is.
+        Imperfections and their sizes (K,) are estimated in turn with the parameters.
+
+        Parameters
+        ----------
+        frees : sequence of FreeParameter
+        start : Fit or Point, optional
+            Initial values; default: the best of `Search.starts`.
+        steps : int
+            Of a search in a round.
+        sizes : (K,), optional
+            Fixed sizes; imperfections are then linear around those of the fitter.
+        hopeless : float
+            Deviance; a fit that is not expected to fall below it stops early.
+
+        Raises
+        ------
+        ArithmeticError
+            No start has an equilibrium.
+
         """
         if sizes is not None:
             search = self._search(frees, start, sizes)
@@ -109,7 +124,7 @@ class Fitter:
         start: Fit | Point | None = None,
         steps: int = STEPS_MAX,
     ) -> Descent:
-        """Begin a fit that goes on round by round; see `fit`."""
+        """Start a fit that runs round by round; see `fit`."""
         return Descent(self, self._search(frees, start), steps)
 
     def _search(
@@ -118,7 +133,7 @@ class Fitter:
         start: Fit | Point | None = None,
         sizes: Floats | None = None,
     ) -> Search:
-        """Return a search of free parameters and the nuisances that they do not claim."""
+        """Return a started search of free parameters and the other nuisances; see `fit`."""
         claimed = {(free.effect, free.parameter.name) for free in frees}
         nuisances = tuple(
             n for n in self.nuisances if (n.free.effect, n.free.parameter.name) not in claimed
@@ -129,7 +144,7 @@ class Fitter:
             self.resume(start)
         else:
             self.sizes = self.random.start
-            self.go_around({})
+            self.linearise_around({})
         search = Search(self, tuple(frees), nuisances)
         if start is not None:
             point = start.point if isinstance(start, Fit) else start
@@ -138,8 +153,8 @@ class Fitter:
             search.begin(search.starts())
         return search
 
-    def promised(self, frees: Sequence[FreeParameter], start: Point) -> float:
-        """Return the chi² that slopes at a start promise to leave, of an exact arm."""
+    def linear_chi2(self, frees: Sequence[FreeParameter], start: Point) -> float:
+        """Return the minimum of chi² of an exact arm, linearised at a start."""
         search = self._search(frees, start)
         slopes = search.derivative() * search.scale
         return float(np.square(search.r - slopes @ np.linalg.lstsq(slopes, search.r)[0]).sum())
@@ -148,8 +163,8 @@ class Fitter:
         """
         Fit again under the likeliest logarithms of the sizes: for values and intervals.
 
-        An effect that competes may be paid for making a kind of imperfections small; a value that
-        believed it would hold that kind's doing for its own.
+        The likelihood rewards an effect that makes a kind of imperfections small; its value
+        would otherwise include part of what that kind causes.
         """
         if not fit.as_built or not fit.frees:
             return fit
@@ -159,34 +174,34 @@ class Fitter:
 
     def over_reversals(self, fit: Fit) -> Fit:
         """
-        Return the best fit from both sides of where friction reverses near by.
+        Return the best fit from both sides of reversals of friction in the neighbourhood.
 
-        An input that is a little off may take a posture there, beyond which it moves by more or
-        less than slopes on this side tell; cells would stand for the rest. Cells and kinks begin
-        anew, with the gain of such an input one plausible sd off.
+        A small error of an input may move a posture across a reversal, where its slopes change;
+        the stiffness of cells would then be fitted to the difference. Each such fit starts from
+        cells and kinks as described, and with the gain of one input one plausible sd off.
         """
         gains = {kind.name: kind for kind in fit.built.kinds}.get(GAIN)
         self.resume(fit)
-        here = None if gains is None else self.predictor.markers(fit.point)
-        if gains is None or here is None:
+        markers = None if gains is None else self.predictor.markers(fit.point)
+        if gains is None or markers is None:
             return fit
         near, around = self.predictor.settled, fit.built.around
         few = {name: own for name, own in around.items() if name in KINDS_WITH_FEW_MEMBERS}
         reversals: list[tuple[float, Members]] = []
         for one in gains.plausible * np.eye(len(gains)):
             sides = [around.get(GAIN, 0.0 * one) + side for side in (one, -one)]
-            bend = -2.0 * here
+            bend = -2.0 * markers
             for values in sides:
-                self.go_around({**around, GAIN: values})
+                self.linearise_around({**around, GAIN: values})
                 moved = self.predictor.markers(fit.point, near=near)
                 bend = bend + (np.nan if moved is None else moved)
             white = self.whitener.white(bend)
-            curved = float(white @ white)  # slopes are not straight
+            curved = float(white @ white)  # of the nonlinearity
             if curved > 2.0 * REVERSAL_GAIN_MIN:
                 reversals += [(curved, {**few, GAIN: values}) for values in sides]
         best = fit
-        for _, there in sorted(reversals, key=lambda row: -row[0])[: 2 * BEST_FEW]:
-            scatter = replace(fit.built, around=there, sizes=self.random.start)
+        for _, members in sorted(reversals, key=lambda row: -row[0])[: 2 * BEST_FEW]:
+            scatter = replace(fit.built, around=members, sizes=self.random.start)
             with suppress(*FAILURES):
                 start = replace(fit, built=scatter)
                 other = self.fit(fit.frees, start, hopeless=best.deviance)
@@ -195,15 +210,15 @@ class Fitter:
         return best
 
     def go(self, place: FitPlace) -> Search:
-        """Go to a place: a search that goes on from there."""
+        """Return a search that continues from a state, and set the fitter to that state."""
         self.sizes = place.sizes
-        self.go_around(place.around)
+        self.linearise_around(place.around)
         search = copy(place.search)
-        search.weigh_again()
+        search.update_residual()
         return search
 
     def place(self, search: Search) -> FitPlace:
-        """Return where a search is, around the imperfections and with the sizes of now."""
+        """Return the state of a search, with the present imperfections and sizes."""
         deviance = self._deviance(search.raw, self.around, self.sizes)
         return FitPlace(copy(search), self.around, self.sizes, deviance)
 
@@ -214,25 +229,25 @@ class Fitter:
         chi2 = random.misfit(errors, sizes) + random.cost(around, sizes) + float(rest @ rest)
         return chi2 + random.log_determinant(sizes) + random.prior(sizes)
 
-    def first_better(self, here: FitPlace, search: Search, sizes: Floats) -> FitPlace | None:
-        """Return the first better place on the path to what a search promises, if any."""
+    def first_better(self, place: FitPlace, search: Search, sizes: Floats) -> FitPlace | None:
+        """Return the first better state on the way back from the predicted optimum, if any."""
         likely = self.random.best(search.raw[: self.whitener.size], sizes)
         goal = self.random.named(likely, sizes)
         for fraction in STEP_FRACTIONS:
-            around = _between(here.around, goal, fraction)
-            self.go_around(around)
+            around = _between(place.around, goal, fraction)
+            self.linearise_around(around)
             moved = copy(search)
-            step = search.values - here.search.values
-            if not moved.go(here.search.values + fraction * step):
+            step = search.values - place.search.values
+            if not moved.go(place.search.values + fraction * step):
                 continue
-            for own in (sizes, here.sizes):
+            for own in (sizes, place.sizes):
                 deviance = self._deviance(moved.raw, around, own)
-                if deviance < here.deviance:
+                if deviance < place.deviance:
                     return FitPlace(moved, around, own, deviance)
         return None
 
     def freeze(self, search: Search) -> Fit:
-        """Freeze a search: the markers are those of the model alone."""
+        """Return the fit of a search; its markers are those of the model without imperfections."""
         plain = search.result()
         if isinstance(self.predictor, SplitPredictor):
             with self.predictor.as_described():
@@ -240,25 +255,25 @@ class Fitter:
             plain = plain if described is None else replace(plain, markers=described)
         return with_imperfections(plain, self.random, self.sizes, self.around)
 
-    def go_around(self, members: Members) -> None:
-        """Take imperfections as linear around members."""
+    def linearise_around(self, members: Members) -> None:
+        """Linearise the imperfections around given ones."""
         self.around = members
         if isinstance(self.predictor, SplitPredictor):
             self.predictor.around = members
-        # less what imperfections do beyond slopes
+        # corrected for what imperfections do beyond their slopes
         self.measured = self.predictor.dataset.mean + self.imperfections.moved(members)
 
     def resume(self, fit: Fit) -> None:
-        """Go where a fit is: its imperfections and their sizes."""
+        """Set the imperfections and their sizes to those of a fit."""
         self.sizes = fit.built.sizes
-        self.go_around(fit.built.around)
+        self.linearise_around(fit.built.around)
 
     def residual(self, markers: Floats) -> Floats:
         """Whitened residual (N,) for predicted markers."""
         return self.whitener.white(self.measured - markers)
 
     def lift(self, rows: Floats) -> Floats:
-        """Take off whitened rows (N + nuisances, ...) what imperfections of that size explain."""
+        """Remove from whitened rows (N + nuisances, ...) what imperfections explain."""
         if not self.random.kinds:
             return rows
         n, root = self.whitener.size, self.random.root(self.sizes)
@@ -266,23 +281,23 @@ class Fitter:
 
     def follow(self, raw: Floats, predict: Callable[[], Floats | None]) -> Floats | None:
         """
-        Go around the imperfections that are most likely at a residual (N,), if that is better.
+        Linearise around the most likely imperfections at a residual (N,), if that is better.
 
         Returns
         -------
         (N,), optional
-            The residual there; None where nothing changes, or nothing is gained by going.
+            The residual there; None where nothing changes or improves.
 
         """
-        random, sizes, here = self.random, self.sizes, self.around
+        random, sizes, around = self.random, self.sizes, self.around
         goal = random.named(random.best(raw, sizes), sizes)
-        there = self._shift(here)
-        if np.square(self._shift(goal) - there).sum() < DEVIANCE_CONVERGED:
+        shift = self._shift(around)
+        if np.square(self._shift(goal) - shift).sum() < DEVIANCE_CONVERGED:
             return None
-        cost = random.misfit(raw - there, sizes) + random.cost(here, sizes)
+        cost = random.misfit(raw - shift, sizes) + random.cost(around, sizes)
         for fraction in STEP_FRACTIONS:
-            moved = _between(here, goal, fraction)
-            self.go_around(moved)
+            moved = _between(around, goal, fraction)
+            self.linearise_around(moved)
             markers = predict()
             if markers is None:
                 continue
@@ -290,7 +305,7 @@ class Fitter:
             errors = new - self._shift(moved)
             if random.misfit(errors, sizes) + random.cost(moved, sizes) < cost:
                 return new
-        self.go_around(here)
+        self.linearise_around(around)
         return None
 
     def _shift(self, members: Members) -> Floats:
@@ -306,10 +321,10 @@ class Fitter:
         return self.random.estimate(search.raw[:n], slopes[:n], self.sizes, weights)
 
 
-def _between(here: Members, goal: Members, fraction: float) -> Members:
-    """Return members on the path to others; those that are not there yet start at nothing."""
+def _between(start: Members, goal: Members, fraction: float) -> Members:
+    """Interpolate linearly between members; a kind that is missing at the start is zero there."""
     return {
-        name: (1.0 - fraction) * here.get(name, np.zeros_like(value)) + fraction * value
+        name: (1.0 - fraction) * start.get(name, np.zeros_like(value)) + fraction * value
         for name, value in goal.items()
     }
 
@@ -318,49 +333,48 @@ class Descent:
     """
     A running fit, round by round; of an exact arm the first round is the last.
 
-    Parameters are searched where imperfections are linear, which promises a place for all three
-    (parameters, imperfections and their sizes); whether to go there is told by what the model
-    predicts there. So the deviance never rises, however little slopes tell of friction that
-    reverses.
+    A round searches parameters with linearised imperfections, which yields a step of all three
+    (parameters, imperfections and their sizes). The step is accepted if the deviance that the
+    model itself predicts there is lower, so that it never rises, even where friction reverses.
     """
 
     def __init__(self, fitter: Fitter, search: Search, steps: int = STEPS_MAX) -> None:
-        """Search for parameters where a search has begun, the fitter being there."""
+        """Run the first search from its start, to which the fitter is set."""
         self.fitter, self.steps, self._search = fitter, steps, search
-        self.here = fitter.place(search)
+        self.place = fitter.place(search)
         self.gain = np.inf  # in the last round
         self.converged = False
         self._rounds = 0
         search.run(steps)
         if not fitter.random.kinds:
-            self.here, self.converged = fitter.place(search), True
+            self.place, self.converged = fitter.place(search), True
 
     def at(self, fitter: Fitter) -> Descent:
-        """Go on with another fitter, of another thread."""
-        self.fitter = self._search.fitter = self.here.search.fitter = fitter
+        """Continue with the fitter of another thread."""
+        self.fitter = self._search.fitter = self.place.search.fitter = fitter
         return self
 
     def go_on(self, hopeless: float = np.inf) -> None:
-        """Do one more round; none is left where what the next ones promise is `hopeless`."""
+        """Do one more round; converged too where the expected deviance stays above `hopeless`."""
         fitter, search = self.fitter, self._search
-        fitter.sizes = self.here.sizes
-        fitter.go_around(self.here.around)
+        fitter.sizes = self.place.sizes
+        fitter.linearise_around(self.place.around)
         estimated = fitter.estimate(search)
         if estimated.deviance - GAINS_TO_COME * self.gain > hopeless:
             self.converged = True
             return
         fitter.sizes = estimated.values
-        search.weigh_again()
+        search.update_residual()
         search.run(self.steps)
-        there = fitter.first_better(self.here, search, estimated.values)
+        better = fitter.first_better(self.place, search, estimated.values)
         self._rounds += 1
-        self.converged = there is None or self._rounds == ROUNDS_MAX
-        if there is None:
+        self.converged = better is None or self._rounds == ROUNDS_MAX
+        if better is None:
             return
-        self.gain, self.here = self.here.deviance - there.deviance, there
-        self._search = fitter.go(there)
+        self.gain, self.place = self.place.deviance - better.deviance, better
+        self._search = fitter.go(better)
         self.converged = self.converged or self.gain < DEVIANCE_CONVERGED
 
     def fit(self) -> Fit:
-        """Freeze it where it is."""
-        return self.fitter.freeze(self.fitter.go(self.here))
+        """Return the present fit."""
+        return self.fitter.freeze(self.fitter.go(self.place))

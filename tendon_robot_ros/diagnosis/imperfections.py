@@ -1,10 +1,10 @@
 """
-The arm as it is built: the imperfections that nobody declares, and the model that has them.
+Undeclared imperfections of an arm as built, and the model of an arm with them.
 
-Every arm has them: cells whose stiffness scatters or that are kinked at rest, tensions and holes
-that are a little off, a tracker whose frame is. They are the same in every posture. One cell (or
-tendon) is one column: the derivative of all markers by its imperfection. `SplitPredictor` predicts
-an arm whose cells and tendons are each their own.
+Cells scatter in stiffness or are kinked at rest, tensions, holes and the frame of the tracker
+deviate a little. Imperfections are the same in every posture. A cell (or tendon) is a column: the
+derivative of all markers by its imperfection. `SplitPredictor` predicts an arm in which every cell
+and tendon has its own imperfection.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from ..robot.description import EffectValues
 
 KINK, ACROSS, GAIN, HOLE = 'cell_kink', 'cell_kink_across', 'channel_gain', 'hole_radius'
 ZERO, POSITION, ROTATION = 'pull_zero', 'position', 'rotation'
-REMAINDER = 'remainder'  # what no imperfection explains: another one in every posture
+REMAINDER = 'remainder'  # error without a cause, independent in every posture
 KINDS_WITH_FEW_MEMBERS = (GAIN, HOLE, ZERO, POSITION, ROTATION)  # kinds with few members
-REMAINDER_SHAPES = 4  # [1] along the arm, because the others hold 1 of 1600 of the variance
-# Kind -> (unit, 1 sd that is plausible where nothing is declared, step of its derivative)
+REMAINDER_SHAPES = 4  # [1] along the arm, because the others have 1 of 1600 of the variance
+# Kind -> (unit, plausible sd where none is declared, step of its derivative)
 PLAUSIBLE_SIZES: dict[str, tuple[str, float, float]] = {
     CELLS: ('1', 0.03, 0.01),
     KINK: ('rad', math.radians(0.1), 1e-3),
@@ -56,27 +56,27 @@ class Kind:
     unit: str
     plausible: float  # scale of the prior of that standard deviation [unit]
     members: tuple[str, ...]
-    beside: float = 0.0  # sd [unit] of what acts as they do and only widens intervals
+    beside: float = 0.0  # sd [unit] of imperfections with the same influence; widens intervals
 
     def __len__(self) -> int:
-        """Return how many members it has."""
+        """Return the number of members."""
         return len(self.members)
 
 
 @dataclass(frozen=True)
 class Imperfections:
-    """The kinds that a data set may show, and what a unit of each member does to the markers."""
+    """The kinds of imperfections of a data set, and the slopes of the markers by each member."""
 
     kinds: tuple[Kind, ...]
     moves: Floats  # (q, P, J, 3) [m per unit], the members of all kinds one after the other
 
     @cached_property
     def owners(self) -> npt.NDArray[np.int64]:
-        """Index (q,) of the kind that each column belongs to."""
+        """Index (q,) of the kind of each column."""
         return np.repeat(np.arange(len(self.kinds)), [len(kind) for kind in self.kinds])
 
     def moved(self, members: Members) -> Floats | float:
-        """Return what members do to the markers (P, J, 3) [m] by these slopes."""
+        """Return the change of the markers (P, J, 3) [m] by members, linear by these slopes."""
         if not members:
             return 0.0
         own = [kind for kind in self.kinds if kind.name != REMAINDER]  # it is the last
@@ -91,12 +91,12 @@ def remainders(predictor: Predictor) -> Floats:
     """
     Return columns (q, P, J, 3) of a remainder of 1 m sd at the tip, posture by posture.
 
-    The error of an arm that bends a little otherwise, at random along its length: twice
-    integrated white noise, its `REMAINDER_SHAPES` largest shapes in each direction.
+    The deflection of an arm with random bends along its length: twice integrated white noise,
+    its `REMAINDER_SHAPES` principal shapes in each direction.
     """
     dataset = predictor.dataset
-    share = dataset.arc_lengths / predictor.robot.length
-    low, high = np.minimum.outer(share, share), np.maximum.outer(share, share)
+    positions = dataset.arc_lengths / predictor.robot.length
+    low, high = np.minimum.outer(positions, positions), np.maximum.outer(positions, positions)
     values, shapes = np.linalg.eigh(low**2 * (3.0 * high - low) / 2.0)
     shapes = (shapes * np.sqrt(np.maximum(values, 0.0)))[:, ::-1][:, :REMAINDER_SHAPES]
     P, J, q = len(dataset.postures), shapes.shape[0], shapes.shape[1]
@@ -116,9 +116,9 @@ def planar_axis(robot: Robot) -> int | None:
 
 class SplitPredictor(Predictor):
     """
-    A predictor of the same arm with a section per cell, so that every cell may be its own.
+    A predictor of the same arm with a section per cell, so that every cell has own parameters.
 
-    It predicts the arm with the imperfections `around`; none: as described.
+    It predicts the arm with the imperfections `around`; without any, as described.
     """
 
     def __init__(self, predictor: Predictor) -> None:
@@ -149,33 +149,33 @@ class SplitPredictor(Predictor):
             self.around = around
 
     def kinds(self) -> tuple[Kind, ...]:
-        """Return what may be off; a registration that is declared is a parameter of the fit."""
+        """Return the kinds of imperfections; a declared registration is a parameter of the fit."""
         cells = self.whole.cell_names
         axis = planar_axis(self.whole)
         kinks = [f'{cell} towards {xy}' for cell in cells for xy in 'xy']
         labels = {CELLS: list(cells), KINK: kinks}
         if axis is not None:
             labels |= {KINK: kinks[axis::2], ACROSS: kinks[1 - axis :: 2]}
-        labels[GAIN] = list(self.whole.inputs)  # of a tension: with a hole off its place
+        labels[GAIN] = list(self.whole.inputs)  # under tensions, holes act as gains too
         if self.dataset.input == 'displacement':
             labels |= {HOLE: [t.name for t in self.whole.tendons], ZERO: list(self.whole.inputs)}
         known = self.whole.tolerances
         labels |= {name: list('xyz') for name in (POSITION, ROTATION) if name not in known}
-        made, larger = [], max(self.whole.length / PLAUSIBLE_LENGTH, 1.0)
+        kinds, larger = [], max(self.whole.length / PLAUSIBLE_LENGTH, 1.0)
         for name, members in labels.items():
             unit, plausible, _ = PLAUSIBLE_SIZES[name]
             usual = plausible * (larger if unit == 'm' else 1.0)
             size = float(known.get(KINK if name == ACROSS else name, usual))
             if size > 0.0:
-                made.append(Kind(name, unit, size, tuple(members), self._beside(name)))
-        return tuple(made)
+                kinds.append(Kind(name, unit, size, tuple(members), self._beside(name)))
+        return tuple(kinds)
 
     def _beside(self, name: str) -> float:
         """
-        Return the sd of what acts as a kind does: under tensions the holes, as gains.
+        Return the sd of imperfections with the same influence as a kind: holes, under tensions.
 
-        No effect is doubted for it, since a hole is rarely off beside a gain of the same sign; how
-        well the value of one is known has to count both. A gain that is declared has them inside.
+        Misplaced holes then act like gains. They widen intervals but not the test of an effect,
+        because both rarely add up; a declared gain includes them.
         """
         known = self.whole.tolerances
         if name != GAIN or name in known or self.dataset.input != 'tension':
@@ -224,12 +224,12 @@ class SplitPredictor(Predictor):
         return kinks
 
     def given(self, inputs: Floats) -> Floats:
-        """Return what arrives of inputs (P, m) [N] or [m]."""
+        """Return the inputs (P, m) [N] or [m] that reach the arm."""
         off = self.around
         return np.asarray(inputs * (1.0 + off.get(GAIN, 0.0)) + off.get(ZERO, 0.0))
 
     def see(self, shapes: ShapeBatch) -> Floats:
-        """Return where the tracker, its frame a little off, sees the markers (b, J, 3) [m]."""
+        """Return the markers (b, J, 3) [m] in the frame of the tracker, with its imperfections."""
         placed, off = super().see(shapes), self.around
         if ROTATION in off:
             x, y, z = off[ROTATION].tolist()
@@ -239,11 +239,11 @@ class SplitPredictor(Predictor):
 
     @property
     def pushable(self) -> bool:
-        """Whether forces at cells can be predicted: not where the arm has weight."""
+        """Whether forces at cells can be predicted, for which the arm must be without weight."""
         return not self._on[self.model.arrays.layout.index[WEIGHT]]
 
     def _push(self, forces: Point) -> None:
-        """Push one cell with a force, as a weight of that cell alone."""
+        """Apply a force [N] to one cell, as a weight of that cell alone."""
         arrays = self.model.arrays
         force = np.array(list(forces.values()))
         size = float(np.linalg.norm(force))
@@ -269,7 +269,7 @@ class SplitPredictor(Predictor):
         return self._spread[free]
 
     def columns(self, free: FreeParameter) -> slice:
-        """Return the cells or tendons whose values a free parameter is; see `Predictor`."""
+        """Return the cells or tendons to which a free parameter applies; see `Predictor`."""
         if free.column is None or not free.parameter.per_section:
             return super().columns(free)
         return self._spans[free.column]

@@ -2,12 +2,12 @@
 Improve a description effect by effect, while the error on postures left out keeps falling.
 
 On a real arm nothing is adequate and several effects are at work. `stepwise` lets them join one
-after the other by the error on left-out postures; but an error that has chosen the effects is too
-good. So the whole search is made again without each posture (or group of postures), and predicts
-it: nested cross-validation. The error of these predictions after every step is what is reported.
-How many steps are taken a search says by its own left-out errors: the last one that lowers them by
-more than their scatter between postures. The last step of all is the arm as it was found (cells,
-inputs, the tracker's frame), where it lowers them as well.
+after the other by the error on left-out postures; but the error by which effects were selected is
+too optimistic. The whole search is therefore repeated without each posture (or group of postures),
+and predicts it: nested cross-validation. The error of these predictions after every step is
+reported. A search chooses its number of steps by its own left-out errors: the last step that
+lowers them by more than their standard error. The final step is the arm as it was found (cells,
+inputs, the tracker's frame), where that lowers them as well.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ from .result import AS_FOUND, Improvement, ImprovementStep, LoadVector, Value, t
 from .session import Session
 from .slopes import imperfections
 from .stepwise import GROUPS_MIN, PRIOR_TYPICALS, STEPS_MAX, Rates, State, Stepwise, grown
-from .verdict import P_SINGLE_MIN, STRAY_SD_MAX
+from .verdict import P_SINGLE_MIN, TOLERANCE_SD_MAX
 
 Held = npt.NDArray[np.int64]
 Values = dict[str, dict[str, Value]]
@@ -75,7 +75,7 @@ class AsFound:
 
     @cached_property
     def markers(self) -> Floats:
-        """What that description predicts (P, J, 3) [m]; nan without equilibrium."""
+        """Markers (P, J, 3) [m] that this description predicts; nan without equilibrium."""
         shown = written_markers(self.session.fitters[0], self.fit, self.fit.values)
         return np.full_like(self.fit.markers, np.nan) if shown is None else shown
 
@@ -86,7 +86,7 @@ class AsFound:
 
     @cached_property
     def left_out(self) -> Floats:
-        """Squared errors (P, J) [m²] of postures left out in turn, of those that it knows."""
+        """Squared errors (P, J) [m²] of postures left out in turn; nan for those held out."""
         shown = left_out_markers(self.session.fitters[0], self.fit)
         squares = ((self.search.measured - shown) ** 2).sum(axis=2)
         squares[list(self.session.held)] = np.nan
@@ -94,31 +94,31 @@ class AsFound:
 
     @property
     def is_worthwhile(self) -> bool:
-        """Whether it lowers the left-out error of its search by more than that scatters."""
+        """Whether it lowers the left-out error of its search by more than the standard error."""
         before = self.state.left_out[:, None]
-        told = np.isfinite(self.left_out[np.isfinite(before[:, 0])]).any(axis=1)
-        if not (told.all() and np.isfinite(self.markers).all()):
+        predicted = np.isfinite(self.left_out[np.isfinite(before[:, 0])]).any(axis=1)
+        if not (predicted.all() and np.isfinite(self.markers).all()):
             return False  # a posture has no equilibrium
         gain, scatter = fall(before, self.left_out)
         return gain > scatter
 
     @cached_property
     def values(self) -> Values:
-        """Values of the effects, with 95 % intervals; the arm itself may change where it did."""
-        made = values_of(self._freed, self.scale, self._freed.covariance)
+        """Values of the effects with 95 % intervals, which allow for changes of the arm itself."""
+        values = values_of(self._freed, self.scale, self._freed.covariance)
         kinds = [kind.name for kind in self.fit.built.kinds]
         for free in self.state.effects.frees:
             tolerance = free.parameter.tolerance
             if tolerance in FRAME and tolerance in kinds:
                 own = self._with_imperfection(free, kinds.index(tolerance))
-                made.setdefault(free.effect, {})[free.key] = own
-        return made
+                values.setdefault(free.effect, {})[free.key] = own
+        return values
 
     def _with_imperfection(self, free: FreeParameter, k: int) -> Value:
         """
-        Return a parameter of the frame with the imperfection that it stands for.
+        Return the sum of a parameter of the frame and the imperfection of the same direction.
 
-        Where both are in the fit only their sum is told.
+        Where both are in the fit, only their sum is determined.
         """
         fit, built = self.fit, self.fit.built
         mix, size = built.random.mixtures[k]['xyz'.index(free.parameter.name[-1])], built.sizes[k]
@@ -136,14 +136,14 @@ class AsFound:
 
     @cached_property
     def _freed(self) -> Fit:
-        """The fit with what joined of the arm itself as further parameters."""
+        """The fit with the parameters of the arm that joined the search."""
         fit, whitener = self.fit, self.session.whitener
         blocks = [block for block in self.state.blocks if block.label in OF_THE_ARM]
         if not blocks:
             return fit
         off = whitener.white(self.search.measured - self.state.fit.markers)
-        there = replace(self.state.fit, residual=off)
-        for joining in Rates(self.search.predictor, whitener, there).of(blocks):
+        searched = replace(self.state.fit, residual=off)
+        for joining in Rates(self.search.predictor, whitener, searched).of(blocks):
             frees = joining.block.frees
             spread = np.array([PRIOR_TYPICALS * free.parameter.typical for free in frees])
             residual, jacobian = grown(fit, joining, np.zeros(len(frees)), spread)
@@ -158,17 +158,17 @@ class AsFound:
 
     @property
     def values_of_the_search(self) -> Values:
-        """Values of the search; their intervals are those of here and hold them."""
-        point, made = self.state.fit.point, Values()
+        """Values of the search with the intervals of this fit, extended to hold them."""
+        point, values = self.state.fit.point, Values()
         for free in self.state.effects.frees:
             own, value = self.values[free.effect][free.key], point[free]
             moved = replace(own, value=value, low=min(own.low, value), high=max(own.high, value))
-            made.setdefault(free.effect, {})[free.key] = moved
-        return made
+            values.setdefault(free.effect, {})[free.key] = moved
+        return values
 
     @property
     def loads_of_the_search(self) -> dict[str, LoadVector]:
-        """Forces of the search; the covariance knows how far they are from these."""
+        """Forces of the search; their covariance includes the difference from this fit."""
         values = np.array([self.state.fit.point[free] for free in self.fit.frees])
         q, off = len(values), values - self.fit.values[: len(values)]
         spread = self.scale * self._freed.covariance[:q, :q] + np.outer(off, off)
@@ -182,17 +182,17 @@ def as_found(
     """
     Fit a state of a search again, with the arm as it is built; None without an equilibrium.
 
-    A frame that is off by no more than any tracker's is no effect but an imperfection: free, it
-    would take the errors of kinks, whose size would then be estimated as too small.
+    A frame error of plausible size is treated as an imperfection, not as an effect: as a free
+    parameter it would absorb errors of kinks, whose size would then be underestimated.
 
     Parameters
     ----------
     search : Stepwise
     state : State
     held : (n,), optional
-        Postures without a part in the fit, which is then weighed as it is said.
+        Postures without weight in the fit; its weights are then those of `by_accuracy`.
     by_accuracy : bool
-        Whether the declared accuracy weighs.
+        Whether the weights include the declared accuracy.
 
     """
     robot, before = search.written(state), search.robot
@@ -203,7 +203,7 @@ def as_found(
         moved = [state.fit.point[free] - search.predictor.value(free) for free in frame]
         usual = [sizes[free.parameter.tolerance] for free in frame]
         name = frame[0].effect
-        if np.abs(np.divide(moved, usual)).max() <= STRAY_SD_MAX:
+        if np.abs(np.divide(moved, usual)).max() <= TOLERANCE_SD_MAX:
             names.remove(name)
             robot = robot.without_effect(name)
             if name in before.effects:
@@ -224,7 +224,7 @@ def as_found(
 
 
 def of_the_search(state: State) -> Fit:
-    """Return the effects of a state, as far as the search tells their values: of an exact arm."""
+    """Return the effects of a state with the covariance of the search, of an exact arm."""
     spread = covariance_of(*covariance_root(state.fit.jacobian))
     own = np.flatnonzero([free.effect not in OF_THE_ARM for free in state.fit.frees])
     jacobian = np.linalg.inv(np.linalg.cholesky(spread[np.ix_(own, own)]))
@@ -241,10 +241,10 @@ def of_the_search(state: State) -> Fit:
 
 def _as_plausible(session: Session, fit: Fit) -> Fit:
     """
-    Return a fit whose imperfections are as large as is plausible, where they are not larger.
+    Return a fit whose imperfections have plausible sizes, where they are not larger.
 
-    Several effects that were chosen by the same measurements take from the imperfections what
-    those did: their estimated sizes are too small, and so would the intervals be.
+    Several effects that were selected by the same measurements also explain part of what the
+    imperfections cause: the estimated sizes, and with them the intervals, would be too small.
     """
     if not fit.as_built:
         return fit
@@ -283,8 +283,8 @@ def improve(
     Raises
     ------
     InputError
-        Fewer than four postures, nothing tells the noise, or a mistake of the set-up explains the
-        error: that is to be mended first.
+        Fewer than four postures, the noise is not known, or a mistake of the set-up explains the
+        error and has to be corrected first.
     NoEquilibriumError
 
     """
@@ -293,28 +293,27 @@ def improve(
     before = dataset.robot if robot is None else load_robot(robot)
     other = None if check is None else load_dataset(check, before)
     search = Stepwise(dataset, before, load_catalogue(catalogue))
-    seen = np.flatnonzero(search.dataset.trials > 0)
-    groups = np.unique(search.dataset.groups[seen])  # postures of the same inputs go together
+    measured = np.flatnonzero(search.dataset.trials > 0)
+    grouped = search.dataset.groups[measured]  # postures of the same inputs are left out together
+    groups = np.unique(grouped)
     if len(groups) < GROUPS_MIN:
         raise InputError(
             f'{search.dataset.name}: {len(groups)} different inputs, expected {GROUPS_MIN} or more'
         )
     folds = min(GROUPS_MAX, len(groups))
-    held = [
-        seen[np.isin(search.dataset.groups[seen], groups[fold::folds])] for fold in range(folds)
-    ]
+    held = [measured[np.isin(grouped, groups[fold::folds])] for fold in range(folds)]
     states = search.path(show=lambda k: show('searching', k, STEPS_MAX * (1 + folds)))
     search.refuse_mistake(states[-1])
-    done, every = len(states), len(states) * (1 + folds)
+    finished, every = len(states), len(states) * (1 + folds)
 
     def search_without(group: Held, own: Stepwise) -> list[State]:
-        nonlocal done
+        nonlocal finished
         path = own.path(group)
-        done += len(states)
-        show('searching without some postures', done, every)
+        finished += len(states)
+        show('searching without some postures', finished, every)
         return path
 
-    searches = [search.again() for _ in range(workers)]
+    searches = [search.with_own_model() for _ in range(workers)]
     paths = _spread(held, lambda group, w: search_without(group, searches[w]), workers)
     errors = np.full((len(states), *search.measured.shape[:2]), np.nan)
     chosen = np.full(errors.shape[1:], np.nan)
@@ -334,7 +333,7 @@ def improve(
 
 
 def _spread[T, R](items: Sequence[T], do: Callable[[T, int], R], workers: int) -> list[R]:
-    """Do something with every item, by as many threads; it gets the number of its thread."""
+    """Return `do(item, thread)` of every item, computed by so many threads."""
 
     def work(worker: int) -> list[R]:
         return [do(item, worker) for item in items[worker::workers]]
@@ -345,25 +344,26 @@ def _spread[T, R](items: Sequence[T], do: Callable[[T, int], R], workers: int) -
 
 
 def inner(states: Sequence[State]) -> Floats:
-    """Return the squared errors (K, P, 1) [m²] by which a search chooses, postures left out."""
+    """Return the left-out squared errors (K, P, 1) [m²] by which a search selects."""
     return np.array([state.left_out[:, None] for state in states])
 
 
 def how_many(states: Sequence[State], errors: Floats) -> int:
     """
-    Choose how many steps are written: by the errors of the search itself, as each search did.
+    Return how many steps are written.
 
-    Never further than lowers the error (K, P, J) of the searches that did not know the posture.
+    At most as many as the search selects by its own errors; of these the number with the smallest
+    error (K, P, J) [m²] of the searches that did not know the posture.
     """
-    most = last_worthwhile(inner(states))
-    return int(np.argmin(np.nanmean(errors[: most + 1], axis=(1, 2))))
+    steps_max = last_worthwhile(inner(states))
+    return int(np.argmin(np.nanmean(errors[: steps_max + 1], axis=(1, 2))))
 
 
 def shown(errors: Floats, taken: int) -> list[int]:
     """
-    Return which steps are shown: of those taken only such as lower the left-out error.
+    Return which steps are shown: of those taken only the ones that lower the left-out error.
 
-    A step that needs a later one to help is shown with that one; `errors` (K, P, J) [m²].
+    A step that lowers it only with a later one is merged with that; `errors` (K, P, J) [m²].
     """
     squares = np.nanmean(errors, axis=(1, 2))
     kept = [0]
@@ -387,14 +387,14 @@ class Searched:
     check: DataSet | None
     arm: AsFound | None = None  # the arm after the steps that are taken; None: it is exact
     last: Floats | None = None  # (P, J) [m²] with the arm as found; None: not tried
-    arm_taken: bool = False  # whether the arm as it was found is the last step
+    arm_written: bool = False  # whether the arm as it was found is the last step
 
     def with_the_arm(self, paths: Sequence[tuple[Held, list[State]]], workers: int) -> Searched:
         """
         Judge the arm as it was found as a last step, by searches that did not know the posture.
 
-        Every search takes it by its own left-out errors, as any other step. That of all postures
-        does; it is written where the error of the column falls as well.
+        Every search selects it by its own left-out errors, like any other step. It is written
+        where the error of the searches that did not know the posture falls as well.
         """
         assert self.arm is not None
         search, by_accuracy = self.search, self.arm.session.use_accuracy
@@ -403,64 +403,66 @@ class Searched:
         def judge(one: tuple[Held, list[State]], worker: int) -> None:
             held, path = one
             own, k = last_worthwhile(inner(path)), min(self.taken, len(path) - 1)
-            there = as_found(search, path[k], held, by_accuracy)
-            if there is not None and np.isfinite(there.markers[held]).all():
-                last[held] = there.squares[held]
+            refitted = as_found(search, path[k], held, by_accuracy)
+            if refitted is not None and np.isfinite(refitted.markers[held]).all():
+                last[held] = refitted.squares[held]
             if own != k:
-                there = as_found(search, path[own], held, by_accuracy)
-            if there is not None and there.is_worthwhile:
-                chosen[held] = there.squares[held]
+                refitted = as_found(search, path[own], held, by_accuracy)
+            if refitted is not None and refitted.is_worthwhile:
+                chosen[held] = refitted.squares[held]
 
         _spread(paths, judge, workers)
         lower = float(np.nanmean(last)) < float(np.nanmean(self.errors[self.taken]))
-        return replace(self, last=last, chosen=chosen, arm_taken=lower)
+        return replace(self, last=last, chosen=chosen, arm_written=lower)
 
     def result(self) -> Improvement:
-        """Write the description, and say how the error fell."""
+        """Return the improved description, its steps and errors."""
         search, states, arm, taken = self.search, self.states, self.arm, self.taken
         final, dataset = states[taken], search.dataset
         robots = [search.written(state) for state in states]
         kept, steps = shown(self.errors, taken), list[ImprovementStep]()
         for begin, k in zip([-1, *kept], kept, strict=False):
-            taken_as_one = states[begin + 1 : k + 1]
-            joined = [state.joined for state in taken_as_one]
-            left = [name for state in taken_as_one for name in state.left]
-            stayed = [name for name in joined if name and name not in left]
-            went = tuple(name for name in left if name not in joined)
+            merged = states[begin + 1 : k + 1]
+            joined = [state.joined for state in merged]
+            removed = [name for state in merged for name in state.removed]
+            stayed = [name for name in joined if name and name not in removed]
+            dropped = tuple(name for name in removed if name not in joined)
             before = self.errors[min(max(begin, 0), taken)]
-            steps.append(self._step(' + '.join(stayed), went, robots[k], before, self.errors[k]))
-        own, errors, robot = kept.index(taken), self.errors[taken], robots[taken]
+            steps.append(
+                self._step(' + '.join(stayed), dropped, robots[k], before, self.errors[k])
+            )
+        last_step, errors, robot = kept.index(taken), self.errors[taken], robots[taken]
         if self.last is not None and arm is not None:
             step = self._step(AS_FOUND, (), arm.robot, errors, self.last)
-            steps.insert(own + 1 if self.arm_taken else len(steps), step)
-            if self.arm_taken:
-                own, errors, robot = own + 1, self.last, arm.robot
+            steps.insert(last_step + 1 if self.arm_written else len(steps), step)
+            if self.arm_written:
+                last_step, errors, robot = last_step + 1, self.last, arm.robot
         predictor, markers = predict(dataset, robot, search.catalogue)
-        made = self._addition(steps[: own + 1], robot, markers)
+        addition = self._addition(steps[: last_step + 1], robot, markers)
         tips = np.sqrt(errors[:, -1])
         return Improvement(
-            robot=with_origin(made, search.robot),
+            robot=with_origin(addition, search.robot),
             steps=tuple(steps),
-            taken=own,
+            taken=last_step,
             chosen=np.sqrt(np.nanmean(self.chosen, axis=0)),
-            values=made.values,
-            loads=made.loads,
+            values=addition.values,
+            loads=addition.loads,
             profile=stiffness_change(search.robot, final.fit.point),
             routes=route_changes(final.fit.point),
             markers=tuple(marker.name for marker in dataset.markers),
             data=dataset.name,
             check='' if self.check is None else self.check.name,
             noise_floor=search.plain.floor(),
-            probability=made.probability,
-            more_at_work=made.more_at_work,
+            probability=addition.probability,
+            more_at_work=addition.more_at_work,
             tips={dataset.postures[p]: float(tips[p]) for p in np.flatnonzero(np.isfinite(tips))},
             local_faults=self._faults(predictor),
             left_out=left_out(dataset, search.outliers, search.unsettled),
-            as_built=arm_report(arm.session, arm.fit) if arm and self.arm_taken else None,
+            as_built=arm_report(arm.session, arm.fit) if arm and self.arm_written else None,
         )
 
     def _step(
-        self, joined: str, left: tuple[str, ...], robot: Robot, before: Floats, after: Floats
+        self, joined: str, removed: tuple[str, ...], robot: Robot, before: Floats, after: Floats
     ) -> ImprovementStep:
         """Return a step with its errors, those left out (P, J) [m²] before and after it."""
 
@@ -470,7 +472,7 @@ class Searched:
 
         return ImprovementStep(
             joined,
-            left,
+            removed,
             errors(self.search.dataset),
             np.sqrt(np.nanmean(after, axis=0)),
             None if self.check is None else errors(self.check),
@@ -480,7 +482,7 @@ class Searched:
     def _addition(
         self, steps: Sequence[ImprovementStep], robot: Robot, markers: Floats
     ) -> Addition:
-        """Return what was added, with its errors, as descriptions hold it."""
+        """Return the added effects with their errors, for the written description."""
         search, dataset, check, arm = self.search, self.search.dataset, self.check, self.arm
         kind, judged = ('left out', dataset) if check is None else ('check', check)
         floor, first, last = search.plain.floor(), steps[0], steps[-1]
@@ -495,7 +497,7 @@ class Searched:
         if arm is None:
             known = of_the_search(final)
             values, loads = values_of(known), loads_of(known, search.predictor)
-        elif self.arm_taken:
+        elif self.arm_written:
             values, loads = arm.values, arm.loads
         else:
             values, loads = arm.values_of_the_search, arm.loads_of_the_search
@@ -506,18 +508,18 @@ class Searched:
             errors(kind, judged, floor if check is None else None),
             chance,
             more_at_work=more_at_work(fitted, chance) if chance <= P_SINGLE_MIN else '',
-            beside=self.arm_taken,
+            beside=self.arm_written,
             loads=loads,
         )
 
     def _faults(self, predictor: Predictor) -> tuple[dict[str, Any], ...]:
-        """Return where the improved description is wrong by more than what remains everywhere."""
-        if self.arm is not None and self.arm_taken:
+        """Return the places where the improved description misfits by more than the remainder."""
+        if self.arm is not None and self.arm_written:
             return tuple(faults_of(self.arm.session, self.arm.fit))
-        found = imperfections(SplitPredictor(predictor), {})
-        if found is None:
+        as_built = imperfections(SplitPredictor(predictor), {})
+        if as_built is None:
             return ()
         final, freedom = self.states[self.taken], self.search.noise.freedom
-        faults = local_faults(found.kinds, found.moves, final.whitener, final.fit, freedom)
+        faults = local_faults(as_built.kinds, as_built.moves, final.whitener, final.fit, freedom)
         postures = self.search.dataset.postures
         return tuple(fault.to_json(predictor.robot, postures) for fault in faults)

@@ -1,8 +1,8 @@
 """
 95 % intervals of what a fit estimates.
 
-Of parameters from the curvature or by profile likelihood, of a force as people say it (size and
-direction), and of the sizes of imperfections.
+Of parameters from the curvature or by profile likelihood, of the size and direction of a force,
+and of the sizes of imperfections.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from .verdict import CORRELATED_FROM, SIGNIFICANCE
 
 QUANTILE = normal_ppf(1.0 - 0.5 * SIGNIFICANCE)  # [1] sd, so that 95 % are inside
 CURVATURE_ERROR_MAX = 0.1  # [1] of an end by curvature, else the profile likelihood decides
-TOLD_WITHIN_RAD = 0.25 * math.pi  # [rad] half an interval, else the direction would be a guess
+DIRECTION_TOLERANCE_RAD = 0.25 * math.pi  # [rad] half an interval, else it would be a guess
 NODES = 14  # [1] sizes at which an estimate is known, so that neighbours differ by a factor of 1.7
 
 
@@ -36,10 +36,10 @@ def intervals(
     """
     Return 95 % intervals of the free parameters of a converged fit.
 
-    An endpoint comes from the curvature at the fit where chi² there is what the curvature says;
-    else (bounds, asymmetry, friction's kinks) it is where the profile of chi² has risen by 3.84.
-    Of an arm as built the deviance at the estimated sizes of its imperfections says only whether
-    the model is straight; how wide the interval is knows how well these sizes are told.
+    An endpoint comes from the curvature at the fit where chi² at the endpoint agrees with it; else
+    (bounds, asymmetry, reversals of friction) it is where the profile of chi² has risen by 3.84.
+    Of an arm as built the deviance only tests whether the model is linear enough; the width comes
+    from `Fit.interval_covariance`, which includes the uncertainty of the sizes of imperfections.
 
     Parameters
     ----------
@@ -64,11 +64,11 @@ def intervals(
 
 
 def _endpoint(fitter: Fitter, fit: Fit, i: int, spread: float, wide: float) -> float:
-    """Where the profile has risen by wide² on one side; the bound where it never does."""
+    """Return where the profile has risen by wide² on one side; the bound if it never does."""
     value, parameter = float(fit.values[i]), fit.frees[i].parameter
     bound = parameter.high if spread > 0.0 else parameter.low
     end = value + wide * spread
-    wide *= abs(spread) / math.sqrt(fit.covariance[i, i])  # of what rises at the estimated sizes
+    wide *= abs(spread) / math.sqrt(fit.covariance[i, i])  # rise at the estimated sizes
     outside = end > parameter.high if spread > 0.0 else end < parameter.low
     profile = _rise if fit.as_built else _profile_rise
     if not outside:
@@ -94,10 +94,10 @@ def _endpoint(fitter: Fitter, fit: Fit, i: int, spread: float, wide: float) -> f
 
 def _rise(fitter: Fitter, fit: Fit, i: int, end: float) -> float:
     """
-    Root of the rise of the deviance where the curvature says the profile runs.
+    Root of the rise of the deviance along the profile that the curvature predicts.
 
-    Of an arm as built all linear parameters go along, but for the sizes of its imperfections. NaN:
-    no equilibrium.
+    Of an arm as built all linear parameters are adjusted, except the sizes of its imperfections;
+    nan without equilibrium.
     """
     ends, deviances = (float(fit.values[i]), end) if fit.as_built else (end,), []
     for at in ends:
@@ -113,14 +113,14 @@ def _rise(fitter: Fitter, fit: Fit, i: int, end: float) -> float:
         random, sizes = fit.built.random, fit.built.sizes
         work = Likelihood(random.parts, residual, slopes, fit.precisions[others])
         deviances.append(work.deviance(sizes**2) + prior)
-    here, there = deviances
-    return float(np.sqrt(max(there - here, 0.0)))
+    at_fit, at_end = deviances
+    return float(np.sqrt(max(at_end - at_fit, 0.0)))
 
 
 def _along(fit: Fit, i: int, end: float) -> tuple[Point, float]:
-    """Return the point at which the curvature says the profile runs, and chi² of its priors."""
-    share = fit.covariance[:, i] / fit.covariance[i, i]
-    moved = (fit.values + np.nan_to_num(share) * (end - fit.values[i]))[: len(fit.all_frees)]
+    """Return the point of the profile that the curvature predicts, and chi² of its priors."""
+    rates = fit.covariance[:, i] / fit.covariance[i, i]
+    moved = (fit.values + np.nan_to_num(rates) * (end - fit.values[i]))[: len(fit.all_frees)]
     lows = [f.parameter.low for f in fit.frees] + [-np.inf] * len(fit.nuisances)
     highs = [f.parameter.high for f in fit.frees] + [np.inf] * len(fit.nuisances)
     moved = np.clip(moved, lows, highs)
@@ -133,7 +133,7 @@ def _along(fit: Fit, i: int, end: float) -> tuple[Point, float]:
 
 
 def _profile_rise(fitter: Fitter, fit: Fit, i: int, end: float) -> float:
-    """Root of the rise of chi² with one parameter put somewhere and all others refitted."""
+    """Root of the rise of chi² with one parameter fixed at `end` and all others refitted."""
     free = fit.frees[i]
     pinned = replace(free, parameter=replace(free.parameter, low=end, high=end))
     frees = (*fit.frees[:i], pinned, *fit.frees[i + 1 :])
@@ -181,30 +181,30 @@ def load_of(
 
 
 def _sd(spread: Floats, axis: Floats) -> float:
-    """Return 1 sd [N] of a force along an axis (3,); of a zero one: along its worst."""
+    """Return 1 sd [N] of a force along an axis (3,); along the worst where the axis is zero."""
     length = float(np.linalg.norm(axis))
     variance = axis @ spread @ axis / length**2 if length > 0.0 else np.linalg.eigvalsh(spread)[-1]
     return math.sqrt(max(float(variance), 0.0))
 
 
 def _angle(vector: Floats, spread: Floats, axis: Floats) -> Value | None:
-    """Return the angle [rad] to an axis; its interval holds 0 or pi where chance alone may."""
+    """Return the angle [rad] to an axis; None where it is not determined."""
     size = float(np.linalg.norm(vector))
     if size == 0.0:
         return None
     along = float(vector @ axis)
     across = vector - along * axis
-    away = across * size**2 - vector * float(across @ vector)  # in which the angle grows
-    half = QUANTILE * _sd(spread, away) / size
-    if not half < TOLD_WITHIN_RAD:
+    steepest = across * size**2 - vector * float(across @ vector)  # of the angle
+    half = QUANTILE * _sd(spread, steepest) / size
+    if not half < DIRECTION_TOLERANCE_RAD:
         return None
     angle = float(np.arctan2(np.linalg.norm(across), along))
     low, high = max(angle - half, 0.0), min(angle + half, math.pi)
     plane = np.linalg.svd(axis[None])[2][1:]  # (2, 3) across the axis
-    seen, known = plane @ across, plane @ spread @ plane.T
-    by_chance = not seen.any()  # or inside of the 95 % ellipse around nothing
+    offset, known = plane @ across, plane @ spread @ plane.T
+    by_chance = not offset.any()  # or inside of the 95 % ellipse around nothing
     if known.any():
-        by_chance = float(seen @ np.linalg.pinv(known) @ seen) < chi2_isf(SIGNIFICANCE, 2)
+        by_chance = float(offset @ np.linalg.pinv(known) @ offset) < chi2_isf(SIGNIFICANCE, 2)
     if by_chance:
         low, high = (0.0, high) if along > 0.0 else (low, math.pi)
     return Value(angle, low, high, 'rad')
@@ -218,15 +218,15 @@ def loads_of(
 
     `scale` is of the covariance; default: the fit's.
     """
-    made, known = {}, fit.interval_covariance if covariance is None else covariance
+    loads, known = {}, fit.interval_covariance if covariance is None else covariance
     parts = {tuple(part.gravity.tolist()) for part in predictor.parts}
     gravity = next(iter(parts)) if len(parts) == 1 else None  # the same in all postures
     for effect in dict.fromkeys(free.effect for free in fit.frees):
         rows = vector_rows(fit.frees, effect)
         spread = known[np.ix_(rows, rows)]
         if rows and np.isfinite(spread).all():
-            made[effect] = load_of(fit.values[rows], spread, gravity, scale)
-    return made
+            loads[effect] = load_of(fit.values[rows], spread, gravity, scale)
+    return loads
 
 
 def vector_rows(frees: Sequence[FreeParameter], effect: str) -> list[int]:
@@ -245,14 +245,14 @@ def vector_rows(frees: Sequence[FreeParameter], effect: str) -> list[int]:
 
 class SizeIntervals:
     """
-    How the estimate of the size of each kind is distributed, whatever its true size.
+    Sampling distribution of the estimated size of each kind, at every true size.
 
-    The estimate of a variance v is spread with the variance 2 / J(v), J the expected information
-    that is left of it beside the other kinds and the parameters. It acts as the mean of g squared
-    deviations of a variance v + n, of which n is noise, taken off: J = g / (v + n)² (Satterthwaite
-    1946, at every v). An interval holds the sizes of which the found one is no rare estimate
-    (Neyman 1937): how well a size is told counts where it is tried. At a found size near zero
-    noise tells nothing of how far up the true one may be, at the sizes that are tried it does.
+    The estimate of a variance v has the variance 2 / J(v), J the expected information about it
+    beside the other kinds and the parameters. It is distributed like the mean of g squared
+    deviations of variance v + n minus n, the part of the noise: J = g / (v + n)² (Satterthwaite
+    1946, at every v). An interval holds the sizes of which the estimate is not unlikely (Neyman
+    1937). Evaluated at the tested sizes J limits the interval upwards even if the estimate is near
+    zero, where J itself would not.
     """
 
     def __init__(
@@ -263,10 +263,10 @@ class SizeIntervals:
         weights: Floats | None = None,
     ) -> None:
         """
-        Take imperfections, and the sizes (K,) at which the other kinds are, each in turn.
+        Take imperfections, and the sizes (K,) of the respective other kinds.
 
-        Slopes (N, k) of parameters that go along, and the precision (k,) of their priors, are as
-        in `RandomEffects.estimate`.
+        Slopes (N, k) of parameters that are fitted along, and the precision (k,) of their priors,
+        are as in `RandomEffects.estimate`.
         """
         rows, parts = len(random.columns), random.parts
         slopes = np.zeros((rows, 0)) if slopes is None else slopes
@@ -278,24 +278,24 @@ class SizeIntervals:
         self._kinds = []
         for k, plausible in enumerate(random.plausible.tolist()):
             shows = np.isfinite(plausible) and bool((random.owners == k).any())
-            shares = np.geomspace(NEGLIGIBLE, 2.0 * SIZE_MAX, NODES)
-            grid = (shares * plausible) ** 2 if shows else np.zeros(0)
+            relative = np.geomspace(NEGLIGIBLE, 2.0 * SIZE_MAX, NODES)
+            grid = (relative * plausible) ** 2 if shows else np.zeros(0)
             self._kinds.append(_Estimate.of(work, others, k, grid))
 
-    def ends(self, found: Floats) -> tuple[Floats, Floats]:
+    def ends(self, estimates: Floats) -> tuple[Floats, Floats]:
         """
         Return the 95 % intervals (K,) of the sizes of which `found` (K,) are the estimates.
 
-        The lower end is zero where a size of `NEGLIGIBLE` of what is plausible is no rare cause;
-        the upper one infinite where no size up to twice `SIZE_MAX` is a rare one.
+        The lower end is zero where `NEGLIGIBLE` of the plausible size is not excluded, the upper
+        one infinite where twice `SIZE_MAX` of it is not.
         """
-        pairs = [own.ends(value) for own, value in zip(self._kinds, found.tolist(), strict=True)]
+        pairs = [own.ends(one) for own, one in zip(self._kinds, estimates.tolist(), strict=True)]
         low, high = np.array(pairs).T
         return low, high
 
 
 class _Estimate:
-    """The estimate of one variance: its deviations and its noise, as they go with the true one."""
+    """Distribution of an estimated variance: freedom and noise as functions of the true one."""
 
     def __init__(self, grid: Floats, freedom: Floats, noise: Floats) -> None:
         """Take logarithms of true variances (n,), and those of g (n,) and of the noise (n,)."""
@@ -303,8 +303,8 @@ class _Estimate:
 
     @classmethod
     def of(cls, work: Likelihood, others: Floats, k: int, grid: Floats) -> _Estimate:
-        """Tell how well each variance (n,) of a kind would be told beside the others (K,)."""
-        told = np.zeros(len(grid))  # information of its logarithm
+        """Return the distribution for variances (n,) of a kind, the others (K,) being known."""
+        precision = np.zeros(len(grid))  # information of its logarithm
         for i, own in enumerate(grid.tolist()):
             v = others.copy()
             v[k] = own
@@ -313,15 +313,15 @@ class _Estimate:
             if length[k] > 0.0:
                 each = np.where(length > 0.0, length, 1.0)
                 alike = np.linalg.pinv(information / np.outer(each, each), hermitian=True)
-                told[i] = length[k] ** 2 / alike[k, k]
-        if not len(grid) or told.min() <= 0.0:
-            return cls(np.zeros(0), told, told)
+                precision[i] = length[k] ** 2 / alike[k, k]
+        if not len(grid) or precision.min() <= 0.0:
+            return cls(np.zeros(0), precision, precision)
         logs = np.log(grid)
-        share = (1.0 - 0.5 * np.gradient(np.log(told), logs)).clip(1e-12, 1.0 - 1e-9)
-        return cls(logs, np.log(told / share**2), logs + np.log(1.0 / share - 1.0))
+        fraction = (1.0 - 0.5 * np.gradient(np.log(precision), logs)).clip(1e-12, 1.0 - 1e-9)
+        return cls(logs, np.log(precision / fraction**2), logs + np.log(1.0 / fraction - 1.0))
 
     def chance(self, estimate: float, log: float) -> float:
-        """Return the chance of at least an estimated variance where the true one is so."""
+        """Return the probability of at least an estimated variance, given the true one's log."""
         true, freedom, noise = np.exp(
             [log, np.interp(log, self.grid, self.freedom), np.interp(log, self.grid, self.noise)]
         ).tolist()
@@ -335,7 +335,7 @@ class _Estimate:
         return self._size(size**2, tail), self._size(size**2, 1.0 - tail)
 
     def _size(self, estimate: float, tail: float) -> float:
-        """Return the size of which at least such an estimate has a chance; see `ends`."""
+        """Return the size at which at least such an estimate has the probability `tail`."""
         low, high = float(self.grid[0]), float(self.grid[-1])
         if tail < 0.5 and self.chance(estimate, low) > tail:
             return 0.0
@@ -356,7 +356,7 @@ def values_of(
     """
     Return values with 95 % intervals by effect; `scale` widens them (chi² over freedom).
 
-    `covariance` (default: what the fit tells) is that of the freed parameters, the first ones.
+    `covariance` (default: `Fit.interval_covariance`) is that of the freed parameters.
     """
     quantile = QUANTILE * np.sqrt(scale)
     known = fit.interval_covariance if covariance is None else covariance
@@ -375,7 +375,7 @@ def values_of(
 def values_with_intervals(
     fitter: Fitter, fit: Fit, scale: float = 1.0
 ) -> dict[str, dict[str, Value]]:
-    """Values of effects that are to be added: the profile decides where the curvature does not."""
+    """Return values of effects to add, with intervals by curvature or profile: `intervals`."""
     values = values_of(fit, scale)
     for free, (low, high) in intervals(fitter, fit, scale).items():
         values[free.effect][free.key] = replace(values[free.effect][free.key], low=low, high=high)

@@ -69,12 +69,12 @@ class LocalFault:
     """A place at which the model is wrong by more than chance, the false discovery rate held."""
 
     place: Place
-    size: float  # [unit of the place] that the markers ask for
+    size: float  # [unit of the place] by the markers
     low: float
     high: float
     z: float  # [1] in standard deviations
-    rate: float  # false discovery rate at which it would just be named
-    alike: tuple[str, ...]  # places beside it that would do as well, itself included
+    rate: float  # smallest false discovery rate at which it is named
+    alike: tuple[str, ...]  # places that explain as much, itself included
 
     def to_json(self, robot: Robot, postures: Sequence[str]) -> dict[str, Any]:
         """Return plain data for JSON; `along` [m] is where the cell lies on the straight arm."""
@@ -109,7 +109,7 @@ def local_faults(
     ----------
     kinds : sequence of Kind
     moves : (q, P, J, 3) [m per unit]
-        What each of their members does to the markers.
+        Derivatives of the markers by each of their members.
     whitener : Whitener
         Of the fit.
     fit : Fit
@@ -123,9 +123,9 @@ def local_faults(
 
 
 def is_absurd(fault: LocalFault) -> bool:
-    """Tell whether a place asks for more than it can be off by: then the cause lies elsewhere."""
-    most = {CELLS: CHANGE_MAX, KINK: BEND_MAX_RAD, ACROSS: BEND_MAX_RAD}
-    return abs(fault.size) > most.get(fault.place.kind, np.inf)
+    """Return whether a place would need an impossible size: then the cause lies elsewhere."""
+    limits = {CELLS: CHANGE_MAX, KINK: BEND_MAX_RAD, ACROSS: BEND_MAX_RAD}
+    return abs(fault.size) > limits.get(fault.place.kind, np.inf)
 
 
 def faults_of(session: Session, fit: Fit) -> list[dict[str, Any]]:
@@ -153,11 +153,11 @@ def faults_among(
     ----------
     places : (M,)
     columns : PlaceColumns
-        What a unit of each of M does to the N whitened predictions.
+        Derivatives of the N whitened predictions by each of M places.
     residual : (N + priors,)
         Measured minus predicted, whitened, rows of priors last.
     jacobian : (N + priors, q)
-        Of the residual by all that may give way.
+        Of the residual by all fitted parameters and imperfections.
     freedom : float
         Degrees of freedom behind the noise.
 
@@ -172,11 +172,11 @@ def faults_among(
             break
         chosen.append(int(lowest[np.argmax(np.abs(z[lowest]))]))
         rates.append(float(rate[chosen[-1]]))
-    for _ in range(2):  # a place is told best when what the others do is known
+    for _ in range(2):  # reselect each place given the others
         for k in range(len(chosen)):
             z, _ = tests.beside(chosen[:k] + chosen[k + 1 :])
-            told = tests.same_kind(chosen[k], z)  # none: the others do all that it would
-            chosen[k] = max(told, key=lambda i: abs(z[i]), default=chosen[k])
+            same = tests.same_kind(chosen[k], z)  # empty if the others explain it
+            chosen[k] = max(same, key=lambda i: abs(z[i]), default=chosen[k])
     faults = []
     for k, best in enumerate(chosen):
         z, length = tests.beside(chosen[:k] + chosen[k + 1 :])
@@ -199,9 +199,9 @@ def faults_among(
 @dataclass(frozen=True)
 class PlaceColumns:
     """
-    What a unit of each of M places does to N values: a column of K, or its rows in one posture.
+    Derivatives of N values by each of M places: one of K columns, or its rows in one posture.
 
-    That of one posture is not written out: there are as many of them as columns and postures.
+    The columns of single postures are not stored, since there are K times P of them.
     """
 
     whole: Floats  # (N, K)
@@ -223,44 +223,44 @@ class PlaceColumns:
         return self._products(np.square(self.whole), np.ones((len(self.whole), 1)))[:, 0]
 
     def _products(self, whole: Floats, vectors: Floats) -> Floats:
-        made = np.empty((len(self.column), vectors.shape[1]))
+        products = np.empty((len(self.column), vectors.shape[1]))
         for p in np.unique(self.posture):
             own, rows = self.posture == p, slice(None) if p < 0 else self.owners == p
-            made[own] = (whole[rows].T @ vectors[rows])[self.column[own]]
-        return made
+            products[own] = (whole[rows].T @ vectors[rows])[self.column[own]]
+        return products
 
 
 class _Tests:
-    """The columns of places and a residual, without what a fit can do about them."""
+    """The columns of places and a residual, projected orthogonally to the columns of the fit."""
 
     def __init__(
         self, places: Sequence[Place], columns: PlaceColumns, residual: Floats, jacobian: Floats
     ) -> None:
         n, self.columns = len(columns.whole), columns
         self._basis = _basis(jacobian)
-        self._told = columns.products(self._basis[:n])  # (M, q): what the fit can do
+        self._explained = columns.products(self._basis[:n])  # (M, q): part in the space of the fit
         self.residual = residual - self._basis @ (self._basis.T @ residual)
         squares = columns.squares()
-        self._squares = squares - np.square(self._told).sum(axis=1)
+        self._squares = squares - np.square(self._explained).sum(axis=1)
         self._along = columns.products(self.residual[:n, None])[:, 0]
-        self.least = 2.0 * NEGLIGIBLE * np.maximum(np.sqrt(squares), 1e-12)
+        self.length_min = 2.0 * NEGLIGIBLE * np.maximum(np.sqrt(squares), 1e-12)
         self.families = [(place.kind, place.posture) for place in places]
 
     def beside(self, chosen: Sequence[int]) -> tuple[Floats, Floats]:
-        """Return z (M,), nan where nothing tells it, and lengths (M,) beside chosen places."""
+        """Return z (M,), nan where undetermined, and lengths (M,) beside chosen places."""
         n, picked = len(self.columns.whole), np.zeros((len(self.residual), len(chosen)))
         for k, i in enumerate(chosen):
             picked[:n, k] = self.columns[i]
-        basis = _basis(picked - self._basis @ self._told[list(chosen)].T)
+        basis = _basis(picked - self._basis @ self._explained[list(chosen)].T)
         cross = self.columns.products(basis[:n])
         length = np.sqrt(np.maximum(self._squares - np.square(cross).sum(axis=1), 0.0))
-        told = length > self.least
+        known = length > self.length_min
         z = np.full(len(length), np.nan)
-        z[told] = (self._along - cross @ (basis.T @ self.residual))[told] / length[told]
+        z[known] = (self._along - cross @ (basis.T @ self.residual))[known] / length[known]
         return z, length
 
     def same_kind(self, i: int, z: Floats) -> list[int]:
-        """Return the places of the same kind and posture that are told, i among them."""
+        """Return the determined places of the same kind and posture, i among them."""
         return [
             j
             for j, family in enumerate(self.families)
@@ -269,15 +269,15 @@ class _Tests:
 
 
 def _rates(
-    places: Sequence[Place], z: Floats, told: npt.NDArray[np.bool_], freedom: float
+    places: Sequence[Place], z: Floats, known: npt.NDArray[np.bool_], freedom: float
 ) -> Floats:
     """Return the false discovery rate (M,) at which each place would just be named."""
     families: dict[tuple[str, bool], list[int]] = {}
-    for i in np.flatnonzero(told).tolist():
+    for i in np.flatnonzero(known).tolist():
         families.setdefault((places[i].kind, places[i].posture is None), []).append(i)
     rates = np.ones(len(places))
     for members in families.values():
-        p = np.ones(len(members))  # what cannot be named counts as certain
+        p = np.ones(len(members))  # of places that are not significant
         for i, size in enumerate(np.abs(z[members]).tolist()):
             if size > QUANTILE:
                 p[i] = (
@@ -291,7 +291,7 @@ def _rates(
 
 
 def _basis(jacobian: Floats) -> Floats:
-    """Orthonormal basis (N, d) of what may give way."""
+    """Orthonormal basis (N, d) of the columns of a Jacobian."""
     scale = np.linalg.norm(jacobian, axis=0)
     used = jacobian[:, scale > 1e-9] / scale[scale > 1e-9]
     values, vectors = np.linalg.eigh(used.T @ used)
@@ -302,7 +302,7 @@ def _basis(jacobian: Floats) -> Floats:
 def places_in(
     kinds: Sequence[Kind], moves: Floats, whitener: Whitener
 ) -> tuple[list[Place], PlaceColumns]:
-    """List what may be wrong, and what a unit of it does to the whitened markers."""
+    """Return the places to test, and the derivatives of the whitened markers by them."""
     named = [(kind, member) for kind in kinds for member in kind.members]
     tested = np.array([kind.name in IN_CELLS + IN_INPUTS for kind, _ in named], dtype=bool)
     postures = np.unique(whitener.owners).tolist()

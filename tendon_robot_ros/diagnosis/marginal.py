@@ -32,7 +32,7 @@ RIDGE = 1e-10  # [1] of scaled normal matrices, else rounding would be divided b
 
 
 class Prior(IntEnum):
-    """What is likeliest: a size s or its logarithm, s exp(-s²/p²) ds = s² exp(-s²/p²) d log s."""
+    """Prior of a size s or of its logarithm, s exp(-s²/p²) ds = s² exp(-s²/p²) d log s."""
 
     NONE = 0
     SIZES = 1
@@ -69,10 +69,10 @@ def _invert_triangle(lower: Floats) -> None:
     lower[half:, :half] = -lower[half:, half:] @ (lower[half:, :half] @ lower[:half, :half])
 
 
-def prior_of(share: Floats, of: Prior = Prior.SIZES) -> float:
+def prior_of(ratios: Floats, of: Prior = Prior.SIZES) -> float:
     """Return -2 log (s exp(-s²/p²)) of all kinds from shares (s/p)², up to a constant."""
-    proper = share[share > 0.0]
-    return float(2.0 * share.sum() - of * np.log(proper).sum())
+    proper = ratios[ratios > 0.0]
+    return float(2.0 * ratios.sum() - of * np.log(proper).sum())
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ class Columns:
 @dataclass(frozen=True)
 class _Reduced:
     """
-    What a set of variances makes of the small matrices, the remainder counted as noise: V = D + ..
+    Small matrices at given variances; the remainder is part of the noise, V = D + X S X'.
 
     o: columns of the other kinds, d: those of the remainder, k: parameters, and the residual.
     """
@@ -119,12 +119,12 @@ class _Last:
 
 @dataclass(frozen=True)
 class Slopes:
-    """How the deviance goes with the variances."""
+    """Derivatives of the deviance by the variances."""
 
     gradient: Floats  # (K,)
     information: Floats  # (K, K) expected of the gradient, priors of the variances included
     curvature: Floats  # (K, K) second derivative where it is, with these residuals
-    slower: Floats  # (K,) variances that are no worse, and often hardly better
+    slower: Floats  # (K,) variances by a slow step that never raises the deviance
 
 
 class Likelihood:
@@ -146,8 +146,8 @@ class Likelihood:
         """
         Take products of a residual (N,) and its slopes (N, k), whose priors weigh (k,).
 
-        Sizes have a prior, of them or their logarithms, or (`Prior.NONE`) the data alone say them:
-        what they leave beside the parameters (restricted, Patterson and Thompson 1971).
+        With `Prior.NONE` the likelihood is restricted: of the data without the part that
+        determines the parameters (REML, Patterson and Thompson 1971).
         """
         self.restricted = prior is Prior.NONE
         self.prior, self.precision = prior, float(prior > 0) / columns.plausible**2
@@ -166,7 +166,7 @@ class Likelihood:
         self._at: tuple[Floats, _Reduced] | None = None
 
     def _reduced(self, v: Floats) -> _Reduced:
-        """Return what variances (K,) make of the matrices; kept until others are asked for."""
+        """Return the matrices at variances (K,); those of the last variances are kept."""
         if self._at is not None and np.array_equal(self._at[0], v):
             return self._at[1]
         own, more, inner, log = self.own, self.more, self.inner, 0.0
@@ -174,8 +174,8 @@ class Likelihood:
         if self.kind is not None and v[self.kind] > 0.0:
             gain = v[self.kind] * self.size2
             shrunk, log = 1.0 / (1.0 + gain), float(np.log1p(gain).sum())
-            taken = self.own_last * (v[self.kind] * shrunk)
-            own, more = own - taken @ self.own_last.T, more - taken @ self.more_last
+            scaled = self.own_last * (v[self.kind] * shrunk)
+            own, more = own - scaled @ self.own_last.T, more - scaled @ self.more_last
             inner = inner - (self.more_last.T * (v[self.kind] * shrunk)) @ self.more_last
         s = np.sqrt(v)[self.owners]
         root = root_inverse(np.eye(len(s)) + s[:, None] * own * s)
@@ -196,11 +196,11 @@ class Likelihood:
 
     def slopes(self, v: Floats) -> Slopes:
         """
-        Return gradient, curvature and a step that cannot fail, of the best parameters everywhere.
+        Return gradient, curvature and a step that always descends, the parameters optimal.
 
-        With P what V^-1 is beside the parameters: rise tr(X'V^-1 X), restricted tr(X'P X), seen
-        |X'P r|² of each kind, and its slopes u'X'P X u (Johnson and Thompson 1995). The step is
-        minorise-maximise of variance components: slow, but always a descent.
+        With P the projection of V^-1 beside the parameters: `rise` tr(X'V^-1 X), restricted
+        tr(X'P X), `observed` |X'P r|² of each kind, and its slopes u'X'P X u (Johnson and Thompson
+        1995). The step is minorise-maximise of variance components: slow, but always a descent.
         """
         at, kinds = self._reduced(v), self.kinds
         half, through = at.factor @ at.own, at.factor @ at.more
@@ -209,17 +209,20 @@ class Likelihood:
         ahead = np.append(-best, 1.0)
         w, m = at.own - half.T @ half, at.more - half.T @ through
         root = self._root(normal)
-        taken = m[:, :-1] @ root.T
-        beside = w - taken @ taken.T  # X'P X
-        told = beside if self.restricted else w
+        fitted = m[:, :-1] @ root.T
+        beside = w - fitted @ fitted.T  # X'P X
+        expected = beside if self.restricted else w
         u = m @ ahead
-        rise, seen = kinds @ np.diag(told), kinds @ (u * u)
-        information, along = kinds @ (told * told) @ kinds.T, kinds * u
+        rise, observed = kinds @ np.diag(expected), kinds @ (u * u)
+        information, along = kinds @ (expected * expected) @ kinds.T, kinds * u
         turned = along @ beside @ along.T
         if self.kind is not None:
             last = self._last(at, half, through, ahead)
-            k, mine, own_taken = self.kind, last.u, last.more @ root.T
-            cross, own = last.cross - taken @ own_taken.T, last.own - own_taken @ own_taken.T
+            k, mine, own_fitted = self.kind, last.u, last.more @ root.T
+            cross, own = (
+                last.cross - fitted @ own_fitted.T,
+                last.own - own_fitted @ own_fitted.T,
+            )
             across = along @ (cross @ mine)
             turned[k] += across
             turned[:, k] += across
@@ -227,21 +230,21 @@ class Likelihood:
             if not self.restricted:
                 cross, own = last.cross, last.own
             both = np.square(cross).sum(axis=1)
-            rise[k], seen[k] = np.trace(own), mine @ mine
+            rise[k], observed[k] = np.trace(own), mine @ mine
             information[k] += kinds @ both
             information[:, k] += kinds @ both
             information[k, k] = np.square(own).sum()
         rise += 2.0 * self.precision
-        push = self.proper / np.maximum(v, 1e-300)  # away from zero
+        push = self.proper / np.maximum(v, 1e-300)  # of the prior, away from zero
         proper = np.diag(push / np.maximum(v, 1e-300))
         rise = np.maximum(rise, 1e-300)
-        apart = np.sqrt(self.proper**2 + 4.0 * rise * v**2 * seen)
+        apart = np.sqrt(self.proper**2 + 4.0 * rise * v**2 * observed)
         slower = (self.proper + apart) / (2.0 * rise)
-        gradient = rise - push - seen
+        gradient = rise - push - observed
         return Slopes(gradient, information + proper, 2.0 * turned - information + proper, slower)
 
     def _last(self, at: _Reduced, half: Floats, through: Floats, ahead: Floats) -> _Last:
-        """Return what the columns of the remainder are, once the others are eliminated."""
+        """Return the columns of the remainder, the others being eliminated."""
         crossed = self.own_last * at.shrunk  # (o, d)
         mine = at.factor @ crossed
         more = at.shrunk[:, None] * self.more_last - mine.T @ through
@@ -266,7 +269,7 @@ class Likelihood:
 
 @dataclass(frozen=True)
 class Sizes:
-    """Standard deviations of the kinds, and what they are worth at a residual."""
+    """Standard deviations of the kinds, and their deviance at a residual."""
 
     values: Floats  # (K,) [unit of the kind]
     deviance: float  # -2 log likelihood up to a constant, priors included, at the best parameters
@@ -274,14 +277,14 @@ class Sizes:
 
 class RandomEffects:
     """
-    Imperfections, whitened by the noise, and the likelihood that they give.
+    Imperfections, whitened by the noise, and their marginal likelihood.
 
-    Of each kind only what shows is kept: its independent directions (singular vectors), mixtures
-    of its members. Members of a kind share one variance, so mixtures are as random as they are.
+    Of each kind only observable directions are kept: mixtures of its members by singular vectors.
+    Members of a kind share one variance, so mixtures have the same variance.
 
-    The prior of a size s of a plausible p is s exp(-s²/p²) (Rayleigh): it is never zero. Few
-    members do not tell their own spread, and an effect that stands for all of them would be paid
-    for making it small: kinds with few members are as large as is plausible.
+    The prior of a size s with the plausible value p is s exp(-s²/p²) (Rayleigh), never zero. Few
+    members do not determine their spread, and the likelihood would reward an effect that makes it
+    small: the size of kinds with few members is fixed at the plausible one.
     """
 
     def __init__(
@@ -293,7 +296,7 @@ class RandomEffects:
         Parameters
         ----------
         columns : (N, q)
-            What a unit of each member does to the whitened residual.
+            Derivative of the whitened residual by each member.
         owners : (q,)
             Index of the kind of each column.
         kinds : (K,)
@@ -312,12 +315,12 @@ class RandomEffects:
 
     @classmethod
     def none(cls, rows: int) -> RandomEffects:
-        """Return those of an exact arm: no kinds, for so many whitened values."""
+        """Return the random effects of an exact arm: no kinds, for so many whitened values."""
         return cls(np.zeros((rows, 0)), np.zeros(0, dtype=np.int64), ())
 
     @property
     def start(self) -> Floats:
-        """Sizes (K,) to begin with: no remainder."""
+        """Initial sizes (K,), without a remainder."""
         usual = np.where(np.isfinite(self.plausible), 0.5 * self.plausible, 0.0)
         return np.where(self.few, self.plausible, usual)
 
@@ -340,7 +343,7 @@ class RandomEffects:
 
     @cached_property
     def parts(self) -> Columns:
-        """What the likelihood takes of the columns, whatever their sizes are."""
+        """Products of the columns for the likelihood, independent of the sizes."""
         last = [k for k, kind in enumerate(self.kinds) if kind.name == REMAINDER]
         is_last = np.isin(self.owners, last)
         others, d = np.flatnonzero(~is_last), np.flatnonzero(is_last)
@@ -379,12 +382,12 @@ class RandomEffects:
 
     def freedom(self, shift: Floats, sizes: Floats) -> float:
         """
-        Return how many deviations tell the spread that a shift (N,) of the markers has by chance.
+        Return the degrees of freedom behind the variance of a shift (N,) of the markers.
 
-        The variance of the shift's own size, 1 / m'V^-1 m, depends on the estimated sizes: as many
-        degrees of freedom as give it its uncertainty (Satterthwaite 1946). Few where a shift lies
-        along imperfections of a kind that the data hardly tell otherwise; infinite where noise
-        alone could be the cause.
+        The variance of the amplitude of a shift m, 1 / m'V^-1 m, depends on the estimated sizes;
+        the degrees of freedom correspond to its uncertainty (Satterthwaite 1946). They are few
+        where the shift resembles imperfections of a kind whose size the data hardly determine, and
+        infinite where only noise matters.
         """
         spread = sizes[self.owners]
         along = np.divide(self.best(shift, sizes), spread, where=spread > 0.0, out=0.0 * spread)
@@ -395,13 +398,13 @@ class RandomEffects:
         return 2.0 * size**2 / variance if variance > 0.0 else np.inf
 
     def variance_of_sizes(self, sizes: Floats, prior: Prior = Prior.SIZES) -> Floats:
-        """Return the covariance (K, K) of the estimated variances; of few members they count."""
-        told = np.flatnonzero((sizes > 0.0) & ~self.few)
+        """Return the covariance (K, K) of the estimated variances; zero where a size is fixed."""
+        known = np.flatnonzero((sizes > 0.0) & ~self.few)
         rows = len(self.columns)
         work = Likelihood(self.parts, np.zeros(rows), np.zeros((rows, 0)), None, prior)
-        information = work.slopes(sizes**2).information[np.ix_(told, told)]
+        information = work.slopes(sizes**2).information[np.ix_(known, known)]
         covariance = np.zeros((len(sizes), len(sizes)))
-        covariance[np.ix_(told, told)] = 2.0 * np.linalg.pinv(information, hermitian=True)
+        covariance[np.ix_(known, known)] = 2.0 * np.linalg.pinv(information, hermitian=True)
         return covariance
 
     def log_variance_of_sizes(self, sizes: Floats) -> Floats:
@@ -410,19 +413,19 @@ class RandomEffects:
         return np.asarray(self.variance_of_sizes(sizes, Prior.LOGARITHMS) / np.outer(v, v))
 
     def misfit(self, errors: Floats, sizes: Floats) -> float:
-        """Return the chi² of errors (N,) that only noise and the remainder explain."""
+        """Return the chi² of errors (N,) under noise and remainder alone."""
         own, length2 = self._last
         gain = sizes[-1:] ** 2 * length2
         along = (own @ errors) ** 2 / np.maximum(length2, 1e-300)
         return float(errors @ errors - (along * gain / (1.0 + gain)).sum())
 
     def cost(self, members: Members, sizes: Floats) -> float:
-        """Return what members cost by their priors."""
+        """Return the sum of squares of members in their sd: -2 log prior up to a constant."""
         total = 0.0
         for kind, size in zip(self.kinds, sizes.tolist(), strict=True):
             if kind.name in members:
-                least = max(size, NEGLIGIBLE * kind.plausible)
-                total += float(np.sum((members[kind.name] / least) ** 2))
+                sd = max(size, NEGLIGIBLE * kind.plausible)
+                total += float(np.sum((members[kind.name] / sd) ** 2))
         return total
 
     def log_determinant(self, sizes: Floats) -> float:
@@ -434,7 +437,7 @@ class RandomEffects:
         return prior_of((sizes / self.plausible) ** 2)
 
     def root(self, sizes: Floats) -> Floats:
-        """Return A (n, n), by which `lift` whitens: of the columns up to the last that is any."""
+        """Return A (n, n) of `lift`, for the columns up to the last one with a size above zero."""
         key = sizes.tobytes()
         root = self._roots.get(key)
         if root is None:
@@ -447,7 +450,7 @@ class RandomEffects:
         return root
 
     def lift(self, root: Floats, rows: Floats) -> Floats:
-        """Take off rows (N, ...) what imperfections explain: W with W'W = V^-1."""
+        """Remove from rows (N, ...) what imperfections explain: W rows with W'W = V^-1."""
         basis = self._basis[0][:, : len(root)]
         return np.asarray(rows + basis @ (root @ (basis.T @ rows)))
 
@@ -469,16 +472,16 @@ class RandomEffects:
         ----------
         residual : (N,)
         slopes : (N, k)
-            Derivative of the residual by parameters that go along.
+            Derivative of the residual by parameters that are fitted along.
         start : (K,), optional
         weights : (k,), optional
-            Precision of priors of the parameters at their present values.
+            Precision of the priors of the parameters, centred at their present values.
         remainder : bool
-            Whether there may be one.
+            Whether a remainder is allowed.
         prior : Prior
-            With `NONE` the data alone say the sizes; else kinds with few members are as large as
-            is plausible. Whether sizes are the likeliest, or their logarithms: effects
-            compete by the former, but where few members tell a size these are too often small.
+            With `NONE` the data alone determine the sizes; else the size of kinds with few
+            members is fixed. Effects compete with the likeliest sizes (`SIZES`), which are too
+            often too small where few members determine them; then `LOGARITHMS` is better.
 
         """
         work = Likelihood(self.parts, residual, slopes, weights, prior)
@@ -490,16 +493,16 @@ class RandomEffects:
         free = np.array([remainder or kind.name != REMAINDER for kind in self.kinds], dtype=bool)
         low, high = np.where(free, low, 0.0), np.where(free, high, 0.0)
         v = np.clip(sizes**2, low, high)
-        cost, least = work.deviance(v), self._least
+        cost, offset = work.deviance(v), self._log_offset
         for _ in range(STEPS_MAX):
-            there = work.slopes(v)
-            step, promised = _step(v - low, high - v, v + least, there)
+            slopes_at = work.slopes(v)
+            step, promised = _step(v - low, high - v, v + offset, slopes_at)
             if promised < DEVIANCE_GAIN_MIN:
                 break
             shorter = [
-                (v + least) * np.exp(fraction * step) - least for fraction in STEP_FRACTIONS
+                (v + offset) * np.exp(fraction * step) - offset for fraction in STEP_FRACTIONS
             ]
-            for moved in (*shorter, there.slower):
+            for moved in (*shorter, slopes_at.slower):
                 new = np.clip(moved, low, high)
                 deviance = work.deviance(new)
                 if deviance < cost:
@@ -512,11 +515,11 @@ class RandomEffects:
         return Sizes(np.sqrt(v), cost)
 
     @cached_property
-    def _least(self) -> Floats:
+    def _log_offset(self) -> Floats:
         """
-        Variances (K,) that logarithms are counted from: where the remainder begins to show.
+        Offsets (K,) of the variances before the logarithm: where the remainder begins to show.
 
-        It may be zero; the others may not.
+        The variance of the remainder may be zero; that of the other kinds may not.
         """
         own = np.array([kind.name == REMAINDER for kind in self.kinds], dtype=bool)
         shows = np.sqrt(np.square(self.parts.size2).sum())
@@ -524,18 +527,18 @@ class RandomEffects:
 
 
 def _mixture(columns: Floats, plausible: float) -> Floats:
-    """Return the independent directions (q, r) of a kind that show."""
+    """Return the observable independent directions (q, r) of a kind."""
     values, vectors = np.linalg.eigh(columns.T @ columns)
-    least = (NEGLIGIBLE / plausible) ** 2 if np.isfinite(plausible) else 0.0
-    return np.asarray(vectors[:, values > max(least, 1e-14 * values.max(initial=0.0))][:, ::-1])
+    limit = (NEGLIGIBLE / plausible) ** 2 if np.isfinite(plausible) else 0.0
+    return np.asarray(vectors[:, values > max(limit, 1e-14 * values.max(initial=0.0))][:, ::-1])
 
 
 def _step(down: Floats, up: Floats, stretch: Floats, slopes: Slopes) -> tuple[Floats, float]:
     """
-    Newton step (K,) of the logarithms, and how much it promises at least.
+    Return the Newton step (K,) of the logarithms, and its predicted gain.
 
-    Those without room that want to stay there do; `stretch` is the slope of v by its logarithm.
-    Where the deviance bends down it is left the faster, as if it bent up.
+    Variances at a bound stay if the gradient points outwards; `stretch` is dv / d log v. Negative
+    curvature counts as positive.
     """
     gradient = slopes.gradient
     pressed = ((down <= 0.0) & (gradient >= 0.0)) | ((up <= 0.0) & (gradient <= 0.0))

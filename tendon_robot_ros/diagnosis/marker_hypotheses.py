@@ -1,4 +1,4 @@
-"""Mistakes of markers and of cells: numbered, exchanged, placed or counted otherwise than said."""
+"""Mistakes of markers and cells: other numbers, exchanges, places or counts than described."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from ..comparison.predict import Predictor
 from ..data import DataSet
 from ..robot import Robot
 from .marginal import NEGLIGIBLE
-from .setup_hypotheses import Mistake, as_unit, times, tried
-from .verdict import ERROR_LEFT_MAX, MISTAKEN_RATIO_MIN, QUIET_FLOORS
+from .setup_hypotheses import Mistake, as_unit, evaluated, times
+from .verdict import MISTAKEN_RATIO_MIN, QUIET_FLOORS, RESIDUAL_RATIO_MAX
 
 SAME_PLACE = 1e-6  # [1] of the arm's length, so that only rounding lies within
 APART_MIN = 0.2  # [1] of a cell's length, else markers beside each other would be apart
@@ -25,11 +25,11 @@ EXCHANGED_TRIALS_MIN = 0.1  # [1] of all, because fewer are readings that others
 
 
 def along(dataset: DataSet, robot: Robot, longer: Robot) -> Iterator[tuple[str, list[float]]]:
-    """Yield where markers (J,) [m] may be on an arm of another length: as counted from where."""
+    """Yield possible places of markers (J,) [m] on an arm of another length, and their name."""
     places, more = uncut(dataset, robot), longer.length - robot.length
     yield 'stay', np.clip(places, 0.0, longer.length).tolist()
-    share = longer.length / robot.length
-    yield 'go along', np.clip(places * share, 0.0, longer.length).tolist()
+    ratio = longer.length / robot.length
+    yield 'go along', np.clip(places * ratio, 0.0, longer.length).tolist()
     from_tip = places + more
     if from_tip.min() > -1e-9 * robot.length:
         yield 'as far from the tip', np.clip(from_tip, 0.0, longer.length).tolist()
@@ -39,36 +39,36 @@ def uncut(dataset: DataSet, robot: Robot) -> Floats:
     """
     Return where markers (J,) [m] would be on an arm that does not end.
 
-    Of an arm described too short those beyond its ends are all put at the end. They go on as far
-    apart as the others mostly are.
+    In the description of an arm that is too short all markers beyond its ends are at the end. Here
+    they continue at the usual distance of the others.
     """
     places, length = dataset.arc_lengths, robot.length
-    apart, least = np.diff(places), SAME_PLACE * length
-    if not (apart > least).any() or not (apart >= 0.0).all():
+    apart, gap_min = np.diff(places), SAME_PLACE * length
+    if not (apart > gap_min).any() or not (apart >= 0.0).all():
         return places
-    usual, going_on = float(np.median(apart[apart > least])), places.copy()
-    at_tip, at_base = np.flatnonzero(places > length - least), np.flatnonzero(places < least)
-    going_on[at_tip] += usual * np.arange(len(at_tip))
-    going_on[at_base] -= usual * np.arange(len(at_base))[::-1]
-    return going_on
+    usual, extended = float(np.median(apart[apart > gap_min])), places.copy()
+    at_tip, at_base = np.flatnonzero(places > length - gap_min), np.flatnonzero(places < gap_min)
+    extended[at_tip] += usual * np.arange(len(at_tip))
+    extended[at_base] -= usual * np.arange(len(at_base))[::-1]
+    return extended
 
 
 def in_one_place(dataset: DataSet, robot: Robot, floor: float) -> tuple[list[int], float]:
     """
-    Return the markers that are described in one place and are not, and how far apart [m].
+    Return the markers that are described in one place but measured apart, and the distance [m].
 
-    As they are where their places were cut at the end of an arm that is longer than described.
+    This happens where places were clipped to the end of an arm that is longer than described.
     """
     near = np.abs(np.subtract.outer(dataset.arc_lengths, dataset.arc_lengths))
     beside = np.linalg.norm(dataset.offsets[:, None] - dataset.offsets, axis=2)
     same = np.triu(near + beside < SAME_PLACE * robot.length, 1)
-    least = max(QUIET_FLOORS * floor, APART_MIN * robot.sections[-1].cell_length)
+    distance_min = max(QUIET_FLOORS * floor, APART_MIN * robot.sections[-1].cell_length)
     group: set[int] = set()
     far = 0.0
     for i, j in zip(*np.nonzero(same), strict=True):
         chords = np.linalg.norm(dataset.mean[:, i] - dataset.mean[:, j], axis=1)
         chords = chords[np.isfinite(chords)]
-        if len(chords) and np.median(chords) > least:
+        if len(chords) and np.median(chords) > distance_min:
             group |= {int(i), int(j)}
             far = max(far, float(np.median(chords)))
     return sorted(group), far
@@ -76,7 +76,7 @@ def in_one_place(dataset: DataSet, robot: Robot, floor: float) -> tuple[list[int
 
 def numbered(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     """Try markers that are numbered from the tip."""
-    yield from tried(
+    yield from evaluated(
         predictor,
         markers,
         'markers_from_the_tip',
@@ -88,17 +88,18 @@ def numbered(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
 
 def exchanged(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     """
-    Find two markers that were taken for each other, in some trials or in all.
+    Yield the exchange of two markers, in some trials or in all, if there is one.
 
-    Told by how far the markers of a trial are from each other, wherever the arm is.
+    It shows in the distances between the markers of a trial, independent of the posture.
     """
     dataset = predictor.dataset
     J = len(dataset.markers)
     if J < 3:
         return
-    should, seen = _distances(markers)[:, None], _distances(dataset.positions)  # (P, Q, J, J)
+    expected = _distances(markers)[:, None]  # (P, 1, J, J)
+    measured = _distances(dataset.positions)  # (P, Q, J, J)
     neighbour = float(np.median(np.diff(np.sort(dataset.arc_lengths))))
-    off = _off(seen, should)
+    off = _off(measured, expected)
     odd = off > EXCHANGED_OFF_MIN * neighbour
     if not odd.any():
         return
@@ -107,9 +108,9 @@ def exchanged(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     for k, (i, j) in enumerate(pairs):
         order = np.arange(J)
         order[[i, j]] = j, i
-        others[k] = np.where(odd, _off(seen[..., order, :][..., order], should), np.inf)
+        others[k] = np.where(odd, _off(measured[..., order, :][..., order], expected), np.inf)
     best = np.argmin(others, axis=0)
-    wrong = odd & (others.min(axis=0) < ERROR_LEFT_MAX * off)
+    wrong = odd & (others.min(axis=0) < RESIDUAL_RATIO_MAX * off)
     if not wrong.any():
         return
     k = int(np.bincount(best[wrong]).argmax())
@@ -126,7 +127,7 @@ def exchanged(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
         p, q = np.argwhere(where)[0]
         first = f'posture {dataset.postures[p]} trial {dataset.trial_names[q]}'
         which = f' in {int(where.sum())} of {int(dataset.trials.sum())} trials, {first} the first'
-    for one in tried(
+    for one in evaluated(
         predictor,
         markers,
         'markers_exchanged',
@@ -138,22 +139,22 @@ def exchanged(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
 
 
 def exchanged_in(predictor: Predictor) -> Mistake | None:
-    """Return the mistake of two markers that were taken for each other, if there is one."""
+    """Return the exchange of two markers in the measurements, if there is one."""
     markers = predictor.markers({})
     return None if markers is None else next(exchanged(predictor, markers), None)
 
 
 def _distances(places: Floats) -> Floats:
-    """Return how far (..., J, J) [m] markers (..., J, 3) are from each other."""
+    """Return the distances (..., J, J) [m] between markers (..., J, 3)."""
     return np.asarray(np.linalg.norm(places[..., :, None, :] - places[..., None, :, :], axis=-1))
 
 
-def _off(seen: Floats, should: Floats) -> Floats:
-    """Return by how much (P, Q) [m] distances are off, rms; 0 where none was seen."""
-    squares = (seen - should) ** 2
-    told = np.isfinite(squares)
-    count = np.maximum(told.sum(axis=(2, 3)), 1)
-    return np.asarray(np.sqrt(np.where(told, squares, 0.0).sum(axis=(2, 3)) / count))
+def _off(measured: Floats, expected: Floats) -> Floats:
+    """Return the rms error (P, Q) [m] of distances; 0 where none was measured."""
+    squares = (measured - expected) ** 2
+    finite = np.isfinite(squares)
+    count = np.maximum(finite.sum(axis=(2, 3)), 1)
+    return np.asarray(np.sqrt(np.where(finite, squares, 0.0).sum(axis=(2, 3)) / count))
 
 
 def miscounted(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
@@ -173,17 +174,17 @@ def otherwise_divided(predictor: Predictor, markers: Floats) -> Iterator[Mistake
 
 
 def _counted(predictor: Predictor, s: int, count: int, length: float) -> Iterator[Mistake]:
-    """Try so many cells of a length [m] each in a section, and where markers are on them."""
+    """Try a number of cells of a length [m] each in a section, with possible marker places."""
     robot, dataset, section = predictor.robot, predictor.dataset, predictor.robot.sections[s]
     if section.is_plate:
         return
     place = f'section {section.name}' if len(robot.own_sections) > 1 else 'the arm'
-    again = count * (section.bending_stiffness[-1],)
+    filled = count * (section.bending_stiffness[-1],)
     other = replace(
         section,
         cells=count,
         cell_length=length,
-        bending_stiffness=(section.bending_stiffness + again)[:count],
+        bending_stiffness=(section.bending_stiffness + filled)[:count],
         mass_profile=(section.mass_profile + count * section.mass_profile[-1:])[:count],
     )
     sections = (*robot.sections[:s], other, *robot.sections[s + 1 :])
@@ -192,11 +193,11 @@ def _counted(predictor: Predictor, s: int, count: int, length: float) -> Iterato
     each = f' of {1e3 * length:g} mm' if same else ''
     stay = [('stay', dataset.arc_lengths.tolist())]
     for where, places in stay if same else along(dataset, robot, longer):
-        markers_there = tuple(
+        moved = tuple(
             replace(m, arc_length=at) for m, at in zip(dataset.markers, places, strict=True)
         )
-        mended = replace(dataset, robot=longer, markers=markers_there)
-        yield from tried(
+        mended = replace(dataset, robot=longer, markers=moved)
+        yield from evaluated(
             predictor,
             Predictor(mended, longer, predictor.model.catalogue).markers({}),
             'cells',
@@ -204,7 +205,7 @@ def _counted(predictor: Predictor, s: int, count: int, length: float) -> Iterato
             f'count the cells of {place}',
             True,
             robot=longer,
-            markers=markers_there,
+            markers=moved,
         )
 
 
@@ -219,15 +220,15 @@ def spots(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
         ),
         *((f'at {100 * s:.0f} % of their arc lengths', s, 0.0) for s in (0.8, 0.9, 1.1, 1.25)),
     ]
-    for how, share, shift in moves:
-        places = share * dataset.arc_lengths + shift
+    for how, factor, shift in moves:
+        places = factor * dataset.arc_lengths + shift
         if places.min() < -1e-9 * length or places.max() > (1.0 + 1e-9) * length:
             continue
         yield from _elsewhere(predictor, np.clip(places, 0.0, length), f'with all markers {how}')
 
 
 def by_distances(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
-    """Try what the distances of neighbours tell: one marker elsewhere, or another unit."""
+    """Try what distances of neighbours suggest: one marker elsewhere, or another unit."""
     dataset = predictor.dataset
     order = np.argsort(dataset.arc_lengths)
     apart = np.diff(dataset.arc_lengths[order])
@@ -241,7 +242,7 @@ def by_distances(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     scale = float(np.median(straightest / apart))
     if not 1.0 / MISTAKEN_RATIO_MIN < scale < MISTAKEN_RATIO_MIN:
         factor = as_unit(1.0 / scale)
-        for one in tried(
+        for one in evaluated(
             predictor,
             markers,
             'unit_of_positions',
@@ -252,10 +253,10 @@ def by_distances(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
         ):
             yield replace(one, certain=True)
         return
-    more = (ratio - 1.0) * apart  # [m] of arm between neighbours than described
+    more = (ratio - 1.0) * apart  # [m] additional arm between neighbours
     for k, j in enumerate(order):
-        told = [*more[k - 1 : k][:k], *(-more[k : k + 1])]
-        off = float(np.mean(told))
+        estimates = [*more[k - 1 : k][:k], *(-more[k : k + 1])]
+        off = float(np.mean(estimates))
         if abs(off) > 2.0 * NEGLIGIBLE * predictor.robot.length:
             places = dataset.arc_lengths.copy()
             places[j] += off
@@ -268,14 +269,14 @@ def _elsewhere(predictor: Predictor, places: Floats, sentence: str) -> Iterator[
     """Try other places (J,) [m] of the markers along the arm."""
     dataset = predictor.dataset
     inside = np.clip(places, 0.0, predictor.robot.length)
-    there = tuple(
+    moved = tuple(
         replace(m, arc_length=s, offset=(m.offset[0], m.offset[1], m.offset[2] + beyond))
         for m, s, beyond in zip(
             dataset.markers, inside.tolist(), (places - inside).tolist(), strict=True
         )
     )
-    mended = replace(dataset, robot=predictor.robot, markers=there)
-    yield from tried(
+    mended = replace(dataset, robot=predictor.robot, markers=moved)
+    yield from evaluated(
         predictor,
         Predictor(mended, predictor.robot, predictor.model.catalogue).markers({}),
         'markers_elsewhere',
@@ -283,5 +284,5 @@ def _elsewhere(predictor: Predictor, places: Floats, sentence: str) -> Iterator[
         'check arc_length of the markers in dataset.yaml, from the base along the arm, '
         'and the number of cells',
         True,
-        markers=there,
+        markers=moved,
     )

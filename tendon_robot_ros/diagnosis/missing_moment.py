@@ -29,7 +29,7 @@ BEND_MIN = 1e-3  # [rad] of a cell, else rounding would be its direction
 
 @dataclass(frozen=True, eq=False)
 class MissingMoment:
-    """What a model lacks in P postures and B blocks of cells; NaN: the markers do not tell."""
+    """Missing bend and moment in P postures and B blocks of cells; nan where undetermined."""
 
     blocks: tuple[str, ...]  # (B,) 'cells 1 to 5'
     bend: Floats  # (P, B) [rad] per cell that is missing; positive: the arm bends more
@@ -47,7 +47,7 @@ def missing_moment(
     dataset: DataSet, robot: Robot, measured: Measured, catalogue: Catalogue
 ) -> MissingMoment | None:
     """
-    Return what a robot description lacks; None where nothing tells the noise.
+    Return the moments that a robot description lacks; None where the noise is not known.
 
     Parameters
     ----------
@@ -140,12 +140,12 @@ class _Arm:
         whole = bending_axes(self.shapes.positions)  # (b, 3); the posture bends by more than 0
         total = np.einsum('bnrc,bnc->br', frames, own)
         whole = whole * np.where((whole * total).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]
-        there = np.einsum('bnrc,br->bnc', frames, whole)
-        there[..., 2] = 0.0
-        there /= np.maximum(np.linalg.norm(there, axis=2, keepdims=True), 1e-12)
+        axis = np.einsum('bnrc,br->bnc', frames, whole)
+        axis[..., 2] = 0.0
+        axis /= np.maximum(np.linalg.norm(axis, axis=2, keepdims=True), 1e-12)
         own = own / np.maximum(size, 1e-300)
-        against = np.sign((own * there).sum(axis=2, keepdims=True))
-        return np.asarray(np.where(size > BEND_MIN, own * np.where(against < 0, -1.0, 1.0), there))
+        against = np.sign((own * axis).sum(axis=2, keepdims=True))
+        return np.asarray(np.where(size > BEND_MIN, own * np.where(against < 0, -1.0, 1.0), axis))
 
     def fit(
         self, p: int, residual: Floats, sd: Floats, edges: list[tuple[int, int]]
@@ -156,14 +156,14 @@ class _Arm:
         moves = np.cross(axes[:, None], arms) * (
             self.arc_lengths[None, :, None] > self.middle[:, None, None]
         )
-        seen = np.isfinite(residual).all(axis=1)
-        if not seen.any():
+        visible = np.isfinite(residual).all(axis=1)
+        if not visible.any():
             return np.full(len(edges), np.nan), np.full(len(edges), np.nan)
-        columns = [(moves[a:b].sum(axis=0) / sd[:, None])[seen].ravel() for a, b in edges]
+        columns = [(moves[a:b].sum(axis=0) / sd[:, None])[visible].ravel() for a, b in edges]
         slopes = np.array(columns).T
         normal = slopes.T @ slopes + np.eye(len(edges)) * 1e-9
         covariance = np.linalg.inv(normal)
-        white = (residual / sd[:, None])[seen].ravel()
+        white = (residual / sd[:, None])[visible].ravel()
         return covariance @ (slopes.T @ white), np.sqrt(np.diag(covariance))
 
     def along(self, vectors: Floats) -> Floats:

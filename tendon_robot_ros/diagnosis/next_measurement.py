@@ -1,4 +1,4 @@
-"""The posture that would separate effects which the present postures cannot tell apart."""
+"""The posture that separates effects which the present postures do not distinguish."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def propose(session: Session, group: Sequence[Ranked]) -> NextMeasurement | None
     """
     Propose the posture at which the predictions of a class differ most against the noise.
 
-    Distances are refitted ones: what the fitted parameters could still give way is taken off.
+    A difference counts after refitting: without the part that fitted parameters can imitate.
     """
     best: tuple[float, NextMeasurement] | None = None
     for gravity, after, inputs in _conditions(session, group):
@@ -56,7 +56,7 @@ def _conditions(session: Session, group: Sequence[Ranked]):  # type: ignore[no-u
 
 
 def input_grid(dataset: DataSet, limits: tuple[float, float]) -> Floats:
-    """Feasible inputs (b, m) [N]: up to a little beyond what was used, within the limits."""
+    """Feasible inputs (b, m) [N]: up to a quarter above those used, within the limits."""
     used = np.nan_to_num(dataset.inputs)
     m = used.shape[1]
     top = np.minimum(
@@ -64,11 +64,11 @@ def input_grid(dataset: DataSet, limits: tuple[float, float]) -> Floats:
     )
     low = max(limits[0], 0.0)
     levels = {1: 12, 2: 8, 3: 6, 4: 4}.get(m, 3)
-    shares = np.linspace(0.0, 1.0, levels)
+    fractions = np.linspace(0.0, 1.0, levels)
     if levels**m <= 2 * GRID_POSTURES_MAX:
-        unit = np.array(list(product(shares, repeat=m)))
+        unit = np.array(list(product(fractions, repeat=m)))
     else:
-        unit = np.random.default_rng(0).choice(shares, (GRID_POSTURES_MAX, m))
+        unit = np.random.default_rng(0).choice(fractions, (GRID_POSTURES_MAX, m))
     grid = low + unit * (top - low)
     grid = grid[grid.sum(axis=1) > 1.5 * used.sum(axis=1).min()]
     return grid[grid.sum(axis=1) <= 2.0 * max(used.sum(axis=1).max(), used.max())]
@@ -107,7 +107,7 @@ def _compare(
     gravity: list[float] | None,
     after: Floats | None,
 ) -> tuple[float, NextMeasurement] | None:
-    """Find the best posture of a grid and how well it separates the class."""
+    """Return the separation of the best posture of a grid, and that posture."""
     grid = _posture_set(session, inputs, gravity, after)
     predictor = Predictor(grid, session.robot, session.catalogue)
     slopes = input_slopes(predictor, group[0].fit.point)
@@ -166,6 +166,6 @@ def separation(
             d = white[a] - white[b]
             u = np.concatenate([give[a], give[b]])
             small = np.eye(len(u)) + u @ u.T
-            left = d @ d - (u @ d) @ np.linalg.solve(small, u @ d)
-            total += min(float(left), 0.5 * NEAR_SCORE)
+            distance2 = d @ d - (u @ d) @ np.linalg.solve(small, u @ d)
+            total += min(float(distance2), 0.5 * NEAR_SCORE)
     return total

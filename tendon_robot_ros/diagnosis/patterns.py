@@ -1,4 +1,4 @@
-"""Patterns without physics that compete with the effects: does the catalogue lack the cause."""
+"""Patterns without a physical law that compete with effects: the cause may not be catalogued."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ class Pattern:
     """A pattern fitted on top of a fit."""
 
     name: str  # 'contact', 'soft_cell', 'taper', 'gain_per_posture', 'rotation_per_posture'
-    deviance: float  # chi², with log |V| where an arm is taken as built
+    deviance: float  # chi², of an arm as built with log |V| and priors
     parameters: int
     cell: int = 0  # 1-based, of a soft cell or a contact
     size: float = 0.0  # soft cell: bend over the bend it should have; taper: change tip - base
-    free: int = 1  # numbers that the pattern itself may choose
-    places: int = 1  # among which it was searched
+    free: int = 1  # parameters of the pattern itself
+    places: int = 1  # number of places that were searched
     values: tuple[float, ...] = ()  # one per posture [1] or [rad]; contact: force (3,) [N]
-    alike: tuple[int, ...] = ()  # 1-based cells where it would do as well, its own among them
+    alike: tuple[int, ...] = ()  # 1-based cells that explain as much, its own included
 
     @property
     def everywhere(self) -> bool:
-        """Whether it is the same in every posture."""
+        """Whether the pattern is the same in every posture."""
         return self.name in NAMES[:3]
 
     def gain_p_value(self, deviance: float) -> float:
-        """Chance of so much gain over a deviance without the pattern, its place searched."""
+        """P-value of the gain over a deviance without the pattern, corrected for the places."""
         return self.places * chi2_sf(max(deviance - self.deviance, 0.0), self.free)
 
     @property
@@ -54,7 +54,7 @@ class Pattern:
         return self.deviance + 2.0 * self.parameters
 
     def text(self, postures: Sequence[str]) -> str:
-        """Say where to look, given the names of the postures."""
+        """Return a sentence on what to check, given the names of the postures."""
         if self.name == 'contact':
             angle = load_of(self.values).from_axis
             off_axis = ''
@@ -99,9 +99,9 @@ class Patterns:
     """
     Fits the patterns on top of a converged fit.
 
-    Where a pattern has a number for every posture, the parameters of the fit stay where they are;
-    imperfections and tolerances of cells give way: one soft cell is not thirty that deviate a
-    little.
+    With a pattern of one parameter per posture, the parameters of the fit stay fixed, while
+    imperfections and tolerances of cells are fitted again: else part of a soft cell would remain
+    in deviations of many cells.
     """
 
     def __init__(
@@ -110,8 +110,8 @@ class Patterns:
         """
         Keep the fit and its whitened residual.
 
-        Fits far behind the `line` are given up; `reversals`: others are tried beyond reversals of
-        friction.
+        Fits far behind the deviance `line` stop early; with `reversals` the others are also tried
+        beyond reversals of friction.
         """
         self.fitter, self.fit, self.line, self.reversals = fitter, fit, line, reversals
         self.point: Point = fit.point
@@ -125,14 +125,14 @@ class Patterns:
         self.extra = fit.rank
 
     def white(self, markers: Floats) -> Floats:
-        """Whitened residual for predicted markers; imperfections give way."""
+        """Whitened residual for predicted markers, without what imperfections explain."""
         return self.relief.residual(self.fitter.lift(self.fitter.residual(markers)))
 
     def deviance(self, predict: Callable[[], Floats | None]) -> float:
         """
-        Deviance of what a pattern predicts; imperfections follow it, and so do their sizes.
+        Deviance of the prediction of a pattern, imperfections and their sizes fitted again.
 
-        The fitter comes back to where the fit is.
+        The fitter returns to the state of the fit.
         """
         markers, fitter = predict(), self.fitter
         if markers is None:
@@ -153,13 +153,13 @@ class Patterns:
         return deviance + self.prior
 
     def _changes(self, change: Floats, p: int) -> Floats:
-        """Return what changes (q, P, J, 3) [m] of the markers of one posture do to it, (N, q)."""
+        """Return columns (N, q) of changes (q, P, J, 3) [m] of the markers of one posture."""
         alone = np.zeros_like(change)
         alone[:, p] = change[:, p]
         return self.relief.apply(self.fitter.lift(-self.fitter.whitener.white(alone).T))
 
     def contact(self) -> Pattern | None:
-        """Fit a force at one cell, the same in all postures: where, and how strong."""
+        """Fit a force at one cell, the same in all postures: its place and vector [N]."""
         split = self.fitter.predictor
         if not isinstance(split, SplitPredictor) or not split.pushable:
             return None
@@ -180,11 +180,11 @@ class Patterns:
         )
 
     def soft_cell(self) -> Pattern | None:
-        """One cell with its own stiffness: where, and how soft."""
+        """Fit one cell with its own stiffness: its place and softness."""
         n = self.fitter.predictor.model.arrays.chain.n
         softness = Parameter('softness', '1', -1.5, 4.0, 0.0, 0.1)  # logarithm of the bend
         frees = [FreeParameter(SOFT_CELL, softness, i) for i in range(n)]
-        usual = self.fit.built.sizes.copy()  # a cell that scatters by more is what is searched
+        usual = self.fit.built.sizes.copy()  # else the soft cell itself would be scatter
         for k, kind in enumerate(self.fit.built.kinds):
             usual[k] = min(usual[k], kind.plausible) if kind.name == CELLS else usual[k]
         self.fitter.sizes = usual
@@ -201,12 +201,12 @@ class Patterns:
         return Pattern('soft_cell', fit.deviance, fit.rank + 1, i + first, size, 1, n, alike=alike)
 
     def _moved(self, frees: Sequence[FreeParameter]) -> Iterator[Floats]:
-        """Yield what parameters that are zero do to the markers, (1, P, J, 3) per unit."""
+        """Yield derivatives (1, P, J, 3) of the markers by parameters that are zero."""
         predictor, near, step = self.fitter.predictor, self.settled, DIFFERENCE_STEP
-        found = None if near is None else predictor.tangent(self.point, frees, near)
+        tangent = None if near is None else predictor.tangent(self.point, frees, near)
         for i, free in enumerate(frees):
-            if found is not None:
-                yield found.markers[i : i + 1]
+            if tangent is not None:
+                yield tangent.markers[i : i + 1]
                 continue
             moved = predictor.markers({**self.point, free: step}, near=near)
             yield (
@@ -216,7 +216,7 @@ class Patterns:
             )
 
     def taper(self) -> Pattern | None:
-        """Stiffness that changes linearly from base to tip, mean and slope free."""
+        """Fit a stiffness that changes linearly from base to tip, mean and slope free."""
         names = ('mean', 'slope')
         frees = [FreeParameter(TAPER, Parameter(name, '1', -2.0, 2.0, 0.0, 0.1)) for name in names]
         fit, _ = min(self._at_best_places([0.0], lambda i: frees), key=_deviance)
@@ -230,23 +230,22 @@ class Patterns:
         self, gains: Sequence[float], frees: Callable[[int], list[FreeParameter]]
     ) -> list[tuple[Fit | None, int]]:
         """
-        Fit a pattern at the places that promise most.
+        Fit a pattern at the places with the largest linearised gain.
 
-        Of an arm as built also with the imperfections of the fit to start from: at the best place,
-        and at others that such a start may bring before it; and where that is better, beyond a
-        reversal of friction.
+        Of an arm as built also from the imperfections of the fit: at the best place, and at others
+        that such a start may make the best; and with `reversals` beyond a reversal of friction.
         """
         places = np.argsort(gains)[::-1][:BEST_FEW].tolist()
         fits = sorted(((self._refit(frees(i)), i) for i in places), key=_deviance)
         reach = APART_FROM_SCORE
         for k, (fit, i) in enumerate(fits):
-            least = min(_deviance(row) for row in fits)
-            if fit is None or self._beaten(fit) or fit.deviance > least + reach:
+            lowest = min(_deviance(row) for row in fits)
+            if fit is None or self._beaten(fit) or fit.deviance > lowest + reach:
                 break
-            again = self._refit(frees(i), self.fit)
-            if again is not None and again.deviance < fit.deviance:
-                reach = max(reach, APART_FROM_SCORE + fit.deviance - again.deviance)
-                fits[k] = again, i
+            refitted = self._refit(frees(i), self.fit)
+            if refitted is not None and refitted.deviance < fit.deviance:
+                reach = max(reach, APART_FROM_SCORE + fit.deviance - refitted.deviance)
+                fits[k] = refitted, i
         best = min(fits, key=_deviance)[0]
         if not self.reversals or best is None or self._beaten(best):
             return fits
@@ -255,23 +254,23 @@ class Patterns:
         if beyond.deviance > best.deviance - REVERSAL_GAIN_MIN:
             return fits
         for k, (fit, i) in enumerate(fits):
-            again = beyond if fit is best else None
-            if fit is not None and again is None:
+            refitted = beyond if fit is best else None
+            if fit is not None and refitted is None:
                 scatter = replace(fit.built, around=beyond.built.around, sizes=beyond.built.sizes)
-                again = self._refit(frees(i), replace(fit, built=scatter))
-            fits[k] = min((fit, i), (again, i), key=_deviance)
+                refitted = self._refit(frees(i), replace(fit, built=scatter))
+            fits[k] = min((fit, i), (refitted, i), key=_deviance)
         return fits
 
     def _beaten(self, fit: Fit) -> bool:
-        """Tell whether a fit needs no other start: there is none, or it is far behind the line."""
+        """Return whether a fit needs no other start: of an exact arm, or far behind the line."""
         return not self.fit.as_built or fit.deviance > self.line + 2.0 * NEAR_SCORE
 
     def _refit(self, frees: Sequence[FreeParameter], start: Fit | None = None) -> Fit | None:
         """
         Fit parameters of a pattern together with those of the fit; None: no equilibrium.
 
-        Of an arm as built from one without imperfections, which else keep their share of it, or
-        from those of another fit.
+        Of an arm as built from no imperfections, since those of the fit explain a part of the
+        pattern, or from those of another fit.
         """
         hopeless = min(self.fit.deviance, self.line) + NEAR_SCORE  # it contains the fit
         anew = self.fit.point if self.fit.as_built else self.fit
@@ -284,13 +283,13 @@ class Patterns:
             self.fitter.resume(self.fit)
 
     def _gain(self, slopes: Floats) -> float:
-        """Return what changes (q, P, J, 3) of the residual take off its chi², as far as linear."""
+        """Return the linearised gain in chi² by changes (q, P, J, 3) of the residual."""
         white = self.relief.apply(self.fitter.lift(self.fitter.whitener.white(slopes).T))
-        here = self.white(self.markers)
-        return float(here @ white @ np.linalg.lstsq(white, here, rcond=1e-9)[0])
+        residual = self.white(self.markers)
+        return float(residual @ white @ np.linalg.lstsq(white, residual, rcond=1e-9)[0])
 
     def gain_per_posture(self) -> Pattern | None:
-        """Every posture with its own factor on the inputs."""
+        """Fit a factor on the inputs in every posture."""
         inputs, markers, r = self.fitter.predictor.inputs, self.markers, self.r
         gains = np.ones(len(inputs))
         for _ in range(6):
@@ -324,17 +323,17 @@ class Patterns:
         return self.fitter.predictor.markers(self.point, inputs, near=self.settled)
 
     def rotation_per_posture(self) -> Pattern:
-        """Every posture rotated about the base by its own small rotation vector."""
+        """Fit a small rotation vector [rad] about the base in every posture."""
         change = np.array([np.cross(axis, self.markers) for axis in np.eye(3)])
         postures = range(change.shape[1])
         slopes = np.hstack([self._changes(change, p) for p in postures])
-        turns, _, parameters, _ = np.linalg.lstsq(slopes, -self.r, rcond=1e-7)
-        turned = turns.reshape(-1, 1, 3)
-        angles = np.linalg.norm(turns.reshape(-1, 3), axis=1)
+        rotations, _, parameters, _ = np.linalg.lstsq(slopes, -self.r, rcond=1e-7)
+        by_posture = rotations.reshape(-1, 1, 3)
+        angles = np.linalg.norm(rotations.reshape(-1, 3), axis=1)
 
         def predict() -> Floats | None:
             markers = self.fitter.predictor.markers(self.point, near=self.settled)
-            return None if markers is None else markers + np.cross(turned, markers)
+            return None if markers is None else markers + np.cross(by_posture, markers)
 
         return Pattern(
             'rotation_per_posture',
@@ -355,22 +354,22 @@ def patterns_of(
     """
     Fit all patterns on top of a fit; those without equilibrium drop out.
 
-    Those whose deviance stays far above a `line` need not be fitted to their ends; the others are
-    tried beyond `reversals` of friction as well.
+    Fits whose deviance stays far above a `line` may stop early; with `reversals` the others are
+    also tried beyond reversals of friction.
     """
-    found: dict[str, Pattern | None] = {}
+    results: dict[str, Pattern | None] = {}
 
     def work(worker: int, names: Sequence[str]) -> None:
         own = Patterns(fitters[worker], fit, line, reversals)
         for name in names:
-            found[name] = getattr(own, name)()
+            results[name] = getattr(own, name)()
             if progress is not None:
-                progress('causes outside the catalogue', len(found), len(NAMES))
+                progress('causes outside the catalogue', len(results), len(NAMES))
 
     side_by_side(
         [partial(work, names=NAMES[:1]), partial(work, names=NAMES[1:])], min(len(fitters), 2)
     )
-    return [pattern for name in NAMES if (pattern := found[name]) is not None]
+    return [pattern for name in NAMES if (pattern := results[name]) is not None]
 
 
 def _deviance(row: tuple[Fit | None, int]) -> float:
@@ -379,10 +378,10 @@ def _deviance(row: tuple[Fit | None, int]) -> float:
 
 class CellRelief:
     """
-    What the tolerance of the cells takes off a whitened residual when it is free to do so.
+    Removes from a whitened residual what the declared tolerance of the cells explains.
 
-    For patterns that are fitted on top of a converged fit: its cells give way to the pattern.
-    Without such a tolerance nothing changes.
+    For patterns on top of a converged fit, whose cells are fitted again linearly. Without such a
+    tolerance nothing changes.
     """
 
     def __init__(self, fit: Fit, whitener: Whitener) -> None:
@@ -396,7 +395,7 @@ class CellRelief:
         self._normal = np.eye(len(own)) + self._columns.T @ self._columns
 
     def residual(self, white: Floats) -> Floats:
-        """Return a residual (N,), taken at the fit's cells, with the best ones; they follow it."""
+        """Return the residual (N + cells,) with optimal cells, from one (N,) at the fit."""
         return self.apply(white - self._shift)
 
     def apply(self, white: Floats) -> Floats:

@@ -1,4 +1,4 @@
-"""From fits to the rows and numbers of a result: errors, shares, scatter, what remains."""
+"""From fits to the rows and numbers of a result: errors, fractions, scatter, remainder."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..comparison.statistics import chi2_isf, normal_ppf
 from ..data import DataSet
 from ..data.dataset import at_rest
 from .candidates import Ranked, why_untested
-from .crossval import described_by, error_of, left_out_error, share_gone, written
+from .crossval import described_by, error_of, explained_fraction, left_out_error, written
 from .fit import Fit
 from .imperfections import REMAINDER
 from .intervals import QUANTILE, SizeIntervals, loads_of, values_of, values_with_intervals
@@ -24,7 +24,7 @@ from .patterns import Pattern
 from .result import NOT_NEEDED, CandidateRow, EffectFinding
 from .select import Evidence
 from .session import Session
-from .trust import DETECTED_SHARE
+from .trust import DETECTION_POWER
 from .verdict import (
     ALARM_LEVEL,
     APART_FROM_SCORE,
@@ -43,15 +43,15 @@ NOISE_KEYS = ('position', 'shift', 'trial', 'setting', 'source')
 SPAN_MAX = 30.0  # [1] ratio of the ends of an interval, else nobody would know the size
 
 
-def remainder_text(evidence: Evidence, decision: Concluded, left: float) -> str:
-    """Say that so much [m] remains after the chosen effects (or none), and what it looks like."""
+def remainder_text(evidence: Evidence, decision: Concluded, residual: float) -> str:
+    """Return sentences on the residual [m] after the chosen effects, if any, and its pattern."""
     session, outside = evidence.session, decision.verdict is Verdict.OUTSIDE_CATALOGUE
     floor = session.whitener.floor()
-    is_noise = left < SAME_ERROR_RATIO * floor
-    text = f'What is left ({1e3 * left:.2f} mm) ' + (
+    is_noise = residual < SAME_ERROR_RATIO * floor
+    text = f'What is left ({1e3 * residual:.2f} mm) ' + (
         f'equals your repeatability ({1e3 * floor:.2f} mm).'
         if is_noise
-        else f'is {left / floor:.1f} times your repeatability ({1e3 * floor:.2f} mm).'
+        else f'is {residual / floor:.1f} times your repeatability ({1e3 * floor:.2f} mm).'
     )
     if not outside and session.random.kinds and not is_noise:
         return f'{text} How an arm is built accounts for that: see its scatter.'
@@ -79,10 +79,10 @@ def arm_report(session: Session, fit: Fit) -> dict[str, Any] | None:
     """
     Return the estimated scatter of each kind with its 95 % interval, and the members out of line.
 
-    Sizes in SI; no upper end is None. A size is `told` where the measurements would tell a
-    plausible one, whatever they tell of this arm: to print what came out large would pick what
-    came out too large. A member is out of line where it deviates by more of what is plausible than
-    the largest of so many would. None where the description counts as exact.
+    Sizes in SI; an infinite upper end is None. A size is `told` where the measurements would
+    determine a plausible one, whatever the estimate is: to select large estimates would select
+    overestimates. A member is out of line where it is significantly larger than the largest of so
+    many members of plausible size. None where the description is exact.
     """
     built, random = fit.built, session.random
     if not fit.as_built:
@@ -91,14 +91,14 @@ def arm_report(session: Session, fit: Fit) -> dict[str, Any] | None:
     slopes = fit.jacobian[: len(random.columns), : len(fit.all_frees)]
     intervals = SizeIntervals(random, sizes, slopes, fit.precisions)
     lows, highs = intervals.ends(sizes)
-    least, most = intervals.ends(random.plausible)
-    told = (most < SPAN_MAX * least) & ((lows > 0.0) | np.isfinite(highs))
+    usual_low, usual_high = intervals.ends(random.plausible)
+    informative = (usual_high < SPAN_MAX * usual_low) & ((lows > 0.0) | np.isfinite(highs))
     members, kinds = fit.members, []
     for k, kind in enumerate(built.kinds):
         if kind.name == REMAINDER:
             continue
         own = len(fit.all_frees) + np.flatnonzero(built.random.owners == k)
-        mix = built.random.mixtures[k]  # what they do not mix the data do not show
+        mix = built.random.mixtures[k]  # the data show no other directions
         known = ((mix @ fit.covariance[np.ix_(own, own)]) * mix).sum(axis=1)
         unseen = 1.0 - (mix * mix).sum(axis=1)
         half = QUANTILE * built.sizes[k] * np.sqrt(np.maximum(unseen + known, 0.0))
@@ -117,7 +117,7 @@ def arm_report(session: Session, fit: Fit) -> dict[str, Any] | None:
                     name: {'value': value, 'low': value - half, 'high': value + half}
                     for name, value, half in rows
                 },
-                'told': bool(told[k]),
+                'told': bool(informative[k]),
                 'out_of_line': [name for name, value, _ in rows if abs(value) > limit],
             }
         )
@@ -126,80 +126,84 @@ def arm_report(session: Session, fit: Fit) -> dict[str, Any] | None:
 
 
 @dataclass(frozen=True)
-class Left:
-    """Rms errors [m] on the fitted postures, each that of a description as it stands."""
+class FittedErrors:
+    """Rms errors [m] of unchanged descriptions on the fitted postures."""
 
     before: float  # as described
     alone: float  # with the effects, the arm otherwise as described
     after: float  # as `add` writes it
     floor: float  # of a perfect model
-    beside: bool  # whether what is written has the arm as it was found as well
-    left_out: float = np.nan  # what is written, on postures left out in turn
+    beside: bool  # whether the arm as it was found is written as well
+    left_out: float = np.nan  # of the written description, on left-out postures
 
-    def share(self, error: float) -> float:
-        """Return which share of the explainable error is gone where so much is left, 0 to 1."""
-        gone = share_gone(self.before, error, min(self.floor, self.after))
-        return 0.0 if gone is None else float(np.clip(gone, 0.0, 1.0))
+    def explained(self, error: float) -> float:
+        """Return the explained fraction, 0 to 1, of the explainable error if `error` remains."""
+        fraction = explained_fraction(self.before, error, min(self.floor, self.after))
+        return 0.0 if fraction is None else float(np.clip(fraction, 0.0, 1.0))
 
 
-def left_by(session: Session, fit: Fit | None) -> Left:
-    """Return the errors of the descriptions that a fit would write; None: nothing is written."""
+def fitted_errors(session: Session, fit: Fit | None) -> FittedErrors:
+    """Return the errors of the descriptions that a fit writes; without one, as described."""
     before, floor = error_of(session, session.robot), session.whitener.floor()
     if fit is None:
-        return Left(before, before, before, floor, False)
-    made = written(session, fit)
-    alone = error_of(session, made.alone)
-    after = error_of(session, made.robot) if made.beside else alone
-    return Left(before, alone, after, floor, made.beside, made.left_out)
+        return FittedErrors(before, before, before, floor, False)
+    descriptions = written(session, fit)
+    alone = error_of(session, descriptions.alone)
+    after = error_of(session, descriptions.robot) if descriptions.beside else alone
+    return FittedErrors(before, alone, after, floor, descriptions.beside, descriptions.left_out)
 
 
-def finding(evidence: Evidence, decision: Concluded, left: Left) -> list[EffectFinding]:
-    """Return the chosen effects, with what they explain together."""
+def finding(evidence: Evidence, decision: Concluded, errors: FittedErrors) -> list[EffectFinding]:
+    """Return the chosen effects, with the fraction that they explain together."""
     ranked, session = decision.chosen, evidence.session
     if ranked is None:
         return []
     fit = evidence.reported(ranked)
     values = values_with_intervals(session.fitters[0], fit, decision.scale)
-    share = left.share(left.after)
+    explained = errors.explained(errors.after)
     loads = loads_of(fit, session.predictor, decision.scale)
     present = session.robot.effects
     return [
-        EffectFinding(name, values[name], share, name in present, loads.get(name))
+        EffectFinding(name, values[name], explained, name in present, loads.get(name))
         for name in ranked.names
     ]
 
 
-def rows_of(evidence: Evidence, decision: Concluded, left: Left) -> tuple[CandidateRow, ...]:
+def rows_of(
+    evidence: Evidence, decision: Concluded, errors: FittedErrors
+) -> tuple[CandidateRow, ...]:
     """
-    Return the candidate table, best first; where nothing is missing nothing is explained.
+    Return the candidate table, best first.
 
-    The error of every candidate is of the same kind as that which is told of the chosen one.
+    The error of every candidate is of the same kind as that of the chosen one.
     """
     ranked, chosen = list(evidence.singles), decision.chosen
     if chosen is not None and chosen not in ranked:
         ranked.append(chosen)
     rows = []
     for r in sorted(ranked, key=lambda r: r.score):
-        rows.append(_row(evidence, decision, r, left))
+        rows.append(_row(evidence, decision, r, errors))
         evidence.session.progress('postures left out', len(rows), len(ranked))
     return tuple(rows)
 
 
-def _row(evidence: Evidence, decision: Concluded, ranked: Ranked, left: Left) -> CandidateRow:
+def _row(
+    evidence: Evidence, decision: Concluded, ranked: Ranked, errors: FittedErrors
+) -> CandidateRow:
     """
     Return the row of a candidate.
 
-    Its error on postures left out is that of what is written as `add` tells it; of what competes
-    with it in the same way; of the others by slopes alone, which takes no time.
+    The left-out error of the chosen candidate and its competitors comes from the model, as in
+    `add`; that of the others is linearised, which is much cheaper.
     """
     fit, session, best = ranked.fit, evidence.session, ranked is decision.chosen
     reported = evidence.reported(ranked) if best else fit
     needed = decision.verdict is not Verdict.ADEQUATE
-    error = error_of(session, described_by(session, reported, left.beside))
+    error = error_of(session, described_by(session, reported, errors.beside))
     by_slopes = max(ranked.held_out, 1e-12) / max(fit.chi2, 1e-12)
     held_out = float(error * np.sqrt(by_slopes))
     if best:
-        status, held_out = 'best', left.left_out
+        status, held_out = 'best', errors.left_out
     elif ranked.candidate.label in decision.together:
         status = 'cannot be told apart'
     elif ranked.probability > P_SINGLE_MIN:
@@ -207,7 +211,7 @@ def _row(evidence: Evidence, decision: Concluded, ranked: Ranked, left: Left) ->
     else:
         status = 'rejected'
     if status not in ('best', 'rejected', NOT_NEEDED):
-        held_out = left_out_error(session.fitters[0], fit, left.beside)
+        held_out = left_out_error(session.fitters[0], fit, errors.beside)
     values = {
         f'{effect}.{key}' if len(ranked.names) > 1 else key: value
         for effect, items in values_of(reported, decision.scale).items()
@@ -220,7 +224,7 @@ def _row(evidence: Evidence, decision: Concluded, ranked: Ranked, left: Left) ->
         fit.chi2,
         fit.freedom,
         ranked.probability,
-        left.share(error) if needed else 0.0,
+        errors.explained(error) if needed else 0.0,
         error,
         held_out,
         status,
@@ -266,19 +270,19 @@ def details_of(evidence: Evidence, decision: Concluded) -> dict[str, Any]:
         for c in evidence.not_tested
     }
     if decision.verdict is Verdict.ADEQUATE:
-        details['detectable'] = smallest_seen(evidence)
+        details['detectable'] = smallest_detectable(evidence)
     return details
 
 
 def measured_with(session: Session) -> dict[str, Any]:
-    """Return what was measured, and how exactly."""
+    """Return the extent and the noise of the measurements."""
     dataset, noise = session.dataset, session.noise
-    seen = dataset.trials > 0
+    measured = dataset.trials > 0
     return {
         'robot': session.robot.name,
         'data': dataset.name,
-        'postures': int(seen.sum()),
-        'at_rest': int(at_rest(dataset.inputs)[seen].sum()),
+        'postures': int(measured.sum()),
+        'at_rest': int(at_rest(dataset.inputs)[measured].sum()),
         'input': dataset.input,
         'trials': int(dataset.trials.sum()),
         'markers': len(dataset.markers),
@@ -287,15 +291,15 @@ def measured_with(session: Session) -> dict[str, Any]:
 
 
 def caveats(session: Session) -> list[str]:
-    """Say what these measurements are short of."""
+    """Return sentences on the deficiencies of these measurements."""
     dataset, noise = session.dataset, session.noise
-    postures, said = int((dataset.trials > 0).sum()), []
+    postures, texts = int((dataset.trials > 0).sum()), []
     if postures < POSTURES_ENOUGH:
-        said.append(f'{postures} postures are few: different causes may look alike in them')
-    seen = dataset.counts.sum(axis=0) > 0
-    reach = float(dataset.arc_lengths[seen].max()) / session.robot.length
+        texts.append(f'{postures} postures are few: different causes may look alike in them')
+    visible = dataset.counts.sum(axis=0) > 0
+    reach = float(dataset.arc_lengths[visible].max()) / session.robot.length
     if reach < COVERAGE_MIN:
-        said.append(
+        texts.append(
             f'the markers end at {100.0 * reach:.0f} % of the arm: nothing is told of what lies '
             'beyond'
         )
@@ -303,23 +307,23 @@ def caveats(session: Session) -> list[str]:
     if noise.source == 'trials' and declared:
         ratio = noise.position / declared
         if not 0.5 < ratio < 2.0:
-            said.append(
+            texts.append(
                 f'the trials scatter by {mm(noise.position, 2)} per coordinate, declared are '
                 f'{mm(declared, 2)}'
             )
-    return said
+    return texts
 
 
 def left_out(
     dataset: DataSet, outliers: Outliers | None, unsettled: Sequence[str]
 ) -> dict[str, Any]:
-    """Name the postures that do not settle, and the readings and trials that others contradict."""
+    """Return the postures without equilibrium, and readings that other trials contradict."""
     rows = [] if outliers is None else outliers.rows(dataset)
     return {'unsettled': list(unsettled), 'outliers': rows}
 
 
 def _next_best(evidence: Evidence, decision: Concluded) -> tuple[dict[str, Any] | None, list[str]]:
-    """Best beyond the class, and what fits as well but contains one of the class."""
+    """Return the best candidate outside the class, and those that fit as well but contain one."""
     chosen = decision.chosen
     others = [
         r
@@ -341,19 +345,19 @@ def _next_best(evidence: Evidence, decision: Concluded) -> tuple[dict[str, Any] 
     return {'name': other.candidate.label, 'log10_likelihood_ratio': float(ratio)}, wider
 
 
-def smallest_seen(evidence: Evidence) -> dict[str, dict[str, Any]]:
-    """Smallest size of each single-parameter effect that these postures would have shown."""
+def smallest_detectable(evidence: Evidence) -> dict[str, dict[str, Any]]:
+    """Smallest detectable size of each effect with one parameter in these postures."""
     count = max(len(evidence.singles), 1)
-    threshold = np.sqrt(chi2_isf(2.0 * ALARM_LEVEL / count, 1)) + normal_ppf(DETECTED_SHARE)
-    seen = {}
+    threshold = np.sqrt(chi2_isf(2.0 * ALARM_LEVEL / count, 1)) + normal_ppf(DETECTION_POWER)
+    sizes = {}
     for ranked in evidence.singles:
         if len(ranked.fit.frees) == 1 and not ranked.present:
             spread = np.sqrt(ranked.fit.covariance[0, 0])
             if np.isfinite(spread):
                 free = ranked.fit.frees[0]
-                seen[ranked.candidate.label] = {
+                sizes[ranked.candidate.label] = {
                     'size': float(threshold * spread),
                     'parameter': free.key,
                     'unit': free.parameter.unit,
                 }
-    return seen
+    return sizes

@@ -1,4 +1,4 @@
-"""What a diagnosis says: a typed result, and the JSON that reports and other tools read."""
+"""Results of a diagnosis and an improvement, and the JSON that reports and other tools read."""
 
 from __future__ import annotations
 
@@ -44,18 +44,19 @@ class Value:
 @dataclass(frozen=True)
 class LoadVector:
     """
-    A force at an arm as people say it, with 95 % intervals.
+    Size and direction of a force at an arm, with 95 % intervals.
 
     Attributes
     ----------
     size : Value
         [N]
     from_axis : Value, optional
-        [rad] from the axis of the straight arm (+z of its base); None: not told.
+        [rad] from the axis of the straight arm (+z of its base); None where undetermined.
     around_axis : float
         [rad] about that axis, from x towards y.
     from_gravity : Value, optional
-        [rad] from the direction in which weights pull; None: not told, or gravity is not known.
+        [rad] from the direction in which weights pull; None where undetermined or gravity is not
+        known.
 
     """
 
@@ -71,12 +72,12 @@ class EffectFinding:
 
     name: str
     parameters: dict[str, Value]
-    explained: float  # share of the explainable error that is gone with what `add` writes, 0 to 1
+    explained: float  # fraction of the explainable error that the description of `add` explains
     present: bool = False
     load: LoadVector | None = None  # of an effect that is a force: its size and direction
 
     def __repr__(self) -> str:
-        """Say name and values."""
+        """Return name and values."""
         values = ', '.join(
             f'{key} = {v.value:.4g} ({v.low:.4g} to {v.high:.4g}) {v.unit}'
             for key, v in self.parameters.items()
@@ -103,7 +104,7 @@ class CandidateRow:
 
 @dataclass(frozen=True)
 class NextMeasurement:
-    """The posture that would separate the class."""
+    """The posture that separates the class."""
 
     input: dict[str, float]  # [N] or [m]
     after: dict[str, float] | None  # come from this posture, else from straight
@@ -133,11 +134,11 @@ class Diagnosis(TextResult):
     error_alone: float = math.nan  # [m] with the effects, the arm otherwise as it was described
 
     def __post_init__(self) -> None:
-        """Take a verdict by its name as well."""
+        """Accept a verdict by its name as well."""
         object.__setattr__(self, 'verdict', Verdict(self.verdict))
 
     def __repr__(self) -> str:
-        """Say the verdict, the effects with their intervals, and the errors."""
+        """Return the verdict, the effects with their intervals, and the errors."""
         rows = [f'{effect!r}' for effect in self.effects]
         if self.cannot_tell_apart:
             rows.append(f'cannot be told apart: {", ".join(self.cannot_tell_apart)}')
@@ -150,7 +151,7 @@ class Diagnosis(TextResult):
 
     @property
     def adds(self) -> bool:
-        """Whether there is something to add without the user insisting."""
+        """Whether `add` writes effects without `--partial`."""
         return self.verdict.may_add
 
     def to_json(self) -> dict[str, Any]:
@@ -189,7 +190,7 @@ class Diagnosis(TextResult):
 
     def plot(self, axes: Axes | None = None) -> Axes:
         """
-        Draw what each effect leaves of the error [mm], best first, with matplotlib.
+        Draw the remaining error [mm] with each effect, best first, with matplotlib.
 
         The dashed line is the error of the model as described, the grey band the noise. Where no
         effect was judged, the picture says why.
@@ -257,7 +258,7 @@ class ImprovementStep:
 
     @property
     def label(self) -> str:
-        """Say what joined and what left."""
+        """Names of the effects that joined and left."""
         joined = self.joined.replace(PROFILE, f'{PROFILE} along the arm')
         joined = joined.replace(AS_FOUND, 'the arm as it was found')
         left = ''.join(f', without {name}' for name in self.left)
@@ -265,7 +266,7 @@ class ImprovementStep:
 
     @property
     def errors(self) -> dict[str, Floats]:
-        """The kinds of errors that there are."""
+        """Errors (J,) [m] by kind, without a missing check."""
         kinds = {'fitted': self.fitted, 'left out': self.left_out, 'check': self.check}
         return {kind: errors for kind, errors in kinds.items() if errors is not None}
 
@@ -294,7 +295,7 @@ class Improvement(TextResult):
     as_built: dict[str, Any] | None = None  # its scatter, where the arm as found was taken
 
     def __repr__(self) -> str:
-        """Say what joined, and how the error on left-out postures fell."""
+        """Return the effects that joined, and the left-out error before and after."""
         names = ', '.join(step.joined for step in self.steps[1 : self.taken + 1])
         before, after = (1e3 * total(self.steps[k].left_out) for k in (0, self.taken))
         return f'<Improvement by {names or "nothing"}: left out {before:.3g} -> {after:.3g} mm>'

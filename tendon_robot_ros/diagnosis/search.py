@@ -20,7 +20,7 @@ DIFFERENCE_STEP = 0.02  # [1] of a typical size or input, solved for, because la
 
 
 class Weighs(Protocol):
-    """What a search asks of the one who weighs its errors."""
+    """Weights of the errors of a search: the part of `Fitter` that it uses."""
 
     predictor: Predictor
     whitener: Whitener
@@ -30,11 +30,11 @@ class Weighs(Protocol):
         """Whitened residual (N,) for predicted markers."""
 
     def lift(self, rows: Floats) -> Floats:
-        """Take off whitened rows (N + nuisances, ...) what imperfections explain."""
+        """Remove from whitened rows (N + nuisances, ...) what imperfections explain."""
 
 
 class Search:
-    """One running fit: scaled parameters, damping, best point."""
+    """Levenberg-Marquardt search with bounds: scaled parameters, damping, best point."""
 
     def __init__(
         self, fitter: Weighs, frees: tuple[FreeParameter, ...], nuisances: tuple[Nuisance, ...]
@@ -57,14 +57,14 @@ class Search:
         self.count = count
         self.damping = 1e-3
         self.slopes: Floats | None = None  # Jacobian at the values `taken`
-        self.rates: Rates | None = None  # how states and tensions follow the values there
-        self.fresh = False  # whether it is of the best point
+        self.rates: Rates | None = None  # derivatives of states and tensions there
+        self.fresh = False  # whether `slopes` belong to the best point
         self.raw: Floats  # whitened residual with prior rows at the best point
-        self.r: Floats  # the same, less what imperfections explain
-        self.settled: SettledShapes | None = None  # of the best point: neighbours start there
+        self.r: Floats  # the same without what imperfections explain
+        self.settled: SettledShapes | None = None  # of the best point, from which neighbours start
 
     def described(self, free: FreeParameter) -> float:
-        """Value in the description, moved inside the bounds."""
+        """Return the described value, clipped to the bounds."""
         value = self.fitter.predictor.value(free)
         return float(np.clip(value, free.parameter.low, free.parameter.high))
 
@@ -92,18 +92,18 @@ class Search:
         return list({tuple(point.tolist()): point for point in starts}.values())
 
     def run(self, steps: int) -> None:
-        """Improve until nothing is left to gain."""
+        """Improve until convergence, for so many steps at most."""
         for _ in range(steps):
             if not self.improve():
                 break
 
-    def weigh_again(self) -> None:
-        """Take the residual again when the sizes of the imperfections have changed."""
+    def update_residual(self) -> None:
+        """Update the residual after a change of the sizes of the imperfections."""
         self.r = self.fitter.lift(self.raw)
         self.damping = 1e-3
 
     def go(self, values: Floats) -> bool:
-        """Go to values (q,), the imperfections being others; False without equilibrium."""
+        """Move to values (q,) with other imperfections; False without equilibrium."""
         predicted = self.residual(values, self._ahead(values))
         if predicted is None:
             return False
@@ -115,7 +115,7 @@ class Search:
 
     @property
     def point(self) -> Point:
-        """Values of now."""
+        """Present values."""
         return dict(zip(self.all, self.values.tolist(), strict=True))
 
     def residual(
@@ -131,7 +131,7 @@ class Search:
         return np.concatenate([white, prior]), markers
 
     def begin(self, starts: list[Floats]) -> None:
-        """Take the best of the starts."""
+        """Start from the best of several points; ArithmeticError where none has an equilibrium."""
         best = np.inf
         for start in starts:
             values = np.clip(start, self.low, self.high)
@@ -149,14 +149,14 @@ class Search:
         self.r = self.fitter.lift(self.raw)
 
     def derivative(self, near: bool = False) -> Floats:
-        """Jacobian (N + nuisances, q) of the residual; `near`: one from near by will do."""
+        """Jacobian (N + nuisances, q) of the residual; `near`: that of a neighbour suffices."""
         if self.slopes is None or not (near or self.fresh):
             self.slopes, self.rates = self._slopes()
-            self.taken, self.fresh = self.values.copy(), True
+            self.linearised_at, self.fresh = self.values.copy(), True
         return self.slopes
 
     def _slopes(self) -> tuple[Floats, Rates | None]:
-        """Take the Jacobian, and how the states follow (q, P, 3n), where that is known."""
+        """Return the Jacobian, and derivatives of states and tensions where they are known."""
         slopes = np.zeros((len(self.raw), len(self.scale)))
         rates: Rates | None = None
         known: list[Floats | None] = []
@@ -192,7 +192,7 @@ class Search:
         return slopes, rates
 
     def _difference(self, i: int) -> Floats:
-        """Column of the Jacobian by a difference of the settled model."""
+        """Column of the Jacobian by a finite difference of the settled model."""
         h = 1e-3 * self.scale[i]
         if self.values[i] + h > self.high[i]:
             h = -h
@@ -205,7 +205,7 @@ class Search:
         return np.zeros_like(self.raw)
 
     def improve(self) -> bool:
-        """Take one damped step within the bounds; False when there is nothing to gain."""
+        """Take one damped step within the bounds; False on convergence."""
         if not len(self.scale):
             return False
         scaled = self.fitter.lift(self.derivative(near=True)) * self.scale
@@ -218,7 +218,7 @@ class Search:
             return False
         normal = scaled.T @ scaled
         cost = float(self.r @ self.r)
-        least = GAIN_MIN + GAIN_RATIO_MIN * cost
+        gain_min = GAIN_MIN + GAIN_RATIO_MIN * cost
         for _ in range(12):
             part, step = normal[np.ix_(free, free)], np.zeros(len(self.scale))
             damped = part + self.damping * np.diag(np.diag(part) + 1e-12)
@@ -227,7 +227,7 @@ class Search:
             moved = np.clip(moved, self.low, self.high)
             step = (moved - self.values) / self.scale
             promised = -float(step @ (2.0 * gradient + normal @ step))
-            if promised < 0.3 * least:
+            if promised < 0.3 * gain_min:
                 break
             predicted = self.residual(moved, self._ahead(moved))
             lifted = None if predicted is None else self.fitter.lift(predicted[0])
@@ -237,17 +237,17 @@ class Search:
                 self.settled = self.fitter.predictor.settled
                 self._age()
                 self.damping = max(0.1 * self.damping, 1e-9)
-                return cost - new > least
+                return cost - new > gain_min
             if not self.fresh:
                 break
             self.damping *= 8.0
         if self.fresh:
             return False
-        self.slopes = None  # it was too old
+        self.slopes = None  # of a point too far away
         return self.improve()
 
     def _ahead(self, values: Floats) -> SettledShapes | None:
-        """Return where the postures are about to settle at other values."""
+        """Return the predicted equilibria at other values, to first order."""
         if self.settled is None or self.rates is None:
             return self.settled
         move = values - self.values
@@ -257,13 +257,13 @@ class Search:
         )
 
     def _age(self) -> None:
-        """Note that the Jacobian is of another point, and forget it where that is far."""
-        far = np.abs(self.values - self.taken) > LADDER[0] * self.scale
+        """Mark the Jacobian as that of another point, and drop it where that is far."""
+        far = np.abs(self.values - self.linearised_at) > LADDER[0] * self.scale
         self.fresh = False
         if far.any():
             self.slopes = None
 
     def result(self) -> Fit:
-        """Freeze the fit."""
+        """Return the fit at the best point."""
         raw, slopes = self.raw, self.derivative()
         return Fit(self.frees, self.nuisances, self.values, raw, slopes, self.markers)

@@ -34,7 +34,7 @@ from .verdict import (
 
 @dataclass(frozen=True)
 class Evidence:
-    """All that the verdict looks at, with the weights that the session has."""
+    """Fits from which the verdict follows, with the weights of the session."""
 
     session: Session
     base: Fit
@@ -49,18 +49,18 @@ class Evidence:
         return self.session.best(self.singles) if self.singles else None
 
     def reported(self, ranked: Ranked) -> Fit:
-        """Return the fit whose values are reported, and written; see `Fitter.for_values`."""
+        """Return the fit whose values are reported and written; see `Fitter.for_values`."""
         label = ranked.candidate.label
         if label not in self._reported:
             self._reported[label] = self.session.fitters[0].for_values(ranked.fit)
         return self._reported[label]
 
-    def is_there(self, ranked: Ranked, scale: float = 1.0) -> bool:
+    def differs(self, ranked: Ranked, scale: float = 1.0) -> bool:
         """
-        Tell whether each effect of a candidate is other than described, by 95 % intervals.
+        Return whether each effect of a candidate differs from the description, at 95 %.
 
-        By that of one of its parameters, or of all of them together; `scale` is of the
-        covariance. An effect that is always on has no absence.
+        In one of its parameters, or in all of them together (Wald test); `scale` multiplies the
+        covariance. An effect that is always on has no neutral value to differ from.
         """
         session, fit = self.session, self.reported(ranked)
         for name in ranked.names:
@@ -68,48 +68,50 @@ class Evidence:
                 continue
             own = [i for i, free in enumerate(fit.frees) if free.effect == name]
             known = fit.interval_covariance[np.ix_(own, own)] * scale
-            seen = np.isfinite(np.diag(known)) & (np.diag(known) > 0.0)
+            finite = np.isfinite(np.diag(known)) & (np.diag(known) > 0.0)
             described = np.array([session.predictor.value(fit.frees[i]) for i in own])
-            off, known = (fit.values[own] - described)[seen], known[np.ix_(seen, seen)]
+            off, known = (
+                (fit.values[own] - described)[finite],
+                known[np.ix_(finite, finite)],
+            )
             alone = np.abs(off) > QUANTILE * np.sqrt(np.diag(known))
             far = float(off @ np.linalg.pinv(known) @ off)
             if not alone.any() and chi2_sf(far, max(len(off), 1)) > SIGNIFICANCE:
                 return False
         return True
 
-    def stands_out(self, ranked: Ranked) -> bool:
-        """Tell whether an effect gains more than the best of all would by chance."""
-        return self.session.stands_out(self.base, ranked, len(self.singles))
+    def gain_is_significant(self, ranked: Ranked) -> bool:
+        """Return whether the gain of an effect is significant among all candidates."""
+        return self.session.gain_is_significant(self.base, ranked, len(self.singles))
 
     @cached_property
     def patterns(self) -> list[Pattern]:
-        """What from outside may compete with the effects, on top of the base."""
+        """Patterns outside the catalogue, fitted on top of the base."""
         return self.patterns_on(self.base)
 
     def rivals(self, score: float) -> list[Pattern]:
-        """Return the same, but those far behind a score that is far better than the base."""
+        """Return these patterns; those far behind a score need not be fitted to the end."""
         if self.base.deviance < score + NEAR_SCORE:
             return self.patterns
         return self.patterns_on(self.base, score)
 
     def patterns_on(self, fit: Fit, line: float = np.inf) -> list[Pattern]:
-        """Return what from outside competes on top of a fit; see `patterns_of`."""
+        """Return the patterns on top of a fit; see `patterns_of`."""
         session = self.session
         return patterns_of(session.fitters, fit, session.progress, line, self.reversed)
 
     def joined(self, best: Ranked) -> Ranked | None:
         """
-        Join a second effect, and a third, while the gain is more than chance would bring.
+        Add a second effect, and a third, while the gain is significant; None where one is enough.
 
-        An arm as built may scatter as much as a second effect needs; that it need not is told by
-        the likelihood. None where one is enough.
+        Imperfections may explain as much as a second effect: the likelihood compares both.
         """
         session, current = self.session, best
         while len(current.names) < EFFECTS_MAX:
             more = [
                 r
                 for r in extended(session, current)
-                if session.stands_out(current.fit, r, len(session.candidates))
+                if session.gain_is_significant(current.fit, r, len(session.candidates))
                 and r.score < current.score - APART_FROM_SCORE
             ]
             if not more:
@@ -118,7 +120,7 @@ class Evidence:
         return None if current is best else current
 
     def combined(self) -> tuple[Evidence, Ranked | None]:
-        """Return the best combination, and the evidence weighed at it."""
+        """Return the best combination, and the evidence with weights taken at its fit."""
         session = self.session
         combined = several(session, self.singles) if self.singles else None
         if combined is None:
@@ -132,7 +134,7 @@ def gather(session: Session) -> Evidence:
     """
     Fit the base and every candidate; weights are taken at the best candidate's fit.
 
-    Twice, and again while it is better beyond a reversal of friction: weights there are others.
+    Twice, and repeated while a fit improves beyond a reversal of friction, where weights differ.
     """
     session.weigh({})
     base = session.base_fit()
@@ -141,13 +143,13 @@ def gather(session: Session) -> Evidence:
     first = [session.rank(*one) for one in race.run()]
     singles = over_reversals(session, first)
     reversed_once = singles is not first
-    for turn in range(ROUNDS_MAX):
+    for iteration in range(ROUNDS_MAX):
         if not singles:
             break
         best = session.best(singles)
         far = base.deviance > best.score + NEAR_SCORE
         session.weigh(best.fit.point, best.fit.built.around)
-        if far:  # it is out of the race: from where it was is enough
+        if far:  # it cannot win: one start is enough
             try:
                 base = session.fitters[0].fit((), base if base.as_built else None)
             except FAILURES:
@@ -156,16 +158,16 @@ def gather(session: Session) -> Evidence:
             near = session.base_fit((base, best.fit))
             base = session.fitters[0].over_reversals(near)
             reversed_once |= base.deviance < near.deviance - REVERSAL_GAIN_MIN
-        again = session.refit(singles, base)
-        singles = over_reversals(session, again)
-        reversed_once |= singles is not again
-        if turn > 0 and singles is again:
+        refitted = session.refit(singles, base)
+        singles = over_reversals(session, refitted)
+        reversed_once |= singles is not refitted
+        if iteration > 0 and singles is refitted:
             break
-    if not any(r.probability > P_SINGLE_MIN for r in singles):  # combinations need their ends
-        left = [fit for _, fit in race.behind()]
+    if not any(r.probability > P_SINGLE_MIN for r in singles):  # combinations need converged fits
+        stopped = [fit for _, fit in race.stopped_early()]
         late = {candidate.label: session.rank(candidate, fit) for candidate, fit in race.go_on()}
         singles = [
-            late.get(r.candidate.label, r) if any(r.fit is fit for fit in left) else r
+            late.get(r.candidate.label, r) if any(r.fit is fit for fit in stopped) else r
             for r in singles
         ]
     return Evidence(session, base, singles, not_tested, reversed_once)
@@ -173,9 +175,9 @@ def gather(session: Session) -> Evidence:
 
 def over_reversals(session: Session, singles: list[Ranked]) -> list[Ranked]:
     """
-    Fit again those that are better beyond a reversal of friction.
+    Refit single effects from beyond a reversal of friction, where that is better.
 
-    The best few are looked at; where one of them is better there, all that are near it are tried.
+    The best few are tested; where one of them improves, all with a similar score are refitted.
     """
     near = sorted((r for r in singles if r.fit.as_built), key=lambda r: r.score)
     if not near:
@@ -188,15 +190,15 @@ def over_reversals(session: Session, singles: list[Ranked]) -> list[Ranked]:
             beyond.append(session.rank(ranked.candidate, fit))
     if not beyond:
         return singles
-    there = min(beyond, key=lambda r: r.score).fit.built
+    built = min(beyond, key=lambda r: r.score).fit.built
     starts = {
         r.candidate.label: replace(
-            r.fit, built=replace(r.fit.built, around=there.around, sizes=there.sizes)
+            r.fit, built=replace(r.fit.built, around=built.around, sizes=built.sizes)
         )
         for r in near
     }
-    again = session.fit_all([r.candidate for r in near], starts, 'effects again')
-    return better(better(singles, again), beyond)
+    refitted = session.fit_all([r.candidate for r in near], starts, 'effects again')
+    return better(better(singles, refitted), beyond)
 
 
 def several(session: Session, singles: Sequence[Ranked]) -> Ranked | None:
@@ -223,7 +225,7 @@ def several(session: Session, singles: Sequence[Ranked]) -> Ranked | None:
 
 
 def _pruned(session: Session, ranked: Ranked) -> Ranked:
-    """Take out of three effects one that the other two make needless: by it the score falls."""
+    """Remove one of three effects while the score falls by that."""
     while len(ranked.names) > 2:
         fewer = [ranked.candidate.without(name) for name in ranked.names]
         starts = {
@@ -238,7 +240,7 @@ def _pruned(session: Session, ranked: Ranked) -> Ranked:
 
 
 def reweighed(session: Session, ranked: Ranked) -> Ranked:
-    """Fit a candidate again with noise and weights taken at its own fit."""
+    """Refit a candidate with noise and weights taken at its own fit."""
     for _ in range(2):
         session.weigh(ranked.fit.point, ranked.fit.built.around)
         ranked = session.fit_all([ranked.candidate], {ranked.candidate.label: ranked.fit})[0]
@@ -247,10 +249,10 @@ def reweighed(session: Session, ranked: Ranked) -> Ranked:
 
 def hints(session: Session, current: Ranked, larger: Candidate) -> bool:
     """
-    Tell whether further parameters would gain, by a test that costs much less than a fit.
+    Return whether further parameters may gain, by a test that is much cheaper than a fit.
 
-    A first step of each; of an effect whose neutral value is no absence a ladder of sizes, where
-    nothing but linear parameters follows, so that it may even look a little worse.
+    The test is one linearised step of each; of an effect that is always on the best of several
+    sizes, with the other parameters adjusted linearly, so that its deviance may even rise a bit.
     """
     if not session.random.kinds:
         return True
@@ -268,16 +270,16 @@ def hints(session: Session, current: Ranked, larger: Candidate) -> bool:
             if _gain(session, current, sizes) > -NEAR_SCORE:
                 return True
         return False
-    here, columns = fitter.predictor.markers(point), list[Floats]()
+    markers, columns = fitter.predictor.markers(point), list[Floats]()
     near = fitter.predictor.settled
     for free in more:
         step = DIFFERENCE_STEP * free.parameter.typical
         if value(free) + step > free.parameter.high:
             step = -step
         moved = fitter.predictor.markers({**point, free: value(free) + step}, near=near)
-        if here is None or moved is None:
+        if markers is None or moved is None:
             return True
-        columns.append(session.whitener.white(here - moved)[:, None] / step)
+        columns.append(session.whitener.white(markers - moved)[:, None] / step)
     return _gain(session, current, {}, columns) > 0.5 * APART_FROM_SCORE
 
 
@@ -285,9 +287,9 @@ def _gain(
     session: Session, current: Ranked, point: Point, columns: Sequence[Floats] = ()
 ) -> float:
     """
-    Return what the deviance falls by at other values, as far as linear parameters go along.
+    Return the fall of the deviance at other values, linear parameters adjusted.
 
-    Those of the fit, with derivatives as they are there, and more with `columns` (N,).
+    These are the parameters of the fit, by its Jacobian, and further ones by `columns` (N,).
     """
     fitter, n = session.fitters[0], session.whitener.size
     markers = fitter.predictor.markers({**current.fit.point, **point})
@@ -301,7 +303,7 @@ def _gain(
 
 
 def extended(session: Session, current: Ranked) -> list[Ranked]:
-    """Fit the current effects with each other one that the postures show, and that hints at it."""
+    """Fit the current effects with each other one that passes the tests of visibility and gain."""
     tested, _ = session.split_tested(current.fit.point)
     larger = [
         current.candidate.with_(c)
@@ -325,7 +327,7 @@ def _pairs(session: Session, order: Sequence[Ranked]) -> list[Ranked]:
 
 
 def _overlaps(session: Session, candidate: Candidate, have: Sequence[str]) -> bool:
-    """Tell whether a candidate contains, or is contained in, one that is already there."""
+    """Return whether a candidate contains, or is contained in, a selected effect."""
     name, catalogue = candidate.names[0], session.catalogue
     return bool(set(catalogue[name].contains) & set(have)) or any(
         name in catalogue[other].contains for other in have

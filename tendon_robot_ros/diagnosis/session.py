@@ -38,7 +38,7 @@ Starts = Mapping[str, Fit | Point]
 
 
 def side_by_side(tasks: Sequence[Callable[[int], object]], workers: int) -> None:
-    """Call tasks with the number of the worker that does each, in turn: 0, 1, 0, ..."""
+    """Call tasks with the numbers of their workers, 0, 1, 0, ..., one thread per worker."""
 
     def work(worker: int) -> None:
         for task in tasks[worker::workers]:
@@ -56,21 +56,21 @@ class Race:
     """
     Fits of candidates, spread over fitters; those without equilibrium drop out.
 
-    A fit that is `NEAR_SCORE` and what it may still gain behind the best one after two rounds
-    is left there.
+    A fit stops after two rounds if its score, less its expected further gain, is more than
+    `NEAR_SCORE` behind the best one.
     """
 
     def __init__(
         self, fitters: Sequence[Fitter], candidates: Sequence[Candidate], done: Callable[[], None]
     ) -> None:
-        """Take the fitters, one a thread; `done` is called for every fit that ends."""
+        """Take one fitter per thread; `done` is called for every fit that ends."""
         self.fitters, self.candidates, self.done = fitters, candidates, done
         self._fits: list[Fit | None] = [None] * len(candidates)
         self._descents: dict[int, Descent] = {}
-        self._behind: list[int] = []
+        self._stopped: list[int] = []
 
     def run(self, starts: Starts | None = None) -> list[tuple[Candidate, Fit]]:
-        """Fit all, from `starts` by the labels of the candidates."""
+        """Fit all candidates, from `starts` by their labels."""
         every, known = range(len(self.candidates)), starts or {}
 
         def begin(i: int, fitter: Fitter) -> None:
@@ -86,26 +86,26 @@ class Race:
 
         self._each(every, begin)
         scores = {
-            i: descent.here.deviance + 2.0 * len(self.candidates[i].frees)
+            i: descent.place.deviance + 2.0 * len(self.candidates[i].frees)
             for i, descent in self._descents.items()
         }
         limit = min(scores.values(), default=np.inf) + NEAR_SCORE
         promised = {i: s - GAINS_TO_COME * self._descents[i].gain for i, s in scores.items()}
-        self._behind = [i for i, score in promised.items() if score > limit]
-        self._each([i for i in self._descents if i not in self._behind], self._finish)
-        self._each(self._behind, self._leave)
-        return self._made(every)
+        self._stopped = [i for i, score in promised.items() if score > limit]
+        self._each([i for i in self._descents if i not in self._stopped], self._finish)
+        self._each(self._stopped, self._leave)
+        return self._fits_of(every)
 
-    def behind(self) -> list[tuple[Candidate, Fit]]:
-        """Return those that were left behind."""
-        return self._made(self._behind)
+    def stopped_early(self) -> list[tuple[Candidate, Fit]]:
+        """Return the fits that were stopped early."""
+        return self._fits_of(self._stopped)
 
     def go_on(self) -> list[tuple[Candidate, Fit]]:
-        """Fit those that were left behind to their ends."""
-        self._each(self._behind, self._finish)
-        return self._made(self._behind)
+        """Continue the fits that were stopped early until they converge."""
+        self._each(self._stopped, self._finish)
+        return self._fits_of(self._stopped)
 
-    def _made(self, which: Sequence[int]) -> list[tuple[Candidate, Fit]]:
+    def _fits_of(self, which: Sequence[int]) -> list[tuple[Candidate, Fit]]:
         return [(self.candidates[i], fit) for i in which if (fit := self._fits[i]) is not None]
 
     def _each(self, which: Sequence[int], do: Callable[[int, Fitter], None]) -> None:
@@ -127,7 +127,7 @@ class Race:
 
 
 class Session:
-    """Fits of one data set and description; weights move to the best candidate's fit."""
+    """Fits of one data set and description; `weigh` sets the weights at a point."""
 
     def __init__(
         self,
@@ -137,32 +137,32 @@ class Session:
         workers: int = 2,
         progress: Progress | None = None,
     ) -> None:
-        """Build a predictor per worker."""
+        """Build a predictor per worker; the noise is not yet known."""
         self.robot, self.catalogue = robot, catalogue.sized(natural_sizes(robot))
         self.workers = max(1, workers)
         self.progress = listener(progress)
-        self._measured_by(dataset)
+        self._set_dataset(dataset)
         self.outliers: Outliers | None = None
-        self.unsettled: tuple[str, ...] = ()  # postures that were left out for it
-        self.held: Sequence[int] | npt.NDArray[np.int64] = ()  # postures without a part in fits
+        self.unsettled: tuple[str, ...] = ()  # excluded postures
+        self.held: Sequence[int] | npt.NDArray[np.int64] = ()  # postures without weight in fits
         self.nuisances = nuisances_of(robot, self.catalogue, self.predictor)
         self.candidates = candidates_of(robot, self.catalogue)
         self.accuracy = dataset.accuracy or 0.0
         self.use_accuracy = False
-        self.brief = False  # nobody asks what remains where no effect explains the data
-        self.noise: Noise  # known when `weigh` has returned True, and so are the next three
+        self.brief = False  # whether the remainder need not be described
+        self.noise: Noise  # set by `weigh`, as are the next three
         self.whitener: Whitener
         self.random: RandomEffects
         self.imperfections: Imperfections
 
     def mended(self, dataset: DataSet) -> Session:
-        """Return a session of the measurements without a mistake: whether effects explain them."""
+        """Return a session of corrected measurements, without a description of the remainder."""
         other = Session(dataset, dataset.robot, self.catalogue, self.workers, self.progress)
         other.brief = True
         return other
 
-    def _measured_by(self, dataset: DataSet) -> None:
-        """Take measurements."""
+    def _set_dataset(self, dataset: DataSet) -> None:
+        """Set the data set, and build a predictor per worker."""
         self.dataset = dataset
         self.predictors = [
             Predictor(dataset, self.robot, self.catalogue) for _ in range(self.workers)
@@ -172,31 +172,31 @@ class Session:
 
     def leave_out_unsettled(self) -> None:
         """
-        Go on without the few postures in which the description has no equilibrium.
+        Exclude the few postures in which the description has no equilibrium.
 
         Raises
         ------
         NoEquilibriumError
-            They are many, or one of a sequence, in which the next one needs it.
+            They are many, or one belongs to a sequence, in which the next posture depends on it.
 
         """
         settled, self.unsettled = without_unsettled(self.predictor)
         if self.unsettled:
-            self._measured_by(settled)
+            self._set_dataset(settled)
 
     def leave_out(self, outliers: Outliers) -> None:
-        """Go on without measurements that the other trials contradict."""
+        """Exclude measurements that the other trials contradict, and weigh the others."""
         self.outliers = outliers
         if outliers.any:
-            self._measured_by(outliers.without(self.dataset))
+            self._set_dataset(outliers.without(self.dataset))
             self.weigh({})
 
     def weigh(self, point: Point, at: Members | None = None) -> bool:
         """
-        Estimate the noise and set the weights at a point; False: nothing tells the noise.
+        Estimate the noise and set the weights at a point; False where the noise is not known.
 
-        Imperfections are linear around those that are given (`at`), and inputs act on an arm that
-        has these: friction reverses where a cell is kinked the other way.
+        Imperfections are linearised around given ones (`at`); the slopes by inputs belong to an
+        arm with these, because a kink can reverse the direction of friction.
         """
         model = self.predictor
         if self.splits and at:
@@ -211,17 +211,17 @@ class Session:
         self.whitener = Whitener(self.dataset, noise, slopes, accuracy).without(self.held)
         changes = cell_slopes(self.predictor, self.nuisances, point)
         self._columns = {free: -self.whitener.white(change) for free, change in changes.items()}
-        found = imperfections(self.splits[0], point, at) if self.splits else None
-        self.imperfections = found or NO_IMPERFECTIONS
+        built = imperfections(self.splits[0], point, at) if self.splits else None
+        self.imperfections = built or NO_IMPERFECTIONS
         self.random = RandomEffects.none(self.whitener.size)
-        if found is not None:
-            columns = self.whitener.white(found.moves).T
-            self.random = RandomEffects(columns, found.owners, found.kinds)
+        if built is not None:
+            columns = self.whitener.white(built.moves).T
+            self.random = RandomEffects(columns, built.owners, built.kinds)
         self.fitters = [self.fitter(worker) for worker in range(self.workers)]
         return True
 
     def fitter(self, worker: int = 0) -> Fitter:
-        """Return a fitter of a worker with the weights of now."""
+        """Return a fitter of a worker with the present weights."""
         model = self.splits[worker] if self.random.kinds else self.predictors[worker]
         return Fitter(
             model, self.whitener, self.nuisances, self._columns, self.random, self.imperfections
@@ -232,7 +232,7 @@ class Session:
     ) -> Fit:
         """Fit parameters to predicted markers (P, J, 3), imperfections as large as in a fit."""
         fitter = self.fitter()
-        fitter.measured = markers  # predicted without imperfections
+        fitter.measured = markers  # these were predicted without imperfections
         return fitter.fit(frees, start, sizes=like.built.sizes)
 
     @property
@@ -241,36 +241,36 @@ class Session:
         return self.noise.freedom
 
     def floor_with(self, sizes: Floats) -> float:
-        """Return the expected rms [m] of a perfect model of an arm that scatters by sizes (K,)."""
+        """Return the expected rms [m] of a perfect model, imperfections having the sizes (K,)."""
         noise, kinds = self.whitener.floor(), self.imperfections.kinds
         if not kinds:
             return noise
-        seen = self.dataset.counts > 0
+        measured = self.dataset.counts > 0
         spread = [
             np.full(len(kind), size if kind.name != REMAINDER else 0.0)
             for kind, size in zip(kinds, sizes, strict=True)
         ]
         lengths = np.linalg.norm(self.imperfections.moves, axis=3)
         moved = ((np.concatenate(spread)[:, None, None] * lengths) ** 2).sum(axis=0)
-        return float(np.sqrt(noise**2 + moved[seen].mean()))
+        return float(np.sqrt(noise**2 + moved[measured].mean()))
 
     @property
     def usual_floor(self) -> float:
-        """Expected rms [m] of a perfect model of an arm that is built as usual."""
+        """Expected rms [m] of a perfect model of an arm with imperfections of plausible sizes."""
         return self.floor_with(self.random.plausible)
 
     def rank(self, candidate: Candidate, fit: Fit) -> Ranked:
-        """Judge a fit."""
+        """Return a candidate with its fit, for a ranking."""
         return Ranked(candidate, fit, self.freedom, self.whitener.owners)
 
     def race(self, candidates: Sequence[Candidate], what: str = 'effects') -> Race:
         """Return the fits of candidates, spread over the workers."""
-        done = 0
+        finished = 0
 
         def one_more() -> None:
-            nonlocal done
-            done = min(done + 1, len(candidates))
-            self.progress(what, done, len(candidates))
+            nonlocal finished
+            finished = min(finished + 1, len(candidates))
+            self.progress(what, finished, len(candidates))
 
         return Race(self.fitters, candidates, one_more)
 
@@ -280,35 +280,35 @@ class Session:
         """
         Fit candidates; those without equilibrium drop out.
 
-        `starts` are fits of their own, or of a part of them, to start from. Of an arm as built
-        those that fall far behind the best are not fitted to their ends.
+        `starts` are fits of the candidates or of a part of their effects. Of an arm as built fits
+        that are far behind the best stop early.
         """
         return [self.rank(*one) for one in self.race(candidates, what).run(starts)]
 
     def fit_joint(
         self, candidates: Sequence[Candidate], starts: Mapping[str, Fit], what: str
     ) -> list[Ranked]:
-        """Fit combinations from fits of a part of them; the best from an exact arm too."""
-        made = self.fit_all(candidates, starts, what)
-        if not self.random.kinds or not made:
-            return made
-        top = min(r.score for r in made) + NEAR_SCORE
-        near = [r.candidate for r in made if r.score <= top]
-        return better(made, self.fit_all(near, {c.label: starts[c.label].point for c in near}))
+        """Fit combinations from fits of a part; the best also from no imperfections."""
+        fits = self.fit_all(candidates, starts, what)
+        if not self.random.kinds or not fits:
+            return fits
+        top = min(r.score for r in fits) + NEAR_SCORE
+        near = [r.candidate for r in fits if r.score <= top]
+        return better(fits, self.fit_all(near, {c.label: starts[c.label].point for c in near}))
 
     def score(self, score: float) -> float:
-        """Return a score that may be held against that of another session on the same readings."""
+        """Return a score that is comparable with other sessions on the same measurements."""
         return score + self.whitener.log_determinant
 
     def holds(self, ranked: Ranked) -> bool:
-        """Tell whether several effects are adequate, for left-out postures as well."""
+        """Return whether several effects are adequate, on left-out postures as well."""
         return ranked.probability > P_SEVERAL_MIN and ranked.trust > P_SINGLE_MIN
 
     def base_fit(self, starts: Sequence[Fit] = ()) -> Fit:
         """
-        Fit the declared tolerances and the imperfections alone; also from where `starts` are.
+        Fit the declared tolerances and the imperfections alone, also from `starts`.
 
-        Friction is kinked: the result depends on where imperfections start.
+        Friction is not smooth, so that the result depends on where imperfections start.
         """
         fits = [self.fitters[0].fit(())]
         for start in starts if self.random.kinds else ():
@@ -318,37 +318,37 @@ class Session:
 
     def refit(self, ranked: Sequence[Ranked], base: Fit) -> list[Ranked]:
         """
-        Fit candidates again; from the base where that, which they contain, does better.
+        Refit candidates; from the base fit, which they contain, where that is better.
 
-        Of an arm as built those that are far from the best stay as they are.
+        Of an arm as built candidates far from the best are not refitted.
         """
         top = min(r.score for r in ranked) + (NEAR_SCORE if self.random.kinds else np.inf)
         near = [r for r in ranked if r.score <= top]
         starts = {r.candidate.label: r.fit for r in near}
-        made = self.fit_all([r.candidate for r in near], starts, 'effects again')
-        worse = [r.candidate for r in made if r.fit.deviance > base.deviance + TIE_SCORE]
-        again = self.fit_all(worse, {c.label: base for c in worse}, 'effects again')
-        return better(made, again) + [r for r in ranked if r.score > top]
+        fits = self.fit_all([r.candidate for r in near], starts, 'effects again')
+        worse = [r.candidate for r in fits if r.fit.deviance > base.deviance + TIE_SCORE]
+        from_base = self.fit_all(worse, {c.label: base for c in worse}, 'effects again')
+        return better(fits, from_base) + [r for r in ranked if r.score > top]
 
     def split_tested(self, point: Point) -> tuple[list[Candidate], list[Candidate]]:
-        """Split the candidates into those that these postures show at a point, and the rest."""
-        here = self.predictor.markers(point)
+        """Return the candidates whose effect the postures show at a point, and the others."""
+        markers = self.predictor.markers(point)
         tested = [
             c
             for c in self.candidates
-            if here is not None and is_tested(c, self.predictor, self.whitener, point, here)
+            if markers is not None and is_tested(c, self.predictor, self.whitener, point, markers)
         ]
         return tested, [c for c in self.candidates if c not in tested]
 
     def gain_p_value(self, base: Fit, ranked: Ranked) -> float:
-        """Probability of so large a gain by chance."""
+        """Return the p-value of the gain of a candidate over the base."""
         described = [self.predictor.value(free) for free in ranked.candidate.frees]
         shift = self.whitener.white(ranked.fit.markers - base.markers)
         freedom = base.built.random.freedom(shift, base.built.sizes)
         return gain_p_value(base, ranked.fit, described, freedom)
 
-    def stands_out(self, base: Fit, ranked: Ranked, among: int) -> bool:
-        """Tell whether a candidate gains more than the best of so many would by chance."""
+    def gain_is_significant(self, base: Fit, ranked: Ranked, among: int) -> bool:
+        """Return whether a gain is significant among so many, on left-out postures as well."""
         held, _ = base.held_out(self.whitener.owners)
         return self.gain_p_value(base, ranked) * among < ALARM_LEVEL and ranked.held_out < held
 
@@ -358,7 +358,7 @@ class Session:
         return next(r for r in ranked if r.score <= top + TIE_SCORE)
 
     def contains(self, large: Ranked, small: Ranked) -> bool:
-        """Tell whether the larger candidate can predict just what the smaller one predicts."""
+        """Return whether the larger candidate can imitate the predictions of the smaller one."""
         if small.names[0] in self.catalogue[large.names[0]].contains:
             return True
         if set(small.names) < set(large.names):
@@ -370,12 +370,12 @@ class Session:
         return mimic.chi2 < TIE_SCORE
 
     def twin_of(self, quantity: str) -> str | None:
-        """Return the effect that does what a declared quantity does."""
+        """Return the effect with the same influence as a declared quantity; None without one."""
         twin = self.catalogue.twin(quantity)
         return None if twin is None else twin[0]
 
 
-def better(first: Sequence[Ranked], again: Sequence[Ranked]) -> list[Ranked]:
-    """Return the better of two fits of every candidate; some were fitted again."""
-    others = {r.candidate.label: r for r in again}
+def better(first: Sequence[Ranked], refitted: Sequence[Ranked]) -> list[Ranked]:
+    """Return the better of two fits of every candidate; `refitted` may hold only some."""
+    others = {r.candidate.label: r for r in refitted}
     return [min(r, others.get(r.candidate.label, r), key=lambda r: r.fit.deviance) for r in first]

@@ -1,4 +1,4 @@
-"""Mistakes that would explain a gross error, each tried on the data, the plainest first."""
+"""Mistakes of inputs, axes, units, gravity and stiffness, each evaluated on the data."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ..comparison.noise import rms
 from ..comparison.predict import Point, Predictor
 from ..data import DataSet
 from .marginal import NEGLIGIBLE
-from .verdict import ERROR_LEFT_MAX
+from .verdict import RESIDUAL_RATIO_MAX
 
 EARTH = round(STANDARD_GRAVITY, 2)  # [m/s²] as descriptions have it, because new-robot rounds so
 UNIT_FACTORS = {
@@ -27,7 +27,7 @@ UNIT_FACTORS = {
     0.1: 'a decimal point', 2.0: 'a double count', 0.5: 'half a count',
     25.4: 'inches', 1.0 / 25.4: 'millimetres as inches',
 }  # fmt: skip
-FRAME_TURNED_MIN_DEG = 10.0  # [deg] because a load bends an arm as a smaller turn does
+FRAME_TURNED_MIN_DEG = 10.0  # [deg] because a load bends an arm like a smaller rotation
 FRAME_SHIFTED_MIN = 0.1  # [1] of the arm's length, because a load shifts its markers by less
 FRAME_HARDLY_KNOWN_RAD = 0.017  # [rad] 1°, which an import declares: docs/diagnosis.md
 FRAME_LEVEL_RAD = 0.05  # [rad] above it the vertical was not known either, else it would turn
@@ -44,38 +44,38 @@ DEAD_SIZES = np.linspace(0.0, 1.25, 26)
 
 @dataclass(frozen=True)
 class Mistake:
-    """A mistake that would explain the error."""
+    """A mistake that may explain the error."""
 
     name: str
     sentence: str  # 'with ... the error falls'
     mend: str
     after: float  # [m] rms
-    mended: DataSet | None = field(default=None, repr=False)  # without it, where that can be made
-    doubtful: bool = False  # whether an effect may do much the same
-    fitted: int = 0  # values that were fitted to the measurements to mend it
-    free_input: int | None = None  # the input whose values these are
+    mended: DataSet | None = field(default=None, repr=False)  # corrected data set, where it exists
+    doubtful: bool = False  # whether an effect may explain about as much
+    fitted: int = 0  # number of values fitted to the measurements
+    free_input: int | None = None  # the input with fitted values
     beside: Callable[[Point], Mistake | None] | None = field(default=None, repr=False)  # effects
-    rest: str = ''  # what becomes of the error that it leaves
-    certain: bool = False  # whether measurements alone show it, whatever the model lacks
+    rest: str = ''  # note on its residual with effects
+    certain: bool = False  # whether measurements alone show it
 
     @property
-    def most(self) -> float:
-        """Return what it may leave [m] at most: of what would be left if the arm stood still."""
+    def residual_max(self) -> float:
+        """Return the largest residual [m]: a fraction of the error of a motionless arm."""
         if self.mended is None:
             return math.inf
         places = self.mended.mean
-        return ERROR_LEFT_MAX * rms(places - np.nanmean(places, axis=0))
+        return RESIDUAL_RATIO_MAX * rms(places - np.nanmean(places, axis=0))
 
     def text(self, before: float) -> str:
-        """Say it with the error before and after."""
+        """Return the report with the rms error [m] before and after."""
         if not math.isfinite(before):
             return (
                 f'the model finds no equilibrium; {self.sentence} it does, and is off by '
                 f'{1e3 * self.after:.3g} mm{self.rest}: {self.mend}'
             )
-        goes = 'falls' if self.after < before else 'goes'  # up, with an effect that acts as well
+        verb = 'falls' if self.after < before else 'goes'  # up, with an effect that acts as well
         return (
-            f'{self.sentence} the error {goes} from {1e3 * before:.3g} to '
+            f'{self.sentence} the error {verb} from {1e3 * before:.3g} to '
             f'{1e3 * self.after:.3g} mm{self.rest}: {self.mend}'
         )
 
@@ -84,7 +84,7 @@ def off(predictor: Predictor, measured: Floats, markers: Floats) -> float:
     """
     Return the rms [m] between measured and predicted postures (P, J, 3).
 
-    Up to the tracker's frame where that was found with the model itself: a mistake turned it, too.
+    Without the motion of the tracker's frame where that was registered with the model itself.
     """
     frame = _frame(predictor, measured, markers, predictor.parts[0].gravity)
     return rms(_moved(measured, frame) - markers)
@@ -94,11 +94,11 @@ Frame = tuple[Floats, Floats] | None  # rotation (3, 3) and shift (3,) [m]
 
 
 def _frame(predictor: Predictor, measured: Floats, markers: Floats, down: Floats) -> Frame:
-    """Return how the tracker's frame would lie, gravity `down`; None where it is known."""
-    known, seen = predictor.robot.tolerances.get('rotation', 0.0), np.isfinite(measured)
+    """Return the best frame of the tracker, gravity `down` [m/s²]; None where it is known."""
+    known, visible = predictor.robot.tolerances.get('rotation', 0.0), np.isfinite(measured)
     if known < FRAME_HARDLY_KNOWN_RAD or not np.isfinite(markers).all():
         return None
-    points, onto = measured[seen.all(axis=2)], markers[seen.all(axis=2)]
+    points, onto = measured[visible.all(axis=2)], markers[visible.all(axis=2)]
     size = float(np.linalg.norm(down))
     if known < FRAME_LEVEL_RAD and size > 0.0:
         return upright_fit(points, onto, down / size)
@@ -110,7 +110,7 @@ def _moved(positions: Floats, frame: Frame) -> Floats:
 
 
 def in_frame(predictor: Predictor, dataset: DataSet, predicted: Floats) -> DataSet:
-    """Return a data set in the frame of the tracker that suits what is predicted best."""
+    """Return a data set in the frame of the tracker that fits the predicted markers best."""
     down = np.array(dataset.gravity_for(dataset.robot) or (0.0, 0.0, 0.0))
     frame = _frame(predictor, dataset.mean, predicted, down)
     if frame is None:
@@ -118,7 +118,7 @@ def in_frame(predictor: Predictor, dataset: DataSet, predicted: Floats) -> DataS
     return replace(dataset, positions=_moved(dataset.positions, frame))
 
 
-def tried(
+def evaluated(
     predictor: Predictor,
     predicted: Floats | None,
     name: str,
@@ -128,21 +128,21 @@ def tried(
     dataset: DataSet | None = None,
     **changes: Any,
 ) -> Iterator[Mistake]:
-    """Yield a mistake and the data set without it, in the frame that suits what is predicted."""
+    """Yield a mistake with its corrected data set and rms; nothing without equilibrium."""
     if predicted is None or not np.isfinite(predicted).all():
         return
-    made = replace(dataset or predictor.dataset, **{'robot': predictor.robot, **changes})
-    made = in_frame(predictor, made, predicted)
-    yield Mistake(name, sentence, mend, rms(made.mean - predicted), made, doubtful)
+    mended = replace(dataset or predictor.dataset, **{'robot': predictor.robot, **changes})
+    mended = in_frame(predictor, mended, predicted)
+    yield Mistake(name, sentence, mend, rms(mended.mean - predicted), mended, doubtful)
 
 
 def times(factor: float) -> str:
-    """Say by what something is multiplied, or divided."""
+    """Return 'multiplied by ...' or 'divided by ...'."""
     return f'multiplied by {factor:.4g}' if factor >= 1.0 else f'divided by {1.0 / factor:.4g}'
 
 
 def as_unit(factor: float) -> float:
-    """Return the factor of a unit that is near, or the factor as it is."""
+    """Return the factor of a unit near the given one, else the given one."""
     near = min(UNIT_FACTORS, key=lambda one: abs(math.log(factor / one)))
     return near if abs(math.log(factor / near)) < math.log(UNIT_RATIO_MAX) else factor
 
@@ -159,7 +159,7 @@ def swapped_inputs(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
         moved = [i for i in range(m) if order[i] != i]
         are = ' and '.join(names[i] for i in moved)
         header = ','.join(names[list(order).index(i)] for i in range(m))
-        yield from tried(
+        yield from evaluated(
             predictor,
             predictor.markers({}, predictor.inputs[:, list(order)]),
             'inputs_swapped',
@@ -179,19 +179,19 @@ def _with_inputs(dataset: DataSet, change: Callable[[Floats], Floats]) -> dict[s
 
 
 def _exchanges(predictor: Predictor) -> Iterator[tuple[int, ...]]:
-    """Exchange two inputs after the other while that helps."""
+    """Yield orders by exchanging two inputs at a time while the error falls."""
     order = tuple(range(len(predictor.robot.inputs)))
-    least = _in_order(predictor, order)
+    lowest = _in_order(predictor, order)
     for _ in range(len(order)):
-        tried = []
+        exchanges = []
         for i, j in combinations(range(len(order)), 2):
             other = list(order)
             other[i], other[j] = other[j], other[i]
-            tried.append((_in_order(predictor, other), tuple(other)))
-        best, order = min(tried)
-        if not best < least:
+            exchanges.append((_in_order(predictor, other), tuple(other)))
+        best, order = min(exchanges)
+        if not best < lowest:
             return
-        least = best
+        lowest = best
         yield order
 
 
@@ -205,7 +205,7 @@ def loose_inputs(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     """Try inputs that do not reach the arm."""
     nothing = 0.0 if predictor.dataset.input == 'tension' else np.nan
     for j, name in enumerate(predictor.robot.inputs):
-        yield from tried(
+        yield from evaluated(
             predictor,
             predictor.markers({}, _with_one(j, nothing, predictor.inputs)),
             'input_loose',
@@ -216,10 +216,10 @@ def loose_inputs(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
 
 
 def _with_one(j: int, value: float | Floats, inputs: Floats) -> Floats:
-    """Return inputs (..., m) of which one has another value."""
-    made = np.array(inputs)
-    made[..., j] = value
-    return made
+    """Return inputs (..., m) with another value of one."""
+    changed = np.array(inputs)
+    changed[..., j] = value
+    return changed
 
 
 def moved_rows(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
@@ -227,19 +227,19 @@ def moved_rows(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     dataset, one = predictor.dataset, 'row of inputs.csv does not belong to its posture'
     if dataset.path != 'from_straight':
         return
-    P, left = len(dataset.postures), f'a {one} in shapes.csv: one was left out, or is double'
+    P, shifted = len(dataset.postures), f'a {one} in shapes.csv: one was left out, or is double'
     for how, rows, kept in (
         ('moved by one row down', np.roll(np.arange(P), 1), slice(1, None)),
         ('moved by one row up', np.roll(np.arange(P), -1), slice(None, -1)),
         ('in reverse order', np.arange(P)[::-1], slice(None)),
     ):
         moved = replace(dataset, positions=dataset.positions[rows], trial_inputs=None)
-        yield from tried(
+        yield from evaluated(
             predictor,
             markers[kept],
             'rows_moved',
             f'with the postures {how}',
-            f'a {one} in shapes.csv' if how.startswith('in') else left,
+            f'a {one} in shapes.csv' if how.startswith('in') else shifted,
             dataset=moved.select(dataset.postures[kept]),
         )
 
@@ -254,7 +254,7 @@ def turned_axes(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
                 f'{"" if sign > 0 else "-"}{"xyz"[i]}'
                 for i, sign in zip(order, signs, strict=True)
             )
-            yield from tried(
+            yield from evaluated(
                 predictor,
                 markers,
                 'axes',
@@ -265,11 +265,11 @@ def turned_axes(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
 
 
 def registered(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
-    """Try a free rigid registration (Kabsch); a small one is an effect's: a load does the same."""
+    """Try a free rigid registration (Kabsch 1976); a load can imitate a small one."""
     measured = predictor.dataset.mean
-    seen = np.isfinite(measured).all(axis=2)
-    turn, shift = rigid_fit(measured[seen], markers[seen])
-    angle = math.degrees(turn_angle(turn))
+    visible = np.isfinite(measured).all(axis=2)
+    rotation, shift = rigid_fit(measured[visible], markers[visible])
+    angle = math.degrees(turn_angle(rotation))
     far = np.linalg.norm(shift) > FRAME_SHIFTED_MIN * predictor.robot.length
     if angle < FRAME_TURNED_MIN_DEG and not far:
         return
@@ -278,7 +278,7 @@ def registered(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
         'registration',
         f'with the frame of the tracker turned by {angle:.1f}° and shifted by {millimetres} mm',
         'register the tracker to the base of the arm again',
-        rms(measured @ turn.T + shift - markers),
+        rms(measured @ rotation.T + shift - markers),
     )
 
 
@@ -287,7 +287,7 @@ def wrong_units(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     tension, dataset = predictor.dataset.input == 'tension', predictor.dataset
     described = 'bending_stiffness [N·m/rad] and offsets [m]' if tension else 'offsets [m]'
     for factor in UNIT_FACTORS:
-        yield from tried(
+        yield from evaluated(
             predictor,
             predictor.markers({}, predictor.inputs * factor),
             'unit_of_inputs',
@@ -296,7 +296,7 @@ def wrong_units(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
             f'{described} of the description',
             **_with_inputs(dataset, partial(np.multiply, factor)),
         )
-        yield from tried(
+        yield from evaluated(
             predictor,
             markers,
             'unit_of_positions',
@@ -320,7 +320,7 @@ def wrong_offsets(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
         if any(tendon.offsets for tendon in tendons):
             return
         robot = replace(predictor.robot, tendons=tendons)
-        yield from tried(
+        yield from evaluated(
             predictor,
             Predictor(predictor.dataset, robot, predictor.model.catalogue).markers({}),
             'offsets',
@@ -331,7 +331,7 @@ def wrong_offsets(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
 
 
 def wrong_stiffness(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
-    """Try a bending stiffness far beyond what any rod is off: a wrong unit, or diameter."""
+    """Try a bending stiffness that is wrong by a factor: of a unit, or of a diameter."""
     for factor, why in STIFFNESS_FACTORS.items():
         stiffer = np.full(predictor.model.arrays.chain.n, factor)
         sections = tuple(
@@ -340,7 +340,7 @@ def wrong_stiffness(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
             else replace(s, bending_stiffness=tuple(factor * k for k in s.bending_stiffness))
             for s in predictor.robot.sections
         )
-        yield from tried(
+        yield from evaluated(
             predictor,
             predictor.markers({}, stiffness=stiffer),
             'stiffness',
@@ -372,41 +372,41 @@ def gravities(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
         with predictor.under_gravity(vector):
             moved = predictor.markers({})
         level = predictor.robot.tolerances.get('rotation', 0.0) >= FRAME_HARDLY_KNOWN_RAD
-        turns = [turn_onto(described, vector)] if level and size > 0.0 else []
+        rotations = [turn_onto(described, vector)] if level and size > 0.0 else []
         x, y, z = vector.tolist()
         text = f'{x:g}, {y:g}, {z:g}'
-        for turn in (*turns, np.eye(3)):
-            yield from tried(
+        for rotation in (*rotations, np.eye(3)):
+            yield from evaluated(
                 predictor,
                 moved,
                 'gravity',
                 f'with gravity [{text}]',
                 f'write gravity: [{text}] into dataset.yaml',
-                positions=positions @ turn.T,
+                positions=positions @ rotation.T,
                 gravity=(x, y, z),
                 robot=replace(predictor.robot, gravity=(x, y, z)),
             )
 
 
 def dead_inputs(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
-    """Try inputs that read the same in every posture: each posture has its own in truth."""
+    """Try inputs with a constant reading as unknown in every posture."""
     given = predictor.inputs
     if predictor.dataset.input != 'tension' or len(given) < 2:
         return
-    most, spans = float(np.nanmax(given)), np.ptp(given, axis=0)
-    if spans.max() < 10.0 * NEGLIGIBLE * most:
+    largest, spans = float(np.nanmax(given)), np.ptp(given, axis=0)
+    if spans.max() < 10.0 * NEGLIGIBLE * largest:
         return
-    for j in np.flatnonzero(spans < NEGLIGIBLE * most).tolist():
+    for j in np.flatnonzero(spans < NEGLIGIBLE * largest).tolist():
         one = _dead(predictor, j, {})
         if one is not None:
             yield one
 
 
 def _dead(predictor: Predictor, j: int, point: Point) -> Mistake | None:
-    """Give an input in each posture what suits its markers best, with effects of some values."""
+    """Fit the value of an input in each posture to its markers, at a point of effects."""
     dataset, given = predictor.dataset, predictor.inputs
-    name, fitted, most = predictor.robot.inputs[j], given.copy(), float(np.nanmax(given))
-    sizes = most * DEAD_SIZES
+    name, fitted, largest = predictor.robot.inputs[j], given.copy(), float(np.nanmax(given))
+    sizes = largest * DEAD_SIZES
     moved = [predictor.markers(point, _with_one(j, size, given)) for size in sizes.tolist()]
     for _ in range(3):
         now = predictor.markers(point, fitted)
@@ -421,15 +421,15 @@ def _dead(predictor: Predictor, j: int, point: Point) -> Mistake | None:
                 for one in moved
             ]
         )
-        errors = np.where(np.isnan(errors), np.inf, errors)  # (S, P): least between sizes, too
+        errors = np.where(np.isnan(errors), np.inf, errors)  # (S, P); the minimum is interpolated
         k = np.clip(np.argmin(errors, axis=0), 1, len(sizes) - 2)
-        below, here, above = (errors[k + i, np.arange(len(given))] for i in (-1, 0, 1))
+        below, lowest, above = (errors[k + i, np.arange(len(given))] for i in (-1, 0, 1))
         with np.errstate(invalid='ignore', divide='ignore'):
-            between = 0.5 * (below - above) / (below - 2.0 * here + above)
+            between = 0.5 * (below - above) / (below - 2.0 * lowest + above)
         between = np.clip(np.where(np.isfinite(between), between, 0.0), -1.0, 1.0)
         fitted[:, j] = sizes[k] + between * (sizes[1] - sizes[0])
     own = fitted[:, j]
-    made = tried(
+    mistakes = evaluated(
         predictor,
         predictor.markers({}, fitted),
         'input_dead',
@@ -440,5 +440,5 @@ def _dead(predictor: Predictor, j: int, point: Point) -> Mistake | None:
         trial_inputs=None,
     )
     beside = partial(_dead, predictor, j)
-    one = next(made, None)
+    one = next(mistakes, None)
     return one and replace(one, fitted=len(given), free_input=j, beside=beside)

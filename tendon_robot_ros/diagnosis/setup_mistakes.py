@@ -1,8 +1,8 @@
 """
-Mistakes of the set-up that look like physics: swapped columns, turned axes, wrong units.
+Mistakes of the set-up that resemble effects: swapped columns, rotated axes, wrong units.
 
-They are tried before any effect is, and only where the error is gross. Each is one sentence with
-the error before and after, and what mends it.
+They are tested before the effects, and only where the error is gross. A mistake is reported as a
+sentence with the error before and after its correction, and the correction itself.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ from .session import Session
 from .setup_hypotheses import (
     Mistake,
     dead_inputs,
+    evaluated,
     gravities,
     loose_inputs,
     moved_rows,
     off,
     registered,
     swapped_inputs,
-    tried,
     turned_axes,
     wrong_offsets,
     wrong_stiffness,
@@ -53,17 +53,17 @@ from .setup_hypotheses import (
 from .verdict import (
     BEST_FEW,
     EFFECTS_MAX,
-    ERROR_LEFT_MAX,
-    ERROR_LEFT_USUAL,
     MISTAKE_HANDICAP,
     MISTAKEN_RATIO_MIN,
     ODD_FROM_FLOORS,
     QUIET_FLOORS,
+    RESIDUAL_RATIO_MAX,
+    RESIDUAL_RATIO_USUAL,
     SAME_ERROR_RATIO,
 )
 
-# The plainest first: what a free registration can do, some of the others can do as well. It can
-# also do what a tilted base does, which is an effect: only a gross error is laid to it.
+# The simplest first: a free registration can imitate some of the others. It can also imitate a
+# tilted base, which is an effect: only a gross error is attributed to it.
 DISCRETE = (
     swapped_inputs,
     loose_inputs,
@@ -80,11 +80,11 @@ DISCRETE = (
     turned_axes,
 )
 HYPOTHESES = (*DISCRETE, registered)
-BESIDE_EFFECTS = (*DISCRETE, dead_inputs)  # the last needs values of its own
-NEARLY_EFFECTS = (gravities,)  # a load can take up nearly all that the weight of a light arm does
-STEPS_FEW = 8  # [1] of a fit, because hundreds are made and none is told
-CUT_AS_GOOD_RATIO = 1.05  # [1] to the least error, so that the fewest cells are said
-WEIGHT = ('gravity', 'linear_density')  # which a scale tells: no tolerance is a factor
+BESIDE_EFFECTS = (*DISCRETE, dead_inputs)  # the last one has fitted values
+NEARLY_EFFECTS = (gravities,)  # a load can imitate the weight of a light arm
+STEPS_FEW = 8  # [1] of a fit, because hundreds are made and none is reported
+CUT_AS_GOOD_RATIO = 1.05  # [1] to the least error, so that the fewest cells are reported
+WEIGHT = ('gravity', 'linear_density')  # known from a scale, so that no tolerance is a factor
 
 
 OF_INPUTS = (
@@ -110,10 +110,10 @@ def find_mistake(predictor: Predictor, floor: float, usual: float = 0.0) -> Mist
 
     """
     markers = predictor.markers({})
-    if markers is None:  # the mistake without which the model has an equilibrium at all
+    if markers is None:  # find a mistake whose correction gives one
         nothing = np.full_like(predictor.dataset.mean, np.nan)
         mistakes = [one for kind in OF_INPUTS for one in kind(predictor, nothing)]
-        return _plainest([one for one in mistakes if one.after < one.most], floor)
+        return _plainest([one for one in mistakes if one.after < one.residual_max], floor)
     few = alone(predictor, markers, floor)
     if few and few[0].certain:
         return few[0]
@@ -121,34 +121,34 @@ def find_mistake(predictor: Predictor, floor: float, usual: float = 0.0) -> Mist
     if before < ODD_FROM_FLOORS * floor:
         return None
     tries = HYPOTHESES if before > 2.0 * ODD_FROM_FLOORS * floor else DISCRETE
-    enough = max(ERROR_LEFT_USUAL * before, QUIET_FLOORS * floor, 2.0 * usual)
+    enough = max(RESIDUAL_RATIO_USUAL * before, QUIET_FLOORS * floor, 2.0 * usual)
     mistakes = few + [one for kind in tries for one in kind(predictor, markers)]
     certain = next((one for one in mistakes if one.certain), None)
     if certain is not None:
         return certain
-    enough = min(enough, ERROR_LEFT_MAX * before)
-    likely = [one for one in mistakes if one.after < min(enough, one.most)]
+    enough = min(enough, RESIDUAL_RATIO_MAX * before)
+    likely = [one for one in mistakes if one.after < min(enough, one.residual_max)]
     return _plainest(likely, max(floor, 0.3 * usual))
 
 
 def alone(predictor: Predictor, markers: Floats, floor: float) -> list[Mistake]:
-    """Return the mistakes that the measurements show by themselves, whatever the model lacks."""
-    found = [_cut(predictor, markers, floor), *exchanged(predictor, markers)]
-    found.append(_frozen(predictor, markers, floor))
-    return [one for one in found if one is not None]
+    """Return the mistakes that the measurements show without the model being complete."""
+    mistakes = [_cut(predictor, markers, floor), *exchanged(predictor, markers)]
+    mistakes.append(_frozen(predictor, markers, floor))
+    return [one for one in mistakes if one is not None]
 
 
 def _plainest(likely: Sequence[Mistake], floor: float) -> Mistake | None:
-    """Return the first kind of those that do about as well as the best; of a kind the best."""
+    """Return the best mistake of the simplest kind that explains about as much as the best."""
     if not likely:
         return None
-    least = min(one.after for one in likely) + floor
-    plain = next(one for one in likely if one.after <= SAME_ERROR_RATIO * least)
+    lowest = min(one.after for one in likely) + floor
+    plain = next(one for one in likely if one.after <= SAME_ERROR_RATIO * lowest)
     return min((one for one in likely if one.name == plain.name), key=lambda one: one.after)
 
 
 def _cut(predictor: Predictor, markers: Floats, floor: float) -> Mistake | None:
-    """Find markers that are described in one place and are not: cut at the end of the arm."""
+    """Return the mistake of markers clipped to one place at the end of the arm, if any."""
     dataset, robot = predictor.dataset, predictor.robot
     group, apart = in_one_place(dataset, robot, floor)
     if not group:
@@ -164,9 +164,9 @@ def _cut(predictor: Predictor, markers: Floats, floor: float) -> Mistake | None:
         and one.mended is not None
         and one.mended.robot.length > length - 0.5 * robot.sections[-1].cell_length
     ]
-    least = min((one.after for one in better), default=np.inf)
-    for one in better:  # the fewest cells: beyond the last marker more of them do as well
-        if one.after <= CUT_AS_GOOD_RATIO * least:
+    lowest = min((one.after for one in better), default=np.inf)
+    for one in better:  # the fewest cells: more beyond the last marker fit as well
+        if one.after <= CUT_AS_GOOD_RATIO * lowest:
             return replace(one, sentence=f'{one_place}; {one.sentence}', certain=True)
     keep = np.delete(np.arange(len(dataset.markers)), group[1:])
     mend = 'count the cells of the arm, or give these markers the places or offsets that they have'
@@ -175,20 +175,20 @@ def _cut(predictor: Predictor, markers: Floats, floor: float) -> Mistake | None:
 
 
 def _frozen(predictor: Predictor, markers: Floats, floor: float) -> Mistake | None:
-    """Find a marker that stands still while the others move."""
+    """Return the mistake of a marker that does not move while the others do, if any."""
     dataset = predictor.dataset
     spread = np.sqrt(np.nanvar(dataset.mean, axis=0).sum(axis=1))
     if len(spread) < 3:
         return None
-    should = np.sqrt(np.var(markers, axis=0).sum(axis=1))
+    expected = np.sqrt(np.var(markers, axis=0).sum(axis=1))
     still = np.flatnonzero(
-        (spread < ERROR_LEFT_USUAL * should) & (should > ODD_FROM_FLOORS * floor)
+        (spread < RESIDUAL_RATIO_USUAL * expected) & (expected > ODD_FROM_FLOORS * floor)
     )
     if len(still) != 1:
         return None
     name = dataset.markers[int(still[0])].name
     keep = np.arange(len(spread)) != still[0]
-    (one,) = tried(
+    (one,) = evaluated(
         predictor,
         markers[:, keep],
         'frozen_marker',
@@ -206,17 +206,17 @@ def _frozen(predictor: Predictor, markers: Floats, floor: float) -> Mistake | No
 
 @dataclass(frozen=True)
 class Explained:
-    """A data set with the effects that explain it best, without imperfections."""
+    """Best explanation of a data set by effects, without imperfections."""
 
-    left: float  # [m] rms
-    score: float  # chi² + 2 k, errors as large as those of an arm built as usual
+    residual: float  # [m] rms
+    score: float  # chi² + 2 k, the noise as large as the usual error of an arm as built
     names: tuple[str, ...]
     point: Point
-    quiet: bool = False  # whether noise, and an arm built as usual, would leave as much
+    quiet: bool = False  # whether the residual is within noise and usual imperfections
 
 
 def is_odd(effect: str, key: str, value: float, described: float) -> bool:
-    """Tell whether a value is off by a factor that is a mistake and no tolerance."""
+    """Return whether a value deviates by a factor that is a mistake and no tolerance."""
     if effect == 'transmission_loss':
         factor = 1.0 - value
     elif key.startswith('relative_change'):
@@ -232,34 +232,33 @@ class Explaining:
     """Fits of effects on data sets of one arm, without imperfections."""
 
     def __init__(self, catalogue: Catalogue, usual: float) -> None:
-        """Take the rms [m] that an arm built as usual is off."""
+        """Take the usual rms error [m] of an arm as built."""
         self.catalogue, self.usual = catalogue, usual
 
     def with_effect(self, mistake: Mistake) -> Mistake:
-        """Return a mistake whose fitted values suit an effect that acts as well."""
+        """Return a mistake with values fitted together with an effect that acts as well."""
         for _ in range(2):
             if mistake.beside is None or mistake.mended is None:
                 break
             beside = self.explain(mistake.mended, 1, 0.0, mistake.free_input)
-            again = None if beside is None else mistake.beside(beside.point)
-            if again is None:
+            refitted = None if beside is None else mistake.beside(beside.point)
+            if refitted is None:
                 break
-            mistake = again
+            mistake = refitted
         return mistake
 
     def explain(
-        self, dataset: DataSet, most: int, enough: float, free: int | None = None
+        self, dataset: DataSet, effects_max: int, enough: float, free: int | None = None
     ) -> Explained | None:
         """
-        Return a data set with up to so many effects, as few as leave no more than `enough` [m].
+        Explain a data set with as few effects as leave at most `enough` [m], up to `effects_max`.
 
-        Of an input that is `free` each posture may have any value near the one that it has. None
-        where the data set has no equilibrium.
+        The input `free`, if any, may deviate in each posture. None without equilibrium.
         """
         predictor = Predictor(dataset, dataset.robot, self.catalogue)
         noise = Noise(self.usual / np.sqrt(3.0), 0.0, 1.0, np.inf, 'declared')
         slopes = np.zeros((*predictor.inputs.shape, len(dataset.markers), 3))
-        if free is not None:  # how markers answer to it, per its largest value
+        if free is not None:  # slopes of the markers, per its largest value
             inputs = predictor.inputs
             step, sides = DIFFERENCE_STEP * float(np.nanmax(inputs)), []
             for sign in (1.0, -1.0):
@@ -278,7 +277,7 @@ class Explaining:
         except FAILURES:
             return None
         names: tuple[str, ...] = ()
-        while len(names) < most and rms(dataset.mean - fit.markers) > enough:
+        while len(names) < effects_max and rms(dataset.mean - fit.markers) > enough:
             better = self._with_one_more(fitter, fit, names, effects)
             if better is None:
                 break
@@ -288,28 +287,28 @@ class Explaining:
     def _with_one_more(
         self, fitter: Fitter, fit: Fit, names: tuple[str, ...], effects: Sequence[Candidate]
     ) -> tuple[Fit, tuple[str, ...]] | None:
-        """Return the best fit with one more effect; None where none does better."""
-        promised = list[tuple[float, int, Candidate]]()  # by first steps
+        """Return the best fit with one more effect; None where none lowers the score."""
+        promising = list[tuple[float, int, Candidate]]()  # by first steps
         for candidate in effects:
             with suppress(*FAILURES):
                 if not set(candidate.names) & set(names):
-                    left = fitter.promised((*fit.frees, *candidate.frees), fit.point)
-                    promised.append((left, len(promised), candidate))
+                    chi2 = fitter.linear_chi2((*fit.frees, *candidate.frees), fit.point)
+                    promising.append((chi2, len(promising), candidate))
         fits = list[tuple[float, int, Fit, tuple[str, ...]]]()
-        for *_, candidate in sorted(promised)[:BEST_FEW]:
+        for *_, candidate in sorted(promising)[:BEST_FEW]:
             frees = (*fit.frees, *candidate.frees)
             try:
-                made = fitter.fit(frees, fit.point if names else None, STEPS_FEW)
+                joint = fitter.fit(frees, fit.point if names else None, STEPS_FEW)
             except FAILURES:
                 continue
             known = fitter.predictor
-            odd = [is_odd(f.effect, f.key, made.point[f], known.value(f)) for f in made.frees]
-            if not any(odd):  # what nothing is off by explains nothing
-                fits.append((_score(made), len(fits), made, candidate.names))
+            odd = [is_odd(f.effect, f.key, joint.point[f], known.value(f)) for f in joint.frees]
+            if not any(odd):  # an implausible value is no explanation
+                fits.append((_score(joint), len(fits), joint, candidate.names))
         if not fits:
             return None
-        score, _, made, more = min(fits)
-        return (made, names + more) if score < _score(fit) else None
+        score, _, joint, more = min(fits)
+        return (joint, names + more) if score < _score(fit) else None
 
 
 def _score(fit: Fit) -> float:
@@ -318,33 +317,36 @@ def _score(fit: Fit) -> float:
 
 @dataclass(frozen=True)
 class Mended:
-    """A mistake, and what explains the data set without it."""
+    """A mistake, and the explanation of the corrected data set."""
 
     mistake: Mistake
     explained: Explained
 
-    def with_rest(self, left: float, names: Sequence[str]) -> Mistake:
-        """Return the mistake with what becomes of the error [m] that it leaves."""
-        helps = names and left < self.mistake.after / SAME_ERROR_RATIO
-        rest = f', and with {listed(names)} to {mm(left)}' if helps else ''
+    def with_rest(self, residual: float, names: Sequence[str]) -> Mistake:
+        """Return the mistake with a note on the residual [m] that effects leave as well."""
+        helps = names and residual < self.mistake.after / SAME_ERROR_RATIO
+        rest = f', and with {listed(names)} to {mm(residual)}' if helps else ''
         return replace(self.mistake, rest=rest)
 
     def agrees(self, diagnosis: Diagnosis) -> bool:
-        """Tell whether the values of effects are those of a diagnosis, or it names none."""
+        """Return whether the values of common effects lie in the intervals of a diagnosis."""
         known = {effect.name: effect.parameters for effect in diagnosis.effects}
         return all(
-            (there := known[free.effect].get(free.key)) is None or there.low <= value <= there.high
+            (own := known[free.effect].get(free.key)) is None or own.low <= value <= own.high
             for free, value in self.explained.point.items()
             if free.effect in known
         )
 
     def possible(self, quiet: bool) -> str:
-        """Say it beside effects that may be as well; `quiet` where they leave as little."""
-        effects, left = listed(self.explained.names) or 'no effect', mm(self.explained.left)
-        said = f'{self.mistake.sentence} and {effects} the error would fall to {left}'
+        """Return the sentence of a possible mistake; `quiet` where effects explain as much."""
+        effects, error = (
+            listed(self.explained.names) or 'no effect',
+            mm(self.explained.residual),
+        )
+        text = f'{self.mistake.sentence} and {effects} the error would fall to {error}'
         if quiet:
-            return f'{said} as well: check which is right, values of {effects} depend on it'
-        return f'{said}: {self.mistake.mend}'
+            return f'{text} as well: check which is right, values of {effects} depend on it'
+        return f'{text}: {self.mistake.mend}'
 
 
 def _rivals(
@@ -355,7 +357,7 @@ def _rivals(
     progress: Callable[[str, int, int], None],
 ) -> list[Mended]:
     """
-    Return the mistakes that explain more than the best effects do, the best first.
+    Return the mistakes that explain more than the best effects, the best first.
 
     Of those that do about as well the plainest is the first. Where effects leave a quiet rest only
     those mistakes are tried that an effect can nearly make up for.
@@ -382,12 +384,12 @@ def _rivals(
     for kind in NEARLY_EFFECTS if described.quiet else BESIDE_EFFECTS:
         for one in kind(predictor, markers):
             kinds.setdefault(f'{kind.__name__} {one.name}', []).append(one)
-    tried = [
+    mistakes = [
         one for own in kinds.values() for one in sorted(own, key=lambda one: one.after)[:BEST_FEW]
     ]
     rivals = []
-    for k, one in enumerate(tried):
-        progress('mistakes of the set-up', k + 1, len(tried))
+    for k, one in enumerate(mistakes):
+        progress('mistakes of the set-up', k + 1, len(mistakes))
         if one.mended is None:
             continue
         one = explaining.with_effect(one)
@@ -395,38 +397,38 @@ def _rivals(
         explained = explaining.explain(one.mended, 1, floor)
         if explained is None:
             continue
-        if described.quiet:  # errors as large as usual tell nothing there
-            better = explained.left < SAME_ERROR_RATIO * described.left
+        if described.quiet:  # the score, with usual errors as noise, decides nothing
+            better = explained.residual < SAME_ERROR_RATIO * described.residual
         else:
             handicap = 2.0 * one.fitted + MISTAKE_HANDICAP
             better = explained.score + handicap < described.score
-        if better and explained.left < one.most:
+        if better and explained.residual < one.residual_max:
             rivals.append(Mended(one, explained))
     if not rivals:
         return []
-    least = SAME_ERROR_RATIO * (min(one.explained.left for one in rivals) + floor)
-    near = [one for one in rivals if one.explained.left <= least]  # the plainest is the first
+    limit = SAME_ERROR_RATIO * (min(one.explained.residual for one in rivals) + floor)
+    near = [one for one in rivals if one.explained.residual <= limit]  # the simplest is the first
     first = min(
         (one for one in near if one.mistake.name == near[0].mistake.name),
-        key=lambda one: one.explained.left,
+        key=lambda one: one.explained.residual,
     )
     others = [one for one in rivals if one is not first]
-    others.sort(key=lambda one: one.explained.left)
-    alike = [one.mistake for one in others if one in near]  # those of its kind say most
+    others.sort(key=lambda one: one.explained.residual)
+    alike = [one.mistake for one in others if one in near]  # those of its kind first
     alike.sort(key=lambda one: one.name != first.mistake.name)
     if alike:
-        said = dict.fromkeys(one.sentence for one in (first.mistake, *alike))
-        sentence = ', or '.join([*said][:BEST_FEW])
+        sentences = dict.fromkeys(one.sentence for one in (first.mistake, *alike))
+        sentence = ', or '.join([*sentences][:BEST_FEW])
         first = Mended(replace(first.mistake, sentence=sentence), first.explained)
     return [first, *others]
 
 
 def mended_rivals(session: Session, enough: float) -> tuple[Explained | None, list[Mended]]:
     """
-    Return what effects explain of the data set as it is, and the mistakes that explain more.
+    Return the explanation of the unchanged data set by effects, and mistakes that explain more.
 
-    Where one effect with a value that may be leaves little more than noise, and than an arm built
-    as usual is off, only those are looked for that an effect can nearly make up for.
+    Where one effect of a plausible value leaves little more than noise and the usual error of an
+    arm as built, only mistakes that an effect can nearly imitate are tested.
     """
     predictor, floor = session.predictor, session.whitener.floor()
     markers = predictor.markers({})
@@ -440,7 +442,7 @@ def mended_rivals(session: Session, enough: float) -> tuple[Explained | None, li
     described = explaining.explain(dataset, 1, enough)
     if described is None:
         return None, []
-    if described.left <= enough:
+    if described.residual <= enough:
         described = replace(described, quiet=True)
     else:
         described = explaining.explain(dataset, EFFECTS_MAX, floor)
@@ -449,25 +451,25 @@ def mended_rivals(session: Session, enough: float) -> tuple[Explained | None, li
 
 
 def implausible(diagnosis: Diagnosis) -> list[str]:
-    """Say which estimated values are no tolerance; nothing where all may be one."""
-    said = []
+    """Return a sentence for every estimated value that is too large to be a tolerance."""
+    texts = []
     for effect in diagnosis.effects:
-        there = diagnosis.details.get('described', {}).get(effect.name, {})
+        described_values = diagnosis.details.get('described', {}).get(effect.name, {})
         for key, value in effect.parameters.items():
-            described = there.get(key.split('[')[0], 0.0)
+            described = described_values.get(key.split('[')[0], 0.0)
             before = float(np.mean(described))
             if not is_odd(effect.name, key, value.value, before):
                 continue
             if before > 0.0:
-                said.append(
+                texts.append(
                     f'{effect.name} of {value.value / before:.2g} times what is described is no '
                     'tolerance: check gravity [m/s²], and weigh the arm'
                 )
                 continue
             change = -value.value if effect.name == 'transmission_loss' else value.value
-            said.append(
+            texts.append(
                 f'{effect.name} of {100.0 * change:+.0f} % is no tolerance: check the unit of '
                 'the inputs, how the bending stiffness was worked out (modulus, diameter), '
                 'the offsets of the tendons and the number of cells'
             )
-    return said
+    return texts

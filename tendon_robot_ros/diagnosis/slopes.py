@@ -1,10 +1,10 @@
 """
 How imperfections move the markers: derivatives of an arm as it is built.
 
-By the implicit function theorem. A cell's stiffness changes its own balance only, and so does its
-bend at rest where no travel of tendons counts: one difference of residuals tells the rates of all
-cells, and one elimination how the bends of the arm answer to each. Where wire pulls are commanded,
-tensions answer as well.
+By the implicit function theorem. The stiffness of a cell changes its own balance only, and so does
+its bend at rest where the travel of tendons does not matter: one difference of residuals gives the
+rates of all cells, and one elimination the responses of all bends. Where wire pulls are commanded,
+tensions respond as well.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def imperfections(
     split: SplitPredictor, point: Point, at: Members | None = None
 ) -> Imperfections | None:
     """
-    Return the imperfections of an arm at a point, around those that it has (`at`).
+    Return the kinds and slopes of imperfections at a point, linearised around given ones (`at`).
 
     None where the model has no equilibrium.
     """
@@ -65,7 +65,7 @@ def imperfections(
 
 def pushes(split: SplitPredictor, point: Point, size: float) -> Floats | None:
     """
-    Return what a force of 1 N at every cell does to the markers, (n, 3, P, J, 3) [m/N].
+    Return the slopes of the markers by forces at every cell, (n, 3, P, J, 3) [m/N].
 
     None where the model has no equilibrium. `size` [N] is the step of the differences.
     """
@@ -85,7 +85,7 @@ def _settled(split: SplitPredictor, point: Point) -> Iterator[_Slopes]:
 
 
 def _all_parts(split: SplitPredictor, parts: Sequence[Floats]) -> Floats:
-    """Put the postures (q, b, J, 3) of all parts where they belong, (q, P, J, 3)."""
+    """Assemble the postures (q, b, J, 3) of all parts into (q, P, J, 3)."""
     moves = np.empty((len(parts[0]), len(split.inputs), *parts[0].shape[2:]))
     for part, own in zip(split.parts, parts, strict=True):
         moves[:, part.rows] = own
@@ -95,11 +95,11 @@ def _all_parts(split: SplitPredictor, parts: Sequence[Floats]) -> Floats:
 def _differences(split: SplitPredictor, point: Point, kind: Kind) -> Floats:
     """Return central differences (q, P, J, 3) of settled shapes by the members of a kind."""
     near, at, step = split.settled, split.around, PLAUSIBLE_SIZES[kind.name][2]
-    here = at.get(kind.name, np.zeros(len(kind)))
+    centre = at.get(kind.name, np.zeros(len(kind)))
     moves = np.zeros((len(kind), len(split.inputs), len(split.dataset.markers), 3))
     for i, unit in enumerate(step * np.eye(len(kind))):
         sides = []
-        for moved in (here + unit, here - unit):
+        for moved in (centre + unit, centre - unit):
             split.around = {**at, kind.name: moved}
             sides.append(split.markers(point, near=near))
         up, down = sides
@@ -110,8 +110,8 @@ def _differences(split: SplitPredictor, point: Point, kind: Kind) -> Floats:
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """What q changes do at constant tensions, per unit."""
+class _Changes:
+    """Derivatives by q variables at constant tensions."""
 
     markers: Floats  # (P, q, J, 3) [m]
     pulls: Floats  # (P, q, m) [m]
@@ -121,7 +121,7 @@ class _Slopes:
     """Derivatives at settled shapes."""
 
     def __init__(self, split: SplitPredictor, shapes: ShapeBatch, commanded: Floats) -> None:
-        """Take how the state answers (P, u, u) to a residual, and what each entry shows."""
+        """Take the response (P, u, u) of the state to a residual, and slopes by each entry."""
         self.split, self.shapes, self.model = split, shapes, split.model
         self.state, self.commanded = np.ascontiguousarray(shapes.state), commanded
         self.cells = shapes.state.shape[1] // 3
@@ -135,18 +135,18 @@ class _Slopes:
 
     def of(self, kinds: tuple[Kind, ...]) -> Floats:
         """Return the derivatives (q, P, J, 3) by the members of all kinds."""
-        parts, seen = [], self.split.see(self.shapes)
+        parts, markers = [], self.split.see(self.shapes)
         for kind in kinds:
             if kind.name == POSITION:
-                parts.append(np.array([np.ones_like(seen) * axis for axis in np.eye(3)]))
+                parts.append(np.array([np.ones_like(markers) * axis for axis in np.eye(3)]))
             elif kind.name == ROTATION:
-                parts.append(np.array([np.cross(axis, seen) for axis in np.eye(3)]))
+                parts.append(np.array([np.cross(axis, markers) for axis in np.eye(3)]))
             else:
                 parts.append(self.held(self.by_kind(kind)).swapaxes(0, 1))
         return np.concatenate(parts)
 
-    def by_kind(self, kind: Kind) -> _Seen:
-        """Return what the members of a kind do at constant tensions."""
+    def by_kind(self, kind: Kind) -> _Changes:
+        """Return the derivatives by the members of a kind at constant tensions."""
         if kind.name == CELLS:
             return self.by_cells()
         if kind.name == HOLE:
@@ -156,29 +156,29 @@ class _Slopes:
         given = np.nan_to_num(self.commanded)
         if self.split.dataset.input == 'tension':
             own = self.by_tension
-            return _Seen(own.markers * given[..., None, None], own.pulls * given[..., None])
+            return _Changes(own.markers * given[..., None, None], own.pulls * given[..., None])
         sizes = given if kind.name == GAIN else np.ones_like(given)  # else the zeros of pulls
-        commands = -np.eye(given.shape[1]) * sizes[:, None]  # to pull more is to be off by less
-        return _Seen(np.zeros_like(self.by_tension.markers), commands)
+        commands = -np.eye(given.shape[1]) * sizes[:, None]  # a larger pull lowers the residual
+        return _Changes(np.zeros_like(self.by_tension.markers), commands)
 
-    def held(self, moved: _Seen) -> Floats:
-        """Return changes (P, q, J, 3) of the markers; tensions keep the pulls that are set."""
+    def held(self, moved: _Changes) -> Floats:
+        """Return derivatives (P, q, J, 3) of the markers; tensions adjust to commanded pulls."""
         if self.split.dataset.input == 'tension':
             return moved.markers
-        found = moved.markers.copy()
+        markers = moved.markers.copy()
         for p, tensions in enumerate(self.shapes.inputs):
             taut = np.flatnonzero(tensions > SLACK_BELOW_N)
             by_tension = self.by_tension.pulls[p][np.ix_(taut, taut)]
             answer = -moved.pulls[p][:, taut] @ np.linalg.pinv(by_tension, rcond=1e-9)
-            found[p] += np.tensordot(answer, self.by_tension.markers[p, taut], 1)
-        return found
+            markers[p] += np.tensordot(answer, self.by_tension.markers[p, taut], 1)
+        return markers
 
-    def _shown(self, inputs: Floats, state: Floats) -> _Seen:
-        """Return what inputs (b, m) [N] and states (b, 3n) [rad] show, without solving."""
+    def _shown(self, inputs: Floats, state: Floats) -> _Changes:
+        """Return markers and pulls at inputs (b, m) [N] and states (b, 3n) [rad], not settled."""
         batch = shown(self.model, inputs, state)
-        return _Seen(self.split.see(batch), batch.pulls)
+        return _Changes(self.split.see(batch), batch.pulls)
 
-    def _by_state(self) -> _Seen:
+    def _by_state(self) -> _Changes:
         """Return the derivatives by every entry of the state, tensions constant: (P, u, ...)."""
         b, size = self.answers.shape[:2]
         steps = STEP * np.eye(self.state.shape[1])[:size]
@@ -187,11 +187,11 @@ class _Slopes:
         shown = self._shown(inputs, moved.reshape(-1, self.state.shape[1]))
         markers = shown.markers.reshape(b, size + 1, *shown.markers.shape[1:])
         pulls = shown.pulls.reshape(b, size + 1, -1)
-        return _Seen(
+        return _Changes(
             (markers[:, 1:] - markers[:, :1]) / STEP, (pulls[:, 1:] - pulls[:, :1]) / STEP
         )
 
-    def _by_tension(self) -> _Seen:
+    def _by_tension(self) -> _Changes:
         """Return the derivatives by every input tension: (P, m, ...) per N."""
         inputs, moved = self.shapes.inputs, []
         for unit in np.eye(inputs.shape[1]):
@@ -199,7 +199,7 @@ class _Slopes:
             moved.append(self._difference(up, down, (up - down) @ unit))
         return _joined(moved)
 
-    def by_holes(self) -> _Seen:
+    def by_holes(self) -> _Changes:
         """Return the derivatives by the relative radius of every tendon."""
         offset, inputs, moved = self.model.arrays.offset, self.shapes.inputs, []
         was, radii = offset.copy(), np.ones(offset.shape[1])
@@ -221,8 +221,8 @@ class _Slopes:
         down: Floats,
         width: Floats,
         arrange: Callable[[float], None] = lambda side: None,
-    ) -> _Seen:
-        """Return a derivative (P, 1, ...): what bends do, and what is done without them."""
+    ) -> _Changes:
+        """Return a total derivative (P, 1, ...): by the response of bends, and the direct part."""
         sides = []
         for inputs, side in ((up, 1.0), (down, -1.0)):
             arrange(side)
@@ -231,7 +231,7 @@ class _Slopes:
         along = self._along(((rate - low) / width[:, None])[:, None])
         markers = (shown.markers - below.markers) / width[:, None, None]
         pulls = (shown.pulls - below.pulls) / width[:, None]
-        return _Seen(along.markers + markers[:, None], along.pulls + pulls[:, None])
+        return _Changes(along.markers + markers[:, None], along.pulls + pulls[:, None])
 
     def by_forces(self, size: float) -> Floats:
         """Return the derivatives (3 n, P, J, 3) [m/N] by a force at every cell."""
@@ -250,20 +250,20 @@ class _Slopes:
         return self._along(np.stack(rates, axis=1)).markers.swapaxes(0, 1)
 
     def _residual(self, inputs: Floats) -> Floats:
-        """Residual (P, u) [rad] at the settled states, the model as it is now."""
-        found = residuals(self.model, inputs, self.state, self.fresh)
-        return found[:, : self.answers.shape[1]]
+        """Residual (P, u) [rad] at the settled states, with the present arrays of the model."""
+        values = residuals(self.model, inputs, self.state, self.fresh)
+        return values[:, : self.answers.shape[1]]
 
-    def _along(self, rates: Floats) -> _Seen:
-        """Return what is seen of residuals' rates (P, q, u): the state follows."""
+    def _along(self, rates: Floats) -> _Changes:
+        """Return the derivatives through the state by rates (P, q, u) of the residual."""
         states, by = rates @ self.answers, self.by_state.markers
         markers = states @ by.reshape(*by.shape[:2], -1)
-        return _Seen(
+        return _Changes(
             markers.reshape(*states.shape[:2], *by.shape[2:]), states @ self.by_state.pulls
         )
 
     def _own(self, arrange: Callable[[float], None]) -> Floats:
-        """Return rates (P, n, u) of what changes every cell's bending, one cell each."""
+        """Return rates (P, n, u) of the residual by a change of each cell's own bending."""
         sides = []
         for side in (1.0, -1.0):
             arrange(side)
@@ -274,7 +274,7 @@ class _Slopes:
             own[:, n, 2 * n + xy] = rates[:, 2 * n + xy]
         return own
 
-    def by_cells(self) -> _Seen:
+    def by_cells(self) -> _Changes:
         """Return the derivatives by the relative stiffness of every cell."""
         stiffness = self.model.arrays.cells[:, 1]
         was, off = stiffness.copy(), 1.0 + self.split.around.get(CELLS, np.zeros(len(stiffness)))
@@ -286,7 +286,7 @@ class _Slopes:
         stiffness[:] = was
         return self._along(rates)
 
-    def by_kinks(self, kind: Kind) -> _Seen:
+    def by_kinks(self, kind: Kind) -> _Changes:
         """Return the derivatives by the bend at rest of every cell."""
         arrays, axis = self.model.arrays, planar_axis(self.split.whole)
         rests = self.split.rests
@@ -300,21 +300,21 @@ class _Slopes:
             arrays.values[row, cell] += side * STEP
 
         if self.model.sticks or self.split.dataset.input == 'displacement':
-            found = self.by_each_kink(kinked, rests)
+            changes = self.by_each_kink(kinked, rests)
         else:
             every = slice(None)
             rates = [self._own(partial(kinked, row=row, cell=every)) for row in rests]
             each = np.stack(rates, axis=2)  # x and y of a cell one after the other
-            found = self._along(each.reshape(len(each), -1, each.shape[-1]))
+            changes = self._along(each.reshape(len(each), -1, each.shape[-1]))
         arrays.values[:], arrays.on[:] = values, on
-        return found
+        return changes
 
-    def by_each_kink(self, kinked: Callable[..., None], rests: Sequence[int]) -> _Seen:
+    def by_each_kink(self, kinked: Callable[..., None], rests: Sequence[int]) -> _Changes:
         """
         Return the derivatives by every kink, one at a time.
 
-        Tendons travel from the shape at rest: a kink is travel for the motors, and where travel
-        beyond an eyelet decides the direction of friction, it changes the balance of other cells.
+        Travel of tendons counts from the shape at rest: a kink changes the wire pull, and, where
+        travel beyond an eyelet decides the direction of friction, the balance of other cells.
         """
         inputs = self.shapes.inputs
         width = np.full(len(inputs), 2.0 * STEP)
@@ -325,8 +325,8 @@ class _Slopes:
         return _joined(moved)
 
 
-def _joined(moved: Sequence[_Seen]) -> _Seen:
-    return _Seen(
+def _joined(moved: Sequence[_Changes]) -> _Changes:
+    return _Changes(
         np.concatenate([one.markers for one in moved], axis=1),
         np.concatenate([one.pulls for one in moved], axis=1),
     )

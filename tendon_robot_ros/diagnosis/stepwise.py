@@ -1,11 +1,11 @@
 """
 The search behind `improve`: effects join one after the other, judged on postures left out.
 
-At each step joins what lowers the error on left-out postures most, all parameters fitted together
-again, with weak priors around what is described, so that what the postures do not tell stays
-there; what is no longer needed leaves. Left out is one posture at a time, in closed form from the
-slopes of a fit (`promise`). The fits weigh what they cannot explain (`noise.likely`), of likely
-sizes where a step ended.
+At each step the effect joins that lowers the error on left-out postures most. All parameters are
+fitted together again, with weak priors around the described values, so that undetermined ones stay
+there; effects that are no longer needed leave. One posture is left out at a time, in closed form
+from the Jacobian of a fit (`promise`). The weights include a model error (`noise.likely`), whose
+size is estimated after every step.
 """
 
 from __future__ import annotations
@@ -41,30 +41,30 @@ from .setup_mistakes import find_mistake
 from .verdict import P_SINGLE_MIN, POSTURES_MIN
 
 Held = Sequence[int] | npt.NDArray[np.int64]
-SOLVED = ('torsion', 'memory')  # stages of which, when absent, only a solution tells
+SOLVED = ('torsion', 'memory')  # stages whose absent effects have no analytic slopes
 GROUPS_MIN = POSTURES_MIN + 1  # [1] of different inputs, because one is left out
 PRIOR_TYPICALS = 10.0  # [1] sd of the priors, so that only what nothing tells stays as described
 STEPS_MAX = 12  # [1] effects that may join, else a model that fits nothing would collect them all
 TRIED_MAX = 2  # [1] effects fitted at a step, because fits are what a search takes its time for
-STEPS_TRIED = 3  # [1] of a fit that is tried, because the one that is made goes on from there
+STEPS_TRIED = 3  # [1] of a first fit, because the fit of the best block continues from there
 
 
 @dataclass(frozen=True)
 class Joining:
-    """A block that may join a fit: where it begins, and how it moves N whitened residuals."""
+    """A block that may join a fit: its start, and its derivatives of N whitened residuals."""
 
     block: Candidate
     start: Mapping[FreeParameter, float]
-    change: Floats | float  # (N,) of the residual where it begins; none for a law without a jump
+    change: Floats | float  # (N,) of the residual at the start; 0 for a law without a jump
     columns: Floats  # (N, q) derivatives
 
 
 class Rates:
-    """How blocks may join a fit."""
+    """Derivatives of the residual by the blocks that may join a fit."""
 
     def __init__(self, predictor: Predictor, whitener: Whitener, fit: Fit) -> None:
         """
-        Settle the postures where the fit is.
+        Settle the postures at the fit.
 
         Raises
         ------
@@ -79,7 +79,7 @@ class Rates:
         self.settled: SettledShapes = predictor.settled
 
     def of(self, blocks: Sequence[Candidate]) -> Iterator[Joining]:
-        """Yield how blocks may join; one whose law acts whatever its value, from several sizes."""
+        """Yield the blocks with their derivatives; those that are always on from several sizes."""
         catalogue = self.predictor.model.catalogue
         effects = {name: catalogue[name] for b in blocks for name in b.names if name in catalogue}
         smooth = [
@@ -89,11 +89,11 @@ class Rates:
             if free.effect not in effects or effects[free.effect].stage not in SOLVED
         ]
         moved = self.predictor.tangent(self.fit.point, smooth, self.settled) if smooth else None
-        slopes, here = dict[FreeParameter, Floats](), self.fit.residual[: self.whitener.size]
+        slopes, before = dict[FreeParameter, Floats](), self.fit.residual[: self.whitener.size]
         if moved is not None:
             columns = -self.whitener.white(moved.markers)
-            told = np.isfinite(columns).all(axis=1)
-            slopes = {free: columns[i] for i, free in enumerate(smooth) if told[i]}
+            finite = np.isfinite(columns).all(axis=1)
+            slopes = {free: columns[i] for i, free in enumerate(smooth) if finite[i]}
         for block in blocks:
             absent = set(block.names) - set(self.predictor.robot.effects)
             if any(effects[name].always_on for name in absent & set(effects)):
@@ -107,28 +107,28 @@ class Rates:
                 start[free] = value + step
                 column = slopes.get(free)
                 if column is None:
-                    there = self._residual({**self.fit.point, free: value + step})
-                    column = np.zeros_like(here) if there is None else (there - here) / step
+                    after = self._residual({**self.fit.point, free: value + step})
+                    column = np.zeros_like(before) if after is None else (after - before) / step
                 own.append(column)
             yield Joining(block, start, 0.0, np.array(own).T)
 
     def _jumping(self, block: Candidate) -> Iterator[Joining]:
-        """Yield how a block whose law jumps from absent to acting may join."""
+        """Yield a block whose presence changes the residual at every value, from several sizes."""
         own = self.fit.residual[: self.whitener.size]
         for size in LADDER[::2]:
             start = {
                 free: float(np.clip(size * p.typical, p.low, p.high))
                 for free, p in ((free, free.parameter) for free in block.frees)
             }
-            here = self._residual({**self.fit.point, **start})
-            if here is None:
+            jumped = self._residual({**self.fit.point, **start})
+            if jumped is None:
                 continue
             columns = []
             for free, value in start.items():
                 step = DIFFERENCE_STEP * value
                 moved = self._residual({**self.fit.point, **start, free: value + step})
-                columns.append(np.zeros_like(here) if moved is None else (moved - here) / step)
-            yield Joining(block, start, here - own, np.array(columns).T)
+                columns.append(np.zeros_like(jumped) if moved is None else (moved - jumped) / step)
+            yield Joining(block, start, jumped - own, np.array(columns).T)
 
     def _residual(self, point: Mapping[FreeParameter, float]) -> Floats | None:
         """Return the whitened residual (N,) at a point; None without equilibrium."""
@@ -144,7 +144,7 @@ def described(predictor: Predictor, free: FreeParameter) -> float:
 
 
 def promised(residual: Floats, jacobian: Floats, whitener: Whitener, groups: Groups) -> float:
-    """Return the mean squared error [m²] of left-out postures after one whole step of a fit."""
+    """Return the mean squared error [m²] of left-out postures after one Gauss-Newton step."""
     step = covariance_of(*covariance_root(jacobian), blind=0.0) @ (jacobian.T @ residual)
     errors = left_out_errors(residual - jacobian @ step, jacobian, whitener, groups)
     return float(np.nanmean(errors))
@@ -157,7 +157,7 @@ def grown(fit: Fit, joining: Joining, back: Floats, spread: Floats) -> tuple[Flo
     Parameters
     ----------
     back, spread : (q,)
-        How far the block begins from what is described, and the sd of its priors.
+        Distance of the start of the block from the description, and the sd of its priors.
 
     """
     n, q = joining.columns.shape
@@ -177,7 +177,7 @@ class State:
     whitener: Whitener
     left_out: Floats  # (P,) [m²] mean over markers of the squared error, postures left out
     joined: str = ''  # the block that joined last
-    left: tuple[str, ...] = ()  # blocks that left thereupon
+    removed: tuple[str, ...] = ()  # blocks that left after that
 
     @property
     def names(self) -> set[str]:
@@ -204,16 +204,16 @@ class State:
 
 
 class Stepwise:
-    """One data set and description: what may join, weights by step, fits."""
+    """The search on one data set and description: blocks that may join, weights and fits."""
 
     def __init__(self, dataset: DataSet, robot: Robot, catalogue: Catalogue) -> None:
         """
-        Look at the measurements before physics: noise, outliers, mistakes of the set-up.
+        Check the measurements: noise, outliers, mistakes of the set-up.
 
         Raises
         ------
         InputError
-            Too few postures, nothing tells the noise, or a mistake that is to be mended first.
+            Too few postures, unknown noise, or a mistake that has to be corrected first.
         NoEquilibriumError
 
         """
@@ -235,7 +235,7 @@ class Stepwise:
             )
         self.noise = noise
         self.plain = Whitener(self.dataset, self.noise, self.slopes)
-        # a mistake that effects may explain better; one that they do not is refused
+        # a doubtful mistake is refused only if the search does not explain more
         self.doubt = find_mistake(self.predictor, self.plain.floor())
         if self.doubt is not None and not self.doubt.doubtful:
             self._refuse(self.doubt)
@@ -250,7 +250,7 @@ class Stepwise:
 
     def refuse_mistake(self, last: State) -> None:
         """
-        Refuse the mistake in doubt where it explains more than a search.
+        Refuse a doubtful mistake where it explains more than the last state of a search.
 
         Raises
         ------
@@ -261,19 +261,19 @@ class Stepwise:
             self._refuse(self.doubt)
 
     def predict(self, point: Point) -> Floats:
-        """Return the markers (P, J, 3) [m] at a point at which there are some."""
+        """Return the markers (P, J, 3) [m] at a point that has an equilibrium."""
         markers = self.predictor.markers(point)
         assert markers is not None
         return markers
 
-    def again(self) -> Stepwise:
-        """Return the same with a model of its own, for another thread."""
+    def with_own_model(self) -> Stepwise:
+        """Return a copy with its own model, for another thread."""
         other = copy(self)
         other.predictor = DescribedArm(self.dataset, self.robot, self.catalogue)
         return other
 
     def path(self, held: Held = (), show: Callable[[int], None] | None = None) -> list[State]:
-        """Return the states of a search that knows nothing of the postures held; first: bare."""
+        """Return the states of a search without the held postures; the first has no blocks."""
         whitener = self.weights(self.predict({}), held)
         states = [self.state((), {}, whitener)]
         for k in range(STEPS_MAX):
@@ -285,83 +285,83 @@ class Stepwise:
             if better is None:
                 break
             whitener = self.weights(better.fit.markers, held)
-            again = self.tried(better.blocks, better.fit.point, whitener, better.joined)
-            states.append(replace(again or better, left=better.left))
+            refitted = self.state_or_none(better.blocks, better.fit.point, whitener, better.joined)
+            states.append(replace(refitted or better, removed=better.removed))
         return states
 
-    def step(self, here: State) -> State | None:
-        """Let the block join that lowers the error most, and idle ones leave; None: none does."""
-        tried = []
-        for joining in self.promising(here):
-            blocks, start = (*here.blocks, joining.block), {**here.fit.point, **joining.start}
+    def step(self, state: State) -> State | None:
+        """Return the state with the best further block, without idle ones; None if none helps."""
+        attempts = []
+        for joining in self.promising(state):
+            blocks, start = (*state.blocks, joining.block), {**state.fit.point, **joining.start}
             label = joining.block.label
-            made = self.tried(blocks, start, here.whitener, label, STEPS_TRIED)
-            tried += [] if made is None else [made]
-        if not tried:
+            fitted = self.state_or_none(blocks, start, state.whitener, label, STEPS_TRIED)
+            attempts += [] if fitted is None else [fitted]
+        if not attempts:
             return None
-        best = min(tried, key=lambda state: state.score)
-        best = self.tried(best.blocks, best.fit.point, here.whitener, best.joined) or best
-        if best.score > (1.0 - 0.5 * NEGLIGIBLE) * here.score:
+        best = min(attempts, key=lambda state: state.score)
+        best = self.state_or_none(best.blocks, best.fit.point, state.whitener, best.joined) or best
+        if best.score > (1.0 - 0.5 * NEGLIGIBLE) * state.score:
             return None
         return self.without_idle(best)
 
     def without_idle(self, state: State) -> State:
-        """Let blocks leave without which the error is as small, one after the other."""
+        """Remove blocks without which the error is as small, one after the other."""
         for block in state.blocks[:-1]:
             if self.acted_on(block, state) or self.promise_without(block, state) > state.score:
                 continue
             rest = tuple(one for one in state.blocks if one is not block)
             point = {f: value for f, value in state.fit.point.items() if f not in block.frees}
-            fewer = self.tried(rest, point, state.whitener, state.joined)
+            fewer = self.state_or_none(rest, point, state.whitener, state.joined)
             if fewer is not None and fewer.score <= state.score:
-                state = replace(fewer, left=(*state.left, block.label))
+                state = replace(fewer, removed=(*state.removed, block.label))
         return state
 
     def acted_on(self, block: Candidate, state: State) -> bool:
-        """Tell whether another block that has joined only shapes what this one does."""
+        """Return whether another block that has joined only modifies this one."""
         shaped = {self.catalogue[name].acts_on for name in state.effects_in}
         return bool(shaped & set(block.names))
 
-    def promising(self, here: State) -> list[Joining]:
-        """Return how the blocks would join that promise the smallest errors."""
+    def promising(self, state: State) -> list[Joining]:
+        """Return the blocks with the smallest linearised left-out errors."""
         try:
-            rates = Rates(self.predictor, here.whitener, here.fit)
+            rates = Rates(self.predictor, state.whitener, state.fit)
         except ArithmeticError:
             return []
         best: dict[str, tuple[float, Joining]] = {}
-        for joining in rates.of([block for block in self.blocks if self.may_join(block, here)]):
-            error, label = self.promise(here, joining), joining.block.label
-            if error < best.get(label, (here.score,))[0]:
+        for joining in rates.of([block for block in self.blocks if self.may_join(block, state)]):
+            error, label = self.promise(state, joining), joining.block.label
+            if error < best.get(label, (state.score,))[0]:
                 best[label] = (error, joining)
         order = sorted(best.values(), key=lambda pair: pair[0])
         return [joining for _, joining in order[:TRIED_MAX]]
 
-    def may_join(self, block: Candidate, here: State) -> bool:
-        """Tell whether a block is new there, and whether anything lets it act."""
-        own = here.effects_in
-        if block.label in here.names or own & set(block.names):
+    def may_join(self, block: Candidate, state: State) -> bool:
+        """Return whether a block is new in a state, and the effect that it modifies is present."""
+        own = state.effects_in
+        if block.label in state.names or own & set(block.names):
             return False
-        there = own | set(self.robot.effects) | set(block.names)
+        present = own | set(self.robot.effects) | set(block.names)
         for effect in (self.catalogue[name] for name in block.names if name in self.catalogue):
             contained = any(effect.name in self.catalogue[other].contains for other in own)
             if contained or set(effect.contains) & own:
                 return False
-            if effect.acts_on is not None and effect.acts_on not in there:
+            if effect.acts_on is not None and effect.acts_on not in present:
                 return False
         return True
 
     def promise(self, state: State, joining: Joining) -> float:
-        """Return the error [m²] on left-out postures, by slopes, if a block joined."""
+        """Return the linearised left-out error [m²] if a block joined."""
         frees = joining.block.frees
         spread = np.array([PRIOR_TYPICALS * free.parameter.typical for free in frees])
         back = np.zeros(len(frees))
         if np.any(joining.change):
             back += [joining.start[free] - described(self.predictor, free) for free in frees]
-        made = grown(state.fit, joining, back, spread)
-        return promised(*made, state.whitener, self.dataset.groups)
+        system = grown(state.fit, joining, back, spread)
+        return promised(*system, state.whitener, self.dataset.groups)
 
     def promise_without(self, block: Candidate, state: State) -> float:
-        """Return the error [m²] on left-out postures, by slopes, if a block left."""
+        """Return the linearised left-out error [m²] if a block left."""
         residual, jacobian, frees = state.fit.residual, state.fit.jacobian, state.fit.frees
         own = np.array([free in block.frees for free in frees])
         back = np.array([described(self.predictor, free) for free in frees]) - state.fit.values
@@ -383,8 +383,8 @@ class Stepwise:
             Nuisance(free.effect, free, centre, PRIOR_TYPICALS * free.parameter.typical)
             for free, centre in zip(frees, centres, strict=True)
         ]
-        made = Fitter(self.predictor, whitener, priors).fit((), start, steps)
-        fit = Fit(frees, (), made.values, made.residual, made.jacobian, made.markers)
+        fitted = Fitter(self.predictor, whitener, priors).fit((), start, steps)
+        fit = Fit(frees, (), fitted.values, fitted.residual, fitted.jacobian, fitted.markers)
         low = np.array([free.parameter.low for free in frees])
         high = np.array([free.parameter.high for free in frees])
         slope = fit.jacobian.T @ fit.residual
@@ -393,20 +393,20 @@ class Stepwise:
         errors = left_out_errors(fit.residual, free, whitener, self.dataset.groups)
         return State(blocks, fit, whitener, errors, joined)
 
-    def tried(self, *arguments: Any) -> State | None:
-        """Fit blocks together; None where the arm has no equilibrium there. See `state`."""
+    def state_or_none(self, *arguments: Any) -> State | None:
+        """Return the `state` of blocks; None where the arm has no equilibrium."""
         try:
             return self.state(*arguments)
         except FAILURES:
             return None
 
     def weights(self, markers: Floats, held: Held) -> Whitener:
-        """Return weights that know what a prediction does not explain, of likely sizes."""
+        """Return weights that include the error of a prediction, of estimated size."""
         sizes = likely(self.dataset, self.noise, self.slopes, self.measured - markers, held)
         return Whitener(self.dataset, self.noise, self.slopes, *sizes).without(held)
 
     def chance(self, state: State, held: Held = ()) -> float:
-        """Return the chance that noise alone leaves so much unexplained, of postures not held."""
+        """Return the p-value of the residual under noise alone, on postures not held out."""
         white = self.plain.without(held).white(self.measured - state.fit.markers)
         chi2, freedom = float(white @ white), max(len(white) - len(state.fit.frees), 1)
         if not np.isfinite(self.noise.freedom):
@@ -414,6 +414,6 @@ class Stepwise:
         return f_sf(chi2 / freedom, freedom, self.noise.freedom)
 
     def written(self, state: State) -> Robot:
-        """Return the description with what a state has fitted."""
+        """Return the description with the fitted values of a state."""
         robot = changed_robot(self.robot, self.catalogue, state.effects, self.dataset)
         return arm_with(robot, state.fit.point)

@@ -27,12 +27,12 @@ from .session import Session
 from .verdict import ALARM_LEVEL, is_alarming
 
 SECONDS = 50.0  # [s] of simulations, so that a report with them takes a minute
-DETECTED_SHARE = 0.8  # [1] power of a test, as is usual (Cohen 1988)
+DETECTION_POWER = 0.8  # [1] power of a test, as is usual (Cohen 1988)
 
 
 @dataclass(frozen=True)
-class Seen:
-    """Smallest size of one parameter; None where no size within its bounds would show."""
+class SmallestSize:
+    """Smallest detectable size of one parameter; None where none within its bounds is."""
 
     free: FreeParameter
     size: float | None
@@ -40,13 +40,13 @@ class Seen:
 
 def smallest_sizes(
     session: Session, base: Fit, candidates: Sequence[Candidate]
-) -> tuple[Seen, ...]:
+) -> tuple[SmallestSize, ...]:
     """
     Return the smallest sizes of missing effects, parameter by parameter.
 
-    The size at which the whitened change of the markers, less what the declared tolerances can
-    take up, is long enough for the likelihood ratio to raise the alarm in `DETECTED_SHARE` of the
-    cases.
+    At this size the whitened change of the markers, less the part that the declared tolerances
+    explain, is long enough for the likelihood ratio to raise the alarm with the probability
+    `DETECTION_POWER`.
     """
     sizes = []
     for candidate in candidates:
@@ -60,12 +60,12 @@ def smallest_sizes(
             )
             alpha = ALARM_LEVEL / max(len(candidates), 1) * (2.0 if one_sided else 1.0)
             length = np.sqrt(noncentrality(len(candidate.frees), alpha))
-            sizes.append(Seen(free, _size(session, base, free, float(length))))
+            sizes.append(SmallestSize(free, _size(session, base, free, float(length))))
     return tuple(sizes)
 
 
 def _size(session: Session, base: Fit, free: FreeParameter, length: float) -> float | None:
-    """Return the size whose change of the markers is so long, by scaling it until it fits."""
+    """Return the size whose whitened change of the markers has a length, by rescaling the size."""
     parameter, size = free.parameter, 0.1 * free.parameter.typical
     start = base.point.get(free, session.predictor.value(free))
     side = 1.0 if start + size <= parameter.high else -1.0
@@ -73,7 +73,7 @@ def _size(session: Session, base: Fit, free: FreeParameter, length: float) -> fl
         markers = session.predictor.markers({**base.point, free: start + side * size})
         if markers is None:
             return None
-        try:  # after the tolerances took up their part
+        try:  # the tolerances explain a part of the change
             change = float(np.sqrt(session.mimic(markers, (), base.point, base).chi2))
         except FAILURES:
             return None
@@ -88,7 +88,7 @@ def _size(session: Session, base: Fit, free: FreeParameter, length: float) -> fl
 
 @cache
 def noncentrality(freedom: int, alpha: float) -> float:
-    """Squared length that lifts chi² over its threshold in `DETECTED_SHARE` of the cases."""
+    """Return the noncentrality at which a chi² test of this level has the `DETECTION_POWER`."""
     threshold = chi2_isf(alpha, freedom)
     noise = np.random.default_rng(0).normal(size=(20_000, freedom))
     rest = (noise[:, 1:] ** 2).sum(axis=1)
@@ -96,7 +96,7 @@ def noncentrality(freedom: int, alpha: float) -> float:
     for _ in range(40):
         middle = 0.5 * (low + high)
         power = float(((noise[:, 0] + middle) ** 2 + rest > threshold).mean())
-        low, high = (middle, high) if power < DETECTED_SHARE else (low, middle)
+        low, high = (middle, high) if power < DETECTION_POWER else (low, middle)
     return high**2
 
 
@@ -105,13 +105,13 @@ Task = tuple[int, FreeParameter | None, float]  # seed, hidden parameter and its
 
 @dataclass(frozen=True)
 class Trust:
-    """What a bootstrap of the whole procedure says."""
+    """Result of a parametric bootstrap of the whole diagnosis."""
 
     runs: int  # simulated data sets with nothing missing
     alarms: int
     low: float  # 95 % interval of the alarm rate
     high: float
-    detectable: tuple[Seen, ...]  # smallest sizes that raise an alarm four times in five
+    detectable: tuple[SmallestSize, ...]  # smallest sizes that raise an alarm four times in five
     checked: int  # simulated data sets with one such effect
     detected: int
 
@@ -164,7 +164,7 @@ def assess(
     Returns
     -------
     Trust
-        None where nothing tells the noise.
+        None where the noise is neither declared nor measured by repeated trials.
 
     """
     robot, show = dataset.robot, listener(progress)
@@ -172,8 +172,8 @@ def assess(
     if session.predictor.markers({}) is None or not session.weigh({}):
         return None
     evidence = gather(session)
-    seen = smallest_sizes(session, evidence.base, [r.candidate for r in evidence.singles])
-    hidden = [one for one in seen if one.size is not None]
+    smallest = smallest_sizes(session, evidence.base, [r.candidate for r in evidence.singles])
+    hidden = [one for one in smallest if one.size is not None]
     clean: list[Task] = [(seed, None, 0.0) for seed in range(runs)]
     sized: list[Task] = [
         (10_000 + i, hidden[i % len(hidden)].free, hidden[i % len(hidden)].size or 0.0)
@@ -182,15 +182,15 @@ def assess(
     job = Job(dataset, robot, session.noise, tuple(files))
     start, quiet, loud = time.monotonic(), Tally(), Tally()
 
-    def told(what: str) -> None:
+    def note(what: str) -> None:
         show(f'{what} [s]', min(round(time.monotonic() - start), round(seconds)), round(seconds))
 
     with Workers(workers) as spread:
         early, late = start + 0.65 * seconds, start + seconds
-        quiet.collect(spread.run(job.alarm, clean, early), 'simulated with nothing missing', told)
-        loud.collect(spread.run(job.alarm, sized, late), 'simulated with an effect', told)
+        quiet.collect(spread.run(job.alarm, clean, early), 'simulated with nothing missing', note)
+        loud.collect(spread.run(job.alarm, sized, late), 'simulated with an effect', note)
     low, high = wilson(quiet.hits, quiet.runs)
-    return Trust(quiet.runs, quiet.hits, low, high, seen, loud.runs, loud.hits)
+    return Trust(quiet.runs, quiet.hits, low, high, smallest, loud.runs, loud.hits)
 
 
 @dataclass(frozen=True)
@@ -203,7 +203,7 @@ class Job:
     files: tuple[str, ...]
 
     def alarm(self, task: Task) -> bool | None:
-        """Simulate a data set and tell whether it raises the alarm; None: no equilibrium."""
+        """Return whether a simulated data set raises the alarm; None without equilibrium."""
         seed, free, size = task
         catalogue = load_catalogue(self.files)
         session = Session(self.dataset, self.robot, catalogue, workers=1)
@@ -213,17 +213,17 @@ class Job:
         }
         if free is not None:
             point[free] = size
-        simulated = measure_again(session.predictor, point, self.noise, random)
+        simulated = simulated_measurements(session.predictor, point, self.noise, random)
         if simulated is None:
             return None
         session = Session(simulated, self.robot, catalogue, workers=1)
         return bool(is_alarming(gather(session))) if session.weigh({}) else None
 
 
-def measure_again(
+def simulated_measurements(
     predictor: Predictor, point: Point, noise: Noise, random: np.random.Generator
 ) -> DataSet | None:
-    """Return the data set as it might have come out if the model at a point were the truth."""
+    """Return the data set with measurements simulated by the model at a point."""
     dataset = predictor.dataset
     by_trial = dataset.inputs_by_trial
     P, Q, m = by_trial.shape
@@ -247,21 +247,21 @@ class Tally:
     hits: int = 0
 
     def collect(
-        self, alarms: Iterable[tuple[int, object]], what: str, told: Callable[[str], None]
+        self, alarms: Iterable[tuple[int, object]], what: str, note: Callable[[str], None]
     ) -> None:
-        """Count what comes; simulations without equilibrium do not count."""
-        told(f'0 {what}')
+        """Count the simulations; those without equilibrium do not count."""
+        note(f'0 {what}')
         for _, alarm in alarms:
             self.runs += isinstance(alarm, bool)
-            told(f'{self.runs} {what}')
+            note(f'{self.runs} {what}')
             self.hits += alarm is True
 
 
 def wilson(hits: int, runs: int) -> tuple[float, float]:
-    """Return the 95 % interval of a rate."""
+    """Return the 95 % interval of a rate (Wilson 1927)."""
     if runs == 0:
         return 0.0, 1.0
-    z2, share = QUANTILE**2, hits / runs
-    centre = (share + z2 / (2 * runs)) / (1.0 + z2 / runs)
-    half = np.sqrt(z2 * (share * (1.0 - share) / runs + z2 / (4 * runs**2))) / (1.0 + z2 / runs)
+    z2, rate = QUANTILE**2, hits / runs
+    centre = (rate + z2 / (2 * runs)) / (1.0 + z2 / runs)
+    half = np.sqrt(z2 * (rate * (1.0 - rate) / runs + z2 / (4 * runs**2))) / (1.0 + z2 / runs)
     return max(float(centre - half), 0.0), min(float(centre + half), 1.0)

@@ -1,10 +1,10 @@
 """
 The rule by which a verdict is reached: thresholds, gates, and the table of the verdicts.
 
-`decide` looks at nothing but the evidence. Nothing else decides what is said of a data set; the
-reports, the monitor and the live page read what is said from here. What belongs to one test alone
-stands beside it: contradicted readings in comparison/outliers.py, the noise of trials in
-comparison/noise.py, drift in monitoring/watch.py.
+`decide` is a pure function of the evidence, and the only place where a verdict is reached; the
+reports, the monitor and the live page read sentences and colours from the table here. A threshold
+of a single test is defined beside that test: contradicted readings in comparison/outliers.py, the
+noise of trials in comparison/noise.py, drift in monitoring/watch.py.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ NEAR_SCORE = 60.0  # [1] of deviance + 2 k behind the best: docs/diagnosis.md
 TIE_SCORE = 0.5  # [1] of deviance + 2 k: below it twins would be ordered by rounding
 EFFECTS_MAX = 3  # [1] together, because more of them fit any dozen of postures
 BEST_FEW = 3  # [1] of an order by a cheap estimate that are fitted, because the estimate may err
-STRAY_SD_MAX = 3.0  # [1] declared sd that a quantity may move; 1 of 370 by chance
+TOLERANCE_SD_MAX = 3.0  # [1] declared sd that a quantity may move; 1 of 370 by chance
 CORRELATED_FROM = 0.98  # [1] correlation of two values; else an interval would be 5 times as wide
 # [1] ratio of the errors left out from which the arm as found is written: docs/diagnosis.md
 LEFT_OUT_RATIO_MAX = 0.95
@@ -38,17 +38,17 @@ SAME_ERROR_RATIO = 1.25  # [1] of errors that count as equal, because floors are
 # Mistakes of the set-up, and measurements that do not suffice: docs/diagnosis.md
 POSTURES_MIN = 3  # [1] because nearly every effect explains two
 POSTURES_ENOUGH = 6  # [1] because different causes look alike in fewer
-COVERAGE_MIN = 0.9  # [1] of the arm that markers reach, else what is beyond would pass as seen
+COVERAGE_MIN = 0.9  # [1] of the arm that markers reach, else the rest would pass as measured
 ODD_FROM_FLOORS = 10.0  # [1] noise floors of error that call for a mistake: docs/diagnosis.md
 QUIET_FLOORS = 5.0  # [1] noise floors that an explanation may leave: docs/diagnosis.md
-ERROR_LEFT_USUAL = 0.1  # [1] of the error that a mistake may leave, because no arm is exact
-ERROR_LEFT_MAX = 0.3  # [1] of the error that a mistake may leave in any case: docs/diagnosis.md
-PARTLY_LEFT_MAX = 0.6  # [1] of it where effects are at work as well: docs/diagnosis.md
-PLAIN_FLOORS = 1.2  # [1] floors of an arm built as usual, else it is no proof: docs/diagnosis.md
-MISTAKEN_RATIO_MIN = 1.9  # [1] because a ratio of two, told to 5 %, is a mistake and no tolerance
+RESIDUAL_RATIO_USUAL = 0.1  # [1] of the error that a mistake may leave, because no arm is exact
+RESIDUAL_RATIO_MAX = 0.3  # [1] of the error that a mistake may leave at most: docs/diagnosis.md
+RESIDUAL_PARTLY_MAX = 0.6  # [1] the same where effects act as well: docs/diagnosis.md
+PLAIN_FLOORS = 1.2  # [1] usual floors of error after a correction, at most: docs/diagnosis.md
+MISTAKEN_RATIO_MIN = 1.9  # [1] because a ratio of two, known to 5 %, is a mistake, no tolerance
 MISTAKE_HANDICAP = 6.0  # [1] of score: 2 log 20, because some twenty mistakes are tried
 
-# What is said beside the verdict
+# Reported beside the verdict
 PATTERN_GAIN_MIN = 0.33  # [1] of the excess in chi², else the pattern would be a minor part
 SEPARABLE_FROM_SD = 2.0  # [1] of a mean, else one more posture would hardly tell two effects
 
@@ -59,14 +59,14 @@ CLICK_3 = 'Found. Click 3: the model gets the effect while the arm goes on.'
 
 class Verdict(StrEnum):
     """
-    What a diagnosis ends in; its value is its name in files and topics.
+    The conclusion of a diagnosis; its value is its name in files and topics.
 
     Attributes
     ----------
     sentence : str
-        What it says; `report.diagnosis_text` fills in the names, values and errors.
+        Text of the report; `report.diagnosis_text` fills in the names, values and errors.
     colour : str
-        Key of `common.colours.KINDS`, for the box that it stands in.
+        Key of `common.colours.KINDS`, of the box around the sentence.
     advice : str
         What to type next where effects were found; `{command}` is the diagnosis itself.
     guide : str
@@ -95,7 +95,7 @@ class Verdict(StrEnum):
         may_add: bool = False,
         judged: bool = True,
     ) -> Verdict:
-        """Make a row of the table."""
+        """Create a row of the table."""
         self = str.__new__(cls, name)
         self._value_, self.sentence, self.colour, self.advice = name, sentence, colour, advice
         self.guide, self.may_add, self.judged = guide, may_add, judged
@@ -163,7 +163,7 @@ class Verdict(StrEnum):
 
 
 class Hypothesis(Protocol):
-    """What the rule looks at of effects that were fitted."""
+    """The part of a fit of effects that the rule reads."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -187,22 +187,22 @@ class Hypothesis(Protocol):
 
 
 class Rival(Protocol):
-    """What the rule looks at of a cause from outside the catalogue."""
+    """The part of a pattern outside the catalogue that the rule reads."""
 
     @property
     def everywhere(self) -> bool:
-        """Whether it is the same in every posture."""
+        """Whether the pattern is the same in every posture."""
 
     @property
     def score(self) -> float:
         """Deviance plus twice the number of parameters."""
 
     def gain_p_value(self, deviance: float) -> float:
-        """Chance of so much gain over a deviance without it."""
+        """P-value of the gain over a deviance without the pattern."""
 
 
 class Described(Protocol):
-    """What the rule looks at of the description as it stands."""
+    """The part of the fit of the unchanged description that the rule reads."""
 
     @property
     def as_built(self) -> bool:
@@ -210,18 +210,18 @@ class Described(Protocol):
 
     @property
     def deviance(self) -> float:
-        """Of the measurements."""
+        """-2 log likelihood of the measurements."""
 
     @property
     def prior_z(self) -> Mapping[str, float]:
-        """How many of its declared sd each quantity moved."""
+        """Change of each declared quantity, in its declared standard deviations [1]."""
 
     def probability(self, noise_freedom: float) -> float:
         """Chance of so large a misfit if it is the truth."""
 
 
 class Weighing[H](Protocol):
-    """How hypotheses compare."""
+    """Comparison of hypotheses."""
 
     @property
     def freedom(self) -> float:
@@ -229,31 +229,31 @@ class Weighing[H](Protocol):
 
     @property
     def brief(self) -> bool:
-        """Whether nobody asks what remains where no effect explains the data."""
+        """Whether the remainder is not described where no effect explains the data."""
 
     def holds(self, ranked: H) -> bool:
-        """Tell whether several effects are adequate, on left-out postures as well."""
+        """Return whether several effects are adequate, on left-out postures as well."""
 
     def best(self, ranked: Sequence[H]) -> H:
         """Return the best by score; within a tie the first of the catalogue."""
 
     def contains(self, large: H, small: H) -> bool:
-        """Tell whether a candidate can predict just what a smaller one predicts."""
+        """Return whether a candidate can imitate the predictions of a smaller one."""
 
     def twin_of(self, quantity: str) -> str | None:
-        """Return the effect that does what a declared quantity does."""
+        """Return the effect with the same influence as a declared quantity."""
 
 
 class Facts[H, R](Protocol):
-    """What is known of a data set; what takes long is worked out when it is asked for."""
+    """Evidence on a data set; expensive parts are computed on first access."""
 
     @property
     def session(self) -> Weighing[H]:
-        """How hypotheses compare."""
+        """Comparison of hypotheses."""
 
     @property
     def base(self) -> Described:
-        """The description as it stands."""
+        """Fit of the unchanged description."""
 
     @property
     def singles(self) -> Sequence[H]:
@@ -265,50 +265,50 @@ class Facts[H, R](Protocol):
 
     @property
     def patterns(self) -> Sequence[R]:
-        """Causes from outside."""
+        """Patterns outside the catalogue."""
 
     def rivals(self, score: float) -> Sequence[R]:
-        """Causes from outside, except those far behind a score."""
+        """Return the patterns outside the catalogue, except those far behind a score."""
 
-    def stands_out(self, ranked: H) -> bool:
-        """Tell whether it gains more than the best of all would by chance."""
+    def gain_is_significant(self, ranked: H) -> bool:
+        """Return whether its gain is significant, the number of candidates considered."""
 
-    def is_there(self, ranked: H, scale: float = 1.0) -> bool:
-        """Tell whether each of its effects is other than described."""
+    def differs(self, ranked: H, scale: float = 1.0) -> bool:
+        """Return whether each of its effects differs significantly from the description."""
 
     def joined(self, best: H) -> H | None:
-        """Join further effects while each gains more than chance; None where one is enough."""
+        """Add effects while the gain of each is significant; None where one is enough."""
 
     def combined(self) -> tuple[Facts[H, R], H | None]:
-        """Return the best combination, and the facts weighed at it."""
+        """Return the best combination, and the facts with weights taken at its fit."""
 
 
 @dataclass(frozen=True)
 class Conclusion[H, R]:
-    """A verdict and what it rests on."""
+    """A verdict and its reasons."""
 
     verdict: Verdict
     chosen: H | None = None  # effects to add
     together: tuple[str, ...] = ()  # names that cannot be told apart
-    strays: tuple[str, ...] = ()  # declared quantities that moved too far
+    out_of_tolerance: tuple[str, ...] = ()  # declared quantities that moved too far
     alike: tuple[H, ...] = ()  # hypotheses that another posture may separate
     rival: R | None = None  # the cause from outside that won
     scale: float = 1.0  # chi² over freedom of the best, where nothing is adequate
 
 
 def is_alarming[H, R: Rival](facts: Facts[H, R]) -> bool:
-    """Tell whether the description is off: as a whole, beyond a tolerance, or one cause gains."""
+    """Return whether the description misfits: as a whole, beyond a tolerance, or by one cause."""
     level = MISFIT_ALARM_LEVEL if facts.base.as_built else ALARM_LEVEL
     return (
         facts.base.probability(facts.session.freedom) < level
-        or any(abs(z) > STRAY_SD_MAX for z in facts.base.prior_z.values())
+        or any(abs(z) > TOLERANCE_SD_MAX for z in facts.base.prior_z.values())
         or (facts.base.as_built and outside_by_itself(facts) is not None)
-        or any(facts.stands_out(ranked) for ranked in facts.singles)
+        or any(facts.gain_is_significant(ranked) for ranked in facts.singles)
     )
 
 
 def outside_by_itself[H, R: Rival](facts: Facts[H, R]) -> R | None:
-    """Return the cause from outside that gains more than chance would over no effect, if any."""
+    """Return the best pattern whose gain over no effect is significant, if any."""
     likely = [
         rival
         for rival in facts.patterns
@@ -319,31 +319,31 @@ def outside_by_itself[H, R: Rival](facts: Facts[H, R]) -> R | None:
 
 def decide[H: Hypothesis, R: Rival](facts: Facts[H, R]) -> tuple[Facts[H, R], Conclusion[H, R]]:
     """
-    Say what explains the error: nothing, one effect, a class, several, or no effect at all.
+    Conclude what explains the error: nothing, one effect, a class, several, or no effect at all.
 
     Returns
     -------
     facts
-        Those that the decision rests on: a combination weighs the measurements anew.
+        Those behind the decision: with a combination the measurements are weighed at its fit.
     decision : Conclusion
 
     """
     if not is_alarming(facts):
         return facts, Conclusion(Verdict.ADEQUATE)
-    group = [r for r in indistinct(facts.session, facts.singles) if facts.is_there(r)]
+    group = [r for r in indistinct(facts.session, facts.singles) if facts.differs(r)]
     if group:
         rival = _competing(facts.rivals(group[0].score), group[0].score)
-        if rival is None and facts.base.as_built and not facts.stands_out(group[0]):
+        if rival is None and facts.base.as_built and not facts.gain_is_significant(group[0]):
             alone = outside_by_itself(facts)  # what raised the alarm, the effect would not have
             rival = alone if alone is not None and alone.score < group[0].score else None
         if rival is not None:
             return facts, _outside(facts, group[0], rival)
         more = facts.joined(group[0]) if facts.base.as_built else None
-        if more is not None and facts.is_there(more):
+        if more is not None and facts.differs(more):
             return facts, Conclusion(Verdict.SEVERAL, more)
         return facts, _named(facts, group)
     facts, combined = facts.combined()
-    holds = combined is not None and facts.session.holds(combined) and facts.is_there(combined)
+    holds = combined is not None and facts.session.holds(combined) and facts.differs(combined)
     scores = [r.score for r in (combined, facts.best) if r is not None]
     rival = None
     if scores and (holds or not facts.session.brief):
@@ -373,7 +373,7 @@ def indistinct[H: Hypothesis](session: Weighing[H], ranked: Sequence[H]) -> list
 
 
 def _competing[R: Rival](rivals: Sequence[R], score: float) -> R | None:
-    """Return the cause from outside that beats a score by more than chance would, if any."""
+    """Return the pattern whose score is significantly better than a given one, if any."""
     top = min(rivals, key=lambda rival: rival.score, default=None)
     return top if top is not None and top.score < score - APART_FROM_SCORE else None
 
@@ -382,20 +382,20 @@ def _named[H: Hypothesis, R](facts: Facts[H, R], group: Sequence[H]) -> Conclusi
     """Decide for a class of adequate single effects, best first."""
     best, names = group[0], [r.names[0] for r in group]
     twins = {quantity: facts.session.twin_of(quantity) for quantity in facts.base.prior_z}
-    strays = tuple(
+    out_of_tolerance = tuple(
         quantity
         for quantity, z in facts.base.prior_z.items()
-        if abs(z) > STRAY_SD_MAX and twins[quantity] in names
+        if abs(z) > TOLERANCE_SD_MAX and twins[quantity] in names
     )
-    if strays or all(r.present for r in group):
+    if out_of_tolerance or all(r.present for r in group):
         verdict = Verdict.WRONG_PARAMETER
     else:
         verdict = Verdict.MISSING_EFFECT if len(group) == 1 else Verdict.AMBIGUOUS
-    if strays:  # the declared quantity is what moved: its twin is what to add
-        best = next(r for r in group if r.names[0] == twins[strays[0]])
+    if out_of_tolerance:  # the declared quantity is what moved: its twin is what to add
+        best = next(r for r in group if r.names[0] == twins[out_of_tolerance[0]])
     several = len(group) > 1
-    together = tuple(names) if several or strays else ()
-    return Conclusion(verdict, best, together, strays, tuple(group) if several else ())
+    together = tuple(names) if several or out_of_tolerance else ()
+    return Conclusion(verdict, best, together, out_of_tolerance, tuple(group) if several else ())
 
 
 def _outside[H: Hypothesis, R](
@@ -406,7 +406,7 @@ def _outside[H: Hypothesis, R](
         return Conclusion(Verdict.OUTSIDE_CATALOGUE, rival=rival)
     scale = max(1.0, best.misfit)
     apart = APART_FROM_SCORE * scale
-    if not (best.score < facts.base.deviance - apart and facts.is_there(best, scale)):
+    if not (best.score < facts.base.deviance - apart and facts.differs(best, scale)):
         return Conclusion(Verdict.OUTSIDE_CATALOGUE, rival=rival, scale=scale)
     near = [
         ' + '.join(r.names)

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..common.words import columns, commands, digits, listed, mm, percent, postures
 from ..diagnosis.add import Addition
-from ..diagnosis.crossval import share_gone
+from ..diagnosis.crossval import explained_fraction
 from ..diagnosis.result import Diagnosis, NextMeasurement
 from ..diagnosis.verdict import (
     P_SINGLE_MIN,
@@ -133,7 +133,7 @@ def explained_part(diagnosis: Diagnosis) -> str:
     if not with_arm(diagnosis):
         return f'{share} of the explainable error'
     least = min(diagnosis.noise_floor, diagnosis.error_after)
-    alone = share_gone(diagnosis.error_before, diagnosis.error_alone, least) or 0.0
+    alone = explained_fraction(diagnosis.error_before, diagnosis.error_alone, least) or 0.0
     return (
         f'{share} of the explainable error with the arm as it was found, '
         f'{percent(max(alone, 0.0))} alone'

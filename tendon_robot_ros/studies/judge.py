@@ -20,7 +20,7 @@ from ..comparison.predict import Predictor, frees_of
 from ..diagnosis.add import add_effects
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import Diagnosis, Value
-from ..diagnosis.trust import DETECTED_SHARE, wilson
+from ..diagnosis.trust import DETECTION_POWER, wilson
 from ..diagnosis.verdict import Verdict
 from ..effects import load_catalogue
 from ..model.model import Model
@@ -303,10 +303,10 @@ class Power:
         """Return the size that is named in four of five cases, between those tried."""
         shares = [rate.share or 0.0 for rate in self.right]
         for i, share in enumerate(shares):
-            if min(shares[i:]) >= DETECTED_SHARE:
+            if min(shares[i:]) >= DETECTION_POWER:
                 if i == 0:
                     return self.sizes[0]
-                part = (DETECTED_SHARE - shares[i - 1]) / max(share - shares[i - 1], 1e-12)
+                part = (DETECTION_POWER - shares[i - 1]) / max(share - shares[i - 1], 1e-12)
                 ends = np.log([self.sizes[i - 1], self.sizes[i]])
                 return float(np.exp(ends[0] + part * (ends[1] - ends[0])))
         return None
