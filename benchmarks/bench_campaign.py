@@ -106,7 +106,7 @@ def measured(
     before, begun = spent(others), time.monotonic()
     with (
         tempfile.TemporaryDirectory() as folder,
-        Watched(count, cluster, Preparation.here()) as workers,
+        Watched(count, cluster, Preparation.of_this_process()) as workers,
     ):
         ready = time.monotonic()
         rows = run_plan(plan(cases), Path(folder) / 'out', workers)

@@ -328,7 +328,7 @@ def bench_ticks():
                 task = TipTask.at(model, place, memory=past)
                 balance = Balance(task, wants)
                 at = balance.begin(shape)
-                balance.look(at, balance.step(at, 0.02))
+                balance.solve_at(at, balance.step(at, 0.02))
                 took.append(1e3 * (time.thread_time() - began))
             kind = f'{name}{"_remembers" if remembers else ""}'
             for share in (50, 99):

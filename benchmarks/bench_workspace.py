@@ -34,7 +34,7 @@ def spent() -> float:
 def measured(model: Model, postures: int, count: int) -> dict[str, float]:
     """Sample a workspace; what it took."""
     start, begun = spent(), time.monotonic()
-    with Workers(count, prepare=Preparation.here()) as workers, progress(True) as show:
+    with Workers(count, prepare=Preparation.of_this_process()) as workers, progress(True) as show:
         volume = find_volume(Sampling.of(model, postures), show, workers)
     memory = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     solved = postures * (2 if volume.frictionless else 1)

@@ -43,7 +43,7 @@ def run(name: str, options: argparse.Namespace, **changes: object) -> int:
     with tempfile.TemporaryDirectory() as scratch:
         folder = options.output or Path(scratch) / name
         with (
-            Workers(options.workers, options.cluster, Preparation.here()) as workers,
+            Workers(options.workers, options.cluster, Preparation.of_this_process()) as workers,
             progress(True) as show,
         ):
             rows = run_plan(plan, folder, workers, show)

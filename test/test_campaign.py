@@ -53,7 +53,7 @@ def test_processes_say_the_same_bit_for_bit_in_another_order_and_from_where_they
     rows, tmp_path
 ):
     turned = replace(plan(), cases=plan().cases[::-1])
-    with Workers(2, prepare=Preparation.here()) as workers:
+    with Workers(2, prepare=Preparation.of_this_process()) as workers:
         part = replace(turned, cases=turned.cases[:1])
         run_plan(part, tmp_path / 'out', workers)
         seen = []

@@ -86,7 +86,7 @@ def test_workers_of_a_cluster_that_are_killed_again_and_again_lose_nothing(clust
 def test_a_cluster_says_the_same_bit_for_bit(cluster, tmp_path):
     with Workers() as workers:
         rows = run_plan(plan(), tmp_path / 'here', workers)
-    with Workers(cluster=cluster[0], prepare=Preparation.here()) as workers:
+    with Workers(cluster=cluster[0], prepare=Preparation.of_this_process()) as workers:
         assert without_time(run_plan(plan(), tmp_path / 'out', workers)) == without_time(rows)
 
 

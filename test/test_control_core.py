@@ -153,7 +153,7 @@ def test_a_stop_silences_it_and_drops_the_target():
         rig.core.aim(reachable())
     with pytest.raises(DriverError, match='reset refused: topic stop says true'):
         rig.core.reset()
-    rig.core.latch.cause_gone('topic')
+    rig.core.latch.cause_removed('topic')
     rig.core.reset()
     before = rig.tensions
     rig.run(0.5)

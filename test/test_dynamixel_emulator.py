@@ -82,7 +82,7 @@ def test_a_tripped_watchdog_stops_the_servo_and_locks_the_goals_until_zero_is_wr
         (goal, aim),
     ]:
         assert write(servo, name, value) == 0
-    servo.heard()
+    servo.feed_watchdog()
     for _ in range(9):  # a pause of the process would be none of the bus
         rig.advance(0.01)
     assert servo.motion.speed > 0.0
@@ -95,7 +95,7 @@ def test_a_tripped_watchdog_stops_the_servo_and_locks_the_goals_until_zero_is_wr
     assert servo.torque
     assert write(servo, 'bus_watchdog', 0) == 0
     assert write(servo, goal, aim) == 0
-    servo.heard()
+    servo.feed_watchdog()
     rig.advance(0.05)
     assert servo.motion.speed > 0.0
 

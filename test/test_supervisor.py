@@ -77,7 +77,7 @@ def disturb(supervisor, event):
     elif event == 'lasting':
         supervisor.latch.stop('topic', 'stop topic says so', lasting=True)
     elif event == 'gone':
-        supervisor.latch.cause_gone('topic')
+        supervisor.latch.cause_removed('topic')
     elif event == 'reset':
         with contextlib.suppress(DriverError):
             supervisor.reset()
@@ -230,7 +230,7 @@ def test_reset_is_refused_while_the_cause_lasts():
     supervisor.latch.stop('topic', 'topic stop says true', lasting=True)
     with pytest.raises(DriverError, match='reset refused: topic stop says true'):
         supervisor.reset()
-    supervisor.latch.cause_gone('topic')
+    supervisor.latch.cause_removed('topic')
     assert supervisor.latch
     supervisor.reset()
     assert not supervisor.latch

@@ -53,9 +53,9 @@ def as_run(moves: Moves) -> PathRun:
     targets = standing_targets(moves, float(moves.tips.times[-1]))
     return PathRun(
         inputs=moves.inputs,
-        asked_times=targets.times,
-        asked=targets.positions,
-        asked_directions=targets.directions,
+        target_times=targets.times,
+        targets=targets.positions,
+        target_directions=targets.directions,
         row_times=moves.targets.times,
         tip_times=moves.tips.times,
         tips=moves.tips.positions,

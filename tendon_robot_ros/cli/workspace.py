@@ -138,7 +138,7 @@ def sample_all(args: argparse.Namespace, model: Model) -> Result:
     kept = Path(args.output) if args.output else None
     if kept is not None:
         kept.mkdir(parents=True, exist_ok=True)
-    prepare = Preparation.here(UserEffect.read(args.effect_file))
+    prepare = Preparation.of_this_process(UserEffect.read(args.effect_file))
     with (
         progress(remaining=True) as show,
         Workers(args.workers, args.cluster, prepare) as workers,

@@ -102,7 +102,7 @@ class Freed:
         return inputs
 
     @contextmanager
-    def made(self, model: ForwardModel, side: Floats) -> Iterator[None]:
+    def applied(self, model: ForwardModel, side: Floats) -> Iterator[None]:
         """Let the parameter be on one side while the block runs."""
         self._put(float(side[0]))
         try:
@@ -138,7 +138,7 @@ class Shifted:
         return inputs
 
     @contextmanager
-    def made(self, model: ForwardModel, side: Floats) -> Iterator[None]:
+    def applied(self, model: ForwardModel, side: Floats) -> Iterator[None]:
         """Let the parameter be on one side, its effect on, while the block runs."""
         on = self._arrays.on.copy()
         self._arrays.act(self._effect)
@@ -163,7 +163,7 @@ class Pulled:
         moved[:, self.j] += side
         return moved
 
-    def made(self, model: ForwardModel, side: Floats) -> AbstractContextManager[None]:
+    def applied(self, model: ForwardModel, side: Floats) -> AbstractContextManager[None]:
         """Leave the model as it is."""
         return nullcontext()
 

@@ -266,7 +266,7 @@ def _step_towards(balance: Balance, here: Shape, tensions: Array) -> Shape | Non
     size, step = float(np.abs(change / balance.range).max()), STEP_MAX
     if size < 0.05 * step:
         return None
-    looked = balance.look(balance.begin(here), here.inputs + min(1.0, step / size) * change)
+    looked = balance.solve_at(balance.begin(here), here.inputs + min(1.0, step / size) * change)
     if looked is None:
         return None
     made = balance.corrected(looked).shape

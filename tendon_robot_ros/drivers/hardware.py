@@ -1,8 +1,8 @@
 """
-What drivers of real motors share.
+Common parts of drivers of real motors.
 
-Serial ports, commands within limits and rates, the life of a driver on a port, configuration files
-and the straight lines of calibrations.
+Serial ports, commands within limits and rates, opening and enabling of a driver on a port,
+configuration files and the straight lines of calibrations.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from ..robot import Robot
 from .interface import Array, Driver
 from .safety import CYCLE_MAX_S, STOP_TIME_MIN_S, approach, bounded
 
-# what an unplugged port raises: serial's error is an OSError, termios.error is none
+# exceptions of an unplugged port: serial's error is an OSError, termios.error is none
 PORT_ERRORS = (OSError, termios.error)
 # [s] the longest for a motor or board to answer or send, and for a port to take bytes, so that a
 # busy computer is no lost port; whoever waits in a cycle waits less (`answer_time`)
@@ -61,7 +61,7 @@ def refuse_held(path: str) -> None:
     Raises
     ------
     OSError
-        Somebody has it; `why_not` says who.
+        A process has it open; `why_not` names it.
 
     """
     if held_by(path):
@@ -72,8 +72,8 @@ def write_all(file: int, data: bytes) -> None:
     """
     Write to a port that does not block.
 
-    pyserial's own write, with a time-out, says that a port takes nothing also where it took all
-    at once and this process was late to notice.
+    pyserial's own write, with a time-out, fails also where the port accepted all data at once and
+    this process was late to notice.
 
     Raises
     ------
@@ -89,7 +89,7 @@ def write_all(file: int, data: bytes) -> None:
 
 
 def why_not(path: str, error: BaseException) -> str:
-    """Say in words why a port cannot be opened, and what to do."""
+    """Return a message why a port cannot be opened, and the remedy."""
     code = getattr(error, 'errno', None)
     if not os.path.exists(path):
         return (
@@ -107,19 +107,19 @@ def why_not(path: str, error: BaseException) -> str:
 
 def held_by(path: str, others: bool = False) -> str:
     """
-    Say which process has a port open, '' where none is seen.
+    Return which process has a port open, '' if none is visible.
 
     Parameters
     ----------
     path : str
     others : bool
-        Not this process.
+        Only other processes than this one.
 
     """
-    wanted = os.path.realpath(path)
+    device = os.path.realpath(path)
     for link in Path('/proc').glob('[0-9]*/fd/*'):
         try:
-            if os.readlink(link) != wanted:
+            if os.readlink(link) != device:
                 continue
             if int(link.parts[2]) == os.getpid():
                 if others:
@@ -144,7 +144,7 @@ class HardwareDriver(Driver):
     """
     A driver of real motors: it is open or not, and its command moves within limits and rates.
 
-    Tensions rise at the rates; they may fall faster, because a stop lets go of them.
+    Tensions rise at the rates; they may fall faster, because a stop releases them.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ class HardwareDriver(Driver):
     """
 
     def __init__(self, robot: Robot, mode: str, place: str, limits: Array, rates: Array) -> None:
-        """Begin closed."""
+        """Create a closed driver."""
         self.robot, self.inputs, self.mode, self.place = robot, robot.inputs, mode, place
         self.limits, self.rates = limits, rates
         self._is_open = False
@@ -171,7 +171,7 @@ class HardwareDriver(Driver):
             raise DriverError(f'{self.place}: {what}: the driver is not open')
 
     def _chosen(self, inputs: Sequence[str]) -> NDArray[np.bool_]:
-        """Return which inputs are named, (m,); none named means all."""
+        """Return a mask (m,) of the named inputs; none named means all."""
         unknown = [name for name in inputs if name not in self.inputs]
         if unknown:
             raise DriverError(
@@ -180,14 +180,14 @@ class HardwareDriver(Driver):
         return np.array([not inputs or name in inputs for name in self.inputs])
 
     def _since_write(self) -> float:
-        """Return how long ago the last command came [s], and begin anew."""
+        """Return the time since the last command [s], and restart that clock."""
         now = time.monotonic()
         passed, self._written = now - self._written, now
         return passed
 
-    def _towards(self, wanted: Array, limits: Array, passed: float) -> Array:
-        """Return the next goal (m,): towards what is wanted, within limits and rates."""
-        goal = bounded(wanted, limits)
+    def _towards(self, command: Array, limits: Array, passed: float) -> Array:
+        """Return the next goal (m,): towards a command (m,), within limits and rates."""
+        goal = bounded(command, limits)
         rates = self.rates
         if self.mode == 'tension':
             falling = np.maximum(rates, limits[:, 1] / STOP_TIME_MIN_S)
@@ -195,7 +195,7 @@ class HardwareDriver(Driver):
         return approach(self._goal, goal, rates * min(passed, WRITE_STEP_MAX_S))
 
     def _may_retry(self, now: float) -> bool:
-        """Return whether it is time for another attempt to get back what was lost."""
+        """Return whether it is time for another attempt to reconnect."""
         if now - self._retried < RETRY_PERIOD_S:
             return False
         self._retried = now
@@ -203,7 +203,7 @@ class HardwareDriver(Driver):
 
 
 class PortConfig(Protocol):
-    """The least that the configuration of such a driver has."""
+    """The keys that every configuration of such a driver has."""
 
     @property
     def port(self) -> str:
@@ -221,12 +221,12 @@ class PortLink(Protocol):
         """Open it for this process alone."""
 
     def close(self) -> None:
-        """Give it back."""
+        """Close it."""
 
 
 class PortDriver(HardwareDriver):
     """
-    Opens a port, asks who is there, finds the slack of the wires before their first torque.
+    Opens a port, identifies the motors and finds the slack of the wires before the first torque.
 
     Attributes
     ----------
@@ -250,11 +250,11 @@ class PortDriver(HardwareDriver):
     def from_config(
         cls, robot: Robot, config: Mapping[str, Any], *, mode: str, source: str
     ) -> Self:
-        """Make the driver from what its configuration file says."""
+        """Make the driver from the content of its configuration file."""
         return cls(robot, cls.read_config(robot, config, mode, source), mode)  # type: ignore
 
     def open(self) -> None:
-        """Open the port for this process alone and ask who is there."""
+        """Open the port for this process alone and identify the motors."""
         self.link.open()
         try:
             self._shake_hands()
@@ -264,7 +264,7 @@ class PortDriver(HardwareDriver):
         self._is_open = True
 
     def close(self) -> None:
-        """Give the port back; what the motors do then is up to their watchdogs."""
+        """Close the port; the watchdogs of the motors then stop them."""
         self._is_open = False
         self.link.close()
 
@@ -288,14 +288,14 @@ class PortDriver(HardwareDriver):
 
     @abstractmethod
     def _shake_hands(self) -> None:
-        """Check who is behind the open port, and read where the wires are."""
+        """Check the motors behind the open port, and read the positions of the wires."""
 
     def _check_motors(self) -> None:
-        """Refuse to go on with motors that latched a fault."""
+        """Refuse motors that latched a fault."""
 
     @abstractmethod
     def _slack_unknown(self) -> bool:
-        """Whether it is not known where pull is zero."""
+        """Return whether the zero of a pull is unknown."""
 
     @abstractmethod
     def _find_slack(self) -> None:
@@ -320,7 +320,7 @@ def fields_of_inputs(
     ----------
     top : ConfigFields
     key : str
-        Where they stand: `motors`, `tendons`.
+        Key of their mapping: `motors`, `tendons`.
     what : str
         What every input needs, for messages: `a motor`.
     robot : Robot

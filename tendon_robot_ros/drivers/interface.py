@@ -20,17 +20,17 @@ MODES = ('tension', 'pull')
 # smoothly as under a controller at 100 Hz
 CYCLE_S = 0.01
 
-# how far motors have gone in searches for slack that failed, by port
+# distances of motors in failed searches for slack, by port
 _TRAVELLED: dict[str, dict[int, float]] = {}
 
 
 def travelled(port: str) -> dict[int, float]:
     """
-    Return how far the motors of a port have gone in searches for slack; clear it to forget.
+    Return the distances of the motors of a port in searches for slack; clearing resets them.
 
-    It belongs to the port and to this process, not to a driver: whoever tries again, with whatever
-    object, goes on from the same beginning, so that the bound of a search holds for all attempts
-    together. What a hand or a spring turns while the torque is off does not count: a person
+    The dict belongs to the port and to this process, not to a driver: every attempt, by any driver
+    object, counts from the same origin, so that the bound of a search holds for all attempts
+    together. Motion by hand or by a spring while the torque is off is not known here: a person
     resets.
 
     Returns
@@ -66,7 +66,7 @@ BACKENDS = {
 @dataclass(frozen=True)
 class Fault:
     """
-    Something that is wrong now; it is gone from the next reading when its cause is gone.
+    A present fault; it is absent from the next reading when its cause is removed.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class Fault:
         Short and stable, for programs: `silent`, `port`, `overload`, `overheating`, `voltage`,
         `watchdog`, `encoder`, `limit`, ...
     message : str
-        One line for a person: what, where, what to do.
+        One line for a person: fault, place and remedy.
     hardware : bool
         The motor itself reports the error: its torque goes off at once, without a ramp.
     inputs : tuple of str
@@ -91,22 +91,22 @@ class Fault:
 @dataclass(frozen=True)
 class Reading:
     """
-    What the motors report at one moment.
+    Measured state of the motors at one time.
 
     Parameters
     ----------
     time : float
         `time.monotonic()` of the answer [s].
     pulls : ndarray, shape (m,) [m]
-        Wire pull per input, positive = shorter = pulled; nan where nothing answered.
+        Wire pull per input, positive = shorter = pulled; nan without an answer.
     tensions : ndarray, shape (m,) [N]
         Tension per input; nan where it is not observable.
     source : str
-        Where the tension comes from: `load_cell`, `current` or `command`.
+        Source of the tension: `load_cell`, `current` or `command`.
     tension_sd : ndarray, shape (m,) [N], optional
-        Standard uncertainty of the tensions, None where nobody has stated one.
+        Standard uncertainty of the tensions, None where it is not stated.
     faults : tuple of Fault
-        What is wrong now.
+        Present faults.
 
     """
 
@@ -124,17 +124,17 @@ class Driver(abc.ABC):
 
     The life of a driver is open, enable, (write, read) many times, disable, close; one thread uses
     it. Faults of the running hardware never raise: `read` reports them, in bounded time, and
-    tries by itself to get a lost connection back. A driver that gets it back starts from the
-    measured state. Misuse (not open, wrong shape, not finite) raises `DriverError`.
+    tries to restore a lost connection. A driver that restores it starts from the measured state.
+    Misuse (not open, wrong shape, not finite) raises `DriverError`.
 
     Attributes
     ----------
     robot : Robot
         The robot whose inputs are driven.
     inputs : tuple of str, length m
-        Names of what can be commanded, in the robot's order.
+        Names of the inputs, in the robot's order.
     mode : str
-        `tension` [N] or `pull` [m]: what `write` takes.
+        `tension` [N] or `pull` [m]: quantity that `write` commands.
     limits : ndarray, shape (m, 2)
         Lowest and highest command per input, in the unit of the mode.
     rates : ndarray, shape (m,)
@@ -160,7 +160,7 @@ class Driver(abc.ABC):
 
     @abc.abstractmethod
     def close(self) -> None:
-        """Give the port back; never raises, may be called twice. Torque is left as it is."""
+        """Close the port; never raises, may be called twice. Torque does not change."""
 
     @abc.abstractmethod
     def enable(self) -> None:
@@ -168,7 +168,7 @@ class Driver(abc.ABC):
 
     @abc.abstractmethod
     def disable(self, inputs: Sequence[str] = ()) -> None:
-        """Torque off at once for the named inputs, or all. Never raises: `read` tells faults."""
+        """Torque off at once for the named inputs, or all. Never raises: `read` reports faults."""
 
     @abc.abstractmethod
     def write(self, command: Array) -> None:
@@ -184,7 +184,7 @@ class Driver(abc.ABC):
         ----------
         reduction : float
             0: a motor holds up to its limit; 1: no wire with more than `tension`; between them a
-            fraction of the range from what it carried when the reduction was last 0.
+            fraction of the range from its current when the reduction was last 0.
         tension : float
             [N]
 
@@ -200,7 +200,7 @@ class Driver(abc.ABC):
         raise DriverError(f'{type(self).__name__}: reboot: this kind of motor has no reboot')
 
     def reset(self) -> None:
-        """Let searches for slack begin anew: a person has looked at the wires. Moves nothing."""
+        """Reset the bound of searches for slack, after a check of the wires; moves nothing."""
         travelled(self.port).clear()
 
     def describe(self) -> dict[str, str]:
@@ -208,11 +208,11 @@ class Driver(abc.ABC):
         return {}
 
     def strength(self) -> str:
-        """Return up to which tension motors wind and hold, in words; empty: to the limits."""
+        """Return as text up to which tension motors wind and hold; empty: to the limits."""
         return ''
 
     def silence(self) -> str:
-        """Return after how long without a word the motors stop, and why; empty where unknown."""
+        """Return as text after which silence the motors stop, and why; empty where unknown."""
         return ''
 
     def checked(self, command: Array) -> Array:
@@ -263,13 +263,13 @@ def make_driver(
     robot : Robot
         Gives the inputs and the tension limits.
     config : mapping
-        What the backend's configuration file says (its document in docs/).
+        Content of the backend's configuration file (its document in docs/).
     mode : str
         `tension` or `pull`.
     source : str
         Names the configuration in messages, usually its path.
     **parts
-        Objects that a backend needs besides: the mock takes `plant`, ros2_control `link`.
+        Further objects of a backend: the mock takes `plant`, ros2_control `link`.
 
     Raises
     ------

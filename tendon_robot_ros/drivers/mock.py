@@ -26,7 +26,7 @@ FAULTS = {
 
 
 class PlantState(Protocol):
-    """What a plant says of its arm: a `Shape`, or anything with the same fields."""
+    """State of a plant's arm: a `Shape`, or anything with the same fields."""
 
     inputs: Array  # (m,) [N]
     pulls: Array  # (m,) [m]
@@ -44,7 +44,7 @@ class MockPlant(Protocol):
 
 @dataclass(frozen=True)
 class MockConfig:
-    """What the configuration of a mock may say."""
+    """Configuration of a mock."""
 
     lag: float = 0.02  # [s] first-order, of motor and arm
     tension_noise: float = 0.0  # [N] 1 sd
@@ -59,19 +59,19 @@ class MockConfig:
         for key in config:
             if key not in known:
                 raise DriverError(f'{source}: expected one of {", ".join(known)}, got {key!r}')
-        made = cls(**config)
+        parsed = cls(**config)
         for key in ('lag', 'tension_noise', 'pull_noise'):
-            value = getattr(made, key)
+            value = getattr(parsed, key)
             if not (isinstance(value, (int, float)) and 0.0 <= value < 10.0):
                 raise DriverError(
                     f'{source}: {key}: expected a number from 0 to 10, got {value!r}'
                 )
-        if made.tension_source not in ('load_cell', 'command'):
+        if parsed.tension_source not in ('load_cell', 'command'):
             raise DriverError(
                 f'{source}: tension_source: expected load_cell or command, '
-                f'got {made.tension_source!r}'
+                f'got {parsed.tension_source!r}'
             )
-        return made
+        return parsed
 
 
 class MockDriver(Driver):
@@ -91,8 +91,8 @@ class MockDriver(Driver):
         self.robot, self.inputs, self.mode = robot, robot.inputs, mode
         m = len(self.inputs)
         self.config = config or MockConfig()
-        turn = 2.0 * math.pi * max(max(map(abs, (*t.base, *t.end))) for t in robot.tendons)
-        limits = robot.tension_limits if mode == 'tension' else (-turn, turn)
+        pull_max = 2.0 * math.pi * max(max(map(abs, (*t.base, *t.end))) for t in robot.tendons)
+        limits = robot.tension_limits if mode == 'tension' else (-pull_max, pull_max)
         self.limits = np.tile(np.array(limits, dtype=float), (m, 1))
         self.rates = np.full(m, np.inf)
         self.plant, self._clock = plant, clock
@@ -109,7 +109,7 @@ class MockDriver(Driver):
     def from_config(
         cls, robot: Robot, config: Mapping[str, Any], *, mode: str, source: str, plant: MockPlant
     ) -> Self:
-        """Make the driver from what its configuration says."""
+        """Make the driver from its configuration."""
         return cls(robot, plant, MockConfig.checked(config, source), mode)
 
     @property
@@ -118,7 +118,7 @@ class MockDriver(Driver):
         return self._state
 
     def open(self) -> None:
-        """Look at the plant once."""
+        """Read the plant once."""
         if 'port' in self._injected:
             raise DriverError(self._injected['port'].message)
         self._is_open = True
@@ -152,8 +152,8 @@ class MockDriver(Driver):
         values = self.checked(command)
         self._advance()
         lowest = np.minimum(self._command, self.limits[:, 0])
-        heard = np.clip(values, lowest, self.limits[:, 1])
-        self._command = np.where(self._lost(), self._command, heard)
+        received = np.clip(values, lowest, self.limits[:, 1])
+        self._command = np.where(self._lost(), self._command, received)
 
     def read(self) -> Reading:
         """Return the plant's state with noise."""
@@ -184,7 +184,7 @@ class MockDriver(Driver):
         self._injected = {k: f for k, f in self._injected.items() if not f.hardware}
 
     def inject(self, code: str, inputs: Sequence[str] = ()) -> None:
-        """Make something go wrong: a key of `FAULTS`, for some inputs or all."""
+        """Inject a fault: a key of `FAULTS`, for some inputs or all."""
         if code not in FAULTS:
             raise DriverError(f'fault: expected one of {", ".join(FAULTS)}, got {code!r}')
         for name in inputs:
@@ -197,7 +197,7 @@ class MockDriver(Driver):
         self._injected[code] = Fault(code, message.format(who=who), hardware, tuple(inputs))
 
     def clear(self) -> None:
-        """Make everything right again."""
+        """Clear all injected faults."""
         self._injected.clear()
 
     def describe(self) -> dict[str, str]:

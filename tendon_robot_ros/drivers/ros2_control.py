@@ -1,8 +1,8 @@
 """
 Joints of ros2_control behind the driver interface: a group controller commands them.
 
-The robot's limits, rates and releases hold as for every backend; what the motors do when this
-process dies is up to the hardware component (docs/operate.md).
+The robot's limits, rates and releases hold as for every backend; when this process dies, the
+hardware component decides the behaviour of the motors (docs/operate.md).
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ JOINT_KEYS = ('joint', 'spool_radius', 'direction', 'zero')
 
 
 class JointLink(Protocol):
-    """What carries commands and joint states; topics in a running system."""
+    """Transport of commands and joint states; topics in a running system."""
 
     def send(self, values: list[float]) -> None:
         """Send one value per joint of the group controller."""
@@ -53,7 +53,7 @@ class JointLink(Protocol):
         """Return joint -> (monotonic time [s], position, effort), the newest of each."""
 
     def close(self) -> None:
-        """Give it back."""
+        """Close it."""
 
 
 MakeLink = Callable[[str, str], JointLink]  # of the topics of commands and states
@@ -148,7 +148,7 @@ class Ros2ControlDriver(HardwareDriver):
         self._is_open = True
 
     def close(self) -> None:
-        """Say no more."""
+        """Close the link; no command is sent after."""
         if self._is_open:
             self.link.close()
         self._is_open = False
@@ -159,13 +159,13 @@ class Ros2ControlDriver(HardwareDriver):
         reading = self.read()
         if reading.faults:
             raise DriverError(reading.faults[0].message)
-        here = reading.tensions if self.mode == 'tension' else reading.pulls
-        if not np.isfinite(here).all():
+        measured = reading.tensions if self.mode == 'tension' else reading.pulls
+        if not np.isfinite(measured).all():
             raise DriverError(
                 f'{self.config.state_topic}: effort is not there: expected it for every joint in '
                 'tension mode'
             )
-        self._goal = np.maximum(here, 0.0) if self.mode == 'tension' else here
+        self._goal = np.maximum(measured, 0.0) if self.mode == 'tension' else measured
         self._on[:], self._written = True, time.monotonic()
         self._send()
 
@@ -191,8 +191,8 @@ class Ros2ControlDriver(HardwareDriver):
     def read(self) -> Reading:
         """Return the newest joint states; joints that are silent are nan."""
         self._require_open('read')
-        now, heard, config = time.monotonic(), self.link.states(), self.config
-        values = np.array([heard.get(name, (-np.inf, np.nan, np.nan)) for name in config.names])
+        now, states, config = time.monotonic(), self.link.states(), self.config
+        values = np.array([states.get(name, (-np.inf, np.nan, np.nan)) for name in config.names])
         silent = now - values[:, 0] > config.timeout
         values[silent, 1:] = np.nan
         turned = (values[:, 1] - config.zeros) * config.directions

@@ -1,12 +1,12 @@
 """
-What keeps an arm safe: rules, a stop that latches, and the supervisor that decides every cycle.
+Safety of an arm: rules, a stop that latches, and the supervisor that decides every cycle.
 
-The driver node asks the supervisor once per cycle what may reach the motors; it has no clock and
-no threads. However wrong the commands are, what comes out stays within the limits, changes no
-faster than the rates, and goes to pretension when commands stay away.
+The driver node calls the supervisor once per cycle for the command of the motors; the supervisor
+has no clock and no threads. Whatever commands it receives, its output stays within the limits,
+changes no faster than the rates, and goes to pretension when no commands arrive.
 
-Whatever released the arm, commands are followed again only after `resume` (the sender has a new
-target), `reset` (a person) or `start`: a cause that comes and goes moves nothing.
+After any release, commands are followed again only after `resume` (the sender has a new target),
+`reset` (a person) or `start`: an intermittent cause moves nothing.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def approach(current: Array, goal: Array, step: Array) -> Array:
     Parameters
     ----------
     current, goal : ndarray, shape (m,) [N] or [m]
-        Where the command is and where it should go.
+        Present command and goal.
     step : ndarray, shape (m,), same unit
         Largest change of each input, >= 0.
 
@@ -62,13 +62,13 @@ def bounded(command: Array, limits: Array) -> Array:
 
 class StopLatch:
     """
-    A stop that latches, and that nobody can reset while its cause lasts; any thread may stop.
+    A stop that latches and cannot be reset while its cause lasts; any thread may stop.
 
-    It holds a sentence for every cause.
+    It holds one sentence per cause.
     """
 
     def __init__(self) -> None:
-        """Nothing is stopped."""
+        """Start without a stop."""
         self._latched: dict[str, str] = {}
         self._lasting: set[str] = set()
 
@@ -83,7 +83,7 @@ class StopLatch:
 
     @property
     def keys(self) -> set[str]:
-        """What stopped."""
+        """Keys of the latched causes."""
         return set(self._latched)
 
     def stop(self, key: str, reason: str, lasting: bool = False) -> None:
@@ -92,12 +92,12 @@ class StopLatch:
         if lasting:
             self._lasting.add(key)
 
-    def cause_gone(self, key: str) -> None:
-        """Say that the cause of a stop is gone; the stop stays latched until `reset`."""
+    def cause_removed(self, key: str) -> None:
+        """Note that the cause of a stop is removed; the stop stays latched until `reset`."""
         self._lasting.discard(key)
 
     def forget(self, key: str) -> None:
-        """Take back a stop, for its sender only: people call `reset`."""
+        """Withdraw a stop, for its sender only: people call `reset`."""
         self._latched.pop(key, None)
         self._lasting.discard(key)
 
@@ -132,7 +132,7 @@ class SafetyRules:
     rates : ndarray, shape (m,)
         Largest change per second while following.
     rest : ndarray, shape (m,)
-        Where a release goes: pretension, or the wire pulls of the straight arm.
+        Goal of a release: pretension, or the wire pulls of the straight arm.
     release_rate : float
         Largest change per second while releasing, unless a stop was requested.
     stop_time : float
@@ -142,11 +142,11 @@ class SafetyRules:
     release_to : str
         `pretension`: hold there; `limp`: then torque off.
     tension_limits : tuple of float
-        A wire that is measured above the second gets less [N]; a tension that is not observed
-        counts as none.
+        The tension of a wire that is measured above the second is reduced [N]; a tension that is
+        not observed counts as 0.
     stop_tension : float, optional
-        In pull mode: what a motor may still pull `stop_time` after a stop was requested [N];
-        None where the current of the motors cannot be limited.
+        In pull mode: largest tension `stop_time` after a requested stop [N]; None where the
+        current of the motors cannot be limited.
 
     """
 
@@ -192,19 +192,19 @@ class SafetyRules:
 @dataclass(frozen=True)
 class Decision:
     """
-    What to do in this cycle.
+    Command and state of one cycle.
 
     Parameters
     ----------
     command : ndarray, shape (m,)
-        What to write.
+        Command for the driver [N] or [m].
     off : tuple of str
         Inputs whose torque must be off.
     state : str
         `off`, `following`, `releasing`, `released` (at rest, holding), `holding` (its cause ended
         before that) or `limp`.
     reasons : tuple of str
-        Why it does not follow, one sentence each.
+        Causes of a release, one sentence each.
     clipped : tuple of str
         Inputs whose command was outside the limits.
     current_reduction : float
@@ -224,7 +224,7 @@ class Decision:
 @dataclass
 class Supervisor:
     """
-    Decides what may reach the motors, cycle by cycle.
+    Decides the command of the motors in every cycle.
 
     All times are monotonic seconds given by the caller.
     """
@@ -238,8 +238,8 @@ class Supervisor:
     _now: float = -np.inf
     _clipped: tuple[str, ...] = ()
     _tripped: set[str] = field(default_factory=set)  # inputs with a latched hardware error
-    _faulty: set[str] = field(default_factory=set)  # inputs with a fault, or in reach of one
-    _let_go: str = ''  # why the sender of the commands wants no more of them
+    _faulty: set[str] = field(default_factory=set)  # inputs with a fault, or affected by one
+    _let_go: str = ''  # reason for which the sender ended its commands
     held: str = ''  # why the arm was released, until commands are followed again
     releases: int = 0  # counted since the beginning
     _causes: list[str] = field(default_factory=list)  # of a release, but for silence, last cycle
@@ -252,7 +252,7 @@ class Supervisor:
 
     def start(self, now: float, reading: Reading) -> None:
         """
-        Begin at the measured state, after torque on: no jump.
+        Start from the measured state, after torque on: no jump.
 
         Raises
         ------
@@ -289,7 +289,7 @@ class Supervisor:
 
     def resume(self) -> None:
         """
-        Follow commands again after a release: their sender has a new target.
+        Follow commands again after a release, because their sender has a new target.
 
         Raises
         ------
@@ -302,7 +302,7 @@ class Supervisor:
         self._clear_command()
 
     def _hold_back(self, reason: str) -> None:
-        """Follow no commands from now on."""
+        """Ignore commands until `resume`, `reset` or `start`."""
         self.releases += not self.held
         self.held, self._requested = reason, None
 
@@ -310,7 +310,7 @@ class Supervisor:
         self._requested, self._let_go, self.held = None, '', ''
 
     def let_go(self, reason: str) -> None:
-        """Release as after a stop; a command that came before counts no more."""
+        """Release as after a stop; earlier commands are discarded."""
         self._let_go = reason
         self._hold_back(reason)
 
@@ -323,9 +323,9 @@ class Supervisor:
         now : float
             Monotonic time [s].
         command : ndarray, shape (m,), optional
-            A command that came since the last cycle; values that are not finite count as none.
+            Command that arrived since the last cycle; values that are not finite count as none.
         reading : Reading
-            What the motors last reported.
+            Last reading of the motors.
 
         """
         passed = now - self._now
@@ -345,7 +345,7 @@ class Supervisor:
             self._hold_back('; '.join(dict.fromkeys(reasons)))
         if reasons:
             self._release(passed, reading)
-        elif self.held:  # stay where the end of the cause found the arm
+        elif self.held:  # hold the command at which the cause ended
             if self.state != LIMP:
                 at_rest = np.allclose(self._output, self.rules.rest, atol=1e-12)
                 self.state = RELEASED if at_rest else HOLDING
@@ -371,7 +371,7 @@ class Supervisor:
         )
 
     def _accept(self, command: Array | None) -> None:
-        """Take a command, clipped to the limits; of a released arm only that one came."""
+        """Accept a command, clipped to the limits; of a released arm only note its time."""
         if command is None or not np.isfinite(command).all():
             return
         self._requested_at, self._let_go = self._now, ''
@@ -386,9 +386,9 @@ class Supervisor:
             )
 
     def _watch(self, reading: Reading) -> list[str]:
-        """Latch hardware errors; after a lost connection begin again at the measured state."""
+        """Latch hardware errors; after a lost connection start from the measured state."""
         reasons = [fault.message for fault in reading.faults]
-        self.latch.cause_gone(HARDWARE)
+        self.latch.cause_removed(HARDWARE)
         for fault in reading.faults:
             if fault.hardware:
                 self._tripped.update(fault.inputs or self.rules.inputs)
@@ -398,8 +398,8 @@ class Supervisor:
             measured = self._measured(reading, self._output)
             if self._stop_rate > 0.0:  # a hiccup of the bus makes no tension rise again
                 measured = np.minimum(measured, self._output)
-            again = np.array([name in back for name in self.rules.inputs])
-            self._output = np.where(again, measured, self._output)
+            returned = np.array([name in back for name in self.rules.inputs])
+            self._output = np.where(returned, measured, self._output)
         self._faulty = faulty
         return reasons
 
@@ -409,7 +409,7 @@ class Supervisor:
             return
         rules, before, rate = self.rules, self._output, self.rules.release_rate
         if (self._let_go or self.latch.keys - {HARDWARE}) and rules.stop_tension is None:
-            if self._stop_rate == 0.0:  # from where the stop found the arm
+            if self._stop_rate == 0.0:  # from the command at the time of the stop
                 distance = float(np.abs(before - rules.rest).max())
                 soon = distance / rules.stop_time if rules.stop_time > 0.0 else 0.0
                 self._stop_rate = max(rate, soon)
@@ -428,8 +428,8 @@ class Supervisor:
         """
         Reduce the current limit in `stop_time`; the bent arm then takes wire from the motors.
 
-        Paid out faster than the arm takes it, wire would leave the spool. What the bend has drawn
-        out is wound again: there is no strength behind it.
+        Wire that is paid out faster than the arm takes it would leave the spool. Wire that the
+        bend has drawn out is wound again, because the reduced current cannot strain it.
         """
         time = self.rules.stop_time
         self._reduction = min(1.0, self._reduction + (passed / time if time > 0.0 else 1.0))
@@ -439,11 +439,11 @@ class Supervisor:
 
     def _move(self, goal: Array, rate: Array, passed: float, reading: Reading) -> None:
         """
-        Approach a goal; where a wire pulls more than its limit, give it less at once.
+        Approach a goal; reduce the tension of a wire above its limit at once.
 
-        What the sensor does not know says nothing: only what the tension less its standard
-        uncertainty is above the limit counts. A tension falls by that, cycle after cycle, no
-        faster than a stop lets go; a pull by its step.
+        Only the excess of the tension minus its standard uncertainty over the limit counts. The
+        command of a tension falls by that excess in every cycle, no faster than a stop releases;
+        that of a pull falls by its step.
 
         A slack wire may be paid out further: the arm takes it up as the others bend it, and
         holding it back would strain the wire against them.
@@ -464,7 +464,7 @@ class Supervisor:
         self._output = np.maximum(reached, np.minimum(self._output, rules.limits[:, 0]))
 
     def _measured(self, reading: Reading, unknown: Array) -> Array:
-        """Where the motors are now, as a command; `unknown` where that is not observable."""
+        """Return the measured state as a command; `unknown` where it is not observable."""
         measured = reading.tensions if self.rules.mode == 'tension' else reading.pulls
         known = np.where(np.isfinite(measured), measured, unknown)
         if self.rules.mode == 'tension':

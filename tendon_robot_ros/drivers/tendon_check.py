@@ -44,10 +44,10 @@ class TendonReference:
     pulls: Array  # (m,) [m]
     tensions: Array  # (m,) [N] as the motors or load cells measure them, nan where nothing does
     date: str
-    boot: str = ''  # of this computer: another one means that the power was off
+    boot: str = ''  # id of this start of the computer: it changes when the power was off
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return what is written."""
+        """Return the content of the file."""
         return {
             'inputs': list(self.inputs),
             'tension': self.tension,
@@ -60,14 +60,14 @@ class TendonReference:
 
 @dataclass(frozen=True)
 class TendonChange:
-    """What one tendon has done since the reference."""
+    """Change of one tendon since the reference."""
 
     name: str
     pull: float  # [m] more wire wound up at the same tension: the tendon has become longer
     tension: float  # [N] that is measured more at the same command
 
     def text(self, reference: float) -> str:
-        """Return what has changed, '' where nothing has; `reference` [N] is the tension."""
+        """Return the change as text, '' without one; `reference` [N] is the tension."""
         words = []
         if abs(self.pull) > CREEP_M:
             longer = 'longer' if self.pull > 0.0 else 'shorter'
@@ -82,14 +82,14 @@ def measure_reference(
     driver: Driver, tension: float, clock: Callable[[], float] = time.monotonic
 ) -> TendonReference:
     """
-    Bring all tendons slowly to a tension [N], wait until they stand, and read; then let go.
+    Bring all tendons slowly to a tension [N], wait until they rest, read, then release them.
 
     Raises
     ------
     DriverError
         A fault, or the arm does not come to rest.
     KeyboardInterrupt
-        A signal requested the end: the tendons have been let go.
+        A signal requested the end: the tendons have been released.
 
     """
     highest = float(driver.limits[:, 1].min())
@@ -103,8 +103,8 @@ def measure_reference(
     with ends_between() as check:
         driver.enable()
         try:
-            here = np.clip(np.nan_to_num(driver.read().tensions), lowest, highest)
-            arm = _HeldTendons(driver, clock, check, here)
+            present = np.clip(np.nan_to_num(driver.read().tensions), lowest, highest)
+            arm = _HeldTendons(driver, clock, check, present)
             try:
                 arm.ramp(goal, RAMP_S)
                 pulls, tensions = arm.still()
@@ -121,7 +121,7 @@ def measure_reference(
 
 def changes(reference: TendonReference, now: TendonReference) -> list[TendonChange]:
     """
-    Return what every tendon has done.
+    Return the change of every tendon.
 
     The pulls of all tendons together change with the arm's temperature and the posture: where
     there are three or more, their median is subtracted.
@@ -172,7 +172,7 @@ def save_reference(path: Path, reference: TendonReference) -> None:
 
 
 def due(path: Path) -> str:
-    """Say why the tendons are to be checked, '' where nothing asks for it."""
+    """Return why the tendons need a check, '' where they need none."""
     if not path.exists():
         return f'{path}: no reference yet: make one with calibrate --check'
     reference = read_reference(path)
@@ -185,7 +185,7 @@ def due(path: Path) -> str:
 
 
 def boot_id() -> str:
-    """Return what names this start of the computer, '' where nothing does."""
+    """Return the id of this start of the computer, '' where there is none."""
     try:
         return BOOT.read_text(encoding='utf-8').strip()
     except OSError:
@@ -219,7 +219,7 @@ class _HeldTendons:
         self._cycle(end)
 
     def still(self) -> tuple[Array, Array]:
-        """Hold until the pulls stand for a while; return their means and those of the tensions."""
+        """Hold until the pulls are constant for a while; return mean pulls and tensions."""
         began, rows = self.clock(), []
         while self.clock() - began < STILL_TIMEOUT_S:
             pulls, tensions = self._cycle(self.command)
@@ -227,11 +227,11 @@ class _HeldTendons:
             recent = [row for row in rows if row[0] > rows[-1][0] - STILL_S]
             if rows[-1][0] - began < 2.0 * STILL_S or len(recent) < 2:  # the computer was busy
                 continue
-            seen = np.array([row[1] for row in recent])
-            half = len(seen) // 2
-            moved = np.abs(seen[half:].mean(axis=0) - seen[:half].mean(axis=0)).max()
+            window = np.array([row[1] for row in recent])
+            half = len(window) // 2
+            moved = np.abs(window[half:].mean(axis=0) - window[:half].mean(axis=0)).max()
             if moved < STILL_TOLERANCE_M:
-                return seen.mean(axis=0), np.array([row[2] for row in recent]).mean(axis=0)
+                return window.mean(axis=0), np.array([row[2] for row in recent]).mean(axis=0)
         raise DriverError(
             f'the tendons do not come to rest at {self.command[0]:g} N within '
             f'{STILL_TIMEOUT_S:g} s; is something holding the arm?'

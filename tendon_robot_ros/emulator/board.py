@@ -102,13 +102,13 @@ def library(channels: int) -> Iterator[Path]:
         yield cache / name
 
 
-def compile_firmware(source: Path, made: Path, channels: int) -> None:
+def compile_firmware(source: Path, output: Path, channels: int) -> None:
     """Compile the sources of a folder into a library; DriverError where that fails."""
     cc = compiler()
     if cc is None:
         raise DriverError('no C compiler for the emulated board; type: sudo apt install gcc')
     command = [cc, '-std=c99', '-O2', '-fPIC', '-shared', f'-DCHANNELS={channels}']
-    command += [str(source / part) for part in SOURCES] + ['-o', str(made)]
+    command += [str(source / part) for part in SOURCES] + ['-o', str(output)]
     run = subprocess.run(command, capture_output=True, text=True)
     if run.returncode:
         raise DriverError(f'{source}: {cc}: {(run.stderr.splitlines() or ["failed"])[0]}')
@@ -132,8 +132,8 @@ class Firmware:
         """Switch a board with so many channels on."""
         self.channels = channels
         # a copy of its own: the board's memory is that of the library
-        with library(channels) as made, tempfile.NamedTemporaryFile(suffix='.so') as own:
-            shutil.copyfile(made, own.name)
+        with library(channels) as compiled, tempfile.NamedTemporaryFile(suffix='.so') as own:
+            shutil.copyfile(compiled, own.name)
             self._library = ctypes.CDLL(own.name)
         self._library.host_step.argtypes = (
             ctypes.c_void_p,
@@ -153,7 +153,7 @@ class Firmware:
         self.duties, self.enabled = [0.0] * self.channels, 0
 
     def receive(self, data: bytes) -> None:
-        """Give it bytes."""
+        """Pass received bytes to the firmware."""
         self._library.host_receive(data, len(data))
 
     def step(self, now: int) -> None:
@@ -167,12 +167,12 @@ class Firmware:
         self.duties, self.enabled = list(self._duties), self._enabled.value
 
     def take(self) -> bytes:
-        """Return what it wants to send."""
+        """Return the bytes that the firmware sends."""
         size = self._library.host_take(self._outbox)
         return self._outbox.raw[:size]
 
     def decode(self, data: bytes) -> bytes | None:
-        """Decode what stood between two delimiters as the board does: header and payload."""
+        """Decode the bytes between two delimiters as the board does: header and payload."""
         buffer = ctypes.create_string_buffer(256)
         size = self._library.host_decode(data, len(data), buffer) if len(data) < 256 else -1
         return buffer.raw[: 4 + size] if size >= 0 else None
@@ -254,7 +254,7 @@ class BoardRig:
             self.turn(passed / steps)
 
     def sense(self) -> None:
-        """Give the firmware what encoders, load cells and bridges say."""
+        """Pass the readings of encoders, load cells and bridges to the firmware."""
         fresh = self._time >= self._next_sample
         if fresh:
             self._next_sample = self._time + 1.0 / self.sample_rate
@@ -318,7 +318,7 @@ class EmulatedBoard(Plug):
     help = HELP
 
     def __init__(self, rig: BoardRig, port: str | None = None) -> None:
-        """Plug it in; `start` begins to let time pass."""
+        """Plug it in; `start` starts its clock."""
         self.rig = rig
         self.deaf = False
         super().__init__('board', port, idle=2.0 * STEP_S)
@@ -359,7 +359,7 @@ class EmulatedBoard(Plug):
         self.rig.cells[channel].hung = force
 
     def state(self) -> dict[str, object]:
-        """Return what motors and wires do, as plain values."""
+        """Return the state of motors and wires as plain values."""
         rig = self.rig
         return {
             'port': self.port,
@@ -373,17 +373,17 @@ class EmulatedBoard(Plug):
         }
 
     def advance(self, passed: float) -> None:
-        """Let time [s] pass; send what the board says."""
+        """Advance by a time [s]; send the bytes of the board."""
         self.rig.advance(passed)
         answer = self.rig.firmware.take()
         if not self.deaf:
             self._send(self.faults.apply(answer))
 
     def receive(self, data: bytes) -> None:
-        """Give the board bytes."""
+        """Pass received bytes to the board."""
         if not self.deaf:
             self.rig.firmware.receive(data)
 
     def connected(self) -> None:
-        """End what was half received."""
+        """Terminate an incomplete frame."""
         self.rig.firmware.receive(b'\0')

@@ -217,7 +217,7 @@ class Responder:
             and baud in (None, BAUD_RATES.get(servo.get('baud_rate')))
         }
         for servo in servos.values():
-            servo.heard()
+            servo.feed_watchdog()
         code, parameters = instruction.code, instruction.parameters
         if code == InstructionCode.SYNC_WRITE:
             address, length = _address_and_length(parameters)
@@ -234,8 +234,8 @@ class Responder:
             address, data = int.from_bytes(parameters[:2], 'little'), parameters[2:]
             self._shadowed(servos, instruction.identity, address, data)
         everyone = instruction.identity == BROADCAST
-        wanted = sorted(servos) if everyone else [instruction.identity]
-        answers = [self.answer(servos[i], code, parameters) for i in wanted if i in servos]
+        addressed = sorted(servos) if everyone else [instruction.identity]
+        answers = [self.answer(servos[i], code, parameters) for i in addressed if i in servos]
         return b'' if everyone and code != InstructionCode.PING else b''.join(answers)
 
     def answer(self, servo: Servo, code: int, parameters: bytes) -> bytes:
@@ -288,9 +288,9 @@ def _address_and_length(parameters: bytes) -> tuple[int, int]:
 def sync_read(servos: dict[int, Servo], parameters: bytes, fast: bool) -> bytes:
     """Answer in the order of the ids; in a fast read nobody answers behind a silent servo."""
     address, length = _address_and_length(parameters)
-    wanted = list(parameters[4:])
+    identities = list(parameters[4:])
     parts = []
-    for identity in wanted:
+    for identity in identities:
         if identity in servos:
             parts.append((identity, *servos[identity].read(address, length)))
         elif fast:
@@ -300,7 +300,7 @@ def sync_read(servos: dict[int, Servo], parameters: bytes, fast: bool) -> bytes:
     old = [i for i, _, _ in parts if servos[i].firmware < servos[i].model.fast_read_firmware]
     if old or not parts:
         return b''
-    whole = fast_status(parts + [(i, 0, bytes(length)) for i in wanted[len(parts) :]])
+    whole = fast_status(parts + [(i, 0, bytes(length)) for i in identities[len(parts) :]])
     return whole[: 8 + sum(len(data) + 4 for _, _, data in parts)]
 
 
@@ -336,7 +336,7 @@ class EmulatedBus(Plug):
         """Plug it in, at a path of its own if none is given; `start` begins to answer."""
         self.rig = rig
         self.responder = Responder(rig)
-        self._heard = time.monotonic()
+        self._received_at = time.monotonic()
         self._receiver = InstructionReceiver()
         super().__init__('dynamixel', port)
 
@@ -416,7 +416,7 @@ class EmulatedBus(Plug):
         return json.dumps([[t, *(np.round(v, 6).tolist() for v in rest)] for t, *rest in recent])
 
     def state(self) -> dict[str, object]:
-        """Return what servos and wires do, as plain values."""
+        """Return the state of servos and wires as plain values."""
         registers = (
             'torque_enable',
             'operating_mode',
@@ -451,14 +451,14 @@ class EmulatedBus(Plug):
     def receive(self, data: bytes) -> None:
         """Carry out the instructions that the bytes complete."""
         now = time.monotonic()
-        if now - self._heard > PACKET_GAP_S:
+        if now - self._received_at > PACKET_GAP_S:
             self.connected()
-        self._heard = now
+        self._received_at = now
         for instruction in self._receiver.feed(data):
             self._send(self.faults.apply(self.responder.carry_out(instruction, self.baud_rate())))
 
     def connected(self) -> None:
-        """Forget what came in part."""
+        """Discard an incomplete packet."""
         self._receiver = InstructionReceiver()
 
     def baud_rate(self) -> int | None:

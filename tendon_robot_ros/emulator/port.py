@@ -22,12 +22,12 @@ from ..common.errors import InputError
 @dataclass
 class Faults:
     """
-    What is wrong with the answers at the moment.
+    Present faults of the answers.
 
     Parameters
     ----------
     spoilt, cut, doubled : int
-        How many of the next answers get a wrong CRC, lose their second half, come twice.
+        Number of next answers that get a wrong CRC, lose their second half, arrive twice.
     delay : float
         Before every answer [s].
     slept : float
@@ -41,7 +41,7 @@ class Faults:
     slept: float = 0.0
 
     def apply(self, answer: bytes) -> bytes:
-        """Return what arrives of an answer."""
+        """Return the bytes of an answer that arrive."""
         if not answer:
             return answer
         if self.delay:
@@ -71,15 +71,15 @@ class Plug(abc.ABC):
     """
     An emulated serial port with a thread of its own: a pseudo-terminal that can be unplugged.
 
-    A subclass says what happens as time passes and when bytes come, both with the lock held, and
-    which commands it obeys.
+    A subclass defines the steps in time and the reaction to bytes, both called with the lock held,
+    and its commands.
 
     Attributes
     ----------
     port : str
         The path to open.
     faults : Faults
-        What is wrong with its answers.
+        Faults of its answers.
     help : str
         Its commands, for a person.
 
@@ -115,23 +115,23 @@ class Plug(abc.ABC):
 
     @property
     def lived(self) -> float:
-        """Its own time [s]: it stands still while nobody lets this process run."""
+        """Its own time [s], which does not pass while this process is not scheduled."""
         return self._lived + self.faults.slept
 
     @abc.abstractmethod
     def advance(self, passed: float) -> None:
-        """Advance what is emulated by so many seconds."""
+        """Advance the emulation by a time [s]."""
 
     @abc.abstractmethod
     def receive(self, data: bytes) -> None:
-        """Take what a client has sent."""
+        """Receive the bytes of a client."""
 
     @abc.abstractmethod
     def connected(self) -> None:
-        """Forget what was half received: the port is there again."""
+        """Discard incomplete input after the port was plugged in again."""
 
     def commands(self) -> dict[str, Command]:
-        """Return the commands by their first word: faults for a person, or a test, to switch."""
+        """Return the commands by their first word: faults that a person or a test switches."""
         faults = self.faults
         return {
             'spoil': lambda values: setattr(faults, 'spoilt', int(values[0])),
@@ -145,12 +145,12 @@ class Plug(abc.ABC):
 
     def obey(self, text: str) -> str:
         """
-        Carry out one command; return what to answer.
+        Carry out one command; return the answer.
 
         Raises
         ------
         InputError
-            It is none of the known ones, or its values are wrong.
+            The command is unknown, or its values are wrong.
 
         """
         word, *values = text.split()

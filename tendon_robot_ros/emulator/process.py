@@ -49,14 +49,14 @@ class EmulatorProcess:
         go_realtime(Realtime.EMULATOR, process=self.process.pid)
 
     def say(self, text: str) -> str:
-        """Give one of its commands; return the answer. Several threads may ask."""
+        """Send one of its commands; return the answer. Thread-safe."""
         with self._conversation:
             self._to.write(text + '\n')
             self._to.flush()
             return self._from.readline().strip()
 
     def ask(self, text: str) -> Any:
-        """Give a command that answers in JSON; return the answer."""
+        """Send a command that answers in JSON; return the decoded answer."""
         return json.loads(self.say(text))
 
     def content(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Arms that emulated motors pull on; servos, spools and wires, for which time passes at once."""
+"""Arms that emulated motors pull on; servos, spools and wires, advanced together in time."""
 
 from __future__ import annotations
 
@@ -143,15 +143,15 @@ class ElasticArm:
         period : float
             Shortest time between two calls of `pulls` [s].
         shown : mapping, optional
-            More to tell of the arm, such as its tip; `pulls` keeps it up to date.
+            Further values to report, such as the tip; `pulls` updates them.
         stretch : float
             How far the largest tension stretches a wire [m].
 
         """
         self.shown = {} if shown is None else shown
         self.pulls, self.highest, self.slack, self.period = pulls, highest, slack, period
-        self._here = np.zeros(inputs)  # (m,) [N] tensions about which the arm is linear ...
-        self._pulls = pulls(self._here)  # (m,) [m] ... and its pulls there
+        self._point = np.zeros(inputs)  # (m,) [N] tensions about which the arm is linear ...
+        self._pulls = pulls(self._point)  # (m,) [m] ... and its pulls there
         self._stretch = stretch / highest  # [m/N]
         self._taut = np.zeros(inputs, dtype=bool)
         self._since = 0.0
@@ -160,13 +160,13 @@ class ElasticArm:
         self._linearise()
 
     def tensions(self, wound: Array, passed: float) -> Array:
-        """Return the present tensions [N]; once a period the arm itself is asked."""
+        """Return the present tensions [N]; once a period `pulls` of the arm is called."""
         self._since += passed
         self._coming *= math.exp(-passed / FOLLOWING_S)
         tensions = np.minimum(self._held(wound), self.highest)
         if self._since >= self.period:
             self._since = 0.0
-            if np.abs(tensions - self._here).max() >= UNCHANGED_N:
+            if np.abs(tensions - self._point).max() >= UNCHANGED_N:
                 self._evaluate(tensions, wound)
                 tensions = np.minimum(self._held(wound), self.highest)
         return tensions
@@ -180,27 +180,27 @@ class ElasticArm:
     def _evaluate(self, tensions: Array, wound: Array) -> None:
         """Make the arm linear about tensions (m,) [N], with so much wire (m,) [m] wound."""
         with contextlib.suppress(TendonRobotError):
-            self._here, self._pulls = tensions, self.pulls(tensions)
+            self._point, self._pulls = tensions, self.pulls(tensions)
             if np.abs(tensions - self._probed).max() > LINEAR_N:
                 self._probe()
             self._linearise()
-            self._coming = self.slack + self._pulls + self._stretch * self._here - wound
+            self._coming = self.slack + self._pulls + self._stretch * self._point - wound
             slack = tensions <= 0.0
             self._coming[slack] = np.minimum(0.0, self._coming[slack])
 
     def _probe(self) -> None:
         """Measure the compliance (m, m) [m/N] of arm and wires here, by differences."""
         step = 0.1 * LINEAR_N  # [N]
-        probes = self._here + step * np.eye(len(self._here))
+        probes = self._point + step * np.eye(len(self._point))
         rows = (np.array([self.pulls(probe) for probe in probes]) - self._pulls) / step
-        self.pulls(self._here)
+        self.pulls(self._point)
         self._compliance = rows.T + (self._stretch + softer(rows.T)) * np.eye(len(rows))
-        self._probed = self._here
+        self._probed = self._point
 
     def _linearise(self) -> None:
-        """Note wound = offset + compliance @ tensions."""
-        self._offset = self.slack + self._pulls + self._stretch * self._here
-        self._offset -= self._compliance @ self._here
+        """Set the offset of wound = offset + compliance @ tensions."""
+        self._offset = self.slack + self._pulls + self._stretch * self._point
+        self._offset -= self._compliance @ self._point
         self._pivot()
 
     def _held(self, wound: Array) -> Array:
@@ -234,9 +234,9 @@ class ElasticArm:
 
 def softer(compliance: Array) -> float:
     """
-    Return what the diagonal of a compliance lacks [m/N] to hold any wire by one set of tensions.
+    Return the addition to the diagonal of a compliance [m/N] for which tensions are unique.
 
-    That is so where no principal minor is negative (a P-matrix, with the stretch of the wires).
+    They are where no principal minor is negative (a P-matrix, with the stretch of the wires).
 
     Parameters
     ----------
@@ -272,7 +272,7 @@ class Rig:
     ----------
     tensions : ndarray, shape (m,) [N]
     trace : deque of (time, currents, tensions, wound)
-        What was lately: `time.monotonic` [s], of the motors [A], of the wires [N] and [m].
+        Recent history: `time.monotonic` [s], of the motors [A], of the wires [N] and [m].
     highest, held, least, most : ndarray, shape (m,)
         Since the start: highest tension [N], and highest of what current and dry friction of the
         motor held of it [N], without the drag of a motor that the wire turns; least and most wire
@@ -340,11 +340,11 @@ class Rig:
         """
         Let all motors turn for a step [s], until each balances what the wires pull at its end.
 
-        One after the other: each starts from where the step began, against wires as the others
-        leave them, again and again, until they pull what it turned against. Once would let a motor
-        that gives way be passed by those that turn after it: its wire would pull more than any
-        motor holds. Where wires share a load an iteration takes away little of the imbalance, so
-        the first begins where all would be if they went on at their speeds.
+        A Gauss-Seidel iteration: each motor turns from the start of the step against the wires as
+        the others leave them, until the pulls are those that it turned against. After a single
+        iteration the wire of a motor that gives way could pull more than any motor holds. Where
+        wires share a load an iteration reduces the imbalance only a little, so the first one
+        starts from the angles that all motors would have at their present speeds.
         """
         begin = self._angles().tolist()
         self.tensions = self.arm.tensions(self.wound, step)
@@ -362,13 +362,13 @@ class Rig:
                 pulls = {i: max(0.0, self.arm.resistance(i)[0]) for i in wires}
                 if all(abs(pull - expected[i]) < BALANCED_N for i, pull in pulls.items()):
                     continue
-                here, balanced = servo.motion.angle, False
-                load = Load([self._wire_at(i, lever[i], here - start) for i in wires])
+                angle, balanced = servo.motion.angle, False
+                load = Load([self._wire_at(i, lever[i], angle - start) for i in wires])
                 servo.motion.angle = start
                 servo.step(step, load)
                 expected |= zip(wires, load.pulls(servo.motion.angle - start), strict=True)
-                if servo.motion.angle != here:
-                    wound = wound + lever * (servo.motion.angle - here)
+                if servo.motion.angle != angle:
+                    wound = wound + lever * (servo.motion.angle - angle)
                     self.tensions = self.arm.tensions(wound, 0.0)
             if balanced:
                 return

@@ -1,14 +1,14 @@
 """
 One emulated servo: its control table, its protection, its motor and gear with dry friction.
 
-What happens on a watchdog trip is what the e-manual's "Bus Watchdog(98)" says and no more: the
-servo stops, 98 reads -1, goal values are read-only (Data Range Error) until 0 is written to 98.
+After a watchdog trip it behaves as in the e-manual's "Bus Watchdog(98)" and no more: the servo
+stops, 98 reads -1, goal values are read-only (Data Range Error) until 0 is written to 98.
 The manual does not say whether a stopped servo holds; here it is powerless in current mode and
 holds its position in the position modes.
 
-The dry friction is what a geared servo shows: below it nothing moves, winding needs more current
-than the wire's pull alone, paying out less. The addresses, units and enumerations are those of the
-driver's `control_table`: both are the manual's. What a servo does with them is written here from
+The dry friction is that of a geared servo: below it nothing moves, winding needs more current than
+the wire's tension alone, paying out less. The addresses, units and enumerations are those of the
+driver's `control_table`: both are the manual's. The behaviour of the servo is written here from
 the manual alone.
 
 References
@@ -104,15 +104,15 @@ class Load:
     wires: list[tuple[float, float, float]]
 
     def torque(self, turned: float = 0.0) -> float:
-        """Return the torque [N·m] after another so many radians."""
+        """Return the torque [N·m] after a rotation by `turned` [rad]."""
         return sum(r * pull for (r, *_), pull in zip(self.wires, self.pulls(turned), strict=True))
 
     def pulls(self, turned: float) -> list[float]:
-        """Return the tensions [N] after another so many radians."""
+        """Return the tensions [N] after a rotation by `turned` [rad]."""
         return [max(0.0, pull + k * r * turned) for r, pull, k in self.wires]
 
     def stiffness(self, turned: float) -> float:
-        """Return how the torque changes there [N·m/rad]."""
+        """Return the derivative of the torque by the angle [N·m/rad]."""
         return sum(r * r * k for r, pull, k in self.wires if pull + k * r * turned > 0.0)
 
 
@@ -349,7 +349,7 @@ class Servo:
         return 0
 
     def _accept(self, name: str, value: int) -> None:
-        """Put a value into its register, and do what follows from it."""
+        """Write a register, with the side effects of the firmware."""
         on_by_goal = name in GOALS and self.get('drive_mode') & DriveMode.TORQUE_ON_BY_GOAL
         if (on_by_goal or (name == 'torque_enable' and value)) and not self.torque:
             self.put('goal_position', self.get('present_position'))
@@ -390,8 +390,8 @@ class Servo:
         sign = -1 if self.get('drive_mode') & DriveMode.REVERSE else 1
         return sign * ticks + self.get('homing_offset')
 
-    def heard(self) -> None:
-        """Note that an instruction packet went over the bus: it feeds the watchdog."""
+    def feed_watchdog(self) -> None:
+        """Reset the watchdog's timer, as every instruction packet on the bus does."""
         self.silence = 0.0
 
     def fail(self, bits: int) -> None:
@@ -442,7 +442,7 @@ class Servo:
         self.motion.drive_position(goal, limit, load, step, top, gain)
 
     def refresh(self) -> None:
-        """Put what the sensors say into the table."""
+        """Write the readings of the sensors into the table."""
         motion = self.motion
         self.put('present_position', self._to_position(motion.ticks))
         self.put('present_current', round(motion.current / self.model.current_unit))

@@ -328,16 +328,16 @@ class KernelArrays:
             parameter = known[key]
             numbers = value if isinstance(value, tuple) else (value,)
             if isinstance(value, tuple) and len(value) != len(self.columns(parameter)):
-                wanted = 'one number'
+                expected = 'one number'
                 if parameter.per:
                     count = len(self.columns(parameter))
-                    wanted = f'{count} numbers (one per {parameter.per})'
-                raise RobotDescriptionError(robot.source, where, wanted, list(value))
+                    expected = f'{count} numbers (one per {parameter.per})'
+                raise RobotDescriptionError(robot.source, where, expected, list(value))
             low, high = parameter.described_bounds
             for number in numbers:
                 if not low <= number <= high:
-                    wanted = f'a number from {low:g} to {high:g} [{parameter.unit}]'
-                    raise RobotDescriptionError(robot.source, where, wanted, number)
+                    expected = f'a number from {low:g} to {high:g} [{parameter.unit}]'
+                    raise RobotDescriptionError(robot.source, where, expected, number)
             row = self.values[self.layout.rows[name, key]]
             row[: len(numbers)] = numbers
             row[len(numbers) :] = numbers[0]
@@ -364,7 +364,7 @@ class KernelArrays:
         return frozenset(effect.stage for effect in self.catalogue if on[index[effect.name]])
 
     def _called(self) -> dict[str, str]:
-        """Return what the effects that act call, as `LINKED`."""
+        """Return the functions that the active effects call, as `LINKED`."""
         acting, called = self._acting(), dict(LINKED)
         if acting & {'load', 'tip_load'}:
             called |= OF_LOADS

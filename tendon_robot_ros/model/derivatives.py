@@ -18,7 +18,7 @@ from .shape import Shape, ShapeBatch
 if TYPE_CHECKING:
     from .forward import ForwardModel
 
-Seen = Callable[[ShapeBatch], Floats]
+Output = Callable[[ShapeBatch], Floats]
 Column = str | tuple[str, str] | tuple[str, str, int | None]
 EPSILON = float(np.finfo(float).eps)
 # [1] of a parameter or of its typical size: a central difference errs by the square of its step
@@ -59,7 +59,7 @@ def tip_slopes(model: ForwardModel, shape: Shape, past: Floats) -> Floats:
 
 
 def tip_and_state_slopes(model: ForwardModel, shape: Shape, past: Floats) -> tuple[Floats, Floats]:
-    """Return `tip_slopes` (6, m), and how the state follows the tensions (m, u) [rad/N]."""
+    """Return `tip_slopes` (6, m) and the derivatives (m, u) [rad/N] of the state by tensions."""
     m = len(shape.inputs)
     slopes, state_slopes = np.empty((6, m)), np.empty((m, _unknowns(model)))
     states, part = np.array([shape.state, shape.state]), model.arrays.part('derivatives')
@@ -70,7 +70,7 @@ def tip_and_state_slopes(model: ForwardModel, shape: Shape, past: Floats) -> tup
 
 def take_sides(model: ForwardModel, shape: Shape, past: Floats, step: Floats) -> int:
     """
-    Put friction at rest on the side to which the arm goes; return how many eyelets change sides.
+    Set the direction of friction at rest to that of a motion; return how many eyelets change.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def take_sides(model: ForwardModel, shape: Shape, past: Floats, step: Floats) ->
         Friction memory of the posture before, changed in place: the slopes of an eyelet that has
         not slid since are then those of the side to which it will. See the kernel's `derivatives`.
     step : (u,) [rad]
-        How the state goes on, by `tip_and_state_slopes`.
+        Motion of the state, by `tip_and_state_slopes`.
 
     """
     states, part = np.array([shape.state, shape.state]), model.arrays.part('derivatives')
@@ -88,7 +88,7 @@ def take_sides(model: ForwardModel, shape: Shape, past: Floats, step: Floats) ->
 
 
 def _unknowns(model: ForwardModel) -> int:
-    """Return how many of the entries of a state count as the model is now."""
+    """Return how many entries of a state are unknowns of the present model."""
     return (3 if model.arrays.twists else 2) * int(model.arrays.chain.n)
 
 
@@ -96,11 +96,11 @@ def derivatives(
     model: ForwardModel,
     shapes: ShapeBatch,
     columns: Sequence[Column],
-    seen: Seen | None = None,
+    output: Output | None = None,
     memory: Floats | None = None,
 ) -> Floats:
     """
-    Return the derivatives (b, ..., q) of what is seen of equilibria, one column per quantity.
+    Return the derivatives (b, ..., q) of an output of equilibria, one column per quantity.
 
     By the implicit function theorem: one linear equation for all columns, no further equilibrium
     (see the kernel's `derivatives`). An effect that is off counts as on at its neutral value.
@@ -113,9 +113,9 @@ def derivatives(
     columns : sequence
         Names of inputs [N], or effect and parameter, or those and the index of a section; without
         one the parameter of all sections moves together.
-    seen : callable, optional
-        What is differentiated: shapes to an array (b, ...). Default: the positions as the tracker
-        sees them, (b, n, 3) [m].
+    output : callable, optional
+        The function to differentiate: shapes to an array (b, ...). Default: the positions in the
+        tracker's frame, (b, n, 3) [m].
     memory : optional
         Friction memory of these shapes (`Shape.memory`): small changes start there, with the mean
         of both directions in which tendons may slide.
@@ -126,17 +126,17 @@ def derivatives(
         An effect or an input is not known.
 
     """
-    seen = seen or (lambda batch: model.measured(batch.positions))
+    output = output or (lambda batch: model.measured(batch.positions))
     moves = [_Move.of(model, shapes, column) for column in columns]
     if memory is not None or not model.remembers:
-        rates, _ = follow(model, shapes.inputs, shapes.state, moves, seen, memory)
+        rates, _ = follow(model, shapes.inputs, shapes.state, moves, output, memory)
         return np.moveaxis(rates, 0, -1)
     slopes = []
     for move in moves:
         sides = []
         for side in (move.up, move.down):
-            with move.made(model, side):
-                sides.append(seen(model.shapes(move.inputs(shapes.inputs, side), shapes.state)))
+            with move.applied(model, side):
+                sides.append(output(model.shapes(move.inputs(shapes.inputs, side), shapes.state)))
         slopes.append(_per_unit(sides, move))
     return np.stack(slopes, axis=-1)
 
@@ -150,8 +150,8 @@ class Move(Protocol):
     def inputs(self, inputs: Floats, side: Floats) -> Floats:
         """Return the input tensions (b, m) [N] of one side."""
 
-    def made(self, model: ForwardModel, side: Floats) -> AbstractContextManager[None]:
-        """Let the model be as on that side while a block runs."""
+    def applied(self, model: ForwardModel, side: Floats) -> AbstractContextManager[None]:
+        """Apply the change of that side to the model while a block runs."""
 
 
 def follow(
@@ -159,19 +159,19 @@ def follow(
     inputs: Floats,
     states: Floats,
     moves: Sequence[Move],
-    seen: Seen,
+    output: Output,
     memory: Floats | None = None,
 ) -> tuple[Floats, Floats]:
     """
-    Return how equilibria follow quantities: what is seen (q, b, ...), and states (q, b, 3n).
+    Return derivatives of equilibria by quantities: outputs (q, b, ...) and states (q, b, 3n).
 
     Parameters
     ----------
     inputs, states : (b, m) [N], (b, 3n) [rad]
         Equilibria of the model as it is now, each loaded from straight.
     moves : (q,)
-    seen : callable
-        Shapes to an array (b, ...).
+    output : callable
+        The function to differentiate: shapes to an array (b, ...).
     memory : optional
         Friction memory of these shapes; without it nothing may remember. See `derivatives`.
 
@@ -186,7 +186,7 @@ def follow(
     for q, move in enumerate(moves):
         sides = []
         for side in (move.up, move.down):
-            with move.made(model, side):
+            with move.applied(model, side):
                 sides.append(residuals(model, move.inputs(inputs, side), states, past))
                 on |= arrays.on & arrays.twisting
         rates[:, q] = _per_unit(sides, move)
@@ -199,9 +199,9 @@ def follow(
     for state_slope, move in zip(state_slopes, moves, strict=True):
         sides = []
         for side in (move.up, move.down):
-            with move.made(model, side):
+            with move.applied(model, side):
                 state = states + side[:, None] * state_slope
-                sides.append(seen(shown(model, move.inputs(inputs, side), state, past)))
+                sides.append(output(shown(model, move.inputs(inputs, side), state, past)))
         slopes.append(_per_unit(sides, move))
     return np.array(slopes), state_slopes
 
@@ -227,14 +227,12 @@ class _Move:
             j, step = model.inputs.index(column), longer * TENSION_STEP
             return cls(column, step * ones, -np.minimum(step, shapes.inputs[:, j]), j)
         effect, name = column[:2]
-        parameters = {p.name: p for p in model.catalogue[effect].parameters}
-        if name not in parameters:
-            raise InputError(
-                f'{effect}: unknown parameter {name!r}; known: {", ".join(parameters)}'
-            )
-        here = model.arrays.get(effect, name, _section(column))
-        step = longer * DIFFERENCE_STEP * max(abs(here), parameters[name].typical)
-        up, down = min(step, parameters[name].high - here), max(-step, parameters[name].low - here)
+        known = {p.name: p for p in model.catalogue[effect].parameters}
+        if name not in known:
+            raise InputError(f'{effect}: unknown parameter {name!r}; known: {", ".join(known)}')
+        value, parameter = model.arrays.get(effect, name, _section(column)), known[name]
+        step = longer * DIFFERENCE_STEP * max(abs(value), parameter.typical)
+        up, down = min(step, parameter.high - value), max(-step, parameter.low - value)
         return cls(column, up * ones, down * ones, -1)
 
     def inputs(self, inputs: Floats, side: Floats) -> Floats:
@@ -245,7 +243,7 @@ class _Move:
         return moved
 
     @contextmanager
-    def made(self, model: ForwardModel, side: Floats) -> Iterator[None]:
+    def applied(self, model: ForwardModel, side: Floats) -> Iterator[None]:
         """Move the parameter, if it is one, while the block runs."""
         arrays = model.arrays
         values, on = arrays.values.copy(), arrays.on.copy()
@@ -266,7 +264,7 @@ def _section(column: Column) -> int | None:
 
 
 def residuals(model: ForwardModel, inputs: Floats, states: Floats, past: Floats) -> Floats:
-    """Return states (b, 3n) minus those that their own moments ask for [rad]; 0 for no twist."""
+    """Return states (b, 3n) minus those that balance their own moments [rad]; 0 for no twist."""
     model.arrays.link()
     inputs, states = np.ascontiguousarray(inputs), np.ascontiguousarray(states)
     part, out = model.arrays.part('derivatives'), np.empty_like(states)
@@ -277,7 +275,7 @@ def residuals(model: ForwardModel, inputs: Floats, states: Floats, past: Floats)
 def responses(
     model: ForwardModel, inputs: Floats, states: Floats, past: Floats, rates: Floats
 ) -> Floats:
-    """Return how equilibria (b, 3n) balance rates (b, q, 3n) of their residuals, (b, q, 3n)."""
+    """Return the derivatives (b, q, 3n) of equilibria by those (b, q, 3n) of their residuals."""
     model.arrays.link()
     inputs, states = np.ascontiguousarray(inputs), np.ascontiguousarray(states)
     part, count = model.arrays.part('derivatives'), _unknowns(model)
@@ -291,7 +289,7 @@ def responses(
 def shown(
     model: ForwardModel, inputs: Floats, states: Floats, memory: Floats | None = None
 ) -> ShapeBatch:
-    """Return what inputs (b, m) [N] and states (b, 3n) [rad] show, without solving."""
+    """Return the shapes of inputs (b, m) [N] and states (b, 3n) [rad], without solving."""
     b, form = len(inputs), model.form
     block = np.zeros(b * form.size)
     fields = form.views(block, b)
@@ -361,7 +359,7 @@ def tip_stiffness(model: ForwardModel, shape: Shape, wires_held: bool = False) -
     compliance = slopes[:3, :3]
     if wires_held and taut:
         rows = [3 + model.inputs.index(name) for name in taut]
-        # what differences do not tell is not held: wires of the same length say the same
+        # below the accuracy of differences nothing is held: wires of equal length are redundant
         held = np.linalg.pinv(slopes[rows, 3:], rcond=DIFFERENCE_STEP)
         compliance = compliance - slopes[:3, 3:] @ held @ slopes[rows, :3]
     return TipStiffness(compliance)

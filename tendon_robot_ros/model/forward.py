@@ -1,4 +1,4 @@
-"""The model forwards: from tensions to shapes, one, many, or one after the other."""
+"""Forward model: from tensions to shapes, one, many, or one after the other."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class ForwardModel:
         self._own = threading.local()
 
     def __repr__(self) -> str:
-        """Say of which robot, and which effects act."""
+        """Name the robot and the effects that act."""
         acting = [effect.name for effect in self.catalogue if self.acts(effect.name)]
         return f'<Model of {self.robot.name}: {", ".join(acting) or "no effect (PCCA)"}>'
 
@@ -97,7 +97,7 @@ class ForwardModel:
 
     @cached_property
     def members(self) -> dict[str, tuple[int, ...]]:
-        """Where the effects of every stage stand among the switches."""
+        """Indices of the effects of every stage in `arrays.on`."""
         index = self.arrays.layout.index
         return {
             stage: tuple(index[e.name] for e in self.catalogue if e.stage == stage)
@@ -111,7 +111,7 @@ class ForwardModel:
 
     @property
     def sticks(self) -> bool:
-        """Whether tendons stick where the travel beyond an eyelet says so, without memory."""
+        """Whether tendons stick by the travel beyond an eyelet, without friction memory."""
         slides = self.acts_at('eyelet') and self.acts_at('friction_travel')
         return slides and not self.acts_at('memory')
 
@@ -169,7 +169,7 @@ class ForwardModel:
         """
         Return the shape under input tensions that follow those of the last shape.
 
-        The search begins at the last one, and friction remembers it where it remembers at all.
+        The search starts from the last one, which is also that of the friction memory.
 
         Parameters
         ----------
@@ -228,8 +228,8 @@ class ForwardModel:
         """
         Return the shapes under inputs (b, m) [N] and the last changes (b,) [rad].
 
-        A change above `TOLERANCE` marks a posture without equilibrium. `memory` moves on when
-        carried; batches of many postures that carry nothing use both cores.
+        A change above `TOLERANCE` marks a posture without equilibrium. With `carry` each posture
+        follows the one before and updates `memory`; other large batches use two threads.
         """
         b, form = len(inputs), self.form
         block = np.empty(b * form.size)
@@ -257,7 +257,7 @@ class ForwardModel:
 
     @cached_property
     def form(self) -> ResultLayout:
-        """Where the results of a posture lie."""
+        """Layout of the results of a posture."""
         chain, cells = self.arrays.chain, self.arrays.cells
         lengths = np.ascontiguousarray(cells[:, 0])
         memory = len(self.arrays.fresh_memory())
@@ -306,7 +306,7 @@ class ForwardModel:
 
 def workspace_library(model: ForwardModel) -> ShapeBatch:
     """
-    Return shapes under random tensions within the limits; seeded, so always the same.
+    Return shapes under random tensions within the limits; the seed is fixed.
 
     Tensions concentrate where a section bends by less than three quarters of a turn, and half of
     the postures leave one of two opposing tendons at its lower limit.

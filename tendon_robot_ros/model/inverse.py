@@ -90,21 +90,21 @@ def reach(
     Parameters
     ----------
     task : TipTask
-        What is wanted of the tip, where the arm is, and what is kept out. A target that leads into
-        a region is `nearest`, with the region named.
+        The target of the tip, the present shape and the keep-out regions. A target that leads into
+        a region gives the status `nearest`, with the region named.
     policy : Policy
-        How far the search looks around, and what tension costs.
+        How many starts the search tries, and what tension costs.
     give_up : callable
-        Asked between starts, a `Patience` also between the steps of a search; once it says True
-        the best found so far is returned.
+        Called between starts, a `Patience` also between the steps of a search; once it returns
+        True, `reach` returns the best solution so far.
     report : callable, optional
-        Is given the best found so far when it is much nearer than what was reported before, or
-        than the guess: where to go while the search goes on.
+        Called with the best solution so far when it is much nearer than the one reported before,
+        or than the guess: the arm can move there while the search continues.
 
     Raises
     ------
     NoEquilibriumError
-        The model has none from any start.
+        No start of the search leads to an equilibrium.
 
     """
     patience = give_up if isinstance(give_up, Patience) else Patience()
@@ -118,19 +118,20 @@ def reach(
             best = search.priced_best(best, late)
     elif search.relaxes and not late:
         best = search.relaxed(best)
-    made = judged(task, best.inputs, best.state, in_time=not give_up())
-    away = task.keep_out.clearance(made.shape.positions).distance
-    if task.preferences is None and away >= 0.0:
-        return made
-    here = None if task.guess is None else task.guess.inputs
-    # beyond reach, what is nearest is held: the freedom is not spent on what no tension reaches
-    held = task if made.status == 'reached' else task.held_at(made.shape)
-    wants = task.preferences or Preferences()
-    return _balanced(task, Balance(held, wants, task.keep_out, search.limits, here), made, give_up)
+    solution = judged(task, best.inputs, best.state, in_time=not give_up())
+    clearance = task.keep_out.clearance(solution.shape.positions).distance
+    if task.preferences is None and clearance >= 0.0:
+        return solution
+    present = None if task.guess is None else task.guess.inputs
+    # beyond reach the nearest tip is the target: no tension reaches the requested one
+    held = task if solution.status == 'reached' else task.held_at(solution.shape)
+    preferences = task.preferences or Preferences()
+    balance = Balance(held, preferences, task.keep_out, search.limits, present)
+    return _balanced(task, balance, solution, give_up)
 
 
 class _Search:
-    """One search: what it asks for, and when it is at its end."""
+    """One search: its task, its policy and its tolerances."""
 
     def __init__(
         self,
@@ -146,7 +147,7 @@ class _Search:
             0.5 * (part * self.model.robot.length) ** 2 for part in (CONVERGED_LENGTH, KINK_LENGTH)
         )  # [m²]
         counts = policy.change_weight > 0.0 and self.model.sticks
-        self.previous = task.guess if counts else None  # the change from there counts
+        self.previous = task.guess if counts else None  # changes from its tensions cost
 
     @property
     def relaxes(self) -> bool:
@@ -156,37 +157,38 @@ class _Search:
         return free and (self.policy.relax or task.guess is None)
 
     def first_converged(self) -> TriedTensions:
-        """Return what the first start finds that converges, else the best of all."""
+        """Return the solution of the first start that converges, else the best of all."""
         task, sticks, remembers = self.task, self.model.sticks, self.model.remembers
         best: TriedTensions | None = None
-        least = cost_at_guess = np.inf
+        lowest_worth = cost_at_guess = np.inf
         if self.report is not None and task.guess is not None:
             worth = task.worth(task.cost(task.guess), task.guess.inputs)
             cost_at_guess = SET_OUT_WORTH_MAX * worth
         last_reported = cost_at_guess
         for count, start in enumerate(starts_of(task, self.policy, self.report is not None)):
-            made = self._from(start)
-            worth = self._worth(made)
-            converged = self._converged(made) and not (
-                self.previous is not None and self._jumps(self.previous.inputs, made.inputs)
+            trial = self._from(start)
+            worth = self._worth(trial)
+            converged = self._converged(trial) and not (
+                self.previous is not None and self._jumps(self.previous.inputs, trial.inputs)
             )
             jumps = (
                 best is not None
                 and task.guess is not None
-                and self._jumps(best.inputs, made.inputs)
+                and self._jumps(best.inputs, trial.inputs)
             )
-            if best is None or worth < least * (JUMP_COST_MAX if jumps and not converged else 1.0):
-                best, least = made, worth
-            # what is beyond reach is no reason to set out for the limits
+            fraction = JUMP_COST_MAX if jumps and not converged else 1.0
+            if best is None or worth < fraction * lowest_worth:
+                best, lowest_worth = trial, worth
+            # `worth`, since a target beyond reach is no reason to move to the limits of tension
             nearer = task.worth(best.cost, best.inputs) < last_reported
             if self.report is not None and nearer and (sticks or not converged):
                 early = best if converged or not self._is_tense(best) else self._priced(best, best)
                 self.report(judged(task, early.inputs.copy(), early.state, in_time=False))
                 last_reported = REPORT_WORTH_MAX * task.worth(early.cost, early.inputs)
             good_enough = (sticks and count >= KINK_STARTS and best.cost < self.kink_cost) or (
-                remembers and count == 0 and made.cost < TOLERANCE_COST_M2
+                remembers and count == 0 and trial.cost < TOLERANCE_COST_M2
             )
-            # what comes after the first search takes no time: where the arm may set out
+            # the start after the first search is a first move of the arm, and takes no time
             must_find_first_move = (
                 sticks
                 and count <= 1
@@ -203,23 +205,23 @@ class _Search:
 
     def priced_best(self, best: TriedTensions, late: bool) -> TriedTensions:
         """
-        Return a posture for a target beyond reach whose error is worth its tension.
+        Return tensions for a target beyond reach whose error is worth their cost.
 
-        Searched for from the best that was found, from where the arm is and, unless targets follow
-        each other, from the straight arm at its lowest tensions.
+        The searches start from the best solution, from the present shape and, unless targets
+        follow each other, from the straight arm at its lowest tensions.
         """
-        guess, model, found = self.task.guess, self.model, best
+        guess, model, initial = self.task.guess, self.model, best
         best = self._priced(best, best)
         if guess is not None:
             inputs = within(guess.inputs, *model.limits.T)
-            best = self._priced(best, replace(found, inputs=inputs, state=guess.state))
+            best = self._priced(best, replace(initial, inputs=inputs, state=guess.state))
         if not (self.policy.frugal or late):
             straight = np.zeros(3 * model.robot.cells)
-            best = self._priced(best, replace(found, inputs=model.limits[:, 0], state=straight))
+            best = self._priced(best, replace(initial, inputs=model.limits[:, 0], state=straight))
         return best
 
     def relaxed(self, best: TriedTensions) -> TriedTensions:
-        """Go from a solution to low tension, where the target is still met there."""
+        """Return a solution of lower tension if it still converges, else the given one."""
         task, inputs, state, cost = self.task, best.inputs.copy(), best.state, best.cost
         if self.model.sticks:
             cost, state = seek(task, 0.1 * SEEKING_WIDTH, inputs, state, self.model.limits)
@@ -228,11 +230,11 @@ class _Search:
                 cost, state = aim(
                     task, GAIN_MIN, inputs, state, self.model.limits, task.tension(weight)
                 )
-        made = TriedTensions(cost, inputs, state)
-        return made if cost < best.cost and self._converged(made) else best
+        result = TriedTensions(cost, inputs, state)
+        return result if cost < best.cost and self._converged(result) else best
 
     def good_enough(self, one: TriedTensions) -> bool:
-        """Tell whether a search need not go on: converged, or as near as a kink lets it."""
+        """Tell whether a search may end: converged, or as near as a kink of friction allows."""
         return self._converged(one) or (self.model.sticks and one.cost < self.kink_cost)
 
     def _from(self, start: Start) -> TriedTensions:
@@ -244,12 +246,12 @@ class _Search:
         return TriedTensions(cost, inputs, bends)
 
     def _converged(self, one: TriedTensions) -> bool:
-        """Tell whether a cost meets the target but for what says how much tension there is."""
+        """Tell whether the cost without its part for low tension is within the tolerance."""
         low_tension = self.task.above_lowest(LOW_TENSION_WEIGHT, one.inputs)
         return one.cost - low_tension < self.converged_cost
 
     def _worth(self, one: TriedTensions) -> float:
-        """Return a cost [m²] with what tensions, and the change from where the arm is, count."""
+        """Return the cost [m²] of the tip with those of tension and of the change of tension."""
         task, cost = self.task, self.task.worth(one.cost, one.inputs)
         if self.model.remembers:
             cost += task.above_lowest(REMEMBERING_WEIGHT, one.inputs)
@@ -265,18 +267,18 @@ class _Search:
         return bool(np.any(np.abs(inputs - before) > JUMP_MAX * (high - low)))
 
     def _is_tense(self, one: TriedTensions) -> bool:
-        """Tell whether tensions are on the whole far above those where the arm is."""
+        """Tell whether the sum of the tensions is far above that of the present ones."""
         low, high = self.model.limits.T
-        here = low if self.task.guess is None else self.task.guess.inputs
-        return bool((one.inputs - here).sum() > JUMP_MAX * (high - low).sum())
+        present = low if self.task.guess is None else self.task.guess.inputs
+        return bool((one.inputs - present).sum() > JUMP_MAX * (high - low).sum())
 
     def _priced(self, best: TriedTensions, start: TriedTensions) -> TriedTensions:
         """
-        Return what a search from a start finds whose error is worth its tension, or the best.
+        Return the solution of a search with a price of tension, or `best` where that is better.
 
-        Of a frugal policy tension counts besides. The change does not: else the arm would stay
-        behind a target that goes on, and jump. A target that is nearly met is within reach: there
-        only what is nearer is taken.
+        A frugal policy adds the cost of tension. The change of tension costs nothing here: else
+        the arm would lag behind a moving target, and jump. A target that is nearly reached is
+        within reach: there only a nearer tip counts as better.
         """
         task, weight = self.task, self.policy.tension_weight
 
@@ -291,33 +293,33 @@ class _Search:
             search = partial(aim_frugally, task, tension, TRIALS_MAX)
         inputs = start.inputs.copy()
         cost, state = search(inputs, start.state, self.limits)
-        if task.by_pulls:  # of the wires that pull there
+        if task.by_pulls:  # only the taut wires keep tension
             cost, state = aim_by_pulls(task, search, inputs, state)
-        made = TriedTensions(cost, inputs, state)
-        return made if worth(made) < worth(best) else best
+        result = TriedTensions(cost, inputs, state)
+        return result if worth(result) < worth(best) else best
 
 
-def _balanced(task: TipTask, balance: Balance, made: Reach, give_up: Callable[[], bool]) -> Reach:
-    """Use the freedom that is left as it is preferred, and keep the arm out of regions."""
+def _balanced(task: TipTask, balance: Balance, first: Reach, give_up: Callable[[], bool]) -> Reach:
+    """Use the null space of the tip as preferred, and keep the arm out of regions."""
     regions = balance.keep_out
-    away = regions.clearance(made.shape.positions)
-    if task.by_pulls and away.distance >= 0.0:
-        return made  # wires of given lengths leave no freedom
-    solution, near = made, away
-    for start in _starts_outside(balance, made.shape):
+    before = regions.clearance(first.shape.positions)
+    if task.by_pulls and before.distance >= 0.0:
+        return first  # wires of given lengths leave no freedom
+    solution, clearance = first, before
+    for start in _starts_outside(balance, first.shape):
         shape = balanced(balance, start, BALANCE_STEPS_MAX, give_up)
         if task.by_pulls:
             shape = pull_shape(task.model, shape.pulls, shape, task.past)
         solution = judged(task, shape.inputs, shape.state, in_time=not give_up())
         if not regions:
             return solution
-        near = regions.clearance(solution.shape.positions)
-        if near.distance > -CLEARANCE_BINDS_M or give_up():
+        clearance = regions.clearance(solution.shape.positions)
+        if clearance.distance > -CLEARANCE_BINDS_M or give_up():
             break
-    if near.distance > -CLEARANCE_BINDS_M and solution.status == 'reached':
+    if clearance.distance > -CLEARANCE_BINDS_M and solution.status == 'reached':
         return solution
-    kept = near.distance < CLEARANCE_BINDS_M or away.distance < 0.0
-    name = near.region if near.distance < CLEARANCE_BINDS_M else away.region
+    kept = clearance.distance < CLEARANCE_BINDS_M or before.distance < 0.0
+    name = clearance.region if clearance.distance < CLEARANCE_BINDS_M else before.region
     return replace(solution, status='nearest', region=name) if kept else solution
 
 
@@ -336,7 +338,7 @@ def _starts_outside(balance: Balance, shape: Shape) -> Iterator[Shape]:
 
 
 def judged(task: TipTask, inputs: Floats, state: Floats, in_time: bool = True) -> Reach:
-    """Return how near tensions (m,) [N] bring the tip, and whether their limits are to blame."""
+    """Return the tip errors of tensions (m,) [N], and whether tension limits cause them."""
     model, shape = task.model, task.shape(inputs, state)
     errors = task.errors(shape)
     top = model.limits[:, 1].tolist()

@@ -11,7 +11,7 @@ from ..common.arrays import Floats
 from ..common.errors import refusal, whole
 from ..robot.inputs import TensionsLike
 from ..robot.keep_out import KeepOut
-from .derivatives import Column, Seen, TipStiffness, derivatives, tip_jacobian, tip_stiffness
+from .derivatives import Column, Output, TipStiffness, derivatives, tip_jacobian, tip_stiffness
 from .forward import ForwardModel
 from .inverse import reach
 from .pulls import pull_shape
@@ -34,10 +34,10 @@ class Model(ForwardModel):
         self,
         shapes: ShapeBatch,
         columns: Sequence[Column],
-        seen: Seen | None = None,
+        output: Output | None = None,
     ) -> Floats:
         """Return derivatives by tensions and parameters; see `derivatives.derivatives`."""
-        return derivatives(self, shapes, columns, seen)
+        return derivatives(self, shapes, columns, output)
 
     def reach(
         self,
@@ -72,7 +72,7 @@ class Model(ForwardModel):
             Regions that no part of the arm may enter; a target that leads there is `nearest`, with
             the region named.
         starts : int
-            How many starts all over the workspace the search may take.
+            Number of starts all over the workspace that the search may try.
 
         Raises
         ------
@@ -93,7 +93,7 @@ class Model(ForwardModel):
         return reach(task, Policy(starts=whole('starts', starts)))
 
     def tip_stiffness(self, shape: Shape, wires_held: bool = False) -> TipStiffness:
-        """Return how the tip gives way to a force on it; see `derivatives.tip_stiffness`."""
+        """Return the compliance of the tip under a force; see `derivatives.tip_stiffness`."""
         return tip_stiffness(self, shape, wires_held)
 
     def pull_shape(

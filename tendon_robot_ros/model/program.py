@@ -29,15 +29,15 @@ def solved(
     lower, upper : (m + r,) and (m,)
 
     """
-    import daqp  # not before: what solves no program does without
+    import daqp  # on first use: processes that solve no program do not load it
 
     m, high = len(slope), upper
     if rows is None:
         rows = np.empty((0, m))
     else:
         high = np.concatenate([upper, np.full(len(rows), 1e30)])
-    made, _, flag, _ = daqp.solve(matrix, slope, np.ascontiguousarray(rows), high, lower)
-    return within(made, lower[:m], upper) if flag >= 1 else np.zeros(m)
+    solution, _, flag, _ = daqp.solve(matrix, slope, np.ascontiguousarray(rows), high, lower)
+    return within(solution, lower[:m], upper) if flag >= 1 else np.zeros(m)
 
 
 def within(values: Floats, lower: Floats | float, upper: Floats | float) -> Floats:
@@ -47,37 +47,37 @@ def within(values: Floats, lower: Floats | float, upper: Floats | float) -> Floa
 
 def bounded_least_squares(
     matrix: Floats,
-    wanted: Floats,
+    target: Floats,
     lower: Floats,
     upper: Floats,
     damping: float = 1e-6,
     preferred: Floats | float = 0.0,
 ) -> Floats:
     """
-    Return u (m,) with matrix u = wanted, as near as bounds let it.
+    Return u (m,) with matrix u = target, as near as bounds allow.
 
-    min |A u - w|² + (damping |A|)² |u - preferred|² over lower <= u <= upper, where 0 is allowed.
+    min |A u - t|² + (damping |A|)² |u - preferred|² over lower <= u <= upper, where 0 is allowed.
 
     Parameters
     ----------
     matrix : (r, m)
-    wanted : (r,)
+    target : (r,)
     lower, upper : (m,)
     damping : float
         Part of the largest singular value below which a direction is hardly followed [1].
     preferred : (m,) or float
-        What u is where the matrix says nothing of it.
+        Value of u along directions that the matrix does not determine.
 
     """
     damped = (damping * float(np.linalg.norm(matrix, 2))) ** 2 + 1e-12
     first = np.broadcast_to(preferred, lower.shape)
     normal = matrix.T @ matrix + damped * np.eye(len(lower))
-    return solved(normal, -matrix.T @ wanted - damped * first, None, lower, upper)
+    return solved(normal, -matrix.T @ target - damped * first, None, lower, upper)
 
 
 def bounded_step(
     slopes: Floats,
-    wanted: Floats,
+    target: Floats,
     tensions: Floats,
     limits: Floats,
     damping: float = STEP_DAMPING,
@@ -85,15 +85,16 @@ def bounded_step(
     signs: Floats | None = None,
 ) -> Floats:
     """
-    Return the tensions (m,) [N] within limits that move the tip as wanted by the least change.
+    Return tensions (m,) [N] within limits that move the tip by `target` with minimum change.
 
     Parameters
     ----------
     slopes : (3, m)
         Motion of the tip [m] over the ranges of the tensions.
-    wanted : (3,) [m]
+    target : (3,) [m]
+        Requested motion of the tip.
     tensions : (m,) [N]
-        Where the step begins.
+        Before the step.
     limits : (m, 2) [N]
     damping : float
         See `bounded_least_squares`.
@@ -108,5 +109,5 @@ def bounded_step(
     down, up = np.maximum(-u, -STEP_MAX), np.minimum(1.0 - u, STEP_MAX)
     if signs is not None:
         down, up = np.where(signs > 0.0, 0.0, down), np.where(signs > 0.0, up, 0.0)
-    made = bounded_least_squares(slopes, wanted, down, up, damping, preferred)
-    return low + within(u + made, 0.0, 1.0) * width
+    step = bounded_least_squares(slopes, target, down, up, damping, preferred)
+    return low + within(u + step, 0.0, 1.0) * width

@@ -29,7 +29,8 @@ SPRING_COMPLIANCES = (1e-1, 1e-2, 1e-3, 1e-4)
 # [1] of the limits, of a last search; measured: it solves 4 of 40 postures of spatial_3 with
 # friction memory that no other search does
 PRETENSION = 0.25
-HELD_WITHIN_N = 1e-3  # [N] difference of tensions that counts as held: so that a gap of 5 µm does
+# [N] difference of tensions that counts as held: so that a gap of 5 µm does
+HELD_TOLERANCE_N = 1e-3
 SLACK_BELOW_N = 1e-6  # [N] a wire below holds no length, because its tension is rounding
 SEARCH_STEPS_MAX = 20  # [1] of Newton, where tensions may start far: more would not converge
 NEAR_SEARCH_STEPS_MAX = 6  # [1] the same from a guess, because the error is squared at each
@@ -44,7 +45,7 @@ def pull_shape(
     """
     Return the shape that tensions >= 0 give these wire pulls.
 
-    A wire without a pull is slack; so is one whose pull is less than the geometry asks for.
+    A wire without a pull is slack; so is one whose pull is less than that of the shape.
 
     Parameters
     ----------
@@ -120,26 +121,26 @@ def _tensions(
     """
     Find tensions (m,) [N] and state (3n,) [rad] that meet wire pulls (m,) [m].
 
-    First for wires that stretch, from soft to stiff: lengths alone often leave it open how hard
-    two wires pull against each other, springs do not.
+    Wires that stretch come first, from soft to stiff: lengths alone often do not determine how
+    hard two wires pull against each other, springs do.
     """
     gap, best = np.inf, (np.zeros_like(target), np.zeros(3 * model.arrays.chain.n))
-    for begin in beginnings(model, target, start):
-        inputs, bends = np.array(begin.tensions), np.array([begin.bend, begin.bend])
+    for search in searches(model, target, start):
+        inputs, bends = np.array(search.tensions), np.array([search.bend, search.bend])
         problem = (model.arrays.address, inputs, target, bends, past, model.scratch)
         stretched = True
-        for ratio in begin.springs:
+        for ratio in search.springs:
             stretch = ratio * compliance
-            error = model.arrays.part('pulls').solve_elastic_wires(*problem, stretch, begin.steps)
+            error = model.arrays.part('pulls').solve_elastic_wires(*problem, stretch, search.steps)
             stretched = error < STRETCH_ERROR_N * stretch
             if not stretched:
                 break  # stiffer springs would do no better
-        if not stretched and begin.held:
+        if not stretched and search.held:
             continue
         error = float(model.arrays.part('pulls').solve_stiff_wires(*problem, SEARCH_STEPS_MAX))
         if error < gap:
             gap, best = error, (inputs, bends[0])
-        if gap < begin.enough:
+        if gap < search.enough:
             return best
     if not np.isfinite(gap):
         raise NoEquilibriumError('these wire pulls', model.implicit_effects, gap)
@@ -157,22 +158,22 @@ def _tensions(
 
 
 @dataclass(frozen=True)
-class _Beginning:
-    """Where a search begins, through which springs it goes, and when it need not go on."""
+class _PullSearch:
+    """Start of a search, the springs it goes through and the gap at which it ends."""
 
     tensions: Floats
     bend: Floats
     springs: tuple[float, ...] = SPRING_COMPLIANCES
     steps: int = SEARCH_STEPS_MAX
     enough: float = GAP_CLOSED_M  # [m]
-    held: bool = True  # goes on only where every spring held
+    held: bool = True  # stiff wires are tried only where every spring converged
 
 
-def beginnings(
+def searches(
     model: ForwardModel, target: Floats, start: tuple[Floats, Floats] | None
-) -> Iterator[_Beginning]:
+) -> Iterator[_PullSearch]:
     """
-    Yield what is tried: from near, from straight, and for wires that do not stretch.
+    Yield the searches: from the guess, from straight, and for wires that do not stretch.
 
     Springs that stretch by less than the travel over which friction changes sign (some µm) may
     have no solution; wires that do not stretch have one there all the same, if not always the same
@@ -180,15 +181,15 @@ def beginnings(
     wires that do not stretch 35, from more tension 15, both at last 14 and 4; 6 have no solution.
     """
     if start is not None:
-        yield _Beginning(*start, SPRING_COMPLIANCES[-1:], NEAR_SEARCH_STEPS_MAX, GAP_ACCEPTED_M)
+        yield _PullSearch(*start, SPRING_COMPLIANCES[-1:], NEAR_SEARCH_STEPS_MAX, GAP_ACCEPTED_M)
     straight = np.zeros(3 * model.arrays.chain.n)
     pulled, taut = (np.where(on, 0.1, 0.0) for on in (target > 0.0, ~np.isnan(target)))
-    yield _Beginning(pulled, straight)
-    yield _Beginning(pulled, straight, ())
-    yield _Beginning(3.0 * taut, straight, ())
-    at_last = partial(_Beginning, bend=straight, enough=GAP_ACCEPTED_M, held=False)
-    yield at_last(pulled)
-    yield at_last(PRETENSION * model.limits[:, 1] * (taut > 0.0), springs=())
+    yield _PullSearch(pulled, straight)
+    yield _PullSearch(pulled, straight, ())
+    yield _PullSearch(3.0 * taut, straight, ())
+    last_resort = partial(_PullSearch, bend=straight, enough=GAP_ACCEPTED_M, held=False)
+    yield last_resort(pulled)
+    yield last_resort(PRETENSION * model.limits[:, 1] * (taut > 0.0), springs=())
 
 
 def _compliance(model: ForwardModel) -> float:
@@ -206,9 +207,9 @@ def aim_by_pulls(task: TipTask, aim: Aim, inputs: Floats, bend: Floats) -> tuple
     """
     Improve inputs (m,) [N] in place among those that wire lengths can hold.
 
-    Wires of given lengths keep up no tension against each other: the arm takes that one of the
-    states with these lengths in which the loose wires are slack. So the wires that the lengths do
-    not hold are set slack, one after the other, and the others aim again.
+    Wires of given lengths keep no tension against each other: of the states with these lengths,
+    the arm takes the one in which the loose wires are slack. So the wires that the lengths do not
+    hold are set slack, one after the other, and the search is repeated with the others.
 
     Parameters
     ----------
@@ -232,13 +233,13 @@ def aim_by_pulls(task: TipTask, aim: Aim, inputs: Floats, bend: Floats) -> tuple
         if not np.isfinite(cost):
             break
         try:
-            there = task.shape(inputs, bends)
-            held = pull_shape(model, there.pulls, there, task.past)
+            shape = task.shape(inputs, bends)
+            held = pull_shape(model, shape.pulls, shape, task.past)
         except (NoEquilibriumError, InputError):
             break
-        if np.allclose(held.inputs, inputs, rtol=0.0, atol=HELD_WITHIN_N):
+        if np.allclose(held.inputs, inputs, rtol=0.0, atol=HELD_TOLERANCE_N):
             return cost, bends
-        lost = taut & (held.inputs < inputs - HELD_WITHIN_N)
+        lost = taut & (held.inputs < inputs - HELD_TOLERANCE_N)
         if not lost.any():
             break
         taut[np.argmin(np.where(lost, held.inputs, np.inf))] = False

@@ -1,7 +1,7 @@
 """
-What the freedom of antagonistic tendons is used for: a sequence of quadratic programs.
+Null-space motion of antagonistic tendons: a sequence of quadratic programs.
 
-Each program linearises the tip about an equilibrium and weighs what is preferred, over the change
+Each program linearises the tip about an equilibrium and weighs the preferences, over the change
 u of the tensions in fractions of their range R = high - low:
 
     min  W/2 |f + J R u|² + sum of weight x preference (quadratic, or its slope)
@@ -45,7 +45,7 @@ NEAR_LENGTH = 0.25  # [1] of the length, so that only regions near the arm take 
 POINTS_MAX = 8  # [1] of the arm held away from a region at once, because neighbours move alike
 TRUST = 0.15  # [1] of a tension's range, the longest step, because slopes change beyond
 TRUST_MIN = 1e-4  # [1] of a range: shorter steps would change less than a motor's resolution
-STEP_DONE = 3e-5  # [1] of a range, a step that is none: it would change no command
+STEP_MIN = 3e-5  # [1] of a range, a step that is none: it would change no command
 # [1] of a range, more on all tendons: further starts for a stiff tip, because friction may hold
 # the arm so that every small change makes it softer
 CO_CONTRACTIONS = (0.1, 0.3)
@@ -56,16 +56,16 @@ CORRECTIONS_MAX = 3  # [1] of the tip after a step, because its error is squared
 CORRECTED_LENGTH = 1e-5  # [1] of the length, an error that stays, because the next step makes more
 SIDES_ITERATIONS_MAX = 3  # [1] of a step and its sides, because it then runs along a kink
 SIDES_FRACTION = 0.1  # [1] of eyelets that may change sides unseen: slopes would hardly change
-LEARNS_WITHIN = 5e-3  # [1] of a range: a longer step would tell of slopes elsewhere
+LEARNING_STEP_MAX = 5e-3  # [1] of a range: a longer step would tell of slopes elsewhere
 
 
 @dataclass
 class Linearised:
-    """An equilibrium, and what is known there."""
+    """An equilibrium with its tip error and, once computed, its derivatives."""
 
     shape: Shape
     error: Floats  # (6,) weighted [m]
-    past: Floats  # friction memory from which tensions go on, with the side of eyelets at rest
+    past: Floats  # friction memory from which tensions change, with the side of eyelets at rest
     slopes: Floats | None = None  # (6, m) of the weighted error by fractions of the range [m]
     state_slopes: Floats | None = None  # (m, u) of the state by tensions [rad/N]
     preferred: tuple[Floats, Floats] | None = None  # see `Balance._preferred`
@@ -73,13 +73,13 @@ class Linearised:
 
 @dataclass
 class Balance:
-    """The programs of one task: what is preferred, and where the arm may not be."""
+    """The quadratic programs of one task: preferences and keep-out regions."""
 
     task: TipTask
     preferences: Preferences
     keep_out: KeepOut = field(default_factory=KeepOut)
     limits: Floats | None = None  # (m, 2) [N], default: the model's
-    here: Floats | None = None  # (m,) [N] where the arm is, for smooth commands
+    present: Floats | None = None  # (m,) [N] tensions of the arm now, for smooth commands
     low: Floats = field(init=False)
     range: Floats = field(init=False)
     weights: Floats = field(init=False)  # (6,) [1], [m] of the tip's error
@@ -98,7 +98,7 @@ class Balance:
 
     def error(self, shape: Shape) -> Floats:
         """Return the weighted error of the tip (6,) [m]."""
-        return self.weights * self.task.off(shape)
+        return self.weights * self.task.tip_error(shape)
 
     def slopes(self, at: Linearised) -> Floats:
         """Return the slopes of the weighted error (6, m) by fractions of the range [m]."""
@@ -112,34 +112,35 @@ class Balance:
         return self.weights[:, None] * slopes * self.range, state_slopes
 
     def cost(self, shape: Shape, error: Floats, stiffness: bool = True) -> float:
-        """Return what a posture costs [1]."""
-        wants, u = self.preferences, (shape.inputs - self.low) / self.range
+        """Return the cost [1] of a posture: error, preferences and penetration of regions."""
+        preferences, u = self.preferences, (shape.inputs - self.low) / self.range
         cost = 0.5 * self.tip_weight * float(error @ error)
-        cost += 0.5 * wants.low_tension * float(u @ u)
-        near, far = np.maximum(wants.margin - u, 0.0), np.maximum(u - 1.0 + wants.margin, 0.0)
+        cost += 0.5 * preferences.low_tension * float(u @ u)
+        margin = preferences.margin
+        near, far = np.maximum(margin - u, 0.0), np.maximum(u - 1.0 + margin, 0.0)
         cost += (
             0.5
-            * (wants.slack * float(near @ near) + wants.limit * float(far @ far))
-            / (wants.margin**2)
+            * (preferences.slack * float(near @ near) + preferences.limit * float(far @ far))
+            / (margin**2)
         )
-        if self.here is not None:
-            moved = (shape.inputs - self.here) / self.range
-            cost += 0.5 * wants.smooth * float(moved @ moved)
+        if self.present is not None:
+            moved = (shape.inputs - self.present) / self.range
+            cost += 0.5 * preferences.smooth * float(moved @ moved)
         if self.keep_out:
             inside = np.minimum(self.keep_out.distances(shape.positions), 0.0)
             cost += 0.5 * KEEP_OUT_RATIO * self.tip_weight * float((inside * inside).sum())
-        if stiffness and wants.stiffness > 0.0:
-            cost -= wants.stiffness * self.log_stiffness(shape)
+        if stiffness and preferences.stiffness > 0.0:
+            cost -= preferences.stiffness * self.log_stiffness(shape)
         return cost
 
     def log_stiffness(self, shape: Shape) -> float:
-        """Return the logarithm of the preferred stiffness of the tip [N/m], at most of enough."""
-        wants = self.preferences
-        made = tip_stiffness(self.task.model, shape, wants.wires_held)
-        towards = np.array(wants.stiffness_direction)
-        stiff = made.along(towards) if towards.any() else made.softest[0]
-        enough = wants.stiffness_enough or np.inf
-        return float(np.log(min(max(stiff, 1e-12), enough)))
+        """Return ln of the tip's stiffness [N/m] as preferred, at most of `stiffness_enough`."""
+        preferences = self.preferences
+        compliance = tip_stiffness(self.task.model, shape, preferences.wires_held)
+        towards = np.array(preferences.stiffness_direction)
+        stiffness = compliance.along(towards) if towards.any() else compliance.softest[0]
+        enough = preferences.stiffness_enough or np.inf
+        return float(np.log(min(max(stiffness, 1e-12), enough)))
 
     def stiffness_slope(self, shape: Shape) -> Floats:
         """Return the slopes (m,) of that logarithm by fractions of the range, by differences."""
@@ -152,10 +153,10 @@ class Balance:
             moved = shape.inputs.copy()
             moved[j] += step
             try:
-                there = self.task.shape(moved, shape.state)
+                shifted = self.task.shape(moved, shape.state)
             except NoEquilibriumError:
                 continue
-            slope[j] = (self.log_stiffness(there) - base) / (step / width)
+            slope[j] = (self.log_stiffness(shifted) - base) / (step / width)
         return slope
 
     def quadratic(self, at: Linearised) -> tuple[Floats, Floats]:
@@ -170,20 +171,20 @@ class Balance:
 
     def _preferred(self, at: Linearised) -> tuple[Floats, Floats]:
         """Return diagonal (m,) and slope (m,) of the preferences, in fractions of the range."""
-        wants, u = self.preferences, (at.shape.inputs - self.low) / self.range
-        diagonal = np.full(len(u), DAMPING + wants.low_tension + wants.smooth)
-        slope = wants.low_tension * u
-        if self.here is not None:
-            slope = slope + wants.smooth * (at.shape.inputs - self.here) / self.range
+        preferences, u = self.preferences, (at.shape.inputs - self.low) / self.range
+        diagonal = np.full(len(u), DAMPING + preferences.low_tension + preferences.smooth)
+        slope = preferences.low_tension * u
+        if self.present is not None:
+            slope = slope + preferences.smooth * (at.shape.inputs - self.present) / self.range
         for weight, over in (
-            (wants.slack, np.minimum(u - wants.margin, 0.0)),
-            (wants.limit, np.maximum(u - 1.0 + wants.margin, 0.0)),
+            (preferences.slack, np.minimum(u - preferences.margin, 0.0)),
+            (preferences.limit, np.maximum(u - 1.0 + preferences.margin, 0.0)),
         ):
             if weight > 0.0:
-                slope = slope + weight / wants.margin**2 * over
-                diagonal = diagonal + weight / wants.margin**2 * (over != 0.0)
-        if wants.stiffness > 0.0:
-            slope = slope - wants.stiffness * self.stiffness_slope(at.shape)
+                slope = slope + weight / preferences.margin**2 * over
+                diagonal = diagonal + weight / preferences.margin**2 * (over != 0.0)
+        if preferences.stiffness > 0.0:
+            slope = slope - preferences.stiffness * self.stiffness_slope(at.shape)
         return diagonal, slope
 
     def step(self, at: Linearised, trust: float) -> Floats:
@@ -217,13 +218,13 @@ class Balance:
         if self.keep_out:
             rows, room = self._walls(at)
             inside = room > 0.0
-            if inside.any():  # getting out is a matter of cost: all at once may be too much
+            if inside.any():  # a cost, no constraint: one step may be too short to get out
                 out = rows[inside]
                 matrix = matrix + KEEP_OUT_RATIO * self.tip_weight * out.T @ out
                 slope = slope - KEEP_OUT_RATIO * self.tip_weight * out.T @ room[inside]
             rows, bounds = rows[~inside], np.concatenate([lower, room[~inside]])
-        made = solved(matrix, slope, rows, bounds, upper)
-        return within(u + made, 0.0, 1.0) * self.range + self.low
+        step = solved(matrix, slope, rows, bounds, upper)
+        return within(u + step, 0.0, 1.0) * self.range + self.low
 
     def improve(self, at: Linearised, trust: float) -> tuple[Linearised | None, float]:
         """Step to a lower cost, or None; also return the trust of the next step."""
@@ -231,29 +232,29 @@ class Balance:
         while trust > TRUST_MIN:
             tensions = self.step(at, trust)
             size = float(np.abs((tensions - at.shape.inputs) / self.range).max())
-            if size < STEP_DONE:
+            if size < STEP_MIN:
                 return None, trust
-            there = self.look(at, tensions)
-            if there is not None:
-                # with its tip brought back, and as it is where regions may forbid that
-                corrected = self.corrected(there)
-                ends = (corrected, there) if self.keep_out else (corrected,)
+            trial = self.solve_at(at, tensions)
+            if trial is not None:
+                # with the tip corrected, and also without where regions may forbid that
+                corrected = self.corrected(trial)
+                ends = (corrected, trial) if self.keep_out else (corrected,)
                 costs = [self.cost(end.shape, end.error) for end in ends]
                 if min(costs) < cost:
                     return ends[int(np.argmin(costs))], min(2.0 * trust, TRUST)
-                self._learned(at, there)
+                self._learn(at, trial)
             trust = 0.5 * min(trust, size)
         return None, trust
 
-    def _learned(self, at: Linearised, there: Linearised) -> bool:
-        """Correct slopes by a rejected step where friction remembers; tell whether it does."""
+    def _learn(self, at: Linearised, trial: Linearised) -> bool:
+        """Correct slopes by a rejected step where friction remembers; return whether it does."""
         if self.task.model.remembers:
-            step = (there.shape.inputs - at.shape.inputs) / self.range
-            at.slopes = broyden(self.slopes(at), step, there.error - at.error)
+            step = (trial.shape.inputs - at.shape.inputs) / self.range
+            at.slopes = broyden(self.slopes(at), step, trial.error - at.error)
         return self.task.model.remembers
 
     def corrected(self, at: Linearised) -> Linearised:
-        """Bring the tip back to its target by least changes of tension, as far as these do."""
+        """Reduce the error of the tip by minimum changes of tension, as far as possible."""
         near = CORRECTED_LENGTH * self.task.model.robot.length
         for _ in range(CORRECTIONS_MAX):
             if float(at.error @ at.error) < near**2:
@@ -263,14 +264,14 @@ class Balance:
             matrix = self.tip_weight * slopes.T @ slopes + DAMPING * np.eye(len(u))
             slope = self.tip_weight * slopes.T @ at.error
             back = solved(matrix, slope, None, -u, 1.0 - u)
-            made = self.look(at, within(u + back, 0.0, 1.0) * self.range + self.low)
-            if made is not None and made.error @ made.error < at.error @ at.error:
-                at = made
-            elif made is None or max(abs(back)) > LEARNS_WITHIN or not self._learned(at, made):
+            trial = self.solve_at(at, within(u + back, 0.0, 1.0) * self.range + self.low)
+            if trial is not None and trial.error @ trial.error < at.error @ at.error:
+                at = trial
+            elif trial is None or max(abs(back)) > LEARNING_STEP_MAX or not self._learn(at, trial):
                 break
         return at
 
-    def look(self, at: Linearised, tensions: Floats) -> Linearised | None:
+    def solve_at(self, at: Linearised, tensions: Floats) -> Linearised | None:
         """Solve for tensions from a posture; None where there is no equilibrium."""
         try:
             return self.begin(self.task.shape(tensions, at.shape.state))
@@ -278,15 +279,15 @@ class Balance:
             return None
 
     def _walls(self, at: Linearised) -> tuple[Floats, Floats]:
-        """Return rows (r, m) and room (r,) [m]: rows @ step >= room is out; room > 0: inside."""
+        """Return rows (r, m) and room (r,) [m]: rows @ step >= room is outside, room > 0 in."""
         model, shape, near = self.task.model, at.shape, NEAR_LENGTH * self.task.model.robot.length
         rows: list[Floats] = []
         room: list[float] = []
-        away = self.keep_out.distances(shape.positions)
-        if away.min() < near:
+        distances = self.keep_out.distances(shape.positions)
+        if distances.min() < near:
             past = at.past if model.remembers else None
             moves = derivatives(model, shape.batch, model.inputs, lambda b: b.positions, past)[0]
-            for region, far in zip(self.keep_out.regions, away, strict=True):
+            for region, far in zip(self.keep_out.regions, distances, strict=True):
                 nearest = np.argsort(far)[:POINTS_MAX]
                 for i in nearest[far[nearest] < near]:
                     point, distance = shape.positions[i], region.solid.distance
@@ -309,38 +310,39 @@ def balanced(
     """
     Return the posture of lowest cost after up to so many programs from an equilibrium.
 
-    For a stiff tip also from more tension on all tendons: friction may hold the arm so that every
-    small change makes it softer, and a larger one stiffer.
+    For a stiff tip the programs also start from more tension on all tendons: friction may hold
+    the arm so that every small change makes it softer, and only a larger one stiffer.
     """
     ends = []
-    for start in _beginnings(balance, balance.begin(shape)):
+    for start in _starts(balance, balance.begin(shape)):
         at, width = start, trust
         for _ in range(steps):
             if give_up():
                 break
-            made, width = balance.improve(at, width)
-            if made is None:
+            improved, width = balance.improve(at, width)
+            if improved is None:
                 break
-            at = made
+            at = improved
         ends.append((balance.cost(at.shape, at.error), at))
         if give_up():
             break
     return min(ends, key=lambda one: one[0])[1].shape
 
 
-def _beginnings(balance: Balance, at: Linearised) -> Iterator[Linearised]:
+def _starts(balance: Balance, at: Linearised) -> Iterator[Linearised]:
     yield at
     if balance.preferences.stiffness > 0.0:
-        for share in CO_CONTRACTIONS:
+        for fraction in CO_CONTRACTIONS:
             u = (at.shape.inputs - balance.low) / balance.range
-            tensions = balance.low + np.minimum(u * (1.0 + share) + share, 1.0) * balance.range
-            if (more := balance.look(at, tensions)) is not None:
+            u = np.minimum(u * (1.0 + fraction) + fraction, 1.0)
+            tensions = balance.low + u * balance.range
+            if (more := balance.solve_at(at, tensions)) is not None:
                 yield balance.corrected(more)
 
 
 def broyden(slopes: Floats, step: Floats, change: Floats) -> Floats:
     """
-    Return slopes (6, m) that agree with what a step (m,) changed (6,), and else change least.
+    Return slopes (6, m), minimally changed to predict the change (6,) of a step (m,).
 
     J + (y - J s) sᵀ / (sᵀ s): Broyden 1965, Math. Comp. 19, 577.
     """

@@ -71,7 +71,7 @@ class ResultLayout:
 
     @cached_property
     def one(self) -> dict[str, tuple[slice, tuple[int, ...]]]:
-        """Where each field of a single posture lies, and its shape."""
+        """Slice and shape of each field of a single posture."""
         return {
             name: (slice(start, start + math.prod(self.fields[name])), self.fields[name])
             for name, start in self.starts.items()
@@ -135,7 +135,7 @@ def frames_inside(
         angle[..., None] > TINY, bend / np.maximum(angle, TINY)[..., None], [1.0, 0.0]
     )
     hinge = shapes.hinge[cells]
-    turn = angle * np.where(hinge, fraction > 0.5, fraction)
+    rotation = angle * np.where(hinge, fraction > 0.5, fraction)
     twist = shapes.twist[:, cells]
     toward = turned_in_plane(toward, 0.5 * twist)  # half of it lies before the bend
     chord = (frames.swapaxes(2, 3) @ chord[..., None])[..., 0]
@@ -145,18 +145,20 @@ def frames_inside(
     # the cell's own length now (it may be compressed): chord / chord of a unit cell
     unit = np.where(hinge, np.cos(0.5 * angle), np.sinc(0.5 * angle / np.pi))
     length = step / np.maximum(unit, EPSILON)
-    arc, beyond = np.sinc(0.5 * turn / np.pi), length * np.maximum(fraction - 0.5, 0.0)
+    arc, beyond = np.sinc(0.5 * rotation / np.pi), length * np.maximum(fraction - 0.5, 0.0)
     before = length * np.minimum(fraction, 0.5)
-    across = np.where(hinge, beyond * np.sin(angle), length * fraction * arc * np.sin(0.5 * turn))
+    across = np.where(
+        hinge, beyond * np.sin(angle), length * fraction * arc * np.sin(0.5 * rotation)
+    )
     along = np.where(
-        hinge, before + beyond * np.cos(angle), length * fraction * arc * np.cos(0.5 * turn)
+        hinge, before + beyond * np.cos(angle), length * fraction * arc * np.cos(0.5 * rotation)
     )
     local = np.concatenate([toward * across[..., None], along[..., None]], axis=2)
     # a loaded cell bows (kernel/loads.py): curvature that is linear along it
     local += (fraction**2 * (3.0 - 2.0 * fraction))[..., None] * (chord - step[..., None] * middle)
     points += (frames @ local[..., None])[..., 0]
     if turned:
-        frames = frames @ bent(toward, turn)
+        frames = frames @ bent(toward, rotation)
         frames[..., :2] = turned_in_plane(frames[..., :2], -(fraction * twist)[..., None])
     return frames, points
 
@@ -196,7 +198,7 @@ class ShapeBatch:
         return len(self.inputs)
 
     def __repr__(self) -> str:
-        """Say how many postures of how many cells."""
+        """Name the numbers of postures and cells."""
         return f'<ShapeBatch: {len(self)} postures of {len(self.cell_length)} cells>'
 
     @property
@@ -249,11 +251,11 @@ class Shape(TextResult):
     """One posture: the fields of `ShapeBatch` without the first axis."""
 
     def __init__(self, form: ResultLayout, block: Floats) -> None:
-        """Take a block that the kernel filled; its fields are made when they are read."""
+        """Take a block that the kernel filled; its fields become arrays when they are read."""
         self.form, self.block = form, block
 
     def __repr__(self) -> str:
-        """Say tensions and tip."""
+        """Name tensions and tip."""
         return f'<Shape: tensions [{_numbers(self.inputs)}] N, {_tip_text(self)}>'
 
     def plot(self, axes: Axes | None = None, **style: Any) -> Axes:
@@ -383,7 +385,7 @@ class Reach(TextResult):
     region: str = ''  # that keeps the arm away from the target, '' where none does
 
     def __repr__(self) -> str:
-        """Say how near it came, and with what."""
+        """Name the status, the errors and the tensions."""
         limits = f', at its limit: {", ".join(self.at_limit)}' if self.at_limit else ''
         limits += f', kept out of {self.region}' if self.region else ''
         return (
@@ -446,10 +448,10 @@ def new_axes(arms: Floats) -> Axes:
 
     in_space = np.abs(arms[..., 1]).max() > FLATNESS * np.ptp(arms, axis=(0, 1)).max()
     figure = plt.figure(layout='constrained')
-    made: Any = figure.add_subplot(projection='3d' if in_space else None)
+    subplot: Any = figure.add_subplot(projection='3d' if in_space else None)
     if in_space:
-        made.view_init(elev=ELEVATION_DEG, azim=np.degrees(bending_azimuth(arms)) - 90.0)
-    axes: Axes = made
+        subplot.view_init(elev=ELEVATION_DEG, azim=np.degrees(bending_azimuth(arms)) - 90.0)
+    axes: Axes = subplot
     return axes
 
 
@@ -483,14 +485,14 @@ def views_of(points: Floats, azimuth: float) -> Floats:
 
 def plot_sides(measured: Floats, models: Mapping[str, tuple[Floats, Floats]]) -> Figure:
     """
-    Draw one posture across the plane in which the arm bends, and along it: no error hides.
+    Draw one posture across the plane in which the arm bends, and along it, to show all errors.
 
     Parameters
     ----------
     measured : (j, 3) [m]
         Markers, nan where not seen.
     models : mapping
-        Name -> line (n, 3) and markers (j, 3) [m] as predicted.
+        Name -> predicted line (n, 3) and markers (j, 3) [m].
 
     """
     from matplotlib import pyplot as plt
@@ -501,8 +503,8 @@ def plot_sides(measured: Floats, models: Mapping[str, tuple[Floats, Floats]]) ->
     for side, axes in enumerate(sides):
 
         def draw(points: Floats, axes: Axes = axes, side: int = side, **style: Any) -> None:
-            seen = 1e3 * views_of(points, azimuth)
-            axes.plot(seen[:, side], seen[:, 2], **style)
+            view = 1e3 * views_of(points, azimuth)
+            axes.plot(view[:, side], view[:, 2], **style)
 
         for i, (name, (line, markers)) in enumerate(models.items()):
             for pair in np.stack([measured, markers], axis=1):

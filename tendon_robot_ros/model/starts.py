@@ -1,9 +1,9 @@
 """
 Searches for tensions that bring the tip to a target, and where they start.
 
-`aim` goes from equilibrium to equilibrium. Where tendons stick it soon stands at a kink; `seek`
-finds bends and tensions at once. Starts all over the workspace, one after the other, make a whole
-search; `inverse.reach` goes through them.
+`aim` goes from equilibrium to equilibrium. Where tendons stick it soon stalls at a kink of
+friction; `seek` solves for bends and tensions at once. `inverse.reach` searches from one start
+after the other, all over the workspace.
 """
 
 from __future__ import annotations
@@ -76,12 +76,12 @@ def aim(
     Parameters
     ----------
     gain_min : float
-        Once the tip is there, a step that gains a smaller part of the cost is the last [1].
+        At the target, a step that reduces the cost by a smaller fraction is the last [1].
     inputs, bend : (m,) [N] and (3n,) [rad]
         Where the search starts.
     limits : (m, 2) [N]
     tension : (4,), optional
-        What it costs (`TipTask.tension`); default: so little that it decides between equal tips.
+        Cost of tension (`TipTask.tension`); default: just enough to decide between equal tips.
     cost_max : float
         A start that costs more stays as it is [m²].
     trials : int
@@ -103,14 +103,12 @@ def aim_frugally(
     bend: Floats,
     limits: Floats,
 ) -> tuple[float, Floats]:
-    """Improve inputs in place with tension that counts; return the plain cost [m²] and bends."""
+    """Improve inputs in place with a cost of tension; return cost [m²] without it, and bends."""
     bends = aim(task, TRACKING_GAIN_MIN, inputs, bend, limits, tension, trials=trials)[1]
-    return cost_there(task, inputs, bends, limits)
+    return cost_at(task, inputs, bends, limits)
 
 
-def cost_there(
-    task: TipTask, inputs: Floats, bend: Floats, limits: Floats
-) -> tuple[float, Floats]:
+def cost_at(task: TipTask, inputs: Floats, bend: Floats, limits: Floats) -> tuple[float, Floats]:
     """Return the cost [m²] and the bends of the equilibrium under inputs, as they are."""
     return aim(task, TRACKING_GAIN_MIN, inputs, bend, limits, cost_max=0.0)
 
@@ -118,9 +116,9 @@ def cost_there(
 def step_towards(
     task: TipTask, guess: Shape, inputs: Floats, bend: Floats, limits: Floats
 ) -> tuple[float, Floats]:
-    """Improve inputs in place by a step to a tip that is far: the arm may set out."""
+    """Improve inputs in place by one step towards a far target: a first move of the arm."""
     near, step = task.target.copy(), FIRST_STEP_LENGTH * task.model.robot.length
-    near[:6] += (1.0 - step / np.sqrt(2.0 * task.cost(guess))) * task.off(guess)
+    near[:6] += (1.0 - step / np.sqrt(2.0 * task.cost(guess))) * task.tip_error(guess)
     bends = aim(
         replace(task, target=near),
         TRACKING_GAIN_MIN,
@@ -129,7 +127,7 @@ def step_towards(
         limits,
         trials=STICKING_TRIALS_MAX,
     )[1]
-    return cost_there(task, inputs, bends, limits)
+    return cost_at(task, inputs, bends, limits)
 
 
 def seek(
@@ -141,7 +139,7 @@ def seek(
     steps: int = SEEKING_STEPS_MAX,
 ) -> tuple[float, Floats]:
     """
-    Improve inputs in place from far away; return the cost [m²] and the bends of the equilibrium.
+    Improve inputs in place towards a far target; return the cost [m²] and bends at equilibrium.
 
     For tendons that stick and slip: bends and tensions are solved for at once, with a smoothing
     length of friction that starts `width` times its own.
@@ -162,14 +160,14 @@ def seek(
 
 
 def far_cost(task: TipTask) -> float:
-    """Return the cost [m²] of a tip that is far off."""
+    """Return the cost [m²] from which a target counts as far."""
     return float(0.5 * (FAR_LENGTH * task.model.robot.length) ** 2)
 
 
 def _kernel_arguments(
     task: TipTask, inputs: Floats, bends: Floats, limits: Floats
 ) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
-    """Return what both compiled searches take first: where and to what, and last: how long."""
+    """Return the first and the last arguments that both compiled searches share."""
     low, high = np.ascontiguousarray(limits[:, 0]), np.ascontiguousarray(limits[:, 1])
     model, until = task.model, task.patience.until.ctypes.data
     return (
@@ -180,13 +178,13 @@ def _kernel_arguments(
 
 def starts_of(task: TipTask, policy: Policy, reports: bool) -> Iterator[Start]:
     """
-    Yield how to search, and tensions and bends to start from; made only when needed.
+    Yield search functions with tensions and bends to start from, each computed on demand.
 
-    The guess, then the straight arm, from where a gentle bend is nearer than a curl, then the
-    shapes of the library whose tips are nearest, those of low tension first. Where what is found
-    first is reported, a guess that is far is followed by where the arm may set out. Of a frugal
-    policy the guess is searched from with tension that counts, too; where tendons stick that is a
-    start more.
+    The first start is the guess, then the straight arm, from which a gentle bend is nearer than a
+    curl, then the shapes of the library whose tips are nearest, those of low tension first. Where
+    solutions are reported, a far guess is followed by a first move of the arm. A frugal policy
+    also searches from the guess with a cost of tension; where tendons stick that is one start
+    more.
     """
     model, guess, nearby = task.model, task.guess, partial(aim, task, GAIN_MIN)
     if model.sticks:
@@ -194,22 +192,22 @@ def starts_of(task: TipTask, policy: Policy, reports: bool) -> Iterator[Start]:
         steps = SEEKING_STEPS_MAX // 2 if task.target[7] else SEEKING_STEPS_MAX
         nearby = partial(seek, task, SEEKING_WIDTH, steps=steps)
     if guess is not None:
-        here = within(guess.inputs, *model.limits.T)
+        present = within(guess.inputs, *model.limits.T)
         trials = TRIALS_MAX if not model.remembers else REMEMBERING_TRIALS_MAX
         trials = STICKING_TRIALS_MAX if model.sticks else trials
         track = partial(aim, task, TRACKING_GAIN_MIN, trials=trials)
         frugal = partial(aim_frugally, task, task.tension(policy.tension_weight), trials)
         far = model.sticks and task.cost(guess) >= far_cost(task)
         if not far and (model.sticks or not policy.frugal):
-            yield track, here.copy(), guess.state
+            yield track, present.copy(), guess.state
         if policy.frugal:
-            yield frugal, here.copy(), guess.state
+            yield frugal, present.copy(), guess.state
         if far:
-            yield partial(cost_there, task), here, guess.state  # to stay
+            yield partial(cost_at, task), present, guess.state  # to stay
             if policy.starts:
-                yield partial(seek, task, SEEKING_WIDTH), here.copy(), guess.state
+                yield partial(seek, task, SEEKING_WIDTH), present.copy(), guess.state
             if reports:
-                yield _setting_out(task, guess, here, bool(policy.starts))
+                yield _setting_out(task, guess, present, bool(policy.starts))
     starts = min(policy.starts, PULL_STARTS_MAX) if task.by_pulls else policy.starts
     if starts:
         yield nearby, model.limits[:, 0].copy(), np.zeros(3 * model.robot.cells)
@@ -218,20 +216,20 @@ def starts_of(task: TipTask, policy: Policy, reports: bool) -> Iterator[Start]:
 
 
 def _setting_out(task: TipTask, guess: Shape, inputs: Floats, from_library: bool) -> Start:
-    """Return what soon brings a far tip nearer: a shape of the library, or a short step."""
+    """Return a start that soon brings a far tip nearer: a library shape, or a short step."""
     if from_library:
         library, row = task.model.library, next(rows_near(task))
         # at half of the distance or nearer
-        if misses(library, task.target)[row] < 0.25 * 2.0 * task.cost(guess):
-            return partial(cost_there, task), library.inputs[row].copy(), library.state[row]
+        if squared_distances(library, task.target)[row] < 0.25 * 2.0 * task.cost(guess):
+            return partial(cost_at, task), library.inputs[row].copy(), library.state[row]
     return partial(step_towards, task, guess), inputs.copy(), guess.state
 
 
-def misses(library: ShapeBatch, target: Floats) -> Floats:
-    """Return squares (rows,) [m²] of how far the tips of shapes are from a target."""
+def squared_distances(library: ShapeBatch, target: Floats) -> Floats:
+    """Return squared weighted distances (rows,) [m²] of the tips of shapes from a target."""
     tips = np.concatenate([library.tip_position, library.tip_direction], axis=1)
-    miss = np.repeat(target[6:], 3) * (tips - target[:6])
-    squares: Floats = (miss * miss).sum(axis=1)
+    error = np.repeat(target[6:], 3) * (tips - target[:6])
+    squares: Floats = (error * error).sum(axis=1)
     return squares
 
 
@@ -239,17 +237,18 @@ def rows_near(task: TipTask) -> Iterator[int]:
     """
     Yield shapes of the library whose tips are near the target, those of low tension first.
 
-    Every other one is that whose tensions are furthest from those before: from much tension
-    against much tension there is often no way down.
+    Every other one is that whose tensions are furthest from all before: from high tensions that
+    oppose each other, searches often find no path to lower ones.
     """
     library, low, high = task.model.library, *task.model.limits.T
     tension = START_TENSION_WEIGHT * task.per_newton * (library.inputs - low).sum(axis=1)
-    near = np.argsort(misses(library, task.target) + tension * tension)[:LIBRARY_NEIGHBOURS]
-    places, away = library.inputs[near] / high, np.full(len(near), np.inf)
+    costs = squared_distances(library, task.target) + tension * tension
+    near = np.argsort(costs)[:LIBRARY_NEIGHBOURS]
+    points, distance = library.inputs[near] / high, np.full(len(near), np.inf)
     for count in range(len(near)):
-        left = np.flatnonzero(away > 0.0)
-        if not len(left):
+        remaining = np.flatnonzero(distance > 0.0)
+        if not len(remaining):
             return
-        row = int(np.argmax(away)) if count % 2 else int(left[0])
+        row = int(np.argmax(distance)) if count % 2 else int(remaining[0])
         yield int(near[row])
-        away = np.minimum(away, ((places - places[row]) ** 2).sum(axis=1))
+        distance = np.minimum(distance, ((points - points[row]) ** 2).sum(axis=1))

@@ -1,4 +1,4 @@
-"""What is wanted of the tip, how a search for its tensions weighs and how long it may take."""
+"""The target of the tip, the cost of its tensions and the time that a search may take."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ LOW_TENSION_WEIGHT = 4e-5
 
 
 class Patience:
-    """Says True once time is over; another thread may end it before."""
+    """A time budget: calling it returns True once it is over; another thread may end it early."""
 
     def __init__(self, budget: float = math.inf) -> None:
-        """Begin to count; `budget` [s]."""
+        """Start the clock; `budget` [s]."""
         self._began = time.monotonic()
         self.until: npt.NDArray[np.float64] = np.array([self._began + budget])  # (1,) [s]
 
@@ -50,21 +50,21 @@ class Patience:
         return time.monotonic() > float(self.until[0])
 
     def begin(self) -> None:
-        """Begin to count now: what had to wait has all of its time."""
+        """Restart the clock: a search that had to wait has its whole budget."""
         self.prolong(time.monotonic() - self._began)
 
     def prolong(self, more: float) -> None:
-        """Let it last longer [s]; what was ended stays so."""
+        """Add time [s]; a budget that was ended stays ended."""
         self.until += more
 
     def end(self) -> None:
-        """Let it be over now."""
+        """End the budget now."""
         self.until[0] = -math.inf
 
 
 @dataclass(frozen=True)
 class Preferences:
-    """What is wanted of tensions that bring the tip to the same place; weights [1]."""
+    """Preferences among tensions with the same tip position; weights [1]."""
 
     low_tension: float = 0.03
     stiffness: float = 0.0  # of the tip, along `stiffness_direction`
@@ -77,7 +77,7 @@ class Preferences:
     wires_held: bool = False  # stiffness with the wires' lengths held, not their tensions
 
     def __post_init__(self) -> None:
-        """Refuse what makes no sense."""
+        """Refuse weights and margins out of their ranges."""
         for name in ('low_tension', 'stiffness', 'slack', 'limit', 'smooth'):
             if not 0.0 <= getattr(self, name) <= 1e3:
                 raise InputError(
@@ -94,7 +94,7 @@ class Preferences:
 @dataclass(frozen=True)
 class Policy:
     """
-    How far a search looks around, and what tension costs beside the tip's error.
+    How many starts a search tries, and what tension costs beside the tip's error.
 
     Weights are relative to the robot: 1 is its length over the mean range of its tensions
     (`TipTask.per_newton`), so that a robot of another size or stiffness is searched alike.
@@ -136,7 +136,7 @@ STREAM = Policy(starts=12, relax=True, tension_weight=0.02, change_weight=0.06)
 @dataclass(frozen=True)
 class TipTask:
     """
-    What is wanted of the tip, where the arm is, and what is kept out.
+    The target of the tip, the present shape and the keep-out regions of a search.
 
     Attributes
     ----------
@@ -177,7 +177,7 @@ class TipTask:
         memory: Floats | None = None,
     ) -> TipTask:
         """
-        Ask for a position (3,) [m] of the tip, an approach direction (3,), or both.
+        Return the task of a tip position (3,) [m], an approach direction (3,), or both.
 
         Parameters
         ----------
@@ -222,21 +222,21 @@ class TipTask:
 
     def tension(self, weight: float, priced: bool = False) -> Floats:
         """
-        Return what tension costs in a search (4,), see `aim` of the kernel.
+        Return the cost of tension (4,) as `aim` of the kernel takes it.
 
-        A weight [1] in units of `per_newton`, and, priced, what `worth` says.
+        A weight [1] in units of `per_newton` and, if `priced`, the price of `worth`.
         """
         room, price = self._range * len(self.model.inputs), TENSION_PRICE if priced else 0.0
         return np.array([weight * self.per_newton, price, self.model.robot.length, room])
 
     def above_lowest(self, weight: float, inputs: Floats) -> float:
-        """Return what tensions (m,) [N] above their lowest cost [m²] with a weight [1]."""
+        """Return the cost [m²] of tensions (m,) [N] above their lowest, with a weight [1]."""
         above = inputs - self.model.limits[:, 0]
         return 0.5 * (weight * self.per_newton) ** 2 * float(above @ above)
 
     def worth(self, cost: float, inputs: Floats) -> float:
         """
-        Return a cost [m²] with what tensions (m,) [N] cost beside the error e that is left.
+        Return a cost [m²] of the remaining error e with the price of tensions (m,) [N].
 
         It grows with ln e - `TENSION_PRICE` x ln(1 - t), with the mean fraction t of the tensions
         in their range: how far a target is beyond reach does not make tension cheap. Beyond a
@@ -244,13 +244,13 @@ class TipTask:
         """
         used = float((inputs - self.model.limits[:, 0]).mean()) / self._range
         length = self.model.robot.length
-        away = math.sqrt(2.0 * cost) / length
-        size = away if away < 1.0 else math.exp(min(away - 1.0, FAR_LENGTHS))
+        lengths = math.sqrt(2.0 * cost) / length
+        size = lengths if lengths < 1.0 else math.exp(min(lengths - 1.0, FAR_LENGTHS))
         room = math.pow(max(1.0 - used, ROOM_MIN), TENSION_PRICE)
         return 0.5 * (length * size / room) ** 2
 
     def held_at(self, shape: Shape) -> TipTask:
-        """Return the task to stay where a tip is: what is beyond reach is not asked for again."""
+        """Return the task whose target is the tip of a shape, for targets beyond reach."""
         target = np.concatenate([shape.tip_position, shape.tip_direction, self.target[6:]])
         return replace(self, target=target)
 
@@ -259,17 +259,17 @@ class TipTask:
         past = self.past if self.model.remembers else None
         return self.model.shape(inputs, state, past)
 
-    def off(self, shape: Shape) -> Floats:
-        """Return how far (6,) position [m] and direction are from the target."""
+    def tip_error(self, shape: Shape) -> Floats:
+        """Return the error (6,) of tip position [m] and direction against the target."""
         return np.concatenate([shape.tip_position, shape.tip_direction]) - self.target[:6]
 
     def cost(self, shape: Shape) -> float:
-        """Return half the square of the weighted distance [m²], as the kernel's searches do."""
-        miss = np.repeat(self.target[6:], 3) * self.off(shape)
-        return 0.5 * float(miss @ miss)
+        """Return half the square of the weighted tip error [m²], as the kernel's searches do."""
+        error = np.repeat(self.target[6:], 3) * self.tip_error(shape)
+        return 0.5 * float(error @ error)
 
     def errors(self, shape: Shape) -> tuple[float, float]:
-        """Return how far the tip is from where it should be, [m] and [rad]; 0: not asked."""
+        """Return the errors of tip position [m] and direction [rad]; 0 where none is requested."""
         x, y, z, bx, by, bz, weight, direction_weight = self.target.tolist()
         position = math.dist(shape.tip_position.tolist(), (x, y, z)) if weight else 0.0
         if not direction_weight:
@@ -280,15 +280,15 @@ class TipTask:
 
 
 def refuse_other_unit(robot: Robot, position: npt.ArrayLike | None) -> None:
-    """Refuse a position (3,) that is so far that it must be in another unit."""
+    """Refuse a position (3,) [m] so far from the base that its unit must be another one."""
     if position is None:
         return
     values = finite('position', position, 3)
-    away = float(np.linalg.norm(values))
-    if away > UNIT_LENGTHS * robot.length:
-        mm = 1e-3 * away <= UNIT_LENGTHS * robot.length
+    distance = float(np.linalg.norm(values))
+    if distance > UNIT_LENGTHS * robot.length:
+        mm = 1e-3 * distance <= UNIT_LENGTHS * robot.length
         hint = '; if these are mm, divide by 1000' if mm else ''
         raise InputError(
-            f'position: expected metres, got {short(values.tolist())}, {away:.4g} m from the base '
-            f'of an arm of {robot.length:.4g} m{hint}'
+            f'position: expected metres, got {short(values.tolist())}, {distance:.4g} m from the '
+            f'base of an arm of {robot.length:.4g} m{hint}'
         )

@@ -93,7 +93,7 @@ def refuse_difference(
 
 
 def differences(theirs: Mapping[str, str], ours: Mapping[str, str]) -> list[str]:
-    """Say which versions differ."""
+    """Return one phrase per version that differs."""
     return [
         f'{name} is {theirs.get(name, "not")} there and {version} here'
         for name, version in ours.items()
@@ -103,14 +103,14 @@ def differences(theirs: Mapping[str, str], ours: Mapping[str, str]) -> list[str]
 
 @dataclass(frozen=True)
 class Preparation:
-    """What a worker does before its first chunk: it compares versions and has a kernel."""
+    """What a worker does before its first chunk: it compares versions and loads a kernel."""
 
     versions: tuple[tuple[str, str], ...]
     effects: tuple[UserEffect, ...] = ()
 
     @classmethod
-    def here(cls, effects: tuple[UserEffect, ...] = ()) -> Preparation:
-        """Ask for what this process has."""
+    def of_this_process(cls, effects: tuple[UserEffect, ...] = ()) -> Preparation:
+        """Return the preparation that demands the versions of this process."""
         return cls(tuple(versions(effects).items()), effects)
 
     def __call__(self) -> None:

@@ -1,8 +1,8 @@
 """
-Paths of the tip: through given rows, stretched in time until limits are kept; what was reached.
+Paths of the tip through given rows, stretched in time to keep limits, and runs along them.
 
-`tip_path` samples a path, `plan` finds the tensions along it and when the tip is where, `PathRun`
-compares what was done with what was asked.
+`tip_path` samples a path, `plan` finds the tensions along it and the times of its samples,
+`PathRun` compares the tip with its targets.
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ class TipPath:
         From 0, growing or standing still.
     positions : ndarray, shape (N, 3) [m]
     directions : ndarray, shape (N, 3)
-        Unit vectors, nan where none is asked.
+        Unit vectors, nan where none is requested.
     rows : ndarray, shape (n,)
-        Which sample each given row is.
+        Index of the sample of each given row.
 
     """
 
@@ -99,7 +99,7 @@ def tip_path(
     when = np.zeros(len(positions)) if times is None else times
     if len(positions) == 1:
         return TipPath(np.zeros(1), positions, directions, np.zeros(1, dtype=np.int64))
-    # samples of each piece, and how far along it they are, 0 to 1
+    # samples of each piece, and their fraction along it, 0 to 1
     parts = [
         np.diff(when) / SAMPLE_PERIOD_S,
         np.linalg.norm(np.diff(positions, axis=0), axis=1) / POSITION_TOLERANCE_M,
@@ -108,38 +108,38 @@ def tip_path(
     ]
     counts = np.ceil(np.max(parts, axis=0) - 1e-9).astype(np.int64)
     rows = np.concatenate([[0], np.cumsum(counts)])
-    share = np.concatenate([*(np.arange(count) / count for count in counts), [1.0]])
-    if len(share) > SAMPLES_MAX:
+    fraction = np.concatenate([*(np.arange(count) / count for count in counts), [1.0]])
+    if len(fraction) > SAMPLES_MAX:
         raise InputError(
-            f'the path needs {len(share)} samples, expected at most {SAMPLES_MAX}; split it'
+            f'the path needs {len(fraction)} samples, expected at most {SAMPLES_MAX}; split it'
         )
-    piece = np.searchsorted(rows, np.arange(len(share)), side='right') - 1
+    piece = np.searchsorted(rows, np.arange(len(fraction)), side='right') - 1
     piece = np.minimum(piece, len(rows) - 2)
-    sampled = when[piece] + share * (when[piece + 1] - when[piece])
-    curve = smooth_curve(when, positions, piece, share) if smooth else None
+    sampled = when[piece] + fraction * (when[piece + 1] - when[piece])
+    curve = smooth_curve(when, positions, piece, fraction) if smooth else None
     if curve is None:
-        curve = positions[piece] + share[:, None] * (positions[piece + 1] - positions[piece])
-    return TipPath(sampled, curve, interpolated_directions(directions, piece, share), rows)
+        curve = positions[piece] + fraction[:, None] * (positions[piece + 1] - positions[piece])
+    return TipPath(sampled, curve, interpolated_directions(directions, piece, fraction), rows)
 
 
 def set_points(times: Array, positions: Array, directions: Array) -> TipPath:
     """
-    Return the path of targets that stand until the next one comes, as in a recording.
+    Return the path of targets that are held until the next one, as in a recording.
 
     Targets within `STREAM_PERIOD_S` of each other are taken for a path of their own. A step
     takes no time here; limits of speed say later how long it takes.
     """
-    stands = np.flatnonzero(np.diff(times) > STREAM_PERIOD_S)
-    at = np.insert(times, stands + 1, times[stands + 1])
-    places = np.insert(positions, stands + 1, positions[stands], axis=0)
-    views = np.insert(directions, stands + 1, directions[stands], axis=0)
+    pauses = np.flatnonzero(np.diff(times) > STREAM_PERIOD_S)
+    at = np.insert(times, pauses + 1, times[pauses + 1])
+    places = np.insert(positions, pauses + 1, positions[pauses], axis=0)
+    views = np.insert(directions, pauses + 1, directions[pauses], axis=0)
     path = tip_path(at, places, views, smooth=False)
-    own = np.delete(np.arange(len(at)), stands + 1 + np.arange(len(stands)))
+    own = np.delete(np.arange(len(at)), pauses + 1 + np.arange(len(pauses)))
     return TipPath(path.times, path.positions, path.directions, path.rows[own])
 
 
 def smooth_curve(
-    times: Array, positions: Array, piece: NDArray[np.int64], share: Array
+    times: Array, positions: Array, piece: NDArray[np.int64], fraction: Array
 ) -> Array | None:
     """Return positions on a monotone cubic; None where rows coincide and there is none."""
     along = times
@@ -154,17 +154,17 @@ def smooth_curve(
         slopes = pchip_interpolate(along, positions, along, der=1, axis=0)
         slopes[[0, -1]] = 0.0
     curve = CubicHermiteSpline(along, positions, slopes, axis=0)
-    return np.asarray(curve(along[piece] + share * (along[piece + 1] - along[piece])))
+    return np.asarray(curve(along[piece] + fraction * (along[piece + 1] - along[piece])))
 
 
-def interpolated_directions(directions: Array, piece: NDArray[np.int64], share: Array) -> Array:
+def interpolated_directions(directions: Array, piece: NDArray[np.int64], fraction: Array) -> Array:
     """
     Return directions (N, 3) that turn at constant speed from row to row (slerp).
 
     Raises
     ------
     InputError
-        Two neighbours look in opposite directions: which way round would be chance.
+        Two neighbours look in opposite directions: the axis of rotation would be arbitrary.
 
     """
     before, after = directions[piece], directions[piece + 1]
@@ -178,12 +178,12 @@ def interpolated_directions(directions: Array, piece: NDArray[np.int64], share: 
     sine = np.sin(angle)
     straight = ~(sine > 1e-9)
     safe = np.where(straight, 1.0, sine)
-    first = np.where(straight, 1.0 - share, np.sin((1.0 - share) * angle) / safe)
-    second = np.where(straight, share, np.sin(share * angle) / safe)
+    first = np.where(straight, 1.0 - fraction, np.sin((1.0 - fraction) * angle) / safe)
+    second = np.where(straight, fraction, np.sin(fraction * angle) / safe)
     turned = first[:, None] * before + second[:, None] * after
     # a row without a direction: none up to it, and none after it
-    turned = np.where(share[:, None] == 0.0, before, turned)
-    turned = np.where(share[:, None] == 1.0, after, turned)
+    turned = np.where(fraction[:, None] == 0.0, before, turned)
+    turned = np.where(fraction[:, None] == 1.0, after, turned)
     return np.asarray(turned / np.linalg.norm(turned, axis=1, keepdims=True))
 
 
@@ -200,7 +200,7 @@ class Pace:
 @dataclass(frozen=True)
 class Plan:
     """
-    A path with the times that keep the pace, and what the model says of it.
+    A path with the times that keep the pace, and the model's solutions along it.
 
     Attributes
     ----------
@@ -212,7 +212,7 @@ class Plan:
         Distance and angle of the tip from the samples.
     detours : ndarray, shape (N - 1,) [m]
         Distance of the tip from the path half way between the tensions of two samples.
-    asked : float
+    requested_duration : float
         Duration [s] as it was given.
     regions : tuple of str
         That keep the arm away from its path, in the order of the path.
@@ -224,7 +224,7 @@ class Plan:
     position_errors: Array
     direction_errors: Array
     detours: Array
-    asked: float
+    requested_duration: float
     regions: tuple[str, ...] = ()
 
     @property
@@ -233,20 +233,20 @@ class Plan:
         return float(self.path.times[-1])
 
     def at(self, time: float) -> tuple[Array, Array | None]:
-        """Return position and direction (None: none asked) that are due at a time [s]."""
+        """Return target position and direction (None: none requested) at a time [s]."""
         times, path = self.path.times, self.path
         place = int(np.clip(np.searchsorted(times, time, side='right') - 1, 0, len(times) - 1))
         after = min(place + 1, len(times) - 1)
         gap = times[after] - times[place]
-        share = float(np.clip((time - times[place]) / gap, 0.0, 1.0)) if gap > 0.0 else 0.0
-        position = path.positions[place] * (1.0 - share) + path.positions[after] * share
-        direction = path.directions[place] * (1.0 - share) + path.directions[after] * share
+        fraction = float(np.clip((time - times[place]) / gap, 0.0, 1.0)) if gap > 0.0 else 0.0
+        position = path.positions[place] * (1.0 - fraction) + path.positions[after] * fraction
+        direction = path.directions[place] * (1.0 - fraction) + path.directions[after] * fraction
         if np.isnan(direction).any():
             return position, None
         return position, direction / np.linalg.norm(direction)
 
     def detour(self) -> str:
-        """Say where the arm has to change to another solution and leaves the path, or ''."""
+        """Return where the arm has to switch to another solution and leaves the path, or ''."""
         if not len(self.detours) or self.detours.max() <= POSITION_TOLERANCE_M:
             return ''
         worst = int(np.argmax(self.detours))
@@ -258,7 +258,7 @@ class Plan:
         )
 
     def out_of_reach(self) -> str:
-        """Say which rows lead where the arm cannot go, '' when there are none."""
+        """Return which rows are out of reach, '' if none."""
         far = (self.position_errors > POSITION_TOLERANCE_M) | (
             self.direction_errors > DIRECTION_TOLERANCE_RAD
         )
@@ -266,11 +266,11 @@ class Plan:
             return ''
         bad = np.flatnonzero(far)
         row = np.searchsorted(self.path.rows, bad, side='left') + 1
-        miss, turn = self.position_errors[bad].max(), self.direction_errors[bad].max()
+        miss, angle = self.position_errors[bad].max(), self.direction_errors[bad].max()
         span = f'row {row.min()}' if row.min() == row.max() else f'rows {row.min()} to {row.max()}'
         return (
             f'{len(bad)} of {len(far)} samples on the way to {span} are out of reach, '
-            f'by up to {1e3 * miss:.1f} mm and {np.degrees(turn):.1f}°'
+            f'by up to {1e3 * miss:.1f} mm and {np.degrees(angle):.1f}°'
             + (f'; kept out of {", ".join(self.regions)}' if self.regions else '')
         )
 
@@ -288,7 +288,7 @@ def plan(
     path : TipPath
     pace : Pace
     start : Shape
-        Where the arm is, and what its friction remembers there.
+        The present shape of the arm, with its friction memory.
     keep_out : KeepOut, optional
         Regions that no part of the arm may enter.
 
@@ -358,7 +358,7 @@ def retreat(times: Array, commands: Array, rate: float) -> Trajectory:
 
 def thinned(times: Array, values: Array) -> NDArray[np.int64]:
     """
-    Return which rows of values (n, m) at times (n,) [s] straight lines need to pass near all.
+    Return the indices of rows (n, m) at times (n,) [s] between which straight lines suffice.
 
     As Douglas and Peucker (1973), with `THINNING_TOLERANCE` of the largest change as the distance.
     """
@@ -369,9 +369,9 @@ def thinned(times: Array, values: Array) -> NDArray[np.int64]:
         inside = slice(first + 1, last)
         ends = times[[first, last]]
         line = [np.interp(times[inside], ends, column[[first, last]]) for column in values.T]
-        away = np.abs(values[inside] - np.column_stack(line)).max(axis=1, initial=0.0)
-        if away.max(initial=0.0) > tolerance:
-            middle = first + 1 + int(np.argmax(away))
+        distances = np.abs(values[inside] - np.column_stack(line)).max(axis=1, initial=0.0)
+        if distances.max(initial=0.0) > tolerance:
+            middle = first + 1 + int(np.argmax(distances))
             kept.add(middle)
             open_pieces += [(first, middle), (middle, last)]
     return np.array(sorted(kept))
@@ -385,28 +385,28 @@ class PathRun:
     Attributes
     ----------
     inputs : tuple of str, length m
-    asked_times, asked, asked_directions : ndarray, shapes (A,), (A, 3) [m], (A, 3)
-        Targets of the tip as they were sent; directions nan where none was asked. Empty for
+    target_times, targets, target_directions : ndarray, shapes (A,), (A, 3) [m], (A, 3)
+        Targets of the tip as they were sent; directions nan where none was requested. Empty for
         trajectories of the tendons.
     row_times : ndarray, shape (n,)
         When every given row was due.
     tip_times, tips, tip_directions : ndarray, shapes (T,), (T, 3) [m], (T, 3)
-        The tip, measured or as the model sees it.
+        The tip, measured or as the model predicts it.
     measured : bool
         Whether a tracker measured it.
     command_times, commands : ndarray, shapes (C,), (C, m) [N], or [m] in pull mode
-        What was commanded.
+        Commands as they were sent.
     pull : bool
-        Whether wire pulls were.
-    wanted : ndarray, shape (n, m), optional
-        Values of the tendons that were asked, for trajectories of the tendons.
+        Whether the commands are wire pulls.
+    target_values : ndarray, shape (n, m), optional
+        Targets of the tendons, for trajectories of the tendons.
 
     """
 
     inputs: tuple[str, ...]
-    asked_times: Array
-    asked: Array
-    asked_directions: Array
+    target_times: Array
+    targets: Array
+    target_directions: Array
     row_times: Array
     tip_times: Array
     tips: Array
@@ -415,7 +415,7 @@ class PathRun:
     command_times: Array
     commands: Array
     pull: bool
-    wanted: Array | None = None
+    target_values: Array | None = None
 
     def tip_at(self, times: Array) -> tuple[Array, Array]:
         """Return positions (n, 3) [m] and directions (n, 3) of the tip at times (n,) [s]."""
@@ -428,35 +428,35 @@ class PathRun:
         """Return commands (n, m) at times (n,) [s]."""
         return _interpolated(times, self.command_times, self.commands)
 
-    def asked_at(self, times: Array) -> tuple[Array, Array]:
+    def targets_at(self, times: Array) -> tuple[Array, Array]:
         """Return the targets (n, 3) [m] and their directions (n, 3) at times (n,) [s]."""
-        places = _interpolated(times, self.asked_times, self.asked)
-        return places, _interpolated(times, self.asked_times, self.asked_directions)
+        places = _interpolated(times, self.target_times, self.targets)
+        return places, _interpolated(times, self.target_times, self.target_directions)
 
     def errors(self, times: Array) -> tuple[Array, Array]:
         """Return distances (n,) [m] and angles (n,) [rad] between tip and target at times."""
-        asked, views = self.asked_at(times)
+        targets, views = self.targets_at(times)
         places, along = self.tip_at(times)
         views = views / np.linalg.norm(views, axis=1, keepdims=True)
-        return np.linalg.norm(places - asked, axis=1), angle_between(views, along)
+        return np.linalg.norm(places - targets, axis=1), angle_between(views, along)
 
     def across(self) -> Array:
-        """Return distances (T,) [m] of the tip from the path, whenever it was due there."""
-        if not len(self.asked):
+        """Return distances (T,) [m] of the tip from the nearest point of the path."""
+        if not len(self.targets):
             return np.full(len(self.tips), np.nan)
-        if len(self.asked) == 1:
-            return np.asarray(np.linalg.norm(self.tips - self.asked[0], axis=1))
-        start, step = self.asked[:-1], np.diff(self.asked, axis=0)
+        if len(self.targets) == 1:
+            return np.asarray(np.linalg.norm(self.tips - self.targets[0], axis=1))
+        start, step = self.targets[:-1], np.diff(self.targets, axis=0)
         length = (step**2).sum(axis=1)
-        away = []
+        distances = []
         for tip in self.tips:  # nearest point of every straight piece
-            share = ((tip - start) * step).sum(axis=1) / np.where(length > 0.0, length, 1.0)
-            nearest = start + np.clip(share, 0.0, 1.0)[:, None] * step
-            away.append(np.nanmin(np.linalg.norm(nearest - tip, axis=1)))
-        return np.array(away)
+            fraction = ((tip - start) * step).sum(axis=1) / np.where(length > 0.0, length, 1.0)
+            nearest = start + np.clip(fraction, 0.0, 1.0)[:, None] * step
+            distances.append(np.nanmin(np.linalg.norm(nearest - tip, axis=1)))
+        return np.array(distances)
 
     def distances(self) -> tuple[float, float, float]:
-        """Return rms and largest distance [m] from the target of the moment, and from the path."""
+        """Return rms and maximum distance [m] from the present target, maximum from the path."""
         errors, _ = self.errors(self.tip_times)
         return float(np.sqrt(np.mean(errors**2))), float(errors.max()), float(self.across().max())
 

@@ -150,12 +150,12 @@ def legend_below(axes: Any) -> None:
 
 def path_lines(run: PathRun) -> list[str]:
     """Return the table, and what was between the rows."""
-    head, *body = tip_rows(run) if run.wanted is None else tendon_rows(run)
+    head, *body = tip_rows(run) if run.target_values is None else tendon_rows(run)
     shown = _chosen(len(body), Shown.ROWS)
     text = [columns([head, *(body[i] for i in shown)])]
     if len(shown) < len(body):
         text.append(f'{len(shown)} of {len(body)} rows')
-    if run.wanted is not None:
+    if run.target_values is not None:
         text.insert(0, f'tendons: {", ".join(run.inputs)}')
     else:
         rms, worst, across = run.distances()
@@ -176,20 +176,20 @@ def _chosen(count: int, most: int) -> np.ndarray:
 def tip_rows(run: PathRun) -> list[list[str]]:
     """Return the rows of a path of the tip: what was requested and what was reached."""
     errors, turns = run.errors(run.row_times)
-    asked, views = run.asked_at(run.row_times)
+    targets, views = run.targets_at(run.row_times)
     reached, _ = run.tip_at(run.row_times)
     rows = [['row', 'time [s]', 'asked x, y, z [mm]', 'reached [mm]', 'error', 'turned by']]
     for i, time in enumerate(run.row_times):
         turn = '' if np.isnan(views[i]).any() else f'{np.degrees(turns[i]):.2f}°'
         rows.append(
-            [str(i + 1), f'{time:.2f}', place(asked[i]), place(reached[i]), _mm(errors[i]), turn]
+            [str(i + 1), f'{time:.2f}', place(targets[i]), place(reached[i]), _mm(errors[i]), turn]
         )
     return rows
 
 
 def tendon_rows(run: PathRun) -> list[list[str]]:
     """Return the rows of a path of tensions or wire pulls: requested, commanded, and the tip."""
-    assert run.wanted is not None
+    assert run.target_values is not None
     scale, unit = (1e3, 'mm') if run.pull else (1.0, 'N')
     reached, _ = run.tip_at(run.row_times)
     commanded = run.commanded_at(run.row_times)
@@ -197,7 +197,7 @@ def tendon_rows(run: PathRun) -> list[list[str]]:
     for i, time in enumerate(run.row_times):
         asked, came = (
             ', '.join(f'{scale * v:.2f}' for v in values)
-            for values in (run.wanted[i], commanded[i])
+            for values in (run.target_values[i], commanded[i])
         )
         rows.append([str(i + 1), f'{time:.2f}', asked, came, place(reached[i])])
     return rows
@@ -254,13 +254,13 @@ def draw_run(run: PathRun, path: str | Path, title: str) -> Path:
 def draw_side(axes: Any, run: PathRun, axis: int) -> None:
     """Draw the requested and the reached path, with arrows where a row requests a direction."""
     reached, _ = run.tip_at(run.row_times)
-    if len(run.asked):
-        asked, views = run.asked_at(run.row_times)
-        axes.plot(*_seen(run.asked, axis), '--', color=FLOOR, linewidth=1.2, label='asked')
-        if len(asked) <= Shown.MARKED_ROWS:
-            axes.plot(*_seen(asked, axis), 'o', color=FLOOR, markersize=5, fillstyle='none')
-        shown = _chosen(len(asked), Shown.ARROWS)
-        for place, view in zip(asked[shown], views[shown], strict=True):
+    if len(run.targets):
+        targets, views = run.targets_at(run.row_times)
+        axes.plot(*_seen(run.targets, axis), '--', color=FLOOR, linewidth=1.2, label='asked')
+        if len(targets) <= Shown.MARKED_ROWS:
+            axes.plot(*_seen(targets, axis), 'o', color=FLOOR, markersize=5, fillstyle='none')
+        shown = _chosen(len(targets), Shown.ARROWS)
+        for place, view in zip(targets[shown], views[shown], strict=True):
             if np.isfinite(view).all() and np.hypot(view[axis], view[2]) > 0.1:
                 (x, z), tip = _seen(place, axis), 8.0 * view[[axis, 2]]
                 arrow = {'arrowstyle': '->', 'color': FLOOR}
@@ -286,7 +286,7 @@ def _seen(places: Any, axis: int) -> tuple[Any, Any]:
 
 def draw_errors(axes: Any, run: PathRun) -> None:
     """Draw the distance from the target over time; the tip itself where no target is known."""
-    if not len(run.asked):
+    if not len(run.targets):
         axes.plot(run.tip_times, 1e3 * run.tips, linewidth=1.0, label=['x', 'y', 'z'])
         axes.set_ylabel('tip [mm]')
         axes.legend(fontsize='small', ncols=3, loc='upper right')
@@ -312,8 +312,8 @@ def draw_commands(axes: Any, run: PathRun) -> None:
     for i, name in enumerate(run.inputs):
         colour = COLOURS[i % len(COLOURS)]
         axes.plot(run.command_times, scale * run.commands[:, i], color=colour, label=name)
-        if run.wanted is not None:
-            wanted = scale * run.wanted[:, i]
+        if run.target_values is not None:
+            wanted = scale * run.target_values[:, i]
             axes.plot(run.row_times, wanted, 'o', color=colour, ms=4, fillstyle='none')
     axes.set(xlabel='time [s]', ylabel='wire pull [mm]' if run.pull else 'tension [N]')
     axes.legend(fontsize='small', ncols=2, loc='upper right')

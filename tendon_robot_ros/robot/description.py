@@ -47,7 +47,7 @@ class Section:
 
     @property
     def is_plate(self) -> bool:
-        """Whether it only holds the holes of a base plate: no cell of the arm, as people count."""
+        """Whether it only holds the holes of a base plate, which people do not count as a cell."""
         return self.cells * self.cell_length <= PLATE_LENGTH_MAX_M
 
 
@@ -65,7 +65,7 @@ class Tendon:
     end: XY  # [m] where it ends
     section: str
     group: str | None = None
-    drum: str | None = None  # that winds its wire, where it winds others, too
+    drum: str | None = None  # of its wire, where it winds several
     winding: int = 1  # or -1: the wire is paid out while the drum is turned
     helix: float = 0.0  # [rad/m], from x to y
     offsets: tuple[XY, ...] = ()  # (cells of the tendon, 2) [m] at mid-cell
@@ -82,12 +82,12 @@ class Robot(TextResult):
     effects: dict[str, EffectValues] = field(default_factory=dict)
     gravity: tuple[float, float, float] | None = None  # [m/s²], base frame, points down
     tolerances: dict[str, float] = field(default_factory=dict)  # 1 sd
-    fitted: dict[str, Any] = field(default_factory=dict)  # effect -> where its values come from
-    exact: bool = False  # nothing scatters but what `tolerances` declare
+    fitted: dict[str, Any] = field(default_factory=dict)  # effect -> source of its values
+    exact: bool = False  # no scatter but that of `tolerances`
     source: str = 'robot'
 
     def __repr__(self) -> str:
-        """Say what a person would of the arm."""
+        """Summarise the arm: name, length, sections, tendons."""
         sections = ', '.join(f'{s.name} of {s.cells} cells' for s in self.sections)
         return (
             f'<Robot {self.name}: {1e3 * self.length:.4g} mm; sections: {sections}; '
@@ -111,11 +111,11 @@ class Robot(TextResult):
     @cached_property
     def drums(self) -> dict[str, dict[str, int]]:
         """Drums, the inputs whose wires they wind, and in which direction (1 or -1)."""
-        found: dict[str, dict[str, int]] = {}
+        drums: dict[str, dict[str, int]] = {}
         for tendon in self.tendons:
             if tendon.drum is not None:
-                found.setdefault(tendon.drum, {})[tendon.name] = tendon.winding
-        return found
+                drums.setdefault(tendon.drum, {})[tendon.name] = tendon.winding
+        return drums
 
     def wound(self, pulls: Mapping[str, float]) -> dict[str, float]:
         """Return wire pulls [m] by input, those of a drum on each of its wires."""
@@ -211,7 +211,7 @@ def parse_robot(text: str, source: str = 'robot') -> Robot:
 
 
 def check_robot(top: Reader) -> Robot:
-    """Return the robot that a description holds; RobotDescriptionError where it is not valid."""
+    """Return the robot of a description; RobotDescriptionError where it is not valid."""
     top.only(*(key.name for key in fields(Robot) if key.name != 'source'))
     sections = tuple(_section(item) for item in top.items('sections'))
     top.unique('sections', [section.name for section in sections])
@@ -249,7 +249,7 @@ def _section(item: Reader) -> Section:
     item.only(*(key.name for key in fields(Section)))
     cells = item.whole('cells', 1, 10000)
     offsets: tuple[XY, ...] = ()
-    if item.has('mass_offset'):  # where the weight of each cell lies: one for all, or one each
+    if item.has('mass_offset'):  # offset of the weight: one for all cells, or one each
         value = item.content['mass_offset']
         each = isinstance(value, list) and any(isinstance(row, list) for row in value)
         offsets = (
@@ -306,8 +306,8 @@ def _route(item: Reader, sections: tuple[Section, ...]) -> tuple[XY, XY, float, 
         return offsets[0], offsets[-1], 0.0, offsets
     base = route.offset('base')
     end = route.offset('end') if route.has('end') or not route.has('helix') else base
-    most = HELIX_MAX_RAD / max(section.cell_length for section in sections)
-    helix = route.number('helix', -most, most, 'rad/m') if route.has('helix') else 0.0
+    helix_max = HELIX_MAX_RAD / max(section.cell_length for section in sections)
+    helix = route.number('helix', -helix_max, helix_max, 'rad/m') if route.has('helix') else 0.0
     return base, end, helix, ()
 
 

@@ -1,4 +1,4 @@
-"""Plain sizes of a described robot: bend per newton, sag, weight; what is not plausible."""
+"""Plain sizes of a described robot: bend per newton, sag, weight; implausible values."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def end_sections(robot: Robot) -> NDArray[np.int64]:
 
 def bend_rates(robot: Robot) -> Floats:
     """
-    Return by how much one newton on each input bends the section in which it ends, (m, 2) [rad/N].
+    Return the bend per newton of each input, of the section in which it ends, (m, 2) [rad/N].
 
     The sum over its cells of offset / stiffness: no friction, small bends (PCCA).
     """
@@ -68,7 +68,7 @@ def mass(robot: Robot) -> float:
 
 def sag(robot: Robot, force: float = 0.0, weight: float = 0.0) -> float:
     """
-    Return by how much the tip of the level arm sags [m], as long as that is little.
+    Return the sag of the tip of the level arm [m], for small bends.
 
     Every cell bends by its moment over its stiffness, at its middle.
 
@@ -89,7 +89,7 @@ def sag(robot: Robot, force: float = 0.0, weight: float = 0.0) -> float:
 
 
 def handling(robot: Robot) -> list[str]:
-    """Say what one newton on each input does, what the arm weighs, and what is not plausible."""
+    """Return lines: bend per newton of each input, weight of the arm, implausible values."""
     rates = np.linalg.norm(bend_rates(robot), axis=1)
     groups: dict[str, list[str]] = {}
     for name, rate, last in zip(robot.inputs, rates, end_sections(robot), strict=True):
@@ -108,7 +108,7 @@ def handling(robot: Robot) -> list[str]:
 
 
 def doubts(robot: Robot, rates: Floats) -> list[str]:
-    """Return a line about what no arm is like, or one that says how its tensions suit it."""
+    """Return a line about implausible values, or one about the range of the tensions."""
     low, top = robot.tension_limits
     right_angle = 0.5 * math.pi
     lines = _other_units(robot)
@@ -132,9 +132,9 @@ def doubts(robot: Robot, rates: Floats) -> list[str]:
     needed = sorted({f'{right_angle / rate:.2g}' for rate in moving}, key=float)
     span = needed[0] if len(needed) == 1 else f'{needed[0]} to {needed[-1]}'
     if right_angle / moving.max() > top:
-        most = _degrees(top * float(moving.max()))
+        bend = _degrees(top * float(moving.max()))
         return [
-            f'plausible: {top:g} N, the most that may pull, bend by {most} (90° take {span} N)'
+            f'plausible: {top:g} N, the most that may pull, bend by {bend} (90° take {span} N)'
         ]
     return [f'plausible: 90° take {span} N, at most {top:g} N may pull']
 
@@ -209,7 +209,7 @@ def natural_sizes(robot: Robot) -> dict[str, float]:
     """
     Return natural sizes of a robot, in SI units; a robot scaled in length or force scales them.
 
-    They say what matters for it, not what it can bear: radius [m] of the outermost tendon, length
+    They are the scales of its physics, not its limits: radius [m] of the outermost tendon, length
     [m], stiffness [N·m/rad] of a cell, tension [N] of one tendon that bends the arm by one radian
     (at most the limit), force [N] across the tip that does about the same, density [kg/m] whose
     weight is such a force, and the inverse of the tension per unit of length, compliance [1/N],

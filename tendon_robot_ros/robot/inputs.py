@@ -1,4 +1,4 @@
-"""What a caller commands: tensions and wire pulls, by name or in order, checked."""
+"""Commands of a caller: tensions and wire pulls, by name or in order, checked."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ TensionsLike = Mapping[str, float] | Sequence[float] | Floats
 
 
 def are_tensions(tensions: object, robot: Robot) -> TypeGuard[Floats]:
-    """Tell whether these are numbers (m,) that may be tensions, in order; False: look closer."""
+    """Tell quickly whether values are tensions (m,) in order; False: they may be still."""
     if not (isinstance(tensions, np.ndarray) and tensions.shape == (len(robot.inputs),)):
         return False
     values = tensions.tolist()
@@ -80,7 +80,7 @@ def input_rows(robot: Robot, inputs: Any, kind: str = 'tension', what: str = '')
 
 
 def _no_tension(what: str, robot: Robot, rows: Floats) -> InputError:
-    """Say which value of rows (b, m) is no tension."""
+    """Return a message with the value of rows (b, m) that is no tension."""
     row, column = np.argwhere(~((rows >= 0.0) & (rows < math.inf)))[0].tolist()
     value, name = rows[row, column], robot.inputs[column]
     slack = '; say 0 where a tendon is slack' if math.isnan(value) else ''
@@ -133,7 +133,7 @@ def finite(name: str, values: object, size: int) -> Floats:
 
 
 def _in_order(what: str, robot: Robot, values: Any, absent: float | None) -> Any:
-    """Return values in the order of the inputs; `absent` for a name left out, None: refused."""
+    """Return values in the order of the inputs; `absent` replaces missing ones, None: refused."""
     named = named_columns(values)
     if named is None:
         return values

@@ -32,7 +32,7 @@ KINDS = 'plane', 'sphere', 'box'
 
 
 class Solid(Protocol):
-    """What a region is made of."""
+    """Geometry of a region."""
 
     def distance(self, points: Floats) -> Floats:
         """Return how far points (..., 3) [m] are outside, (...) [m]; negative: inside."""
@@ -61,8 +61,8 @@ class Sphere:
 
     def distance(self, points: Floats) -> Floats:
         """Return how far points (..., 3) [m] are outside, (...) [m]; negative: inside."""
-        away: Floats = np.linalg.norm(points - np.array(self.centre), axis=-1) - self.radius
-        return away
+        distance: Floats = np.linalg.norm(points - np.array(self.centre), axis=-1) - self.radius
+        return distance
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,8 @@ class Box:
         edges = from_rotation_vector(self.rotation)  # columns
         over = np.abs((points - np.array(self.centre)) @ edges) - 0.5 * np.array(self.size)
         outside = np.linalg.norm(np.maximum(over, 0.0), axis=-1)
-        away: Floats = outside + np.minimum(over.max(axis=-1), 0.0)
-        return away
+        distance: Floats = outside + np.minimum(over.max(axis=-1), 0.0)
+        return distance
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class Region:
 
 @dataclass(frozen=True)
 class Clearance:
-    """The least distance of points from all regions."""
+    """The minimum distance of points from all regions."""
 
     distance: float  # [m], its margin taken off; negative: inside; inf without regions
     region: str  # the nearest, '' without regions
@@ -118,16 +118,16 @@ class KeepOut:
     def distances(self, points: npt.ArrayLike) -> Floats:
         """Return how far points (..., 3) [m] are from every region, (r, ...) [m]."""
         at = np.asarray(points, dtype=float)
-        made = [region.solid.distance(at) - region.margin for region in self.regions]
-        return np.array(made).reshape(len(self.regions), *at.shape[:-1])
+        distances = [region.solid.distance(at) - region.margin for region in self.regions]
+        return np.array(distances).reshape(len(self.regions), *at.shape[:-1])
 
     def clearance(self, points: npt.ArrayLike) -> Clearance:
         """Return how far points (n, 3) [m] are from the nearest region."""
-        away = self.distances(np.asarray(points, dtype=float).reshape(-1, 3))
-        if not away.size:
+        distances = self.distances(np.asarray(points, dtype=float).reshape(-1, 3))
+        if not distances.size:
             return Clearance(np.inf, '', -1)
-        row, point = np.unravel_index(int(np.argmin(away)), away.shape)
-        return Clearance(float(away[row, point]), self.regions[row].name, int(point))
+        row, point = np.unravel_index(int(np.argmin(distances)), distances.shape)
+        return Clearance(float(distances[row, point]), self.regions[row].name, int(point))
 
 
 def load_keep_out(path: str | Path) -> KeepOut:
@@ -150,7 +150,7 @@ def text_of(named: str) -> str:
 
 def _read(path: str | Path) -> str:
     text = read_text(path, lambda reason: InputError(f'{path}: cannot be read: {reason}'))
-    if not text.strip():  # who names a file wants regions
+    if not text.strip():  # a file that is named shall hold regions
         raise InputError(f'{path}: expected regions under keep_out, got an empty file')
     return text
 
@@ -193,13 +193,13 @@ def joined(*texts: str) -> str:
     """
     items: list[object] = []
     for text in texts:
-        parse_keep_out(text)  # says what is wrong with it
+        parse_keep_out(text)  # raises where it is not valid
         content: Any = parse_yaml(text) or []
         content = content if isinstance(content, list) else content['keep_out']
         items += [item for item in content if item not in items]
-    made = yaml.safe_dump({'keep_out': items}, default_flow_style=None)
-    parse_keep_out(made)
-    return made
+    merged = yaml.safe_dump({'keep_out': items}, default_flow_style=None)
+    parse_keep_out(merged)
+    return merged
 
 
 def _region(item: Reader) -> Region:
@@ -227,14 +227,14 @@ def _solid(kind: str, reader: Reader) -> Solid:
     size = _vector(reader, 'size', FAR_M)
     if min(size) <= 0.0:
         raise reader.error('size', 'three lengths above 0 [m]', list(size))
-    turn = (0.0, 0.0, 0.0)
+    rotation = (0.0, 0.0, 0.0)
     if reader.has('rotation'):
-        turn = _vector(reader, 'rotation', 2.0 * np.pi)
-    return Box(_vector(reader, 'centre', FAR_M), size, turn)
+        rotation = _vector(reader, 'rotation', 2.0 * np.pi)
+    return Box(_vector(reader, 'centre', FAR_M), size, rotation)
 
 
-def _vector(reader: Reader, key: str, most: float) -> tuple[float, float, float]:
+def _vector(reader: Reader, key: str, limit: float) -> tuple[float, float, float]:
     x, y, z = reader.vector(key, 3)
-    if max(abs(x), abs(y), abs(z)) > most:
-        raise reader.error(key, f'three numbers of at most {most:.4g} in SI units', [x, y, z])
+    if max(abs(x), abs(y), abs(z)) > limit:
+        raise reader.error(key, f'three numbers of at most {limit:.4g} in SI units', [x, y, z])
     return x, y, z

@@ -1,4 +1,4 @@
-"""The robot that a name, a path, a text, keys or an object mean; a robot back to YAML."""
+"""A robot from a name, a path, YAML text, a dict or an object; a robot back to YAML."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ EXPECTED = (
 
 
 class HasRobot(Protocol):
-    """A model, a plant, a data set, a result: what knows its robot."""
+    """Anything with a robot: a model, a plant, a data set, a result."""
 
     @property
     def robot(self) -> Robot:
@@ -36,7 +36,7 @@ RobotLike = Robot | HasRobot | str | Path | Mapping[str, Any]
 
 def load_robot(robot: RobotLike) -> Robot:
     """
-    Return the robot that is meant.
+    Return the robot of a name, a path, YAML text, a dict or an object.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def load_robot(robot: RobotLike) -> Robot:
     RobotDescriptionError
         With file, key, what was expected and what came.
     InputError
-        No robot has that name, or it is nothing of these.
+        No robot has that name, or the argument is none of these.
 
     """
     if isinstance(robot, Robot):
@@ -69,7 +69,7 @@ def load_robot(robot: RobotLike) -> Robot:
 
 
 def robot_file(text: str) -> Path | None:
-    """Return the file that a path or a name means; None where the text is the description."""
+    """Return the file of a path or a name; None where the text is the description itself."""
     if '\n' in text or ': ' in text or len(text) > PATH_CHARACTERS_MAX:
         return None
     path = Path(text)
@@ -100,7 +100,7 @@ def _read(path: Path) -> Robot:
 
 
 def _plain(value: Any) -> Any:
-    """Return what YAML would hold: tuples and arrays as lists, numbers of numpy as numbers."""
+    """Return plain values as in YAML: tuples and arrays as lists, numpy scalars as numbers."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -28,8 +28,8 @@ def joint_angles(robot: Robot, frames: Floats) -> Floats:
     """
     Return the angles (n j,) [rad] of the j joints of every cell that place it as the model does.
 
-    Two joints cannot bend without twist, a cell of the model does: the twist that the joints leave
-    behind is carried along and taken off in the next cell. Directions are exact; positions too
+    Two joints cannot bend without twist, a cell of the model does: the twist that remains is
+    carried along and compensated in the next cell. Directions are exact; positions too
     where cells bend as hinges (an arc is drawn as two straight halves). With the third joint of
     cells that twist the frames are exact, too.
 
@@ -42,14 +42,14 @@ def joint_angles(robot: Robot, frames: Floats) -> Floats:
     """
     axes = len(joint_axes(robot))
     angles, frame = np.empty((len(frames), axes)), np.eye(3)
-    for i, wanted in enumerate(frames):
-        x, y, z = frame.T @ wanted[:, 2]
+    for i, target in enumerate(frames):
+        x, y, z = frame.T @ target[:, 2]
         angles[i, :2] = math.atan2(x, z), math.asin(min(max(y, -1.0), 1.0))
         frame = frame @ about(1, angles[i, 0]) @ about(0, -angles[i, 1])
         if axes == 3:
-            left = frame.T @ wanted
-            angles[i, 2] = math.atan2(left[1, 0], left[0, 0])
-            frame = wanted
+            residual = frame.T @ target
+            angles[i, 2] = math.atan2(residual[1, 0], residual[0, 0])
+            frame = target
     return angles.reshape(-1)
 
 
@@ -66,19 +66,19 @@ def transforms(robot: Robot, angles: Floats, prefix: str) -> list[Transform]:
         Of the links; the last one is the tip.
 
     """
-    parent, before, made = f'{prefix}base', 0.0, list[Transform]()
+    parent, before, links = f'{prefix}base', 0.0, list[Transform]()
     lengths = robot.cell_lengths.tolist()
     axes = len(joint_axes(robot))
     for i, name in enumerate(_cell_names(robot)):
-        turns = angles[axes * i : axes * (i + 1)]
+        cell_angles = angles[axes * i : axes * (i + 1)]
         up, middle, child = 0.5 * (before + lengths[i]), f'{prefix}{name}_middle', prefix + name
         bent = f'{prefix}{name}_bent' if axes == 3 else child
-        made.append((parent, middle, about(1, turns[0]), up))
-        made.append((middle, bent, about(0, -turns[1]), 0.0))
+        links.append((parent, middle, about(1, cell_angles[0]), up))
+        links.append((middle, bent, about(0, -cell_angles[1]), 0.0))
         if axes == 3:
-            made.append((bent, child, about(2, turns[2]), 0.0))
+            links.append((bent, child, about(2, cell_angles[2]), 0.0))
         parent, before = child, lengths[i]
-    return [*made, (parent, f'{prefix}tip', np.eye(3), 0.5 * before)]
+    return [*links, (parent, f'{prefix}tip', np.eye(3), 0.5 * before)]
 
 
 def urdf(robot: Robot, prefix: str = '') -> str:

@@ -24,7 +24,7 @@ CauseValues = dict[str, float]
 
 @dataclass
 class Damage:
-    """What hidden causes do to a robot of n cells; cells count from 1 at the base."""
+    """Hidden damage of a robot of n cells; cells count from 1 at the base."""
 
     robot: Robot
     stiffness: Floats  # (n,) [1] factor on the bending stiffness
@@ -35,7 +35,7 @@ class Damage:
 
     @classmethod
     def none(cls, robot: Robot, seed: int) -> Damage:
-        """Return none; the seed draws how gain and rotation would vary from posture to posture."""
+        """Return no damage; the seed draws how gain and rotation vary from posture to posture."""
         n, m = robot.cells, len(robot.inputs)
         waves = np.random.default_rng([seed, 77]).normal(size=(4, m + 1))
         return cls(robot, np.ones(n), np.zeros((n, 3)), waves=waves)
@@ -158,19 +158,19 @@ def chosen(effect: Effect, values: HiddenValues, robot: Robot) -> EffectValues:
 
     """
     _refuse_unknown(effect.name, values, tuple(p.name for p in effect.parameters))
-    made: EffectValues = {}
+    result: EffectValues = {}
     sections = len(robot.sections)
     for parameter in effect.parameters:
         if parameter.name in values:
-            made[parameter.name] = checked(effect.name, parameter, values[parameter.name], robot)
+            result[parameter.name] = checked(effect.name, parameter, values[parameter.name], robot)
         elif values or parameter.has_default or parameter.name.endswith(('_y', '_z')):
-            made[parameter.name] = parameter.neutral
+            result[parameter.name] = parameter.neutral
         elif parameter.per_section and sections > 1:
             typical = parameter.typical
-            made[parameter.name] = tuple(typical * (i + 1) / sections for i in range(sections))
+            result[parameter.name] = tuple(typical * (i + 1) / sections for i in range(sections))
         else:
-            made[parameter.name] = parameter.typical
-    return made
+            result[parameter.name] = parameter.typical
+    return result
 
 
 def checked(
@@ -182,8 +182,8 @@ def checked(
     numbers = tuple(_one(effect, parameter.name, number) for number in entries)
     count = {'section': len(robot.sections), 'tendon': len(robot.tendons)}.get(parameter.per)
     if many and len(numbers) != count:
-        wanted = f'{count} numbers, one per {parameter.per}' if count else 'one number'
-        raise EffectError(f'{effect}: {parameter.name}: expected {wanted}, got {len(numbers)}')
+        expected = f'{count} numbers, one per {parameter.per}' if count else 'one number'
+        raise EffectError(f'{effect}: {parameter.name}: expected {expected}, got {len(numbers)}')
     for number in numbers:
         if not parameter.low <= number <= parameter.high:
             raise EffectError(
@@ -334,7 +334,7 @@ class Built:
         return cls.draw(robot, Workmanship(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0)
 
     def text(self) -> list[str]:
-        """Say what was built in."""
+        """Return a description of the imperfections."""
         degrees = np.degrees(np.concatenate([self.kink.ravel()[self.kink.ravel() != 0.0], [0.0]]))
         worst = int(np.argmax(np.abs(self.stiffness)))
         return [

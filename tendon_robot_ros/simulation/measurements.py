@@ -77,7 +77,7 @@ def simulate(
     Parameters
     ----------
     plant : Plant
-        The real robot, of `make_plant`; of a robot, one that hides nothing.
+        The real robot, of `make_plant`; a robot stands for a plant that hides nothing.
     inputs : (P, m) [N] or [m], DataFrame, or dict of columns
         What is set, by name or in the order of `robot.inputs`; nan = slack, with `input`
         'displacement'.
@@ -94,7 +94,7 @@ def simulate(
     input, path : str
         As in a data set.
     declare : bool
-        Whether the data set tells the size of the noise.
+        Whether the data set declares the size of the noise.
     progress : callable, optional
         Called with (what, done, total).
 
@@ -115,10 +115,10 @@ def simulate(
     if not len(rows):
         raise refusal('postures', 'at least one row of inputs', inputs)
     random = np.random.default_rng(whole('seed', seed))
-    made = default_markers(robot)
+    chosen = default_markers(robot)
     if markers is not None:
         named = names('simulate: markers', (), len(markers) if hasattr(markers, '__len__') else 0)
-        made = markers_of(markers, named, 'simulate')
+        chosen = markers_of(markers, named, 'simulate')
     labels, pulls = names('postures', postures, len(rows)), kind == 'displacement'
     split = None
     if path == 'visits':  # every posture as many times as there are trials, in a random order
@@ -128,19 +128,19 @@ def simulate(
         command, trial = split.command[split.posture], split.visits.trials
         setting = random.normal(size=(len(split.postures), rows.shape[1]))[split.posture]
         used = rows[command] * noise.factors(setting, random.normal(size=rows[command].shape))
-        seen = markers_seen(plant, used[None], made, True, pulls, show)[0]
-        positions = np.empty((int(command.max()) + 1, int(trial.max()) + 1, *seen.shape[1:]))
-        positions[command, trial] = seen
+        observed = observed_markers(plant, used[None], chosen, True, pulls, show)[0]
+        positions = np.empty((int(command.max()) + 1, int(trial.max()) + 1, *observed.shape[1:]))
+        positions[command, trial] = observed
     else:
         setting, trial = random.normal(size=rows.shape), random.normal(size=(trials, *rows.shape))
         used = rows * noise.factors(setting, trial)  # (Q, P, m)
-        positions = markers_seen(plant, used, made, path == 'sequence', pulls, show)
+        positions = observed_markers(plant, used, chosen, path == 'sequence', pulls, show)
         positions = positions.swapaxes(0, 1)
     positions = positions + random.normal(0.0, noise.position, positions.shape)
     dataset = DataSet(
         name=f'simulated {robot.name}',
         robot=robot,
-        markers=made,
+        markers=chosen,
         postures=labels,
         inputs=rows,
         positions=positions,
@@ -154,7 +154,7 @@ def simulate(
     return dataset if split is None else dataset.by_origin(split, split.visits.trials)
 
 
-def markers_seen(
+def observed_markers(
     plant: Plant,
     inputs: Floats,
     markers: Sequence[Marker],
@@ -162,14 +162,14 @@ def markers_seen(
     displacement: bool,
     show: Progress,
 ) -> Floats:
-    """Return markers (Q, P, J, 3) [m] under inputs (Q, P, m), without the tracker's noise."""
+    """Return markers (Q, P, J, 3) [m] under inputs (Q, P, m), without noise of the tracker."""
     points = np.array([marker.arc_length for marker in markers])
     offsets = np.array([marker.offset for marker in markers])
-    seen = []
-    for done, rows in enumerate(inputs):
-        show('trials', done, len(inputs))
-        seen.append(plant.markers(rows, points, offsets, sequence, displacement))
-    return np.array(seen)
+    observed = []
+    for index, rows in enumerate(inputs):
+        show('trials', index, len(inputs))
+        observed.append(plant.markers(rows, points, offsets, sequence, displacement))
+    return np.array(observed)
 
 
 @dataclass(frozen=True)
@@ -182,11 +182,11 @@ class Laboratory:
     move: float = 0.5  # [s]
     turned: float = float(np.radians(30.0))  # [rad] of the tracker about the vertical
     shift: tuple[float, float, float] = (0.12, 0.15, -0.06)  # [m] of the base, 200 mm off
-    lost: float = 0.02  # share of the frames in which a marker is not seen, in bursts
+    lost: float = 0.02  # [1] fraction of the frames without a marker, in bursts
     frame_noise: float = 1e-4  # [m] per coordinate and frame
     cell_noise: float = 0.004  # [N] of the load cells, per frame
     slips: int = 1  # trials in which a tendon slips
-    slipped: float = 0.7  # share of the largest tension that then arrives
+    slipped: float = 0.7  # [1] fraction of the largest tension that then arrives
 
 
 def tracker_frame(gravity: Sequence[float] | None, lab: Laboratory) -> tuple[Floats, Floats]:
@@ -214,8 +214,8 @@ def raw_table(
     """
     Return names and values (R, 1 + m + 3 J) of a table: s, N and mm.
 
-    The arm rests between all postures; markers have numbers that say nothing, and the frame is
-    that of a tracker with y up.
+    The arm rests between all postures; the numbers of markers are shuffled, and the frame is that
+    of a tracker with y up.
 
     Parameters
     ----------
@@ -240,7 +240,7 @@ def raw_table(
     lab, random = lab or Laboratory(), np.random.default_rng([seed, 7, which])
     rows = np.asarray(inputs, dtype=float)
     rest = np.full((1, rows.shape[1]), plant.robot.tension_limits[0])
-    seen = simulate(
+    dataset = simulate(
         plant,
         np.vstack([rest, rows]),
         noise=noise,
@@ -249,20 +249,20 @@ def raw_table(
         markers=markers,
         progress=progress,
     )
-    places = np.array(seen.positions)  # (1 + P, Q, J, 3) [m], rest first
+    places = np.array(dataset.positions)  # (1 + P, Q, J, 3) [m], rest first
     for _ in range(lab.slips):
         p, q = int(random.integers(len(rows))), int(random.integers(lab.trials))
         slipped = rows[p].copy()
         slipped[slipped.argmax()] *= lab.slipped
-        places[p + 1, q] = plant.markers(slipped[None], seen.arc_lengths, seen.offsets)[0]
+        places[p + 1, q] = plant.markers(slipped[None], dataset.arc_lengths, dataset.offsets)[0]
     stops = [(0, 0)]
     for q in range(lab.trials):
         for p in range(1, len(rows) + 1):
             stops += [(p, q), (0, q)]
-    values = over_time([np.append(seen.inputs[p], places[p, q].ravel()) for p, q in stops], lab)
-    m, J = rows.shape[1], len(seen.markers)
-    turn, shift = tracker_frame(plant.robot.gravity, lab)
-    tracked = values[:, m:].reshape(-1, J, 3) @ turn.T + shift
+    values = over_time([np.append(dataset.inputs[p], places[p, q].ravel()) for p, q in stops], lab)
+    m, J = rows.shape[1], len(dataset.markers)
+    rotation, shift = tracker_frame(plant.robot.gravity, lab)
+    tracked = values[:, m:].reshape(-1, J, 3) @ rotation.T + shift
     tracked += random.normal(0.0, lab.frame_noise, tracked.shape)
     burst = max(round(0.5 * lab.rate), 1)  # [frames] in half a second, in which a marker is lost
     for j in range(J):
@@ -282,15 +282,15 @@ def raw_table(
 def over_time(stops: Sequence[Floats], lab: Laboratory) -> Floats:
     """Hold at every stop and go smoothly to the next."""
     still, moving = round(lab.hold * lab.rate), round(lab.move * lab.rate)
-    share = 0.5 - 0.5 * np.cos(np.pi * (np.arange(moving) + 1.0) / (moving + 1.0))
+    fraction = 0.5 - 0.5 * np.cos(np.pi * (np.arange(moving) + 1.0) / (moving + 1.0))
     parts = []
-    for here, there in zip(stops, [*stops[1:], stops[-1]], strict=True):
-        parts += [np.tile(here, (still, 1)), here + share[:, None] * (there - here)]
+    for start, end in zip(stops, [*stops[1:], stops[-1]], strict=True):
+        parts += [np.tile(start, (still, 1)), start + fraction[:, None] * (end - start)]
     return np.concatenate(parts[:-1])
 
 
 def write_table(path: str | Path, names: Sequence[str], values: Floats) -> None:
-    """Write a table as CSV, 0.001 of each unit; what was not seen is empty."""
+    """Write a table as CSV, 0.001 of each unit; a missing value is empty."""
     with new_file(Path(path)) as draft, draft.open('w', encoding='utf-8') as file:
         file.write(','.join(names) + '\n')
         for row in np.round(values, 3).tolist():

@@ -7,7 +7,7 @@ does not mention. Eyelets stay where the owner's are, at the ends of the owner's
 touches nothing between them, so finer cells may not add friction. For the same reason cells are
 not divided where a joint or the straight tendon between two eyelets is a thing of its own: hinges,
 `straight_tendon`, `friction_memory` (whose travel is counted per cell), and the user's own
-effects, of which nobody knows how they scale. There a plant differs by capstan and scatter only.
+effects, whose scaling is unknown. There a plant differs by capstan and scatter only.
 """
 
 from __future__ import annotations
@@ -74,21 +74,21 @@ def real_robot(
     wraps = np.zeros((n, parts))
     wraps[:, -1] = parts  # the eyelet turns the tendon as the whole cell does
     friction: EffectValues = {'wraps': tuple(wraps.ravel()), 'exponential': float(exponential)}
-    made = {
+    scaled = {
         name: scaled_values(catalogue[name], values, robot, parts)
         for name, values in effects.items()
     }
-    made['tendon_friction'] = {**made.get('tendon_friction', {}), **friction}
+    scaled['tendon_friction'] = {**scaled.get('tendon_friction', {}), **friction}
     if side_force.any():
         forces = np.zeros((n, parts, 3))
         forces[:, parts // 2] = side_force
-        made['side_force'] = {
+        scaled['side_force'] = {
             f'side_{axis}': tuple(forces[..., i].ravel()) for i, axis in enumerate('xyz')
         }
     if built.kink.any():  # it lies in the first part of its cell
-        kinks, before = np.zeros((n, parts, 2)), made.get('pre_curvature', {})
+        kinks, before = np.zeros((n, parts, 2)), scaled.get('pre_curvature', {})
         kinks[:, 0] = built.kink
-        made['pre_curvature'] = {
+        scaled['pre_curvature'] = {
             key: tuple((kinks[..., i].ravel() + np.array(before.get(key, 0.0))).tolist())
             for i, key in enumerate(('angle_x', 'angle_y'))
         }
@@ -111,16 +111,16 @@ def real_robot(
                 offsets=tuple(offsets),
             )
         )
-    return replace(robot, sections=sections, tendons=tuple(tendons), effects=made, fitted={})
+    return replace(robot, sections=sections, tendons=tuple(tendons), effects=scaled, fitted={})
 
 
 def cell_sections(robot: Robot, parts: int, stiffness: Floats) -> tuple[Section, ...]:
     """Return a section of its own for every finer cell, with factors (n,) on the stiffness."""
-    made, factors = [], iter(stiffness)
+    sections, factors = [], iter(stiffness)
     for section in robot.sections:
         for i in range(section.cells):
             one = section.bending_stiffness[i] * parts * float(next(factors))
-            made += [
+            sections += [
                 Section(
                     f'{section.name} {i * parts + part + 1}',
                     1,
@@ -132,7 +132,7 @@ def cell_sections(robot: Robot, parts: int, stiffness: Floats) -> tuple[Section,
                 )
                 for part in range(parts)
             ]
-    return tuple(made)
+    return tuple(sections)
 
 
 def scaled_values(effect: Effect, values: EffectValues, robot: Robot, parts: int) -> EffectValues:
@@ -140,19 +140,19 @@ def scaled_values(effect: Effect, values: EffectValues, robot: Robot, parts: int
     cells = [s.cells * parts for s in robot.sections]
     powers = {parameter.name: parameter.parts_power for parameter in effect.parameters}
     wide = {parameter.name for parameter in effect.parameters if parameter.per_section}
-    made: EffectValues = {}
+    scaled: EffectValues = {}
     for key, value in values.items():
         factor = float(parts) ** powers[key]
         if not isinstance(value, tuple):
-            made[key] = value * factor
+            scaled[key] = value * factor
         else:
             each = np.repeat(value, cells) if key in wide else np.array(value)
-            made[key] = tuple((factor * each).tolist())
-    return made
+            scaled[key] = tuple((factor * each).tolist())
+    return scaled
 
 
 class PlantShape(Shape):
-    """The arm as it is; its markers are where the tracker sees them."""
+    """The real arm; its markers are in the tracker's frame."""
 
     def __init__(self, shape: Shape, plant: Plant, inputs: Floats | None = None) -> None:
         """Take a shape of the plant's model; `inputs` (m,) [N] without the hidden gain."""
@@ -164,17 +164,17 @@ class PlantShape(Shape):
     def markers(self, arc_length: Floats, offset: Floats) -> Floats:
         """Place markers (j, 3) [m] in the tracker's frame."""
         placed = self.batch.markers(arc_length, offset)
-        seen: Floats = self.plant.tracked(placed, self.inputs[None])[0]
-        return seen
+        observed: Floats = self.plant.tracked(placed, self.inputs[None])[0]
+        return observed
 
 
 class Plant:
-    """A robot to be measured; `robot` is what its owner wrote, `model` what it really is."""
+    """A robot to be measured; `robot` is its owner's description, `model` the real one."""
 
     def __init__(
         self, robot: Robot, model: Model, parts: int, damage: Damage, built: Built | None = None
     ) -> None:
-        """Take the owner's robot, the real one with `parts` cells per cell, and what is off."""
+        """Take the owner's robot, the real one with `parts` cells per cell, and its damage."""
         self.robot, self.model, self.parts, self.damage = robot, model, parts, damage
         self.built = built or Built.exact(robot)
         self.inputs = robot.inputs
@@ -193,19 +193,19 @@ class Plant:
         InputError, NoEquilibriumError
 
         """
-        asked, last = self.model.tensions(np.asarray(tensions, dtype=float)), self._state
-        shape = self.model.follow(last, asked * self._gain(asked[None])[0])
-        self._state = PlantShape(shape, self, asked)
+        requested, last = self.model.tensions(np.asarray(tensions, dtype=float)), self._state
+        shape = self.model.follow(last, requested * self._gain(requested[None])[0])
+        self._state = PlantShape(shape, self, requested)
         return self._state
 
     def forget(self) -> None:
-        """Stand straight and free of tension again."""
+        """Reset the arm: straight and free of tension."""
         self._state = None
 
     def respond_to_pulls(self, pulls: npt.ArrayLike) -> PlantShape:
         """Return the arm under wire pulls (m,) [m], nan = slack; friction does not remember."""
-        asked = np.asarray(pulls, dtype=float)
-        shape = self.model.pull_shape(asked * self._gain(asked[None], True)[0], self._state)
+        target = np.asarray(pulls, dtype=float)
+        shape = self.model.pull_shape(target * self._gain(target[None], True)[0], self._state)
         self._state = PlantShape(shape, self)
         return self._state
 
@@ -260,15 +260,15 @@ class Plant:
 
     def tracked(self, points: Floats, inputs: Floats, displacement: bool = False) -> Floats:
         """Move points (b, j, 3) [m] of the arm under inputs (b, m) into the tracker's frame."""
-        seen = self.model.measured(points)
-        moved = np.cross(self.built.rotation, seen)
-        seen = seen + moved + 0.5 * np.cross(self.built.rotation, moved) + self.built.position
+        points = self.model.measured(points)
+        moved = np.cross(self.built.rotation, points)
+        points = points + moved + 0.5 * np.cross(self.built.rotation, moved) + self.built.position
         if self.damage.rotation == 0.0:
-            return seen
-        turn = self.damage.rotation * self._deviations(inputs, displacement)[:, 1:3]
-        angle = np.linalg.norm(turn, axis=1)
-        toward = turn / np.maximum(angle, 1e-300)[:, None]
-        turned: Floats = np.einsum('brc,bjc->bjr', bent(toward, angle), seen)
+            return points
+        rotation = self.damage.rotation * self._deviations(inputs, displacement)[:, 1:3]
+        angle = np.linalg.norm(rotation, axis=1)
+        toward = rotation / np.maximum(angle, 1e-300)[:, None]
+        turned: Floats = np.einsum('brc,bjc->bjr', bent(toward, angle), points)
         return turned
 
     def _fine(self, inputs: Floats, sequence: bool, displacement: bool) -> ShapeBatch:
@@ -330,7 +330,7 @@ def make_plant(
     EffectError
         An effect or parameter is unknown or out of its bounds.
     InputError
-        `refine` or `scatter` make no sense.
+        `refine` or `scatter` are out of range.
 
     """
     robot, refine, seed = load_robot(robot), whole('refine', refine, 1), whole('seed', seed)

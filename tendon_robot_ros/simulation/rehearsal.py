@@ -1,4 +1,4 @@
-"""Something hidden in a robot: which, how large, postures that show it, and the story."""
+"""A hidden cause in a robot: which, how large, postures that show it, and the story."""
 
 from __future__ import annotations
 
@@ -103,21 +103,21 @@ def draw(robot: Robot, catalogue: Catalogue, name: str, seed: int) -> Hidden:
         raise InputError(f'hidden: expected one of {", ".join(known)}, got {name!r}')
     if name == NOTHING_HIDDEN or name in CAUSES:
         return Hidden(name, {})
-    left = [n for n in known if n not in CAUSES and n != NOTHING_HIDDEN]
+    remaining = [n for n in known if n not in CAUSES and n != NOTHING_HIDDEN]
     sized = catalogue.sized(natural_sizes(robot))
     while True:
-        effect = name or str(random.choice(left))
+        effect = name or str(random.choice(remaining))
         typical = chosen(sized[effect], {}, robot)
-        wanted = random.uniform(TIP_ERROR_MIN, TIP_ERROR_MAX) * robot.length
+        target = random.uniform(TIP_ERROR_MIN, TIP_ERROR_MAX) * robot.length
         low, high = 0.02, 20.0  # times the typical size; bisected in its logarithm
         for _ in range(14):
             middle = float(np.sqrt(low * high))
             size = _tip_change(robot, sized, effect, _scaled(sized, effect, typical, middle))
-            low, high = (middle, high) if size < wanted else (low, middle)
+            low, high = (middle, high) if size < target else (low, middle)
         hidden = Hidden(effect, _scaled(sized, effect, typical, low))
-        left = [n for n in left if n != effect]
+        remaining = [n for n in remaining if n != effect]
         shown = _tip_change(robot, sized, effect, hidden.values) / robot.length
-        if name or not left or shown > TIP_ERROR_VISIBLE:
+        if name or not remaining or shown > TIP_ERROR_VISIBLE:
             return hidden
 
 
@@ -145,19 +145,19 @@ def _tip_change(robot: Robot, catalogue: Catalogue, name: str, values: EffectVal
 
 def _scaled(catalogue: Catalogue, name: str, values: EffectValues, factor: float) -> EffectValues:
     """Multiply the distance from neutral, within the bounds."""
-    made: EffectValues = {}
+    scaled: EffectValues = {}
     for parameter in catalogue[name].parameters:
         original = values[parameter.name]
         many = original if isinstance(original, tuple) else (original,)
-        away = [parameter.neutral + factor * (value - parameter.neutral) for value in many]
-        kept = tuple(float(np.clip(value, parameter.low, parameter.high)) for value in away)
-        made[parameter.name] = kept if isinstance(original, tuple) else kept[0]
-    return made
+        shifted = [parameter.neutral + factor * (value - parameter.neutral) for value in many]
+        kept = tuple(float(np.clip(value, parameter.low, parameter.high)) for value in shifted)
+        scaled[parameter.name] = kept if isinstance(original, tuple) else kept[0]
+    return scaled
 
 
 @dataclass
 class Story:
-    """What happened: errors in metres, the verdict as published."""
+    """Course of a rehearsal: errors in metres, the verdict as published."""
 
     hidden: Hidden
     verdict: dict[str, Any] = field(default_factory=dict)
@@ -172,8 +172,8 @@ class Story:
         return self.hidden.name in (*names, *self.verdict.get('cannot_tell_apart', []))
 
     @property
-    def gone(self) -> float:
-        """Share of the tip error that is gone."""
+    def error_reduction(self) -> float:
+        """Fraction of the tip error that the new description removes [1]."""
         return 1.0 - self.after / self.before if self.before > 0.0 else float('nan')
 
     @property
@@ -189,8 +189,8 @@ class Story:
             return f'{self.hidden.name} was hidden, but the verdict is {verdict}'
         if not self.added:
             return 'the controller did not take the new description'
-        if not self.gone >= ERROR_REDUCTION_MIN:
-            return f'only {100.0 * self.gone:.0f} % of the tip error is gone'
+        if not self.error_reduction >= ERROR_REDUCTION_MIN:
+            return f'only {100.0 * self.error_reduction:.0f} % of the tip error is gone'
         return ''
 
     def end(self) -> str:
@@ -200,7 +200,7 @@ class Story:
         if self.added:
             return (
                 f'tip error on postures never used: {mm(self.before)} -> {mm(self.after)} '
-                f'({100.0 * self.gone:.0f} % gone)'
+                f'({100.0 * self.error_reduction:.0f} % gone)'
             )
         quiet = 'nothing was hidden and nothing was found'
         return (
@@ -211,7 +211,7 @@ class Story:
 
 
 def reveal(hidden: Hidden, units: dict[str, str]) -> str:
-    """Say what was hidden; units by parameter."""
+    """Return one line that names the hidden cause; units by parameter."""
     values = [
         f'{key} = {listed(digits(v, 3) for v in np.atleast_1d(value))} {units.get(key, "1")}'
         for key, value in hidden.values.items()

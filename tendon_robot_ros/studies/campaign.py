@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
         print(f'{len(plan.cases):,} cases, {there:,} of them are there')
         return 0
     plan.setup.compile()
-    prepare = Preparation.here(plan.setup.effects)
+    prepare = Preparation.of_this_process(plan.setup.effects)
     page, stopped = folder / PAGE, False
     try:
         with Workers(args.workers, args.cluster, prepare) as workers, progress(True) as show:

@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
     folder, output = Path(args.folder), Path(args.output)
     found_below(folder)
     effects = UserEffect.read(args.effect_file)
-    prepare = Preparation.here(effects)
+    prepare = Preparation.of_this_process(effects)
     with Workers(args.workers, args.cluster, prepare) as workers, progress(True) as show:
         rows = run_fleet(folder, output, workers, effects, show)
     page = fleet_page(rows, f'Fleet: {folder.resolve().name}').write(output / PAGE)

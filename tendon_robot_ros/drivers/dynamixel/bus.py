@@ -1,22 +1,22 @@
 """
 The bus: every conversation with the servos, through the SDK, with its traps closed.
 
-Of the SDK's port handler only what it leaves open is replaced: opening (for this process alone),
-waiting for bytes (asleep instead of spinning), the clock (monotonic) and the time to wait for an
-answer (the SDK waits 34 ms whatever the adapter's latency is).
+Of the SDK's port handler four functions are replaced: opening the port (exclusively), waiting for
+bytes (asleep instead of spinning), the clock (monotonic) and the time-out of an answer (the SDK
+waits 34 ms whatever the adapter's latency is).
 
 The SDK drops a whole group read when one servo is silent and then gives zeros, hides the alert
 bit in group reads, hands signed values back unsigned, and forgets to lengthen a packet whose
-bytes look like a header. Whatever the failure, a method here returns what was really read and
-nothing else; only a lost port raises.
+bytes look like a header. Whatever the failure, a method of `Bus` returns only bytes that were
+read from the servo; only a lost port raises.
 
-An answer that comes after its time would be taken for that of the next question: a position for
-an error, a watchdog for a temperature. Answers keep their order. So after a silence a servo that
-is there is read with a length that no other read has, another one every time: what comes before
-an answer of that length is old.
+A late answer would be mistaken for that of the next request: a position for an error, a watchdog
+for a temperature. Answers keep their order. So after a silence a responding servo is read with a
+length that no other read has, a different one every time: everything that arrives before an
+answer of that length is old.
 
-Between its questions a bus is silent. Bytes that come all the same, and are no late answer, are
-somebody else's conversation: another program on the port, another adapter on the bus.
+Between requests a bus is silent. Bytes that arrive then, and are no late answer, belong to
+another conversation: that of another program on the port, or another adapter on the bus.
 """
 
 from __future__ import annotations
@@ -133,9 +133,9 @@ class Port(PortHandler):  # type: ignore[misc]
 
     def readPort(self, length: int) -> bytes:  # noqa: N802
         """Read up to `length` bytes; sleep until the first comes or the time is over."""
-        left = 0.001 * (self.packet_timeout - self.getTimeSinceStart())
-        if left > 0.0:
-            select.select([self.ser.fileno()], [], [], left)
+        remaining = 0.001 * (self.packet_timeout - self.getTimeSinceStart())
+        if remaining > 0.0:
+            select.select([self.ser.fileno()], [], [], remaining)
         return bytes(self.ser.read(length))
 
 
@@ -204,7 +204,7 @@ class Bus:
     fast : bool
         Whether group reads use the fast sync read.
     failures : dict of str to int
-        How often what went wrong, since the start.
+        Number of failures of each kind since the start.
 
     """
 
@@ -216,15 +216,15 @@ class Bus:
         self._packets = Protocol2PacketHandler()
         self._port: Port | None = None
         self._readers: dict[tuple[int, int, tuple[int, ...]], Any] = {}
-        self._there: list[int] = []  # who has answered, the last one first
-        self._behind = False  # an answer may still come that nothing waits for
-        self._turn = 0
-        self._stray: deque[float] = deque(maxlen=STRAY_MAX)  # [s] when bytes had come unasked
+        self._responding: list[int] = []  # ids of servos that answered, the last one first
+        self._behind = False  # a late answer may still arrive
+        self._fresh_reads = 0
+        self._stray: deque[float] = deque(maxlen=STRAY_MAX)  # [s] times of unrequested bytes
         self._talker = ''
 
     @property
     def connected(self) -> bool:
-        """Whether the port is open, as far as is known."""
+        """Whether the port is open; a lost port counts as open until a conversation fails."""
         return self._port is not None
 
     def open(self) -> None:
@@ -233,7 +233,7 @@ class Bus:
         self._port = open_port(self.path, self.baud, self.answer_time)
 
     def reopen(self) -> bool:
-        """Try to get a lost port back; return whether it worked. Quick either way."""
+        """Try to reopen a lost port; return whether it worked. Quick either way."""
         self.close()
         port = Port(self.path, self.baud, self.answer_time)
         try:
@@ -247,7 +247,7 @@ class Bus:
         return True
 
     def close(self) -> None:
-        """Give the port back; never raises."""
+        """Close the port; never raises."""
         port, self._port = self._port, None
         self._readers.clear()
         if port is not None:
@@ -260,12 +260,12 @@ class Bus:
         try:
             if not self._behind and self._port.waiting():
                 self._stray.append(time.monotonic())
-            if self._behind and self._there:  # let pass what is late
-                self._turn += 1
-                length = FRESH_BYTES_MIN + self._turn % FRESH_LENGTHS
-                self._behind = self._answer(self._port, self._there[0], 0, length) is None
+            if self._behind and self._responding:  # read past late answers
+                self._fresh_reads += 1
+                length = FRESH_BYTES_MIN + self._fresh_reads % FRESH_LENGTHS
+                self._behind = self._answer(self._port, self._responding[0], 0, length) is None
                 if self._behind:
-                    self._there.append(self._there.pop(0))  # another servo next time
+                    self._responding.append(self._responding.pop(0))  # another servo next time
             return what(self._port)
         except PORT_ERRORS as error:
             self.failures['port lost'] += 1
@@ -273,7 +273,7 @@ class Bus:
             raise PortLostError(f'{self.path}: {error}') from None
 
     def second_talker(self) -> str:
-        """Listen for a moment; return who else talks on this bus, '' for nobody."""
+        """Listen for a moment; return the name of another program on this bus, '' for none."""
         who = held_by(self.path, others=True)
         if who or self._port is None:
             return who
@@ -287,11 +287,11 @@ class Bus:
         return ''
 
     def disturbed(self) -> str:
-        """Return who else talks on this bus, by what came between the last conversations."""
+        """Return the name of another program on this bus, by bytes between conversations."""
         stray = self._stray
         if len(stray) < STRAY_MAX or time.monotonic() - stray[0] > STRAY_WINDOW_S:
             self._talker = ''
-        elif not self._talker:  # looked up once: it takes a while
+        elif not self._talker:  # once, because the search takes a while
             self._talker = self._other_talker()
         return self._talker
 
@@ -300,18 +300,18 @@ class Bus:
         return f'bytes come that nobody here has asked for: {who}'
 
     def _learn(self, what: Callable[[Port], T | None]) -> T | None:
-        """Run a conversation that reads; None while an old answer may be taken for a new one."""
-        return self._talk(lambda port: None if self._behind and self._there else what(port))
+        """Run a conversation that reads; None while a late answer may still arrive."""
+        return self._talk(lambda port: None if self._behind and self._responding else what(port))
 
     def _failed(self) -> None:
         self._behind = True
         self.failures['no or broken answer'] += 1
 
     def _answered(self, identity: int) -> None:
-        self._there = [identity, *(other for other in self._there if other != identity)]
+        self._responding = [identity, *(other for other in self._responding if other != identity)]
 
     def _answer(self, port: Port, identity: int, address: int, length: int) -> bytes | None:
-        """Ask for bytes; return those of the first packet that can be the answer."""
+        """Request bytes; return those of the first packet that can be the answer."""
         try:
             result = self._packets.readTx(port, identity, address, length)
             while result == COMM_SUCCESS:
@@ -335,7 +335,7 @@ class Bus:
         return int(number)
 
     def everyone(self) -> dict[int, int]:
-        """Ask who is there: id to model number. Takes a second or more."""
+        """Ping all servos; return id to model number. Takes a second or more."""
         answers, _ = self._talk(self._packets.broadcastPing)
         return {int(identity): int(data[0]) for identity, data in answers.items()}
 
@@ -408,33 +408,33 @@ class Bus:
         One fast (or plain) sync read; when that fails, every servo is read by itself, because
         one silent servo spoils the whole group.
         """
-        wanted = tuple(identities)
-        if not wanted:
+        requested = tuple(identities)
+        if not requested:
             return {}
-        blocks = self._learn(lambda port: self.group_read(port, address, length, wanted))
+        blocks = self._learn(lambda port: self.group_read(port, address, length, requested))
         if blocks is not None:
             return blocks
         self._failed()
-        singles = {i: self._read_bytes(i, address, length) for i in wanted}
+        singles = {i: self._read_bytes(i, address, length) for i in requested}
         return {i: data for i, data in singles.items() if data is not None}
 
     def group_read(
-        self, port: Port, address: int, length: int, wanted: tuple[int, ...]
+        self, port: Port, address: int, length: int, identities: tuple[int, ...]
     ) -> dict[int, bytes] | None:
         """Read the same bytes from several servos at once, None where any of them is missing."""
-        reader = self._readers.get((address, length, wanted))
+        reader = self._readers.get((address, length, identities))
         if reader is None:
             reader = GroupSyncRead(port, self._packets, address, length)
-            for identity in wanted:
+            for identity in identities:
                 reader.addParam(identity)
-            self._readers[address, length, wanted] = reader
+            self._readers[address, length, identities] = reader
         try:
             result = reader.fastSyncRead() if self.fast else reader.txRxPacket()
         except (IndexError, struct.error):  # an answer shorter than the SDK expects
             result = None
         if result != COMM_SUCCESS:
             return None
-        blocks = {i: bytes(reader.data_dict[i]) for i in wanted}
+        blocks = {i: bytes(reader.data_dict[i]) for i in identities}
         return blocks if all(len(data) == length for data in blocks.values()) else None
 
     def _read_bytes(self, identity: int, address: int, length: int) -> bytes | None:

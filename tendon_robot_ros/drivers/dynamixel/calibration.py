@@ -74,11 +74,11 @@ class Calibration:
         )
 
     def current(self, tension: float) -> float:
-        """Return the current [A] that is between winding and paying out at a tension [N]."""
+        """Return the mean current [A] of winding and paying out at a tension [N]."""
         return self.mean.current(tension)
 
     def tension(self, current: float) -> float:
-        """Return the tension [N] between winding and paying out at a current [A]."""
+        """Return the mean tension [N] of winding and paying out at a current [A]."""
         return self.mean.tension(current)
 
     def uncertainty(self, tension: float) -> float:
@@ -97,7 +97,7 @@ def from_data_sheet(model: ServoModel, radius: float) -> Calibration:
 @dataclass(frozen=True)
 class Resolution:
     """
-    How finely a motor and its spool set a tension by current.
+    Resolution and friction band of a tension that a motor sets by current.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ class Resolution:
     counts : int
         From no tension to the limit.
     band : float
-        Friction: the tension may be off by as much, up or down [N].
+        Friction: largest error of the tension, up or down [N].
     limit : float
         The tension limit [N].
 
@@ -122,7 +122,7 @@ class Resolution:
         return self.counts < CURRENT_COUNTS_MIN or self.band > FRICTION_BAND_MAX * self.limit
 
     def __str__(self) -> str:
-        """Say the numbers."""
+        """Return the numbers as text."""
         return (
             f'one count of current is {self.newtons_per_count:.3g} N ({self.counts} counts '
             f'up to {self.limit:g} N), the friction band is ±{self.band:.3g} N '
@@ -155,7 +155,7 @@ class Spool:
 
 
 def smallest_spool(model: ServoModel, limit: float) -> float:
-    """Return the spool radius [m], in whole mm, from which the data sheet's motor is fine."""
+    """Return the smallest spool radius [m], in whole mm, with enough resolution by data sheet."""
     friction = model.friction_current * model.torque_per_ampere  # [N·m]
     count = model.current_unit * model.torque_per_ampere  # [N·m]
     smallest = max(friction / (FRICTION_BAND_MAX * limit), CURRENT_COUNTS_MIN * count / limit)
@@ -174,7 +174,7 @@ class CurrentPoint:
 @dataclass(frozen=True)
 class CurrentFit:
     """
-    Two fitted lines and how well they are known.
+    Two fitted lines with their standard errors.
 
     Parameters
     ----------

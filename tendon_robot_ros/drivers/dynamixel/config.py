@@ -69,7 +69,7 @@ class WireConfig:
     pull_limits : tuple of float
         [m]
     rate : float
-        Fastest change of the command, [N/s] or [m/s] as the mode says.
+        Fastest change of the command, [N/s] or [m/s] by the mode.
     calibration : Calibration
     """
 
@@ -86,7 +86,7 @@ class WireConfig:
 
     @property
     def resolution(self) -> Resolution:
-        """How finely this motor sets this wire's tension."""
+        """Resolution of this wire's tension by the motor's current."""
         return resolution(self.calibration, self.model, self.tension_limit)
 
 
@@ -119,7 +119,7 @@ def read_wire(
     if lines.has(name) or item.has('calibration'):
         source = lines.child(name) if lines.has(name) else item.child('calibration')
         calibration = read_calibration(source, model, spool.radius)
-    most = model.current_limit * model.current_unit
+    largest = model.current_limit * model.current_unit
     lowest, highest = robot.tension_limits
     limited = nearest(item, top, 'pull_limits')
     pull_limits = -math.inf, math.inf
@@ -138,7 +138,7 @@ def read_wire(
         share=item.value('share', 1.0 / sharing.count(identity), 0.0, 1.0, '1'),
         tension_limit=item.value('tension_limit', highest, lowest + 1e-6, highest, 'N'),
         current_limit=nearest(item, top, 'current_limit').value(
-            'current_limit', most, model.current_unit, most, 'A'
+            'current_limit', largest, model.current_unit, largest, 'A'
         ),
         pull_limits=pull_limits,
         rate=rate,
@@ -147,7 +147,7 @@ def read_wire(
 
 
 def read_model(fields: ConfigFields) -> ServoModel:
-    """Return a motor by the name on its label, or say what else there is."""
+    """Return a motor by the name on its label; the error lists the known ones."""
     name = plain_model(str(fields.content.get('model', '')))
     if name in WITHOUT_CURRENT.values():
         raise fields.error('model', INSTEAD, name)
@@ -198,12 +198,12 @@ ZEROS = ('find', 'here')
 
 @dataclass(frozen=True)
 class DynamixelConfig:
-    """Everything the driver needs to know; SI units."""
+    """Checked configuration of the driver; SI units."""
 
     source: str
     port: str
     baud: int
-    watchdog: float | None  # [s], 0 = off, None = by the scheduling of who drives
+    watchdog: float | None  # [s], 0 = off, None = by the scheduling of the caller
     answer_time: float  # [s]
     operation: str  # in pull mode: 'current_based' or 'extended'
     zero: str  # 'find' slack at enabling, or 'here': pull 0 is where it is enabled
@@ -267,7 +267,7 @@ def read_config(
 
 
 def refuse_coarse(config: DynamixelConfig) -> None:
-    """Refuse tensions by current where a count or the friction is too large for them."""
+    """Refuse tensions by current where a count or the friction band is too large."""
     if config.allow_coarse:
         return
     for wire in config.wires:

@@ -50,7 +50,7 @@ class DynamixelDriver(PortDriver):
         self._silence, self._silent_after = 'set when torque comes on', float('nan')  # [s]
         self._latency: int | None = None
         self._lost: list[Motor] = []
-        self._turn = 0
+        self._next_ping = 0
         observable = config.allow_coarse or mode == 'tension'
         self.limits_current = self._operating == OperatingMode.CURRENT_BASED_POSITION
         self._limit_due = 0  # times that the current limit is still to be sent
@@ -71,7 +71,7 @@ class DynamixelDriver(PortDriver):
     def _shake_hands(self) -> None:
         shake_hands(self.bus, self.config, self.motors)
         read_state(self.bus, self.motors.values())
-        self._zero_here()
+        self._zero_in_place()
 
     def _slack_unknown(self) -> bool:
         return any(motor.zero is None for motor in self.motors.values())
@@ -87,7 +87,7 @@ class DynamixelDriver(PortDriver):
         self._silent_after = seconds
         with naming_second_talker(self.bus):
             torque_on(self.bus, list(self.motors.values()), self._operating, self._watch.watchdog)
-        self._zero_here()
+        self._zero_in_place()
 
     def disable(self, inputs: Sequence[str] = ()) -> None:
         """Torque off at once; a motor that two inputs share goes off with either."""
@@ -96,7 +96,7 @@ class DynamixelDriver(PortDriver):
             torque_off(self.bus, chosen)
         except PortLostError:
             for motor in chosen:  # and off when the port comes back
-                motor.wanted = motor.restarted = motor.tripped = False
+                motor.torque_requested = motor.restarted = motor.tripped = False
 
     def reboot(self, inputs: Sequence[str] = ()) -> None:
         """Restart motors after a hardware error; their torque is off and their turns unknown."""
@@ -114,7 +114,7 @@ class DynamixelDriver(PortDriver):
             for motor in chosen:
                 motor.errors = self.bus.read(motor.identity, 'hardware_error_status') or 0
             read_state(self.bus, chosen)
-            self._zero_here()
+            self._zero_in_place()
         except PortLostError as error:
             raise DriverError(f'{error}: lost while rebooting') from None
         if waiting:
@@ -137,7 +137,7 @@ class DynamixelDriver(PortDriver):
             facts |= {
                 f'{motor}: model': motor.model.name,
                 f'{motor}: firmware': str(motor.firmware),
-                f'{motor}: torque': 'on' if motor.wanted else 'off',
+                f'{motor}: torque': 'on' if motor.torque_requested else 'off',
             }
             if motor.temperature is not None:
                 facts[f'{motor}: temperature (°C)'] = f'{motor.temperature:.0f}'
@@ -159,7 +159,7 @@ class DynamixelDriver(PortDriver):
         return {**facts, 'bus_watchdog (s)': f'{self._silent_after:g}'}
 
     def strength(self) -> str:
-        """Return up to which tension motors wind and hold, in words, and how to know it better."""
+        """Return as text up to which tension motors wind and hold, and how to calibrate it."""
         motors = self.motors.values()
         wires = [(wire, *motor.strength(wire)) for motor in motors for wire in motor.wires]
         weakest, strongest = min(wires, key=lambda w: w[1]), max(wires, key=lambda w: w[2])
@@ -174,7 +174,7 @@ class DynamixelDriver(PortDriver):
         return text
 
     def silence(self) -> str:
-        """Return what address 98 was set to."""
+        """Return the time-out of the bus watchdog (address 98) as text."""
         return self._silence
 
     def write(self, command: Array) -> None:
@@ -183,8 +183,9 @@ class DynamixelDriver(PortDriver):
         self._goal = self._towards(self.checked(command), self.limits, self._since_write())
         goals, bounds = {}, {}
         for identity, motor in self.motors.items():
-            # a silent one may have lost its power and with it its turns: a place would wind it on
-            if motor.wanted and (motor.answers or self.mode == 'tension'):
+            # a silent servo may have lost its power and its count of turns: a position goal
+            # would wind it on
+            if motor.torque_requested and (motor.answers or self.mode == 'tension'):
                 goals[identity] = motor.goal(
                     [self._goal[self.inputs.index(n)] for n in motor.names]
                 )
@@ -197,7 +198,7 @@ class DynamixelDriver(PortDriver):
                 self._send_current_limit()
                 self.bus.send_goals(name, goals, bounds)
         except PortLostError:
-            pass  # read() says so and tries to get it back
+            pass  # read() reports the fault and reopens the port
 
     def limit_current(self, reduction: float, tension: float) -> None:
         """Reduce the current from what motors carry (0: their limit) to `tension` [N] (1)."""
@@ -214,19 +215,19 @@ class DynamixelDriver(PortDriver):
     def _send_current_limit(self) -> None:
         """Send the current limit while it is reduced, and for a while after."""
         if self._limits_reduced() or self._limit_due > 0:
-            motors = [motor for motor in self.motors.values() if motor.wanted]
+            motors = [motor for motor in self.motors.values() if motor.torque_requested]
             bounds = {motor.identity: motor.current_bounds for motor in motors}
-            most = {identity: high for identity, (_, high) in bounds.items()}
-            self.bus.send_goals('goal_current', most, bounds)
+            largest = {identity: high for identity, (_, high) in bounds.items()}
+            self.bus.send_goals('goal_current', largest, bounds)
             self._limit_due -= 1
 
     def read(self) -> Reading:
-        """Read every motor; poll errors and watchdogs; try to get back what was lost."""
+        """Read every motor; poll errors and watchdogs; try to recover what was lost."""
         self._require_open('read')
         now = time.monotonic()
         try:
             if not self.bus.connected and self._may_retry(now) and self.bus.reopen():
-                # all motors were lost with it, and are pinged at once
+                # all motors were lost with the port, and are pinged at once
                 self._retried, self._lost = -np.inf, list(self.motors.values())
             if self.bus.connected:
                 self._converse(now)
@@ -239,8 +240,8 @@ class DynamixelDriver(PortDriver):
         else:
             for motor in self.motors.values():
                 motor.answers = False
-            gone = f'{self.config.port}: the port is gone; plug the adapter in again'
-            faults = (Fault('port', gone),)
+            message = f'{self.config.port}: the port is gone; plug the adapter in again'
+            faults = (Fault('port', message),)
         pairs = [(self.motors[wire.motor], wire) for wire in self.config.wires]
         tensions = np.array([motor.tension(wire) for motor, wire in pairs])
         tensions = np.where(self._observable, tensions, np.nan)
@@ -253,16 +254,16 @@ class DynamixelDriver(PortDriver):
 
     def _converse(self, now: float) -> None:
         """Read the state of the motors that answer, poll them, and ping one that is lost."""
-        there = [motor for motor in self.motors.values() if motor.answers]
-        read_state(self.bus, there)
-        self._watch.poll([motor for motor in there if motor.answers], now)
+        responding = [motor for motor in self.motors.values() if motor.answers]
+        read_state(self.bus, responding)
+        self._watch.poll([motor for motor in responding if motor.answers], now)
         self._start_from_measured(self._watch.tripped)
         before, self._lost = self._lost, [m for m in self.motors.values() if not m.answers]
         if len(self._lost) > len(before):
             self._retried = now  # report it first; a ping without an answer takes time
         elif self._lost and self._may_retry(now):
-            self._turn += 1  # another one first every time, until one is silent
-            start = self._turn % len(self._lost)
+            self._next_ping += 1  # a different first servo every time, until one is silent
+            start = self._next_ping % len(self._lost)
             for motor in self._lost[start:] + self._lost[:start]:
                 if not come_back(self.bus, motor, self._operating, self._watch.watchdog):
                     return
@@ -274,10 +275,10 @@ class DynamixelDriver(PortDriver):
             for wire in motor.wires:
                 value = motor.tension(wire) if self.mode == 'tension' else motor.pull(wire)
                 self._goal[self.inputs.index(wire.name)] = value if np.isfinite(value) else 0.0
-        if motors is None:  # the others go on: a stop is not to wait for one that was silent
+        if motors is None:  # else the ramps of the other motors continue: a stop must not wait
             self._written = time.monotonic()
 
-    def _zero_here(self) -> None:
+    def _zero_in_place(self) -> None:
         if self.config.zero == 'here':
             for motor in self.motors.values():
                 if motor.zero is None and motor.ticks is not None:

@@ -56,7 +56,7 @@ STEADY_END = 0.9  # [1] of the distance up to which it counts, because a weight 
 
 @dataclass
 class SlackSearch:
-    """The search of one motor: its direction, its goal, and for how long it stands still."""
+    """The search of one motor: its direction, its goal, and the time that it stands still."""
 
     motor: Motor
     start: int  # ticks
@@ -64,12 +64,12 @@ class SlackSearch:
     goal: float  # ticks
     direction: int  # +1 or -1, of the ticks
     backing: bool
-    still: float = 0.0  # [s] for which it has not followed
+    still: float = 0.0  # [s] for which it has not followed its goal
     stalls: tuple[int, ...] = ()
     missed: int = 0  # answers in a row
     trips: int = 0  # of its watchdog
     checked: float = 0.0  # [s] of `still` at which its watchdog was read
-    done: bool = False
+    finished: bool = False
 
     @property
     def middle(self) -> float | None:
@@ -115,7 +115,7 @@ def find_slack(
     try:
         torque_on(bus, motors, MODE, WATCHDOG_COUNTS)
         try:
-            wind_until_found(bus, config, searches, cancelled)
+            wind_until_taut(bus, config, searches, cancelled)
         except MovedError:
             raise
         except (DriverError, PortLostError) as error:
@@ -124,7 +124,7 @@ def find_slack(
         end_search(bus, searches)
 
 
-def wind_until_found(
+def wind_until_taut(
     bus: Bus, config: DynamixelConfig, searches: list[SlackSearch], cancelled: Callable[[], bool]
 ) -> None:
     """
@@ -132,16 +132,16 @@ def wind_until_found(
 
     A pause of this process counts as one cycle: whether a motor turned meanwhile is not known.
     """
-    left = 3.0 * config.home_travel / config.home_speed + EXTRA_TIME_S
+    remaining = 3.0 * config.home_travel / config.home_speed + EXTRA_TIME_S
     before = time.monotonic()
-    while not all(search.done for search in searches):
+    while not all(search.finished for search in searches):
         if cancelled():
             raise DriverError(f'{bus.path}: looking for slack was cancelled; torque is off')
         now = time.monotonic()
         passed, before = min(now - before, 2.0 * CYCLE_S), now
-        left -= passed
-        if left < 0.0:
-            late = ', '.join(str(search.motor) for search in searches if not search.done)
+        remaining -= passed
+        if remaining < 0.0:
+            late = ', '.join(str(search.motor) for search in searches if not search.finished)
             raise DriverError(
                 f'{bus.path}: {late}: looking for slack took too long; torque is off'
             )
@@ -152,22 +152,22 @@ def wind_until_found(
 
 
 def end_search(bus: Bus, searches: list[SlackSearch]) -> None:
-    """Torque off; remember how far those have gone whose zero is not known."""
+    """Torque off; record the distances of motors whose zero is still unknown."""
     motors = [search.motor for search in searches]
     try:
         torque_off(bus, motors)
         read_state(bus, motors)
-    except PortLostError:  # their watchdogs stop them, at the goal at the furthest
+    except PortLostError:  # their watchdogs stop them, at their goals at the latest
         for motor in motors:
-            motor.wanted = motor.answers = False
-    gone = travelled(bus.path)
+            motor.torque_requested = motor.answers = False
+    distances = travelled(bus.path)
     for search in searches:
         motor = search.motor
         motor.guided = None
         end = motor.ticks if motor.answers and motor.ticks is not None else search.goal
-        gone[motor.identity] = end - search.origin
+        distances[motor.identity] = end - search.origin
     if all(motor.zero is not None for motor in motors):
-        gone.clear()
+        distances.clear()
 
 
 def search_cycle(
@@ -187,7 +187,7 @@ def search_cycle(
         elif search.middle is not None:  # a motor with two wires comes back half-way
             step = search.ticks(config.home_speed * CYCLE_S)
             search.goal += max(-step, min(step, search.middle - search.goal))
-            search.done = abs(ticks - search.middle) < search.ticks(LAG_MAX_M)
+            search.finished = abs(ticks - search.middle) < search.ticks(LAG_MAX_M)
         elif wind(config, search, passed) and not resumed(bus, search) and is_taut(config, search):
             search.stalls += (ticks,)
             search.goal, search.still = float(ticks), 0.0
@@ -237,10 +237,10 @@ def wind(config: DynamixelConfig, search: SlackSearch, passed: float) -> bool:
 
 def resumed(bus: Bus, search: SlackSearch) -> bool:
     """
-    Return whether a motor stands because its watchdog stopped it, and let it go on from there.
+    Return whether a motor stands because its watchdog tripped, and if so let it continue.
 
-    Such a motor has not found its wire, and it is not one that cannot turn: this computer was
-    late. Where it stands is known.
+    Such a motor has neither found its wire nor is it blocked: this computer was late. Its
+    position is known.
     """
     motor = search.motor
     if bus.read(motor.identity, 'bus_watchdog') != WATCHDOG_TRIPPED:
@@ -270,8 +270,8 @@ def is_taut(config: DynamixelConfig, search: SlackSearch) -> bool:
     """
     Return whether a motor that stands has the current of a taut wire.
 
-    Against a wire it has all that it may have, without one what its friction takes. One that
-    stands with less is held back by something else, and is refused: its wire is not found.
+    Against a taut wire it draws its current limit, without one only the current of its friction.
+    One that stands still with less is held by something else: MovedError.
     """
     motor = search.motor
     drawn = search.direction * (motor.current or 0) * motor.model.current_unit
@@ -349,8 +349,9 @@ def turn_steadily(
     """
     Turn to `end` [ticks] in a duration [s]; return the mean current on the steady part [A].
 
-    A process that is late turns it more slowly, instead of leaving readings out. It counts while
-    it turns: one that stands, because its next goal is late, holds with anything up to friction.
+    A process that is late turns it more slowly, instead of skipping readings. Only readings at
+    the requested speed count: a motor that stands, because its next goal is late, holds with any
+    current up to its friction.
     """
     start, part, before = motor.ticks or 0, 0.0, time.monotonic()
     currents = []
@@ -360,16 +361,16 @@ def turn_steadily(
     while part < 1.0:
         check()
         turn_to(bus, motor, round(start + part * (end - start)))
-        turns = abs(motor.velocity / speed - 1.0) < SPEED_TOLERANCE
-        if STEADY_BEGIN < part < STEADY_END and turns and motor.current is not None:
+        at_speed = abs(motor.velocity / speed - 1.0) < SPEED_TOLERANCE
+        if STEADY_BEGIN < part < STEADY_END and at_speed and motor.current is not None:
             currents.append(wire.spool.direction * motor.current * motor.model.current_unit)
         now = time.monotonic()
         part, before = part + min(now - before, 2.0 * CYCLE_S) / duration, now
-    left, nearer = math.inf, time.monotonic()
-    while (now_left := abs((motor.ticks or 0) - end)) > ARRIVAL_TOLERANCE * abs(end - start):
-        if now_left < left:
-            left, nearer = now_left, time.monotonic()
-        if time.monotonic() - nearer < TURNING_TIMEOUT_S:
+    nearest, progress_at = math.inf, time.monotonic()
+    while (distance := abs((motor.ticks or 0) - end)) > ARRIVAL_TOLERANCE * abs(end - start):
+        if distance < nearest:
+            nearest, progress_at = distance, time.monotonic()
+        if time.monotonic() - progress_at < TURNING_TIMEOUT_S:
             check()
             turn_to(bus, motor, end)  # its last goal is an old one where this process was late
             continue

@@ -1,4 +1,4 @@
-"""One servo as the driver knows it: what it reported last, its limits, its faults."""
+"""One servo as the driver knows it: its last readings, its limits, its faults."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ HEALTH = span('present_input_voltage', 'present_temperature')
 @dataclass
 class Motor:
     """
-    A servo and what is known of it.
+    State of one servo.
 
     Parameters
     ----------
@@ -43,14 +43,14 @@ class Motor:
 
     Attributes
     ----------
-    wanted : bool
-        Torque shall be on.
+    torque_requested : bool
+        The driver has switched the torque on.
     answers : bool
         It answered the last read.
     errors : int
         Hardware error status, address 70.
     restarted, tripped : bool
-        It lost its power, or its torque was taken; its bus watchdog tripped.
+        It lost its power, or its torque was switched off; its bus watchdog tripped.
     ticks, current : int, optional
         Last good reading, position in ticks and current in counts.
     zero : float, optional
@@ -58,7 +58,7 @@ class Motor:
     gains : dict of int to list of int
         Operating mode -> gains (76 to 91) that the motor itself has for it.
     settled : dict of str to str
-        Register -> what the driver has changed, in words.
+        Register -> how the driver has changed it, as text.
 
     """
 
@@ -66,7 +66,7 @@ class Motor:
     wires: tuple[WireConfig, ...]
     mode: str
     firmware: int = 0
-    wanted: bool = False
+    torque_requested: bool = False
     answers: bool = True
     errors: int = 0
     restarted: bool = False
@@ -84,7 +84,7 @@ class Motor:
     reduced_limit: int | None = None  # [counts] of current since a stop in pull mode
     gains: dict[int, list[int]] = field(default_factory=dict)
     settled: dict[str, str] = field(default_factory=dict)
-    _carried: int = 0  # [counts] what it may have carried when that began
+    _carried: int = 0  # [counts] largest current when `reduced_limit` began
     _recent: deque[int] = field(default_factory=lambda: deque(maxlen=RECENT_READINGS))
 
     @property
@@ -102,7 +102,7 @@ class Motor:
         return f'{" and ".join(self.names)} (id {self.identity})'
 
     def take(self, data: bytes) -> None:
-        """Take the ten bytes of its state."""
+        """Decode the ten bytes of its state."""
         self.current = decode(REGISTERS['present_current'], data[0:2])
         self.velocity = decode(REGISTERS['present_velocity'], data[2:6])
         self.ticks = decode(REGISTERS['present_position'], data[6:10])
@@ -128,7 +128,7 @@ class Motor:
 
     def strength(self, wire: WireConfig) -> tuple[float, float]:
         """
-        Return what its largest current does to one of its wires [N].
+        Return the tensions [N] of one of its wires at its largest current.
 
         Returns
         -------
@@ -142,22 +142,22 @@ class Motor:
 
     @property
     def current_bounds(self) -> tuple[int, int]:
-        """Goal currents it may be given [counts]: in tension mode only those that wind."""
-        most = self.strongest if self.reduced_limit is None else self.reduced_limit
+        """Allowed goal currents [counts]; in tension mode only those that wind."""
+        largest = self.strongest if self.reduced_limit is None else self.reduced_limit
         if self.guided is not None:
-            most = min(self.guided[0], most)
+            largest = min(self.guided[0], largest)
         if self.mode == 'tension' and self.guided is None and self.wires[0].spool.direction < 0:
-            return -most, 0
-        return 0, most
+            return -largest, 0
+        return 0, largest
 
     @property
     def position_bounds(self) -> tuple[int, int]:
-        """Goal positions it may be given [ticks]; where it is, while the zero is unknown."""
+        """Allowed goal positions [ticks]; the present one while the zero is unknown."""
         if self.guided is not None:
             return self.guided[1]
-        here = self.ticks or 0
+        present = self.ticks or 0
         if self.zero is None:
-            return here, here
+            return present, present
         low, high = -float(POSITION_MAX_TICKS), float(POSITION_MAX_TICKS)
         for wire in self.wires:
             ends = [
@@ -200,7 +200,7 @@ class Motor:
 
     def limit_current(self, reduction: float, tension: float) -> None:
         """
-        Reduce its current limit, from what it carries to what a tension takes.
+        Reduce its current limit, from its present current to that of a tension.
 
         Parameters
         ----------
@@ -222,7 +222,7 @@ class Motor:
         self.reduced_limit = round(end + max(0.0, 1.0 - reduction) * (self._carried - end))
 
     def faults(self, port: str, talker: str = '') -> Iterator[Fault]:
-        """List what is wrong with it; `talker` says who else talks on the bus."""
+        """List its faults; `talker` names another program on the bus, '' for none."""
         who = f'{port}: {self}'
         advice = 'torque is off; remove the cause, then reboot it'
         for code, words in hardware_errors(self.errors):
@@ -247,7 +247,7 @@ class Motor:
             yield Fault('supply', f'{who}: {words}', False, self.names)
 
     def take_health(self, data: bytes) -> None:
-        """Take the three bytes of voltage and temperature."""
+        """Decode the three bytes of voltage and temperature."""
         self.voltage = int.from_bytes(data[:2], 'little') * REGISTERS['present_input_voltage'].unit
         self.temperature = float(data[2])
 

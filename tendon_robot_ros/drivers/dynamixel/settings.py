@@ -1,8 +1,8 @@
 """
-Who is on the bus, and what every register that steers motion holds before the torque comes on.
+Handshake with the servos, and the values of all registers that affect motion before torque on.
 
-The handshake compares the servos with the configuration. Of the registers one table says what they
-must hold, one loop sets or refuses and reads back: whatever another program left.
+The handshake compares the servos with the configuration. One table lists the required values of
+the registers; one loop sets or refuses them and reads them back, whatever another program left.
 
 References
 ----------
@@ -31,30 +31,28 @@ from .control_table import (
 )
 from .motor import Motor
 
-ATTEMPTS = 3  # [1] of a question or a write, so that one broken answer is no missing servo
-OTHER_RATES = (
-    57600,
-    1_000_000,
-)  # [1/s] as delivered (manual, address 8), and what most people set
+ATTEMPTS = 3  # [1] of a request or a write, so that one broken answer is no missing servo
+# [1/s] as delivered (manual, address 8), and the usual one
+OTHER_RATES = (57600, 1_000_000)
 
 
 @dataclass(frozen=True)
 class Setting:
     """
-    What a register that steers motion holds before the torque comes on.
+    Required value of a register that affects motion, before the torque comes on.
 
     Parameters
     ----------
     name : str
         Of the register.
     value : int, optional
-        None: what the configuration, the command mode or the model says.
+        None: the value of the configuration, the command mode or the model.
     why : str
-        What another value does.
+        Consequence of another value.
     refused : bool
-        Another value belongs to how the arm is set up: it is refused; else it is overwritten.
+        Another value belongs to the setup of the arm and is refused; else it is overwritten.
     newer : bool
-        There since the firmware that has the fast sync read.
+        The register exists since the firmware that has the fast sync read.
 
     """
 
@@ -101,7 +99,7 @@ SETTINGS = (
 
 
 def must_write(bus: Bus, motor: Motor, name: str, value: int) -> None:
-    """Write a register, again if need be; raise DriverError when the servo refuses."""
+    """Write a register in a few attempts; raise DriverError when the servo refuses."""
     for _ in range(ATTEMPTS):
         problem = bus.write(motor.identity, name, value)
         if problem is None:
@@ -124,7 +122,7 @@ def read_table(bus: Bus, motor: Motor) -> dict[str, int]:
 
 
 def refuse_settings(bus: Bus, motor: Motor, table: dict[str, int]) -> None:
-    """Refuse what belongs to how the arm is set up and is not for this driver to change."""
+    """Refuse values that belong to the setup of the arm, which this driver does not change."""
     for setting in SETTINGS:
         if setting.refused and table[setting.name] != setting.value:
             words = setting.name.replace('_', ' ')
@@ -137,7 +135,7 @@ def refuse_settings(bus: Bus, motor: Motor, table: dict[str, int]) -> None:
 
 def settle(bus: Bus, motor: Motor, mode: int) -> None:
     """
-    Bring all registers that steer motion to what they must hold; the torque is off.
+    Set all registers that affect motion to their required values; the torque is off.
 
     Registers of the flash memory are written only when they differ: they wear.
 
@@ -157,7 +155,7 @@ def settle(bus: Bus, motor: Motor, mode: int) -> None:
     original = table = read_table(bus, motor)
     refuse_settings(bus, motor, table)
     if motor.gains.get(mode) != [table[name] for name in GAINS]:
-        # nobody knows whose they are: another mode and back brings those of the manual
+        # their origin is unknown: a change of mode and back restores those of the manual
         other = (
             OperatingMode.EXTENDED_POSITION
             if mode == OperatingMode.CURRENT
@@ -173,19 +171,19 @@ def settle(bus: Bus, motor: Motor, mode: int) -> None:
         'pwm_slope': motor.model.pwm_slope,
     }
     newer = motor.firmware >= motor.model.fast_read_firmware
-    wanted = {
+    required = {
         setting.name: value
         for setting in SETTINGS
         if newer or not setting.newer
         if (value := of_this_motor.get(setting.name, setting.value)) is not None
     }
-    for name, value in wanted.items():
+    for name, value in required.items():
         if original[name] != value:
             motor.settled[name] = f'{original[name]} to {value}'
         if table[name] != value:
             must_write(bus, motor, name, value)
     table = read_table(bus, motor)
-    for name, value in wanted.items():
+    for name, value in required.items():
         if table[name] != value:
             raise DriverError(
                 f'{bus.path}: {motor}: {name.replace("_", " ")} (address '
@@ -196,7 +194,7 @@ def settle(bus: Bus, motor: Motor, mode: int) -> None:
 
 @contextmanager
 def naming_second_talker(bus: Bus) -> Iterator[None]:
-    """Where a conversation fails because somebody else talks on the bus, say that instead."""
+    """Name another program on the bus in the message of a conversation that failed."""
     try:
         yield
     except DriverError as error:
@@ -208,7 +206,7 @@ def naming_second_talker(bus: Bus) -> Iterator[None]:
 
 def shake_hands(bus: Bus, config: DynamixelConfig, motors: dict[int, Motor]) -> None:
     """
-    Check every servo: there, the right model, settings that are safe to use.
+    Check that every servo answers, is the right model, and has safe settings.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Torque on without a jump, torque off, and how a servo comes back after an interruption."""
+"""Torque on without a jump, torque off, and recovery of a servo after an interruption."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def torque_on(bus: Bus, motors: Iterable[Motor], mode: int, watchdog: int) -> No
     hold(bus, chosen, mode)
     for motor in chosen:
         must_write(bus, motor, 'torque_enable', 1)
-        motor.wanted, motor.restarted, motor.tripped = True, False, False
+        motor.torque_requested, motor.restarted, motor.tripped = True, False, False
     hold(bus, chosen, mode)
     for motor in chosen:
         must_write(bus, motor, 'bus_watchdog', watchdog)
@@ -121,20 +121,20 @@ def hold(bus: Bus, motors: Iterable[Motor], mode: int) -> None:
     chosen = [motor for motor in motors if motor.ticks is not None]
     bounds = {motor.identity: motor.current_bounds for motor in chosen}
     if mode == OperatingMode.CURRENT:
-        present = {motor.identity: motor.current or 0 for motor in chosen}
-        bus.send_goals('goal_current', present, bounds)
+        currents = {motor.identity: motor.current or 0 for motor in chosen}
+        bus.send_goals('goal_current', currents, bounds)
         return
     if mode == OperatingMode.CURRENT_BASED_POSITION:
-        most = {identity: high for identity, (_, high) in bounds.items()}
-        bus.send_goals('goal_current', most, bounds)
-    here = {motor.identity: motor.ticks or 0 for motor in chosen}
-    bus.send_goals('goal_position', here, {i: (ticks, ticks) for i, ticks in here.items()})
+        largest = {identity: high for identity, (_, high) in bounds.items()}
+        bus.send_goals('goal_current', largest, bounds)
+    ticks = {motor.identity: motor.ticks or 0 for motor in chosen}
+    bus.send_goals('goal_position', ticks, {i: (goal, goal) for i, goal in ticks.items()})
 
 
 def torque_off(bus: Bus, motors: Iterable[Motor]) -> None:
     """Switch the torque off; a servo that does not answer gets two attempts."""
     for motor in motors:
-        motor.wanted = motor.restarted = motor.tripped = False
+        motor.torque_requested = motor.restarted = motor.tripped = False
         for _ in range(2):
             if bus.write(motor.identity, 'torque_enable', 0) is None:
                 break
@@ -142,7 +142,7 @@ def torque_off(bus: Bus, motors: Iterable[Motor]) -> None:
 
 def come_back(bus: Bus, motor: Motor, mode: int, watchdog: int) -> bool:
     """
-    Find out what a servo did while it could not be reached, and go on from where it is.
+    Read the state of a servo after a lost connection, and continue from its position.
 
     A servo that lost its power stays off: somebody may have used the switch in the motor supply.
 
@@ -163,7 +163,7 @@ def come_back(bus: Bus, motor: Motor, mode: int, watchdog: int) -> bool:
         return False
     read_state(bus, [motor])
     torque, state = values
-    if not motor.wanted:
+    if not motor.torque_requested:
         if torque:
             torque_off(bus, [motor])
     elif not torque or (watchdog and state == 0):
@@ -175,8 +175,8 @@ def come_back(bus: Bus, motor: Motor, mode: int, watchdog: int) -> bool:
 
 
 def lost_power(motor: Motor) -> None:
-    """Note that a servo lost its torque by itself; its turns are unknown now."""
-    motor.restarted, motor.wanted, motor.zero = True, False, None
+    """Note that a servo lost its torque by itself; its count of turns is unknown now."""
+    motor.restarted, motor.torque_requested, motor.zero = True, False, None
 
 
 def recover_watchdog(bus: Bus, motor: Motor, mode: int, watchdog: int, tripped: bool) -> None:
@@ -192,7 +192,7 @@ def recover_watchdog(bus: Bus, motor: Motor, mode: int, watchdog: int, tripped: 
 @dataclass
 class Watch:
     """
-    What is polled beside the state, one kind per cycle, whichever is most overdue.
+    Polls of registers beside the state, one kind per cycle, whichever is most overdue.
 
     The alert bit of a status packet is hidden in group reads, so hardware errors are read from
     address 70. A bad value is read once more before anything follows from it: a late answer of
@@ -232,8 +232,8 @@ class Watch:
         """Act on the value of a polled register, if it is bad and another read confirms it."""
         bad = {
             'hardware_error_status': value != motor.errors,
-            'bus_watchdog': motor.wanted and value != self.watchdog,
-            'torque_enable': motor.wanted and not value,
+            'bus_watchdog': motor.torque_requested and value != self.watchdog,
+            'torque_enable': motor.torque_requested and not value,
         }
         if not bad[register] or self.bus.read(motor.identity, register) != value:
             return
@@ -241,7 +241,7 @@ class Watch:
             motor.errors = value
             if value:
                 torque_off(self.bus, [motor])
-        elif register == 'torque_enable':  # it went off by itself: an error, or the power
+        elif register == 'torque_enable':  # switched off by itself: an error, or the power
             status = self.bus.read(motor.identity, 'hardware_error_status') or 0
             self.check('hardware_error_status', motor, status)
             if not motor.errors:

@@ -71,8 +71,8 @@ class Cell:
     def uncertainty(self, tension: Array) -> Array:
         """Return the standard uncertainty [N] at tensions [N], any shape."""
         fixed = self.newtons_per_count * math.hypot(self.zero_error, self.scatter)
-        share = self.slope_error / self.newtons_per_count
-        return np.hypot(fixed, share * tension)
+        relative = self.slope_error / self.newtons_per_count
+        return np.hypot(fixed, relative * tension)
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ def fit_counts(points: Sequence[CountsPoint]) -> Cell:
 
 
 def cell_mapping(cell: Cell, points: Sequence[CountsPoint]) -> dict[str, Any]:
-    """Return what is written to the calibration file for one tendon."""
+    """Return the entry of one tendon in the calibration file."""
     heaviest = max(point.tension for point in points)
     return {
         'zero': round(cell.zero, 1),
@@ -152,18 +152,18 @@ class TendonConfig:
 def read_tendons(
     top: ConfigFields, robot: Robot, mode: str, calibrated: bool
 ) -> tuple[TendonConfig, ...]:
-    """Read the channel of every input; `calibrated` tells whether load cells must be."""
+    """Read the channel of every input; `calibrated`: load cells must be calibrated."""
     fields = fields_of_inputs(top, 'tendons', 'a channel', robot)
     cells = read_calibrations(top, required=False)
-    made = tuple(
+    tendons = tuple(
         read_tendon(top, name, item, cells, robot, mode, calibrated)
         for name, item in fields.items()
     )
-    numbers = [tendon.channel for tendon in made]
-    for tendon in made:
+    numbers = [tendon.channel for tendon in tendons]
+    for tendon in tendons:
         if numbers.count(tendon.channel) > 1:
             raise top.error('tendons', 'a channel of its own for every input', str(tendon))
-    return made
+    return tendons
 
 
 def read_tendon(
@@ -249,7 +249,7 @@ BAUD_RATES = (115_200, 230_400, 250_000, 500_000, 1_000_000, 2_000_000)
 
 @dataclass(frozen=True)
 class BoardConfig:
-    """Everything the driver needs to know; SI units."""
+    """Checked configuration of the driver; SI units."""
 
     source: str
     port: str
@@ -278,7 +278,7 @@ def read_config(
     robot: Robot, content: Mapping[str, Any], mode: str, source: str, *, calibrated: bool = True
 ) -> BoardConfig:
     """
-    Check a configuration for a robot; `calibrated` tells whether load cells must be.
+    Check a configuration for a robot; `calibrated`: load cells must be calibrated.
 
     Raises
     ------

@@ -61,24 +61,24 @@ class SerialDriver(PortDriver):
         self.telemetry: Telemetry | None = None
         self.identity: Identity | None = None
         self.zero = np.full(len(self.inputs), np.nan)  # [m] on the board where pull is 0
-        self.wanted = np.zeros(len(self.inputs), dtype=bool)  # torque should be on
-        self.restarted = np.zeros(len(self.inputs), dtype=bool)  # the board switched them off
-        self._tripped = False  # the board heard nothing and released
-        self._heard = self._read_at = -np.inf
+        # (m,) each: the driver has switched the torque on; the board has switched it off
+        self.torque_requested, self.restarted = np.zeros((2, len(self.inputs)), dtype=bool)
+        self._tripped = False  # the board received nothing and released
+        self._received_at = self._read_at = -np.inf
 
     def _shake_hands(self) -> None:
-        """Ask who is there, and tell it its configuration."""
+        """Identify the board and send its configuration."""
         self.identity = identify(self.link, self.config)
         let_go(self.link, self.identity.channels)
         ask(self.link, Message.CLEAR, b'\xff')
         configure(self.link, self.config, np.nan_to_num(self.zero))
-        if self._hear(1.0) is None:
+        if self._receive(1.0) is None:
             raise DriverError(f'{self.config.port}: no telemetry; check the baud rate')
-        self._zero_here()
+        self._zero_in_place()
         self.restarted[:] = False
 
     def _check_motors(self) -> None:
-        self.read_again()
+        self.read_fresh()
         if latched := self._latched_faults():
             raise DriverError('; '.join(fault.message for fault in latched))
 
@@ -87,23 +87,23 @@ class SerialDriver(PortDriver):
 
     def _torque_on(self) -> None:
         self.switch_on(self.mode)
-        self.wanted[:], self.restarted[:] = True, False
+        self.torque_requested[:], self.restarted[:] = True, False
 
     def switch_on(self, mode: str) -> None:
         """Torque on in a mode, where the wires are."""
         every = np.ones(len(self.inputs), dtype=bool)
         ask(self.link, Message.ENABLE, bytes((messages.MODES.index(mode),)) + self._mask(every))
-        self.read_again()
+        self.read_fresh()
 
     def disable(self, inputs: Sequence[str] = ()) -> None:
         """Torque off at once."""
         chosen = self._chosen(inputs)
-        self.wanted[chosen] = self.restarted[chosen] = False
+        self.torque_requested[chosen] = self.restarted[chosen] = False
         try:
             if self.link.connected:
                 ask(self.link, Message.DISABLE, self._mask(chosen), attempts=2)
         except (DriverError, PortLostError):
-            pass  # read() says so, and switches off what came back unwanted
+            pass  # read() reports it, and switches motors off that are on without a request
 
     def reboot(self, inputs: Sequence[str] = ()) -> None:
         """Clear latched faults of motors, after their cause was removed; leaves them off."""
@@ -112,13 +112,13 @@ class SerialDriver(PortDriver):
         self.disable(inputs)
         try:
             ask(self.link, Message.CLEAR, self._mask(chosen))
-            self.read_again()
+            self.read_fresh()
         except PortLostError as error:
             raise DriverError(f'{error}: lost while clearing faults') from None
         latched = self._latched_faults()
-        again = [f.message for f in latched if not inputs or f.inputs[0] in inputs]
-        if again:
-            raise DriverError('; '.join(again))
+        remaining = [f.message for f in latched if not inputs or f.inputs[0] in inputs]
+        if remaining:
+            raise DriverError('; '.join(remaining))
 
     def describe(self) -> dict[str, str]:
         """Return facts about board and link."""
@@ -151,15 +151,15 @@ class SerialDriver(PortDriver):
     def write(self, command: Array) -> None:
         """Command tensions [N] or pulls [m], shape (m,), kept within limits and rates."""
         self._require_open('write')
-        wanted, passed = self.checked(command), self._since_write()
+        requested, passed = self.checked(command), self._since_write()
         if passed > self.config.timeout:
             return  # the board may have released meanwhile: read() comes first
-        self._goal = self._towards(wanted, self.limits, passed)
+        self._goal = self._towards(requested, self.limits, passed)
         try:
-            if self.link.connected and self.wanted.any():
+            if self.link.connected and self.torque_requested.any():
                 self.command(self.mode, self._goal)
         except PortLostError:
-            pass  # read() says so and tries to get it back
+            pass  # read() reports the fault and reopens the port
 
     def command(self, mode: str, goal: Array) -> None:
         """Send one command, shape (m,) [N] or [m], to all channels in one frame."""
@@ -177,10 +177,10 @@ class SerialDriver(PortDriver):
                 self.telemetry = None
                 if self.link.reopen():
                     self.link.send(Message.HEARTBEAT)
-                    self._heard = self.link.clock()
+                    self._received_at = self.link.clock()
             if self.link.connected:
                 self._converse(now)
-        except (PortLostError, DriverError):  # DriverError: it came back and went away again
+        except (PortLostError, DriverError):  # DriverError: it answered and was lost again
             self.telemetry = None
         tensions, doubt = self.measured_tensions(), np.zeros(len(self.inputs))
         for k, tendon in enumerate(self.config.tendons):
@@ -190,11 +190,11 @@ class SerialDriver(PortDriver):
         return Reading(now, self.measured_pulls(), tensions, 'load_cell', doubt, faults)
 
     def measured_tensions(self) -> Array:
-        """Return measured tensions, shape (m,) [N]; nan where the load cell says nothing."""
+        """Return measured tensions, shape (m,) [N]; nan where the load cell has a fault."""
         return self._channels('tensions', ChannelFault.LOAD_CELL)
 
     def measured_pulls(self) -> Array:
-        """Return wire pulls from the zero, shape (m,) [m]; nan where the encoder says nothing."""
+        """Return wire pulls from the zero, shape (m,) [m]; nan where the encoder has a fault."""
         pulls: Array = self._channels('pulls', ChannelFault.ENCODER) - np.nan_to_num(self.zero)
         return pulls
 
@@ -212,7 +212,7 @@ class SerialDriver(PortDriver):
         return bytes((int(np.bitwise_or.reduce(1 << self.config.places[which], initial=0)),))
 
     def _faults(self) -> tuple[Fault, ...]:
-        """Return what is wrong."""
+        """Return the present faults."""
         port = self.config.port
         if not self.link.connected:
             return (Fault('port', f'{port}: the port is gone; plug the board in again'),)
@@ -254,40 +254,42 @@ class SerialDriver(PortDriver):
         if now - self._read_at > PORT_FLUSH_S:
             self.link.flush()
         lost = self.telemetry is None
-        heard = self._hear(min(3.0 * self.config.period, 0.03))
+        newest = self._receive(min(3.0 * self.config.period, 0.03))
         self._read_at = time.monotonic()
-        if heard is None:
-            if self.link.clock() - self._heard > max(ANSWER_TIMEOUT_S, 5.0 * self.config.period):
+        if newest is None:
+            silence = self.link.clock() - self._received_at
+            if silence > max(ANSWER_TIMEOUT_S, 5.0 * self.config.period):
                 self.telemetry = None
             return
-        if not heard.flags & BoardFlag.CONFIGURED:
-            # it had no power: tell it what it must know; its motors stay off
-            self.restarted |= self.wanted
+        if not newest.flags & BoardFlag.CONFIGURED:
+            # it had no power: send its configuration again; its motors stay off
+            self.restarted |= self.torque_requested
             if self.config.zero == 'find':
                 self.zero[:] = np.nan
             configure(self.link, self.config, np.nan_to_num(self.zero))
-            heard = self._hear(ANSWER_TIMEOUT_S) or heard
-        enabled = np.array([heard.enabled >> i & 1 for i in self.config.places], dtype=bool)
-        healthy = heard.faults[self.config.places] == 0
-        self.restarted |= self.wanted & ~enabled & healthy
-        self._tripped = bool(heard.flags & BoardFlag.SILENCE) and bool(self.wanted.any())
+            newest = self._receive(ANSWER_TIMEOUT_S) or newest
+        enabled = np.array([newest.enabled >> i & 1 for i in self.config.places], dtype=bool)
+        healthy = newest.faults[self.config.places] == 0
+        self.restarted |= self.torque_requested & ~enabled & healthy
+        silent = bool(newest.flags & BoardFlag.SILENCE)
+        self._tripped = silent and bool(self.torque_requested.any())
         if lost or self._tripped:
             self._start_from_measured()
-        if np.any(enabled & ~self.wanted):  # it was switched off while the port was lost
-            self.link.send(Message.DISABLE, self._mask(enabled & ~self.wanted))
+        if np.any(enabled & ~self.torque_requested):  # it was switched off while the port was lost
+            self.link.send(Message.DISABLE, self._mask(enabled & ~self.torque_requested))
 
-    def _hear(self, wait: float) -> Telemetry | None:
+    def _receive(self, wait: float) -> Telemetry | None:
         """Take the newest telemetry, None when none came."""
         assert self.identity is not None
-        heard = telemetry(self.link, self.identity.channels, wait)
-        if heard is not None:
-            self.telemetry, self._heard = heard, self.link.clock()
-        return heard
+        newest = telemetry(self.link, self.identity.channels, wait)
+        if newest is not None:
+            self.telemetry, self._received_at = newest, self.link.clock()
+        return newest
 
-    def read_again(self) -> None:
+    def read_fresh(self) -> None:
         """Take telemetry that is newer than the last message to the board."""
         self.link.flush()
-        if self._hear(0.5) is None:
+        if self._receive(0.5) is None:
             raise DriverError(f'{self.config.port}: no telemetry; check cable and supply')
         self._read_at = time.monotonic()
 
@@ -298,7 +300,7 @@ class SerialDriver(PortDriver):
         self._goal = np.where(np.isfinite(value), value, self._goal)
         self._written = time.monotonic()
 
-    def _zero_here(self) -> None:
+    def _zero_in_place(self) -> None:
         if self.config.zero == 'here' and self.telemetry is not None:
             measured = self.telemetry.pulls[self.config.places]
             self.zero = np.where(np.isfinite(self.zero), self.zero, measured)
@@ -308,12 +310,16 @@ class SerialDriver(PortDriver):
         """
         Wind all wires to the homing tension, within `home_travel` of where the search began.
 
-        Where a wire does not come to that tension in time, MovedError says why; where the board
-        refuses before anything has moved, it is a DriverError.
+        Raises
+        ------
+        MovedError
+            A wire does not reach that tension in time.
+        DriverError
+            The board refuses before anything has moved.
         """
         channels, travel = self.config.places.tolist(), self.config.home_travel
-        gone, start = travelled(self.config.port), self._board_pulls()
-        origin = start - np.array([gone.get(channel, 0.0) for channel in channels])
+        distances, start = travelled(self.config.port), self._board_pulls()
+        origin = start - np.array([distances.get(channel, 0.0) for channel in channels])
         try:
             self._refuse_too_far(np.abs(start - origin) > travel)
         except DriverError as error:
@@ -322,7 +328,7 @@ class SerialDriver(PortDriver):
         self.switch_on('tension')
         try:
             self.zero = self._wind_until_taut(origin)
-            gone.clear()
+            distances.clear()
             give_limits(self.link, self.config, self.zero)
         except MovedError:
             raise
@@ -342,25 +348,25 @@ class SerialDriver(PortDriver):
                         f'{config.port}: looking for slack was cancelled; torque is off'
                     )
                 self.command('tension', goal)
-                self.read_again()
-                away = ~(np.abs(self.measured_tensions() - goal) < TENSION_TOLERANCE * goal)
-                if away.any():
+                self.read_fresh()
+                off_target = ~(np.abs(self.measured_tensions() - goal) < TENSION_TOLERANCE * goal)
+                if off_target.any():
                     steady = time.monotonic()
                 if faults := self._latched_faults():
                     raise DriverError('; '.join(fault.message for fault in faults))
                 reach = config.home_travel - TRAVEL_TOLERANCE_M
-                self._refuse_too_far(away & (np.abs(self._board_pulls() - origin) > reach))
+                self._refuse_too_far(off_target & (np.abs(self._board_pulls() - origin) > reach))
                 if time.monotonic() > deadline:
                     raise DriverError(
-                        f'{config.port}: {self._names(away)}: not at {config.home_tension:g} N '
-                        f'within {config.home_time:g} s; is the wire attached, and the direction '
-                        'right?'
+                        f'{config.port}: {self._names(off_target)}: not at '
+                        f'{config.home_tension:g} N within {config.home_time:g} s; is the wire '
+                        'attached, and the direction right?'
                     )
                 time.sleep(CYCLE_S)
         except (DriverError, PortLostError) as error:
             self.disable()
             try:
-                self.read_again()
+                self.read_fresh()
                 distance = self._board_pulls() - origin
             except (DriverError, PortLostError):  # on its own the board may wind to the end
                 distance = np.full(len(self.inputs), config.home_travel)
@@ -371,7 +377,7 @@ class SerialDriver(PortDriver):
         return self._board_pulls()
 
     def _board_pulls(self) -> Array:
-        """Return where the wires are, shape (m,) [m] on the board."""
+        """Return the wire pulls from the board's zero, shape (m,) [m]."""
         if self.telemetry is None:
             raise DriverError(f'{self.config.port}: no telemetry; check cable and supply')
         return np.array(self.telemetry.pulls[self.config.places], dtype=float)

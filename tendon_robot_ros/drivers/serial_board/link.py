@@ -1,8 +1,8 @@
 """
-The serial port to the board: whole frames go out, good frames come in; lost ports come back.
+The serial port to the board: it sends and receives whole frames, and reopens lost ports.
 
-Questions that the board must answer: who it is, that it took its configuration, and what its load
-cells count.
+Requests that the board must answer: its identity, its configuration, and the counts of its load
+cells.
 """
 
 from __future__ import annotations
@@ -48,11 +48,11 @@ class BoardLink:
     ----------
     path : str
     missed : int
-        Frames of the board that never came, by their sequence numbers.
+        Frames of the board that were lost, by their sequence numbers.
     sent_at : float
         `time.monotonic()` when something was last sent [s].
     clock : callable
-        Tells how long the board has been silent [s].
+        Clock of the time-outs [s].
 
     """
 
@@ -69,12 +69,12 @@ class BoardLink:
 
     @property
     def connected(self) -> bool:
-        """Whether the port is open, as far as is known."""
+        """Whether the port is open; a lost port counts as open until it fails."""
         return self._port is not None
 
     @property
     def bad(self) -> int:
-        """Frames thrown away here because something about them was wrong."""
+        """Number of invalid frames that were discarded."""
         return self._receiver.bad
 
     def open(self) -> None:
@@ -86,7 +86,7 @@ class BoardLink:
             raise DriverError(why_not(self.path, error)) from None
 
     def reopen(self) -> bool:
-        """Try to get a lost port back; return whether it worked. Quick either way."""
+        """Try to reopen a lost port; return whether it worked. Quick either way."""
         self.close()
         try:
             if os.path.exists(self.path):
@@ -109,7 +109,7 @@ class BoardLink:
         self._port, self._receiver, self._expected = port, receiver, None
 
     def close(self) -> None:
-        """Give the port back; never raises."""
+        """Close the port; never raises."""
         port, self._port = self._port, None
         if port is not None:
             try:
@@ -149,7 +149,7 @@ class BoardLink:
         return frames
 
     def flush(self) -> None:
-        """Throw away what has come: it is old."""
+        """Discard the bytes that have arrived: they are old."""
         port = self._open_port()
         try:
             port.reset_input_buffer()
@@ -169,12 +169,12 @@ class BoardLink:
 
 def identify(link: BoardLink, config: BoardConfig) -> Identity:
     """
-    Ask who is there until it answers.
+    Request the board's identity until it answers.
 
     Raises
     ------
     DriverError
-        Nobody, another version of the protocol, or too few channels.
+        No answer, another version of the protocol, or too few channels.
 
     """
     deadline = link.clock() + BOOT_TIME_S
@@ -205,8 +205,8 @@ def identify(link: BoardLink, config: BoardConfig) -> Identity:
 def wait_for(link: BoardLink, kind: int, wait: float) -> list[Frame]:
     """Return the frames of a kind as soon as there is one; none after `wait` [s]."""
     deadline = link.clock() + wait
-    while (left := deadline - link.clock()) > 0.0:
-        frames = [frame for frame in link.receive(left) if frame.type == kind]
+    while (remaining := deadline - link.clock()) > 0.0:
+        frames = [frame for frame in link.receive(remaining) if frame.type == kind]
         if frames:
             return frames
     return []
@@ -214,19 +214,19 @@ def wait_for(link: BoardLink, kind: int, wait: float) -> list[Frame]:
 
 def ask(link: BoardLink, kind: int, payload: bytes, attempts: int = ATTEMPTS) -> None:
     """
-    Send a message until the board says what it did with it.
+    Send a message until the board acknowledges it.
 
     Raises
     ------
     DriverError
-        It refuses, or does not answer.
+        The board refuses, or does not answer.
 
     """
     for _ in range(attempts):
         sequence = link.send(kind, payload)
         deadline = link.clock() + ANSWER_TIMEOUT_S
-        while (left := deadline - link.clock()) > 0.0:
-            for frame in wait_for(link, Message.RESULT, left):
+        while (remaining := deadline - link.clock()) > 0.0:
+            for frame in wait_for(link, Message.RESULT, remaining):
                 if frame.payload[:2] == bytes((kind, sequence)) and len(frame.payload) == 3:
                     if frame.payload[2] == 0:
                         return
@@ -239,7 +239,7 @@ def ask(link: BoardLink, kind: int, payload: bytes, attempts: int = ATTEMPTS) ->
 
 
 def configure(link: BoardLink, config: BoardConfig, zeros: Array) -> None:
-    """Give the board all it must know; its motors are off. `zeros`: shape (m,) [m]."""
+    """Send the board its configuration; its motors are off. `zeros`: shape (m,) [m]."""
     for tendon in config.tendons:
         cell = tendon.cell
         if cell is not None:
@@ -288,19 +288,19 @@ def telemetry(link: BoardLink, channels: int, wait: float) -> Telemetry | None:
 
 
 def let_go(link: BoardLink, channels: int) -> None:
-    """Release what another process has left under tension, then torque off."""
-    heard = telemetry(link, channels, 0.3)
-    if heard is not None and heard.enabled:
+    """Release tension that another process has left, then torque off."""
+    state = telemetry(link, channels, 0.3)
+    if state is not None and state.enabled:
         ask(link, Message.RELEASE, bytes((messages.RELEASES.index('limp'),)))
         deadline = link.clock() + RELEASE_TIME_S
-        while heard is not None and heard.enabled and link.clock() < deadline:
+        while state is not None and state.enabled and link.clock() < deadline:
             link.send(Message.HEARTBEAT)
-            heard = telemetry(link, channels, 0.1)
+            state = telemetry(link, channels, 0.1)
     ask(link, Message.DISABLE, b'\xff')
 
 
 def connect(config: BoardConfig) -> tuple[BoardLink, int]:
-    """Open the port and ask who is there; return the link and the number of channels."""
+    """Open the port and identify the board; return the link and the number of channels."""
     link = BoardLink(config.port, config.baud)
     link.open()
     try:

@@ -3,8 +3,8 @@ Frames and messages of the serial protocol (docs/serial_protocol.md).
 
 A frame is byte stuffed, has a CRC over the stuffed bytes, and a zero at its end.
 
-The CRC stands outside the stuffing, so that it protects the very bytes on the wire: as they are
-at most 32751 bits long, any one, two or three flipped bits are noticed.
+The CRC is over the stuffed bytes, so that it protects the bytes on the wire: as they are at most
+32751 bits long, any one, two or three flipped bits are detected.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ CHANNEL_FAULTS = {
 
 @dataclass(frozen=True)
 class Frame:
-    """What a good frame carries."""
+    """Content of a valid frame."""
 
     version: int
     type: int

@@ -1,11 +1,11 @@
 """
 Derivatives of an equilibrium by the implicit function theorem.
 
-How the residual changes with a parameter at the same bends is a difference of residuals; one
-elimination with these as right-hand sides says how the bends follow. Where there is friction it
-says without any how they follow a tension: tensions come in at the base. (Where the model is
-explicit, a difference of sweeps says it at once.) What a posture shows is then differentiated
-along both, without solving again.
+The derivative of the residual by a parameter, at the same bends, is a difference of residuals; an
+elimination with these as right-hand sides gives the derivatives of the bends. With friction, those
+by tensions need no right-hand side: tensions enter at the base. (Of an explicit model, differences
+of sweeps give them directly.) The outputs of a posture are then differentiated along parameter and
+bends together, without solving again.
 """
 
 import math
@@ -45,9 +45,9 @@ RESTING_MAX = SAME_SIGN
 @compiled
 def combine_tendons(chain, inputs, pulls, rows):
     """
-    Fill how a state follows the inputs, rows (m or more, u), from how it follows tendons (k, u).
+    Fill the derivatives of a state by inputs, rows (m or more, u), from those by tendons (k, u).
 
-    Those of an input are pulled by what the actuation leaves of it, at inputs (m,) [N].
+    The actuation turns each input into the tension of its tendons, at inputs (m,) [N].
     """
     tendon, tension = words(chain.tendon), floats(inputs)
     for j in range(chain.m):
@@ -64,7 +64,7 @@ def combine_tendons(chain, inputs, pulls, rows):
 
 @compiled
 def input_response(chain, inputs, bend, work, past, rows):
-    """Fill how the state follows the input tensions, rows (m, unknowns) [rad/N]."""
+    """Fill the derivatives of the state by the input tensions, rows (m, unknowns) [rad/N]."""
     if is_implicit(chain) and eyelet_acts(chain):
         pulls, f = np.empty((chain.k, unknowns(chain))), np.empty(unknowns(chain))
         residual_at(chain.residual)(chain, inputs, bend, work, past, address(f))
@@ -114,7 +114,7 @@ def move_along(chain, inputs, bend, rows, j, step, trial):
     inputs, bend : address
         (m,) [N]; state [rad].
     rows : ndarray, shape (m, u)
-        How the bends follow the inputs [rad/N].
+        Derivatives of the bends by the inputs [rad/N].
     j : int
         The input that moves.
     step : float
@@ -129,15 +129,15 @@ def move_along(chain, inputs, bend, rows, j, step, trial):
 
 
 @compiled
-def output_slopes(chain, inputs, there, state_slopes, slopes):
+def output_slopes(chain, inputs, solver, state_slopes, slopes):
     """
     Fill slopes (6 or 6 + m, m): tip position [m/N], tip direction [1/N], wire pulls [m/N].
 
     By the inputs, at the state kept in the workspace, which balances inputs (m,) at an address;
-    the wire pulls only where there are rows for them. `state_slopes` (m, u) takes how the state
-    follows [rad/N].
+    the wire pulls only where there are rows for them. `state_slopes` (m, u) takes the derivatives
+    of the state [rad/N].
     """
-    n, m, bend, work, past = chain.n, chain.m, there.bend, there.work, there.past
+    n, m, bend, work, past = chain.n, chain.m, solver.bend, solver.work, solver.past
     input_response(chain, inputs, bend, work, past, state_slopes)
     frames, origins = floats(work.frames), floats(work.origins)
     for j in range(m):
@@ -146,36 +146,36 @@ def output_slopes(chain, inputs, there, state_slopes, slopes):
         down = min(was, TENSION_STEP)
         for side in range(2):
             step, sign = (TENSION_STEP, 1.0) if side == 0 else (-down, -1.0)
-            move_along(chain, inputs, bend, state_slopes, j, step, there.near)
-            place_as(chain, inputs, there.near, work, past)
+            move_along(chain, inputs, bend, state_slopes, j, step, solver.near)
+            place_as(chain, inputs, solver.near, work, past)
             floats(inputs)[j] = was
             scale = sign / (TENSION_STEP + down)
             for r in range(3):
                 slopes[r, j] += scale * origins[3 * n + r]
                 slopes[3 + r, j] += scale * frames[9 * n + 3 * r + 2]
             if slopes.shape[0] > 6:
-                wire_pulls(chain, there.near, work, there.pulls)
-                mean_pulls(chain, there.pulls, there.means)
+                wire_pulls(chain, solver.near, work, solver.pulls)
+                mean_pulls(chain, solver.pulls, solver.means)
                 for r in range(m):
-                    slopes[6 + r, j] += scale * floats(there.means)[r]
+                    slopes[6 + r, j] += scale * floats(solver.means)[r]
 
 
 @entry()
 def jacobian(robot, inputs, bends, past, scratch, state_slopes, slopes):
     """Fill slopes (6, m) and (m, u), see `output_slopes`, at bends[0] of inputs (m,) [N]."""
     chain = chain_at(robot)
-    there = workspace(chain, bends, past, scratch)
-    output_slopes(chain, address(inputs), there, state_slopes, slopes)
+    solver = workspace(chain, bends, past, scratch)
+    output_slopes(chain, address(inputs), solver, state_slopes, slopes)
 
 
 @entry()
 def take_sides(robot, inputs, bends, step, past, scratch):
     """
-    Let eyelets at rest be on the side to which they slide next; return how many change sides.
+    Set eyelets at rest to the side to which they slide next; return how many change sides.
 
-    The law of friction has another slope on each side. An eyelet rests where the direction of its
-    friction is as good as that in the memory `past`. Its travel there is offset a little, so that
-    derivatives are those of its side; one that is already on it does not count.
+    The law of friction has a different slope on each side. An eyelet rests where the direction of
+    its friction is nearly that in the memory `past`. The travel in that memory is offset a little,
+    so that derivatives are those of the next side; an eyelet already on it does not count.
 
     Parameters
     ----------
@@ -184,32 +184,32 @@ def take_sides(robot, inputs, bends, step, past, scratch):
     bends : ndarray, shape (2, 3n)
         The equilibrium [rad]; scratch.
     step : ndarray, shape (u,)
-        How the state goes on [rad].
+        Motion of the state [rad].
     past : ndarray
         Memory of the posture before; changed in place.
 
     """
     chain = chain_at(robot)
-    there = workspace(chain, bends, past, scratch)
+    solver = workspace(chain, bends, past, scratch)
     scale, tension = AHEAD_RAD / max(largest(step), AHEAD_RAD), address(inputs)
     for q in range(unknowns(chain)):
-        floats(there.near)[q] = floats(there.bend)[q] + scale * step[q]
+        floats(solver.near)[q] = floats(solver.bend)[q] + scale * step[q]
     kept, changed = np.zeros(memory_size(chain.n, chain.k, chain.m)), 0
-    here, ahead, then = memory_in(chain, address(kept)), there.now, there.past
-    remember(chain, tension, there.near, there.work, then, ahead)
-    remember(chain, tension, there.bend, there.work, then, here)
+    present, ahead, then = memory_in(chain, address(kept)), solver.now, solver.past
+    remember(chain, tension, solver.near, solver.work, then, ahead)
+    remember(chain, tension, solver.bend, solver.work, then, present)
     # so far that differences of the law stay on one side, and by far less than a presliding length
     tendon, aside = words(chain.tendon), 16.0 * TRAVEL_STEP * chain.radius
     for k in range(chain.k):
         for i in range(tendon[2 * k] - 1):
             at = chain.k * i + k
-            slid = floats(here.travel)[at] - floats(then.travel)[at]
-            going = floats(ahead.travel)[at] - floats(here.travel)[at]
+            slid = floats(present.travel)[at] - floats(then.travel)[at]
+            motion = floats(ahead.travel)[at] - floats(present.travel)[at]
             since = slid if abs(slid) > 2.0 * aside else 0.0  # else it was offset, or rests
-            side = math.copysign(1.0, scale * since + going)
-            rests = abs(floats(here.sign)[at] - floats(then.sign)[at]) < RESTING_MAX
+            side = math.copysign(1.0, scale * since + motion)
+            rests = abs(floats(present.sign)[at] - floats(then.sign)[at]) < RESTING_MAX
             if rests and slid * side < 0.5 * aside:
-                floats(then.travel)[at] = floats(here.travel)[at] - aside * side
+                floats(then.travel)[at] = floats(present.travel)[at] - aside * side
                 changed += 1
     keep(kept)
     return changed
@@ -220,7 +220,7 @@ def residuals(robot, inputs, bends, past, scratch, out):
     """
     Fill the residuals `out` (b, 3n) [rad] at inputs (b, m) [N] and states (b, 3n).
 
-    Those of the twists are 0 where cells do not twist: a row is as wide as a state, whatever acts.
+    Those of the twists are 0 where cells do not twist, because a row is as wide as a state.
     """
     chain = chain_at(robot)
     work, then = work_in(chain, scratch), memory_in(chain, address(past))
@@ -235,7 +235,7 @@ def residuals(robot, inputs, bends, past, scratch, out):
 @entry()
 def responses(robot, inputs, bends, past, scratch, changes, rows):
     """
-    Fill how equilibria follow, rows (b, q, u), rates of the residual (b, q, u).
+    Fill the derivatives of equilibria, rows (b, q, u), of rates of the residual (b, q, u).
 
     Parameters
     ----------

@@ -1,11 +1,11 @@
 """
 The linear equations of the chain: what balances a change, and whether an equilibrium is stable.
 
-Towards the tip go the changes u of the tensions, of bend and twist before, and of the turn of the
-frame; towards the base the changes w of the travel beyond an eyelet and of the loads' torque. At
-every cell, what lies beyond answers u with w = S u + h. Eliminating a cell, with all that lies
-beyond it, makes the S of the cell before; back-substitution runs from the base to the tip. The
-work grows linearly with the cells. A pivot that is not positive means an unstable equilibrium.
+The changes u of the tensions, of bend and twist before, and of the rotation of the frame pass
+towards the tip, the changes w of the travel beyond an eyelet and of the loads' torque towards the
+base. At every cell, all cells beyond it answer u with w = S u + h. Eliminating a cell, with all
+cells beyond it, gives the S of the cell before; back-substitution runs from the base to the tip.
+The work grows linearly with the cells. A pivot that is not positive means an unstable equilibrium.
 """
 
 import math
@@ -16,23 +16,23 @@ import numpy as np
 from .cells import coordinates
 from .layout import (
     BEFORE,
+    BY_ROTATION,
     BY_TENSION,
     BY_TORQUE,
-    BY_TURN,
-    HERE,
     LAGS,
     NONE,
     OWN,
     PASSED,
     PULLS,
     RESPOND,
+    ROTATIONS,
     SIZE,
     SLIDES,
     TENDON,
     TORQUE_BY_OWN,
-    TORQUE_BY_TURN,
+    TORQUE_BY_ROTATION,
     TRAVELS,
-    TURNS,
+    WITHIN,
     ZERO,
     add_row,
     address,
@@ -50,8 +50,9 @@ from .loads import loaded
 from .stages import eyelet_acts
 
 # System: sizes and addresses of the equations. Columns: the tensions that come in (kt of them, if
-# there is friction), from `own` on bend and twist before, from `turn` on the turn of the frame (if
-# there are loads), from `right` on the right-hand sides; `width` in all. Of every cell the changes
+# there is friction), from `own` on bend and twist before, from `frame` on the rotation of the
+# frame (if there are loads), from `right` on the right-hand sides; `width` in all. Of every cell
+# the changes
 #   bends    (2 or 3, width)  of bend and twist; holds the right-hand sides before
 #   tensions (kt, width)      of the tensions
 # and, of the cell at hand,
@@ -66,7 +67,7 @@ from .stages import eyelet_acts
 # `out` are those of what lies beyond the cell, and of what lies beyond its start.
 System = namedtuple(
     'System',
-    'kt turn right width bends tensions answers by_own direct pivot matrix side first active',
+    'kt frame right width bends tensions answers by_own direct pivot matrix side first active',
 )
 System.__name__ += '_' + __name__.partition('.')[0].rpartition('_')[2]
 
@@ -82,10 +83,10 @@ def system_size(chain, count):
 def system_in(chain, count, start):
     """Lay the equations out in an array of `system_size` floats that starts as zeros."""
     kt = chain.k if eyelet_acts(chain) else 0
-    turn = kt + coordinates(chain)
-    right = turn + 3 if loaded(chain) else turn
+    frame = kt + coordinates(chain)
+    right = frame + 3 if loaded(chain) else frame
     width = right + count
-    tensions = start + 8 * chain.n * (turn - kt) * width
+    tensions = start + 8 * chain.n * (frame - kt) * width
     answers = tensions + 8 * chain.n * kt * width
     by_own = answers + 16 * (kt + 3) * width
     direct = by_own + 24 * (kt + 3)
@@ -93,23 +94,23 @@ def system_in(chain, count, start):
     matrix = pivot + 72
     side = matrix + 8 * kt * kt
     first = side + 8 * kt * (width + 3)
-    columns = (kt, turn, right, width, start, tensions)
-    here = (answers, by_own, direct, pivot, matrix, side, first, first + 8 * kt)
-    return System(*(columns + here))
+    columns = (kt, frame, right, width, start, tensions)
+    blocks = (answers, by_own, direct, pivot, matrix, side, first, first + 8 * kt)
+    return System(*(columns + blocks))
 
 
 @compiled
 def answer_own(system, row, s):
-    """Fill by_own: how what lies beyond a cell answers its own bend and twist."""
-    kt, turn, width = system.kt, system.turn, system.width
-    own, loads = floats(system.by_own), turn != system.right
+    """Fill by_own: the answer of all beyond a cell to its own bend and twist."""
+    kt, frame, width = system.kt, system.frame, system.width
+    own, loads = floats(system.by_own), frame != system.right
     for r in range(kt + 3 if loads else kt):
         answers = floats(s + 8 * width * r)
-        for a in range(turn - kt):
+        for a in range(frame - kt):
             total = answers[kt + a]
             if loads:
                 for m in range(3):
-                    total += answers[turn + m] * floats(row)[TURNS + 3 * m + a]
+                    total += answers[frame + m] * floats(row)[ROTATIONS + 3 * m + a]
             own[3 * r + a] = total
 
 
@@ -133,14 +134,14 @@ def pass_tensions(chain, system, i, row, s):
             change[k] = 1.0  # of what is pulled at the base
         if i == 0 or i >= tendon[2 * k]:
             continue
-        here = floats(row + 8 * (SIZE + TENDON * k))
-        change[k] = here[PASSED]
-        if here[LAGS] != 0.0:
-            change[width - 1] = here[LAGS]  # in the last right-hand side
-        for a in range(system.turn - kt):
-            change[kt + a] = here[BEFORE + a]
-            direct[a] = here[HERE + a] + here[SLIDES] * here[TRAVELS + a]
-        if here[SLIDES] != 0.0:
+        slopes = floats(row + 8 * (SIZE + TENDON * k))
+        change[k] = slopes[PASSED]
+        if slopes[LAGS] != 0.0:
+            change[width - 1] = slopes[LAGS]  # in the last right-hand side
+        for a in range(system.frame - kt):
+            change[kt + a] = slopes[BEFORE + a]
+            direct[a] = slopes[WITHIN + a] + slopes[SLIDES] * slopes[TRAVELS + a]
+        if slopes[SLIDES] != 0.0:
             active[count] = k
             count += 1
     if count > 0:
@@ -150,7 +151,7 @@ def pass_tensions(chain, system, i, row, s):
 @compiled
 def slide_together(system, i, row, s, count):
     """Solve for the changes of the tensions of active tendons, which feel each other's travel."""
-    kt, width, own = system.kt, system.width, system.turn - system.kt
+    kt, width, own = system.kt, system.width, system.frame - system.kt
     active, matrix = words(system.active), floats(system.matrix)
     changes, all_direct = system.tensions + 8 * width * kt * i, floats(system.direct)
     for p in range(count):
@@ -160,7 +161,7 @@ def slide_together(system, i, row, s, count):
         at = system.side + 8 * (width + own) * p
         side = floats(at)
         for j in range(width):
-            side[j] = change[j] + (slides * answers[j] if j >= system.turn else 0.0)
+            side[j] = change[j] + (slides * answers[j] if j >= system.frame else 0.0)
         for a in range(own):
             side[width + a] = all_direct[3 * k + a] + slides * floats(system.by_own)[3 * k + a]
         q = 0
@@ -185,9 +186,9 @@ def slide_together(system, i, row, s, count):
 
 @compiled
 def gather_cell(chain, system, i, row, s):
-    """Fill the pivot of cell i, and move what comes from outside it to its right-hand sides."""
-    kt, turn, width, size = system.kt, system.turn, system.width, system.turn - system.kt
-    slopes, pivot, loads = floats(row), floats(system.pivot), turn != system.right
+    """Fill the pivot of cell i, and move all outside it to its right-hand sides."""
+    kt, frame, width, size = (system.kt, system.frame, system.width, system.frame - system.kt)
+    slopes, pivot, loads = floats(row), floats(system.pivot), frame != system.right
     changes, bends = system.tensions + 8 * width * kt * i, system.bends + 8 * width * size * i
     for q in range(9):
         pivot[q] = slopes[OWN + q]
@@ -209,19 +210,19 @@ def gather_cell(chain, system, i, row, s):
             factor = slopes[BY_TORQUE + 3 * a + m]
             for b in range(size):
                 pivot[3 * a + b] += factor * floats(system.by_own)[3 * (kt + m) + b]
-            floats(bends)[width * a + turn + m] -= slopes[BY_TURN + 3 * a + m]
-            add_row(bends + 8 * width * a, -factor, s + 8 * width * (kt + m), turn, width)
+            floats(bends)[width * a + frame + m] -= slopes[BY_ROTATION + 3 * a + m]
+            add_row(bends + 8 * width * a, -factor, s + 8 * width * (kt + m), frame, width)
 
 
 @compiled
 def solve_cell(system, i):
     """
-    Solve for the changes of bend and twist of cell i, whose pivot and right-hand sides are there.
+    Solve for the changes of bend and twist of cell i from its pivot and right-hand sides.
 
     The twist goes first: the pivot then holds that of the bend without it, the twist's own in its
     last entry, and before it how the twist follows the bend.
     """
-    width, size, pivot = system.width, system.turn - system.kt, floats(system.pivot)
+    width, size, pivot = system.width, system.frame - system.kt, floats(system.pivot)
     x = floats(system.bends + 8 * width * size * i)
     if size == 3:
         pivot[6], pivot[7] = -pivot[6] / pivot[8], -pivot[7] / pivot[8]
@@ -245,7 +246,7 @@ def solve_cell(system, i):
 @compiled
 def complete_tensions(chain, system, i):
     """Add to the changes of the tensions in cell i those that its own bend and twist make."""
-    kt, width, size = system.kt, system.width, system.turn - system.kt
+    kt, width, size = system.kt, system.width, system.frame - system.kt
     bends = system.bends + 8 * width * size * i
     for k in range(kt):
         if i < words(chain.tendon)[2 * k]:
@@ -258,11 +259,11 @@ def complete_tensions(chain, system, i):
 
 @compiled
 def answer_row(system, i, r, s, extra, out):
-    """Fill row r of the next S; `extra` (3,): what bend and twist of the cell add themselves."""
-    kt, turn, width, size = system.kt, system.turn, system.width, system.turn - system.kt
+    """Fill row r of the next S; `extra` (3,): direct parts of bend and twist of the cell."""
+    kt, frame, width, size = (system.kt, system.frame, system.width, system.frame - system.kt)
     answers, next_answers = floats(s + 8 * width * r), floats(out + 8 * width * r)
     for j in range(width):
-        next_answers[j] = answers[j] if j >= turn else 0.0
+        next_answers[j] = answers[j] if j >= frame else 0.0
     for a in range(size):
         factor = floats(system.by_own)[3 * r + a] + extra[a]
         add_row(
@@ -277,17 +278,17 @@ def answer_row(system, i, r, s, extra, out):
 @compiled
 def answer(chain, system, i, row, s, out):
     """Fill the next S from that of cell i."""
-    kt, turn, width = system.kt, system.turn, system.width
+    kt, frame, width = system.kt, system.frame, system.width
     slopes, tendon = floats(row), words(chain.tendon)
     for k in range(kt):
         if words(system.first)[k] <= i < tendon[2 * k]:
-            here = floats(row + 8 * (SIZE + TENDON * k))
-            extra = (here[TRAVELS], here[TRAVELS + 1], here[TRAVELS + 2])
+            row_k = floats(row + 8 * (SIZE + TENDON * k))
+            extra = (row_k[TRAVELS], row_k[TRAVELS + 1], row_k[TRAVELS + 2])
             answer_row(system, i, k, s, extra, out)
         else:
             for j in range(width):
                 floats(out)[width * k + j] = 0.0
-    if turn == system.right:
+    if frame == system.right:
         return
     for m in range(3):
         at = TORQUE_BY_OWN + 3 * m
@@ -298,7 +299,7 @@ def answer(chain, system, i, row, s, out):
                 floats(s)[width * (kt + m) + k] += pulls
         answer_row(system, i, kt + m, s, extra, out)
         for a in range(3):
-            floats(out)[width * (kt + m) + turn + a] += slopes[TORQUE_BY_TURN + 3 * m + a]
+            floats(out)[width * (kt + m) + frame + a] += slopes[TORQUE_BY_ROTATION + 3 * m + a]
 
 
 @compiled
@@ -334,7 +335,7 @@ def eliminate(chain, system, tangent):
         pass_tensions(chain, system, i, row, s)
         gather_cell(chain, system, i, row, s)
         solve_cell(system, i)
-        if system.turn - system.kt == 2:  # nothing twists
+        if system.frame - system.kt == 2:  # nothing twists
             own[6], own[7], own[8] = 0.0, 0.0, 1.0
         both = own[1] + own[3]
         positive = own[0] > 0.0 and own[0] * own[4] > 0.25 * both * both and own[8] > 0.0
@@ -365,8 +366,8 @@ def substitute(chain, system, tangent, column, pulled, first, start, solution):
         Takes (u,) [rad per unit].
 
     """
-    kt, turn, right, width = system.kt, system.turn, system.right, system.width
-    size, out = turn - kt, floats(solution)
+    kt, frame, right, width = system.kt, system.frame, system.right, system.width
+    size, out = frame - kt, floats(solution)
     u, new = floats(system.side), floats(system.answers)
     for j in range(right):
         u[j] = 0.0
@@ -391,9 +392,9 @@ def substitute(chain, system, tangent, column, pulled, first, start, solution):
             out[2 * i + a] = u[kt + a] = own[a]
         if size == 3:
             out[2 * chain.n + i] = u[kt + 2] = own[2]
-        for m in range(right - turn):
-            at = TURNS + 3 * m
-            u[turn + m] += row[at] * own[0] + row[at + 1] * own[1] + row[at + 2] * own[2]
+        for m in range(right - frame):
+            at = ROTATIONS + 3 * m
+            u[frame + m] += row[at] * own[0] + row[at + 1] * own[1] + row[at + 2] * own[2]
 
 
 @compiled
@@ -408,10 +409,10 @@ def yielding(pivot):
 
 
 @compiled
-def yielding_to(chain, pivot, wanted):
-    """Bend and twist in which the energy falls, to the side of bends wanted (n, 2) if can be."""
+def yielding_to(chain, pivot, preferred):
+    """Bend and twist in which the energy falls, on the side of preferred bends (n, 2)."""
     a, b, c, d, twist, by_x, by_y = pivot
-    x, y, bends = 0.0, 0.0, floats(wanted)
+    x, y, bends = 0.0, 0.0, floats(preferred)
     if not twist > 0.0:
         return 0.0, 0.0, 1.0
     for i in range(chain.n):
@@ -428,7 +429,7 @@ def yielding_to(chain, pivot, wanted):
 @entry(RESPOND)
 def respond(chain, bend, rates, count, work, past, answers, pulls):
     """
-    Fill how a state, whose moments `work` holds, balances rates of the residual (count, u).
+    Fill the response of a state, whose moments `work` holds, to rates of the residual (count, u).
 
     `answers` (count, u): minus the inverse Jacobian of the residual times the rates. Returns the
     first cell from the tip whose pivot is not positive, -1 if none: the equilibrium is stable.
@@ -445,15 +446,15 @@ def respond(chain, bend, rates, count, work, past, answers, pulls):
     answers : address
         (count, u) [rad per unit]
     pulls : address
-        Takes how the state follows the tension of every tendon at the base (k, u) [rad/N], where
-        there is friction: what comes into the first cell needs no right-hand side. 0: not asked.
+        Takes the derivatives of the state by the tendons' tensions at the base (k, u) [rad/N],
+        where there is friction: tensions at the first cell need no right-hand side. 0: omitted.
 
     """
     tangent = np.zeros(tangent_size(chain.n, chain.k))
     memory = np.zeros(system_size(chain, count))
     derivatives, system = address(tangent), system_in(chain, count, address(memory))
     differentiate(chain, bend, work, past, derivatives)
-    size, right, width = system.turn - system.kt, system.right, system.width
+    size, right, width = system.frame - system.kt, system.right, system.width
     for q in range(count):
         rate = floats(rates + 8 * size * chain.n * q)
         for i in range(chain.n):

@@ -76,7 +76,7 @@ from .sweep import (
     base_tensions,
     moment_arms_of,
     pass_eyelet,
-    ratio_there,
+    ratio_at,
     slip_rate_in,
     tendon_moment,
     tendons_about,
@@ -148,8 +148,8 @@ def sweep_unshaped(chain, inputs, x, work, past):
 
 
 @compiled
-def start_again(chain, inputs, x, bend, work, past, cold):
-    """Fill x with the guess in `bend`, or where there is none (`cold`) with the unshaped state."""
+def restart(chain, inputs, x, bend, work, past, cold):
+    """Fill x with the guess in `bend`, or without one (`cold`) with the unshaped state."""
     copy(bend, address(x), x.shape[0])
     if cold:
         sweep_unshaped(chain, inputs, x, work, past)
@@ -265,7 +265,7 @@ def cell_residual(chain, work, past, state, i, last_x, last_y, x, y):
     moment_arms, factor = moment_arms_of(chain, work)
     if i > 0:
         flags, rate, j = active_stages(chain, YES), slip_rate_in(work), i - 1
-        passed = ratio_there(chain, work, j, last_x, last_y, x - last_x, y - last_y, flags)
+        passed = ratio_at(chain, work, j, last_x, last_y, x - last_x, y - last_y, flags)
         pass_eyelet(chain, work, past, j, last_x, last_y, passed, rate, moment_arms, scale, flags)
     if torsion_acts(chain):
         solve_twist(chain, work, state, i, x, y)
@@ -354,7 +354,7 @@ def take_over(chain, work, move, own, width, new_width):
     move : ndarray, shape (u,)
         Step of the bends [rad].
     own : ndarray, shape (4, n, k)
-        Travel [m]: the eyelets' own, here and beyond, then the real one, here and beyond.
+        Travel [m]: the eyelets' own, in the cell and beyond, then the real one, likewise.
     width, new_width : float
         Smoothing length now and next [m].
 
@@ -375,15 +375,15 @@ def take_over(chain, work, move, own, width, new_width):
 
 @compiled
 def exchange(chain, work, own):
-    """Let the eyelets' own travel stand in `work`; keep the real one in own[2:], and the lag."""
-    here, beyond, lag = floats(work.travel), floats(work.beyond), floats(work.lag)
+    """Put the eyelets' own travel into `work`; keep the real one in own[2:], and the lag."""
+    travel, beyond, lag = floats(work.travel), floats(work.beyond), floats(work.lag)
     count = chain.n * chain.k
     for i in range(chain.n):
         for k in range(chain.k):
             at = chain.k * i + k
-            own[2, i, k], own[3, i, k] = here[at], beyond[at]
-            lag[at], lag[at + count] = here[at] - own[0, i, k], beyond[at] - own[1, i, k]
-            here[at], beyond[at] = own[0, i, k], own[1, i, k]
+            own[2, i, k], own[3, i, k] = travel[at], beyond[at]
+            lag[at], lag[at + count] = travel[at] - own[0, i, k], beyond[at] - own[1, i, k]
+            travel[at], beyond[at] = own[0, i, k], own[1, i, k]
 
 
 @compiled
@@ -478,7 +478,7 @@ def solve_sticking(chain, inputs, x, bend, work, past, cold):
 
     """
     change = math.inf
-    start_again(chain, inputs, x, bend, work, past, cold)
+    restart(chain, inputs, x, bend, work, past, cold)
     if not cold:
         change = solve_sliding(chain, inputs, x, work, past, 1.0, 1.0, NEAR_STEPS_MAX)
     for shrink in SHRINK_FACTORS:
@@ -558,20 +558,20 @@ def newton(chain, inputs, bend, work, past, steps_max):
 def continuation(chain, inputs, x, work, past):
     """Newton along a path: loads and the sharpness of friction grow together from none."""
     settings, last = floats(work.settings), np.zeros(x.shape[0])
-    done, stride, change = 0.0, 0.25, math.inf
-    while done < 1.0 and stride > STRIDE_MIN:
-        aim = min(1.0, done + stride)
+    progress, stride, change = 0.0, 0.25, math.inf
+    while progress < 1.0 and stride > STRIDE_MIN:
+        aim = min(1.0, progress + stride)
         settings[SMOOTHING] = SMOOTHING_LENGTH * WIDE_SMOOTHING ** (1.0 - aim)
         settings[LOAD_SCALE] = aim
         assign(x, last)
         change = newton_at(chain.newton)(chain, inputs, address(x), work, past, NEWTON_STEPS_MAX)
         if change < BEND_TOLERANCE:
-            done, stride = aim, min(0.5, 1.6 * stride)
+            progress, stride = aim, min(0.5, 1.6 * stride)
             assign(last, x)
         else:
             stride *= 0.4
     settings[SMOOTHING], settings[LOAD_SCALE] = SMOOTHING_LENGTH, 1.0
-    return change if done == 1.0 else max(change, 10.0 * BEND_TOLERANCE)
+    return change if progress == 1.0 else max(change, 10.0 * BEND_TOLERANCE)
 
 
 @compiled
@@ -603,25 +603,25 @@ def descend(chain, inputs, bend, work, past, ratio):
     gradient of the energy is the stiffness times the residual.
     """
     size = unknowns(chain)
-    f, moved, down, there = np.empty(size), np.empty(size), np.empty(size), np.zeros(size)
-    step_at(chain.step)(chain, inputs, address(there), work, past, address(moved))
+    f, moved, down, x = np.empty(size), np.empty(size), np.empty(size), np.zeros(size)
+    step_at(chain.step)(chain, inputs, address(x), work, past, address(moved))
     assign(down, moved)
     residual_size(chain, inputs, bend, work, past, f)
     if respond_at(chain.respond)(chain, bend, 0, 0, work, past, address(down), 0) < 0:
         return
     push = math.copysign(1e-3 / largest(down), dot(down, moved))
     for j in range(size):
-        there[j] = push * down[j]
+        x[j] = push * down[j]
     for _ in range(DESCENT_STEPS_MAX):
-        change = residual_size(chain, inputs, address(there), work, past, f)
+        change = residual_size(chain, inputs, address(x), work, past, f)
         if change < 1e-6 or change == math.inf:
             break
         for j in range(size):
-            there[j] -= f[j] / (1.0 + ratio)
-    change = newton_at(chain.newton)(chain, inputs, address(there), work, past, NEWTON_STEPS_MAX)
+            x[j] -= f[j] / (1.0 + ratio)
+    change = newton_at(chain.newton)(chain, inputs, address(x), work, past, NEWTON_STEPS_MAX)
     if change < BEND_TOLERANCE:
-        copy(address(there), bend, size)
-    keep(there)
+        copy(address(x), bend, size)
+    keep(x)
 
 
 @entry(SOLVE)
@@ -646,11 +646,11 @@ def solve_equilibrium(chain, inputs, work, past, bend):
     if not swept and slides and not remembers:
         change = solve_sticking(chain, inputs, x, bend, work, past, cold)
     elif not swept:
-        start_again(chain, inputs, x, bend, work, past, cold)
+        restart(chain, inputs, x, bend, work, past, cold)
         if not (loaded(chain) or slides):
             change = march_at(chain.march)(chain, inputs, address(x), work, past)
             if not change < BEND_TOLERANCE:
-                start_again(chain, inputs, x, bend, work, past, cold)
+                restart(chain, inputs, x, bend, work, past, cold)
         if not change < BEND_TOLERANCE:
             change = newton_at(chain.newton)(
                 chain, inputs, address(x), work, past, NEWTON_STEPS_MAX

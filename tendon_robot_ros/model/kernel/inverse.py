@@ -3,12 +3,13 @@ Tensions for a tip target.
 
 `aim`: bounded Levenberg-Marquardt on the model itself, from equilibrium to equilibrium.
 
-`seek`: Newton on the equilibrium and the target together. Where tendons stick and slip, tensions
-to tip is full of kinks, and a search that asks for an equilibrium at every trial stumbles over
-them. Here the tensions are further unknowns of the primal-dual method of `solve_sliding`: the
-same elimination says how the bends follow the residual and every tension, the tip's error is then
-linear in the tensions, and least squares with bounds says how these move. The smoothing length
-shrinks meanwhile: the kinks appear where the target is already near.
+`seek`: Newton on the equilibrium and the target together. Where tendons stick and slip, the tip
+is a function of the tensions with many kinks, at which a search that solves for an equilibrium at
+every trial stalls. Here the tensions are further unknowns of the primal-dual method of
+`solve_sliding`: the same elimination gives the derivatives of the bends by the residual and by
+every tension, the tip's error is then linear in the tensions, and bounded least squares gives
+their step. The smoothing length shrinks from step to step: kinks appear when the target is already
+near.
 """
 
 import math
@@ -50,7 +51,7 @@ COST_REACHED_M2 = 1e-14
 # [1] of the tensions' range, below which the curvature of the price is that there, because the
 # square that touches a sum at no tension would be infinitely narrow
 TOUCHING_MIN = 0.01
-RANGE_LEFT_MIN = 1e-3  # [1] of that range where all tendons are at their limit, else ln 0
+REMAINING_RANGE_MIN = 1e-3  # [1] of that range where all tendons are at their limit, else ln 0
 
 
 @compiled
@@ -63,35 +64,35 @@ def tip_error(chain, work, target, f):
 
 
 @compiled
-def tip_residual(chain, inputs, there, bend, target, f):
+def tip_residual(chain, inputs, solver, bend, target, f):
     """
     Weighted tip error (6,) [m] at inputs (m,); infinite where there is no equilibrium.
 
     `bend` holds a guess and takes the equilibrium.
     """
-    if not is_balanced(chain, inputs, there, bend):
+    if not is_balanced(chain, inputs, solver, bend):
         f[:] = math.inf
         return
-    place(chain, bend, there.work)
-    tip_error(chain, there.work, target, f)
+    place(chain, bend, solver.work)
+    tip_error(chain, solver.work, target, f)
 
 
 @compiled
 def cost_of(f, inputs, low, price):
-    """Half the squared error plus what tension costs [m²], see `tension_price`."""
+    """Half the squared error plus the cost of tension [m²], see `tension_price`."""
     total, above, (weight, pull, room) = 0.0, 0.0, price
     for r in range(6):
         total += f[r] * f[r]
     for j in range(inputs.shape[0]):
         above += inputs[j] - low[j]
         total += (weight * (inputs[j] - low[j])) ** 2
-    return 0.5 * total - pull * math.log(max(1.0 - above / room, RANGE_LEFT_MIN))
+    return 0.5 * total - pull * math.log(max(1.0 - above / room, REMAINING_RANGE_MIN))
 
 
 @compiled
 def tension_price(f, inputs, low, tension):
     """
-    Return what tension costs beside a weighted tip error (6,): weight [m/N], price [m²], room [N].
+    Return the cost of tension beside a tip error (6,): weight [m/N], price [m²], room [N].
 
     A search goes down half the squared error e² / 2, to which the weight adds, whose slope is that
     of ln e times e²: a price of `tension[1]` beside ln e is that times e². It is paid for minus
@@ -140,7 +141,7 @@ def normal_equations(jacobian, f, inputs, low, price, damping, normal, gradient)
     m, remaining, (weight, pull, room) = inputs.shape[0], 1.0, price
     for j in range(m):
         remaining -= (inputs[j] - low[j]) / room
-    pull /= room * max(remaining, RANGE_LEFT_MIN)
+    pull /= room * max(remaining, REMAINING_RANGE_MIN)
     for j in range(m):
         above = inputs[j] - low[j]
         gradient[j] = weight * weight * above + pull
@@ -160,8 +161,8 @@ def gauss_newton_step(jacobian, f, inputs, low, high, price, damping, trial, fre
     """
     Damped Gauss-Newton step into `trial`; return the count of the inputs that could move.
 
-    Linear least squares with bounds: where a step would leave the limits, the input that leaves
-    them by most stays at its limit and the others step anew.
+    Linear least squares with bounds: where a step would violate limits, the input with the largest
+    violation is set to its limit, and the step of the others is computed again.
 
     Parameters
     ----------
@@ -195,12 +196,12 @@ def gauss_newton_step(jacobian, f, inputs, low, high, price, damping, trial, fre
             for q in range(moving):
                 part[p, q] = normal[free[p], free[q]]
         solve_small(part, step, moving)
-        worst, most = -1, 0.0
+        worst, excess_max = -1, 0.0
         for p in range(moving):
-            there = inputs[free[p]] + step[p]
-            over = max(low[free[p]] - there, there - high[free[p]])
-            if over > most:
-                worst, most = p, over
+            value = inputs[free[p]] + step[p]
+            excess = max(low[free[p]] - value, value - high[free[p]])
+            if excess > excess_max:
+                worst, excess_max = p, excess
         if worst < 0:
             for p in range(moving):
                 move[free[p]] = step[p]
@@ -216,9 +217,9 @@ def gauss_newton_step(jacobian, f, inputs, low, high, price, damping, trial, fre
 
 
 @compiled
-def explicit_slopes(chain, inputs, high, there, target, f, moved, slopes):
+def explicit_slopes(chain, inputs, high, solver, target, f, moved, slopes):
     """
-    Fill slopes (6, m) of the weighted tip error where one sweep is the shape: half of the work.
+    Fill slopes (6, m) of the weighted tip error of an explicit model, with one sweep per input.
 
     Parameters
     ----------
@@ -237,10 +238,12 @@ def explicit_slopes(chain, inputs, high, there, target, f, moved, slopes):
         was = inputs[j]
         step = TENSION_STEP if was + TENSION_STEP <= high[j] else -TENSION_STEP
         inputs[j] = was + step
-        step_at(chain.step)(chain, address(inputs), there.near, there.work, there.past, there.near)
+        step_at(chain.step)(
+            chain, address(inputs), solver.near, solver.work, solver.past, solver.near
+        )
         inputs[j] = was
-        place(chain, there.near, there.work)
-        tip_error(chain, there.work, target, moved)
+        place(chain, solver.near, solver.work)
+        tip_error(chain, solver.work, target, moved)
         for r in range(6):
             slopes[r, j] = (moved[r] - f[r]) / step
 
@@ -269,8 +272,8 @@ def aim(
     low, high : ndarray, shape (m,)
         [N]
     tension : ndarray, shape (4,)
-        What it costs, see `tension_price`: weight of its squares [m/N], price [1], [m], and room,
-        the sum of all ranges [N].
+        Cost of tension, see `tension_price`: weight of its squares [m/N], price [1], [m], and
+        room, the sum of all ranges [N].
     trials_max : int
         Equilibria that may be solved.
     enough, far : float
@@ -284,19 +287,19 @@ def aim(
 
     """
     chain = chain_at(robot)
-    m, there = chain.m, workspace(chain, bends, past, scratch)
+    m, solver = chain.m, workspace(chain, bends, past, scratch)
     f, moved, jacobian = np.empty(6), np.empty(6), np.zeros((6, m))
     trial, free, state_slopes = np.empty(m), np.empty(m, np.int64), np.empty((m, unknowns(chain)))
-    tip_residual(chain, inputs, there, there.bend, target, f)
+    tip_residual(chain, inputs, solver, solver.bend, target, f)
     price, damping = tension_price(f, inputs, low, tension), 1e-9
     cost = cost_of(f, inputs, low, price)
     is_explicit = not (is_implicit(chain) or memory_acts(chain))
-    floats(there.work.settings)[EVERY_METHOD] = 0.0
+    floats(solver.work.settings)[EVERY_METHOD] = 0.0
     while trials_max > 0 and cost < far and monotonic() < floats(until)[0]:
         if is_explicit:
-            explicit_slopes(chain, inputs, high, there, target, f, moved, jacobian)
+            explicit_slopes(chain, inputs, high, solver, target, f, moved, jacobian)
         else:
-            output_slopes(chain, address(inputs), there, state_slopes, jacobian)
+            output_slopes(chain, address(inputs), solver, state_slopes, jacobian)
             for r in range(6):
                 for j in range(m):
                     jacobian[r, j] *= target[6] if r < 3 else target[7]
@@ -307,8 +310,8 @@ def aim(
             if gauss_newton_step(*problem, trial, free) == 0:
                 break
             if not is_explicit:
-                predict(chain, there, state_slopes, inputs, trial)
-            tip_residual(chain, trial, there, there.near, target, moved)
+                predict(chain, solver, state_slopes, inputs, trial)
+            tip_residual(chain, trial, solver, solver.near, target, moved)
             new = cost_of(moved, trial, low, price)
             if new < cost:
                 gain = cost - new
@@ -317,11 +320,11 @@ def aim(
         if gain == 0.0:
             break
         damping = max(0.05 * damping, 1e-13)
-        accept(chain, there, trial, moved, inputs, f)
+        accept(chain, solver, trial, moved, inputs, f)
         price = tension_price(f, inputs, low, tension)
         cost = cost_of(f, inputs, low, price)
-        is_there = cost_of(f, low, low, price) < COST_REACHED_M2
-        if gain < 1e-6 * cost or cost < 1e-16 or (is_there and gain < enough * cost):
+        reached = cost_of(f, low, low, price) < COST_REACHED_M2
+        if gain < 1e-6 * cost or cost < 1e-16 or (reached and gain < enough * cost):
             break
     return cost_of(f, inputs, low, (tension[0], 0.0, tension[3]))
 
@@ -337,7 +340,7 @@ DAMPING = 1e-2  # [1] of the curvature: with less they would still go in circles
 @compiled
 def find_directions(chain, inputs, bend, work, past, residual, directions, pulls):
     """
-    Fill how the bends go (m + 1, u) with every tension, and last how they balance the tensions.
+    Fill the derivatives (m + 1, u) of the bends by every tension, last the step to balance.
 
     Parameters
     ----------
@@ -358,13 +361,13 @@ def find_directions(chain, inputs, bend, work, past, residual, directions, pulls
 
 
 @compiled
-def tip_slopes(chain, inputs, there, target, directions, f, slopes):
+def tip_slopes(chain, inputs, solver, target, directions, f, slopes):
     """
-    Fill the tip error (6,) [m] and how it moves (6, m + 1) along directions (m + 1, u).
+    Fill the tip error (6,) [m] and its derivatives (6, m + 1) along directions (m + 1, u).
 
     The first m are those of the bends by a tension, which itself moves with them.
     """
-    tension, bend, near = floats(inputs), floats(there.bend), floats(there.near)
+    tension, bend, near = floats(inputs), floats(solver.bend), floats(solver.near)
     up, down = np.empty(6), np.empty(6)
     for j in range(chain.m + 1):
         step = DIFFERENCE_STEP / max(largest(directions[j]), 1e-9)
@@ -375,18 +378,18 @@ def tip_slopes(chain, inputs, there, target, directions, f, slopes):
             was = tension[j % chain.m]
             if j < chain.m:
                 tension[j] += h
-            place_as(chain, inputs, there.near, there.work, there.past)
+            place_as(chain, inputs, solver.near, solver.work, solver.past)
             tension[j % chain.m] = was
-            tip_error(chain, there.work, target, up if side == 0 else down)
+            tip_error(chain, solver.work, target, up if side == 0 else down)
         for r in range(6):
             slopes[r, j] = (up[r] - down[r]) / (2.0 * step)
             f[r] = 0.5 * (up[r] + down[r])
 
 
 @compiled
-def move_both(chain, inputs, there, directions, trial, move):
+def move_both(chain, inputs, solver, directions, trial, move):
     """Move inputs (m,) to a trial and the bends with them by `move` (u,); return its length."""
-    m, bend = chain.m, floats(there.bend)
+    m, bend = chain.m, floats(solver.bend)
     for q in range(unknowns(chain)):
         move[q] = directions[m, q]
         for j in range(m):
@@ -415,26 +418,26 @@ def seek(
     so many steps, and at the time [s] at the address `until`, see `layout.monotonic`.
     """
     chain = chain_at(robot)
-    m, size, there = chain.m, unknowns(chain), workspace(chain, bends, past, scratch)
-    work, then, tensions = there.work, there.past, address(inputs)
+    m, size, solver = chain.m, unknowns(chain), workspace(chain, bends, past, scratch)
+    work, then, tensions = solver.work, solver.past, address(inputs)
     directions, pulls = np.empty((m + 1, size)), np.empty((chain.k, size))
     residual = np.empty(size)
     f, slopes, move = np.empty(6), np.empty((6, m + 1)), np.empty(size)
     trial, free = np.empty(m), np.empty(m, np.int64)
-    own, width, longest = own_travel(chain, there.bend, work), wide * SMOOTHING_LENGTH, math.inf
+    own, width, longest = own_travel(chain, solver.bend, work), wide * SMOOTHING_LENGTH, math.inf
     for step in range(steps):
         if monotonic() > floats(until)[0]:
             break
         floats(work.settings)[SMOOTHING] = width
         exchange(chain, work, own)
-        find_directions(chain, tensions, there.bend, work, then, residual, directions, pulls)
-        tip_slopes(chain, tensions, there, target, directions, f, slopes)
+        find_directions(chain, tensions, solver.bend, work, then, residual, directions, pulls)
+        tip_slopes(chain, tensions, solver, target, directions, f, slopes)
         for r in range(6):
-            f[r] += slopes[r, m]  # where the bends go that balance the tensions as they are
+            f[r] += slopes[r, m]  # after the step of the bends that balances these tensions
         damping = 0.0 if step < UNDAMPED_STEPS else DAMPING
         weight = preference if width > SMOOTHING_LENGTH else TENSION_FRACTION * preference
         gauss_newton_step(slopes, f, inputs, low, high, (weight, 0.0, 1.0), damping, trial, free)
-        longest = move_both(chain, inputs, there, directions, trial, move)
+        longest = move_both(chain, inputs, solver, directions, trial, move)
         if not longest < math.inf or (longest < STEP_SETTLED_RAD and width == SMOOTHING_LENGTH):
             break
         new_width = width
@@ -442,6 +445,6 @@ def seek(
             new_width = max(shrink * width, SMOOTHING_LENGTH)
         take_over(chain, work, move, own, width, new_width)
         width = new_width
-        place_travel_at(chain.place_travel)(chain, there.bend, work)
+        place_travel_at(chain.place_travel)(chain, solver.bend, work)
     end_sliding(chain, work)
     return longest

@@ -4,8 +4,8 @@ What the compiled functions pass to each other, addresses of arrays; vectors and
 Numba counts references to arrays at every call, which costs more than the physics here; an
 address costs nothing. Whoever calls an entry keeps the arrays alive until it returns.
 
-Names that mean the same in every function, and are not explained again: `chain` a Chain, `work` a
-Work, `past` the Memory of the posture before, `there` a Workspace; `i` a cell and `section` its
+Names that mean the same in every function, and are explained only once: `chain` a Chain, `work` a
+Work, `past` the Memory of the posture before, `solver` a Workspace; `i` a cell and `section` its
 section, `k` a tendon, `j` an input; u (in shapes) the entries of a state that count. "Address" is
 that of the first float of an array, row-major.
 """
@@ -41,15 +41,15 @@ numeric = part(fastmath={'nnan', 'nsz'})
 
 def entry(*signature):
     """
-    Have something compiled that Python calls: cached, when it is called.
+    Decorate a function that Python calls: it is compiled and cached at its first call.
 
-    What has a signature is called by its address, and compiled when that is asked for.
+    A function with a signature is called by its address, and compiled when `address_of` is called.
     """
 
     def make(function):
-        made = jit(cache=True, pipeline_class=EntryCompiler)(function)
-        made.called_as = signature
-        return made
+        dispatcher = jit(cache=True, pipeline_class=EntryCompiler)(function)
+        dispatcher.called_as = signature
+        return dispatcher
 
     return make
 
@@ -174,11 +174,11 @@ def _function_at(signature):
     def function(typing_context, address):
         def generate(context, builder, _, arguments):
             pointer = builder.inttoptr(arguments[0], cgutils.voidptr_t)
-            made = cgutils.create_struct_proxy(kind)(context, builder)
-            made.c_addr = pointer
-            made.py_addr = cgutils.get_null_value(made.py_addr.type)
-            made.jit_addr = pointer
-            return made._getvalue()
+            value = cgutils.create_struct_proxy(kind)(context, builder)
+            value.c_addr = pointer
+            value.py_addr = cgutils.get_null_value(value.py_addr.type)
+            value.jit_addr = pointer
+            return value._getvalue()
 
         return kind(address), generate
 
@@ -207,8 +207,8 @@ def address_of(function):
     """Compile an entry that has a signature, if that is not yet done; return its address."""
     if not function.overloads:
         function.compile(*function.called_as)
-    (made,) = function.overloads.values()
-    return made.library.get_pointer_to_function(made.fndesc.llvm_func_name)
+    (compiled_entry,) = function.overloads.values()
+    return compiled_entry.library.get_pointer_to_function(compiled_entry.fndesc.llvm_func_name)
 
 
 @register_jitable
@@ -244,7 +244,7 @@ def lay_out_work(n, k, scratch):
 
 @compiled
 def address(array):
-    """Address of an array; whoever asks keeps the array alive."""
+    """Address of an array; the caller keeps the array alive."""
     return np.int64(array.ctypes.data)
 
 
@@ -305,34 +305,34 @@ def cell(chain, i, column):
 
 
 def _starts(parts):
-    """Return where parts of these sizes begin, one after the other, and last their whole size."""
+    """Return the starts of parts of these sizes in a row, and last their total size."""
     return accumulate(parts.values(), initial=0)
 
 
 # Derivatives of a cell, filled by `linearisation`: matrices of three by three. The residual [rad]
-# by the own bend and twist, by the turn of the first frame (rotation vector, base frame) and by
-# the torque [N·m] at the end; the turn of the last frame by the own bend and twist; the torque at
-# the start by the turn of the first frame and by the own bend and twist.
-CELL_PARTS = 'OWN BY_TURN BY_TORQUE TURNS TORQUE_BY_TURN TORQUE_BY_OWN'.split()
+# by the own bend and twist, by the rotation of the first frame (rotation vector, base frame) and
+# by the torque [N·m] at the end; the rotation of the last frame by the own bend and twist; the
+# torque at the start by the rotation of the first frame and by the own bend and twist.
+CELL_PARTS = 'OWN BY_ROTATION BY_TORQUE ROTATIONS TORQUE_BY_ROTATION TORQUE_BY_OWN'.split()
 MATRIX = 9  # [1] entries of such a matrix, because bend and twist are three
-OWN, BY_TURN, BY_TORQUE, TURNS, TORQUE_BY_TURN, TORQUE_BY_OWN, SIZE = _starts(
+OWN, BY_ROTATION, BY_TORQUE, ROTATIONS, TORQUE_BY_ROTATION, TORQUE_BY_OWN, SIZE = _starts(
     dict.fromkeys(CELL_PARTS, MATRIX)
 )
 # Then of every tendon: the residual by its tension; its tension behind the eyelet at the cell's
-# start by that before it, by bend and twist before and in the cell, by the travel beyond; its
+# start by that before it, by bend and twist before and within the cell, by the travel beyond; its
 # travel by the own bend and twist; the torque by its tension; its tension behind the eyelet by
 # what the eyelet's travel lags.
 TENDON_PARTS = {
     'BY_TENSION': 3,
     'PASSED': 1,
     'BEFORE': 3,
-    'HERE': 3,
+    'WITHIN': 3,
     'SLIDES': 1,
     'TRAVELS': 3,
     'PULLS': 3,
     'LAGS': 1,
 }
-BY_TENSION, PASSED, BEFORE, HERE, SLIDES, TRAVELS, PULLS, LAGS, TENDON = _starts(TENDON_PARTS)
+BY_TENSION, PASSED, BEFORE, WITHIN, SLIDES, TRAVELS, PULLS, LAGS, TENDON = _starts(TENDON_PARTS)
 
 
 @compiled

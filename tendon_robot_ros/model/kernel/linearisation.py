@@ -27,11 +27,10 @@ from .cells import (
 from .geometry import moment_of_leaning, moment_of_tendons
 from .layout import (
     BEFORE,
+    BY_ROTATION,
     BY_TENSION,
     BY_TORQUE,
-    BY_TURN,
     DIFFERENCE_STEP,
-    HERE,
     HINGE,
     LAGS,
     LEANING_SLOPES,
@@ -40,14 +39,15 @@ from .layout import (
     OWN,
     PASSED,
     PULLS,
+    ROTATIONS,
     SIZE,
     SLIDES,
     TENDON,
     TINY,
     TORQUE_BY_OWN,
-    TORQUE_BY_TURN,
+    TORQUE_BY_ROTATION,
     TRAVELS,
-    TURNS,
+    WITHIN,
     YES,
     cell,
     compiled,
@@ -136,7 +136,7 @@ def load_slopes(chain, bend, work, i, tangent, total):
     """
     Fill what the loads say about cell i, in which the tensions sum up to `total` [N].
 
-    Of the derivatives of the cell, OWN, BY_TURN, BY_TORQUE and BY_TENSION take those of the
+    Of the derivatives of the cell, OWN, BY_ROTATION, BY_TORQUE and BY_TENSION take those of the
     moment, before they meet the compliance; what tendons say is added to in OWN.
     """
     row, general, h = floats(tangent), is_general(chain), DIFFERENCE_STEP
@@ -156,7 +156,7 @@ def load_slopes(chain, bend, work, i, tangent, total):
         )
         for r in range(3):
             row[TORQUE_BY_OWN + 3 * r + a] = by_own[r]
-    turn_slopes(chain, f, work, i, x, y, force, torque, own, row, general)
+    rotation_slopes(chain, f, work, i, x, y, force, torque, own, row, general)
     if bow > 0.0:
         bow_slopes(f, x, y, half_turn(x * x + y * y), bow, plus(force, scaled(0.5, own)), row)
     if general:
@@ -173,9 +173,9 @@ def add_column(row, a, slopes):
 
 
 @compiled
-def turn_slopes(chain, f, work, i, x, y, force, torque, own, row, general):
+def rotation_slopes(chain, f, work, i, x, y, force, torque, own, row, general):
     """
-    Fill what a turn of the frame of cell i does, and how its own bend turns the next one.
+    Fill derivatives by the rotation of the frame of cell i, and that of the next by its bend.
 
     Parameters
     ----------
@@ -198,24 +198,24 @@ def turn_slopes(chain, f, work, i, x, y, force, torque, own, row, general):
         wrench = (cross(force, unit), cross(torque, unit), cross(own, unit))
         wrench = (local(f, wrench[0]), local(f, wrench[1]), local(f, wrench[2]))
         m, _, _ = loaded_cell(chain, work, i, x, y, wrench, 0.0, general)
-        unit_here = local(f, unit)
-        tx, ty = turn_moment(x, y, unit_here, sinc, versine, leaning)
-        row[BY_TURN + r], row[BY_TURN + 3 + r] = m[0], m[1]
+        local_unit = local(f, unit)
+        tx, ty = turn_moment(x, y, local_unit, sinc, versine, leaning)
+        row[BY_ROTATION + r], row[BY_ROTATION + 3 + r] = m[0], m[1]
         row[BY_TORQUE + r], row[BY_TORQUE + 3 + r] = tx, ty
-        row[TURNS + 3 * r], row[TURNS + 3 * r + 1] = tx, ty
+        row[ROTATIONS + 3 * r], row[ROTATIONS + 3 * r + 1] = tx, ty
         if general:
-            about = axial_moment(x, y, sinc, versine, unit_here, unit_here)
-            row[BY_TURN + 6 + r] = m[2]
-            row[BY_TORQUE + 6 + r] = row[TURNS + 3 * r + 2] = about
-        by_turn = plus(cross(cross(unit, end), force), cross(cross(unit, middle), own))
+            about = axial_moment(x, y, sinc, versine, local_unit, local_unit)
+            row[BY_ROTATION + 6 + r] = m[2]
+            row[BY_TORQUE + 6 + r] = row[ROTATIONS + 3 * r + 2] = about
+        by_rotation = plus(cross(cross(unit, end), force), cross(cross(unit, middle), own))
         for a in range(3):
-            row[TORQUE_BY_TURN + 3 * a + r] = by_turn[a]
+            row[TORQUE_BY_ROTATION + 3 * a + r] = by_rotation[a]
 
 
 @compiled
 def bow_slopes(f, x, y, half, bow, force, row):
     """
-    Add to what a turn of a cell's frame does that the cell bows, to its moment and its torque.
+    Add the part of bowing to the derivatives of moment and torque by a rotation of the frame.
 
     Parameters
     ----------
@@ -242,39 +242,39 @@ def bow_slopes(f, x, y, half, bow, force, row):
         unit = (1.0 if r == 0 else 0.0, 1.0 if r == 1 else 0.0, 1.0 if r == 2 else 0.0)
         change = local(f, cross(force, unit))
         h, hx, hy = along_middle(x, y, s, c, part, change)
-        row[BY_TURN + r] -= bow * (h * gx + g * hx)
-        row[BY_TURN + 3 + r] -= bow * (h * gy + g * hy)
+        row[BY_ROTATION + r] -= bow * (h * gx + g * hx)
+        row[BY_ROTATION + 3 + r] -= bow * (h * gy + g * hy)
         # the torque is -B g m x F: that in the frame that bends, turned with it and by itself
         own_change = plus(scaled(h, turning), scaled(g, cross(middle, change)))
-        row[BY_TURN + 6 + r] -= 0.5 * bow * own_change[2]
+        row[BY_ROTATION + 6 + r] -= 0.5 * bow * own_change[2]
         torque = plus(turned(f, own_change), scaled(g, cross(unit, turned(f, turning))))
         for a in range(3):
-            row[TORQUE_BY_TURN + 3 * a + r] -= bow * torque[a]
+            row[TORQUE_BY_ROTATION + 3 * a + r] -= bow * torque[a]
 
 
 @compiled
 def twist_slopes(f, row):
     """
-    Fill what the twist of a cell does to the torque at its start; return what to its moment.
+    Fill the derivatives of the torque at a cell's start by its twist; return those of its moment.
 
     Half a twist turns the frame that bends about its z.
     """
-    by_twist = (row[BY_TURN], row[BY_TURN + 3], row[BY_TURN + 6])
+    by_twist = (row[BY_ROTATION], row[BY_ROTATION + 3], row[BY_ROTATION + 6])
     by_twist = scaled(0.5 * f[2], by_twist)
     for r in range(1, 3):
-        column = (row[BY_TURN + r], row[BY_TURN + 3 + r], row[BY_TURN + 6 + r])
+        column = (row[BY_ROTATION + r], row[BY_ROTATION + 3 + r], row[BY_ROTATION + 6 + r])
         by_twist = plus(by_twist, scaled(0.5 * f[3 * r + 2], column))
     for a in range(3):
-        turn = TORQUE_BY_TURN + 3 * a
+        rotation = TORQUE_BY_ROTATION + 3 * a
         row[TORQUE_BY_OWN + 3 * a + 2] = 0.5 * (
-            row[turn] * f[2] + row[turn + 1] * f[5] + row[turn + 2] * f[8]
+            row[rotation] * f[2] + row[rotation + 1] * f[5] + row[rotation + 2] * f[8]
         )
     return by_twist
 
 
 @compiled
 def compression_slopes(chain, bend, work, i, total, tangent):
-    """Fill how the loads' moment (x, y, about) and the torque at the start follow tensions."""
+    """Fill the derivatives of the loads' moment and of the torque at the start by tensions."""
     h, section = DIFFERENCE_STEP * (1.0 + total), section_of(chain, i)
     rate = length(1.0, total + h, chain, section) - length(1.0, total - h, chain, section)
     rate /= 2.0 * h * length(1.0, total, chain, section)
@@ -291,9 +291,9 @@ def compression_slopes(chain, bend, work, i, total, tangent):
     pull = plus(cross(turned(f, end), force), cross(turned(f, middle), own))
     for k in range(chain.k):
         if i < words(chain.tendon)[2 * k]:
-            here = floats(tangent + 8 * (SIZE + TENDON * k))
-            here[BY_TENSION], here[BY_TENSION + 1], here[BY_TENSION + 2] = scaled(rate, m)
-            here[PULLS], here[PULLS + 1], here[PULLS + 2] = scaled(rate, pull)
+            slopes = floats(tangent + 8 * (SIZE + TENDON * k))
+            slopes[BY_TENSION], slopes[BY_TENSION + 1], slopes[BY_TENSION + 2] = scaled(rate, m)
+            slopes[PULLS], slopes[PULLS + 1], slopes[PULLS + 2] = scaled(rate, pull)
 
 
 @compiled
@@ -363,7 +363,7 @@ def moment_arm_slopes(chain, work, i, x, y, scale):
 
 @entry(LEANING_SLOPES)
 def leaning_slopes(chain, work, i, x, y, twist, scale, tangent):
-    """Fill how the moment of leaning tendons follows x, y and twist [N·m/rad], into OWN."""
+    """Fill OWN with derivatives of the leaning tendons' moment by x, y and twist [N·m/rad]."""
     h, tensions, row = DIFFERENCE_STEP, work.tensions + 8 * chain.k * i, floats(tangent)
     for a in range(3):
         dx, dy, dz = h if a == 0 else 0.0, h if a == 1 else 0.0, h if a == 2 else 0.0
@@ -374,53 +374,53 @@ def leaning_slopes(chain, work, i, x, y, twist, scale, tangent):
 
 
 @inlined
-def slip_slopes(chain, work, past, at, section, here, slides, remembers):
+def slip_slopes(chain, work, past, at, section, slip, slides, remembers):
     """
-    Direction of friction at an eyelet, and its derivatives by travel here and beyond [1/m].
+    Direction of friction at an eyelet, and its derivatives by travel in the cell and beyond [1/m].
 
     Parameters
     ----------
     at : int
         Entry chain.k i + k of the arrays (n, k).
-    here : float
+    slip : float
         Travel of the tendon in cell i [m].
     slides, remembers : bool
         Whether the travel beyond counts, and whether friction remembers.
 
     """
     beyond = floats(work.beyond)[at] if slides else 0.0
-    by_here, by_beyond = 1.0, 0.0
+    by_slip, by_beyond = 1.0, 0.0
     if remembers:
         sign, last, h = floats(past.sign)[at], floats(past.travel)[at], TRAVEL_STEP * chain.radius
         if slides:
-            by_here = friction_travel(here + h, beyond, chain, section)
-            by_here = (by_here - friction_travel(here - h, beyond, chain, section)) / (2.0 * h)
-            by_beyond = friction_travel(here, beyond + h, chain, section)
-            by_beyond = (by_beyond - friction_travel(here, beyond - h, chain, section)) / (2.0 * h)
-            here = friction_travel(here, beyond, chain, section)
+            by_slip = friction_travel(slip + h, beyond, chain, section)
+            by_slip = (by_slip - friction_travel(slip - h, beyond, chain, section)) / (2.0 * h)
+            by_beyond = friction_travel(slip, beyond + h, chain, section)
+            by_beyond = (by_beyond - friction_travel(slip, beyond - h, chain, section)) / (2.0 * h)
+            slip = friction_travel(slip, beyond, chain, section)
         law = remembered_at(chain.remembered)
-        s = law(chain, sign, here - last, section)
-        rate = law(chain, sign, here - last + h, section)
-        rate = (rate - law(chain, sign, here - last - h, section)) / (2.0 * h)
-        return s, by_here * rate, by_beyond * rate
+        s = law(chain, sign, slip - last, section)
+        rate = law(chain, sign, slip - last + h, section)
+        rate = (rate - law(chain, sign, slip - last - h, section)) / (2.0 * h)
+        return s, by_slip * rate, by_beyond * rate
     rate = slip_rate_in(work)
-    s = smooth_sign(here, rate)
-    by_here = rate * (1.0 - s * s)
+    s = smooth_sign(slip, rate)
+    by_slip = rate * (1.0 - s * s)
     if slides:
         t, h = smooth_sign(beyond, rate), DIFFERENCE_STEP
         up = friction_travel(s + h, t, chain, section)
-        by_here *= (up - friction_travel(s - h, t, chain, section)) / (2.0 * h)
+        by_slip *= (up - friction_travel(s - h, t, chain, section)) / (2.0 * h)
         up = friction_travel(s, t + h, chain, section)
         slope = (up - friction_travel(s, t - h, chain, section)) / (2.0 * h)
         by_beyond = rate * (1.0 - t * t) * slope if t * t < SATURATED_FROM else 0.0
         s = friction_travel(s, t, chain, section)
-    return s, by_here, by_beyond
+    return s, by_slip, by_beyond
 
 
 @compiled
 def turning_slopes(chain, i, bx, by, next_x, next_y, wraps):
     """
-    Return what passes the eyelet behind cell i, its derivatives by the bends on both sides.
+    Return the ratio that passes the eyelet behind cell i and its derivatives by both bends.
 
     Parameters
     ----------
@@ -458,7 +458,7 @@ def turning_slopes(chain, i, bx, by, next_x, next_y, wraps):
 @compiled
 def eyelet_slopes(chain, bend, work, past, i, flags, tangent):
     """
-    Fill what the tensions of cell i + 1 depend on: those of cell i, both bends, the travel.
+    Fill the derivatives of the tensions of cell i + 1 by those of cell i, bends and travel.
 
     Parameters
     ----------
@@ -481,27 +481,27 @@ def eyelet_slopes(chain, bend, work, past, i, flags, tangent):
         if i + 1 >= tendon[2 * k]:
             continue
         at = chain.k * i + k
-        here = floats(work.travel)[at]
-        s, by_here, by_beyond = slip_slopes(
-            chain, work, past, at, section, here, slides, remembers
+        travel = floats(work.travel)[at]
+        s, by_travel, by_beyond = slip_slopes(
+            chain, work, past, at, section, travel, slides, remembers
         )
         row, travels = floats(behind + 8 * TENDON * k), floats(before + 8 * (TENDON * k + TRAVELS))
         ratio = math.exp(s * log_passed)
         t = floats(work.tensions)[at] * ratio
-        by_turning, by_here = t * s / passed, t * log_passed * by_here
+        by_turning, by_travel = t * s / passed, t * log_passed * by_travel
         row[PASSED] = ratio
-        row[BEFORE] = by_turning * ox + by_here * travels[0]
-        row[BEFORE + 1] = by_turning * oy + by_here * travels[1]
-        row[BEFORE + 2] = by_here * travels[2]
-        row[HERE], row[HERE + 1] = by_turning * nx, by_turning * ny
+        row[BEFORE] = by_turning * ox + by_travel * travels[0]
+        row[BEFORE + 1] = by_turning * oy + by_travel * travels[1]
+        row[BEFORE + 2] = by_travel * travels[2]
+        row[WITHIN], row[WITHIN + 1] = by_turning * nx, by_turning * ny
         row[SLIDES] = t * log_passed * by_beyond
         lag = floats(work.lag)
-        row[LAGS] = by_here * lag[at] + row[SLIDES] * lag[at + chain.n * chain.k]
+        row[LAGS] = by_travel * lag[at] + row[SLIDES] * lag[at + chain.n * chain.k]
 
 
 @compiled
 def tendon_slopes(chain, bend, work, i, tangent):
-    """Fill how the tendons' moment follows bend and twist of cell i, tensions held, into OWN."""
+    """Fill OWN with derivatives of the tendons' moment by bend and twist of cell i."""
     x, y, scale = floats(bend)[2 * i], floats(bend)[2 * i + 1], offset_scale(1.0, chain, 0)
     row = floats(tangent)
     if leans(chain):
@@ -517,7 +517,7 @@ def cell_slopes(chain, bend, work, past, i, moment_arms, scale, tangent):
     """
     Fill the derivatives of the residual of cell i.
 
-    Those of the moment come first, in the same places; then they meet the compliance.
+    Those of the moment come first, at the same entries; the compliance then multiplies them.
 
     Parameters
     ----------
@@ -538,7 +538,7 @@ def cell_slopes(chain, bend, work, past, i, moment_arms, scale, tangent):
         load_slopes_at(chain.load_slopes)(chain, bend, work, i, tangent, total)
     a, b, c, d, e, f = compliances(chain, past, i, mx, my, total)
     for q in range(9 if loads else 3):
-        start = OWN + 9 * (q // 3) + q % 3  # of OWN, BY_TURN and BY_TORQUE
+        start = OWN + 9 * (q // 3) + q % 3  # of OWN, BY_ROTATION and BY_TORQUE
         u, v = row[start], row[start + 3]
         row[start], row[start + 3] = -(a * u + c * v), -(b * u + d * v)
     row[OWN] += 1.0
@@ -547,11 +547,11 @@ def cell_slopes(chain, bend, work, past, i, moment_arms, scale, tangent):
     for k in range(chain.k):
         if i >= tendon[2 * k]:
             continue
-        here, at = floats(tangent + 8 * (SIZE + TENDON * k)), 2 * (chain.k * i + k)
+        slopes, at = floats(tangent + 8 * (SIZE + TENDON * k)), 2 * (chain.k * i + k)
         u, v = scale * lever[at], scale * lever[at + 1]
-        here[TRAVELS], here[TRAVELS + 1] = u, v
-        u, v = u + here[BY_TENSION], v + here[BY_TENSION + 1]
-        here[BY_TENSION], here[BY_TENSION + 1] = -(a * u + c * v + e), -(b * u + d * v + f)
+        slopes[TRAVELS], slopes[TRAVELS + 1] = u, v
+        u, v = u + slopes[BY_TENSION], v + slopes[BY_TENSION + 1]
+        slopes[BY_TENSION], slopes[BY_TENSION + 1] = -(a * u + c * v + e), -(b * u + d * v + f)
     if torsion_acts(chain):
         fill_twist(chain, work, i, tangent, loads)
 
@@ -565,14 +565,14 @@ def fill_twist(chain, work, i, tangent, loads):
     yields = twist_compliance(chain, i, about)
     for b in range(3):
         row[OWN + 6 + b] *= -yields
-        row[BY_TURN + 6 + b] *= -yields
+        row[BY_ROTATION + 6 + b] *= -yields
         row[BY_TORQUE + 6 + b] *= -yields
     row[OWN + 8] += 1.0
     for k in range(chain.k):
         if i < words(chain.tendon)[2 * k]:
-            here = floats(tangent + 8 * (SIZE + TENDON * k))
-            here[TRAVELS + 2] = floats(work.axial)[chain.k * i + k]
-            here[BY_TENSION + 2] = -yields * (here[TRAVELS + 2] + here[BY_TENSION + 2])
+            slopes = floats(tangent + 8 * (SIZE + TENDON * k))
+            slopes[TRAVELS + 2] = floats(work.axial)[chain.k * i + k]
+            slopes[BY_TENSION + 2] = -yields * (slopes[TRAVELS + 2] + slopes[BY_TENSION + 2])
 
 
 @compiled

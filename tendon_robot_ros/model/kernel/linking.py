@@ -1,5 +1,5 @@
 """
-How machine code is made: once, of an entry with all that it calls; records in memory.
+How machine code is generated: once, for an entry with all that it calls; records in memory.
 
 Numba optimises every function together with all that it calls and makes machine code of it, again
 at every level up to an entry, which inlines all of it and optimises it once more. Here a part,
@@ -22,11 +22,11 @@ from numba.core.typing.templates import AttributeTemplate
 from numba.extending import infer_getattr, intrinsic, lower_getattr_generic, register_model
 
 NUMBERS = (types.Float, types.Integer, types.Boolean, types.CPointer)
-_FOUND: dict[Any, Any] = {}  # signatures of operators on numbers, and of their places in memory
+_RESOLVED: dict[Any, Any] = {}  # signatures of operators on numbers, and of their places in memory
 
 
 def _is_operator(function):
-    """Tell whether a function is one of Python's operators, or its question whether it is true."""
+    """Tell whether a function is one of Python's operators, or `bool`."""
     own = getattr(function, 'typing_key', function)
     return own is bool or getattr(operator, getattr(own, '__name__', ''), None) is own
 
@@ -67,10 +67,10 @@ class EntryLibrary(JITCodeLibrary):
 
         Callers before what they call: of a module that is linked, LLVM takes what is asked for.
         """
-        found: dict[CodeLibrary, None] = {}
+        libraries: dict[CodeLibrary, None] = {}
         for library in self._linking_libraries:
-            _gather(library, found)
-        self._linking_libraries = [*found][::-1]
+            _gather(library, libraries)
+        self._linking_libraries = [*libraries][::-1]
         super().finalize()
 
     def _optimize_final_module(self):
@@ -79,19 +79,19 @@ class EntryLibrary(JITCodeLibrary):
         passes.run(self._final_module, builder)
 
 
-def _gather(library, found):
-    """Add a library to those found, behind all that it links."""
-    if library in found:
+def _gather(library, libraries):
+    """Append a library to `libraries`, behind all that it links."""
+    if library in libraries:
         return
     if isinstance(library, PartLibrary):
         for below in library._linking_libraries:
-            _gather(below, found)
-    found[library] = None
+            _gather(below, libraries)
+    libraries[library] = None
 
 
-# Passes of numba for what no function of the kernel has: closures, contexts, exceptions, loops
-# over literals, expressions of arrays. (A law of a user may have them.)
-LEFT_OUT = frozenset(
+# Passes of numba for language features that no function of the kernel uses: closures, contexts,
+# exceptions, loops over literals, expressions of arrays. (A law of a user may have them.)
+EXCLUDED = frozenset(
     (
         'WithLifting',
         'InlineClosureLikes',
@@ -110,15 +110,15 @@ LEFT_OUT = frozenset(
 
 def _remembering(context):
     """Return numba's typing context as it is, which resolves an operator on numbers only once."""
-    own, found = copy.copy(context), _FOUND
+    own, resolved = copy.copy(context), _RESOLVED
 
     def resolve(function, args, kws):
         if kws or not all(type(kind) in NUMBERS for kind in args) or not _is_operator(function):
             return context.resolve_function_type(function, args, kws)
         key = function, args
-        if key not in found:
-            found[key] = context.resolve_function_type(function, args, kws)
-        return found[key]
+        if key not in resolved:
+            resolved[key] = context.resolve_function_type(function, args, kws)
+        return resolved[key]
 
     own.resolve_function_type = resolve
     return own
@@ -128,29 +128,29 @@ class PartCompiler(Compiler):
     """Translates a function that only compiled functions call."""
 
     library: type[JITCodeLibrary] = PartLibrary
-    left_out = LEFT_OUT
+    excluded = EXCLUDED
 
     def define_pipelines(self):
-        """Give what is compiled its library before numba makes one of its own."""
+        """Set the library of the code before numba creates one of its own."""
         state = self.state
         if state.library is None:
             codegen = state.targetctx.codegen()
             state.library = self.library(codegen, state.func_id.func_qualname)
             state.library.enable_object_caching()
             state.typingctx = _remembering(state.typingctx)
-        made = super().define_pipelines()
-        for manager in made:
+        managers = super().define_pipelines()
+        for manager in managers:
             manager._ENFORCING = False  # the passes themselves leave all in order
             manager.passes = [
-                one for one in manager.passes if one[0].__name__ not in self.left_out
+                one for one in manager.passes if one[0].__name__ not in self.excluded
             ]
-        return made
+        return managers
 
 
 class LawCompiler(PartCompiler):
-    """Translates a law of an effect: whatever numba knows of Python."""
+    """Translates a law of an effect, with all of Python that numba supports."""
 
-    left_out = frozenset[str]()
+    excluded = frozenset[str]()
 
 
 class EntryCompiler(PartCompiler):
@@ -183,7 +183,7 @@ class RecordModel(models.StructModel):
     """An address, and the fields apart."""
 
     def __init__(self, manager, kind):
-        """Say what is passed."""
+        """Define the members that are passed."""
         members = [(name, types.int64) for name in ('at', *kind.apart)]
         super().__init__(manager, kind, members)
 

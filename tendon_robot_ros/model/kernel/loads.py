@@ -247,7 +247,7 @@ def cell_moment(chain, i, x, y, s, c, loads, reach, bow, general):
 
 @contracted
 def middle_moment(x, y, s, c, loads, cell_length, hinge, bow):
-    """Return what `cell_moment` does for a weight on the axis."""
+    """Return the results of `cell_moment` for a weight on the axis."""
     (force, torque, own), q = loads, x * x + y * y
     sinc, versine = 2.0 * s * c, 2.0 * s * s
     whole = arc_factor(q, s, c)
@@ -324,8 +324,8 @@ def load_moments(chain, bend, work):
         wrench[0], wrench[1], wrench[2] = force
         wrench[3], wrench[4], wrench[5] = torque
         own, bow, o = scaled(scale, weight(chain, i)), bow_compliance(chain, work, i), 3 * i
-        here = (local(f, force), local(f, torque), local(f, own))
-        mx, my, middle, over = cell_moment(chain, i, x, y, s, c, here, lengths[i], bow, general)
+        loads = (local(f, force), local(f, torque), local(f, own))
+        mx, my, middle, over = cell_moment(chain, i, x, y, s, c, loads, lengths[i], bow, general)
         moments[2 * i], moments[2 * i + 1] = mx, my
         start = (origins[o], origins[o + 1], origins[o + 2])
         end = plus((origins[o + 3], origins[o + 4], origins[o + 5]), turned(f, over))
@@ -333,7 +333,7 @@ def load_moments(chain, bend, work):
         torque = plus(torque, plus(cross(reach, force), cross(turned(f, middle), own)))
         if general:
             floats(work.torque)[i] = axial_moment(
-                x, y, 2.0 * s * c, 2.0 * s * s, here[1], local(f, torque)
+                x, y, 2.0 * s * c, 2.0 * s * s, loads[1], local(f, torque)
             )
         force = plus(force, own)
 
@@ -401,7 +401,7 @@ def flat_moments(chain, bend, work):
     work.half is that of these bends. Frames are left alone, work.wrench is scratch.
     """
     bends, half, moments = floats(bend), floats(work.half), floats(work.load)
-    turn_along(chain, bends, half, moments)
+    rotate_along(chain, bends, half, moments)
     if bows(chain):
         fill_factors(chain, bends, half, work.wrench)
     factors, n = floats(work.wrench), chain.n
@@ -411,16 +411,16 @@ def flat_moments(chain, bend, work):
         x, s, c, reach = bends[2 * i], half[2 * i], half[2 * i + 1], floats(work.lengths)[i]
         own, hinge = weight(chain, i), cell(chain, i, HINGE)
         own = (scale * own[0], 0.0, scale * own[2])
-        here = across_and_along(moments[2 * i], moments[2 * i + 1], own)
+        local_own = across_and_along(moments[2 * i], moments[2 * i + 1], own)
         force = across_and_along(moments[2 * i], moments[2 * i + 1], total)
         arc, bow = (factors[i], factors[n + i], factors[2 * n + i], factors[3 * n + i]), 0.0
         if not hinge > 0.5:
             bow = bow_compliance(chain, work, i)
-        moment, middle, over = flat_moment(x, s, c, arc, force, here, reach, hinge, bow)
+        moment, middle, over = flat_moment(x, s, c, arc, force, local_own, reach, hinge, bow)
         moments[2 * i], moments[2 * i + 1] = torque + moment, 0.0
         across, along = end_of(x * x, s, c, reach, hinge)
         torque += (along + over[1]) * force[0] - (across * x + over[0]) * force[1]
-        torque += middle[1] * here[0] - middle[0] * here[1]
+        torque += middle[1] * local_own[0] - middle[0] * local_own[1]
         total = (total[0] + own[0], 0.0, total[2] + own[2])
 
 
@@ -446,11 +446,11 @@ def fill_factors(chain, bends, half, factors):
 
 
 @contracted
-def turn_along(chain, bends, half, turns):
+def rotate_along(chain, bends, half, rotations):
     """Fill turns (n, 2): cosine and sine of the angle by which the start of a cell is turned."""
     cosine, sine = 1.0, 0.0
     for i in range(chain.n):
-        turns[2 * i], turns[2 * i + 1] = cosine, sine
+        rotations[2 * i], rotations[2 * i + 1] = cosine, sine
         x, s, c = bends[2 * i], half[2 * i], half[2 * i + 1]
         across, along = 2.0 * s * c * x, 1.0 - 2.0 * s * s * x * x
         cosine, sine = cosine * along - sine * across, sine * along + cosine * across

@@ -1,9 +1,9 @@
 """
 Tensions for wire pulls: each commanded wire is either taut at its pull, or slack.
 
-Wires that do not stretch, and wires that are springs: those have one answer where stiff ones have
-many. Wires of exactly opposite lengths do not say how hard two of them pull against each other;
-wires that stretch, however little, do: the loose one of them is slack.
+There are stiff wires and wires that are springs; springs have a unique solution where stiff wires
+have many. The lengths of two exactly opposite stiff wires do not determine how hard these pull
+against each other; those of wires that stretch, however little, do: the looser one is slack.
 """
 
 import math
@@ -33,23 +33,23 @@ GAP_SETTLED = 1e-10
 
 
 @compiled
-def pull_residuals(chain, inputs, target, there, f, bend):
+def pull_residuals(chain, inputs, target, solver, f, bend):
     """Wire pull minus the requested one (m,) [m], zero where none was; False: no equilibrium."""
-    if not is_balanced(chain, inputs, there, bend):
+    if not is_balanced(chain, inputs, solver, bend):
         return False
-    wire_pulls(chain, bend, there.work, there.pulls)
-    mean_pulls(chain, there.pulls, there.means)
+    wire_pulls(chain, bend, solver.work, solver.pulls)
+    mean_pulls(chain, solver.pulls, solver.means)
     for j in range(inputs.shape[0]):
-        f[j] = 0.0 if math.isnan(target[j]) else floats(there.means)[j] - target[j]
+        f[j] = 0.0 if math.isnan(target[j]) else floats(solver.means)[j] - target[j]
     return True
 
 
 @compiled
-def pull_slopes(chain, inputs, target, there, state_slopes, slopes):
+def pull_slopes(chain, inputs, target, solver, state_slopes, slopes):
     """Fill the derivative (m, m) [m/N] of the residuals by the tensions."""
     m = inputs.shape[0]
     both = np.empty((6 + m, m))
-    output_slopes(chain, address(inputs), there, state_slopes, both)
+    output_slopes(chain, address(inputs), solver, state_slopes, both)
     for r in range(m):
         for j in range(m):
             slopes[r, j] = 0.0 if math.isnan(target[r]) else both[6 + r, j]
@@ -119,32 +119,32 @@ def solve_stiff_wires(robot, inputs, target, bends, past, scratch, steps_max):
 
     """
     chain = chain_at(robot)
-    m, there = chain.m, workspace(chain, bends, past, scratch)
+    m, solver = chain.m, workspace(chain, bends, past, scratch)
     state_slopes = np.zeros((m, unknowns(chain)))
     f, moved, slopes, trial = np.empty(m), np.empty(m), np.zeros((m, m)), np.empty(m)
     for j in range(m):
         inputs[j] = 0.0 if math.isnan(target[j]) else inputs[j]
-    if not pull_residuals(chain, inputs, target, there, f, there.bend):
+    if not pull_residuals(chain, inputs, target, solver, f, solver.bend):
         return math.inf
     damping = 1e-10
     for _ in range(steps_max):
-        wrong = violation(inputs, target, f)
-        if wrong < GAP_SETTLED * GAP_SETTLED:
+        error = violation(inputs, target, f)
+        if error < GAP_SETTLED * GAP_SETTLED:
             break
-        pull_slopes(chain, inputs, target, there, state_slopes, slopes)
+        pull_slopes(chain, inputs, target, solver, state_slopes, slopes)
         new = math.inf
         for _ in range(BACKTRACKS_MAX):
             taut_step(slopes, f, inputs, target, damping, trial)
-            predict(chain, there, state_slopes, inputs, trial)
-            if pull_residuals(chain, trial, target, there, moved, there.near):
+            predict(chain, solver, state_slopes, inputs, trial)
+            if pull_residuals(chain, trial, target, solver, moved, solver.near):
                 new = violation(trial, target, moved)
-            if new < wrong:
+            if new < error:
                 break
             damping = max(10.0 * damping, 1e-6)
-        if not new < wrong:
+        if not new < error:
             break
         damping = max(0.1 * damping, 1e-12)
-        accept(chain, there, trial, moved, inputs, f)
+        accept(chain, solver, trial, moved, inputs, f)
     gap = 0.0
     for j in range(m):
         if not math.isnan(target[j]) and (inputs[j] > 0.0 or f[j] < 0.0):
@@ -207,11 +207,11 @@ def correct(slopes, change, step):
     for j in range(m):
         length += step[j] * step[j]
     for r in range(m):
-        wrong = change[r]
+        error = change[r]
         for j in range(m):
-            wrong -= slopes[r, j] * step[j]
+            error -= slopes[r, j] * step[j]
         for j in range(m):
-            slopes[r, j] += wrong * step[j] / length
+            slopes[r, j] += error * step[j] / length
 
 
 @compiled
@@ -250,18 +250,18 @@ def solve_elastic_wires(robot, inputs, target, bends, past, scratch, stretch, st
 
     """
     chain = chain_at(robot)
-    m, there = chain.m, workspace(chain, bends, past, scratch)
+    m, solver = chain.m, workspace(chain, bends, past, scratch)
     state_slopes = np.zeros((m, unknowns(chain)))
     f, moved, slopes = np.empty(m), np.empty(m), np.zeros((m, m))
     trial, move, ahead = np.empty(m), np.empty(m), np.empty(m)
     for j in range(m):
         inputs[j] = 0.0 if math.isnan(target[j]) else inputs[j]
-    if not pull_residuals(chain, inputs, target, there, f, there.bend):
+    if not pull_residuals(chain, inputs, target, solver, f, solver.bend):
         return math.inf
     fresh, stale, top, slow = False, True, math.inf, 0
     for _ in range(steps_max):
         if stale:
-            pull_slopes(chain, inputs, target, there, state_slopes, slopes)
+            pull_slopes(chain, inputs, target, solver, state_slopes, slopes)
             fresh, stale = True, False
             top = spring_step(slopes, f, inputs, target, stretch, move)
         if top < GAP_CLOSED * stretch or slow > SLOW_STEPS_MAX:
@@ -269,8 +269,8 @@ def solve_elastic_wires(robot, inputs, target, bends, past, scratch, stretch, st
         fraction, better = 1.0, False
         for _ in range(8 if fresh else 2):
             step_by(inputs, move, fraction, trial)
-            predict(chain, there, state_slopes, inputs, trial)
-            good = pull_residuals(chain, trial, target, there, moved, there.near)
+            predict(chain, solver, state_slopes, inputs, trial)
+            good = pull_residuals(chain, trial, target, solver, moved, solver.near)
             new = spring_step(slopes, moved, trial, target, stretch, ahead)
             better = good and 0.0 <= new < (1.0 - 1e-3 * fraction) * top
             if better:
@@ -282,7 +282,7 @@ def solve_elastic_wires(robot, inputs, target, bends, past, scratch, stretch, st
         slow += 1 if not better or new > 0.7 * top else 0
         if better:
             correct(slopes, moved - f, trial - inputs)
-            accept(chain, there, trial, moved, inputs, f)
+            accept(chain, solver, trial, moved, inputs, f)
             top = spring_step(slopes, f, inputs, target, stretch, move)
         fresh = False
     return top if top >= 0.0 else math.inf

@@ -80,7 +80,7 @@ def work_in(chain, start):
 
 @compiled
 def note_cells(chain, work):
-    """Fill work with what it holds of cells and loads that no search changes."""
+    """Fill the parts of `work` that depend on cells and loads only, not on the search."""
     flat = not is_general(chain) and force_at_tip(chain)[1] == 0.0
     for i in range(chain.n):
         floats(work.lengths)[i] = cell(chain, i, LENGTH)
@@ -91,7 +91,7 @@ def note_cells(chain, work):
 
 @compiled
 def workspace(chain, bends, past, scratch):
-    """Lay out what a search needs; `bends` (2, 3n) and `past` are kept alive outside."""
+    """Lay out the workspace of a search; the caller keeps `bends` (2, 3n) and `past` alive."""
     n, k = chain.n, chain.k
     now = memory_in(chain, scratch + 8 * work_size(n, k))
     before = now.bend + 8 * memory_size(n, k, chain.m)
@@ -187,18 +187,20 @@ def mean_pulls(chain, pulls, means):
 
 
 @compiled
-def is_balanced(chain, inputs, there, bend):
-    """Solve for the bends at an address from what is there; tell whether they balance."""
-    change = posture(chain, address(inputs), there.work, there.past, there.now, bend, there.before)
+def is_balanced(chain, inputs, solver, bend):
+    """Solve for the bends at an address, which hold the guess; return whether they balance."""
+    change = posture(
+        chain, address(inputs), solver.work, solver.past, solver.now, bend, solver.before
+    )
     return change < BEND_TOLERANCE
 
 
 @compiled
-def predict(chain, there, slopes, inputs, trial):
-    """Guess the state of a trial: that kept, and how it follows the inputs (m, u) [rad/N]."""
-    near, longest = floats(there.near), 0.0
+def predict(chain, solver, slopes, inputs, trial):
+    """Predict the state of a trial from the kept one by slopes (m, u) [rad/N] of the inputs."""
+    near, longest = floats(solver.near), 0.0
     size = unknowns(chain)
-    copy(there.bend, there.near, size)
+    copy(solver.bend, solver.near, size)
     for q in range(size):
         move = 0.0
         for j in range(chain.m):
@@ -206,21 +208,21 @@ def predict(chain, there, slopes, inputs, trial):
         near[q] += move
         longest = max(longest, abs(move)) if move == move else math.inf
     if not longest < GUESS_STEP_MAX:
-        copy(there.bend, there.near, size)
+        copy(solver.bend, solver.near, size)
 
 
 @compiled
-def accept(chain, there, trial, moved, inputs, f):
-    """Go to where a trial was: its tensions, residuals and bends."""
+def accept(chain, solver, trial, moved, inputs, f):
+    """Make a trial the present state: its tensions, residuals and bends."""
     assign(inputs, trial)
     assign(f, moved)
-    copy(there.near, there.bend, unknowns(chain))
+    copy(solver.near, solver.bend, unknowns(chain))
 
 
 @compiled
 def results_at(chain, block, count, b, work):
     """
-    Where posture b of a block (see `model.form`) lies.
+    Return the addresses of posture b of a block (see `model.form`).
 
     Returns inputs, bends, pulls of the tendons, pulls of the inputs, the last change, and scratch
     whose tensions, frames and origins are those of the block.
@@ -233,18 +235,18 @@ def results_at(chain, block, count, b, work):
     pulls = origins + 24 * n * count
     means = pulls + 8 * k * count
     changes = means + 8 * m * count
-    here = with_results(
+    output = with_results(
         work, tensions + 8 * n * k * b, frames + 72 * (n * b - 1), origins + 24 * (n * b - 1)
     )
     row = (block + 8 * m * b, bends + 24 * n * b, pulls + 8 * k * b, means + 8 * m * b)
-    return row, changes + 8 * b, here
+    return row, changes + 8 * b, output
 
 
 @compiled
-def show(chain, row, here):
-    """Fill frames, positions and wire pulls of a posture whose bends and tensions are there."""
-    place(chain, row[1], here)
-    wire_pulls(chain, row[1], here, row[2])
+def show(chain, row, output):
+    """Fill frames, positions and wire pulls of a posture from its bends and tensions."""
+    place(chain, row[1], output)
+    wire_pulls(chain, row[1], output, row[2])
     mean_pulls(chain, row[2], row[3])
 
 
@@ -282,15 +284,15 @@ def postures(robot, block, count, begin, end, past, scratch, carry):
     then = memory_in(chain, past if past != 0 else behind)
     worst = 0.0
     for b in range(begin, end):
-        row, change_at, here = results_at(chain, start, count, b, work)
-        solving = with_results(work, here.tensions, work.frames, work.origins)
+        row, change_at, output = results_at(chain, start, count, b, work)
+        solving = with_results(work, output.tensions, work.frames, work.origins)
         change = posture(chain, row[0], solving, then, now, row[1], before)
         floats(change_at)[0] = change
         if not change <= worst:
             worst = change
         if carry != 0:
             copy(now.bend, then.bend, memory_size(n, k, m))
-        show(chain, row, here)
+        show(chain, row, output)
     return worst
 
 
@@ -301,10 +303,10 @@ def show_postures(robot, block, count, past, scratch):
     work, then = work_in(chain, scratch), memory_in(chain, past)
     f = np.empty(unknowns(chain))
     for b in range(count):
-        row, _, here = results_at(chain, address(block), count, b, work)
-        solving = with_results(work, here.tensions, work.frames, work.origins)
+        row, _, output = results_at(chain, address(block), count, b, work)
+        solving = with_results(work, output.tensions, work.frames, work.origins)
         residual_at(chain.residual)(chain, row[0], row[1], solving, then, address(f))
-        show(chain, row, here)
+        show(chain, row, output)
 
 
 @entry()
@@ -329,7 +331,7 @@ SAME_SIGN = 1e-2
 
 @entry(REMEMBERED)
 def remembered(chain, sign, moved, section):
-    """Direction of friction [1] that was `sign`, after a tendon moved on [m]."""
+    """Direction of friction [1], from `sign` before a tendon moved [m]."""
     return memory(0.0, sign, moved, chain, section)
 
 
@@ -346,9 +348,9 @@ def remember(chain, inputs, bend, work, past, now):
     for k in range(chain.k):
         for i in range(tendon[2 * k] - 1):
             at = chain.k * i + k
-            here = floats(work.travel)[at]
+            travelled = floats(work.travel)[at]
             sign[at], travel[at] = slip_direction(
-                chain, work, past, at, section_of(chain, i), here, 0.0, slides, YES
+                chain, work, past, at, section_of(chain, i), travelled, 0.0, slides, YES
             )
 
 
@@ -357,7 +359,7 @@ def settle_near(chain, inputs, work, past, bend, before):
     """
     Find the equilibrium by Newton from a state that is near, else as `settle` does.
 
-    A planar arm is quicker by sweeps, and under a heavy load stability has to be seen to.
+    For a planar arm sweeps are quicker, and under a heavy load stability has to be checked.
     """
     heavy = loaded(chain) and load_ratio(chain) > SAFE_LOAD
     if is_implicit(chain) and not (heavy or is_planar(chain, floats(bend))):
@@ -383,19 +385,19 @@ def fill_guess(chain, nodes, reached, start, row, bend):
 
 
 @compiled
-def go_on(chain, inputs, work, past, now, nodes, reached, bend, before, start, row):
+def continue_path(chain, inputs, work, past, now, nodes, reached, bend, before, start, row):
     """
-    Go on along a path from one node to another.
+    Continue along a path from one node to another.
 
-    Returns the last change [rad], and by how much the state differs from the one that the node had
-    before [rad]; infinite where it is new or not reached.
+    Returns the last change [rad], and the difference of the state from the previous one of the
+    node [rad]; infinite where the node is new or not reached.
 
     Parameters
     ----------
     inputs : address
         (m,) [N] where the path ends.
     past, now : Memory
-        Of where the path begins; scratch, takes that of the node.
+        Memory at the start of the path; scratch, takes that of the node.
     nodes : ndarray, shape (PARTS + 1, memory_size)
         Memory at the nodes; takes that of this one.
     reached : ndarray, shape (PARTS + 1,)
@@ -408,9 +410,9 @@ def go_on(chain, inputs, work, past, now, nodes, reached, bend, before, start, r
     """
     size, moved = nodes.shape[1], math.inf
     copy(address(nodes) + 8 * size * start, now.bend, size)
-    fraction, first, there = row / PARTS, floats(past.inputs), floats(now.inputs)
+    fraction, first, tensions = row / PARTS, floats(past.inputs), floats(now.inputs)
     for j in range(chain.m):
-        there[j] = (1.0 - fraction) * first[j] + fraction * floats(inputs)[j]
+        tensions[j] = (1.0 - fraction) * first[j] + fraction * floats(inputs)[j]
     fill_guess(chain, nodes, reached, start, row, bend)
     change = settle_near(chain, now.inputs, work, now, bend, before)
     if not change < BEND_TOLERANCE:
@@ -429,7 +431,7 @@ def go_on(chain, inputs, work, past, now, nodes, reached, bend, before, start, r
 @compiled
 def overshoot(first, middle, last):
     """
-    Return by how much a parabola through three points in equal steps exceeds its ends.
+    Return the excess of a parabola through three points in equal steps over its ends.
 
     Only where its vertex is in the first quarter or in the last: there both halves, and the whole,
     have the same sign.
@@ -461,11 +463,11 @@ def sign_error(chain, nodes, at, middle, end):
 @entry(RAMPED)
 def ramped(chain, inputs, work, past, now, bend, before):
     """
-    Do what `posture` does with friction memory, which it takes and returns.
+    Solve a posture with friction memory, see `posture`.
 
-    Tensions go in a straight line from the posture in `past`, in parts: each is halved until its
-    halves lead to where it leads by itself and no travel changes sign unseen. The shortest may
-    be a jump.
+    Tensions change in a straight line from the posture in `past`, in parts: each is halved until
+    its halves lead to the same state as the whole and no travel changes sign unseen. The shortest
+    part may be a jump.
     """
     kept = memory_size(chain.n, chain.k, chain.m)
     nodes, reached = np.empty((PARTS + 1, kept)), np.zeros(PARTS + 1, np.int64)
@@ -475,12 +477,12 @@ def ramped(chain, inputs, work, past, now, bend, before):
     while at < PARTS:
         middle, end, shortest, moved = at + length // 2, at + length, length == 2, math.inf
         if not known:  # else it was a half of the part before
-            change, _ = go_on(*path, at, end)
-        change, _ = go_on(*path, at, middle)
+            change, _ = continue_path(*path, at, end)
+        change, _ = continue_path(*path, at, middle)
         if change < BEND_TOLERANCE:
-            change, moved = go_on(*path, middle, end)
+            change, moved = continue_path(*path, middle, end)
         if shortest and not change < BEND_TOLERANCE:
-            change, _ = go_on(*path, at, end)
+            change, _ = continue_path(*path, at, end)
             if not change < BEND_TOLERANCE:
                 break
         same = moved < SAME_RAD and sign_error(chain, nodes, at, middle, end) < SAME_SIGN

@@ -63,7 +63,7 @@ from .stages import (
 
 @compiled
 def is_implicit(chain):
-    """Tell whether an effect acts that needs the shape: one sweep is then not the answer."""
+    """Tell whether an effect acts that needs the shape: one sweep is then no equilibrium."""
     shaped = wrap_acts(chain) or friction_travel_acts(chain) or memory_acts(chain)
     return follows_shape(chain) or loaded(chain) or (eyelet_acts(chain) and shaped)
 
@@ -87,15 +87,15 @@ def slip_rate_in(work):
 
 
 @inlined
-def slip_direction(chain, work, past, at, section, here, slip_rate, slides, remembers):
+def slip_direction(chain, work, past, at, section, travel, slip_rate, slides, remembers):
     """
-    Direction s of friction at entry `at` of the travel (n, k), and what has travelled [m].
+    Direction s of friction at entry `at` of the travel (n, k), and the travel that counts [m].
 
     Parameters
     ----------
     at : int
         Entry chain.k i + k of the arrays (n, k).
-    here : float
+    travel : float
         Travel of the tendon in cell i [m].
     slip_rate : float
         One over the smoothing length [1/m]; not used where friction remembers.
@@ -105,15 +105,15 @@ def slip_direction(chain, work, past, at, section, here, slip_rate, slides, reme
     """
     beyond = floats(work.beyond)[at] if slides else 0.0
     if remembers:
-        travel = friction_travel(here, beyond, chain, section)
-        moved = travel - floats(past.travel)[at]
+        travelled = friction_travel(travel, beyond, chain, section)
+        moved = travelled - floats(past.travel)[at]
         before = floats(past.sign)[at]
-        return memory(0.0, before, moved, chain, section), travel
+        return memory(0.0, before, moved, chain, section), travelled
     if slides:
         return friction_travel(
-            smooth_sign(here, slip_rate), smooth_sign(beyond, slip_rate), chain, section
+            smooth_sign(travel, slip_rate), smooth_sign(beyond, slip_rate), chain, section
         ), beyond
-    return smooth_sign(here, slip_rate), here
+    return smooth_sign(travel, slip_rate), travel
 
 
 @fused
@@ -143,11 +143,11 @@ def fast_exp(x):
 
 
 @inlined
-def times_power(t, passed, s, log_passed, again):
+def times_power(t, passed, s, log_passed, passed_at):
     """
     t passed ** s, without the power where s is saturated; log(passed) once it is known.
 
-    `again` is where `passed` lies: LLVM would compute the logarithm before it is asked for.
+    `passed_at` is the address of `passed`, else LLVM would compute the logarithm every time.
     """
     if s == 1.0:
         return t * passed, log_passed
@@ -156,7 +156,7 @@ def times_power(t, passed, s, log_passed, again):
     if not passed > 0.0:
         return t * passed**s, log_passed
     if log_passed == 0.0:
-        log_passed = fast_log(floats(again)[0])
+        log_passed = fast_log(floats(passed_at)[0])
     return t * fast_exp(s * log_passed), log_passed
 
 
@@ -225,8 +225,8 @@ def passed_ratio(chain, i, bx, by, ahead_x, ahead_y, sine, sine_mean, flags):
 
 
 @inlined
-def ratio_there(chain, work, i, bx, by, ahead_x, ahead_y, flags):
-    """Return `passed_ratio` with S of these very bends; work.half holds that of cell i."""
+def ratio_at(chain, work, i, bx, by, ahead_x, ahead_y, flags):
+    """Return `passed_ratio` at these bends; work.half holds the half angle of cell i."""
     sine_mean = sine_between(bx, by, ahead_x, ahead_y) if flags[2] else 0.0
     sine = floats(work.half)[2 * i]
     return passed_ratio(chain, i, bx, by, ahead_x, ahead_y, sine, sine_mean, flags)
@@ -258,8 +258,8 @@ def pass_eyelet(chain, work, past, i, bx, by, passed, slip_rate, moment_arms, sc
     friction, straight, _, slides, remembers = flags
     tensions, tendon, at = floats(work.tensions), words(chain.tendon), chain.k * i
     section = section_of(chain, i)
-    x0, y0, log_passed, again = 0.0, 0.0, 0.0, work.passed + 8 * i
-    floats(again)[0] = passed
+    x0, y0, log_passed, passed_at = 0.0, 0.0, 0.0, work.passed + 8 * i
+    floats(passed_at)[0] = passed
     last, last_sign = -1.0, 0.0  # kept, because tendons on opposite sides travel alike
     if friction:
         x0, y0 = rest(0.0, 0.0, chain, section)
@@ -273,19 +273,19 @@ def pass_eyelet(chain, work, past, i, bx, by, passed, slip_rate, moment_arms, sc
             t = tensions[at + k]
             if friction:
                 if straight:
-                    here = floats(work.travel)[at + k]
+                    travel = floats(work.travel)[at + k]
                 else:
-                    here = offsets[2 * (at + k)] * x0 + offsets[2 * (at + k) + 1] * y0
+                    travel = offsets[2 * (at + k)] * x0 + offsets[2 * (at + k) + 1] * y0
                 if slides or remembers:
                     s, _ = slip_direction(
-                        chain, work, past, at + k, section, here, slip_rate, slides, remembers
+                        chain, work, past, at + k, section, travel, slip_rate, slides, remembers
                     )
                 else:
-                    if abs(here) != last:
-                        last = abs(here)
+                    if abs(travel) != last:
+                        last = abs(travel)
                         last_sign = smooth_sign(last, slip_rate)
-                    s = math.copysign(last_sign, here)
-                t, log_passed = times_power(t, passed, s, log_passed, again)
+                    s = math.copysign(last_sign, travel)
+                t, log_passed = times_power(t, passed, s, log_passed, passed_at)
             mx += t * lever[2 * j]
             my += t * lever[2 * j + 1]
             total += t
@@ -387,7 +387,7 @@ def carry_tensions(chain, inputs, bend, work, past, flags, moment_arms, scale):
     for i in range(chain.n - 1):
         x, y = bends[2 * i], bends[2 * i + 1]
         ahead_x, ahead_y = bends[2 * i + 2] - x, bends[2 * i + 3] - y
-        passed = ratio_there(chain, work, i, x, y, ahead_x, ahead_y, flags)
+        passed = ratio_at(chain, work, i, x, y, ahead_x, ahead_y, flags)
         pass_eyelet(chain, work, past, i, x, y, passed, rate, moment_arms, scale, flags)
 
 

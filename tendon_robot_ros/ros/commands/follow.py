@@ -132,8 +132,9 @@ def _tips(pilot: Pilot, rows: TipRows, options: argparse.Namespace, pace: Pace) 
     regions = load_keep_out(options.keep_out) if options.keep_out else None
     planned = plan(model, path, pace, start, regions)
     length = np.linalg.norm(np.diff(path.positions, axis=0), axis=1).sum()
-    timed = rows.times is not None and planned.duration > planned.asked + 0.01
-    note = f' instead of {planned.asked:.1f} s, to keep the limits' if timed else ''
+    requested = planned.requested_duration
+    timed = rows.times is not None and planned.duration > requested + 0.01
+    note = f' instead of {requested:.1f} s, to keep the limits' if timed else ''
     print(f'{len(path.rows)} rows, {1e3 * length:.0f} mm of path, {planned.duration:.1f} s{note}')
     if problem := planned.out_of_reach():
         if not (options.anyway or options.plan):
@@ -252,7 +253,7 @@ def run_tendons(pilot: Pilot, when: Floats, values: Floats) -> PathRun:
     pilot.stand()
     rows = when.copy()
     rows[-1] = time.monotonic() - began
-    return replace(_path_run(pilot, began, [], rows), wanted=values)
+    return replace(_path_run(pilot, began, [], rows), target_values=values)
 
 
 def run_back(pilot: Pilot, pace: Pace) -> None:
@@ -272,9 +273,9 @@ def _path_run(
     during, commanded = tip_times >= began, command_times >= began
     return PathRun(
         inputs=pilot.inputs,
-        asked_times=np.array([at for at, _, _ in sent]),
-        asked=np.array([place for _, place, _ in sent]).reshape(-1, 3),
-        asked_directions=np.array([view for _, _, view in sent]).reshape(-1, 3),
+        target_times=np.array([at for at, _, _ in sent]),
+        targets=np.array([place for _, place, _ in sent]).reshape(-1, 3),
+        target_directions=np.array([view for _, _, view in sent]).reshape(-1, 3),
         row_times=rows,
         tip_times=tip_times[during] - began,
         tips=tips[during],

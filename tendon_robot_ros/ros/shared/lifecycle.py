@@ -267,7 +267,7 @@ class StoppableNode(ManagedNode):
 
         def cleared() -> None:
             if (latch := self.latch) is not None:
-                latch.cause_gone('stop topic')
+                latch.cause_removed('stop topic')
 
         self.stop_topic = StopTopic(self, self.stop_by_topic, cleared, [stop, *services])
         self._local_stop = StopListener(
