@@ -425,12 +425,10 @@ class Searched:
             merged = states[begin + 1 : k + 1]
             joined = [state.joined for state in merged]
             removed = [name for state in merged for name in state.removed]
-            stayed = [name for name in joined if name and name not in removed]
+            added = [name for name in joined if name and name not in removed]
             dropped = tuple(name for name in removed if name not in joined)
             before = self.errors[min(max(begin, 0), taken)]
-            steps.append(
-                self._step(' + '.join(stayed), dropped, robots[k], before, self.errors[k])
-            )
+            steps.append(self._step(' + '.join(added), dropped, robots[k], before, self.errors[k]))
         last_step, errors, robot = kept.index(taken), self.errors[taken], robots[taken]
         if self.last is not None and arm is not None:
             step = self._step(AS_FOUND, (), arm.robot, errors, self.last)

@@ -219,10 +219,7 @@ class Likelihood:
         if self.kind is not None:
             last = self._last(at, half, through, ahead)
             k, mine, own_fitted = self.kind, last.u, last.more @ root.T
-            cross, own = (
-                last.cross - fitted @ own_fitted.T,
-                last.own - own_fitted @ own_fitted.T,
-            )
+            cross, own = last.cross - fitted @ own_fitted.T, last.own - own_fitted @ own_fitted.T
             across = along @ (cross @ mine)
             turned[k] += across
             turned[:, k] += across

@@ -70,10 +70,7 @@ class Evidence:
             known = fit.interval_covariance[np.ix_(own, own)] * scale
             finite = np.isfinite(np.diag(known)) & (np.diag(known) > 0.0)
             described = np.array([session.predictor.value(fit.frees[i]) for i in own])
-            off, known = (
-                (fit.values[own] - described)[finite],
-                known[np.ix_(finite, finite)],
-            )
+            off, known = (fit.values[own] - described)[finite], known[np.ix_(finite, finite)]
             alone = np.abs(off) > QUANTILE * np.sqrt(np.diag(known))
             far = float(off @ np.linalg.pinv(known) @ off)
             if not alone.any() and chi2_sf(far, max(len(off), 1)) > SIGNIFICANCE:
