@@ -166,13 +166,13 @@ def test_while_the_driver_is_stopped_it_follows_the_measured_state():
     rig.run(0.1)
     rig.core.aim(reachable())
     rig.run(1.0)
-    rig.core.driver_says('stop was called')
+    rig.core.driver_reports('stop was called')
     rig.tensions = np.full(4, 0.3)
     assert rig.run(0.1).tensions == pytest.approx([0.3] * 4)
     assert rig.code() == 'driver_stopped'
     with pytest.raises(Refusal, match='the driver does not follow: stop was called'):
         rig.core.aim(reachable())
-    rig.core.driver_says('')
+    rig.core.driver_reports('')
     assert rig.run(0.5).tensions == pytest.approx([0.3] * 4)
 
 

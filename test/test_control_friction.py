@@ -8,7 +8,7 @@ from friction_rig import TARGETS, Rig, model
 
 from tendon_robot_ros.common.errors import NoEquilibriumError
 from tendon_robot_ros.control import ControllerCore, Settings, Target, target_search
-from tendon_robot_ros.control.approach import forgetting
+from tendon_robot_ros.control.approach import forgetting_tensions
 from tendon_robot_ros.control.driver_side import ActingTensions
 from tendon_robot_ros.control.state import Trajectory
 from tendon_robot_ros.control.status import controller_status, controller_values
@@ -98,7 +98,7 @@ def test_from_below_friction_forgets_the_way_though_nobody_knows_its_law(name):
     low, high = known.limits.T
     goals = low + 0.12 * (high - low) * np.random.default_rng(4).random((5, len(low)))
     away = []
-    for ways in ((), forgetting(known)):
+    for ways in ((), forgetting_tensions(known)):
         ends = [went(arm, low, (before, *ways, goals[0])) for before in goals[1:]]
         away.append(np.std(ends, axis=0).max())
     assert away[0] > 1e-3 and away[1] < 0.1 * away[0]

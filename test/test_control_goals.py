@@ -27,7 +27,7 @@ def pursue(rig, goal, seconds=5.0, before=None):
     ends = []
 
     def look(rig):
-        if not ends and (outcome := goal.look(rig.core, rig.now)) is not None:
+        if not ends and (outcome := goal.update(rig.core, rig.now)) is not None:
             ends.append(outcome)
         if before is not None:
             before(rig)
@@ -66,7 +66,7 @@ def test_progress_tells_distance_and_time_that_are_left():
     rig.core.predict(rig.now, lambda shape: told.append(goal.progress(rig.core, rig.now)))
     assert told[-1].passed == pytest.approx(0.6)
     assert 0.0 < told[-1].left < 0.8
-    assert told[-1].steps_left == 1
+    assert told[-1].steps_remaining == 1
     way = np.linalg.norm(goal.step.position - [0.0, 0.0, 0.208])
     assert 0.1 * way < told[-1].distance < 0.9 * way
 
@@ -88,7 +88,7 @@ def test_a_cancelled_goal_holds_the_arm_where_it_is_commanded_to_be():
         (lambda core, now: core.aim(reachable()), 'ended', 'a newer target'),
         (lambda core, now: core.play(now, None), 'ended', 'a newer target'),
         (lambda core, now: core.stop('stop', 'stop was called'), 'ended', 'stop was called'),
-        (lambda core, now: core.driver_says('cable torn'), 'ended', 'cable torn'),
+        (lambda core, now: core.driver_reports('cable torn'), 'ended', 'cable torn'),
     ],
 )
 @pytest.mark.parametrize('steps', [targets(NEAR, FAR), [trajectory(1.5)]])
@@ -98,7 +98,7 @@ def test_what_takes_the_place_of_a_goal_ends_it_and_is_not_cancelled_with_it(
     rig, goal = Rig(rate_limit=0.5), MotionGoal(steps)
     assert pursue(rig, goal, 0.2) is None
     intrude(rig.core, rig.now)
-    outcome, before = goal.look(rig.core, rig.now), followed(rig.core)
+    outcome, before = goal.update(rig.core, rig.now), followed(rig.core)
     assert outcome.code == code
     assert says in outcome.message
     goal.cancel(rig.core, rig.now)

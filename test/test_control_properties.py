@@ -56,7 +56,7 @@ def tell(core, now, kind, *values):
     elif kind == 'reset':
         core.reset()
     elif kind.startswith('driver'):
-        core.driver_says('it says so' if kind == 'driver stops' else '')
+        core.driver_reports('it says so' if kind == 'driver stops' else '')
 
 
 @pytest.mark.filterwarnings('ignore::RuntimeWarning')  # squares of 1e308

@@ -65,8 +65,8 @@ class Pair:
         core.measured(self.now, reading.tensions, reading.pulls)
         if self.heard:
             stopped = '; '.join(supervisor.latch.reasons)
-            core.driver_says(stopped, supervisor.held, supervisor.releases)
-        if core.wants_driver:
+            core.driver_reports(stopped, supervisor.held, supervisor.releases)
+        if core.needs_driver:
             self.resume()
         return core.step(self.now)
 
@@ -240,15 +240,15 @@ def test_what_the_driver_said_before_it_was_reset_stops_nothing():
     """Its answer comes at once, its status somewhat later."""
     rig = Rig()
     rig.run(0.1)
-    rig.core.driver_says('', '', 1)
-    rig.core.driver_says('stop was called', 'stop was called', 2)
+    rig.core.driver_reports('', '', 1)
+    rig.core.driver_reports('stop was called', 'stop was called', 2)
     rig.core.resumed()  # the driver has said so
     rig.core.reset()
-    rig.core.driver_says('stop was called', 'stop was called', 2)
+    rig.core.driver_reports('stop was called', 'stop was called', 2)
     rig.core.aim(reachable())
     rig.run(1.0)
     assert rig.code() == 'reached'
-    rig.core.driver_says('stop was called', 'stop was called', 3)
+    rig.core.driver_reports('stop was called', 'stop was called', 3)
     rig.run(0.1)
     assert rig.code() == 'driver_stopped'
 
@@ -268,9 +268,9 @@ def test_a_refusal_because_of_a_stop_ends_with_it():
     rig.core.reset()
     rig.run(0.1)
     assert rig.code() == 'holding'
-    rig.core.driver_says('stop was called')
+    rig.core.driver_reports('stop was called')
     refuse_a_target(rig)
-    rig.core.driver_says('')
+    rig.core.driver_reports('')
     rig.run(0.1)
     assert rig.code() == 'holding'
 
@@ -281,17 +281,17 @@ def test_a_goal_ends_with_a_release_and_says_so_and_the_next_one_goes_on():
     goal = MotionGoal([replace(pair.target(), stamp='1')])
     goal.begin(pair.core, pair.now)
     pair.run(0.02)
-    assert goal.look(pair.core, pair.now) is None
+    assert goal.update(pair.core, pair.now) is None
     CAUSES['motor silent'](pair)
-    outcome = goal.look(pair.core, pair.now)
+    outcome = goal.update(pair.core, pair.now)
     assert outcome.code == 'ended'
     assert 'the driver let go: silent' in outcome.message
     pair.run(CYCLE)
     goal = MotionGoal([replace(pair.target(), stamp='2')])
     goal.begin(pair.core, pair.now)
-    assert goal.look(pair.core, pair.now) is None
+    assert goal.update(pair.core, pair.now) is None
     pair.run(2.0)
-    assert goal.look(pair.core, pair.now).code == ''
+    assert goal.update(pair.core, pair.now).code == ''
     CAUSES['motor silent'](pair)
     pair.core.play(pair.now, None)  # hold now: nothing is asked for
     pair.run(0.5)

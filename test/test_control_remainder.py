@@ -41,8 +41,8 @@ def test_a_region_comes_first_and_where_nothing_is_known_nothing_is_said():
 
 
 def test_what_is_within_the_noise_is_none():
-    assert left([2.9e-4, 0.0, 0.0]).none and not left([3.1e-4, 0.0, 0.0]).none
-    assert left([9e-4, 0.0, 0.0], rest=5e-4).none
+    assert left([2.9e-4, 0.0, 0.0]).reached and not left([3.1e-4, 0.0, 0.0]).reached
+    assert left([9e-4, 0.0, 0.0], rest=5e-4).reached
 
 
 def test_it_is_told_once_the_tip_comes_no_nearer_and_anew_for_another_target():

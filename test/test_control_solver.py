@@ -101,7 +101,7 @@ def test_what_work_tells_is_heard_before_its_end_in_the_thread_that_serves():
     worker = Worker(woken.set)
 
     def work(give_up):
-        worker.tell(lambda: heard.append(threading.current_thread().name))
+        worker.call_soon(lambda: heard.append(threading.current_thread().name))
         assert goes_on.wait(20.0)
         return 'the end'
 

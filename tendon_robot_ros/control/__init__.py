@@ -1,21 +1,21 @@
 """
-What the controller does, without ROS: what comes in is checked, targets become tensions.
+The controller without ROS: incoming messages are checked, targets become tensions.
 
-A stop only drops the target here: the ramp to pretension is drivers/safety.py's.
+A stop drops the target; drivers/safety.py ramps the tensions down to pretension.
 
-core.py          `ControllerCore`: the state machine of a cycle; no clock, no threads
-driver_side.py   the driver: what was sent, what is heard, silence, stops and releases
-modes.py         what the arm is asked to do: nothing, a target, a twist, a trajectory
-state.py         what the core is told (settings, targets, trajectories), and gives
-solver.py        where the model is evaluated: beside the commands
-target_search.py  the search for the tensions of a target (made by model/inverse.py), with its time
-approach.py      approaches on which friction forgets where it helps, and that end before a region
-tip_estimator.py  the bias of the model's tip, estimated from the measured one; steps by it
+core.py          `ControllerCore`: the state machine that runs once per cycle; no clock, no threads
+driver_side.py   state of the driver: measurements, lag, silence, stops and releases
+modes.py         modes of motion: idle, follow a target or a twist, play a trajectory
+state.py         settings, targets, twists and trajectories; the command
+solver.py        evaluates the model in a thread beside the control loop
+target_search.py  searches the tensions of a target (model/inverse.py) within a time budget
+approach.py      paths to a target that erase friction's memory and stop before keep-out regions
+tip_estimator.py  estimates the bias of the model's tip from the tracked tip; corrected steps
 tip_loop.py      the closed loop: tensions at which the measured tip is at its target
-null_space.py    tensions go to preferred ones while the tip stays; how stiff the tip is
-checks.py        refusals of what comes in, each with a code and a sentence
-status.py        how the controller is, and how far a goal is, as code and sentence: for actions
-loading.py       a model read and compiled in a process of its own, beside the commands
+null_space.py    motion to preferred tensions at a constant tip; stiffness of the tip
+checks.py        checks of incoming messages; a refusal has a code and a sentence
+status.py        status of the controller; progress and outcome of motion goals
+loading.py       loads a model while another one controls; a child process compiles it
 """
 
 from .checks import Refusal

@@ -1,8 +1,8 @@
 """
-The way to a target: friction forgets on it where that helps, and it ends before a region.
+Paths to a target: they erase friction's memory on request and stop before keep-out regions.
 
-Friction remembers the way. From below, tendons first slip all over, so that the same tensions
-always lead to the same place.
+With friction the posture depends on the path of the tensions. An approach from below first lets
+every tendon slip in all eyelets, so that equal tensions always lead to the same posture.
 """
 
 from __future__ import annotations
@@ -30,57 +30,65 @@ Array = NDArray[np.float64]
 Solve = Callable[['Shape', Array], 'Shape']
 APPROACHES = 'any', 'from_below'
 # [1] presliding lengths that the wire nearest to the middle is moved through its eyelets, so that
-# each law of friction has forgotten what was before
+# every law of friction has lost its memory
 BEND_SLIPS = 80.0
-# [1] of the largest radius: the presliding length where nobody knows it, 0.2 mm on the arm of Kato
-# 2015 (assumed)
+# [1] of the largest radius: the presliding length where the model has none, 0.2 mm on the arm of
+# Kato 2015 (assumed)
 PRESLIDING_RADIUS = 0.036
-# [rad] of the whole arm; more would wind it up
+# [rad] summed over the arm; more would wind it up
 BEND_MAX_RAD = 4.0
-# [1] of a tension's range, tried one after the other until that bend, because it grows by no law
+# [1] of a tension's range, tried in sequence until the required bend, because the bend is no
+# known function of the tension
 BENDS = np.geomspace(0.005, 1.0, 24)
-# [1] of full friction, to which its directions are carried to another model; noise of load cells
-# would turn them by more
+# [1] of full friction: tolerance of the directions of friction that another model takes over;
+# noise of load cells would change them by more
 CARRIED_TOLERANCE = 1e-3
-# [1] iterations for that; a direction that takes more stands at a kink, and would never settle
+# [1] iterations; a direction that needs more is at a kink of friction and would never converge
 CARRIED_ITERATIONS_MAX = 40
-# [1] of a straight leg: the first look at the arm on it; regions that are nearer would bring it
-# closer
-LOOK_STEP = 0.05
-# [m] from a region: nearer, no point of the arm goes further than half of that between two looks,
-# so that none passes a corner unseen by more than a millimetre
-LOOK_NEAR_M = 2e-3
+# [1] of a straight leg: first step between two clearance checks; nearer regions would shorten it
+CHECK_STEP = 0.05
+# [m] clearance below which steps shrink no further: no point of the arm moves by more than half
+# of it between two checks, so that none cuts a corner by more than a millimetre
+CHECK_NEAR_M = 2e-3
 
 
 @dataclass(frozen=True)
 class Approach:
-    """Tensions for a target, and the tensions (v, m) [N] on the way there."""
+    """Tensions for a target, and the tensions (v, m) [N] to pass before."""
 
     reach: Reach
     via: Array
 
     @classmethod
     def straight(cls, direct: Reach) -> Approach:
-        """Go straight to tensions."""
+        """Return the approach in a straight line to tensions."""
         return cls(direct, np.empty((0, len(direct.tensions))))
 
 
-def carried(model: Model, before: Model, last: Shape | None, tensions: Array) -> Shape | None:
+def carry_friction(
+    model: Model, before: Model, last: Shape | None, tensions: Array
+) -> Shape | None:
     """
-    Return the shape in which friction is as another model had it; None: nothing is known of it.
+    Return the shape by a new model with the directions of friction of the previous model.
 
-    The arm has not moved, only what is believed of it: the directions in which tendons were last
-    dragged stay. The travel from which they go on is that of the new model there, until which
-    they are set back: taken from the other one, all tendons would have slipped by the difference.
+    The arm has not moved, only its model has changed: the directions in which tendons were last
+    dragged stay. The travel of the tendons is that of the new model, found by iteration: with the
+    travel of the previous model, all tendons would have slipped by the difference.
 
     Parameters
     ----------
     model, before : Model
-        The one that comes, and the one that was.
+        The new and the previous model.
     last : Shape or None
-        As `before` had it.
+        Last shape by `before`.
     tensions : (m,) [N]
-        That act now.
+        Tensions that act now.
+
+    Returns
+    -------
+    Shape or None
+        None where one of the models has no friction memory, where their cells or tendons differ,
+        or where the new model has no equilibrium.
 
     """
     same = last is not None and (last.form.n, last.form.k) == (model.form.n, model.form.k)
@@ -100,41 +108,41 @@ def carried(model: Model, before: Model, last: Shape | None, tensions: Array) ->
     return shape
 
 
-def forgotten(
-    model: Model, here: Shape, direct: Reach, solve: Callable[[Shape], Reach]
+def forgetting_approach(
+    model: Model, shape: Shape, direct: Reach, solve: Callable[[Shape], Reach]
 ) -> Approach:
     """
-    Return the approach to a target on which friction forgets first, from where the arm is.
+    Return the approach to a target that first erases the memory of friction.
 
     Parameters
     ----------
     model : Model
     here : Shape
-        Where the arm is, with what friction remembers.
+        Present shape, with the memory of friction.
     direct : Reach
-        Tensions for the target, in a straight line from there: what is left where there is no
-        equilibrium on the way.
+        Tensions for the target in a straight line: the fallback where the approach has no
+        equilibrium.
     solve : callable
-        From a shape to tensions for the target that are right from there.
+        Returns the tensions for the target when it is approached from a shape.
 
     """
-    via = forgetting(model)
+    via = forgetting_tensions(model)
     try:
         for tensions in via:
-            here = model.follow(here, tensions)
-        return Approach(solve(here), via)
+            shape = model.follow(shape, tensions)
+        return Approach(solve(shape), via)
     except NoEquilibriumError:
         return Approach.straight(direct)
 
 
-def forgetting(model: Model) -> Array:
+def forgetting_tensions(model: Model) -> Array:
     """
-    Return tensions (2, m) [N] after which friction knows nothing of what was before.
+    Return tensions (2, m) [N] that erase the memory of friction when they act in sequence.
 
-    The tendons on one side pull until the whole arm bends there, then all are at their lowest: at
-    every eyelet every tendon has slipped there and back, whatever its law of slip. The bend takes
-    the wire nearest to the middle many presliding lengths through its eyelets. The side is that
-    of the tendon for which all others slip most.
+    The tendons on one side bend the whole arm, then all tensions fall to their lower limits: in
+    every eyelet every tendon has slipped in both directions, whatever its law of friction. The
+    bend moves the wire nearest to the centroid by many presliding lengths. The side is that of
+    the tendon for which the smallest slip of the others is largest.
     """
     ends = np.array([tendon.end for tendon in model.robot.tendons])
     radii = np.hypot(*ends.T)
@@ -145,7 +153,7 @@ def forgetting(model: Model) -> Array:
     length = PRESLIDING_RADIUS * float(radii.max())
     if model.remembers:
         length = float(model.arrays.get('friction_memory', 'presliding_length', None))
-    wanted = min(BEND_SLIPS * length / float(np.abs(along).min()), BEND_MAX_RAD)
+    bend_min = min(BEND_SLIPS * length / float(np.abs(along).min()), BEND_MAX_RAD)
     low, high = model.limits.T
     shape = straight = model.shape(low)
     for more in float((high - low).max()) * BENDS:
@@ -153,58 +161,60 @@ def forgetting(model: Model) -> Array:
             shape = model.shape(np.clip(low + more * side, low, high), shape.state)
         except NoEquilibriumError:
             break
-        if np.linalg.norm(shape.bend - straight.bend, axis=1).sum() >= wanted:
+        if np.linalg.norm(shape.bend - straight.bend, axis=1).sum() >= bend_min:
             break
     return np.array([shape.inputs, low])
 
 
-def cut_short(here: Shape, way: Approach, task: TipTask) -> Approach:
+def stop_before_regions(start: Shape, path: Approach, task: TipTask) -> Approach:
     """
-    Return an approach up to where the arm would enter a region; `nearest`, with the region named.
+    Return the part of an approach before the arm enters a region, with the status `nearest`.
 
-    An arm that is inside already may leave: what counts is how deep it goes beyond that.
+    An arm that is inside a region already may leave it: only deeper postures are refused.
     """
-    allowed, model, shape = _allowed(here, task.keep_out), task.model, here
+    allowed, model, shape = _allowed(start, task.keep_out), task.model, start
     via: list[Array] = []
-    for tensions in (*way.via, way.reach.tensions):
-        for _, new, near in _looks(model.follow, shape, shape.inputs, tensions, task.keep_out):
+    for tensions in (*path.via, path.reach.tensions):
+        for _, new, near in _postures_along(
+            model.follow, shape, shape.inputs, tensions, task.keep_out
+        ):
             if near.distance < allowed:
                 kept = Reach(shape, *task.errors(shape), 'nearest', (), near.region)
                 return Approach(kept, np.array(via).reshape(-1, len(model.inputs)))
             shape = new
         via.append(tensions)
-    return way
+    return path
 
 
-def entered(
-    model: Model, here: Shape, way: Trajectory, keep_out: KeepOut, pull: bool
+def keep_out_refusal(
+    model: Model, start: Shape, trajectory: Trajectory, keep_out: KeepOut, pull: bool
 ) -> Refusal | None:
     """
-    Return why a trajectory of the tendons may not be played, None where it keeps out.
+    Return why a trajectory of the tendons enters a region, None where it keeps out of all.
 
     Parameters
     ----------
     here : Shape
-        Where the arm is.
-    way : Trajectory
-        Of tensions or, where `pull`, of wire pulls; the first point is gone to from where the arm
-        is, then in straight lines.
+        Present shape.
+    trajectory : Trajectory
+        Tensions or, where `pull`, wire pulls; straight lines from the present ones to the first
+        point and between the points.
 
     """
 
     def pulled(shape: Shape, pulls: Array) -> Shape:
         return model.pull_shape(pulls, shape, shape.memory if model.remembers else None)
 
-    allowed, solve, time = _allowed(here, keep_out), pulled if pull else model.follow, 0.0
-    shape, begin = here, here.pulls if pull else here.inputs
-    for due, end in zip(way.times.tolist(), way.values, strict=True):
+    allowed, solve, time = _allowed(start, keep_out), pulled if pull else model.follow, 0.0
+    shape, begin = start, start.pulls if pull else start.inputs
+    for due, end in zip(trajectory.times.tolist(), trajectory.values, strict=True):
         try:
-            for part, new, near in _looks(solve, shape, begin, end, keep_out):
+            for fraction, new, near in _postures_along(solve, shape, begin, end, keep_out):
                 shape = new
                 if near.distance < allowed:
                     return Refusal(
                         'keep_out',
-                        f'tendon_trajectory: at {time + part * (due - time):.2f} s the arm '
+                        f'tendon_trajectory: at {time + fraction * (due - time):.2f} s the arm '
                         f'would enter {near.region}; nothing of it was played',
                     )
         except (NoEquilibriumError, InputError) as error:
@@ -217,20 +227,20 @@ def entered(
     return None
 
 
-def _allowed(here: Shape, keep_out: KeepOut) -> float:
-    return min(keep_out.clearance(here.positions).distance, 0.0) - CLEARANCE_BINDS_M
+def _allowed(start: Shape, keep_out: KeepOut) -> float:
+    return min(keep_out.clearance(start.positions).distance, 0.0) - CLEARANCE_BINDS_M
 
 
-def _looks(
+def _postures_along(
     solve: Solve, shape: Shape, begin: Array, end: Array, keep_out: KeepOut
 ) -> Iterator[tuple[float, Shape, Clearance]]:
-    """Look at the arm along a straight leg: the part of it that is gone, shape, clearance."""
-    done, step = 0.0, LOOK_STEP
-    while done < 1.0:
-        done = min(done + step, 1.0)
-        new = solve(shape, begin + done * (end - begin))
+    """Yield postures along a straight leg: fraction of the leg, shape and clearance."""
+    fraction, step = 0.0, CHECK_STEP
+    while fraction < 1.0:
+        fraction = min(fraction + step, 1.0)
+        new = solve(shape, begin + fraction * (end - begin))
         moved = float(np.linalg.norm(new.positions - shape.positions, axis=1).max())
-        near = keep_out.clearance(new.positions)
-        yield done, new, near
-        room = 0.5 * max(near.distance, LOOK_NEAR_M)  # no point of the arm goes further at once
-        step, shape = min(max(step * room / max(moved, 1e-9), 0.1 * LOOK_STEP), 2.0 * step), new
+        clearance = keep_out.clearance(new.positions)
+        yield fraction, new, clearance
+        room = 0.5 * max(clearance.distance, CHECK_NEAR_M)  # [m] limit of the motion of any point
+        step, shape = min(max(step * room / max(moved, 1e-9), 0.1 * CHECK_STEP), 2.0 * step), new

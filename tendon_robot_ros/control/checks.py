@@ -1,4 +1,4 @@
-"""Checks of what comes in over topics; each refusal has a code for programs and a sentence."""
+"""Checks of incoming messages; a refusal has a code for programs and a sentence for people."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ NAME_LENGTH_MAX = 40
 
 
 class Refusal(InputError):
-    """A message is not used; `code` is short and stable."""
+    """A message is refused; `code` is short and stable, for programs."""
 
     def __init__(self, code: str, message: str) -> None:
-        """Keep the code beside the sentence."""
+        """Store the code beside the sentence."""
         self.code = code
         super().__init__(message)
 
@@ -133,7 +133,7 @@ def by_name(
 
     """
     if tuple(names) == tuple(inputs) and len(values) == len(names):
-        return np.array(values, dtype=float)  # as nearly always
+        return np.array(values, dtype=float)  # the usual case
     unknown = [name for name in names if name not in inputs]
     missing = [name for name in inputs if name not in names]
     if unknown or missing or len(names) != len(inputs):
@@ -163,5 +163,5 @@ def check_inputs(inputs: tuple[str, ...], expected: tuple[str, ...]) -> None:
 
 
 def another_robot(robot: Robot, before: Robot) -> bool:
-    """Whether a description is of another arm: what was asked for in its base frame is void."""
+    """Whether a description is of another arm, so that targets in its base frame are void."""
     return robot.name != before.name or not np.isclose(robot.length, before.length, rtol=1e-9)

@@ -14,11 +14,18 @@ from ..drivers.safety import CYCLE_MAX_S, StopLatch, approach, bounded
 from .approach import Approach
 from .checks import Refusal, another_robot, check_inputs
 from .driver_side import DriverSide
-from .modes import FollowTarget, FollowTwist, Idle, Mode, PlayTrajectory, PullPath, keeps_out
+from .modes import FollowTarget, FollowTwist, Idle, Mode, PlayTrajectory, PullPath, keep_out_check
 from .null_space import NullSpace, NullSpaceMotion
 from .solver import InPlace, Solver
 from .state import Output, Settings, ShapeTracker, Target, Trajectory, Twist
-from .target_search import SearchResult, TargetSearch, ahead_of, is_nearer, searching, with_model
+from .target_search import (
+    SearchResult,
+    TargetSearch,
+    extrapolated,
+    is_nearer,
+    model_change_work,
+    search_work,
+)
 from .tip_loop import TipLoop
 
 if TYPE_CHECKING:
@@ -29,7 +36,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
-def raised(error: TendonRobotError | None) -> None:
+def raise_error(error: TendonRobotError | None) -> None:
     """Raise an error, if there is one."""
     if error is not None:
         raise error
@@ -40,8 +47,8 @@ class ControllerCore:
     """
     The state between two cycles; all times are monotonic seconds given by the caller.
 
-    Only the core writes its fields: modes and searches answer, and the core does what they say.
-    Nothing here evaluates the model: the solver does, and answers when it can.
+    Only the core writes its fields; modes and searches return what it should do. The core never
+    evaluates the model: it posts the work to the solver, which calls back with the result.
     """
 
     model: Model
@@ -50,7 +57,7 @@ class ControllerCore:
     time: float = -np.inf  # [s] of the last cycle
     mode: Mode = field(default_factory=Idle)
     search: TargetSearch | None = None  # for a target that is not yet followed
-    command: Array | None = None  # (m,) [N], None until the driver was heard
+    command: Array | None = None  # (m,) [N], None before the first measurement
     pulls: PullPath | None = None  # in pull mode
     driver: DriverSide = field(default_factory=DriverSide)
     refusals: dict[str, Refusal] = field(default_factory=dict)  # kind of message -> why the last
@@ -58,19 +65,17 @@ class ControllerCore:
     loop: TipLoop = field(default_factory=TipLoop)
     null_space: NullSpace = field(default_factory=NullSpace)
     track: ShapeTracker = field(init=False)
-    looked_at: Trajectory | None = None  # until it is known whether it enters a region
+    pending_trajectory: Trajectory | None = None  # while the solver checks it against the regions
     _last_search: TargetSearch | None = None
-    _syncing: object | None = None  # while the solver looks where the arm is
+    _syncing: object | None = None  # while the solver computes the tensions at the measured state
 
     def __post_init__(self) -> None:
-        """Begin straight."""
+        """Begin with the straight arm."""
         self.track = ShapeTracker(self.model)
-
-    # What is asked for.
 
     def aim(self, target: Target) -> None:
         """
-        Take a set point; it stays until the next one. Tensions for it are looked for.
+        Take a setpoint, which stays until the next one, and search tensions for it.
 
         Raises
         ------
@@ -82,7 +87,7 @@ class ControllerCore:
         if self.driver.silent and not self.settings.resume:
             raise Refusal('no_driver', 'target refused: no tendon states; send it again later')
         if not self.driver.wait(lambda: self.aim(target), target):
-            self.looked_at = None
+            self.pending_trajectory = None
             self._seek(target)
 
     def twist(self, now: float, twist: Twist) -> None:
@@ -92,8 +97,8 @@ class ControllerCore:
             raise Refusal('no_driver', 'twist refused: no tendon states yet')
         follows = self.driver.twist(now, twist, self.settings.twist_timeout)
         if not follows or not (self.jogging or twist.moves):
-            return  # a joystick at rest takes no target away
-        self.search = self.looked_at = None
+            return  # a joystick at rest does not replace a target
+        self.search = self.pending_trajectory = None
         if isinstance(self.mode, FollowTwist):
             self.mode.take(now, twist)
         else:
@@ -101,16 +106,16 @@ class ControllerCore:
 
             def begin(shape: Shape | None, error: TendonRobotError | None) -> None:
                 if shape is not None:
-                    self.track.took(shape)
+                    self.track.accept(shape)
                 mode.begin(shape, error)
 
-            self.solver.post('twist', self.track.finding(self.command), begin)
+            self.solver.post('twist', self.track.shape_work(self.command), begin)
 
     def play(self, now: float, trajectory: Trajectory | None) -> None:
         """
-        Play a trajectory of the tendons; None ends the one that plays and holds.
+        Play a trajectory of the tendons; None ends the current one and holds.
 
-        With regions to keep out of, the solver looks at the whole of it first.
+        With keep-out regions, the solver first checks the whole trajectory.
         """
         self._require_running()
         if self.command is None:
@@ -123,12 +128,12 @@ class ControllerCore:
         elif self.driver.wait(lambda: self.play(self.time, trajectory), trajectory):
             return
         elif self.settings.keep_out:
-            self.looked_at = trajectory
+            self.pending_trajectory = trajectory
 
             def take(refusal: Refusal | None) -> None:
-                if self.looked_at is not trajectory:
-                    return  # something else is wanted by now
-                self.looked_at = None
+                if self.pending_trajectory is not trajectory:
+                    return  # a newer command has replaced it
+                self.pending_trajectory = None
                 if refusal is not None:
                     self.refusals['target'] = refusal
                 elif self.settings.pull_mode:
@@ -137,7 +142,7 @@ class ControllerCore:
                     limits = self.settings.limits(self.model)
                     self._play(max(now, self.time), trajectory.within(limits))
 
-            self.solver.post('trajectory', *keeps_out(self, trajectory, take))
+            self.solver.post('trajectory', *keep_out_check(self, trajectory, take))
         else:
             self._play(now, trajectory)
 
@@ -147,12 +152,12 @@ class ControllerCore:
         self.mode = PlayTrajectory(trajectory.begin(now, self.commanded))
 
     def stop(self, key: str, reason: str, lasting: bool = False) -> None:
-        """Latch a stop and drop the target; while its cause is lasting, reset is refused."""
+        """Latch a stop and drop the target; reset is refused while a lasting cause exists."""
         self.latch.stop(key, reason, lasting)
         self._drop()
 
     def reset(self) -> None:
-        """Clear the stops and wait for a new target; DriverError while a cause is there."""
+        """Clear the stops and wait for a new target; raise DriverError while a cause exists."""
         if self.driver.stopped:
             raise DriverError(f'reset refused: the driver is stopped: {self.driver.stopped}')
         self.latch.reset()
@@ -161,16 +166,17 @@ class ControllerCore:
         self.driver.lost = True
 
     def set_model(
-        self, model: Model, on_done: Callable[[TendonRobotError | None], None] = raised
+        self, model: Model, on_done: Callable[[TendonRobotError | None], None] = raise_error
     ) -> None:
         """
         Change the model; tensions then move to its solution at `rate_limit`.
 
-        That of another robot (another name, and so another base frame, or another length) takes
-        no target over: the arm holds where it is measured.
+        A model of another robot (other name, hence other base frame, or other length) drops the
+        target: the arm holds its measured state.
 
-        `on_done` hears None, or why the old one stays: an InputError for other inputs, a
-        NoEquilibriumError when it finds none at the present tensions or for the target.
+        `on_done` is called with None, or with the error that keeps the present model in use: an
+        InputError for other inputs, a NoEquilibriumError when the new model has no equilibrium at
+        the present tensions or for the target.
         """
         try:
             check_inputs(model.inputs, self.model.inputs)
@@ -186,15 +192,15 @@ class ControllerCore:
                 self._use(model, target, *solved)
             on_done(error)
 
-        self.solver.post('model', with_model(self, model), done)
+        self.solver.post('model', model_change_work(self, model), done)
 
     def _use(
-        self, model: Model, target: Target | None, here: Shape | None, reach: Reach | None
+        self, model: Model, target: Target | None, shape: Shape | None, reach: Reach | None
     ) -> None:
-        """Change the model: what was asked for goes on with it, unless it is of another robot."""
+        """Change the model; the present command continues with it, unless the robot is another."""
         other = another_robot(model.robot, self.model.robot)
         self.model, self.track = model, ShapeTracker(model)
-        self.track.last = here
+        self.track.last = shape
         self.loop.reset()
         if other:
             self.driver.lost, self._syncing = True, None
@@ -202,7 +208,7 @@ class ControllerCore:
             return
         if self.pulls is not None:
             self.pulls = PullPath(self.pulls.pulls)
-        searched = None if self.search is None else self.search.target
+        pending = None if self.search is None else self.search.target
         if isinstance(mode := self.mode, PlayTrajectory) and not self.settings.pull_mode:
             limits = self.settings.limits(model)
             self.mode = PlayTrajectory(mode.trajectory.within(limits))
@@ -212,144 +218,138 @@ class ControllerCore:
             if mode.target is target and reach is not None:
                 self.mode = FollowTarget(mode.target, reach, [], mode.position, mode.in_time)
             else:
-                searched = searched or mode.target  # it came meanwhile
+                pending = pending or mode.target  # it arrived during the search
                 mode.via = []
-        if searched is not None:
-            self._seek(searched)
-
-    # The search for the tensions of a target.
+        if pending is not None:
+            self._seek(pending)
 
     def _seek(self, target: Target) -> None:
-        """Look for the tensions of a target; until they are found the arm goes on as before."""
+        """Start the search for the tensions of a target; the present motion continues."""
         last = self.target if self.search is None else self.search.target
         self.search = TargetSearch.begin(self, self._last_search, last, target)
         self._last_search = self.search
         self._search(self.search, self.search.first_budget)
 
     def _search(self, search: TargetSearch, budget: float) -> None:
-        """Search for a time [s]; what is much nearer is gone to while the search goes on."""
+        """Post a search with a budget [s]; the arm follows its first good solution meanwhile."""
 
         def report(solution: Reach) -> None:
             if self.search is search:
                 self._follow(search, Approach.straight(solution), False)
 
         def done(result: SearchResult | None, error: TendonRobotError | None) -> None:
-            self._searched(search, result or SearchResult(None, str(error), True))
+            self._finish_search(search, result or SearchResult(None, str(error), True))
 
-        work = searching(self, search, budget, report)
+        work = search_work(self, search, budget, report)
         self.solver.post('target', work, done, budget, urgent=True)
 
-    def _searched(self, search: TargetSearch, result: SearchResult) -> None:
-        """Use what was found, unless something else is wanted by now; search for the rest."""
-        newest, left = self.search, 0.0 if result.in_time else result.left
+    def _finish_search(self, search: TargetSearch, result: SearchResult) -> None:
+        """Follow the result of a search that is still current; search on in the remaining time."""
+        newest, remaining = self.search, 0.0 if result.in_time else result.remaining
         if newest is None or newest.stream is not search.stream:
             return
-        way = result.approach
-        if newest is search and left > 0.0:
-            if way is not None and is_nearer(self, search.target, way.reach):
-                self._follow(search, way, False)
-            self._search(search, left)
+        path = result.approach
+        if newest is search and remaining > 0.0:
+            if path is not None and is_nearer(self, search.target, path.reach):
+                self._follow(search, path, False)
+            self._search(search, remaining)
             return
         if newest is search:
             self.search = None
-        elif way is None:
-            return  # of a stream: the next one may be better
-        if way is not None:  # of a stream an older target, too, is on the way
-            self._follow(search, way, result.in_time)
+        elif path is None:
+            return  # of a stream: the search for the next target runs
+        if path is not None:  # in a stream an older target is on the path, too
+            self._follow(search, path, result.in_time)
             return
         code = 'no_equilibrium' if result.in_time else 'no_time'
         late = '' if result.in_time else f' (the search ended after {search.budget:.3g} s)'
         self.refusals['target'] = Refusal(code, f'target refused: {result.problem}{late}')
 
-    def _follow(self, search: TargetSearch, way: Approach, in_time: bool) -> None:
-        ahead = ahead_of(self, search)
-        self.mode = FollowTarget.along(search.target, way, in_time, ahead)
-
-    # What the driver and the tracker say.
+    def _follow(self, search: TargetSearch, path: Approach, in_time: bool) -> None:
+        ahead = extrapolated(self, search)
+        self.mode = FollowTarget.along(search.target, path, in_time, ahead)
 
     def measured(self, now: float, tensions: Array, pulls: Array) -> None:
-        """Take what the driver measures, (m,) [N] and (m,) [m], nan where not observable."""
+        """Take measured tensions (m,) [N] and wire pulls (m,) [m], nan where not observable."""
         self.driver.measured(now, tensions, pulls)
 
     def tip_measured(self, now: float, position: Array) -> None:
         """Take a measured tip (3,) [m] in the base frame."""
         self.loop.take(now, self, position)
 
-    def driver_says(
+    def driver_reports(
         self, stopped: str, released: str = '', releases: int = 0, other: str = ''
     ) -> None:
         """
-        Take what the driver says of itself.
+        Take the state that the driver reports.
 
         Parameters
         ----------
         stopped : str
-            Why it does not follow, '' when it does.
+            Why the driver does not follow commands, '' when it does.
         released : str
-            Why it let go of the arm and waits until it is told to resume; '' while it follows.
+            Why the driver released the arm and waits for a request to resume; '' while it follows.
         releases : int
-            How often it has let go: one that is over by now counts, too.
+            Number of releases so far, including those that are over.
         other : str
-            Whom it follows instead.
+            The other sender that the driver follows; '' for none.
 
         """
-        if self.driver.said_before(releases):
+        if self.driver.outdated_release(releases):
             stopped = ''
         stopped, before = stopped or other, self.driver.stopped
         if stopped and not before:
             self._drop()
         if before and not stopped:
-            self._outdated('driver_stopped')
-        again, over = self.driver.says(stopped, released, releases)
-        if again:
+            self._forget_refusal('driver_stopped')
+        new_release, finished = self.driver.report(stopped, released, releases)
+        if new_release:
             self._lose()
-        if over:
+        if finished:
             self.resumed()
 
     @property
-    def wants_driver(self) -> bool:
-        """Whether a released arm is asked to move: the driver should resume."""
+    def needs_driver(self) -> bool:
+        """Whether a command waits for a released driver, which should resume."""
         kept = self.target is not None and self.settings.resume
         return bool(self.driver.released) and (self.driver.waiting is not None or kept)
 
     def resumed(self) -> None:
-        """Take that the driver follows: from the measured state, to what waits for that."""
+        """Continue from the measured state after the driver has resumed."""
         self.driver.resumed()
-        self._outdated('released')
-        self._outdated('driver_stopped')
+        self._forget_refusal('released')
+        self._forget_refusal('driver_stopped')
 
     def not_resumed(self, problem: str) -> None:
-        """Take why the driver does not follow: what released the arm is still there."""
+        """Refuse the waiting command: the cause of the release still exists."""
         if self.driver.waiting is not None:
             self.driver.waiting = None
             self.refusals['target'] = Refusal('released', f'target refused: {problem}')
 
-    def _outdated(self, code: str) -> None:
-        """Forget a refusal of a target whose cause is over."""
-        said = self.refusals.get('target')
-        if said is not None and said.code == code:
+    def _forget_refusal(self, code: str) -> None:
+        """Forget the refusal of a target with a code whose cause is over."""
+        refusal = self.refusals.get('target')
+        if refusal is not None and refusal.code == code:
             del self.refusals['target']
-
-    # How it is.
 
     @property
     def target(self) -> Target | None:
-        """The target that is followed."""
+        """The current target."""
         return self.mode.target if isinstance(self.mode, FollowTarget) else None
 
     @property
     def solution(self) -> Reach | None:
-        """The tensions that were found for the target, or for the twist."""
+        """The solution for the target, or for the twist."""
         return self.mode.reach if isinstance(self.mode, FollowTarget | FollowTwist) else None
 
     @property
-    def wanted(self) -> Array | None:
-        """Where the tip should be, (3,) [m]: at the target, or ahead of it in a stream."""
+    def desired_tip(self) -> Array | None:
+        """Desired position of the tip (3,) [m]: the target, or a point ahead of it in a stream."""
         return self.mode.position if isinstance(self.mode, FollowTarget) else None
 
     @property
     def playing(self) -> Trajectory | None:
-        """The trajectory that is played, or whose end is held."""
+        """The trajectory that is played or whose end is held."""
         return self.mode.trajectory if isinstance(self.mode, PlayTrajectory) else None
 
     @property
@@ -359,7 +359,7 @@ class ControllerCore:
 
     @property
     def moving(self) -> bool:
-        """Whether the command is still on its way."""
+        """Whether a search runs or the command still changes."""
         return self.search is not None or (self.command is not None and self.mode.moving(self))
 
     @property
@@ -369,16 +369,16 @@ class ControllerCore:
 
     @property
     def commanded(self) -> Array | None:
-        """What was commanded last, (m,) [N], or [m] in pull mode."""
+        """The last command, (m,) [N], or [m] in pull mode."""
         return self.command if self.pulls is None else self.pulls.pulls
 
     @property
-    def heard_values(self) -> Array:
-        """What is measured of what is commanded, (m,) [N] or [m]; nan where not observable."""
-        heard = self.driver.state
-        if heard is None:
+    def measured_values(self) -> Array:
+        """The measurement of the commanded quantity, (m,) [N] or [m]; nan where not observable."""
+        state = self.driver.state
+        if state is None:
             return np.full(len(self.model.inputs), np.nan)
-        return heard.pulls if self.settings.pull_mode else heard.tensions
+        return state.pulls if self.settings.pull_mode else state.tensions
 
     @property
     def measured_tensions(self) -> Array | None:
@@ -386,48 +386,46 @@ class ControllerCore:
         return self.driver.tensions
 
     def acting_tensions(self) -> Array:
-        """Return the tensions (m,) [N] that act: as commanded, where the measured ones agree."""
+        """Return the estimated tensions (m,) [N]: the command, corrected by the measured ones."""
         low, high = self.settings.limits(self.model).T
         acting = self.driver.acting
         command = low if self.command is None else acting.followed(self.command)
-        # noise of load cells is not to look like a motion of the arm to what holds the tip
+        # noise of load cells must not appear as a motion of the arm to the null-space motion
         unseen = self.driver.silent or self.loop.in_null_space(self)
         return acting.take(command, None if unseen else self.measured_tensions, high)
 
     @property
     def acting_offset(self) -> Array:
-        """By how much (m,) [N] the tensions that act differ from the commanded ones."""
+        """Difference (m,) [N] between the estimated and the commanded tensions."""
         offset = self.driver.acting.offset
         return np.zeros(len(self.model.inputs)) if offset is None else offset
 
     @property
     def motion(self) -> NullSpaceMotion | None:
-        """The null-space motion that has the arm in closed loop."""
+        """The running null-space motion in closed loop."""
         return self.loop.motion
 
     def begin_motion(self, motion: NullSpaceMotion | None) -> None:
-        """Give the arm to a null-space motion; None ends one."""
+        """Start a null-space motion; None ends it."""
         self.loop.motion = motion
 
     def goal(self, tensions: Array) -> Array:
-        """Return where the tip loop has the goal of tensions (m,) [N] that were found."""
+        """Return the tensions (m,) [N] of a solution as the tip loop corrects them."""
         return self.loop.goal(self, tensions)
 
     def tip_bias(self, place: Array) -> Array:
-        """Return by how much (3,) [m] the measured tip is off the model near a place (3,) [m]."""
+        """Return the bias (3,) [m] of the model's tip near a position (3,) [m]."""
         if self.settings.tip_gain == 0.0 or self.settings.pull_mode:
             return np.zeros(3)
         return self.loop.bias(self.time, place, self.model.robot.length)
 
     def fresh(self, now: float) -> bool:
-        """Whether the driver was heard lately."""
+        """Whether the last measurement of the driver is recent."""
         return self.driver.fresh(now, self.settings)
 
     def follows(self, now: float) -> bool:
-        """Whether the driver follows commands, and was heard lately."""
+        """Whether the driver follows commands and its last measurement is recent."""
         return not (self.latch or self.driver.stopped) and self.fresh(now)
-
-    # The cycle.
 
     def step(self, now: float) -> Output | None:
         """Return a command; None (stop, no equilibrium for `patience`, no driver) releases."""
@@ -444,13 +442,13 @@ class ControllerCore:
             waiting, driver.waiting = driver.waiting, None
             waiting()
         if self.latch:
-            self._drop()  # another thread may have stopped it
-        if self.latch or self.command is None or driver.gone(now, self.settings):
+            self._drop()  # another thread may have latched a stop
+        if self.latch or self.command is None or driver.timed_out(now, self.settings):
             return None
         if driver.silent:
             return self._output()
         if driver.lost and not self.settings.pull_mode:
-            return None  # still looking for the tensions of what was measured
+            return None  # the solver still computes the tensions at the measured state
         if not (driver.lost or driver.held):
             self._advance(min(max(passed, 0.0), CYCLE_MAX_S))
         if self.track.failing > self.settings.patience:
@@ -461,7 +459,7 @@ class ControllerCore:
         return self._output()
 
     def _advance(self, passed: float) -> None:
-        """Move the command towards where the mode wants it, at the rate limit."""
+        """Move the command towards the goal of the mode, within the rate limit."""
         assert self.command is not None
         goal = self.mode.step(self, passed)
         if goal is None:
@@ -477,15 +475,15 @@ class ControllerCore:
         if self.pulls is not None:
             self.command = self.pulls.advance(self, goal, step)
         else:
-            on_the_way = isinstance(self.mode, FollowTarget) and self.mode.via
-            if self.solution is not None and not on_the_way:
+            via_pending = isinstance(self.mode, FollowTarget) and self.mode.via
+            if self.solution is not None and not via_pending:
                 step = self.loop.paced(self, goal, step, passed)
             self.command = approach(self.command, goal, np.full_like(goal, step))
         self.driver.acting.sent(self.time, self.command, self.settings.drive_lag)
         if not (self.moving or self.playing or self.jogging):
-            nearer = self.null_space.step(self, self.time)
-            if nearer is not None and isinstance(mode := self.mode, FollowTarget):
-                mode.reach = nearer
+            solution = self.null_space.step(self, self.time)
+            if solution is not None and isinstance(mode := self.mode, FollowTarget):
+                mode.reach = solution
 
     def _output(self) -> Output | None:
         assert self.command is not None
@@ -495,29 +493,29 @@ class ControllerCore:
         return Output(self.command.copy(), pulls)
 
     def predict(self, now: float, take: Callable[[Shape], None]) -> None:
-        """Give `take` the arm as the model sees it: at measured tensions where observable."""
+        """Call `take` with the shape by the model, at measured tensions where observable."""
         tensions = self.command
         if self.command is not None and self.model.remembers:
-            tensions = self.acting_tensions()  # noise would have friction forget
+            tensions = self.acting_tensions()  # noise would erase the memory of friction
         elif self.measured_tensions is not None and self.fresh(now):
             tensions = self.measured_tensions
         if tensions is None or self.solver.busy('predict'):
             return
-        track, find = self.track, self.track.finding(tensions)
+        track, find = self.track, self.track.shape_work(tensions)
 
         def done(shape: Shape | None, error: TendonRobotError | None) -> None:
             if track is not self.track:
-                return  # of the model before
+                return  # of the previous model
             if shape is None:
                 track.failed(now, str(error))
             else:
-                track.took(shape)
+                track.accept(shape)
                 take(shape)
 
         self.solver.post('predict', find, done)
 
     def _lose(self) -> None:
-        """Forget what was asked for: a driver that comes back finds nothing to go to."""
+        """Drop the command after a silence, so that the arm stays when the driver is back."""
         self.driver.lost, self._syncing = True, None
         if self.playing is not None:
             self.mode = Idle()
@@ -525,30 +523,30 @@ class ControllerCore:
             self._drop()
 
     def _resync(self) -> None:
-        """Begin at the measured state; the solver says what tensions belong to wire pulls."""
+        """Start from the measured state; the solver computes tensions from wire pulls."""
         if self._syncing is not None and not self.driver.held:
             return
         assert self.driver.state is not None
         self._syncing = None
         if self.playing is not None or self.jogging:
             self.mode = Idle()
-        heard, limits = self.driver.state, self.settings.limits(self.model)
+        state, limits = self.driver.state, self.settings.limits(self.model)
         pull, model, guess = self.settings.pull_mode, self.model, self.track.last
-        if not pull and heard.observed:
-            self._begin(bounded(np.maximum(heard.tensions, 0.0), limits), None)
+        if not pull and state.observed:
+            self._begin(bounded(np.maximum(state.tensions, 0.0), limits), None)
             return
         unknown = limits[:, 0] if self.command is None else self.command
-        if pull and heard.located:  # wires stay where they are, whatever tensions that takes
-            self.pulls, self.command = PullPath(heard.pulls), unknown
+        if pull and state.located:  # the wires keep their lengths, at any tension
+            self.pulls, self.command = PullPath(state.pulls), unknown
         if self.driver.held:
             return
-        if heard.observed:
-            unknown = np.maximum(heard.tensions, 0.0)
+        if state.observed:
+            unknown = np.maximum(state.tensions, 0.0)
         syncing = self._syncing = object()
 
         def work(give_up: GiveUp) -> tuple[Array, Array | None]:
-            tensions = bounded(heard.in_newtons(model, limits, guess, unknown), limits)
-            return tensions, heard.complete(model, tensions) if pull else None
+            tensions = bounded(state.in_newtons(model, limits, guess, unknown), limits)
+            return tensions, state.complete(model, tensions) if pull else None
 
         def done(
             solved: tuple[Array, Array | None] | None, error: TendonRobotError | None
@@ -569,9 +567,9 @@ class ControllerCore:
         self.pulls = None if pulls is None else PullPath(pulls)
 
     def _drop(self) -> None:
-        wanted = self.target if self.search is None else self.search.target
-        self.driver.dropped, self.driver.waiting = wanted or self.driver.dropped, None
-        self.search = self.looked_at = None
+        target = self.target if self.search is None else self.search.target
+        self.driver.dropped, self.driver.waiting = target or self.driver.dropped, None
+        self.search = self.pending_trajectory = None
         self.mode = Idle()
         self.loop.reset()
 

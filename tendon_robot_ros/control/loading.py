@@ -1,4 +1,4 @@
-"""Loading a model while controlling: a child process compiles, this one reads the cache."""
+"""Load a model while another one controls: a child process compiles, this one reads the cache."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ GENTLY_VARIABLE = 'TENDON_ROBOT_ROS_GENTLY'
 
 
 def load(robot: Robot, catalogue: Catalogue) -> Model:
-    """Make a model and call all that a controller calls: nothing is made or compiled later."""
+    """Return a model, compiled by a call of every function that a controller uses."""
     from ..model.model import Model
 
     model = Model(robot, catalogue)
@@ -52,14 +52,14 @@ def load(robot: Robot, catalogue: Catalogue) -> Model:
 
 
 def compiled_mark(catalogue: Catalogue) -> Path:
-    """Return the file that says that the kernel of a catalogue is in the cache."""
+    """Return the file that marks the kernel of a catalogue as complete in the cache."""
     from ..model.compile import kernel_key
 
     return cache_folder() / f'tendon_robot_kernel_{kernel_key(catalogue)}' / 'controller_ready'
 
 
 class Loader:
-    """Reads a description, has a child process fill the cache, loads the model; ask `done`."""
+    """Reads a description, compiles it in a child process and loads the model; poll `done`."""
 
     def __init__(
         self,
@@ -68,16 +68,17 @@ class Loader:
         inputs: tuple[str, ...] = (),
     ) -> None:
         """
-        Begin, in a thread; `result` raises what is wrong.
+        Start in a thread; `result` raises its errors.
 
         Parameters
         ----------
         read : callable
             Returns the robot; it may take long.
         effects : sequence of str
-            Files with effects of the user's own.
+            Paths of the user's own effects.
         inputs : tuple of str
-            Of the model in use: what replaces it has the same. Loading then gives way to it.
+            Inputs of the model in use, which the new one must have, too. Loading then has a lower
+            priority.
 
         """
         self._read, self._effects, self._inputs = read, effects, inputs
@@ -85,7 +86,7 @@ class Loader:
         self._cancelled = False
         self.doing = 'loading'  # then perhaps 'compiling', then 'building'
         self._loading: Future[Model] = Future()
-        # not the thread that controls: reading, linking and checking take a moment
+        # not in the control thread: reading, linking and checking take time
         ComputingThread(self._load, 'model', self.cancel).start()
 
     @property
@@ -100,13 +101,13 @@ class Loader:
         Raises
         ------
         TendonRobotError
-            The model does not work.
+            The description or the model is not usable.
 
         """
         return self._loading.result()
 
     def cancel(self) -> None:
-        """End the child."""
+        """Kill the child process."""
         self._cancelled = True
         if self._child is not None and self._child.poll() is None:
             self._child.kill()
@@ -114,7 +115,7 @@ class Loader:
 
     def _load(self) -> None:
         if self._inputs:
-            _give_way()
+            _lower_priority()
         try:
             self._loading.set_result(self._make())
         except Exception as error:
@@ -134,7 +135,7 @@ class Loader:
         return load(robot, catalogue)
 
     def _compile(self, robot: Robot) -> None:
-        """Have the child compile; raise what it found wrong."""
+        """Compile in the child process; raise its error."""
         child = self._child = subprocess.Popen(
             [sys.executable, '-m', __name__, *self._effects],
             stdin=subprocess.PIPE,
@@ -142,7 +143,7 @@ class Loader:
             text=True,
             start_new_session=True,
             env=child_environment() | ({GENTLY_VARIABLE: '1'} if self._inputs else {}),
-        )  # Ctrl-C is for the parent, which ends it
+        )  # Ctrl-C reaches the parent, which ends the child
         if self._cancelled:
             child.kill()
         _, complaint = child.communicate(dump_robot(robot))
@@ -152,9 +153,9 @@ class Loader:
             raise TendonRobotError(lines[-1] if lines else ended)
 
 
-def _give_way() -> None:
-    """Let the thread or process that controls go first."""
-    with contextlib.suppress(OSError):  # a Linux thread has a priority of its own
+def _lower_priority() -> None:
+    """Lower the priority below that of the control thread or process."""
+    with contextlib.suppress(OSError):  # Linux: of this thread alone
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)
 
 
@@ -163,7 +164,7 @@ def main() -> int:
     end_with_parent()
     go_with_others()
     if os.environ.pop(GENTLY_VARIABLE, ''):
-        _give_way()
+        _lower_priority()
     try:
         catalogue = load_catalogue(sys.argv[1:])
         load(parse_robot(sys.stdin.read()), catalogue)

@@ -1,7 +1,7 @@
 """
-What the arm is asked to do: a mode each, whose `step` says where the tensions go next.
+Modes of motion; the `step` of a mode returns the goal of the tensions in this cycle.
 
-An arm that is driven by wire lengths goes there in pieces whose ends the model has seen.
+In pull mode the wire pulls move in pieces, at whose ends the model is evaluated beforehand.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..common.errors import TendonRobotError
 from ..common.rotations import rotated
 from ..drivers.safety import CYCLE_MAX_S, approach, bounded
-from .approach import Approach, entered
+from .approach import Approach, keep_out_refusal
 from .checks import Refusal
 from .driver_side import MeasuredState, Settling
 from .solver import Done, GiveUp, Work
@@ -28,35 +28,35 @@ if TYPE_CHECKING:
     from ..model.shape import Reach, Shape
 
 Array = NDArray[np.float64]
-# [1] of the length, of the wanted tip before the reachable one: from more it would come back late
-LEAD_LENGTH = 0.01
+# [1] of the length: distance of the desired tip ahead of the reachable one; from more it would
+# come back late
+AHEAD_LENGTH_MAX = 0.01
 # [s] at the rate limit: wire pulls are straight lines in between, because the tensions hardly
 # change
 PIECE_S = 0.02
 
 
 class Mode(Protocol):
-    """What the arm does. A mode writes its own fields only; the core asks it once in a cycle."""
+    """A mode of motion. It writes its own fields only; the core calls `step` once per cycle."""
 
     @property
     def stamp(self) -> str:
-        """Of what was asked for, '' where it has none."""
+        """The stamp of the command, '' without one."""
 
     def step(self, core: Controller, passed: float) -> Array | None:
         """
-        Return where the command goes, (m,) [N], or (m,) [m] of a trajectory in pull mode.
+        Return the goal of the command, (m,) [N], or (m,) [m] of a trajectory in pull mode.
 
-        None for a mode that is over: the command stays. `passed` [s] is the time since the last
-        step.
+        None ends the mode, and the command stays. `passed` [s] is the time since the last step.
         """
 
     def moving(self, core: Controller) -> bool:
-        """Whether the command still moves."""
+        """Whether the command still changes."""
 
 
 @dataclass
 class Idle:
-    """Nothing is asked for: the command stays."""
+    """There is no command to follow: the tensions stay."""
 
     stamp: str = ''
 
@@ -72,19 +72,19 @@ class Idle:
 @dataclass
 class FollowTarget:
     """
-    Goes to the tensions that were found for a target.
+    Follows a target with the tensions that the search returned.
 
     Attributes
     ----------
     target : Target
     reach : Reach
-        The tensions that were found.
+        The solution of the search.
     via : list of (m,) [N]
-        Tensions on the way there.
+        Tensions to pass before.
     position : (3,) [m] or None
-        Where the tip should be: that of the target, or of a stream ahead of it.
+        Desired position of the tip: that of the target, or ahead of it in a stream.
     in_time : bool
-        Whether the search came to its end.
+        Whether the search finished within its budget.
 
     """
 
@@ -96,17 +96,17 @@ class FollowTarget:
     _settling: Settling = field(default_factory=Settling)
 
     @classmethod
-    def along(cls, target: Target, way: Approach, in_time: bool, ahead: Target) -> FollowTarget:
-        """Follow the approach that was found for a target, or for one ahead of it."""
-        return cls(target, way.reach, list(way.via), ahead.position, in_time)
+    def along(cls, target: Target, path: Approach, in_time: bool, ahead: Target) -> FollowTarget:
+        """Return the mode for an approach to a target, or to a target ahead of it."""
+        return cls(target, path.reach, list(path.via), ahead.position, in_time)
 
     @property
     def stamp(self) -> str:
-        """Of the target."""
+        """The stamp of the target."""
         return self.target.stamp
 
     def step(self, core: Controller, passed: float) -> Array | None:
-        """Return the next tensions on the way, or those of the target."""
+        """Return the next tensions to pass, then those of the target."""
         if self.via and _same(core.command, self.via[0]):
             measured, settled = core.measured_tensions, True
             if measured is not None and core.command is not None and not core.settings.pull_mode:
@@ -123,20 +123,20 @@ class FollowTarget:
 
 @dataclass
 class FollowTwist:
-    """Moves the tip with the last velocity that came, from where the tip is."""
+    """Moves the tip with the last received velocity, from its present position."""
 
     twist: Twist
     received: float  # monotonic [s]
     stamp: str = ''
-    reach: Reach | None = None  # the tensions that were found last
-    position: Array | None = None  # (3,) [m] where the tip should be, None: not known where it is
+    reach: Reach | None = None  # the last solution
+    position: Array | None = None  # (3,) [m] desired, None before the first shape
     direction: Array = field(default_factory=lambda: np.zeros(3))
     axes: Array = field(default_factory=lambda: np.eye(3))  # of the tip, as columns
-    problem: str = ''  # why it leads nowhere
-    _due: float = 0.0  # [s] by which the tip is to be moved
+    problem: str = ''  # why there are no tensions for it
+    _due: float = 0.0  # [s] of motion that is not yet requested
 
     def begin(self, shape: Shape | None, error: TendonRobotError | None) -> None:
-        """Begin at a shape; without one it leads nowhere."""
+        """Begin at a shape; without one the error ends the twist."""
         if shape is None:
             self.problem = str(error)
         else:
@@ -148,26 +148,26 @@ class FollowTwist:
         self.twist, self.received = twist, now
 
     def step(self, core: Controller, passed: float) -> Array | None:
-        """Have the solver look for the next tensions; return those that it has found."""
-        late = core.time - self.received > core.settings.twist_timeout
-        if late or self.problem or not self.twist.moves:
-            return None  # stops where it is
+        """Request the next tensions from the solver; return the last ones that it found."""
+        timed_out = core.time - self.received > core.settings.twist_timeout
+        if timed_out or self.problem or not self.twist.moves:
+            return None  # the arm stops
         self._due = min(self._due + passed, CYCLE_MAX_S)  # no jump after a late solution
         if self.position is not None and not core.solver.busy('twist'):
             request = request_of(core, core.model, self._advanced(core), tracking=True)
-            lead_max = LEAD_LENGTH * core.model.robot.length
+            ahead_max = AHEAD_LENGTH_MAX * core.model.robot.length
 
-            def done(way: Approach | None, error: TendonRobotError | None) -> None:
-                if way is None:
+            def done(path: Approach | None, error: TendonRobotError | None) -> None:
+                if path is None:
                     self.problem = str(error)
                     return
-                self.reach, shape = way.reach, way.reach.shape
+                self.reach, shape = path.reach, path.reach.shape
                 self.axes = shape.frames[-1]
                 assert self.position is not None
                 ahead = self.position - shape.tip_position
                 distance = float(np.linalg.norm(ahead))
-                if distance > lead_max:  # what is wanted stays near to where the tip can be
-                    self.position = shape.tip_position + ahead * (lead_max / distance)
+                if distance > ahead_max:  # the desired tip stays near the reachable one
+                    self.position = shape.tip_position + ahead * (ahead_max / distance)
 
             core.solver.post('twist', request.answer, done)
         if self.problem:
@@ -175,7 +175,7 @@ class FollowTwist:
         return core.command if self.reach is None else self.reach.tensions
 
     def _advanced(self, core: Controller) -> Target:
-        """Move what is wanted by the time that is due."""
+        """Advance the desired pose by the time that is not yet requested."""
         linear, angular = self.twist.linear, self.twist.angular
         if self.twist.in_tip:
             linear, angular = self.axes @ linear, self.axes @ angular
@@ -183,8 +183,8 @@ class FollowTwist:
         self.position = self.position + linear * self._due
         self.direction = rotated(self.direction, angular * self._due)
         self._due = 0.0
-        turns = core.settings.hold_direction or bool(angular.any())
-        return Target(self.position, self.direction if turns else None)
+        oriented = core.settings.hold_direction or bool(angular.any())
+        return Target(self.position, self.direction if oriented else None)
 
     def moving(self, core: Controller) -> bool:
         """Whether the command is not yet where it goes."""
@@ -193,17 +193,17 @@ class FollowTwist:
 
 @dataclass
 class PlayTrajectory:
-    """Plays a trajectory of the tendons; its end is held."""
+    """Plays a trajectory of the tendons and holds its end."""
 
     trajectory: Trajectory
 
     @property
     def stamp(self) -> str:
-        """Of the trajectory."""
+        """The stamp of the trajectory."""
         return self.trajectory.stamp
 
     def step(self, core: Controller, passed: float) -> Array | None:
-        """Return the values that are due."""
+        """Return the values at the present time."""
         return self.trajectory.at(core.time)
 
     def moving(self, core: Controller) -> bool:
@@ -216,17 +216,17 @@ def _same(command: Array | None, goal: Array) -> bool:
     return command is not None and np.array_equal(command, goal)
 
 
-def keeps_out(
+def keep_out_check(
     core: Controller, trajectory: Trajectory, take: Callable[[Refusal | None], None]
 ) -> tuple[Work, Done]:
-    """Return how to look whether a trajectory keeps out of the regions, and to say why not."""
+    """Return solver work and callback that check whether a trajectory keeps out of regions."""
     model, last, acting = core.model, core.track.last, core.acting_tensions()
     settings, command = core.settings, core.commanded
 
     def work(give_up: GiveUp) -> Refusal | None:
-        here = model.follow(last, acting) if last is None or not settings.pull_mode else last
-        way = trajectory.begin(0.0, command)
-        return entered(model, here, way, settings.keep_out, settings.pull_mode)
+        start = model.follow(last, acting) if last is None or not settings.pull_mode else last
+        started = trajectory.begin(0.0, command)
+        return keep_out_refusal(model, start, started, settings.keep_out, settings.pull_mode)
 
     def done(refusal: Refusal | None, error: TendonRobotError | None) -> None:
         if error is not None:
@@ -239,9 +239,9 @@ def keeps_out(
 @dataclass
 class PullPath:
     """
-    Wire pulls (m,) [m] as commanded, and the shapes at the ends of the pieces ahead.
+    Commanded wire pulls (m,) [m], and the shapes at the ends of the next pieces.
 
-    The solver is asked for a piece while the one before is on; where it is late, the arm waits.
+    The solver evaluates a piece while the previous one is played; if it is late, the arm waits.
     """
 
     pulls: Array
@@ -254,7 +254,7 @@ class PullPath:
         assert tensions is not None
         if np.array_equal(tensions, goal):
             self.ahead.clear()
-        self._ask(core, tensions, goal)
+        self._request_piece(core, tensions, goal)
         while self.ahead and step > 0.0:
             end = self.ahead[0]
             size = float(np.abs(end.inputs - tensions).max())
@@ -265,11 +265,11 @@ class PullPath:
             if part == 1.0:
                 tensions, self.pulls = end.inputs.copy(), end.pulls.copy()
                 self.ahead.popleft()
-        self._ask(core, tensions, goal)
+        self._request_piece(core, tensions, goal)
         return tensions
 
-    def _ask(self, core: Controller, tensions: Array, goal: Array) -> None:
-        """Have the solver look at the end of the next piece, while the arm is on one before."""
+    def _request_piece(self, core: Controller, tensions: Array, goal: Array) -> None:
+        """Request the shape at the end of the next piece."""
         if len(self.ahead) >= 2 or core.solver.busy('piece'):
             return
         last = self.ahead[-1] if self.ahead else None
@@ -285,11 +285,11 @@ class PullPath:
             if shape is None:
                 track.failed(now, str(error))
                 return
-            track.works()
+            track.recovered()
             if (self.ahead[-1] if self.ahead else None) is last:
                 self.ahead.append(shape)
 
-        core.solver.post('piece', track.finding(end, last), done)
+        core.solver.post('piece', track.shape_work(end, last), done)
 
     def play(self, core: Controller, pulls: Array) -> Array:
         """Command wire pulls (m,) [m] at once; return the last known tensions (m,) [N] there."""

@@ -1,10 +1,10 @@
 """
-Null-space motion: tensions go to those that are preferred while the tip stays.
+Null-space motion: tensions move to preferred ones while the tip stays in place.
 
-While the arm stands at a target, the solver looks for the preferred tensions with the same tip. In
-open loop the model says how to get there with the tip held. In closed loop the estimator of the
-tip's bias holds the tip meanwhile, and the motion is as fast as the estimate is good. No tension
-reverses on it: with friction it would stick, and later let the arm slip all at once.
+While the arm rests at a target, the solver computes the preferred tensions with the same tip. In
+open loop the model gives the path there with a constant tip. In closed loop the estimator of the
+tip's bias holds the tip, and the speed follows from the uncertainty of the estimate. No tension
+reverses its direction: with friction the tendon would stick, and later let the arm slip suddenly.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from .tip_estimator import TipEstimate, TipStep
 
 Array = NDArray[np.float64]
-# [s] of the solver, and between two looks at the stiffness, so that targets hardly wait for either
+# [s] budget of the solver, and period of the stiffness, so that targets hardly wait for either
 SOLVER_PERIOD_S = 0.5
 # [1/s] of the ranges: faster, the tip's bias would change before it is estimated (docs/control.md)
 SPEED_MAX = 0.002
@@ -41,31 +41,31 @@ SPEED_MAX = 0.002
 # mm, so that the tracker sees it before it is a millimetre (docs/control.md)
 DRIFT = 5e-4
 # [1] of the arm's length over the ranges: bias that such a motion causes, 1 sd, because on an arm
-# that is not its model the tip leaves its place by a quarter of it and more (docs/control.md)
+# that differs from its model the tip drifts by a quarter of it and more (docs/control.md)
 SLOPE_LENGTH_SD = 0.5
 # [1/s] of the estimator: slower than `tip_gain`, because only noise moves the tip
 # (docs/control.md)
 HOLD_GAIN = 0.5
-# [1] of the arm's length: further from its place something pushes the tip, because the motion
-# alone moves it by less: 0.6 mm on 208 mm (docs/control.md)
+# [1] of the arm's length: beyond it an external load is assumed, because the motion alone
+# moves the tip by less: 0.6 mm on 208 mm (docs/control.md)
 HANDOVER_LENGTH = 3e-3
 
 
 @dataclass(frozen=True)
 class NullSpaceMotion:
     """
-    The motion in closed loop.
+    A null-space motion in closed loop.
 
     Attributes
     ----------
     solution : Reach
-        Of the target at which the tip stays.
+        The solution for the target at which the tip stays.
     tensions : (m,) [N]
-        The preferred ones.
+        The preferred tensions.
     signs : (m,)
-        1: a tension that only rises, -1: that only falls.
+        1 for a tension that only rises, -1 for one that only falls.
     place : (3,) [m] or None
-        Where the tip is held; None until its bias is known well enough to begin.
+        Position at which the tip is held; None until its bias is known well enough to begin.
 
     """
 
@@ -75,168 +75,174 @@ class NullSpaceMotion:
     place: Array | None = None
 
     @classmethod
-    def begin(cls, solution: Reach, tensions: Array, here: Array) -> NullSpaceMotion:
-        """Begin at tensions (m,) [N]."""
-        return cls(solution, tensions, np.where(tensions >= here, 1.0, -1.0))
+    def begin(cls, solution: Reach, tensions: Array, current: Array) -> NullSpaceMotion:
+        """Return the motion from the current tensions (m,) [N] to the preferred ones."""
+        return cls(solution, tensions, np.where(tensions >= current, 1.0, -1.0))
 
     def step(
-        self, tip: TipStep, goal: Array, known: TipEstimate, passed: float
+        self, tip: TipStep, goal: Array, estimate: TipEstimate, passed: float
     ) -> tuple[NullSpaceMotion | None, Array]:
         """
-        Return the motion and the next goal (m,) [N]; None for a motion that is over.
+        Return the motion and the next goal (m,) [N]; None instead of the motion ends it.
 
         Parameters
         ----------
         tip : TipStep
-            Where the tip is, and how tensions move it.
+            Shape by the model and its Jacobian.
         goal : (m,) [N]
-            The last one.
-        known : TipEstimate
-            What is known of the tip's bias.
+            The last goal.
+        estimate : TipEstimate
+            Estimate of the tip's bias.
         passed : float
             Since the last step [s].
 
         """
-        here = tip.here.tip_position + known.bias
+        position = tip.shape.tip_position + estimate.bias
         if self.place is None:
-            settled = known.covariance[0, 0] < 2.0 * HOLD_GAIN * passed  # twice its last variance
-            return replace(self, place=here) if settled else self, goal
-        away, length = float(np.linalg.norm(self.place - here)), tip.model.robot.length
-        if away > HANDOVER_LENGTH * length:
+            variance_max = 2.0 * HOLD_GAIN * passed  # twice the final variance of the bias
+            settled = estimate.covariance[0, 0] < variance_max
+            return replace(self, place=position) if settled else self, goal
+        distance, length = float(np.linalg.norm(self.place - position)), tip.model.robot.length
+        if distance > HANDOVER_LENGTH * length:
             return None, goal  # the tip loop takes over
-        there, width = tip.there(goal), known.range
-        slopes = tip.slopes_at(there) + known.slopes
-        left = self.signs * np.maximum(self.signs * (self.tensions - goal) / width, 0.0)
-        wish = left * min(1.0, STEP_MAX / max(float(np.abs(left).max()), 1e-12))
+        goal_shape, width = tip.shape_at(goal), estimate.range
+        slopes = tip.slopes_at(goal_shape) + estimate.slopes
+        remaining = self.signs * np.maximum(self.signs * (self.tensions - goal) / width, 0.0)
+        wish = remaining * min(1.0, STEP_MAX / max(float(np.abs(remaining).max()), 1e-12))
 
-        def step(wanted: Array, preferred: Array) -> Array:
+        def step(tip_motion: Array, preferred: Array) -> Array:
             return bounded_step(
-                slopes, wanted, goal, tip.limits, preferred=preferred, signs=self.signs
+                slopes, tip_motion, goal, tip.limits, preferred=preferred, signs=self.signs
             )
 
         free = (step(np.zeros(3), wish) - goal) / width
         size = max(float(np.abs(free).max()), 1e-12)
-        if size < RANGE_TOLERANCE and away < 2.0 * known.rest:
-            return self, goal  # it is over: noise would have tensions rise for ever
+        if size < RANGE_TOLERANCE and distance < 2.0 * estimate.rest:
+            return self, goal  # at the end; else noise would raise tensions without limit
         drift = DRIFT * length
-        speed = drift / max(known.slope_sd(free / size), drift / SPEED_MAX)
-        miss = STEP_GAIN * (self.place - there.tip_position - known.bias_at(goal))
+        speed = drift / max(estimate.slope_sd(free / size), drift / SPEED_MAX)
+        miss = STEP_GAIN * (self.place - goal_shape.tip_position - estimate.bias_at(goal))
         return self, step(miss, free * min(1.0, speed * passed / size))
 
 
-class Standing(Controller, Protocol):
-    """An arm that may stand at a target."""
+class StandingArm(Controller, Protocol):
+    """What the null-space motion reads and starts of the controller."""
 
     @property
     def motion(self) -> NullSpaceMotion | None:
-        """The null-space motion that has the arm in closed loop."""
+        """The running null-space motion in closed loop."""
 
     def begin_motion(self, motion: NullSpaceMotion | None) -> None:
-        """Give the arm to a null-space motion; None ends one."""
+        """Start a null-space motion; None ends it."""
 
 
 @dataclass
 class NullSpace:
-    """Has the tensions of a standing arm go to the preferred ones; how stiff the tip is."""
+    """Moves the tensions of an arm at rest to preferred ones; reports the stiffness of the tip."""
 
     stiffness: TipStiffness | None = None
-    _for: tuple[Target, Preferences, Model] | None = None  # what the next three are for
-    _tensions: Array | None = None  # (m,) [N] the preferred ones
-    _enough: float = np.inf  # [N/m] along the preferred direction: as stiff as with these
+    _valid_for: tuple[Target, Preferences, Model] | None = None  # for which the next fields hold
+    _tensions: Array | None = None  # (m,) [N] preferred
+    _enough: float = np.inf  # [N/m] in the preferred direction, at which the motion ends
     _over: bool = False
-    _nearer: tuple[Reach, Reach] | None = None  # the solution that was, and the next posture
-    _looked: float = -np.inf  # [s]
-    _said: tuple[TipStiffness, dict[str, str]] | None = None  # the words for a stiffness
+    _nearer: tuple[Reach, Reach] | None = None  # the solution before, the next posture
+    _stiffness_time: float = -np.inf  # [s] of the last request
+    _text: tuple[TipStiffness, dict[str, str]] | None = None  # a stiffness and its status
 
-    def step(self, core: Standing, now: float) -> Reach | None:
+    def step(self, core: StandingArm, now: float) -> Reach | None:
         """
-        Have the solver look for the next posture, and at the stiffness now and then.
+        Request the next posture from the solver, and the stiffness periodically.
 
-        Returns the next posture in open loop, None where there is no other one yet.
+        Returns the next posture in open loop, None before there is one.
         """
-        if now - self._looked > SOLVER_PERIOD_S and not core.solver.busy('stiffness'):
-            self._looked = now
-            self._look_at_stiffness(core)
-        wants, solution, target = core.settings.preferences, core.solution, core.target
-        if wants is None or solution is None or target is None or core.settings.pull_mode:
-            return None  # wires of given lengths leave no freedom
+        if now - self._stiffness_time > SOLVER_PERIOD_S and not core.solver.busy('stiffness'):
+            self._stiffness_time = now
+            self._update_stiffness(core)
+        preferences, solution, target = core.settings.preferences, core.solution, core.target
+        if preferences is None or solution is None or target is None or core.settings.pull_mode:
+            return None  # given wire lengths leave no null space
         if self._nearer is None and not core.solver.busy('balance'):
-            last = self._for
+            last = self._valid_for
             if (
                 last is None
                 or not (last[0] is target and last[2] is core.model)
-                or last[1] != wants
+                or last[1] != preferences
             ):  # begin anew
-                self._for, self._tensions, self._over = (target, wants, core.model), None, False
+                self._valid_for, self._tensions = (target, preferences, core.model), None
+                self._over = False
                 core.begin_motion(None)
             if not self._over:
-                self._ask(core, target, wants, solution)
-        nearer, self._nearer = self._nearer, None
-        return nearer[1] if nearer is not None and nearer[0] is solution else None
+                self._request_posture(core, target, preferences, solution)
+        posture, self._nearer = self._nearer, None
+        return posture[1] if posture is not None and posture[0] is solution else None
 
-    def _ask(self, core: Standing, target: Target, wants: Preferences, solution: Reach) -> None:
-        """Have the solver look for the preferred tensions, and in open loop for the next ones."""
+    def _request_posture(
+        self, core: StandingArm, target: Target, preferences: Preferences, solution: Reach
+    ) -> None:
+        """Request the preferred tensions, and in open loop the next posture."""
         model, last, acting = core.model, core.track.last, core.acting_tensions()
-        settings, command, wanted = core.settings, core.command, target
+        settings, command, unbiased = core.settings, core.command, target
         if target.position is not None:
-            wanted = replace(target, position=target.position - core.tip_bias(target.position))
-        known, wanted_for, closed = self._tensions, self._for, settings.tip_gain > 0.0
+            unbiased = replace(target, position=target.position - core.tip_bias(target.position))
+        known, valid_for, closed = self._tensions, self._valid_for, settings.tip_gain > 0.0
         assert command is not None
 
         def work(give_up: GiveUp) -> tuple[Array, float, Reach | None]:
             past = model.follow(last, acting).memory if model.remembers else None
-            task = tip_task(model, settings, wanted, past)
-            # what is beyond reach is not asked for again
+            task = tip_task(model, settings, unbiased, past)
+            # a target out of reach: keep the tip of the solution
             held = task if solution.status == 'reached' else task.held_at(solution.shape)
-            balance = Balance(held, wants, settings.keep_out)
-            here = task.shape(command, solution.shape.state)
-            if closed:  # beyond what is stiff enough, since the motion ends on its way there
-                further = Balance(held, replace(wants, stiffness_enough=0.0), settings.keep_out)
-                there = balanced(further, here, BALANCE_STEPS_MAX, give_up)
-                stiff = wants.stiffness > 0.0
-                enough = float(np.exp(balance.log_stiffness(there))) if stiff else np.inf
-                return there.inputs, enough, None
+            balance = Balance(held, preferences, settings.keep_out)
+            start = task.shape(command, solution.shape.state)
+            if closed:  # no limit of the stiffness: the motion ends where it is enough
+                further = Balance(
+                    held, replace(preferences, stiffness_enough=0.0), settings.keep_out
+                )
+                preferred = balanced(further, start, BALANCE_STEPS_MAX, give_up)
+                stiff = preferences.stiffness > 0.0
+                enough = float(np.exp(balance.log_stiffness(preferred))) if stiff else np.inf
+                return preferred.inputs, enough, None
             tensions = known
             if tensions is None:
-                tensions = balanced(balance, here, BALANCE_STEPS_MAX, give_up).inputs
-            made = _step_towards(balance, here, tensions)
+                tensions = balanced(balance, start, BALANCE_STEPS_MAX, give_up).inputs
+            posture = _step_towards(balance, start, tensions)
             return (
                 tensions,
                 np.inf,
-                None if made is None else judged(task, made.inputs, made.state),
+                None if posture is None else judged(task, posture.inputs, posture.state),
             )
 
         def done(
             solved: tuple[Array, float, Reach | None] | None, error: TendonRobotError | None
         ) -> None:
-            if core.solution is not solution or self._for is not wanted_for:
+            if core.solution is not solution or self._valid_for is not valid_for:
                 return
             if solved is None:
                 self._over = True
                 return
-            self._tensions, self._enough, nearer = solved
-            if nearer is not None:
-                self._nearer = solution, nearer
+            self._tensions, self._enough, posture = solved
+            if posture is not None:
+                self._nearer = solution, posture
                 return
             self._over = True
             if closed:
-                here = core.goal(solution.tensions)
-                core.begin_motion(NullSpaceMotion.begin(solution, self._tensions, here))
+                start = core.goal(solution.tensions)
+                core.begin_motion(NullSpaceMotion.begin(solution, self._tensions, start))
 
         core.solver.post('balance', work, done, SOLVER_PERIOD_S)
 
-    def _look_at_stiffness(self, core: Standing) -> None:
-        """Have the solver look how stiff the tip is; a motion ends where that is enough."""
-        model, shape, wants = core.model, core.track.last, core.settings.preferences
+    def _update_stiffness(self, core: StandingArm) -> None:
+        """Request the stiffness of the tip; a motion ends where it is enough."""
+        model, shape, preferences = core.model, core.track.last, core.settings.preferences
         if shape is None or len(shape.bend) != model.robot.cells:
             return
         held = core.settings.pull_mode
 
         def done(stiffness: TipStiffness | None, error: TendonRobotError | None) -> None:
             self.stiffness, motion = stiffness, core.motion
-            if stiffness is None or motion is None or wants is None:
+            if stiffness is None or motion is None or preferences is None:
                 return
-            along = np.array(wants.stiffness_direction)
+            along = np.array(preferences.stiffness_direction)
             stiff = stiffness.along(along) if along.any() else stiffness.softest[0]
             if stiff >= self._enough:
                 goal = core.goal(motion.solution.tensions)
@@ -245,32 +251,32 @@ class NullSpace:
         core.solver.post('stiffness', lambda give_up: model.tip_stiffness(shape, held), done)
 
     def values(self) -> dict[str, str]:
-        """Say how stiff the tip is, for the status."""
+        """Return the stiffness of the tip for the status."""
         stiffness = self.stiffness
         if stiffness is None:
             return {}
-        if self._said is not None and self._said[0] is stiffness:
-            return self._said[1]
+        if self._text is not None and self._text[0] is stiffness:
+            return self._text[1]
         softest, towards = stiffness.softest
         words = {'tip_stiffness_softest (N/m)': f'{softest:.4g}'}
         for axis, along, part in zip('xyz', np.eye(3), towards, strict=True):
             words[f'tip_stiffness_{axis} (N/m)'] = f'{stiffness.along(along):.4g}'
             words[f'tip_softest_direction_{axis}'] = f'{part:.4f}'
-        self._said = stiffness, words
+        self._text = stiffness, words
         return words
 
 
-def _step_towards(balance: Balance, here: Shape, tensions: Array) -> Shape | None:
-    """Return the next posture towards tensions (m,) [N] with the same tip; None: there is none."""
-    change = tensions - here.inputs
+def _step_towards(balance: Balance, start: Shape, tensions: Array) -> Shape | None:
+    """Return the next posture towards tensions (m,) [N] with the same tip, None without one."""
+    change = tensions - start.inputs
     size, step = float(np.abs(change / balance.range).max()), STEP_MAX
     if size < 0.05 * step:
         return None
-    looked = balance.solve_at(balance.begin(here), here.inputs + min(1.0, step / size) * change)
-    if looked is None:
+    moved = balance.solve_at(balance.begin(start), start.inputs + min(1.0, step / size) * change)
+    if moved is None:
         return None
-    made = balance.corrected(looked).shape
-    if np.abs((tensions - made.inputs) / balance.range).max() > size - 0.05 * min(step, size):
-        return None  # the tip stays on no way there
-    near = balance.keep_out.clearance(made.positions).distance
-    return made if near > -CLEARANCE_BINDS_M else None
+    posture = balance.corrected(moved).shape
+    if np.abs((tensions - posture.inputs) / balance.range).max() > size - 0.05 * min(step, size):
+        return None  # no step keeps the tip in place
+    near = balance.keep_out.clearance(posture.positions).distance
+    return posture if near > -CLEARANCE_BINDS_M else None

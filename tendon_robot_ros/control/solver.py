@@ -1,4 +1,4 @@
-"""Where the model is evaluated: in a thread of its own, so that no command waits for it."""
+"""Evaluation of the model in a thread of its own, so that no command waits for it."""
 
 from __future__ import annotations
 
@@ -15,55 +15,55 @@ from ..common.processes import ComputingThread, RealtimeLoan, switch_often
 from ..model.tip_task import Patience
 
 GiveUp = Callable[[], bool]
-Work = Callable[[GiveUp], Any]  # reads no state that the commanding thread changes
+Work = Callable[[GiveUp], Any]  # reads no state that the control thread changes
 Done = Callable[[Any, TendonRobotError | None], None]
 SOLVER = 'solver'  # name of the thread
-# [s] to wait for what is being evaluated; a longer one would be seen when a node ends
+# [s] to wait for the running evaluation; a longer wait would delay the end of a node
 END_TIMEOUT_S = 0.2
 
 
 class Solver(Protocol):
-    """Evaluates the model; of the jobs of one kind only the newest counts."""
+    """Evaluates the model; of several jobs of one kind only the newest matters."""
 
     def post(
         self, kind: str, work: Work, done: Done, budget: float = math.inf, urgent: bool = False
     ) -> None:
         """
-        Have something evaluated.
+        Post a job.
 
         Parameters
         ----------
         kind : str
-            A job that waits is replaced by one of its kind, one that runs is asked to give up.
+            A waiting job of the same kind is replaced, a running one is requested to give up.
         work : callable
-            Is given `give_up`, to be asked now and then; returns the result, or raises.
+            Takes `give_up`, which it polls; returns the result, or raises an error.
         done : callable
-            Takes the result and the error, one of them None, in the thread of `serve`. What was
-            given up answers, too: the callable knows whether the answer is still wanted.
+            Called in the thread of `serve` with the result and the error, one of them None, also
+            for a job that gave up: the callable checks whether the result is still current.
         budget : float [s]
-            Time after which `give_up` says True, from when the work begins.
+            Time from the start of the work after which `give_up` returns True.
         urgent : bool
-            The answer is not to wait for the next cycle, nor the work for other programs.
+            The result does not wait for the next cycle, and the work has real-time priority.
 
         """
 
-    def tell(self, take: Callable[[], None]) -> None:
-        """From within work: have something called in the thread of `serve`, and that soon."""
+    def call_soon(self, take: Callable[[], None]) -> None:
+        """Call something soon in the thread of `serve`; for use within work."""
 
     def busy(self, kind: str) -> bool:
-        """Whether an answer of this kind is to come."""
+        """Whether a job of this kind is unfinished."""
 
     def serve(self) -> None:
-        """Hand out the answers."""
+        """Call `done` of the finished jobs."""
 
 
 class InPlace:
-    """Evaluates at once, in the thread that asks: nothing is ever waited for."""
+    """Evaluates at once, in the calling thread."""
 
     def post(
         self, kind: str, work: Work, done: Done, budget: float = math.inf, urgent: bool = False
     ) -> None:
-        """Evaluate and answer."""
+        """Evaluate and call `done`."""
         result, error = None, None
         try:
             result = work(lambda: False)
@@ -71,7 +71,7 @@ class InPlace:
             error = raised
         done(result, error)
 
-    def tell(self, take: Callable[[], None]) -> None:
+    def call_soon(self, take: Callable[[], None]) -> None:
         """Call it."""
         take()
 
@@ -80,7 +80,7 @@ class InPlace:
         return False
 
     def serve(self) -> None:
-        """Do nothing: all is answered."""
+        """Do nothing: every job is finished."""
 
 
 @dataclass
@@ -94,7 +94,7 @@ class _Job:
     error: Exception | None = None
 
     def answer(self, waiting: Counter[str]) -> None:
-        """Hand out the answer; raise what no user's mistake can explain."""
+        """Call `done`; raise an error that is no TendonRobotError."""
         waiting[self.kind] -= 1
         if self.error is not None and not isinstance(self.error, TendonRobotError):
             raise self.error
@@ -102,7 +102,7 @@ class _Job:
 
 
 class Worker:
-    """Evaluates in a thread; one job after the other, in the order of their coming."""
+    """Evaluates in a thread, one job after the other in the order of arrival."""
 
     def __init__(self, wake: Callable[[], None] = lambda: None) -> None:
         """
@@ -111,7 +111,7 @@ class Worker:
         Parameters
         ----------
         wake : callable
-            Called from the thread when an urgent answer is there.
+            Called from the thread when an urgent job is finished.
 
         """
         self._wake = wake
@@ -129,43 +129,43 @@ class Worker:
     def post(
         self, kind: str, work: Work, done: Done, budget: float = math.inf, urgent: bool = False
     ) -> None:
-        """Leave a job for the thread."""
+        """Queue a job for the thread."""
         job = _Job(work, done, Patience(budget), urgent, kind)
         with self._changed:
             if kind not in self._waiting:
                 self._open[kind] += 1
-            self._waiting[kind] = job  # keeps the place in the queue of the one it replaces
+            self._waiting[kind] = job  # at the position of the job that it replaces
             if self._running is not None and self._running.kind == kind:
                 self._running.give_up.end()
             if urgent and self._loan is not None and self._thread.native_id is not None:
-                self._loan.begin(self._thread.native_id)  # also for what runs before it
+                self._loan.begin(self._thread.native_id)  # also for the job before it
             self._changed.notify()
 
     def lend_realtime(self) -> None:
-        """Have work done in real time from now on, for a while; call `limit_realtime` often."""
+        """Run jobs in real time from now on, for a limited time; call `limit_realtime` often."""
         self._loan = RealtimeLoan()
 
     def limit_realtime(self) -> None:
-        """Let what takes too long go on as other programs do."""
+        """Take the real-time priority from a job that runs too long."""
         if self._loan is not None:
             self._loan.limit()
 
-    def tell(self, take: Callable[[], None]) -> None:
-        """Have it called with the next answers, and these handed out at once."""
+    def call_soon(self, take: Callable[[], None]) -> None:
+        """Call something with the next results, and wake the thread of `serve`."""
         self._answered.append(take)
         self._wake()
 
     def busy(self, kind: str) -> bool:
-        """Whether an answer of this kind is to come."""
+        """Whether a job of this kind is unfinished."""
         return self._open[kind] > 0
 
     def serve(self) -> None:
-        """Hand out the answers; raise what no user's mistake can explain."""
+        """Call `done` of the finished jobs; raise an error that is no TendonRobotError."""
         while self._answered:
             self._answered.popleft()()
 
     def close(self) -> None:
-        """End the thread; if it is busy, the end of the process waits for it."""
+        """End the thread; a busy one ends with its job."""
         self._end()
         self._thread.join(END_TIMEOUT_S)
 
@@ -179,7 +179,7 @@ class Worker:
 
     def _work(self) -> None:
         while (job := self._next()) is not None:
-            if self._loan is not None:  # commands wait for it while it holds Python's lock
+            if self._loan is not None:  # commands wait while it holds Python's lock
                 self._loan.begin(threading.get_native_id())
             try:
                 job.result = job.work(job.give_up)

@@ -1,7 +1,7 @@
 """
-How the controller is, as a level, a code, a sentence and values; how far a goal is, and its end.
+Status of the controller (level, code, message, values); progress and outcome of motion goals.
 
-A goal is targets one after another, or a trajectory.
+A motion goal is a sequence of targets, or a trajectory of the tendons.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 OK, WARN, ERROR = 'ok', 'warn', 'error'
 ARRIVED = 'reached', 'played'
-SHORT_OF_IT = 'nearest', 'at_limit'  # the arm stands, and not where it was asked to
+NOT_REACHED = 'nearest', 'at_limit'  # the arm rests beside its target
 
 
 @dataclass(frozen=True)
 class ControllerStatus:
-    """The first thing that a person should know comes as level, code and message."""
+    """The most important condition as level, code and message, and values for programs."""
 
     level: str
     code: str
@@ -40,7 +40,7 @@ class ControllerStatus:
 
 
 def controller_status(core: ControllerCore, now: float) -> ControllerStatus:
-    """Return how the controller is; codes are listed in docs/ros_interface.md."""
+    """Return the status of the controller; docs/ros_interface.md lists the codes."""
     return ControllerStatus(*_condition(core, now))
 
 
@@ -71,12 +71,12 @@ def controller_values(core: ControllerCore, now: float) -> dict[str, str]:
 
 
 def followed(core: ControllerCore) -> str:
-    """Return the stamp of the target or the trajectory that the controller is at, '' for none."""
+    """Return the stamp of the current target or trajectory, '' for none."""
     if core.driver.waiting is not None:
         return core.driver.stamp
     if core.search is not None:
         return core.search.target.stamp
-    for one in (core.looked_at, core.playing, core.target):
+    for one in (core.pending_trajectory, core.playing, core.target):
         if one is not None:
             return one.stamp
     return ''
@@ -93,14 +93,14 @@ def _condition(core: ControllerCore, now: float) -> tuple[str, str, str]:
         silent = (
             f'no tendon_states for {core.settings.state_timeout:g} s; holding the last command'
         )
-        if core.driver.gone(now, core.settings):
+        if core.driver.timed_out(now, core.settings):
             timeout = core.settings.state_timeout
             silent = f'no tendon_states for {timeout:g} s; no commands until they are back'
         return ERROR, 'no_driver', silent
     if core.driver.released:
         refusal = core.refusals.get('target')
-        again = f'; {refusal}' if refusal is not None else ''
-        return WARN, 'released', f'the driver let go: {core.driver.released}; {GO_ON}{again}'
+        refused = f'; {refusal}' if refusal is not None else ''
+        return WARN, 'released', f'the driver let go: {core.driver.released}; {GO_ON}{refused}'
     if core.track.problem:
         return ERROR, 'no_equilibrium', core.track.problem
     for refusal in core.refusals.values():
@@ -109,7 +109,7 @@ def _condition(core: ControllerCore, now: float) -> tuple[str, str, str]:
 
 
 def activity(core: ControllerCore, now: float) -> tuple[str, str, str]:
-    """Return level, code and sentence of what the arm does, where nothing keeps it from that."""
+    """Return level, code and message of the current motion, where nothing prevents it."""
     if core.search is not None:
         passed = now - core.search.began
         if core.search.streamed and passed < core.search.budget:
@@ -124,32 +124,33 @@ def activity(core: ControllerCore, now: float) -> tuple[str, str, str]:
         return OK, 'playing', f'playing a trajectory: {passed:.2f} of {whole:.2f} s'
     if core.solution is None:
         return OK, 'holding', 'waiting for a target'
-    if core.settings.tip_gain > 0.0 and (seen := _as_seen(core, now)) is not None:
-        return seen
+    if core.settings.tip_gain > 0.0 and (measured := _measured_condition(core, now)) is not None:
+        return measured
     if core.moving:
         return OK, 'moving', 'moving to the target'
     return _arrived(core.solution, not isinstance(core.mode, FollowTarget) or core.mode.in_time)
 
 
-def _as_seen(core: ControllerCore, now: float) -> tuple[str, str, str] | None:
-    """Say where the tip is as the tracker sees it; None where the model alone tells."""
-    if core.loop.left:
-        return WARN, 'nearest', f'the closed loop was left: {core.loop.left}; the model says where'
-    doubt, left = '', core.loop.remainder(now)
-    if core.loop.estimate is not None:  # far from the arm, as the loop has learned?
+def _measured_condition(core: ControllerCore, now: float) -> tuple[str, str, str] | None:
+    """Return the condition by the tracked tip; None where only the model can tell."""
+    if core.loop.abandoned:
+        message = f'the closed loop was left: {core.loop.abandoned}; the model says where'
+        return WARN, 'nearest', message
+    doubt, remainder = '', core.loop.remainder(now)
+    if core.loop.estimate is not None:  # a bias that is too large for a calibrated model
         offset = float(np.linalg.norm(core.loop.estimate.bias))
-        said = foreign(offset, core.model.robot.length, core.model.remembers)
-        doubt = f'; {said}' if said else ''
-    if left is None:
+        advice = foreign(offset, core.model.robot.length, core.model.remembers)
+        doubt = f'; {advice}' if advice else ''
+    if remainder is None:
         loop = core.loop.values(now)['correction_frozen']
         return None if loop else (OK, 'moving', f'moving to the target{doubt}')
-    off = f'{1e3 * left.away:.2f} mm'
-    if left.none:
+    off = f'{1e3 * remainder.distance:.2f} mm'
+    if remainder.reached:
         assert core.solution is not None and core.target is not None
         if core.target.direction is not None and core.solution.status != 'reached':
             return None
         return OK, 'reached', f'at the target within {off}, as the tracker sees it{doubt}'
-    why = left.why(core.model.inputs) or 'it comes no nearer now'
+    why = remainder.why(core.model.inputs) or 'it comes no nearer now'
     return WARN, 'nearest', f'as near as it can, {off} from the target: {why}{doubt}'
 
 
@@ -170,9 +171,9 @@ class GoalOutcome:
     """
     How a goal ended.
 
-    The code is '' where it was reached; `canceled`; `ended` by something else that moves, holds or
-    stops the arm; `path_tolerance` or `goal_tolerance`; what the status says of an arm that came
-    not so far (`nearest`, `at_limit`); or that of a refusal.
+    The code is '' for a goal that was reached, `canceled`, `ended` (another command moves, holds
+    or stops the arm), `path_tolerance` or `goal_tolerance` (a trajectory was not followed),
+    `nearest` or `at_limit` (the arm rests beside its target), or the code of a refusal.
     """
 
     code: str
@@ -181,7 +182,7 @@ class GoalOutcome:
 
 @dataclass(frozen=True)
 class Tolerance:
-    """What a trajectory may be off, (m,) [N] or [m], inf where it does not matter."""
+    """Allowed errors of a trajectory, (m,) [N] or [m]; inf where any error is allowed."""
 
     path: Array
     goal: Array
@@ -190,12 +191,12 @@ class Tolerance:
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a goal is; arrays are (3,) [m], or (m,) [N] or [m] of the tendons."""
+    """Progress of a goal; arrays are (3,) [m] of the tip, or (m,) [N] or [m] of the tendons."""
 
-    passed: float  # [s] since the goal was taken
-    left: float  # [s] that the rest of this step takes at the rate limit
-    steps_left: int  # this one counts
-    tip: Array | None = None  # where the arm is, the tracker's correction included
+    passed: float  # [s] since the goal was accepted
+    remaining: float  # [s] for the rest of this step at the rate limit
+    steps_remaining: int  # including this one
+    tip: Array | None = None  # position of the model, corrected by the tracker
     frame: Array | None = None  # (3, 3) of the tip
     distance: float = np.nan  # [m] from the tip to the target of this step
     desired: Array | None = None  # the trajectory now
@@ -205,62 +206,62 @@ class Progress:
 @dataclass
 class MotionGoal:
     """
-    Steps to be reached one after the other, each asked for when the one before is reached.
+    Steps to be reached in sequence; each is commanded when the previous one is reached.
 
-    The goal ends when all are reached, when the arm comes no nearer to one, or when the controller
-    follows something else: a newer target or goal, a twist, a stop, a release.
+    The goal ends when all steps are reached, when the arm comes no nearer to one of them, or when
+    the controller follows another command: a newer target or goal, a twist, a stop, a release.
 
     Parameters
     ----------
     steps : sequence of Target or Trajectory
-        Their stamps tell them from everything else that the controller is asked for.
+        Their stamps distinguish them from other commands to the controller.
     tolerance : Tolerance, optional
-        Of a trajectory.
+        Allowed errors of a trajectory.
 
     """
 
     steps: Sequence[Target | Trajectory]
     tolerance: Tolerance | None = None
-    reached: int = field(default=0, init=False)  # so many of the steps
+    reached: int = field(default=0, init=False)  # number of steps
     _began: float = field(default=0.0, init=False)  # monotonic [s]
 
     @property
     def step(self) -> Target | Trajectory:
-        """What is asked of the controller now."""
+        """The step that the controller follows now."""
         return self.steps[self.reached]
 
     def begin(self, core: ControllerCore, now: float) -> None:
-        """Ask for the first step; Refusal says why the controller does not take it."""
+        """Command the first step; raise the Refusal of a controller that rejects it."""
         self._began = now
         self._ask(core, now)
 
     def _ask(self, core: ControllerCore, now: float) -> None:
         for old in ('target', 'model'):
-            core.refusals.pop(old, None)  # has been said
+            core.refusals.pop(old, None)  # of an earlier command
         if isinstance(step := self.step, Trajectory):
             core.play(now, step)
         else:
             core.aim(step)
 
-    def look(self, core: ControllerCore, now: float) -> GoalOutcome | None:
-        """Look how the goal is, ask for the next step where one is reached; None: it goes on."""
+    def update(self, core: ControllerCore, now: float) -> GoalOutcome | None:
+        """Return the outcome, None while the goal is pursued; command the next step when due."""
         if followed(core) != self.step.stamp:
             status = controller_status(core, now)
             refused = None if followed(core) else core.refusals.get('target')
             if status.level == ERROR or core.driver.released:
-                return GoalOutcome('ended', self._said(status.message))
+                return GoalOutcome('ended', self._message(status.message))
             if refused is not None:
-                return GoalOutcome(refused.code, self._said(str(refused)))
+                return GoalOutcome(refused.code, self._message(str(refused)))
             why = 'a newer target, trajectory, twist or stop took its place'
-            return GoalOutcome('ended', self._said(why))
+            return GoalOutcome('ended', self._message(why))
         code, message = activity(core, now)[1:]
         if self.tolerance is not None and (off := self._outside(core, now, code)) is not None:
             self.cancel(core, now)
             return off
-        if code in SHORT_OF_IT:
-            return GoalOutcome(code, self._said(message))
+        if code in NOT_REACHED:
+            return GoalOutcome(code, self._message(message))
         within = self.tolerance is None or core.playing is None
-        if self.tolerance is not None and core.playing is not None:  # where a trajectory ends
+        if self.tolerance is not None and core.playing is not None:  # the error at its end
             error = self._error(core, core.playing.values[-1])
             within = bool(np.all(error <= self.tolerance.goal))
         if code not in ARRIVED or not within:
@@ -271,56 +272,57 @@ class MotionGoal:
         try:
             self._ask(core, now)
         except Refusal as refusal:
-            return GoalOutcome(refusal.code, self._said(str(refusal)))
+            return GoalOutcome(refusal.code, self._message(str(refusal)))
         return None
 
     def cancel(self, core: ControllerCore, now: float) -> None:
-        """Hold the arm where it is commanded to be, unless something else moves it by now."""
+        """Hold the commanded position, unless another command moves the arm by now."""
         if followed(core) == self.step.stamp:
             core.play(now, None)
 
     def progress(self, core: ControllerCore, now: float) -> Progress:
-        """Return how far it is."""
-        step, passed, steps_left = self.step, now - self._began, len(self.steps) - self.reached
+        """Return the progress of the goal."""
+        step, passed = self.step, now - self._began
+        steps_remaining = len(self.steps) - self.reached
         if isinstance(step, Trajectory):
             playing = core.playing
-            if playing is None:  # it is looked at first
-                return Progress(passed, float(step.times[-1]), steps_left)
-            left = max(playing.began + float(playing.times[-1]) - now, 0.0)
-            desired, actual = playing.at(now), core.heard_values
-            return Progress(passed, left, steps_left, desired=desired, actual=actual)
-        left, shape = 0.0, core.track.last
+            if playing is None:  # the solver still checks it against the regions
+                return Progress(passed, float(step.times[-1]), steps_remaining)
+            remaining = max(playing.began + float(playing.times[-1]) - now, 0.0)
+            desired, actual = playing.at(now), core.measured_values
+            return Progress(passed, remaining, steps_remaining, desired=desired, actual=actual)
+        remaining, shape = 0.0, core.track.last
         if core.solution is not None and core.command is not None:
             change = np.abs(core.solution.tensions - core.command).max()
-            left = float(change) / core.settings.rate_limit
+            remaining = float(change) / core.settings.rate_limit
         if shape is None:
-            return Progress(passed, left, steps_left)
+            return Progress(passed, remaining, steps_remaining)
         place = shape.tip_position if step.position is None else step.position
         tip = shape.tip_position + core.tip_bias(place)
-        away = float(np.linalg.norm(tip - place))
-        return Progress(passed, left, steps_left, tip, shape.frames[-1], away)
+        distance = float(np.linalg.norm(tip - place))
+        return Progress(passed, remaining, steps_remaining, tip, shape.frames[-1], distance)
 
-    def _said(self, message: str) -> str:
+    def _message(self, message: str) -> str:
         many = f'pose {self.reached + 1} of {len(self.steps)}: ' if len(self.steps) > 1 else ''
         return many + message
 
-    def _error(self, core: ControllerCore, wanted: Array) -> Array:
-        """Return by how much (m,) the tendons are off; 0 where they are not observable."""
-        return np.nan_to_num(np.abs(core.heard_values - wanted))
+    def _error(self, core: ControllerCore, desired: Array) -> Array:
+        """Return the absolute errors of the tendons (m,); 0 where they are not observable."""
+        return np.nan_to_num(np.abs(core.measured_values - desired))
 
     def _outside(self, core: ControllerCore, now: float, code: str) -> GoalOutcome | None:
-        """Say that a trajectory is not followed as near as it was asked, None: it is."""
+        """Return the outcome of a trajectory that exceeds its tolerance, None of one within it."""
         tolerance, playing = self.tolerance, core.playing
         if tolerance is None or playing is None:
             return None
         late = now - playing.began - float(playing.times[-1])
         if late <= 0.0:
-            name, allowed, wanted = 'path_tolerance', tolerance.path, playing.at(now)
+            name, allowed, desired = 'path_tolerance', tolerance.path, playing.at(now)
         elif late > tolerance.time:
-            name, allowed, wanted = 'goal_tolerance', tolerance.goal, playing.values[-1]
+            name, allowed, desired = 'goal_tolerance', tolerance.goal, playing.values[-1]
         else:
             return None
-        error = self._error(core, wanted)
+        error = self._error(core, desired)
         worst = int(np.argmax(error - allowed))
         if error[worst] <= allowed[worst] and (name == 'path_tolerance' or code == 'played'):
             return None

@@ -1,4 +1,4 @@
-"""Tensions for a target: searched beside the commands, for a limited time."""
+"""Search for the tensions of a target beside the control loop, within a time budget."""
 
 from __future__ import annotations
 
@@ -14,7 +14,13 @@ from ..common.errors import InputError, NoEquilibriumError
 from ..model.inverse import JUMP_MAX, reach
 from ..model.shape import Reach
 from ..model.tip_task import COLD, STREAM, TRACK, Patience, Policy, TipTask
-from .approach import Approach, carried, cut_short, forgetting, forgotten
+from .approach import (
+    Approach,
+    carry_friction,
+    forgetting_approach,
+    forgetting_tensions,
+    stop_before_regions,
+)
 from .checks import another_robot
 from .solver import GiveUp
 from .state import STREAM_PERIOD_S, Controller, Settings, Target
@@ -24,35 +30,41 @@ if TYPE_CHECKING:
     from ..model.shape import Shape
 
 Array = NDArray[np.float64]
-Report = Callable[[Reach], None]  # is given what a search has found so far
-# [s] for a target that is none of a stream: a person hardly notices, and the best found until then
-# is on its way; a longer search would seldom come nearer
+Report = Callable[[Reach], None]  # called with the best solution so far
+# [s] budget of a target that belongs to no stream: a person hardly notices it, and the arm already
+# follows the best solution so far; a longer search would seldom come nearer
 NEW_TARGET_BUDGET_S = 0.2
-# [1] of the time between targets of a stream, because the shape needs the rest
+# [1] of the time between targets of a stream, because the evaluation of the shape needs the rest
 STREAM_BUDGET = 0.8
-# [s] about a cycle: what is found until then is gone to, else the command would wait for the rest
+# [s] about a cycle: the arm follows the solution at this time, else the command would wait for the
+# whole search
 FIRST_ANSWER_S = 0.006
-# [1] of the length, between two targets of a stream, and by which one is led: what is further off
-# is somewhere else, because arms of this size go there in a second
+# [1] of the length: largest step between two targets of a stream, and of its extrapolation; a
+# larger step is a new target, because arms of this size take a second for it
 STREAM_LENGTH = 0.1
-# [rad] between two targets of a stream: as much of a bend, because a tip turns by twice its way
-STREAM_TURN_RAD = 0.3
+# [rad] between two targets of a stream: the same of a bend, because a tip rotates by twice its
+# relative path
+STREAM_ROTATION_RAD = 0.3
 
 
 @dataclass(frozen=True)
 class TargetSearch:
     """
-    A target whose tensions are looked for.
+    A target whose tensions are searched.
 
     Attributes
     ----------
     target : Target
     began : float [s]
     budget : float [s]
-        After that the best found counts: most of the time between targets of a stream, else
+        Time of the search: most of the time between targets of a stream, else
         `NEW_TARGET_BUDGET_S`.
     stream : object
-        The same for targets that follow each other closely in time and space.
+        Identity of the stream: shared by targets that are close in time and space.
+    streamed : bool
+        Whether the target is not the first of its stream.
+    velocity : (3,) [m/s] or None
+        Velocity of the stream.
 
     """
 
@@ -60,100 +72,100 @@ class TargetSearch:
     began: float
     budget: float
     stream: object
-    streamed: bool = False  # it is not the first
-    velocity: Array | None = None  # (3,) [m/s] of a stream
+    streamed: bool = False
+    velocity: Array | None = None
 
     @classmethod
     def begin(
         cls, core: Controller, before: TargetSearch | None, last: Target | None, target: Target
     ) -> TargetSearch:
-        """Look whether the target goes on from the search before; `last` is the last one."""
+        """Return the search, in the stream of the previous one where the target continues it."""
         now = core.time
-        if before is None or before.target is not last or not _goes_on(core, before, target):
+        if before is None or before.target is not last or not _continues(core, before, target):
             return cls(target, now, NEW_TARGET_BUDGET_S, object())
         passed, velocity = max(now - before.began, 0.01), None
         if target.position is not None and before.target.position is not None:
             velocity = (target.position - before.target.position) / passed
-            if before.velocity is not None:  # senders are not that regular
+            if before.velocity is not None:  # the periods of senders vary
                 velocity = 0.5 * (velocity + before.velocity)
         budget = STREAM_BUDGET * passed
         return cls(target, now, budget, before.stream, True, velocity)
 
     @property
     def first_budget(self) -> float:
-        """Time [s] after which what was found is gone to, while the search goes on."""
+        """Time [s] after which the arm follows the first solution, while the search continues."""
         return min(self.budget, FIRST_ANSWER_S)
 
 
 @dataclass(frozen=True)
 class SearchResult:
-    """What a search found; the deadline may have ended it."""
+    """Result of a search, which may have ended at its deadline."""
 
     approach: Approach | None
     problem: str
     in_time: bool
-    left: float = 0.0  # [s] for which it may go on
+    remaining: float = 0.0  # [s] of the budget
 
 
-def searching(
+def search_work(
     core: Controller, search: TargetSearch, budget: float, report: Report
 ) -> Callable[[GiveUp], SearchResult]:
     """
-    Return how to search for a time [s]; `report` hears, where commands are made, what comes first.
+    Return solver work: a search within a budget [s].
 
-    Where nothing was within the first time, what is found when it ends is where another search
-    begins. In that one the deadline is looked at only between starts, so that one start at least
-    comes to its end.
+    `report` is called in the control thread with the first good solution; the search then uses the
+    rest of the budget. Without one in the first budget, a second search begins at the best result.
+    There the deadline is checked only between starts, so that at least one start completes.
     """
-    solve = request_of(core, core.model, ahead_of(core, search), search.streamed).answer
+    solve = request_of(core, core.model, extrapolated(core, search), search.streamed).answer
     first = budget == FIRST_ANSWER_S
 
     def work(give_up: GiveUp) -> SearchResult:
-        left = search.budget - budget if first else 0.0
+        remaining = search.budget - budget if first else 0.0
 
-        def heard(solution: Reach) -> None:
-            nonlocal left
-            core.solver.tell(lambda: report(solution))
+        def on_report(solution: Reach) -> None:
+            nonlocal remaining
+            core.solver.call_soon(lambda: report(solution))
             if isinstance(give_up, Patience):
-                give_up.prolong(left)
-                left = 0.0
+                give_up.prolong(remaining)
+                remaining = 0.0
 
         try:
-            solution = solve(give_up if first else lambda: give_up(), heard)
+            solution = solve(give_up if first else lambda: give_up(), on_report)
         except (NoEquilibriumError, InputError) as error:
-            return SearchResult(None, str(error), not give_up(), left)
-        return SearchResult(solution, '', not give_up(), left)
+            return SearchResult(None, str(error), not give_up(), remaining)
+        return SearchResult(solution, '', not give_up(), remaining)
 
     return work
 
 
-def ahead_of(core: Controller, search: TargetSearch) -> Target:
-    """Return where a stream of targets will be by the time that the arm has followed."""
-    target, lead = search.target, core.settings.look_ahead
-    if lead == 0.0 or search.velocity is None or target.position is None:
+def extrapolated(core: Controller, search: TargetSearch) -> Target:
+    """Return the target of a stream, extrapolated by the `look_ahead` of the settings."""
+    target, horizon = search.target, core.settings.look_ahead
+    if horizon == 0.0 or search.velocity is None or target.position is None:
         return target
-    step = lead * search.velocity
-    size, most = float(np.linalg.norm(step)), STREAM_LENGTH * core.model.robot.length
-    return replace(target, position=target.position + step * min(1.0, most / max(size, 1e-12)))
+    step = horizon * search.velocity
+    size, step_max = float(np.linalg.norm(step)), STREAM_LENGTH * core.model.robot.length
+    return replace(target, position=target.position + step * min(1.0, step_max / max(size, 1e-12)))
 
 
 @dataclass(frozen=True)
 class SearchRequest:
     """
-    What the solver searches for: it reads nothing that the commanding thread changes.
+    A search for the solver; it reads no state that the control thread changes.
 
     Attributes
     ----------
     target, as_sent : Target
-        Without what the measured tip is off the model there, and with it.
+        Target for the model, without the bias of its tip there, and the commanded target.
     guess, last : Shape or None
-        Where a search begins, and the last shape, with what friction remembered.
+        Start of the search, and the last shape, with the memory of friction.
     acting : (m,) [N]
-        The tensions that act now.
+        Estimated present tensions.
     streamed : bool
-        The target goes on from the one before: straight there.
+        Whether the target continues a stream: the approach is straight.
     tracking : bool
-        Search only near where the arm is.
+        Whether to search only near the present shape.
 
     """
 
@@ -168,68 +180,68 @@ class SearchRequest:
     tracking: bool
 
     def answer(self, give_up: GiveUp, report: Report | None = None) -> Approach:
-        """Find tensions and the approach to them; `report` hears what is found meanwhile."""
+        """Return the approach to the target; `report` is called with intermediate solutions."""
         model, settings = self.model, self.settings
-        from_below = settings.approach == 'from_below' and not self._near
+        from_below = settings.approach == 'from_below' and not self._local
         if from_below or settings.keep_out or settings.pull_mode:
             report = None
-        # the same place is always found by the same tensions
+        # independent of the present shape, so that a position always has the same tensions
         guess = None if from_below else self.guess
         if not (model.remembers or settings.keep_out):
-            straight = Approach.straight(self._reach(None, guess, give_up, report))
-            return replace(straight, via=forgetting(model)) if from_below else straight
-        here = model.follow(self.last, self.acting)
-        past = here if model.remembers else None
+            straight = Approach.straight(self._solve_from(None, guess, give_up, report))
+            return replace(straight, via=forgetting_tensions(model)) if from_below else straight
+        start = model.follow(self.last, self.acting)
+        past = start if model.remembers else None
         if settings.tip_gain > 0.0 and not (from_below or settings.keep_out):
-            return Approach.straight(self._for_closed_loop(here, give_up, report))
-        way = Approach.straight(self._reach(past, guess or past, give_up, report))
+            return Approach.straight(self._for_closed_loop(start, give_up, report))
+        path = Approach.straight(self._solve_from(past, guess or past, give_up, report))
         if from_below:
 
-            def from_there(there: Shape) -> Reach:
-                return self._reach(there if model.remembers else None, there, give_up)
+            def solve_from(shape: Shape) -> Reach:
+                return self._solve_from(shape if model.remembers else None, shape, give_up)
 
-            way = forgotten(model, here, way.reach, from_there)
+            path = forgetting_approach(model, start, path.reach, solve_from)
         if settings.keep_out:
-            way = cut_short(here, way, self._task(here))
-        return way
+            path = stop_before_regions(start, path, self._task(start))
+        return path
 
     @property
-    def _near(self) -> bool:
+    def _local(self) -> bool:
         return self.tracking or self.streamed
 
     def _task(self, past: Shape | None) -> TipTask:
-        """Return what is wanted of the tip of an arm that is reached from a shape."""
+        """Return the task of the tip for an arm that comes from the shape `past`."""
         settings, memory = self.settings, None if past is None else past.memory
         task = tip_task(self.model, settings, self.target, memory)
         return replace(task, by_pulls=settings.pull_mode, keep_out=settings.keep_out)
 
     def _policies(self) -> Iterator[Policy]:
         """
-        Yield how to search; where the model has no equilibrium, the next one counts.
+        Yield search policies; each is tried where the model has no equilibrium by the one before.
 
-        Where friction remembers, a target near the last one is looked for near there alone.
+        With friction memory, a target near the last one is searched near the present shape first.
         """
-        if self.model.remembers and self._near:
+        if self.model.remembers and self._local:
             yield replace(STREAM, starts=0, relax=not self.tracking)
         elif self.tracking:
             yield TRACK
         if not self.tracking:
             stream = self.streamed and self.model.sticks
-            # more starts would not end within the time for a target
+            # more starts would exceed the budget of a target
             yield STREAM if stream else replace(COLD, starts=STREAM.starts)
 
-    def _reach(
+    def _solve_from(
         self,
         past: Shape | None,
         guess: Shape | None,
         give_up: GiveUp,
         report: Report | None = None,
     ) -> Reach:
-        """Find tensions that are right when they are reached from a shape."""
+        """Return tensions for the target when it is approached from the shape `past`."""
         task = replace(
             self._task(past),
             guess=guess,
-            preferences=None if self._near else self.settings.preferences,
+            preferences=None if self._local else self.settings.preferences,
         )
         policies = list(self._policies())
         for policy in policies[:-1]:
@@ -237,41 +249,42 @@ class SearchRequest:
                 return reach(task, policy, give_up, report)
         return reach(task, policies[-1], give_up, report)
 
-    def _for_closed_loop(self, here: Shape, give_up: GiveUp, report: Report | None) -> Reach:
+    def _for_closed_loop(self, start: Shape, give_up: GiveUp, report: Report | None) -> Reach:
         """
-        Find tensions from where the closed loop brings the tip to its place.
+        Return tensions from which the closed loop brings the tip to the target.
 
-        From the present state of friction, a model that is not the arm's may ask for much tension
-        against much tension, where it is furthest off. Then friction is left to the loop, and so
-        is the tip's bias elsewhere.
+        From the present state of friction, an inaccurate model may require high co-contraction,
+        where its error is largest. Solutions without the friction memory, and without the tip's
+        bias, are therefore candidates, too: the first one whose highest tension is close to the
+        lowest of all candidates is returned, and the loop corrects the rest.
         """
-        if self._near or self.settings.pull_mode:
-            return self._reach(here, self.guess or here, give_up, report)
+        if self._local or self.settings.pull_mode:
+            return self._solve_from(start, self.guess or start, give_up, report)
         without_bias = replace(self, target=self.as_sent)
         solutions: list[Reach] = []
-        for request, past, heard in (
+        for request, past, on_report in (
             (self, None, report),
             (without_bias, None, None),
-            (self, here, None),
+            (self, start, None),
         ):
             try:
                 if not (solutions and give_up()):
-                    made = request._reach(past, self.guess or past, give_up, heard)
-                    solutions.insert(len(solutions) if past is None else 0, made)
+                    solution = request._solve_from(past, self.guess or past, give_up, on_report)
+                    solutions.insert(len(solutions) if past is None else 0, solution)
             except NoEquilibriumError:
-                if not solutions and past is not None:  # the last one
+                if not solutions and past is not None:  # the last request
                     raise
-        there = [one for one in solutions if one.status == 'reached'] or solutions
+        candidates = [one for one in solutions if one.status == 'reached'] or solutions
         low, high = self.model.limits.T
-        most = [float(((one.tensions - low) / (high - low)).max()) for one in there]
-        enough = min(most) + JUMP_MAX
-        return next(one for one, size in zip(there, most, strict=True) if size <= enough)
+        highest = [float(((one.tensions - low) / (high - low)).max()) for one in candidates]
+        enough = min(highest) + JUMP_MAX
+        return next(one for one, size in zip(candidates, highest, strict=True) if size <= enough)
 
 
 def tip_task(
     model: Model, settings: Settings, target: Target, memory: Array | None = None
 ) -> TipTask:
-    """Return what a target asks of the tip of a model, from a friction memory."""
+    """Return the task of the tip for a target, from a friction memory."""
     weight = settings.direction_weight or None
     return TipTask.at(model, target.position, target.direction, weight, memory)
 
@@ -283,7 +296,7 @@ def request_of(
     streamed: bool = False,
     tracking: bool = False,
 ) -> SearchRequest:
-    """Return the request of tensions for a target, from where the arm is."""
+    """Return the search for a target from the present state of the core."""
     guess, last = (
         None if shape is None or len(shape.bend) != model.robot.cells else shape
         for shape in (
@@ -299,13 +312,14 @@ def request_of(
     )
 
 
-def with_model(
+def model_change_work(
     core: Controller, model: Model
 ) -> Callable[[GiveUp], tuple[Shape | None, Reach | None]]:
     """
-    Return how to find the shape by another model, and tensions for the target that is followed.
+    Return solver work: the present shape by a new model, and its solution for the current target.
 
-    NoEquilibriumError where it has none at the present tensions, or for the target.
+    The work raises NoEquilibriumError where the new model has none at the present tensions, or for
+    the target.
     """
     command, target, last, before = core.command, core.target, core.track.last, core.model
     other = another_robot(model.robot, before.robot)
@@ -313,18 +327,18 @@ def with_model(
     acting = None if command is None else core.acting_tensions()
 
     def work(give_up: GiveUp) -> tuple[Shape | None, Reach | None]:
-        here = None
+        shape = None
         if command is not None and acting is not None:
             model.shape(command)
-            here = None if other else carried(model, before, last, acting)
+            shape = None if other else carry_friction(model, before, last, acting)
         if request is None:
-            return here, None
-        return here, replace(request, last=here or request.last).answer(give_up).reach
+            return shape, None
+        return shape, replace(request, last=shape or request.last).answer(give_up).reach
 
     return work
 
 
-def _goes_on(core: Controller, before: TargetSearch, target: Target) -> bool:
+def _continues(core: Controller, before: TargetSearch, target: Target) -> bool:
     if core.time - before.began > STREAM_PERIOD_S:
         return False
     old = before.target
@@ -337,12 +351,12 @@ def _goes_on(core: Controller, before: TargetSearch, target: Target) -> bool:
         if step > STREAM_LENGTH * core.model.robot.length:
             return False
     if old.direction is not None and target.direction is not None:
-        return bool(old.direction @ target.direction > np.cos(STREAM_TURN_RAD))
+        return bool(old.direction @ target.direction > np.cos(STREAM_ROTATION_RAD))
     return True
 
 
 def is_nearer(core: Controller, target: Target, solution: Reach) -> bool:
-    """Whether tensions bring the tip nearer to a target than it is."""
+    """Whether a solution brings the tip nearer to a target than the last shape."""
     last = core.track.last
     task = tip_task(core.model, core.settings, target)
     return last is None or task.cost(solution.shape) < task.cost(last)

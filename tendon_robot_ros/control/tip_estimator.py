@@ -1,10 +1,10 @@
 """
-How far the tip is from where the model has it, by the tracked tip; steps of the tensions by it.
+Estimator of the bias of the model's tip from the tracked tip; steps of the tensions with it.
 
 The tip is y(T) = model(T) + b + D (T - T_now), with a bias b [m] at the tensions that act and a
-correction D of the model's Jacobian. A Kalman filter estimates both. The bias of an arm that
-stands is a random walk, as fast as a gain says. D is a stationary process (Ornstein-Uhlenbeck) in
-time and along the path of the tip: what is long ago or far behind says nothing of it here.
+correction D of the model's Jacobian. A Kalman filter estimates both. The bias of an arm at rest is
+a random walk, whose rate follows from a gain. D is a stationary process (Ornstein-Uhlenbeck) in
+time and along the path of the tip: it decorrelates with time and with distance.
 """
 
 from __future__ import annotations
@@ -27,30 +27,29 @@ if TYPE_CHECKING:
     from ..robot.keep_out import KeepOut
 
 Array = NDArray[np.float64]
-# [m] noise of a tracker, of all axes together, until a standing arm has shown it; less than what
-# trackers of this size resolve would have the loop follow noise
+# [m] noise of a tracker, of all axes together, until it is estimated from an arm at rest; less
+# than the resolution of such trackers would have the loop follow noise
 TRACKER_NOISE_M = 3e-4
-# [1] of the model's Jacobian, 1 sd of D: friction alone changes it by as much. A larger D is not
-# believed, because with errors of friction it would turn the Jacobian round
+# [1] of the model's Jacobian, 1 sd of D: friction alone changes it by as much. D is limited to
+# it, because by errors of friction a larger D would reverse the sign of the Jacobian
 MODEL_SLOPE_SD = 0.5
 # [s] in which D changes to 1/e, because tendons come to stick or slip within seconds
 SLOPE_S = 4.0
 # [1] of the arm's length: path of the tip along which D changes to 1/e (docs/control.md)
 SLOPE_LENGTH = 0.15
-# [1] of the arm's length, at which half of the bias is left (docs/control.md)
+# [1] of the arm's length: distance at which half of the bias applies (docs/control.md)
 BIAS_RADIUS = 0.25
-# [1] standard deviations of the bias: a tip that is nearer is where it should be, because steps
-# that follow noise let the arm slip in the end (docs/control.md)
+# [1] standard deviations of the bias: a nearer tip is at its target, because steps that follow
+# noise make the arm slip eventually (docs/control.md)
 REST_SD = 1.5
 # [1] of the largest slope: below it the loop's steps would be lost in friction (docs/control.md)
 WEAK_SLOPE = 0.02
-# [1] of a tension's range: nearer to its goal or limit it is there, because noise of load cells is
+# [1] of a tension's range: tolerance of a reached goal or limit, because noise of load cells is
 # half of it
 RANGE_TOLERANCE = 2e-3
-# [1] of a step, tried one after the other, because tendons that stick need more, those that slip
-# less
+# [1] of a step, tried in sequence, because tendons that stick need more, those that slip less
 STEP_LENGTHS = 1.0, 4.0, 0.25
-# [1] of what a step promises, that it must do; with less it would be noise (Armijo 1966)
+# [1] of the predicted decrease that a step has to reach; less would be noise (Armijo 1966)
 GAIN_MIN = 0.1
 # [1] of a tension's range, of a secant: the longer, the more tendons slip (docs/control.md)
 SECANTS = 5e-3, 0.05
@@ -59,25 +58,25 @@ SECANTS = 5e-3, 0.05
 @dataclass(frozen=True)
 class TipEstimate:
     """
-    What is estimated at tensions.
+    Estimate of bias and slopes at given tensions.
 
     Attributes
     ----------
     tensions : (m,) [N]
-        About which it is.
+        Point of linearisation.
     range : (m,) [N]
-        Over which slopes are.
+        Ranges of the tensions, the unit of slopes.
     bias : (3,) [m]
     slopes : (3, m) [m]
-        D over the ranges.
+        D times the ranges.
     covariance : (1 + m, 1 + m) [1]
-        Of bias and slopes, the same for each axis, in units of the tracker's variance.
+        Covariance of bias and slopes, equal for the axes, in units of the tracker's variance.
     noise : float
         Standard deviation of the tracker, over all axes [m].
     samples : int
-        Of a standing arm, from which that is.
+        Number of readings of an arm at rest behind `noise`.
     residual : (3,) [m] or None
-        By which the tip was off the model's last.
+        Last difference between the measured tip and the model's.
 
     """
 
@@ -92,14 +91,14 @@ class TipEstimate:
 
     @classmethod
     def begin(cls, tensions: Array, limits: Array, slope_sd: Array) -> TipEstimate:
-        """Begin with nothing known but how far (m,) [m] slopes may be off."""
+        """Return the prior with standard deviations of the slopes (m,) [m]."""
         m = len(tensions)
         covariance = np.diag([1.0, *(slope_sd / TRACKER_NOISE_M) ** 2])
         width = limits[:, 1] - limits[:, 0]
         return cls(tensions, width, np.zeros(3), np.zeros((3, m)), covariance)
 
     def about(self, tensions: Array) -> TipEstimate:
-        """Return the same about other tensions (m,) [N]."""
+        """Return the estimate at other tensions (m,) [N]."""
         move = np.eye(len(self.covariance))
         move[0, 1:] = (tensions - self.tensions) / self.range
         bias = self.bias + self.slopes @ move[0, 1:]
@@ -116,26 +115,28 @@ class TipEstimate:
         length: float = np.inf,
     ) -> TipEstimate:
         """
-        Return the estimate after the tip was `residual` (3,) [m] away from the model's.
+        Return the estimate after a measurement.
 
         Parameters
         ----------
+        residual : (3,) [m]
+            Measured tip minus the model's.
         gain : float
-            Part of a lasting change of the bias that is taken over from one measurement, while the
-            arm stands [1].
+            Fraction of a lasting change of the bias that one measurement adopts while the arm
+            rests [1].
         slope_sd : (m,) [m]
-            Standard deviation of slopes of which nothing is known.
+            Stationary standard deviation of the slopes.
         passed : float
-            Since the last measurement [s]; 0 where slopes are those of one slow motion.
+            Time since the last measurement [s]; 0 during a slow motion with constant slopes.
         path : float
-            Of the model's tip since the last measurement [m].
+            Path of the model's tip since the last measurement [m].
         length : float
-            Of the arm [m].
+            Length of the arm [m].
 
         """
         alike = float(np.exp(-passed / SLOPE_S - path / (SLOPE_LENGTH * length)))
         fades = np.append(1.0, np.full(len(slope_sd), alike))
-        # the first makes `gain` that of the bias where slopes do not matter
+        # the first term gives the bias the stationary Kalman gain `gain` for constant slopes
         opened = gain**2 / (1.0 - gain), *(1.0 - alike**2) * (slope_sd / TRACKER_NOISE_M) ** 2
         after = kalman_update(
             np.vstack([self.bias, alike * self.slopes.T]),
@@ -145,9 +146,9 @@ class TipEstimate:
             np.eye(1),
         )
         noise, samples = self.noise, self.samples
-        if self.residual is not None and path < 0.1 * TRACKER_NOISE_M:  # the arm stands
+        if self.residual is not None and path < 0.1 * TRACKER_NOISE_M:  # at rest
             square = 0.5 * float(((residual - self.residual) ** 2).sum())
-            if square < 9.0 * max(noise, TRACKER_NOISE_M) ** 2:  # a jump is no noise
+            if square < 9.0 * max(noise, TRACKER_NOISE_M) ** 2:  # jumps do not count
                 samples = min(samples + 1, NOISE_SAMPLES)
                 noise = float(np.sqrt(noise**2 + (square - noise**2) / samples))
         return replace(
@@ -161,14 +162,14 @@ class TipEstimate:
         )
 
     def without_slopes(self, slope_sd: Array) -> TipEstimate:
-        """Return the same with nothing known of slopes but how far (m,) [m] they may be off."""
+        """Return the estimate with slopes reset to a prior of standard deviations (m,) [m]."""
         first = float(self.covariance[0, 0])
         covariance = np.diag([first, *(slope_sd / TRACKER_NOISE_M) ** 2])
         return replace(self, slopes=np.zeros_like(self.slopes), covariance=covariance)
 
     @property
     def rest(self) -> float:
-        """How near [m] to its place the tip is as near as the tracker's noise lets anyone know."""
+        """Distance [m] to the target that the tracker's noise does not resolve."""
         return REST_SD * self.noise * float(np.sqrt(self.covariance[0, 0]))
 
     def slope_sd(self, direction: Array) -> float:
@@ -176,135 +177,136 @@ class TipEstimate:
         return float(self.noise * np.sqrt(direction @ self.covariance[1:, 1:] @ direction))
 
     def bias_at(self, tensions: Array, distance: float = np.inf) -> Array:
-        """Return by how much (3,) [m] the tip is off at tensions (m,) [N], see `slope_part`."""
+        """Return the bias (3,) [m] at tensions (m,) [N], limited by `slope_part`."""
         added = self.slopes @ ((tensions - self.tensions) / self.range)
         return np.asarray(self.bias + self.slope_part(tensions, distance) * added)
 
     def slope_part(self, tensions: Array, distance: float) -> float:
         """
-        Return which part [1] of the slopes counts at tensions (m,) [N].
+        Return the fraction [1] of the slopes that applies at tensions (m,) [N].
 
-        Where the model's tip is a distance [m] away, slopes add no more than a part of that.
+        The slopes add at most a fraction of the distance [m] by which the model's tip moves.
         """
         added = float(np.linalg.norm(self.slopes @ ((tensions - self.tensions) / self.range)))
         return min(1.0, MODEL_SLOPE_SD * distance / max(added, 1e-12))
 
     def within(self, slopes: Array) -> TipEstimate:
-        """Return the same with D at most as large as a part of the model's slopes (3, m) [m]."""
-        most = MODEL_SLOPE_SD * float(np.linalg.norm(slopes))
+        """Return the estimate with D limited to a fraction of the model's slopes (3, m) [m]."""
+        size_max = MODEL_SLOPE_SD * float(np.linalg.norm(slopes))
         size = max(float(np.linalg.norm(self.slopes)), 1e-12)
-        return replace(self, slopes=self.slopes * min(1.0, most / size))
+        return replace(self, slopes=self.slopes * min(1.0, size_max / size))
 
 
 def bias_part(distance: float, length: float) -> float:
-    """Return which part [1] of a bias is left a distance [m] away on an arm of a length [m]."""
+    """Return the fraction [1] of a bias at a distance [m] on an arm of a length [m]."""
     return 1.0 / (1.0 + (distance / (BIAS_RADIUS * length)) ** 2)
 
 
 @dataclass(frozen=True)
 class TipStep:
-    """One step of the goal: where the arm is and should be, as the model sees it."""
+    """One step of the goal of the tensions, by the model and its estimated bias."""
 
     model: Model
-    here: Shape
+    shape: Shape
     slopes: Array  # (3, m) [m] over the ranges
-    wanted: Array  # (3,) [m]
-    offset: Array  # (m,) [N] that acts beyond the command
+    target: Array  # (3,) [m]
+    offset: Array  # (m,) [N] estimated minus commanded tensions
     limits: Array  # (m, 2) [N]
-    stands: bool = False  # the command is at its goal: time to follow what hardly moves the tip
+    arrived: bool = False  # the command is at its goal: slow directions count, too
 
     @classmethod
     def at(
-        cls, model: Model, here: Shape, wanted: Array, offset: Array, limits: Array, stands: bool
+        cls, model: Model, shape: Shape, target: Array, offset: Array, limits: Array, arrived: bool
     ) -> TipStep:
-        """Look at the slopes where the arm is."""
-        return cls(model, here, _slopes(model, here, here, limits), wanted, offset, limits, stands)
+        """Return the step with the slopes at a shape."""
+        slopes = _slopes(model, shape, shape, limits)
+        return cls(model, shape, slopes, target, offset, limits, arrived)
 
-    def next_goal(self, known: TipEstimate, goal: Array) -> Array:
-        """Return the tensions (m,) [N] at which the tip is nearer to where it is wanted."""
-        there = self.there(goal)
-        miss = self._miss(there, known)
-        away = float(np.linalg.norm(miss))
-        if self.stands and away < known.rest:
-            return goal  # friction would let the arm slip by what is noise
-        best, least = goal, 1.0
-        for step in self._steps(there, goal, STEP_GAIN * miss, known):
+    def next_goal(self, estimate: TipEstimate, goal: Array) -> Array:
+        """Return the goal (m,) [N] that brings the tip nearer to its target."""
+        goal_shape = self.shape_at(goal)
+        miss = self._miss(goal_shape, estimate)
+        distance = float(np.linalg.norm(miss))
+        if self.arrived and distance < estimate.rest:
+            return goal  # else steps by noise would make the arm slip
+        best, ratio_min = goal, 1.0
+        for step in self._steps(goal_shape, goal, STEP_GAIN * miss, estimate):
             for length in STEP_LENGTHS:
-                made = goal + length * step
-                nearer = float(np.linalg.norm(self._miss(self.there(made), known)))
-                nearer /= max(away, 1e-12)
-                if nearer < least:
-                    best, least = made, nearer
-                if nearer < 1.0 - length * STEP_GAIN * GAIN_MIN:
+                candidate = goal + length * step
+                ratio = float(np.linalg.norm(self._miss(self.shape_at(candidate), estimate)))
+                ratio /= max(distance, 1e-12)
+                if ratio < ratio_min:
+                    best, ratio_min = candidate, ratio
+                if ratio < 1.0 - length * STEP_GAIN * GAIN_MIN:
                     return best
         return best
 
     def _steps(
-        self, there: Shape, goal: Array, wanted: Array, known: TipEstimate
+        self, goal_shape: Shape, goal: Array, motion: Array, estimate: TipEstimate
     ) -> Iterator[Array]:
         """
-        Yield steps (m,) [N] that move the tip as wanted (3,) [m].
+        Yield steps (m,) [N] for a motion (3,) [m] of the tip.
 
-        By the model's slopes, with what was learned and without. Where tendons stick, they say
-        little of steps that let them slip: then by secants of both sides, ever longer, until one
-        moves the tip as far as it is off.
+        First by the model's Jacobian with and without its estimated correction. For tendons that
+        stick it does not describe steps that make them slip: then by two-sided secants of growing
+        length, until one moves the tip by its whole error.
         """
-        slopes = self.slopes_at(there)
-        distance = self._distance(there)
+        slopes = self.slopes_at(goal_shape)
+        distance = self._distance(goal_shape)
         part = bias_part(distance, self.model.robot.length)
-        learned = part * known.slope_part(there.inputs, distance) * known.slopes
-        damping = WEAK_SLOPE if self.stands else STEP_DAMPING
-        for made in (slopes + learned, slopes):
-            yield bounded_step(made, wanted, goal, self.limits, damping) - goal
+        learned = part * estimate.slope_part(goal_shape.inputs, distance) * estimate.slopes
+        damping = WEAK_SLOPE if self.arrived else STEP_DAMPING
+        for jacobian in (slopes + learned, slopes):
+            yield bounded_step(jacobian, motion, goal, self.limits, damping) - goal
         m, (low, high) = len(goal), self.limits.T
         room = np.concatenate([high - goal, goal - low])
         both = np.stack([np.zeros(2 * m), np.tile(high - low, 2)], axis=1)
         for length in SECANTS:
-            sides = self._secants(there, goal, length)
-            step = np.minimum(bounded_step(sides, wanted, np.zeros(2 * m), both), room)
+            sides = self._secants(goal_shape, goal, length)
+            step = np.minimum(bounded_step(sides, motion, np.zeros(2 * m), both), room)
             yield step[:m] - step[m:]
-            if length * (wanted @ sides).max() > wanted @ wanted / STEP_GAIN:
+            if length * (motion @ sides).max() > motion @ motion / STEP_GAIN:
                 return
 
-    def _secants(self, there: Shape, goal: Array, length: float) -> Array:
+    def _secants(self, goal_shape: Shape, goal: Array, length: float) -> Array:
         """
-        Return how the tip moves (3, 2m) [m] over the ranges, by more and by less of each tension.
+        Return secant slopes of the tip (3, 2m) [m], for increasing and for decreasing tensions.
 
-        Where tendons pull hard against each other, both may let the arm slip the same way: the
-        mean of both slopes then leads nowhere.
+        Under high co-contraction both may make the arm slip in the same direction, so that their
+        mean would be useless.
         """
         m, (low, high) = len(goal), self.limits.T
         moves = []
         for side in np.concatenate([np.eye(m), -np.eye(m)]) * length:
             to = np.clip(goal + side * (high - low), low, high)
-            moves.append(self.there(to).tip_position - there.tip_position)
+            moves.append(self.shape_at(to).tip_position - goal_shape.tip_position)
         return np.array(moves).T / length
 
-    def slopes_at(self, there: Shape) -> Array:
-        """Return the model's motion of the tip (3, m) [m] over the ranges at a shape."""
-        return _slopes(self.model, there, self.here, self.limits)
+    def slopes_at(self, goal_shape: Shape) -> Array:
+        """Return the model's Jacobian of the tip (3, m) [m] times the ranges at a shape."""
+        return _slopes(self.model, goal_shape, self.shape, self.limits)
 
-    def there(self, goal: Array) -> Shape:
-        """Return the shape under a goal (m,) [N] after the one here."""
-        return self.model.follow(self.here, np.maximum(goal + self.offset, 0.0))
+    def shape_at(self, goal: Array) -> Shape:
+        """Return the shape under a goal (m,) [N], from the present shape."""
+        return self.model.follow(self.shape, np.maximum(goal + self.offset, 0.0))
 
     def allowed(self, goal: Array, before: Array, keep_out: KeepOut) -> tuple[Array, str]:
-        """Return the next goal (m,) [N], or the one before and the region the arm would enter."""
-        region = keep_out and keep_out.clearance(self.there(goal).positions).inside
+        """Return the goal (m,) [N], or the last one and the region that the arm would enter."""
+        region = keep_out and keep_out.clearance(self.shape_at(goal).positions).inside
         return (before, region) if region else (goal, '')
 
-    def _distance(self, there: Shape) -> float:
-        return float(np.linalg.norm(there.tip_position - self.here.tip_position))
+    def _distance(self, goal_shape: Shape) -> float:
+        return float(np.linalg.norm(goal_shape.tip_position - self.shape.tip_position))
 
-    def _miss(self, there: Shape, known: TipEstimate) -> Array:
-        """Return how far (3,) [m] the tip will be from where it is wanted."""
-        distance = self._distance(there)
+    def _miss(self, goal_shape: Shape, estimate: TipEstimate) -> Array:
+        """Return the predicted error of the tip (3,) [m] at a shape."""
+        distance = self._distance(goal_shape)
         part = bias_part(distance, self.model.robot.length)
-        bias = known.bias_at(there.inputs, distance)
-        return np.asarray(self.wanted - there.tip_position - part * bias)
+        bias = estimate.bias_at(goal_shape.inputs, distance)
+        return np.asarray(self.target - goal_shape.tip_position - part * bias)
 
 
 def _slopes(model: Model, shape: Shape, before: Shape, limits: Array) -> Array:
-    """Return the motion of the tip (3, m) [m] over the ranges."""
+    """Return the Jacobian of the tip (3, m) [m] times the ranges."""
     past = before.memory if model.remembers else model.arrays.fresh_memory()
     return tip_slopes(model, shape, past)[:3] * (limits[:, 1] - limits[:, 0])

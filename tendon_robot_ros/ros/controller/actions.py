@@ -153,14 +153,14 @@ class TipPoses:
         """Return the feedback message of a goal."""
         message = self.type.Feedback(
             navigation_time=duration(progress.passed),
-            estimated_time_remaining=duration(progress.left),
+            estimated_time_remaining=duration(progress.remaining),
             distance_remaining=float(np.nan_to_num(progress.distance)),
         )
         if progress.tip is not None and progress.frame is not None:
             message.current_pose = PoseStamped(
                 header=header, pose=pose(progress.tip, progress.frame)
             )
-        _fill(message, number_of_poses_remaining=progress.steps_left)
+        _fill(message, number_of_poses_remaining=progress.steps_remaining)
         return message
 
     def result(self, outcome: GoalOutcome) -> Any:
@@ -269,7 +269,7 @@ class Actions:
                     active.goal.begin(core, now)
                 except Refusal as refusal:
                     self._end(active, GoalOutcome(refusal.code, str(refusal)))
-            elif (outcome := active.goal.look(core, now)) is not None:
+            elif (outcome := active.goal.update(core, now)) is not None:
                 self._end(active, outcome)
             elif now - active.feedback_at >= VALUES_PERIOD_S:
                 active.feedback_at = now

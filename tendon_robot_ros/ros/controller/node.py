@@ -89,7 +89,7 @@ class ControllerNode(StoppableNode):
 
         def driver_status(*values: Any) -> None:
             if self.core is not None:
-                self.core.driver_says(*values)
+                self.core.driver_reports(*values)
 
         def predict() -> None:
             if self.core is not None and self._prediction is not None:
@@ -124,7 +124,7 @@ class ControllerNode(StoppableNode):
         self._fence(self.parameters['keep_out'])
         settings = parameters.settings(self.parameters, self._keep_out)
         self.core = ControllerCore(model, settings, self._solver)
-        self.core.driver_says(*self._driver.last)
+        self.core.driver_reports(*self._driver.last)
         self.latch_early_stops()
         self._incoming = Incoming(self, self.parameters, model)
         self._prediction = Prediction(self, self._incoming.base, model)
@@ -259,7 +259,7 @@ class ControllerNode(StoppableNode):
         if self._actions is not None and self._incoming is not None:
             self._actions.serve(now, core, self._incoming)
         self._driver.poll()
-        if core.wants_driver and self._driver.may_ask:
+        if core.needs_driver and self._driver.may_ask:
             self._driver.resume(self._resumed)
         output = core.step(now)
         if output is not None:

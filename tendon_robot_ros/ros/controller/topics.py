@@ -239,7 +239,7 @@ class DriverLink:
     own : str
         Gid of this controller's commands; the status has that of the followed publisher.
     callback : callable
-        Called with the arguments of `ControllerCore.driver_says`.
+        Called with the arguments of `ControllerCore.driver_reports`.
 
     """
 
