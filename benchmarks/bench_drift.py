@@ -99,7 +99,7 @@ class Watch:
         """Ask the postures that separate the suspects; return the suspects, and how many asked."""
         suspects, offered = finder.suspects(), self.postures(OFFERED, 4)
         for asked in range(ASKED_MAX):
-            best = finder.most_telling(offered)
+            best = finder.most_informative(offered)
             if best is None:
                 return suspects, asked
             read, seen = self.looked(plant, offered[best : best + 1])
@@ -137,7 +137,7 @@ def told(name, seed, have, misread):
         after = watch.stand(alarm, plant, watch.postures(WITHIN, 2))
         row = {
             'robot': name, 'seed': seed, 'change': what, 'told after': after,
-            'widening': watch.arm.widening, 'left out': watch.arm.left_out,
+            'widening': watch.arm.widening, 'left out': watch.arm.excluded,
         }  # fmt: skip
         if alarm.finder is not None:
             first = alarm.state.suspects[0].name

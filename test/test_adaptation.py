@@ -107,7 +107,7 @@ def seen_of(lever, count, seed):
 def followed(adaptation, lever, count, seed, change=True):
     """Stand at postures; return the changes."""
     postures = zip(*seen_of(lever, count, seed), strict=True)
-    made = (adaptation.stands(tensions, seen, change) for tensions, seen in postures)
+    made = (adaptation.update(tensions, seen, change) for tensions, seen in postures)
     return [one for one in made if one is not None]
 
 
@@ -153,7 +153,7 @@ def test_what_no_value_explains_is_not_followed():
     before = adaptation.values()
     tensions, seen = seen_of(0.30e-3, 8, 5)
     for t, y in zip(tensions, seen + np.array([0.02, 0.0, 0.0]), strict=True):
-        assert adaptation.stands(t, y) is None
+        assert adaptation.update(t, y) is None
     assert adaptation.values() == before
     assert 'something else has changed' in adaptation.text
 

@@ -65,7 +65,7 @@ def test_progress_tells_distance_and_time_that_are_left():
     pursue(rig, goal, 0.6, lambda rig: told.append(goal.progress(rig.core, rig.now)))
     rig.core.predict(rig.now, lambda shape: told.append(goal.progress(rig.core, rig.now)))
     assert told[-1].passed == pytest.approx(0.6)
-    assert 0.0 < told[-1].left < 0.8
+    assert 0.0 < told[-1].remaining < 0.8
     assert told[-1].steps_remaining == 1
     way = np.linalg.norm(goal.step.position - [0.0, 0.0, 0.208])
     assert 0.1 * way < told[-1].distance < 0.9 * way
@@ -120,7 +120,7 @@ def test_a_trajectory_tells_where_the_tendons_should_be_and_are():
     progress = goal.progress(rig.core, rig.now)
     assert progress.desired == pytest.approx([0.6, 0.1, 0.1, 0.35], abs=1e-9)
     assert progress.actual == pytest.approx(progress.desired, abs=0.01)
-    assert progress.left == pytest.approx(0.5)
+    assert progress.remaining == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from tendon_robot_ros.diagnosis.verdict import Verdict
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.monitoring import History, Monitor, StillWindow
-from tendon_robot_ros.monitoring.job import Course, Work, guide_of
+from tendon_robot_ros.monitoring.job import DiagnosisProgress, Work, guide_of
 from tendon_robot_ros.monitoring.monitor import FrameMean
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.rehearsal import Story, choices, draw, refined, tour
@@ -230,7 +230,7 @@ def test_a_late_frame_is_compared_with_the_tensions_of_its_own_time(model):
 
 def test_how_far_a_diagnosis_is_never_goes_back_and_says_how_long_it_takes(capsys):
     now = iter([0.0, 30.0, 60.0, 90.0, 95.0])
-    tell = Course(lambda: next(now))
+    tell = DiagnosisProgress(lambda: next(now))
     tell('effects', 18, 18)
     tell('effects again', 1, 1)
     tell('effects again', 1, 2)

@@ -50,7 +50,7 @@ class Tenths:
         return MotionGoal([Trajectory(np.array([0.1 * request.order]), np.array([END]), stamp)])
 
     def feedback(self, progress, header):
-        return self.type.Feedback(sequence=[int(1e3 * progress.left)])
+        return self.type.Feedback(sequence=[int(1e3 * progress.remaining)])
 
     def result(self, outcome):
         return self.type.Result(sequence=[len(outcome.code)])

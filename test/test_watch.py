@@ -22,7 +22,7 @@ from tendon_robot_ros.monitoring.watch import (
     ArmWatch,
     DriftAlarm,
     WatchSettings,
-    _ChangeBegun,
+    _ChangePoint,
     dump_change,
     load_change,
 )
@@ -85,7 +85,7 @@ def watching(learned):
     assert watch.state is None
     assert '0 of 24' in watch.text
     for tensions, positions in zip(rows, seen, strict=True):
-        watch.stands(tensions, positions)
+        watch.update(tensions, positions)
     watch.wait()
     return watch
 
@@ -108,7 +108,7 @@ def watch(known):
 def test_an_arm_that_stays_as_it_is_raises_no_alarm(learned, watch):
     rows = postures(40, 11)
     for tensions, positions in zip(rows, looked(learned[0], rows, 3), strict=True):
-        assert not watch.stands(tensions, positions).alarm
+        assert not watch.update(tensions, positions).alarm
     assert watch.text == 'as it was'
 
 
@@ -128,10 +128,10 @@ def learned_from(robot, wrong=()):
 def test_misread_references_are_no_part_of_what_is_learned(robot):
     """With one 2 mm off the arm was known five times and more as badly."""
     known, off = learned_from(robot), np.array([1.2e-3, -1.6e-3, 0.0])
-    assert known.left_out == ()
+    assert known.excluded == ()
     for wrong in [(9, off)], [(9, 15.0 * off), (10, off), (23, 2.0 * off)]:
         arm = learned_from(robot, wrong)
-        assert list(arm.left_out) == [number for number, _ in wrong]
+        assert list(arm.excluded) == [number for number, _ in wrong]
         assert arm.widening == pytest.approx(known.widening, abs=0.5)
         assert (arm.remainder, arm.setting) == (known.remainder, known.setting)
         assert np.abs(arm.mean - known.mean).max() < 0.6, 'sd of what an arm is built to'
@@ -158,7 +158,7 @@ def test_a_change_is_told_within_twenty_postures_and_named(watch, hidden, name):
     changed = make_plant(ROBOT, hidden, seed=4, work=Workmanship())
     shift = 0.0 if hidden else np.array([0.0, 2e-3, 0.0])
     for tensions, positions in zip(rows, looked(changed, rows, 5) + shift, strict=True):
-        state = watch.stands(tensions, positions)
+        state = watch.update(tensions, positions)
     assert state.alarm
     likely = [s.name for s in state.suspects if s.probability > 0.1]
     assert name in likely
@@ -171,7 +171,7 @@ def test_one_odd_posture_alone_raises_no_alarm_and_the_next_one_does(watch):
     rows = postures(2, 12)
     loaded = make_plant(ROBOT, {'tip_load': {'force_x': 0.004}}, seed=4, work=Workmanship())
     first, second = (
-        watch.stands(tensions, positions)
+        watch.update(tensions, positions)
         for tensions, positions in zip(rows, looked(loaded, rows, 5), strict=True)
     )
     assert first.evidence > watch.alarm.threshold
@@ -241,9 +241,11 @@ def test_the_posture_that_separates_two_changes_is_not_the_one_in_which_they_loo
     nothing = ChangeFit(named['tip_load'], np.zeros(3), -0.1, 1e9 * np.eye(3))
     finder.fits = [softer, nothing]
     low = ROBOT.tension_limits[0]
-    assert finder.most_telling(np.array([[low, low, low], [0.9, low, low], [0.2, low, low]])) == 1
+    assert (
+        finder.most_informative(np.array([[low, low, low], [0.9, low, low], [0.2, low, low]])) == 1
+    )
     finder.fits = [softer, replace(nothing, log=-20.0)]
-    assert finder.most_telling(np.array([[0.9, low, low]])) is None
+    assert finder.most_informative(np.array([[0.9, low, low]])) is None
 
 
 @pytest.mark.parametrize(
@@ -327,7 +329,7 @@ def test_the_evidence_for_a_change_that_did_not_happen_is_one_on_average():
     alarm._places, alarm._spread = [slice(0, 1)], np.array([0.5])
     random, ratios = np.random.default_rng(0), []
     for _ in range(4000):
-        begun = _ChangeBegun(1, np.zeros(0), np.zeros((0, 0)))
+        begun = _ChangePoint(1, np.zeros(0), np.zeros((0, 0)))
         signature = np.array([0.3, -0.2, 0.5])
         for _ in range(5):
             begun.information += signature @ signature

@@ -166,7 +166,7 @@ def forgetting_tensions(model: Model) -> Array:
     return np.array([shape.inputs, low])
 
 
-def stop_before_regions(start: Shape, path: Approach, task: TipTask) -> Approach:
+def truncated(start: Shape, path: Approach, task: TipTask) -> Approach:
     """
     Return the part of an approach before the arm enters a region, with the status `nearest`.
 
@@ -175,9 +175,7 @@ def stop_before_regions(start: Shape, path: Approach, task: TipTask) -> Approach
     allowed, model, shape = _allowed(start, task.keep_out), task.model, start
     via: list[Array] = []
     for tensions in (*path.via, path.reach.tensions):
-        for _, new, near in _postures_along(
-            model.follow, shape, shape.inputs, tensions, task.keep_out
-        ):
+        for _, new, near in _postures(model.follow, shape, shape.inputs, tensions, task.keep_out):
             if near.distance < allowed:
                 kept = Reach(shape, *task.errors(shape), 'nearest', (), near.region)
                 return Approach(kept, np.array(via).reshape(-1, len(model.inputs)))
@@ -209,7 +207,7 @@ def keep_out_refusal(
     shape, begin = start, start.pulls if pull else start.inputs
     for due, end in zip(trajectory.times.tolist(), trajectory.values, strict=True):
         try:
-            for fraction, new, near in _postures_along(solve, shape, begin, end, keep_out):
+            for fraction, new, near in _postures(solve, shape, begin, end, keep_out):
                 shape = new
                 if near.distance < allowed:
                     return Refusal(
@@ -231,7 +229,7 @@ def _allowed(start: Shape, keep_out: KeepOut) -> float:
     return min(keep_out.clearance(start.positions).distance, 0.0) - CLEARANCE_BINDS_M
 
 
-def _postures_along(
+def _postures(
     solve: Solve, shape: Shape, begin: Array, end: Array, keep_out: KeepOut
 ) -> Iterator[tuple[float, Shape, Clearance]]:
     """Yield postures along a straight leg: fraction of the leg, shape and clearance."""

@@ -18,14 +18,7 @@ from .modes import FollowTarget, FollowTwist, Idle, Mode, PlayTrajectory, PullPa
 from .null_space import NullSpace, NullSpaceMotion
 from .solver import InPlace, Solver
 from .state import Output, Settings, ShapeTracker, Target, Trajectory, Twist
-from .target_search import (
-    SearchResult,
-    TargetSearch,
-    extrapolated,
-    is_nearer,
-    model_change_work,
-    search_work,
-)
+from .target_search import SearchResult, TargetSearch, is_nearer, model_work, search_work
 from .tip_loop import TipLoop
 
 if TYPE_CHECKING:
@@ -192,7 +185,7 @@ class ControllerCore:
                 self._use(model, target, *solved)
             on_done(error)
 
-        self.solver.post('model', model_change_work(self, model), done)
+        self.solver.post('model', model_work(self, model), done)
 
     def _use(
         self, model: Model, target: Target | None, shape: Shape | None, reach: Reach | None
@@ -266,8 +259,8 @@ class ControllerCore:
         self.refusals['target'] = Refusal(code, f'target refused: {result.problem}{late}')
 
     def _follow(self, search: TargetSearch, path: Approach, in_time: bool) -> None:
-        ahead = extrapolated(self, search)
-        self.mode = FollowTarget.along(search.target, path, in_time, ahead)
+        position = search.extrapolated(self).position
+        self.mode = FollowTarget(search.target, path.reach, list(path.via), position, in_time)
 
     def measured(self, now: float, tensions: Array, pulls: Array) -> None:
         """Take measured tensions (m,) [N] and wire pulls (m,) [m], nan where not observable."""

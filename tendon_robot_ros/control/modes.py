@@ -95,11 +95,6 @@ class FollowTarget:
     in_time: bool = True
     _settling: Settling = field(default_factory=Settling)
 
-    @classmethod
-    def along(cls, target: Target, path: Approach, in_time: bool, ahead: Target) -> FollowTarget:
-        """Return the mode for an approach to a target, or to a target ahead of it."""
-        return cls(target, path.reach, list(path.via), ahead.position, in_time)
-
     @property
     def stamp(self) -> str:
         """The stamp of the target."""

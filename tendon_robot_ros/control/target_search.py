@@ -14,13 +14,7 @@ from ..common.errors import InputError, NoEquilibriumError
 from ..model.inverse import JUMP_MAX, reach
 from ..model.shape import Reach
 from ..model.tip_task import COLD, STREAM, TRACK, Patience, Policy, TipTask
-from .approach import (
-    Approach,
-    carry_friction,
-    forgetting_approach,
-    forgetting_tensions,
-    stop_before_regions,
-)
+from .approach import Approach, carry_friction, forgetting_approach, forgetting_tensions, truncated
 from .checks import another_robot
 from .solver import GiveUp
 from .state import STREAM_PERIOD_S, Controller, Settings, Target
@@ -96,6 +90,15 @@ class TargetSearch:
         """Time [s] after which the arm follows the first solution, while the search continues."""
         return min(self.budget, FIRST_ANSWER_S)
 
+    def extrapolated(self, core: Controller) -> Target:
+        """Return the target of a stream, extrapolated by the `look_ahead` of the settings."""
+        target, horizon = self.target, core.settings.look_ahead
+        if horizon == 0.0 or self.velocity is None or target.position is None:
+            return target
+        step, step_max = horizon * self.velocity, STREAM_LENGTH * core.model.robot.length
+        step = step * min(1.0, step_max / max(float(np.linalg.norm(step)), 1e-12))
+        return replace(target, position=target.position + step)
+
 
 @dataclass(frozen=True)
 class SearchResult:
@@ -117,7 +120,7 @@ def search_work(
     rest of the budget. Without one in the first budget, a second search begins at the best result.
     There the deadline is checked only between starts, so that at least one start completes.
     """
-    solve = request_of(core, core.model, extrapolated(core, search), search.streamed).answer
+    solve = request_of(core, core.model, search.extrapolated(core), search.streamed).answer
     first = budget == FIRST_ANSWER_S
 
     def work(give_up: GiveUp) -> SearchResult:
@@ -137,16 +140,6 @@ def search_work(
         return SearchResult(solution, '', not give_up(), remaining)
 
     return work
-
-
-def extrapolated(core: Controller, search: TargetSearch) -> Target:
-    """Return the target of a stream, extrapolated by the `look_ahead` of the settings."""
-    target, horizon = search.target, core.settings.look_ahead
-    if horizon == 0.0 or search.velocity is None or target.position is None:
-        return target
-    step = horizon * search.velocity
-    size, step_max = float(np.linalg.norm(step)), STREAM_LENGTH * core.model.robot.length
-    return replace(target, position=target.position + step * min(1.0, step_max / max(size, 1e-12)))
 
 
 @dataclass(frozen=True)
@@ -202,7 +195,7 @@ class SearchRequest:
 
             path = forgetting_approach(model, start, path.reach, solve_from)
         if settings.keep_out:
-            path = stop_before_regions(start, path, self._task(start))
+            path = truncated(start, path, self._task(start))
         return path
 
     @property
@@ -312,7 +305,7 @@ def request_of(
     )
 
 
-def model_change_work(
+def model_work(
     core: Controller, model: Model
 ) -> Callable[[GiveUp], tuple[Shape | None, Reach | None]]:
     """

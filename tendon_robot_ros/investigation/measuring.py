@@ -144,7 +144,7 @@ def separate_changes(
     tell_suspects(measurer, suspects)
     for _ in range(min(measurer.goal.after_alarm, measurer.goal.postures)):
         rows = offered()
-        best = finder.most_telling(rows) if len(rows) else None
+        best = finder.most_informative(rows) if len(rows) else None
         if best is None:
             break
         names = [suspect.name for suspect in likely(suspects)]

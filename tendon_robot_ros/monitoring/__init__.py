@@ -1,16 +1,16 @@
 """
-Watching a robot against its model, without ROS: compare, record what is still, diagnose.
+Monitoring of a robot against its model without ROS: compare, record still postures, diagnose.
 
-monitor.py       the last readings: whether the arm stands still, and their mean while it does;
-                 prediction beside measurement, and the postures worth recording
-built_arm.py     one arm as it was built, learned posture by posture
-references.py    which reference postures are misread, how alike the others err; what is new
-tip_force.py     the force at the tip, and whether something touches elsewhere
-change.py        what may happen to an arm; after an alarm each fitted to the postures since,
-                 the likeliest, and the posture that separates those that are left
-watch.py         learns the arm, then watches drift (a sequential test) and force
-adaptation.py    parameters of the added effects follow the arm, within their intervals
-job.py           a diagnosis as a child process, and what came of it
+monitor.py       recent samples, still segments and their means; prediction and measurement of a
+                 frame, and the postures of a recording
+built_arm.py     Kalman filter of the imperfections of one arm as it was built
+references.py    outliers among the reference postures; likelihood of noise sizes; widening
+tip_force.py     the force at the tip, and a contact elsewhere
+change.py        possible changes of an arm, fitted to the postures since an alarm, and the next
+                 posture that separates the likely ones
+watch.py         learns the arm, then monitors drift (a sequential test) and the tip force
+adaptation.py    recursive estimate of the parameters of added effects, within their intervals
+job.py           a diagnosis as a child process, and the addition that it offers
 """
 
 from .monitor import History, Monitor, MonitorSettings, StillMeasurement, StillWindow

@@ -1,27 +1,27 @@
 """
-Identification while running: parameters of the added effects follow the arm, within intervals.
+Online identification: parameters of the added effects follow the arm within their intervals.
 
-At every posture at which the arm stands the markers are compared with the model at the estimate,
+At every posture at which the arm rests the markers are compared with the model at the estimate,
 
     y - f(T; theta) - B(T) b,
 
-and `RecursiveEstimate` takes what they say of the parameters theta (prior: the intervals of the
-description) and of the imperfections b of the arm (prior: plausible sizes); f' is exact. The
-description in use follows slowly: only where the estimate differs from it by more than chance,
-by a part of the interval at a time, never beyond it, and only if the error over the last
-postures falls with it. Every change can be undone.
+and `RecursiveEstimate` updates the parameters theta (prior: the intervals of the description) and
+the imperfections b of the arm (prior: plausible sizes) by this residual; the Jacobian of f is
+exact. The description in use follows slowly: only where the estimate differs from it
+significantly, by a fraction of the interval at a time, never beyond it, and only if the error over
+the last postures falls. Every change can be undone.
 
-The estimate has Kalman filters side by side, so that the data choose its memory. The state holds p
-parameters that may move slowly and q others that never do, in units of their prior standard
-deviation. Before every measurement a filter forgets of the parameters
+The estimate is a bank of Kalman filters, so that the data select its memory. The state holds p
+parameters that may move slowly and q constants, in units of their prior standard deviation. Before
+every measurement a filter forgets part of its information on the parameters
 
     P -> (l P^-1 + (1 - l) P0^-1)^-1,   0 < l <= 1,   P0 = 1,
 
-as if part of what is known were exchanged for the prior (stabilised forgetting, Kulhavy and
-Zarrop 1993): with l = 1 it is least squares, and however little the measurements say, P never
-exceeds P0. Each filter has its own l, and its own size of what a model always gets wrong. Their
-weights are their predictive likelihoods, the older ones raised to a power below 1, so that a
-filter that was wrong long ago comes back (dynamic model averaging, Raftery, Karny, Ettler 2010).
+in exchange for the prior (stabilised forgetting, Kulhavy and Zarrop 1993): l = 1 is recursive
+least squares, and P never exceeds P0, however uninformative the measurements are. Each filter has
+its own l and its own size of the remainder, the persistent error of the model. The weights of the
+filters are their predictive likelihoods with a forgetting exponent below 1, so that old errors of
+a filter fade (dynamic model averaging, Raftery, Karny, Ettler 2010).
 """
 
 from __future__ import annotations
@@ -47,49 +47,50 @@ from ..robot import Robot
 from .built_arm import ODD_PROBABILITY, REMAINDERS, BuiltArm
 from .change import CONFIRMED_POSTURES
 
-# [1] standard deviations of half of a 95 % interval, as values are by chance
+# [1] standard deviations of half of a 95 % interval, by its probability
 INTERVAL_SD = NormalDist().inv_cdf(0.975)
-# [1] probability of a difference from what is in use by chance; with more it is none
+# [1] significance: probability by chance of the difference from the description in use; with more
+# it does not change
 CHANCE_PROBABILITY = 0.01
-# [1] of an interval, within which an estimate is at its end, because the prior keeps it from there
+# [1] of an interval: an estimate this near to an end is at the end, because the prior keeps it
+# off the end itself
 END = 0.02
-# [1] of an interval, that a parameter moves at a time, so that one wrong estimate cannot move it
-# far
+# [1] of an interval: largest step of a parameter, so that one wrong estimate cannot move it far
 STEP_MAX = 0.25
-# [1] postures between two changes, so that the error after the last one shows: a change is judged
-# by as many before it and after it
+# [1] postures between two changes, so that the error after the last one is measured: a change is
+# judged by as many postures before as after it
 CHANGE_EVERY = 4
-# [1] of what is known kept from one measurement to the next: the memory is of all, of 50, of 10
-# and of 3 measurements, so that the data choose
+# [1] fractions of the information kept from one measurement to the next: memories of all, of 50,
+# of 10 and of 3 measurements, so that the data select one
 MEMORIES = 1.0, 0.98, 0.9, 0.7
-# [1] power of a weight from one measurement to the next, so that a filter that was wrong 30 of
-# them ago comes back (Raftery, Karny, Ettler 2010)
+# [1] forgetting exponent of the weights, so that an error 30 measurements ago has faded to 1/e
+# (Raftery, Karny, Ettler 2010)
 WEIGHT_MEMORY = 0.97
 
 
 class _Filter:
-    """A Kalman filter with one memory and one size of the remainder."""
+    """A Kalman filter with one forgetting factor and one size of the remainder."""
 
     def __init__(self, memory: float, remainder: float, parameters: int, others: int) -> None:
         self.memory, self.remainder, self.p = memory, remainder, parameters
         self.mean, self.covariance = np.zeros(parameters + others), np.eye(parameters + others)
 
     def forget(self) -> None:
-        """Exchange part of what is known of the parameters for the prior."""
+        """Exchange part of the information on the parameters for the prior."""
         if self.memory == 1.0:
             return
-        here = self.covariance[: self.p, : self.p]
-        information = self.memory * np.linalg.inv(here) + (1.0 - self.memory) * np.eye(self.p)
+        known = self.covariance[: self.p, : self.p]
+        information = self.memory * np.linalg.inv(known) + (1.0 - self.memory) * np.eye(self.p)
         self.covariance[: self.p, : self.p] = np.linalg.inv(information)
 
     def learn(self, off: Floats, columns: Floats, noise: Floats) -> tuple[float, float]:
-        """Take a residual (r,) around the mean; return predictive log likelihood and chi²."""
+        """Update by a residual (r,) [m] at the mean; return predictive log likelihood and chi²."""
         after = kalman_update(self.mean, self.covariance, columns, off, noise)
         self.mean, self.covariance = after.mean, after.covariance
         return after.log_likelihood, after.chi2
 
     def keep_within(self, low: Floats, high: Floats) -> None:
-        """Bring parameters back to the nearest bound; what is tied to them follows."""
+        """Project parameters onto their bounds; correlated states follow."""
         for k in range(self.p):  # Simon 2006, eq. 7.94, one bound after the other
             off = self.mean[k] - np.clip(self.mean[k], low[k], high[k])
             if off != 0.0 and self.covariance[k, k] > 0.0:
@@ -98,7 +99,7 @@ class _Filter:
 
 
 class RecursiveEstimate:
-    """Parameters that may move, beside others that do not; see the module."""
+    """Estimate of moving parameters and constants by a bank of filters; see the module."""
 
     def __init__(
         self,
@@ -109,18 +110,18 @@ class RecursiveEstimate:
         memories: Sequence[float] = MEMORIES,
     ) -> None:
         """
-        Know nothing but the prior: N(0, 1) each, parameters within bounds.
+        Begin with the prior N(0, 1) of every state, parameters within bounds.
 
         Parameters
         ----------
         low, high : (p,) [prior sd]
-            Bounds that no parameter leaves.
+            Bounds of the parameters.
         others : int
-            Number q of states that do not move.
+            Number q of constants.
         remainders : sequence of float
-            1 sd of what the model always gets wrong [m]; each is tried.
+            Candidate sizes of the remainder, 1 sd [m].
         memories : sequence of float
-            Shares l that are kept from one measurement to the next [1]; each is tried.
+            Candidate forgetting factors l [1].
 
         """
         self.low, self.high = np.array(low, dtype=float), np.array(high, dtype=float)
@@ -132,14 +133,14 @@ class RecursiveEstimate:
 
     @property
     def mean(self) -> Floats:
-        """Mean (p + q,) of all filters [prior sd]."""
+        """Weighted mean (p + q,) of the filters [prior sd]."""
         mean, p = self.weights @ np.array([f.mean for f in self._filters]), len(self.low)
-        mean[:p] = np.clip(mean[:p], self.low, self.high)  # of values within: rounding alone
+        mean[:p] = np.clip(mean[:p], self.low, self.high)  # removes rounding errors
         return np.asarray(mean)
 
     @property
     def covariance(self) -> Floats:
-        """Covariance (p + q, p + q) of all filters, what they differ by in it [prior sd²]."""
+        """Covariance (p + q, p + q) of the mixture, between filters included [prior sd²]."""
         mean, total = self.mean, 0.0
         for weight, one in zip(self.weights, self._filters, strict=True):
             off = one.mean - mean
@@ -148,35 +149,35 @@ class RecursiveEstimate:
 
     @property
     def memory(self) -> float:
-        """Share that is kept from one measurement to the next, as the data have it [1]."""
+        """Weighted forgetting factor [1]."""
         return float(self.weights @ [one.memory for one in self._filters])
 
     @property
     def remainder(self) -> float:
-        """1 sd of what the model always gets wrong, as the data have it [m]."""
+        """Weighted size of the remainder, 1 sd [m]."""
         return float(self.weights @ [one.remainder for one in self._filters])
 
     def learn(
         self, off: Floats, columns: Floats, noise: Floats, remainder: Floats | float = 0.0
     ) -> float:
         """
-        Take a measurement.
+        Update all filters by a measurement.
 
         Parameters
         ----------
         off : (r,) [m]
             Measured minus predicted, at the present `mean`.
         columns : (r, p + q) [m per prior sd]
-            How the state moves what is measured, there.
+            Jacobian of the measurement by the state, there.
         noise : (r, r) [m²]
             Covariance of the measurement.
         remainder : (r, r), optional
-            Covariance of what a model gets wrong that is off by 1 m.
+            Covariance of a remainder of 1 m [1].
 
         Returns
         -------
         float
-            Least chi² of all filters: how badly the measurement fits at best.
+            Smallest chi² of the filters: the misfit by the best one.
 
         """
         at, fits = self.mean, list[tuple[float, float]]()
@@ -187,20 +188,20 @@ class RecursiveEstimate:
             one.keep_within(self.low, self.high)
         logs = WEIGHT_MEMORY * np.log(self.weights) + np.array([log for log, _ in fits])
         weights = np.exp(logs - logs.max())
-        weights = weights / weights.sum() + ODD_PROBABILITY  # no filter is ever out
+        weights = weights / weights.sum() + ODD_PROBABILITY  # no filter is excluded for good
         self.weights = weights / weights.sum()
         return min(chi2 for _, chi2 in fits)
 
     def fits(self, off: Floats, columns: Floats, noise: Floats, remainder: Floats) -> float:
-        """Return the least chi² (degrees of freedom: r) of a measurement, without taking it."""
-        at, least = self.mean, np.inf
+        """Return the smallest chi² (r degrees of freedom) of a measurement without an update."""
+        at, chi2_min = self.mean, np.inf
         for one in self._filters:
             known = one.covariance.copy()
-            known[: one.p, : one.p] += np.eye(one.p)  # wherever the parameters are by now
+            known[: one.p, : one.p] += np.eye(one.p)  # for parameters that have moved
             spread = columns @ known @ columns.T + noise + one.remainder**2 * remainder
             own = off - columns @ (one.mean - at)
-            least = min(least, float(own @ np.linalg.solve(spread, own)))
-        return least
+            chi2_min = min(chi2_min, float(own @ np.linalg.solve(spread, own)))
+        return chi2_min
 
 
 @dataclass(frozen=True)
@@ -216,7 +217,7 @@ class ParameterChange:
     unit: str
 
     def __str__(self) -> str:
-        """Say it in a line."""
+        """Return the change in one line of text."""
         moved = with_unit(f'{self.before:.4g} -> {self.after:.4g}', self.unit)
         interval = f'(interval {self.low:.4g} to {self.high:.4g})'
         return f'{self.effect}.{self.parameter}: {moved} {interval}'
@@ -226,14 +227,14 @@ class ParameterChange:
 class ModelChange:
     """One change of the description in use."""
 
-    posture: int  # after which it was made
+    posture: int  # after which it happened
     parameters: tuple[ParameterChange, ...]
     error_before: float  # [m] rms of the markers over the last postures
     error_after: float
-    robot: Robot  # before
+    robot: Robot  # before the change
 
-    def undone(self) -> ModelChange:
-        """Return the way back: after it is what was before."""
+    def inverse(self) -> ModelChange:
+        """Return the change that restores the state before."""
         back = tuple(replace(o, before=o.after, after=o.before) for o in self.parameters)
         return ModelChange(self.posture, back, self.error_after, self.error_before, self.robot)
 
@@ -247,13 +248,13 @@ class ModelChange:
 
 
 @dataclass(frozen=True)
-class _Followed:
-    """A parameter that may follow."""
+class _Adaptable:
+    """A parameter that may follow the arm."""
 
     free: FreeParameter
     low: float
     high: float
-    centre: float  # of the prior: what was fitted
+    centre: float  # of the prior: the fitted value
     spread: float  # 1 sd of the prior
 
     @property
@@ -266,9 +267,9 @@ class _Followed:
         return (value - self.centre) / self.spread
 
 
-def followed(robot: Robot, frees: Sequence[FreeParameter]) -> tuple[list[_Followed], list[str]]:
-    """Return the parameters that have an interval in a description, and why others have none."""
-    made, without = [], []
+def adaptable(robot: Robot, frees: Sequence[FreeParameter]) -> tuple[list[_Adaptable], list[str]]:
+    """Return the parameters with an interval in a description, and reasons for the others."""
+    parameters, without = [], []
     for free in frees:
         origin = robot.fitted.get(free.effect, {}).get('parameters', {}).get(free.key, {})
         low, high = origin.get('low'), origin.get('high')
@@ -282,8 +283,8 @@ def followed(robot: Robot, frees: Sequence[FreeParameter]) -> tuple[list[_Follow
         if not low <= value <= high:
             without.append(f'{name} is outside its interval')
             continue
-        made.append(_Followed(free, low, high, value, 0.5 * (high - low) / INTERVAL_SD))
-    return made, without
+        parameters.append(_Adaptable(free, low, high, value, 0.5 * (high - low) / INTERVAL_SD))
+    return parameters, without
 
 
 class Adaptation:
@@ -296,7 +297,7 @@ class Adaptation:
         Parameters
         ----------
         model : Model
-            As it is in use.
+            The model in use.
         markers : (J,) sequence of Marker
         noise : float
             1 sd of a coordinate of a marker [m].
@@ -310,9 +311,9 @@ class Adaptation:
             for name in self.robot.effects
             for free in free_parameters(model.catalogue[name], self.robot)
         ]
-        self._followed, self.left_out = followed(self.robot, frees)
-        if not self._followed:
-            why = listed(self.left_out) if self.left_out else 'the description has no effect'
+        self._adaptable, self.excluded = adaptable(self.robot, frees)
+        if not self._adaptable:
+            why = listed(self.excluded) if self.excluded else 'the description has no effect'
             self.problem = f'nothing can follow: {why}; investigate, or add with data'
         elif model.remembers:
             self.problem = 'nothing can follow: friction_memory depends on every earlier posture'
@@ -323,7 +324,7 @@ class Adaptation:
 
     @property
     def text(self) -> str:
-        """How it is, in words."""
+        """The state in words."""
         if self.problem:
             return self.problem
         if self._odd >= CONFIRMED_POSTURES:
@@ -343,7 +344,7 @@ class Adaptation:
 
     @property
     def memory(self) -> float:
-        """Postures that the estimate remembers, as the data have it; infinite: all."""
+        """Number of postures in the memory of the estimate, infinite for all."""
         kept = 1.0 if self._estimate is None else self._estimate.memory
         return float('inf') if kept >= 1.0 else 1.0 / (1.0 - kept)
 
@@ -351,20 +352,20 @@ class Adaptation:
         """Return the estimate of every parameter that may follow, and 1 sd of it [its unit]."""
         return {one.name: (value, sd) for one, value, sd in self._values()}
 
-    def stands(
+    def update(
         self, tensions: Floats, positions: Floats, change: bool = True, frames: int = 1
     ) -> ModelChange | None:
         """
-        Take a posture at which the arm stands; return what was changed in `robot`, if anything.
+        Update by a posture at which the arm rests; return the change of `robot`, None without one.
 
         Parameters
         ----------
         tensions : (m,) [N]
         positions : (J, 3) [m], nan where a marker was not seen
         change : bool
-            Whether the description may follow; the estimate does in any case.
+            Whether the description may follow; the estimate is updated in any case.
         frames : int
-            Of which the positions are the mean.
+            Number of frames whose mean the positions are.
 
         """
         if self.problem or not self._learn(tensions, positions, frames):
@@ -377,25 +378,25 @@ class Adaptation:
         return self._follow()
 
     def undo(self) -> ModelChange | None:
-        """Take the last change back; return the way back, None: there is no change."""
+        """Undo the last change and return its inverse, None without a change."""
         if not self.changes:
             return None
         last = self.changes.pop()
         self.robot, self._changed_at = last.robot, self.postures
-        return last.undone()
+        return last.inverse()
 
-    def _values(self) -> list[tuple[_Followed, float, float]]:
-        """Return what may follow, its estimate and 1 sd."""
+    def _values(self) -> list[tuple[_Adaptable, float, float]]:
+        """Return the adaptable parameters, their estimates and 1 sd."""
         if self._estimate is None:
-            return [(one, one.centre, one.spread) for one in self._followed]
+            return [(one, one.centre, one.spread) for one in self._adaptable]
         mean, sd = self._estimate.mean, np.sqrt(np.diag(self._estimate.covariance))
         return [
             (one, float(np.clip(one.centre + one.spread * z, one.low, one.high)), one.spread * s)
-            for one, z, s in zip(self._followed, mean.tolist(), sd.tolist(), strict=False)
+            for one, z, s in zip(self._adaptable, mean.tolist(), sd.tolist(), strict=False)
         ]
 
     def _learn(self, tensions: Floats, positions: Floats, frames: int) -> bool:
-        """Take a posture into the estimate; return whether the model has it."""
+        """Update the estimate by a posture; return False where the model has no equilibrium."""
         measured, arm = positions.ravel(), self._arm
         point = {one.free: value for one, value, _ in self._values()}
         rows = np.isfinite(measured)
@@ -408,8 +409,8 @@ class Adaptation:
         columns = np.hstack([own, expected.columns])[rows]
         if self._estimate is None:
             self._estimate = RecursiveEstimate(
-                np.array([one.units(one.low) for one in self._followed]),
-                np.array([one.units(one.high) for one in self._followed]),
+                np.array([one.units(one.low) for one in self._adaptable]),
+                np.array([one.units(one.high) for one in self._adaptable]),
                 expected.columns.shape[1],
                 [part * self.robot.length for part in REMAINDERS[1:]],
             )
@@ -423,33 +424,33 @@ class Adaptation:
         return True
 
     def _slopes(self, point: dict[FreeParameter, float], inputs: Floats) -> Floats | None:
-        """Return how parameters move the markers (3 J, p) [m per prior sd], exactly."""
+        """Return the exact Jacobian of the markers by parameters (3 J, p) [m per prior sd]."""
         whole = self._arm.whole
         if whole.markers(point, inputs) is None or whole.settled is None:
             return None
-        frees = [one.free for one in self._followed]
+        frees = [one.free for one in self._adaptable]
         tangent = whole.tangent(point, frees, whole.settled)
         if tangent is None:
             return None
-        spread = np.array([one.spread for one in self._followed])
+        spread = np.array([one.spread for one in self._adaptable])
         return np.asarray((spread[:, None] * tangent.markers.reshape(len(frees), -1)).T)
 
     def _follow(self) -> ModelChange | None:
-        """Change the description in use towards the estimate, if that is worth it."""
+        """Change the description in use towards the estimate where that is significant."""
         assert self._estimate is not None
-        p = len(self._followed)
-        in_use = np.array([one.units(self._in_use(one)) for one in self._followed])
+        p = len(self._adaptable)
+        in_use = np.array([one.units(self._in_use(one)) for one in self._adaptable])
         off = self._estimate.mean[:p] - in_use
         information = np.linalg.inv(self._estimate.covariance[:p, :p])
         if off @ information @ off < chi2_isf(CHANCE_PROBABILITY, p):
             return None
-        most = STEP_MAX * 2.0 * INTERVAL_SD
-        moved = in_use + off * min(1.0, most / float(np.abs(off).max()))
+        step_max = STEP_MAX * 2.0 * INTERVAL_SD
+        moved = in_use + off * min(1.0, step_max / float(np.abs(off).max()))
         after = {
             one.free: float(np.clip(one.centre + one.spread * z, one.low, one.high))
-            for one, z in zip(self._followed, moved.tolist(), strict=True)
+            for one, z in zip(self._adaptable, moved.tolist(), strict=True)
         }
-        before = {one.free: self._in_use(one) for one in self._followed}
+        before = {one.free: self._in_use(one) for one in self._adaptable}
         errors = self._error(before), self._error(after)
         if not errors[1] < errors[0]:
             return None
@@ -463,7 +464,7 @@ class Adaptation:
                 one.high,
                 one.free.parameter.unit,
             )
-            for one in self._followed
+            for one in self._adaptable
         )
         change = ModelChange(self.postures, parameters, *errors, self.robot)
         self.robot = with_values(self.robot, self._catalogue, after.items())
@@ -471,7 +472,7 @@ class Adaptation:
         self._changed_at = self.postures
         return change
 
-    def _in_use(self, one: _Followed) -> float:
+    def _in_use(self, one: _Adaptable) -> float:
         values = self.robot.effects[one.free.effect]
         value = values.get(one.free.parameter.name, one.free.parameter.neutral)
         return float(value[one.free.column or 0] if isinstance(value, tuple) else value)
@@ -480,8 +481,8 @@ class Adaptation:
         """Return the rms error [m] of the markers over the last postures; inf: no equilibrium."""
         squares = []
         for tensions, positions in self._recent:
-            here = self._arm.whole.markers(point, np.maximum(tensions, 0.0)[None])
-            if here is None:
+            markers = self._arm.whole.markers(point, np.maximum(tensions, 0.0)[None])
+            if markers is None:
                 return float('inf')
-            squares.append(((here[0] - positions) ** 2).sum(axis=1))
+            squares.append(((markers[0] - positions) ** 2).sum(axis=1))
         return float(np.sqrt(np.nanmean(np.concatenate(squares))))

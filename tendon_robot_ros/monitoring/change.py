@@ -1,20 +1,20 @@
 """
-What may happen to an arm, each fitted to the postures since an alarm, and the posture to ask next.
+Possible changes of an arm, fitted to the postures since an alarm, and the next posture to measure.
 
-Effects appear, cells get softer, gains move, trackers are bumped.
+Effects appear, cells get softer, gains change, trackers are bumped.
 
-The drift alarm looks at changes to first order, at postures that happened to come. Here a change
-theta moves the model itself; the arm is otherwise as it was known before,
+The drift alarm treats changes to first order. Here a change theta acts in the model itself; the
+imperfections b of the arm have the posterior before the change,
 
     y = f(T, b0; theta) + B (b - b0) + remainder + noise,   b ~ N(b0, P),   theta ~ N(0, s² T)
 
-and the change is worth its evidence by Laplace's approximation,
+and the evidence of the change follows by Laplace's approximation,
 
     log E = -1/2 (r' V^-1 r + theta' (s² T)^-1 theta + log |V| + log |1 + s² T J' V^-1 J|),
 
-s one of a few scales, each as likely as the others: nobody knows how large a change is. A posture
-is worth how far the likely changes would lie apart there, each with the value that was fitted and
-free to follow within what is known of it.
+with a few equally likely scales s, because the size of a change is unknown. The worth of a posture
+is the separation of the likely changes there, each at its fitted value and free within its
+uncertainty.
 """
 
 from __future__ import annotations
@@ -38,42 +38,40 @@ from ..diagnosis.slopes import imperfections
 from ..report.sentences import load_words
 from .built_arm import ODD_PROBABILITY, BuiltArm
 
-TRACKER, FRAME = 'the tracker', 'base_misalignment'  # a tracker that was bumped does what it does
-SHIFT = 'shift'  # of the frame; the other keys of the effect are a rotation
-# [1] relative 1 sd of a change of a kind of imperfection: what is seen on arms that wear
-# (assumed), because nobody knows more
+TRACKER, FRAME = 'the tracker', 'base_misalignment'  # a bumped tracker is a misaligned base
+SHIFT = 'shift'  # prefix of the keys of a translation; the others are a rotation
+# [1] relative change of a kind of imperfection, 1 sd, by wear (assumed), because no data exist
 USUAL_CHANGES = {CELLS: 0.1, GAIN: 0.03}
-# [m] 1 sd of a bumped tracker (assumed), because nobody knows how hard
+# [m] 1 sd of the shift of a bumped tracker (assumed), because no data exist
 USUAL_SHIFT = 2e-3
-# [rad] 1 sd of the same, at half a metre as far as the shift and more, because it stands there
+# [rad] 1 sd of its rotation: more than the shift at half a metre, because a tracker is that far
 USUAL_ROTATION = 0.01
-# [1] of a usual size, that a change may have, each as likely, because nobody knows how large it is
+# [1] of a usual size: scales s of a change, equally likely, because its size is unknown
 SCALES = 1.0, 10.0, 100.0
-# [1] of log E behind the best, within which a change is fitted around itself; what is further off
+# [1] of log E below the best: changes within it are refitted at their own linearisation; others
 # would not become likely by that
 CLOSE_LOG = 30.0
-# [1] probability of one change, from which nothing needs to be asked; what is left may be chance
+# [1] probability of a change that needs no further posture; the others may be by chance
 APART_PROBABILITY = 0.95
-# [1] postures that a change is judged by, unless nothing else is left at all: one or two may be
-# odd, so that two of three tell
+# [1] postures that confirm a change: one of them may be an outlier, so that two of three decide
 CONFIRMED_POSTURES = 3
-# [1] probability of a change that a posture is chosen for; for less it would be asked in vain
+# [1] smallest probability of a change for which a posture is selected; less would not matter
 LIKELY_MIN = 1e-3
-# [1] changes that a posture is chosen for, because further ones are unlikely beside them
+# [1] changes for which a posture is selected, because further ones are unlikely
 LIKELY_MAX = 4
-# [sd²] of one posture; with less a dozen of them would not tell
+# [sd²] separation by one posture; with less a dozen of them would not decide
 HOPELESS_APART = 0.25
-# [1] parameters of an effect that are told, else the sentence would not be read
-SIZES_TOLD = 2
+# [1] parameters of an effect in a sentence, else it would not be read
+SIZES_REPORTED = 2
 
 
 @dataclass(frozen=True)
 class PossibleChange:
-    """Something that may have happened: an effect, or imperfections that moved."""
+    """A possible change: an effect that appeared, or imperfections that changed."""
 
     name: str
     keys: tuple[str, ...]
-    spread: Floats  # (k,) 1 sd of its values, as they usually are [their units]
+    spread: Floats  # (k,) prior 1 sd of its values [their units]
     frees: tuple[FreeParameter, ...] = ()  # of an effect
     members: slice = slice(0)  # among the imperfections of the arm
     gravity: tuple[float, float, float] | None = None  # [m/s²]
@@ -84,7 +82,7 @@ class PossibleChange:
         return bool(self.frees)
 
     def suspect(self, probability: float, values: Floats) -> Suspect:
-        """Return it with a probability and a size (k,) [its units]."""
+        """Return the change with a probability and values (k,) [its units]."""
         named = dict(zip(self.keys, values.tolist(), strict=True))
         of_catalogue = self.is_effect and self.name != TRACKER
         return Suspect(self.name, probability, named, self._size(values), of_catalogue)
@@ -100,7 +98,7 @@ class PossibleChange:
             return load_words(load_of(values[rows], None, self.gravity))
         sizes = [abs(v) / f.parameter.typical for v, f in zip(values, self.frees, strict=True)]
         parts = []
-        for i in np.argsort(sizes)[::-1][:SIZES_TOLD]:
+        for i in np.argsort(sizes)[::-1][:SIZES_REPORTED]:
             size = f'{spoken(self.keys[i])} {digits(float(values[i]))}'
             parts.append(with_unit(size, self.frees[i].parameter.unit))
         return ', '.join(parts)
@@ -108,18 +106,18 @@ class PossibleChange:
 
 @dataclass(frozen=True)
 class Suspect:
-    """A change that may have happened."""
+    """A possible change with its probability."""
 
     name: str
-    probability: float  # among all changes, given that there was one
+    probability: float  # posterior, given that there was a change
     values: dict[str, float]  # most likely size, by parameter [its unit]
     size: str = ''  # the same in words
-    is_effect: bool = True  # of the catalogue; else an imperfection of the arm moved
+    is_effect: bool = True  # of the catalogue; else an imperfection
 
 
 def changes_of(arm: BuiltArm) -> tuple[PossibleChange, ...]:
-    """List what may happen to an arm: effects, single cells, gains, the tracker's frame."""
-    made = list[PossibleChange]()
+    """Return the possible changes: effects, single cells, gains, the tracker's frame."""
+    changes = list[PossibleChange]()
     for effect in arm.catalogue:
         if effect.needs in ('history', 'pulls'):
             continue
@@ -135,22 +133,22 @@ def changes_of(arm: BuiltArm) -> tuple[PossibleChange, ...]:
             usual = np.array(
                 [USUAL_SHIFT if k.startswith(SHIFT) else USUAL_ROTATION for k in keys]
             )
-        made.append(PossibleChange(name, keys, usual, frees, gravity=down))
+        changes.append(PossibleChange(name, keys, usual, frees, gravity=down))
     count = 0
     for kind in arm.kinds:
-        here, count = range(count, count + len(kind)), count + len(kind)
+        indices, count = range(count, count + len(kind)), count + len(kind)
         usual = np.full(1, USUAL_CHANGES.get(kind.name, 1.0))
         if kind.name in USUAL_CHANGES:
             what = 'stiffness of' if kind.name == CELLS else 'gain of'
-            made += [
+            changes += [
                 PossibleChange(f'{what} {name}', ('relative_change',), usual, (), slice(i, i + 1))
-                for i, name in zip(here, kind.members, strict=True)
+                for i, name in zip(indices, kind.members, strict=True)
             ]
-    return tuple(made)
+    return tuple(changes)
 
 
 def described(suspects: Sequence[Suspect]) -> str:
-    """Say what it looks like."""
+    """Return the likely suspects in words."""
     named = [
         f'{s.name} ({100.0 * s.probability:.0f} %)'
         for s in suspects
@@ -160,8 +158,8 @@ def described(suspects: Sequence[Suspect]) -> str:
 
 
 @dataclass(frozen=True)
-class PosturesSeen:
-    """Postures as measured."""
+class MeasuredPostures:
+    """Measured postures."""
 
     tensions: Floats  # (P, m) [N]
     positions: Floats  # (P, 3 J) [m]
@@ -169,17 +167,17 @@ class PosturesSeen:
 
     @cached_property
     def rows(self) -> npt.NDArray[np.bool_]:
-        """Which coordinates were seen (P, 3 J)."""
+        """Visible coordinates (P, 3 J)."""
         return np.isfinite(self.positions)
 
 
 class _Weights:
-    """The covariance V of what is seen, in the space of the imperfections."""
+    """Covariance V of the visible coordinates, factored by the imperfections (Woodbury)."""
 
-    def __init__(self, arm: BuiltArm, seen: PosturesSeen, columns: Floats) -> None:
+    def __init__(self, arm: BuiltArm, postures: MeasuredPostures, columns: Floats) -> None:
         """Take the columns (P, 3 J, q) [m per sd] of the imperfections."""
-        self.rows, self._roots, log = seen.rows, list[Floats](), 0.0
-        for rows, own, frames in zip(seen.rows, columns, seen.frames, strict=True):
+        self.rows, self._roots, log = postures.rows, list[Floats](), 0.0
+        for rows, own, frames in zip(postures.rows, columns, postures.frames, strict=True):
             root = np.linalg.cholesky(arm.widening * arm.scatter(rows, own, frames))
             log += 2.0 * float(np.log(np.diag(root)).sum())
             self._roots.append(np.linalg.inv(root))
@@ -191,17 +189,17 @@ class _Weights:
         self.log_determinant = log + 2.0 * float(np.log(np.diag(inner)).sum())
 
     def white(self, values: Floats) -> Floats:
-        """Whiten values (P, 3 J, ...) by what is new in every posture: (N, ...)."""
+        """Whiten values (P, 3 J, ...) by the scatter of each posture: (N, ...)."""
         parts = zip(self._roots, values, self.rows, strict=True)
         return np.concatenate([root @ own[rows] for root, own, rows in parts])
 
     def lifted(self, white: Floats) -> tuple[Floats, Floats]:
-        """Return whitened values and what of them imperfections would take."""
+        """Return whitened values and their projection on the imperfections."""
         return white, self._inner @ (self._built.T @ white)
 
     @staticmethod
     def product(one: tuple[Floats, Floats], other: tuple[Floats, Floats]) -> Floats:
-        """Return x' V^-1 y of two that were lifted."""
+        """Return x' V^-1 y of two results of `lifted`."""
         return np.asarray(one[0].T @ other[0] - one[1].T @ other[1])
 
 
@@ -213,7 +211,7 @@ class ChangeFit:
     values: Floats  # (k,) [its units]
     log: float  # log E
     information: Floats  # (k, k) of the values, their prior included
-    chi2: float = 0.0  # that it leaves of the postures
+    chi2: float = 0.0  # of the residuals
 
     def suspect(self, probability: float) -> Suspect:
         """Return the change with a probability."""
@@ -221,74 +219,74 @@ class ChangeFit:
 
 
 class ChangeWork:
-    """Fits to one set of postures."""
+    """Fits of changes to one set of postures."""
 
-    def __init__(self, arm: BuiltArm, seen: PosturesSeen) -> None:
-        self.arm, self.seen = arm, seen
-        whole, P = self.arm.split.dataset, len(seen.tensions)
+    def __init__(self, arm: BuiltArm, postures: MeasuredPostures) -> None:
+        self.arm, self.postures = arm, postures
+        whole, P = self.arm.split.dataset, len(postures.tensions)
         dataset = DataSet(
             'since',
             self.arm.robot,
             whole.markers,
             tuple(map(str, range(P))),
-            seen.tensions,
+            postures.tensions,
             np.full((P, 1, len(whole.markers), 3), np.nan),
             gravity=self.arm.robot.gravity,
         )
         self.split = SplitPredictor(Predictor(dataset, self.arm.robot, self.arm.catalogue))
         self.split.around = self.arm.members
-        here = self._markers({})
-        columns = self._columns({}) if here is not None else None
+        expected = self._markers({})
+        columns = self._columns({}) if expected is not None else None
         self.ready = columns is not None
-        if here is not None and columns is not None:
-            self.here, self.columns = here, columns
-            self.weights = _Weights(self.arm, seen, columns)
+        if expected is not None and columns is not None:
+            self.expected, self.columns = expected, columns
+            self.weights = _Weights(self.arm, postures, columns)
 
     def fit(self, change: PossibleChange) -> ChangeFit | None:
-        """Fit one change, around the arm as it was."""
+        """Fit one change, with the imperfections linearised without a change."""
         return self._effect(change) if change.is_effect else self._member(change)
 
     def fit_around(self, fit: ChangeFit) -> ChangeFit | None:
-        """Fit an effect once more, imperfections as they move the arm that it acts on."""
+        """Refit an effect, with the imperfections linearised at its value."""
         columns = self._columns(self._point(fit.change, fit.values))
         if columns is None:
             return None
-        usual, self.weights = self.weights, _Weights(self.arm, self.seen, columns)
+        usual, self.weights = self.weights, _Weights(self.arm, self.postures, columns)
         try:
             return self._effect(fit.change, fit.values)
         finally:
             self.weights = usual
 
     def explains(self, fit: ChangeFit) -> bool:
-        """Tell whether what a change leaves may be chance."""
-        return chi2_sf(fit.chi2, int(self.seen.rows.sum())) > ODD_PROBABILITY
+        """Whether the residuals of a change may be chance."""
+        return chi2_sf(fit.chi2, int(self.postures.rows.sum())) > ODD_PROBABILITY
 
     def fit_from_afar(self, fit: ChangeFit) -> ChangeFit:
         """
-        Fit an effect from a usual size of each of its values, either way; return the best.
+        Fit an effect from several starts, plus and minus its usual size; return the best.
 
-        A load under which the arm bends over has several minima, and the one that is reached from
-        no load at all may be none that it has.
+        A load that buckles the arm has several minima, and the one that is reached from zero may
+        not be the global one.
         """
         starts = np.vstack([np.diag(fit.change.spread), -np.diag(fit.change.spread)])
         fits = [self._effect(fit.change, start) for start in starts]
         return max([fit, *(one for one in fits if one is not None)], key=lambda one: one.log)
 
-    def shown(self, fit: ChangeFit) -> tuple[Floats, Floats] | None:
+    def predicted(self, fit: ChangeFit) -> tuple[Floats, Floats] | None:
         """Return markers (P, 3 J) [m] under a change, and their slopes (P, 3 J, k)."""
         if not fit.change.is_effect:
             slopes = self._slopes_of_members(fit.change)
-            return self.here + slopes @ fit.values, slopes
+            return self.expected + slopes @ fit.values, slopes
         point = self._point(fit.change, fit.values)
-        there, moved = self._markers(point), self._slopes(fit.change, point)
-        return None if there is None or moved is None else (there, moved)
+        markers, jacobian = self._markers(point), self._slopes(fit.change, point)
+        return None if markers is None or jacobian is None else (markers, jacobian)
 
     def apart(
         self, one: tuple[Floats, Floats], other: tuple[Floats, Floats], information: Floats
     ) -> Floats:
-        """Return how far two changes lie apart (P,) in sd², the other free to follow."""
-        off, far = one[0] - other[0], np.zeros(len(self.seen.tensions))
-        for p, frames in enumerate(self.seen.frames):
+        """Return the separation (P,) [sd²] of two changes, with the second one free to adapt."""
+        off, far = one[0] - other[0], np.zeros(len(self.postures.tensions))
+        for p, frames in enumerate(self.postures.frames):
             columns, rows = self.columns[p], np.ones(off.shape[1], dtype=bool)
             spread = self.arm.scatter(rows, columns, frames)
             spread = self.arm.widening * (spread + columns @ self.arm.covariance @ columns.T)
@@ -299,43 +297,43 @@ class ChangeWork:
         return np.maximum(far, 0.0)
 
     def _member(self, change: PossibleChange) -> ChangeFit:
-        """Fit imperfections that moved: linear."""
+        """Fit changed imperfections (linear)."""
         weights, slopes = self.weights, self._slopes_of_members(change)
-        white = weights.lifted(weights.white(self.seen.positions - self.here))
+        white = weights.lifted(weights.white(self.postures.positions - self.expected))
         columns = weights.lifted(weights.white(slopes))
         information = weights.product(columns, columns)
         prior = np.diag((SCALES[-1] * change.spread) ** -2.0)
         values = np.linalg.solve(information + prior, weights.product(columns, white))
-        left = white[0] - columns[0] @ values, white[1] - columns[1] @ values
-        chi2 = float(weights.product(left, left))
+        residual = white[0] - columns[0] @ values, white[1] - columns[1] @ values
+        chi2 = float(weights.product(residual, residual))
         log = self._evidence(change, values, chi2, information)
         return ChangeFit(change, values, log, information + prior, chi2)
 
     def _effect(self, change: PossibleChange, start: Floats | None = None) -> ChangeFit | None:
-        """Fit an effect by Gauss-Newton, shortened steps, within its bounds."""
+        """Fit an effect by damped Gauss-Newton within its bounds."""
         frees, weights = change.frees, self.weights
         described = np.array([self.split.value(free) for free in frees])
         low, high = np.array([(f.parameter.low, f.parameter.high) for f in frees]).T - described
         prior = np.diag((SCALES[-1] * change.spread) ** -2.0)
 
         def linearised(
-            values: Floats, left: tuple[Floats, Floats]
+            values: Floats, whitened: tuple[Floats, Floats]
         ) -> tuple[Floats, Floats] | None:
             slopes = self._slopes(change, self._point(change, values))
             if slopes is None:
                 return None
             columns = weights.lifted(weights.white(slopes))
-            return weights.product(columns, columns), weights.product(columns, left)
+            return weights.product(columns, columns), weights.product(columns, whitened)
 
-        def left(values: Floats) -> tuple[tuple[Floats, Floats], float] | None:
-            there = self._markers(self._point(change, values))
-            if there is None:
+        def whitened(values: Floats) -> tuple[tuple[Floats, Floats], float] | None:
+            markers = self._markers(self._point(change, values))
+            if markers is None:
                 return None
-            white = weights.lifted(weights.white(self.seen.positions - there))
+            white = weights.lifted(weights.white(self.postures.positions - markers))
             return white, float(weights.product(white, white))
 
         start = np.zeros(len(frees)) if start is None else start
-        fit = gauss_newton(start, prior, left, linearised, (low, high))
+        fit = gauss_newton(start, prior, whitened, linearised, (low, high))
         if fit is None:
             return None
         values, _, chi2, information = fit
@@ -350,7 +348,7 @@ class ChangeWork:
     def _evidence(
         self, change: PossibleChange, values: Floats, chi2: float, information: Floats
     ) -> float:
-        """Return log E, every scale of the change as likely as the others."""
+        """Return log E, averaged over equally likely scales of the change."""
         logs = []
         for scale in SCALES:
             spread = scale * change.spread
@@ -364,11 +362,11 @@ class ChangeWork:
         return {free: self.split.value(free) + value for free, value in own}
 
     def _markers(self, point: Point) -> Floats | None:
-        seen = self.split.markers(point)
-        return None if seen is None else seen.reshape(len(seen), -1)
+        markers = self.split.markers(point)
+        return None if markers is None else markers.reshape(len(markers), -1)
 
     def _slopes(self, change: PossibleChange, point: Point) -> Floats | None:
-        """Return how an effect's parameters move the markers there, (P, 3 J, k)."""
+        """Return the Jacobian of the markers by the parameters of an effect, (P, 3 J, k)."""
         if self._markers(point) is None or self.split.settled is None:
             return None
         tangent = self.split.tangent(point, change.frees, self.split.settled)
@@ -378,50 +376,51 @@ class ChangeWork:
         return np.moveaxis(moved, 0, 2)
 
     def _slopes_of_members(self, change: PossibleChange) -> Floats:
-        """Return how imperfections move the markers (P, 3 J, k), per unit."""
+        """Return the Jacobian of the markers by imperfections (P, 3 J, k), per unit."""
         return self.columns[:, :, change.members] / self.arm.plausible[change.members]
 
     def _columns(self, point: Point) -> Floats | None:
-        """Return what each imperfection of a plausible size does (P, 3 J, q) [m]."""
+        """Return the motion of the markers (P, 3 J, q) [m] by imperfections of plausible size."""
         own = self.arm.plausible
         if not len(own):
-            return np.zeros((*self.seen.positions.shape, 0))
-        made = imperfections(self.split, point, self.arm.members)
-        if made is None:
+            return np.zeros((*self.postures.positions.shape, 0))
+        responses = imperfections(self.split, point, self.arm.members)
+        if responses is None:
             return None
-        moves = made.moves[: len(own)].reshape(len(own), len(self.seen.tensions), -1)
+        moves = responses.moves[: len(own)].reshape(len(own), len(self.postures.tensions), -1)
         return np.moveaxis(own[:, None, None] * moves, 0, 2)
 
 
 class ChangeFinder:
     """
-    Tells what has changed, posture by posture.
+    Infers the change from the postures since it began.
 
     Parameters
     ----------
     arm : BuiltArm
-        As it was known before the change; it is not changed here.
+        Estimate before the change; it is not modified.
     changes : sequence of PossibleChange
-        What may have happened.
+        Possible changes.
 
     """
 
     def __init__(self, arm: BuiltArm, changes: Sequence[PossibleChange]) -> None:
-        """Know nothing of the change."""
+        """Begin without postures."""
         self.arm, self.changes = arm, tuple(changes)
-        self.taken: list[tuple[Floats, Floats, int]] = []  # tensions, markers (3 J,), frames
+        self.postures: list[tuple[Floats, Floats, int]] = []  # tensions, markers (3 J,), frames
         self.fits: list[ChangeFit] = []  # the most likely first
 
     def take(self, tensions: Floats, positions: Floats, frames: int = 1) -> None:
-        """Take a posture: (m,) [N], the mean of frames (J, 3) [m], nan where nothing was seen."""
-        self.taken.append((np.maximum(tensions, 0.0), positions.ravel(), frames))
+        """Add a posture: (m,) [N], the mean of frames (J, 3) [m], nan for a missing marker."""
+        self.postures.append((np.maximum(tensions, 0.0), positions.ravel(), frames))
 
     def suspects(self) -> tuple[Suspect, ...]:
-        """Fit every change; return them by their probability, the most likely first."""
-        if not self.taken:
+        """Fit every change; return them by probability, the most likely first."""
+        if not self.postures:
             return ()
-        tensions, positions, frames = zip(*self.taken, strict=True)
-        work = ChangeWork(self.arm, PosturesSeen(np.array(tensions), np.array(positions), frames))
+        tensions, positions, frames = zip(*self.postures, strict=True)
+        postures = MeasuredPostures(np.array(tensions), np.array(positions), frames)
+        work = ChangeWork(self.arm, postures)
         if not work.ready:
             return ()
         fits = [fit for change in self.changes if (fit := work.fit(change)) is not None]
@@ -429,44 +428,41 @@ class ChangeFinder:
             fits = [work.fit_from_afar(fit) if fit.change.is_effect else fit for fit in fits]
         best = max(fit.log for fit in fits)
         near = [fit for fit in fits if fit.change.is_effect and fit.log > best - CLOSE_LOG]
-        again = {fit.change.name: work.fit_around(fit) for fit in near}
-        fits = [again.get(fit.change.name) or fit for fit in fits]
+        refitted = {fit.change.name: work.fit_around(fit) for fit in near}
+        fits = [refitted.get(fit.change.name) or fit for fit in fits]
         self.fits = sorted(fits, key=lambda fit: -fit.log)
         probabilities = self._probabilities()
         return tuple(
             fit.suspect(float(p)) for fit, p in zip(self.fits, probabilities, strict=True)
         )
 
-    def most_telling(self, offered: Floats) -> int | None:
+    def most_informative(self, offered: Floats) -> int | None:
         """
-        Return which of the tensions (b, m) [N] separates the likely changes best.
+        Return the index of the tensions (b, m) [N] that separate the likely changes best.
 
-        None where one is likely enough, on a few postures at least, or nothing that is offered
-        separates them.
+        None where one change is confirmed, or where no offered posture separates them.
         """
-        probabilities, few = self._probabilities(), len(self.taken) < CONFIRMED_POSTURES
+        probabilities, few = self._probabilities(), len(self.postures) < CONFIRMED_POSTURES
         if not len(probabilities) or (probabilities[0] > APART_PROBABILITY and not few):
             return None
         likely = [i for i, p in enumerate(probabilities[:LIKELY_MAX]) if p > LIKELY_MIN]
         blank = np.zeros((len(offered), self.arm.split.dataset.positions.shape[2] * 3))
-        usual = self.taken[-1][2] if self.taken else 1
+        usual = self.postures[-1][2] if self.postures else 1
         frames = (usual,) * len(offered)
-        work = ChangeWork(self.arm, PosturesSeen(np.maximum(offered, 0.0), blank, frames))
+        work = ChangeWork(self.arm, MeasuredPostures(np.maximum(offered, 0.0), blank, frames))
         if not work.ready:
             return None
-        shown = [work.shown(self.fits[i]) for i in likely]
-        if shown[0] is None:
+        predicted = [work.predicted(self.fits[i]) for i in likely]
+        if predicted[0] is None:
             return None
-        worth, first = np.zeros(len(offered)), shown[0]
-        for i, other in zip(likely[1:], shown[1:], strict=True):
+        worth, first = np.zeros(len(offered)), predicted[0]
+        for i, other in zip(likely[1:], predicted[1:], strict=True):
             if other is not None:
                 apart = work.apart(first, other, self.fits[i].information)
                 worth += probabilities[i] * np.log1p(apart)
-        best, least = (
-            int(np.argmax(worth)),
-            np.log1p(HOPELESS_APART) * probabilities[likely[1:]].sum(),
-        )
-        return best if worth[best] > least else None
+        best = int(np.argmax(worth))
+        worth_min = np.log1p(HOPELESS_APART) * probabilities[likely[1:]].sum()
+        return best if worth[best] > worth_min else None
 
     def _probabilities(self) -> Floats:
         logs = np.array([fit.log for fit in self.fits])

@@ -1,7 +1,7 @@
 """
-The monitor: prediction beside measurement, errors, and the postures worth recording.
+The monitor: prediction and measurement of each frame, errors, and the postures of a recording.
 
-What was measured lately: at a moment, where the arm stands still, and as a mean meanwhile.
+Recent samples are interpolated in time, checked for still segments, and averaged over them.
 """
 
 from __future__ import annotations
@@ -25,29 +25,29 @@ if TYPE_CHECKING:
     from ..model.shape import Shape
 
 Array = NDArray[np.float64]
-# [1] frames of the tracker in either half of a window, else their mean would be no better than one
+# [1] frames of the tracker in each half of a window, else their mean would hardly reduce noise
 FRAMES_PER_HALF_MIN = 4
-# [1] probability that frames of an arm that stands are taken for a change by chance
+# [1] significance of a motion: probability by chance for an arm at rest
 FALSE_CHANGE_PROBABILITY = 1e-3
-# [s] over which inputs are averaged while they stand still; over less, noise would be a motion
+# [s] over which constant inputs are averaged; over less, noise would appear as a motion
 INPUT_AVERAGE_S = 0.1
-# [1] of the highest tension, between the halves of a window: by more the arm moves, because that
-# is twice and more what load cells and drives leave
+# [1] of the highest tension: change between the halves of a window beyond which the arm moves,
+# because it is at least twice the error of load cells and drives
 TENSION_STILL = 0.01
-# [1] of the length, the same of wire pulls, because so much pulls as hard on an arm of this kind
+# [1] of the length: the same for wire pulls, because so much changes the tension by as much
 PULL_STILL = 0.002
 
 
 class History:
     """
-    Samples of the last seconds, by their time.
+    Samples of the last seconds by their time.
 
     Parameters
     ----------
     span : float
-        Older samples are forgotten [s].
+        Older samples are dropped [s].
     patience : float
-        A moment so much later than the newest sample still has its value [s].
+        Time after the newest sample during which its value holds [s].
 
     """
 
@@ -57,7 +57,7 @@ class History:
         self._samples: deque[tuple[float, Array]] = deque()
 
     def put(self, time: float, values: Array) -> None:
-        """Take a sample; one that comes late, after a newer one, is dropped."""
+        """Add a sample; one that is older than the newest is dropped."""
         if self._samples and time <= self._samples[-1][0]:
             if time > self._samples[-1][0] - self.span:
                 return
@@ -68,18 +68,18 @@ class History:
 
     @property
     def newest(self) -> float:
-        """Time of the last sample; minus infinity without any."""
+        """Time of the newest sample [s], minus infinity without any."""
         return self._samples[-1][0] if self._samples else -np.inf
 
     def at(self, time: float) -> Array | None:
-        """Return the values at a time, straight between samples; None outside of them."""
+        """Return the linearly interpolated values at a time [s], None outside of the samples."""
         later: tuple[float, Array] | None = None
         for sample in reversed(self._samples):
             if sample[0] > time:
                 later = sample
             elif later is None:
                 return sample[1] if time - sample[0] <= self.patience else None
-            elif later[0] - sample[0] > 2.0 * self.patience:  # a gap: nobody knows
+            elif later[0] - sample[0] > 2.0 * self.patience:  # a gap
                 return None
             else:
                 part = (time - sample[0]) / (later[0] - sample[0])
@@ -87,17 +87,17 @@ class History:
         return None
 
     def mean(self, begin: float, end: float) -> Array | None:
-        """Return the mean over a time, both ends included; None without a sample in it."""
+        """Return the mean over a closed interval [s], None without a sample in it."""
         samples = [values for at, values in self._samples if begin <= at <= end]
         return np.array(np.mean(samples, axis=0)) if samples else None
 
 
 @dataclass(frozen=True)
 class StillMeasurement:
-    """A posture that stood still: means over the window."""
+    """Measurement of an arm at rest: means over the window."""
 
     inputs: Array  # (m,) [N] or [m]
-    positions: Array  # (J, 3) [m], nan where a marker was not seen
+    positions: Array  # (J, 3) [m], nan for a missing marker
     spread: float  # [m] 1 sd of one coordinate in one frame
     frames: int
     begin: float  # [s]
@@ -106,11 +106,10 @@ class StillMeasurement:
 
 class StillWindow:
     """
-    The last frames, and whether the arm stood still in them.
+    The last frames, and whether the arm was at rest in them.
 
-    Still is what `import-bag` calls still: the means of the two halves of the window are nearer to
-    each other than the speed allows, so that the noise of a tracker is no motion, and no input
-    changed.
+    As in `import-bag`, the arm is at rest when the means of the two halves of the window differ
+    by less than the speed allows, which averages the noise of the tracker, and no input changed.
 
     Parameters
     ----------
@@ -129,7 +128,7 @@ class StillWindow:
         self._frames: deque[tuple[float, Array, Array]] = deque()
 
     def put(self, time: float, inputs: Array, positions: Array) -> None:
-        """Take a frame: inputs (m,), markers (J, 3) [m]; a gap in time begins anew."""
+        """Add a frame: inputs (m,), markers (J, 3) [m]; a gap in time clears the window."""
         if self._frames and not 0.0 < time - self._frames[-1][0] < self.duration:
             self._frames.clear()
         self._frames.append((time, inputs, positions))
@@ -137,11 +136,11 @@ class StillWindow:
             self._frames.popleft()
 
     def clear(self) -> None:
-        """Forget the frames."""
+        """Drop all frames."""
         self._frames.clear()
 
     def settled(self) -> StillMeasurement | None:
-        """Return the means over the window if it is full and the arm stood still in it."""
+        """Return the means over the window if it is full and the arm was at rest, else None."""
         if not self._frames or self._frames[-1][0] - self._frames[0][0] < 0.8 * self.duration:
             return None
         times = np.array([frame[0] for frame in self._frames])
@@ -173,9 +172,9 @@ class StillWindow:
 
 @dataclass(frozen=True)
 class _Batch:
-    """Frames between two estimates."""
+    """Mean of the frames between two calls."""
 
-    at: float  # [s] of the last one
+    at: float  # [s] of the last frame
     tensions: Array  # (m,) [N]
     positions: Array  # (J, 3) [m], their mean
     frames: int
@@ -183,40 +182,40 @@ class _Batch:
 
 class FrameMean:
     """
-    Averages frames as long as the arm stands under the same tensions, and begins anew when not.
+    Averages frames while the arm rests under constant tensions, and restarts after a change.
 
-    Frames since the last time are compared with those before: all coordinates together, and along
-    the directions in which a force at the tip moves them, where little shows early.
+    New frames are tested against the earlier ones: all coordinates together, and along the
+    directions in which a force at the tip moves them, where the test is most sensitive.
 
     Parameters
     ----------
     noise : float
         1 sd of a coordinate of a marker in one frame [m].
     tension_change : float
-        Tensions that differ by less are the same [N].
+        Tensions that differ by less are equal [N].
     longest : float
-        Frames older than that are forgotten [s].
+        Older frames are dropped [s].
 
     """
 
     def __init__(self, noise: float, tension_change: float, longest: float) -> None:
-        """Begin with nothing."""
+        """Begin without frames."""
         self.noise, self.tension_change, self.longest = noise, tension_change, longest
         self._new: list[tuple[float, Array, Array]] = []
         self._kept = deque[_Batch]()
 
     def put(self, at: float, tensions: Array, positions: Array) -> None:
-        """Take a frame: its time [s], (m,) [N], (J, 3) [m] with nan where nothing was seen."""
+        """Add a frame: its time [s], tensions (m,) [N], markers (J, 3) [m] or nan."""
         self._new.append((at, tensions, positions))
 
     def take(self, slopes: Array | None = None) -> tuple[Array, int]:
         """
-        Return the mean (J, 3) [m], and of how many frames.
+        Return the mean (J, 3) [m] and its number of frames.
 
         Parameters
         ----------
         slopes : (3 J, 3), optional
-            How a force moves the coordinates, as it was lately [m/N].
+            Last Jacobian of the coordinates by the tip force [m/N].
 
         """
         at, now, _ = self._new[-1]
@@ -234,35 +233,35 @@ class FrameMean:
         return not np.abs(tensions - now).max() > self.tension_change
 
     def _changed(self, batch: _Batch, slopes: Array | None) -> bool:
-        """Tell whether a batch is not as the ones before."""
+        """Whether a batch differs significantly from the earlier ones."""
         if not self._same(self._kept[-1].tensions, batch.tensions):
             return True
         before, frames = _joined(self._kept)
         off = (batch.positions - before).ravel()
-        seen = np.isfinite(off)
-        off = off[seen] / (self.noise * np.sqrt(1.0 / batch.frames + 1.0 / frames))
+        visible = np.isfinite(off)
+        off = off[visible] / (self.noise * np.sqrt(1.0 / batch.frames + 1.0 / frames))
         parts = [off]
         if slopes is not None and len(off) > slopes.shape[1]:
-            parts.append(np.linalg.qr(slopes[seen])[0].T @ off)
+            parts.append(np.linalg.qr(slopes[visible])[0].T @ off)
         return any(p @ p > chi2_isf(FALSE_CHANGE_PROBABILITY, len(p)) for p in parts if len(p))
 
 
 def _joined(batches: deque[_Batch]) -> tuple[Array, int]:
-    """Return the mean of batches (J, 3) [m], nan where none saw the marker, and their frames."""
+    """Return the mean of batches (J, 3) [m], nan for a missing marker, and their frames."""
     frames = np.array([batch.frames for batch in batches])
     positions = np.array([batch.positions for batch in batches])
-    seen = np.isfinite(positions) * frames[:, None, None]
-    total, count = np.nansum(positions * frames[:, None, None], axis=0), seen.sum(axis=0)
+    weights = np.isfinite(positions) * frames[:, None, None]
+    total, count = np.nansum(positions * frames[:, None, None], axis=0), weights.sum(axis=0)
     return np.where(count > 0, total / np.maximum(count, 1), np.nan), int(frames.sum())
 
 
 @dataclass(frozen=True)
 class MonitorSettings:
-    """How the monitor behaves."""
+    """Settings of the monitor."""
 
     still_time: float = 0.6  # [s]
     still_speed: float = 0.002  # [m/s]
-    rolling: float = 1.0  # [s] over which the rolling error is taken
+    rolling: float = 1.0  # [s] window of the rolling error
     position_noise: float = 0.0  # [m] 1 sd of a recorded mean; 0: from the still frames
     setting_noise: float = 0.002  # [1] relative 1 sd of an input as measured
     path: str = 'sequence'  # or 'from_straight': each posture by itself
@@ -270,15 +269,15 @@ class MonitorSettings:
 
 @dataclass(frozen=True)
 class Compared:
-    """One frame of the tracker beside the model."""
+    """One frame of the tracker and its prediction."""
 
     measured: Array  # (J, 3) [m]
     predicted: Array  # (J, 3) [m]
-    rolling: float  # [m] rms of the last marker's error lately, while inputs stood still
+    rolling: float  # [m] rms error of the last marker over the window, while inputs were constant
 
     @property
     def errors(self) -> Array:
-        """Measured minus predicted, (J, 3) [m]; nan where a marker was not seen."""
+        """Measured minus predicted, (J, 3) [m], nan for a missing marker."""
         return self.measured - self.predicted
 
 
@@ -291,15 +290,15 @@ class Monitor:
     settings: MonitorSettings = field(default_factory=MonitorSettings)
     recorded: list[StillMeasurement] = field(default_factory=list)
     recording: bool = False
-    kept: bool = True  # what was recorded lies in a folder, or there is nothing
+    kept: bool = True  # whether the recording is saved, or empty
     problem: str = ''
     _shape: Shape | None = None
     _tips: deque[tuple[float, float]] = field(default_factory=deque)
     _last_kind: str = 'tension'
-    _stood: StillMeasurement | None = None  # the last posture that was handed out
+    _last_posture: StillMeasurement | None = None  # the last result of `new_posture`
 
     def __post_init__(self) -> None:
-        """Begin with nothing heard."""
+        """Begin without samples."""
         robot = self.model.robot
         self.markers = self.markers or default_markers(robot)
         self.states = History()
@@ -314,16 +313,16 @@ class Monitor:
         self._changes = changes
 
     def set_model(self, model: Model) -> None:
-        """Compare with another description from now on."""
+        """Compare with another model from now on."""
         self.model, self._shape = model, None
         self._tips.clear()
 
     def put_states(self, time: float, tensions: Array, pulls: Array) -> None:
-        """Take what the driver measures: (m,) [N] and (m,) [m], nan where not observable."""
+        """Add measured tensions (m,) [N] and wire pulls (m,) [m], nan where not observable."""
         self.states.put(time, np.concatenate([tensions, pulls]))
 
     def put_frame(self, time: float, positions: Array) -> Compared | None:
-        """Take a frame (J, 3) [m]; None while there is nothing to compare with."""
+        """Add a frame (J, 3) [m] and return it with its prediction, None without one."""
         if positions.shape != (len(self.markers), 3):
             raise InputError(
                 f'measured shape: expected {len(self.markers)} poses, one for each of the markers '
@@ -351,21 +350,21 @@ class Monitor:
         rolling = float(np.sqrt(np.mean(squares))) if squares else float('nan')
         return Compared(positions, points, rolling)
 
-    def stands(self) -> StillMeasurement | None:
-        """Return a posture in tensions at which the arm stands, each of them once."""
+    def new_posture(self) -> StillMeasurement | None:
+        """Return the measurement of a new posture at rest, in tensions; None without one."""
         settled = self._windows['tension'].settled()
         if settled is None or not np.isfinite(settled.inputs).all():
             return None
-        last, least = self._stood, 2.0 * self._changes['tension']
-        if last is not None and np.abs(settled.inputs - last.inputs).max() < least:
+        last, change_min = self._last_posture, 2.0 * self._changes['tension']
+        if last is not None and np.abs(settled.inputs - last.inputs).max() < change_min:
             return None
         mean = self.states.mean(settled.begin, settled.end)
         inputs = settled.inputs if mean is None else np.split(mean, 2)[0]
-        self._stood = replace(settled, inputs=inputs)
-        return self._stood
+        self._last_posture = replace(settled, inputs=inputs)
+        return self._last_posture
 
     def start_recording(self) -> None:
-        """Begin a recording, or go on with one that was stopped and is in no folder yet."""
+        """Start a recording, or continue one that is not saved yet."""
         if self.kept:
             self.recorded = []
         self.recording, self.kept = True, False
@@ -374,12 +373,12 @@ class Monitor:
 
     def dataset(self, name: str) -> DataSet:
         """
-        Return what was recorded: one trial of the postures in the order of the recording.
+        Return the recording: one trial of the postures in their order.
 
         Raises
         ------
         DataSetError
-            Fewer than two postures.
+            The recording has fewer than two postures.
 
         """
         if len(self.recorded) < 2:
@@ -405,7 +404,7 @@ class Monitor:
         )
 
     def _quiet(self, time: float) -> Array | None:
-        """Return the mean state of the last moment, free of noise; None while inputs change."""
+        """Return the mean of the last states, None while inputs change."""
         recent = self.states.mean(time - INPUT_AVERAGE_S, time)
         earlier = self.states.mean(time - 2.0 * INPUT_AVERAGE_S, time - INPUT_AVERAGE_S)
         if recent is None or earlier is None:
@@ -446,7 +445,7 @@ class Monitor:
         self.recorded.append(settled)
 
     def _same(self, settled: StillMeasurement, kind: str) -> bool:
-        """Whether the arm still stands where the last posture was recorded."""
+        """Whether the arm is still at the last recorded posture."""
         if not self.recorded or kind != self._last_kind:
             return False
         moved = np.abs(settled.inputs - self.recorded[-1].inputs).max()
@@ -455,15 +454,15 @@ class Monitor:
 
 def read_markers(rows: Sequence[object], robot: Robot) -> tuple[Marker, ...]:
     """
-    Return the markers that a parameter lists as {name, arc_length, offset}.
+    Return the markers of a parameter with entries {name, arc_length, offset}.
 
     Raises
     ------
     InputError
-        An entry is not usable.
+        An entry is invalid.
 
     """
-    made = []
+    markers = []
     for entry in rows:
         if not isinstance(entry, dict) or not {'name', 'arc_length'} <= set(entry):
             raise InputError(
@@ -480,5 +479,5 @@ def read_markers(rows: Sequence[object], robot: Robot) -> tuple[Marker, ...]:
                 f'markers: {entry["name"]}: expected an arc_length from 0 to {robot.length:g} m, '
                 f'got {arc:g}'
             )
-        made.append(Marker(str(entry['name']), arc, (x, y, z)))
-    return tuple(made)
+        markers.append(Marker(str(entry['name']), arc, (x, y, z)))
+    return tuple(markers)

@@ -1,24 +1,23 @@
 """
-What reference postures say: sizes of what is new in each, which are misread, how alike they err.
+Statistics of the reference postures: sizes of noise, outliers, and widening of variances.
 
-Sizes: linear postures y = C b + e have imperfections b of 1 sd each, and e that is new in every
-posture, with the covariance r^2 R + s^2 G G' + B B' + n^2 I of remainder, tensions as read, what
-is not linear, and noise. A filter that learns posture by posture would find the same likelihood
-(chain rule); in one batch what a size has no part in is worked out once.
+Sizes: linear postures y = C b + e have imperfections b of 1 sd each, and independent errors e with
+the covariance r^2 R + s^2 G G' + B B' + n^2 I of remainder, tension noise, nonlinearity, and
+tracker noise. The likelihood is that of the sequential filter (chain rule); in one batch the terms
+that do not depend on a size are computed once.
 
-A reference that was misread by some millimetres (the tracker wrong for once, a tension read
-wrongly, a hand at the arm) shifts what is learned, and widens what is expected of every posture
-after it. Each reference is therefore predicted from all others that count: linear around what is
-known, y = x + C b + noise with b ~ N(0, 1),
+A reference that was misread by some millimetres (an error of the tracker or of a load cell, a hand
+at the arm) biases the estimate and widens the prediction of every later posture. Each reference is
+therefore predicted from all others that count, linear around the estimate, y = x + C b + noise
+with b ~ N(0, 1),
 
     nu = y - x - C m,   cov nu = C P C' + S,
     m = P sum C' S^-1 (y - x),   P^-1 = 1 + sum C' S^-1 C,
 
-the sums over the others. The norm of nu, whitened, is judged by the test for outliers of the
-diagnosis: against the robust spread of all, so that what a wrong reference adds to S hides none.
-Of a description that lacks an effect the norms vary more than chance has it, by a factor on their
-logarithms; the limit is then as much farther: a model that is wrong here and there makes no
-reference a misread one.
+with sums over the others. The norm of the whitened nu is tested as an outlier against the robust
+spread of all norms, so that the contribution of a misread reference to S masks none. For a
+description that lacks an effect the norms vary more than by chance; the limit on their logarithms
+widens by the same factor, so that errors of the model do not exclude references.
 """
 
 from __future__ import annotations
@@ -36,10 +35,10 @@ from ..comparison.outliers import outlier_limits
 Bools = npt.NDArray[np.bool_]
 # C (n, q), y (n,), B (n, k), and of R (n, n) eigenvalues (n,) and eigenvectors (n, n)
 Posture = tuple[Floats, Floats, Floats, tuple[Floats, Floats]]
-# [1] postures in a row whose innovations are added up, because those that hang together show only
-# so
+# [1] lengths of batches of successive postures, because correlated innovations appear only in the
+# sums
 BATCHES = 1, 4, 8
-# [1] references; fewer would not tell how much a model that is wrong makes them vary
+# [1] references; fewer would not show by how much errors of the model make the norms vary
 USUAL_MIN = 10
 
 
@@ -56,9 +55,9 @@ def log_likelihoods(
     Parameters
     ----------
     postures : sequence of (C, y, B, R)
-        As above, in [m] where they are seen; R, as its eigenvalues and vectors, of 1 m.
+        As above [m] for visible coordinates; R of 1 m by its eigenvalues and eigenvectors.
     gains : (m,) of int
-        Columns of C that are gains: G, a tension that is read wrongly is as one.
+        Columns G of C that are gains: an error of a measured tension acts as one.
     noise : float
         1 sd of a coordinate [m].
     remainders, settings : sequence of float
@@ -69,15 +68,15 @@ def log_likelihoods(
     ndarray, shape (remainders, settings)
 
     """
-    turned = []  # to where R is diagonal: that diagonal, [C y] and [G B]
+    rotated = []  # to the eigenbasis of R: its eigenvalues, [C y] and [G B]
     for columns, off, bent, (sizes, axes) in postures:
         beside = np.column_stack([columns[:, gains], bent])
         known = axes.T @ np.column_stack([columns, off])
-        turned.append((sizes.clip(0.0), known, axes.T @ beside))
+        rotated.append((sizes.clip(0.0), known, axes.T @ beside))
     likely = np.empty((len(remainders), len(settings)))
     for i, remainder in enumerate(remainders):
         both, spread, parts = np.zeros(()), 0.0, []
-        for sizes, known, beside in turned:
+        for sizes, known, beside in rotated:
             variance = remainder**2 * sizes + noise**2
             weighted = beside / variance[:, None]
             both = both + known.T @ (known / variance[:, None])  # (q + 1, q + 1)
@@ -95,40 +94,41 @@ def _likelihood(
     setting: float,
     gains: npt.NDArray[np.intp],
 ) -> float:
-    """Take tensions as read and what is not linear into account (Woodbury), then b's own size."""
-    taken = []
+    """Return the log likelihood by tension noise, nonlinearity (Woodbury) and the prior of b."""
+    projected = []
     for known, itself in beside:
         scale = np.ones(len(itself))
         scale[: len(gains)] = setting
         root = np.linalg.cholesky(np.eye(len(itself)) + scale[:, None] * itself * scale)
         spread += 2.0 * float(np.log(np.diag(root)).sum())
-        taken.append(np.linalg.solve(root, scale[:, None] * known))
-    stacked = np.vstack(taken)
-    left = both - stacked.T @ stacked
-    information, gradient = np.eye(len(left) - 1) + left[:-1, :-1], left[:-1, -1]
+        projected.append(np.linalg.solve(root, scale[:, None] * known))
+    stacked = np.vstack(projected)
+    remaining = both - stacked.T @ stacked
+    information, gradient = np.eye(len(remaining) - 1) + remaining[:-1, :-1], remaining[:-1, -1]
     spread += float(np.linalg.slogdet(information)[1])
-    return -0.5 * float(left[-1, -1] - gradient @ np.linalg.solve(information, gradient) + spread)
+    explained = gradient @ np.linalg.solve(information, gradient)
+    return -0.5 * float(remaining[-1, -1] - explained + spread)
 
 
 @dataclass(frozen=True)
 class Reference:
-    """A posture as it was seen, linear in q imperfections of 1 sd each."""
+    """A measured posture, linear in q imperfections of 1 sd each."""
 
-    off: Floats  # (r,) [m] from what is expected without imperfections
+    off: Floats  # (r,) [m] residual of the prediction without imperfections
     columns: Floats  # (r, q) [m per sd]
-    scatter: Floats  # (r, r) [m²] covariance of what is new in every posture
+    scatter: Floats  # (r, r) [m²] covariance of the independent errors
 
 
 def contradicted(references: Sequence[Reference | None], counts: Bools) -> Bools:
     """
-    Tell which references (P,) the others contradict, those too that do not count.
+    Return which references (P,) the others contradict, including those that do not count.
 
     Parameters
     ----------
     references : (P,) sequence
-        None where nothing was expected.
+        None without a prediction.
     counts : (P,) of bool
-        Whose say counts.
+        Whether a reference contributes to the predictions.
 
     """
     sizes, freedom = np.full(len(references), np.nan), np.ones(len(references), dtype=np.int64)
@@ -144,25 +144,26 @@ def contradicted(references: Sequence[Reference | None], counts: Bools) -> Bools
         off = one.off - one.columns @ known @ others[:, -1]
         spread = one.columns @ known @ one.columns.T + one.scatter
         sizes[i], freedom[i] = np.sqrt(off @ np.linalg.solve(spread, off)), len(off)
-    # outliers, though of a model that lacks something sizes vary more
-    seen, limits = np.isfinite(sizes), outlier_limits(sizes, freedom)
-    if seen.sum() < USUAL_MIN:
+    # outliers; for a model that lacks an effect the norms vary more
+    finite, limits = np.isfinite(sizes), outlier_limits(sizes, freedom)
+    if finite.sum() < USUAL_MIN:
         return np.zeros(len(sizes), dtype=np.bool_)
-    apart = np.log(np.where(seen, sizes / limits, 1.0))
-    middle = float(np.median(apart[seen]))
-    deviation = float(np.median(np.abs(apart[seen] - middle)))
+    apart = np.log(np.where(finite, sizes / limits, 1.0))
+    middle = float(np.median(apart[finite]))
+    deviation = float(np.median(np.abs(apart[finite] - middle)))
     varies = deviation / NormalDist().inv_cdf(0.75)  # 1 sd of a normal distribution
-    expected = float(np.median(np.sqrt(0.5 / freedom[seen])))  # of the logarithm of a norm
-    return np.asarray(seen & (apart - middle > -middle * max(1.0, varies / expected)))
+    expected = float(np.median(np.sqrt(0.5 / freedom[finite])))  # of the logarithm of a norm
+    return np.asarray(finite & (apart - middle > -middle * max(1.0, varies / expected)))
 
 
 def widening(scores: Sequence[tuple[Floats, Floats]]) -> float:
     """
-    Return by how much the variance of innovations exceeds what is expected of it, 1 at least.
+    Return the ratio of the variance of innovations to its prediction, at least 1.
 
-    Batch means: for scores d = sum C' S^-1 nu and their covariance V = sum C' S^-1 C over so many
-    postures in a row, d' (V + 1)^-1 d against its mean, tr V (V + 1)^-1. Innovations that hang
-    together make it larger for longer batches. The largest upper bound (99 %) counts.
+    Batch means: for scores d = sum C' S^-1 nu and their covariance V = sum C' S^-1 C over batches
+    of successive postures, the mean of d' (V + 1)^-1 d relative to its expectation
+    tr V (V + 1)^-1. Correlated innovations increase it for longer batches. The result is the
+    largest upper bound (99 %).
     """
     worst = 1.0
     for length in BATCHES:

@@ -1,21 +1,20 @@
 """
-What acts on the arm now: the force at its tip, and whether something touches it elsewhere.
+External load on the arm: the force at its tip, and a contact elsewhere.
 
-The measured shape is compared with what the model says under the measured tensions and a force at
-the tip. What the arm as built does by itself is as known as `BuiltArm` knows it: its imperfections
-shift what is expected, and what is not known of them is noise that all markers share. Without a
-tracker, wire pulls take the place of the markers.
+The measured shape is compared with the prediction under the measured tensions and a force at the
+tip. The imperfections of the arm are those of `BuiltArm`: their mean shifts the prediction, their
+covariance is noise that all markers share. Without a tracker, wire pulls replace the markers.
 
     r = y - f(T, b; F),   V = B P B' + remainder + loaded remainder + noise,
     F += (J' V^-1 J)^-1 J' V^-1 r   (Gauss-Newton)
 
-What the model does wrong of a loaded arm, unloaded references do not tell: the loaded remainder
-grows with how far what acts moves the arm.
+Unloaded references contain no information on the errors of the model of a loaded arm: the loaded
+remainder is proportional to the motion of the arm by the load.
 
-Along the line from tip to base a force hardly bends the arm, and f is not linear there: mean and
-covariance are those of the posterior, summed up along that axis.
+Along the line from tip to base a force hardly bends the arm, and f is not linear: mean and
+covariance are those of the posterior, integrated numerically along that axis.
 
-A force at another cell joins where it lowers r' V^-1 r by more than chance does.
+A force at another cell is added where it lowers r' V^-1 r significantly.
 """
 
 from __future__ import annotations
@@ -33,31 +32,32 @@ from ..diagnosis.slopes import pushes
 from .built_arm import BuiltArm
 
 EFFECT = 'tip_load'
-# [1] of a typical force, of a difference: less would be lost in the equilibrium's tolerance
+# [1] of a typical force: step of a difference; a smaller one would be lost in the tolerance of the
+# equilibrium
 DIFFERENCE = 0.02
-# [1] of a typical force: 1 sd a priori, because so much bends the arm by a quarter
+# [1] of a typical force: prior 1 sd, because such a force bends the arm by a quarter
 PRIOR = 5.0
-# [1] standard deviations of the worst axis that its mean may lie off the middle of the sum, else
-# the sum would miss a part of it
+# [1] standard deviations along the worst axis between the mean and the centre of the integration,
+# else part of the posterior would lie outside
 SHIFTED_SD = 0.5
-# [1] of the length: an arm that moved by less has the same noise, because imperfections move it
-# alike
+# [1] of the length: an arm that moved by less keeps its covariance, because the Jacobian of the
+# imperfections hardly changes
 SAME_LENGTH = 0.02
-# [1] of the prior: an axis that is known better is linear, because the force hardly varies
+# [1] of the prior: below this 1 sd an axis is linear, because the force hardly varies
 LINEAR = 0.01
-# [1] standard deviations at which the posterior is summed up; beyond is 0.3 % by chance
+# [1] standard deviations at which the posterior is evaluated; beyond lies 0.3 % by chance
 SPREAD = np.linspace(-3.0, 3.0, 9)
-# [1] probability that any cell is said to be touched though none is
+# [1] significance of a contact: probability by chance that any cell is reported
 FALSE_CONTACT_PROBABILITY = 1e-4
-# [1] probability of what is left, below which a force elsewhere is looked for; it takes time,
-# which one estimate in twenty has by chance
-LOOK_ELSEWHERE_PROBABILITY = 0.05
-# [1] of a wire pull, that a model of it may be off, because wires stretch (assumed)
+# [1] significance of the residual that starts the search for a contact; the search takes time, and
+# one estimate in twenty starts it by chance
+SEARCH_PROBABILITY = 0.05
+# [1] of a wire pull: error of its model, 1 sd, because wires stretch (assumed)
 PULL_ERROR = 0.02
-# [m] of a wire pull, that it may be off at least, because wires settle on their drums (assumed)
+# [m] of a wire pull: smallest error, 1 sd, because wires settle on their drums (assumed)
 PULL_ERROR_M = 1e-4
-# [1] of how far what acts moves the arm: 1 sd of what a model of it may be off; without it one of
-# two 95 % intervals would miss
+# [1] of the motion by the load: error of its model, 1 sd; without it one of two 95 % intervals
+# would miss the force
 LOADED_ERROR = 0.01
 
 
@@ -67,23 +67,23 @@ class TipForce:
 
     force: Floats  # (3,) [N]
     covariance: Floats  # (3, 3) [N²]
-    chi2: float  # of what is left, and its degrees of freedom
-    freedom: int
-    cell: int | None = None  # counted from 1 at the base: where something touches besides
-    contact: Floats | None = None  # (3,) [N] the force there
+    chi2: float  # of the residual
+    freedom: int  # degrees of freedom of the residual
+    cell: int | None = None  # of a further contact, counted from 1 at the base
+    contact: Floats | None = None  # (3,) [N] force of the contact
 
     @property
     def acts(self) -> bool:
-        """Whether it is more than noise: outside its 99.9 % ellipsoid around none."""
+        """Whether the force is significant: zero lies outside its 99.9 % ellipsoid."""
         return float(self.force @ np.linalg.solve(self.covariance, self.force)) > chi2_isf(1e-3, 3)
 
 
 class TipForceObserver:
-    """Estimates the force again and again; each time from the last one."""
+    """Estimates the force repeatedly, each time from the last estimate."""
 
     def __init__(self, arm: BuiltArm, pull_noise: float = 2e-5) -> None:
         """
-        Stand on an arm; effects that its description lacks are taken for a force.
+        Begin without a force; effects that the description lacks appear as a force.
 
         Parameters
         ----------
@@ -97,9 +97,9 @@ class TipForceObserver:
         self._described = np.array([arm.whole.value(free) for free in self._frees])
         self._typical = self._frees[0].parameter.typical
         self._last = np.zeros(3)
-        self._near: SettledShapes | None = None  # where the last shape was found
-        self.kept: _KeptWhitening | None = None  # of the last estimate
-        self.slopes: Floats | None = None  # (3 J, 3) [m/N] of what was seen last
+        self._near: SettledShapes | None = None  # start of the next equilibrium
+        self.kept: _KeptWhitening | None = None  # of the last covariance
+        self.slopes: Floats | None = None  # (3 J, 3) [m/N] last Jacobian of the markers
 
     def update(
         self,
@@ -114,17 +114,18 @@ class TipForceObserver:
         Parameters
         ----------
         tensions : (m,) [N]
-            As measured.
+            Measured tensions.
         positions : (J, 3) [m], optional
-            As measured, nan where a marker was not seen; without any the pulls are taken.
+            Measured markers, nan where missing; without any the wire pulls are used.
         pulls : (m,) [m], optional
-            As measured, from the straight arm on.
+            Measured wire pulls, from the straight arm.
         frames : int
-            Frames of the tracker of which the positions are the mean.
+            Number of frames whose mean the positions are.
 
         Returns
         -------
-        TipForce, or None where the model has no equilibrium, or nothing was measured.
+        TipForce or None
+            None where the model has no equilibrium or nothing was measured.
 
         """
         inputs = np.maximum(tensions, 0.0)[None]
@@ -132,9 +133,9 @@ class TipForceObserver:
         measured = positions if markers else pulls
         if measured is None or not np.isfinite(measured).any():
             return None
-        seen = _Measured(inputs, measured.ravel(), markers, frames)
+        data = _Measured(inputs, measured.ravel(), markers, frames)
         for start in (self._last, np.zeros(3)):
-            estimate = _Fit(self, seen).solve(start)
+            estimate = _Fit(self, data).solve(start)
             if estimate is not None:
                 self._last = estimate.force
                 return estimate
@@ -145,8 +146,8 @@ class TipForceObserver:
         values = (self._described + force).tolist()
         return dict(zip(self._frees, values, strict=True))
 
-    def shown(self, force: Floats, inputs: Floats, markers: bool) -> Floats | None:
-        """Markers (3 J,) [m], or wire pulls (m,) [m], that are expected under a force."""
+    def predicted(self, force: Floats, inputs: Floats, markers: bool) -> Floats | None:
+        """Return the predicted markers (3 J,) or wire pulls (m,) [m] under a force (3,) [N]."""
         shapes = self.arm.shapes(inputs, self.point(force), self._near)
         if shapes is None:
             return None
@@ -160,13 +161,13 @@ class TipForceObserver:
 
     @property
     def prior(self) -> float:
-        """1 sd [N] of a direction that nothing tells."""
+        """Prior 1 sd [N] of each component."""
         return PRIOR * self._typical
 
 
 @dataclass(frozen=True)
 class _Measured:
-    """What was measured."""
+    """One measurement."""
 
     inputs: Floats  # (1, m) [N]
     measured: Floats  # (3 J,) of markers or (m,) of wire pulls [m]
@@ -175,41 +176,41 @@ class _Measured:
 
     @property
     def rows(self) -> npt.NDArray[np.bool_]:
-        """What of it is known."""
+        """Valid coordinates."""
         return np.isfinite(self.measured)
 
 
 class _Fit:
-    """One estimate."""
+    """Fit of the force to one measurement."""
 
-    def __init__(self, observer: TipForceObserver, seen: _Measured) -> None:
-        self.observer, self.seen, self.rows = observer, seen, seen.rows
+    def __init__(self, observer: TipForceObserver, data: _Measured) -> None:
+        self.observer, self.data, self.rows = observer, data, data.rows
         self.prior = observer.prior**-2 * np.eye(3)
         self.factor: Floats = np.zeros((0, 0))
-        self.columns: Floats = np.zeros((0, 3))  # (r, 3) [1/N] how the force moves what is seen
+        self.columns: Floats = np.zeros((0, 3))  # (r, 3) [1/N] whitened Jacobian
 
     def solve(self, start: Floats) -> TipForce | None:
-        """Return the force; None where a model has no equilibrium."""
-        here = self.observer.shown(start, self.seen.inputs, self.seen.markers)
-        factor = None if here is None else self._whitening(start, here)
+        """Return the force, None where the model has no equilibrium."""
+        expected = self.observer.predicted(start, self.data.inputs, self.data.markers)
+        factor = None if expected is None else self._whitening(start, expected)
         if factor is None:
             return None
         self.factor = factor
 
-        def left(force: Floats) -> tuple[Floats, float] | None:
+        def whitened(force: Floats) -> tuple[Floats, float] | None:
             white = self._white(force)
             return None if white is None else (white, float(white @ white))
 
-        fit = gauss_newton(start, self.prior, left, self._linearised)
+        fit = gauss_newton(start, self.prior, whitened, self._linearised)
         if fit is None:
             return None
         force, white, chi2, information = fit
         columns, normal = self.columns, information + self.prior
-        if self.seen.markers:
+        if self.data.markers:
             self.observer.slopes = np.zeros((len(self.rows), 3))
             self.observer.slopes[self.rows] = np.linalg.solve(factor, columns)
         freedom = max(int(self.rows.sum()) - 3, 1)
-        wider = max(chi2 / freedom, 1.0) if self.seen.markers else 1.0
+        wider = max(chi2 / freedom, 1.0) if self.data.markers else 1.0
         cell, contact = self._elsewhere(force, white, columns, factor)
         mean, covariance = self._spread(force, columns, normal, wider)
         return TipForce(mean, covariance, chi2, freedom, cell, contact)
@@ -220,26 +221,26 @@ class _Fit:
         """
         Return mean [N] and covariance [N²] of the force.
 
-        Along the axis that is known worst the model is far from linear: there the posterior is
-        summed up, the other two axes at their best (their estimate is linear).
+        Along the least certain axis the model is not linear: the posterior is integrated along it,
+        with the other two axes at their linear optimum.
         """
         values, axes = np.linalg.eigh(wider * np.linalg.inv(normal))
         known, worst, sd = axes[:, :2], axes[:, 2], float(np.sqrt(values[2]))
         if sd < LINEAR * self.observer.prior:
             return force, np.asarray(axes * values @ axes.T)
         best = np.linalg.pinv(columns @ known)
-        for _ in range(2):  # once more around where it was
+        for _ in range(2):  # a second time around the first mean
             places, logs = [], []
-            for away in SPREAD:
-                place = force + away * sd * worst
+            for offset in SPREAD:
+                place = force + offset * sd * worst
                 white = self._white(place)
                 if white is None:
                     continue
                 aside = best @ white
-                left = white - columns @ (known @ aside)
+                residual = white - columns @ (known @ aside)
                 place = place + known @ aside
                 places.append(place)
-                logs.append(-0.5 * (left @ left / wider + place @ self.prior @ place))
+                logs.append(-0.5 * (residual @ residual / wider + place @ self.prior @ place))
             if not places:
                 return force, np.asarray(axes * values @ axes.T)
             weights = np.exp(np.array(logs) - max(logs))
@@ -254,36 +255,38 @@ class _Fit:
     def _elsewhere(
         self, force: Floats, white: Floats, columns: Floats, factor: Floats
     ) -> tuple[int | None, Floats | None]:
-        """Return the cell where a further force explains what is left, and the force [N]."""
+        """Return the cell at which a contact explains the residual, and its force (3,) [N]."""
         freedom = max(len(white) - 3, 1)
-        if not self.seen.markers or white @ white < chi2_isf(LOOK_ELSEWHERE_PROBABILITY, freedom):
+        if not self.data.markers or white @ white < chi2_isf(SEARCH_PROBABILITY, freedom):
             return None, None
         observer = self.observer
         split = observer.arm.split
-        split.inputs = self.seen.inputs
+        split.inputs = self.data.inputs
         pushed = pushes(split, observer.point(force), observer.step)
         if pushed is None:
             return None, None
         basis, _ = np.linalg.qr(columns)
         contact: tuple[int | None, Floats | None] = (None, None)
-        least = chi2_isf(FALSE_CONTACT_PROBABILITY / len(pushed), 3)
+        gain_min = chi2_isf(FALSE_CONTACT_PROBABILITY / len(pushed), 3)
         for i, push in enumerate(pushed):
             own = factor @ push.reshape(3, -1)[:, self.rows].T
             free = own - basis @ (basis.T @ own)
             solved, *_ = np.linalg.lstsq(free, white, rcond=1e-3)
             gain = float(white @ free @ solved)
-            if gain > least:
+            if gain > gain_min:
                 cell = i + 1 - observer.arm.robot.plate_cells
-                contact, least = (cell, solved), gain
+                contact, gain_min = (cell, solved), gain
         return contact
 
     def _white(self, force: Floats) -> Floats | None:
         """Return the whitened residual under a force."""
-        here = self.observer.shown(force, self.seen.inputs, self.seen.markers)
-        return None if here is None else self.factor @ (self.seen.measured - here)[self.rows]
+        expected = self.observer.predicted(force, self.data.inputs, self.data.markers)
+        if expected is None:
+            return None
+        return self.factor @ (self.data.measured - expected)[self.rows]
 
     def _linearised(self, force: Floats, white: Floats) -> tuple[Floats, Floats] | None:
-        """Find how the force moves what is seen, whitened; return what that tells of it."""
+        """Update the whitened Jacobian; return information (3, 3) and gradient (3,)."""
         step, columns = self.observer.step, []
         for axis in np.eye(3):
             for side in (step, -step):
@@ -296,52 +299,52 @@ class _Fit:
         self.columns = slopes = np.array(columns).T
         return slopes.T @ slopes, slopes.T @ white
 
-    def _whitening(self, force: Floats, here: Floats) -> Floats | None:
-        """Inverse root of the covariance of what is seen; the last one where little moved."""
-        observer, seen = self.observer, self.seen
-        if not seen.markers:
-            sd = np.sqrt(observer.pull_noise**2 + (PULL_ERROR * here) ** 2 + PULL_ERROR_M**2)
+    def _whitening(self, force: Floats, expected: Floats) -> Floats | None:
+        """Return the inverse root of the covariance, the last one where the arm hardly moved."""
+        observer, data = self.observer, self.data
+        if not data.markers:
+            sd = np.sqrt(observer.pull_noise**2 + (PULL_ERROR * expected) ** 2 + PULL_ERROR_M**2)
             return np.asarray(np.diag(1.0 / sd[self.rows]))
         arm, kept = observer.arm, observer.kept
-        if kept is None or not kept.serves(arm, seen, here):
-            columns = arm.columns(seen.inputs, observer.point(force))
+        if kept is None or not kept.serves(arm, data, expected):
+            columns = arm.columns(data.inputs, observer.point(force))
             if columns is None:
                 return None
-            free, moved = observer.shown(np.zeros(3), seen.inputs, True), 0.0
-            if free is not None:  # at the marker that what acts moves farthest
-                off = np.linalg.norm((seen.measured - free).reshape(-1, 3), axis=1)
+            free, moved = observer.predicted(np.zeros(3), data.inputs, True), 0.0
+            if free is not None:  # motion by the load at the marker that moves most
+                off = np.linalg.norm((data.measured - free).reshape(-1, 3), axis=1)
                 moved = float(np.nanmax(off))
-            kept = _KeptWhitening(columns, arm.covariance, seen, here, moved)
-        elif seen.frames == kept.seen.frames:
+            kept = _KeptWhitening(columns, arm.covariance, data, expected, moved)
+        elif data.frames == kept.data.frames:
             return kept.factor
-        observer.kept = kept = replace(kept, seen=seen, factor=kept.inverse_root(arm, seen))
+        observer.kept = kept = replace(kept, data=data, factor=kept.inverse_root(arm, data))
         return kept.factor
 
 
 @dataclass(frozen=True)
 class _KeptWhitening:
-    """What imperfections do, the factor that follows, and where it was taken."""
+    """The whitening factor, with the state for which it is valid."""
 
-    columns: Floats  # (3 J, q) [m]
+    columns: Floats  # (3 J, q) [m] motion by imperfections
     known: Floats  # covariance of the imperfections
-    seen: _Measured
-    here: Floats  # (3 J,) [m]
-    moved: float  # [m] how far what acts moves the arm
+    data: _Measured
+    expected: Floats  # (3 J,) [m]
+    moved: float  # [m] motion of the arm by the load
     factor: Floats = field(default_factory=lambda: np.zeros((0, 0)))
 
-    def inverse_root(self, arm: BuiltArm, seen: _Measured) -> Floats:
-        """Return the inverse root of the covariance of what is seen."""
-        own, rows = self.columns[seen.rows], seen.rows
-        scatter = arm.scatter(rows, self.columns, seen.frames)
+    def inverse_root(self, arm: BuiltArm, data: _Measured) -> Floats:
+        """Return the inverse root of the covariance of the valid coordinates."""
+        own, rows = self.columns[data.rows], data.rows
+        scatter = arm.scatter(rows, self.columns, data.frames)
         if arm.level > 0.0:
             scatter += (LOADED_ERROR * self.moved) ** 2 * arm.rest(rows)
         covariance = own @ arm.covariance @ own.T + scatter
         return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
 
-    def serves(self, arm: BuiltArm, seen: _Measured, here: Floats) -> bool:
-        """Whether it is good enough elsewhere."""
+    def serves(self, arm: BuiltArm, data: _Measured, expected: Floats) -> bool:
+        """Whether the columns are still valid."""
         return (
             arm.covariance is self.known
-            and np.array_equal(seen.rows, self.seen.rows)
-            and bool(np.abs(here - self.here).max() < SAME_LENGTH * arm.robot.length)
+            and np.array_equal(data.rows, self.data.rows)
+            and bool(np.abs(expected - self.expected).max() < SAME_LENGTH * arm.robot.length)
         )

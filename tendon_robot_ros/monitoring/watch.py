@@ -1,24 +1,24 @@
 """
-What is watched while the robot works: first the arm is learned, then drift and tip force.
+Monitoring of a working robot: first the arm is learned, then drift and tip force are observed.
 
-Is the arm still what it was: a sequential test with a stated false-alarm rate.
+The drift alarm is a sequential test with a stated false-alarm rate.
 
-`BuiltArm` predicts every posture at which the arm stands. A change theta (an effect of the
-catalogue appears, a cell gets softer, a gain moves, the tracker is bumped) that began at a posture
+`BuiltArm` predicts every posture at which the arm rests. A change theta (an effect of the
+catalogue appears, a cell gets softer, a gain changes, the tracker is bumped) since a posture
 shifts the innovations of its Kalman filter by G theta; the signatures G follow from the filter's
 gains (Willsky and Jones 1976). With theta ~ N(0, T) each change gives a likelihood ratio
 
     log E = 1/2 d' (C + T^-1)^-1 d - 1/2 log det(1 + T C),   C = sum G' S^-1 G,  d = sum G' S^-1 nu
 
-whose mean without a change is 1: an e-process. Averaged over the changes and added up over the
-postures at which one may have begun, it is an e-detector (Shin, Ramdas, Rinaldo 2023): an alarm at
-a sum of A comes without a change on average after A beginnings at the earliest. It takes two
-postures: without the one that speaks most for a change the sum still has to be `CONFIRMED`. A
-single one may be off as no innovation of a linear filter is, where kinks turn friction, or the
-tracker was wrong for once: where four as expected follow, it was odd, and no evidence. From what
-is beyond its gate the filter does not learn, be it odd or after a change: it stays the arm that
-was. What it looks like is then fitted to the postures since (`change.py`), here or by an
-investigation, to which the arm as it was and these postures are handed over as text.
+whose mean without a change is 1: an e-process. Averaged over the changes and summed over the
+possible change points, it is an e-detector (Shin, Ramdas, Rinaldo 2023): without a change, a sum
+of A is reached on average after at least A change points. An alarm requires two postures: without
+the one with the strongest evidence the sum still has to be `CONFIRMED`. A single posture may be an
+outlier, because kinks reverse friction or the tracker fails once: when four postures as expected
+follow, it is excluded from the evidence. The filter does not learn from innovations beyond its
+gate, so that it keeps the arm before the change. The kind of change is then fitted to the postures
+since (`change.py`), here or by an investigation, which receives the arm before the change and
+these postures as text.
 """
 
 from __future__ import annotations
@@ -46,64 +46,65 @@ from .change import ChangeFinder, Suspect, changes_of, described
 from .tip_force import TipForce, TipForceObserver
 
 FORMAT = 'tendon_robot_ros/change@1'
-SIZES = 'remainder', 'setting', 'widening'  # of an arm as it was learned
-# [1] postures; without a change no alarm before, on average and at least (docs/investigate.md)
+SIZES = 'remainder', 'setting', 'widening'  # fields of a learned arm
+# [1] postures; mean number before a false alarm, at least (docs/investigate.md)
 ALARM_POSTURES = 20_000.0
-# [1] of the sum that has to be left without the posture that speaks most for it: by chance one of
-# 50 arms has as much at a time
+# [1] evidence that is required without the strongest posture: by chance one of 50 arms exceeds it
+# at a time
 CONFIRMED = 50.0
-# [1] postures between two at which a change may begin, and after an odd one that have to be as
-# expected: each of them would cost as much as the filter, and a change is seen in two
+# [1] postures between two change points, and postures as expected that exclude an outlier: every
+# change point would cost as much as the filter, and a change is detected in two postures
 BEGIN_EVERY = 4
-# [1] beginnings that are followed; evidence for an older one would have been an alarm by now
-BEGINNINGS_KEPT = 8
-# [1] of a typical size, of a difference: less would be nothing where an effect has a kink
+# [1] change points that are tested; evidence for an older one would have raised the alarm
+CHANGE_POINTS_MAX = 8
+# [1] of a typical size: step of a difference; less would vanish where an effect has a kink
 DIFFERENCE = 0.1
-# [1] postures after an alarm, at which it is named anew, because that takes seconds
-LOOKED_AFTER = 0, 1, 3, 8, 16, 24
-# [1] suspects that are told, else nobody would read them
-SUSPECTS_TOLD = 5
+# [1] postures after an alarm at which the suspects are fitted, because that takes seconds
+NAMED_AFTER = 0, 1, 3, 8, 16, 24
+# [1] suspects in a report; more would not be read
+SUSPECTS_REPORTED = 5
 
 
 @dataclass(frozen=True)
 class DriftState:
-    """What is known after a posture."""
+    """State of the drift alarm after a posture."""
 
     alarm: bool
-    evidence: float  # the sum; an alarm at the threshold
-    postures: int  # since the change that is most likely began
-    suspects: tuple[Suspect, ...] = ()  # most likely first, while there is an alarm
+    evidence: float  # of the e-detector; at the threshold it raises the alarm
+    postures: int  # since the most likely change point
+    suspects: tuple[Suspect, ...] = ()  # most likely first, after an alarm
 
 
-class _ChangeBegun:
-    """A posture at which a change may have begun, and what came since."""
+class _ChangePoint:
+    """A possible change point, and the evidence since."""
 
     def __init__(self, changes: int, mean: Floats, covariance: Floats, at: int = 0) -> None:
-        self.mean, self.covariance, self.at = mean, covariance, at  # of the arm before; posture
-        self.followed = np.zeros((len(mean), changes))  # what the filter took for imperfections
+        self.mean, self.covariance = mean, covariance  # of the arm before the change
+        self.at = at  # number of the posture
+        self.followed = np.zeros((len(mean), changes))  # response of the filter to changes
         self.information = np.zeros((changes, changes))
         self.score = np.zeros(changes)
-        self.parts = list[tuple[Floats, Floats]]()  # the same of every posture since
+        self.parts = list[tuple[Floats, Floats]]()  # information and score by posture
 
     @property
     def postures(self) -> int:
-        """How many came since."""
+        """Number of postures since."""
         return len(self.parts)
 
     def take(self, information: Floats, score: Floats) -> None:
-        """Take the information (c, c) of a posture and its score (c,)."""
+        """Add the information (c, c) and score (c,) of a posture."""
         self.information, self.score = self.information + information, self.score + score
         self.parts.append((information, score))
 
     def without(self, at: int) -> tuple[Floats, Floats]:
-        """Return information and score of all postures but that of a number."""
+        """Return information and score without the posture of a number."""
         if not 0 <= at - self.at < len(self.parts):
             return self.information, self.score
         information, score = self.parts[at - self.at]
         return self.information - information, self.score - score
 
     def forget(self, at: int) -> None:
-        """Let the posture of a number count for nothing."""
+        """Remove the evidence of the posture of a number."""
         if 0 <= at - self.at < len(self.parts):
             self.information, self.score = self.without(at)
             information, score = self.parts[at - self.at]
@@ -111,52 +112,52 @@ class _ChangeBegun:
 
 
 @dataclass(frozen=True)
-class _Look:
-    """A posture beside what the filter expects of it."""
+class _Innovation:
+    """A measured posture, its prediction and its innovation."""
 
     expected: Expected
     measured: Floats  # (3 J,) [m]
     frames: int
-    columns: Floats  # (r, q) [m per sd] of the imperfections, where markers were seen
-    shown: Floats  # (r, c) [m per unit] of the changes
+    columns: Floats  # (r, q) [m per sd] of the imperfections, for visible coordinates
+    slopes: Floats  # (r, c) [m per unit] of the changes
     innovation: Floats  # (r,) [m]
     inverse: Floats  # (r, r) [1/m²] of its covariance, widened
     gain: Floats  # (q, r) [sd per m] of the filter
 
-    def signature(self, begun: _ChangeBegun) -> Floats:
-        """Return what changes that began there do to the innovation (r, c) [m per unit]."""
-        return np.asarray(self.shown - self.columns @ begun.followed)
+    def signature(self, point: _ChangePoint) -> Floats:
+        """Return the signatures of changes in the innovation (r, c) [m per unit]."""
+        return np.asarray(self.slopes - self.columns @ point.followed)
 
 
 @dataclass(frozen=True)
-class _Stood:
-    """A posture lately."""
+class _Posture:
+    """A recent posture."""
 
-    at: int  # its number
+    at: int  # number
     tensions: Floats  # (m,) [N]
     positions: Floats  # (J, 3) [m]
     frames: int
-    odd: bool  # it is surely not as expected
+    odd: bool  # beyond the gate of the filter
 
 
 class DriftAlarm:
-    """Watches an arm posture by posture."""
+    """Sequential test for a change of an arm, posture by posture."""
 
     def __init__(self, arm: BuiltArm, postures: float = ALARM_POSTURES) -> None:
         """
-        Begin; the arm has learned its reference postures.
+        Begin with an arm that is fitted to its reference postures.
 
         Parameters
         ----------
         arm : BuiltArm
         postures : float
-            Without a change no alarm before so many postures, on average and at least.
+            Mean number of postures before a false alarm, at least.
 
         """
         self.arm, self.threshold = arm, max(postures / BEGIN_EVERY, 2.0)
         self._changes = changes_of(arm)
         self._frees = [free for change in self._changes for free in change.frees]
-        # where each change lies in the signatures, and 1 sd of all of these
+        # columns of each change in the signatures, and their prior 1 sd
         count, self._places = 0, list[slice]()
         self._spread = np.ones(len(self._frees) + len(arm.plausible))
         for change in self._changes:
@@ -166,143 +167,143 @@ class DriftAlarm:
             self._places.append(place)
             self._spread[place] = change.spread
         self.state = DriftState(False, 0.0, 0)
-        self.finder: ChangeFinder | None = None  # what has changed, since an alarm
+        self.finder: ChangeFinder | None = None  # after an alarm
         self.restart()
 
     def restart(self) -> None:
-        """Forget the evidence, after a change was looked after."""
-        self._beginnings, self._count = list[_ChangeBegun](), 0
-        self._recent: deque[_Stood] = deque(maxlen=BEGIN_EVERY * BEGINNINGS_KEPT)
-        self._single: int | None = None  # number of an odd posture without another one
+        """Drop the evidence, after a change was handled."""
+        self._change_points, self._count = list[_ChangePoint](), 0
+        self._recent: deque[_Posture] = deque(maxlen=BEGIN_EVERY * CHANGE_POINTS_MAX)
+        self._single: int | None = None  # number of a single outlier
         self.finder, self._since_alarm = None, 0
         self.state = DriftState(False, 0.0, 0)
 
     def update(self, tensions: Floats, positions: Floats, frames: int = 1) -> DriftState:
         """
-        Take a posture at which the arm stands.
+        Update by a posture at which the arm rests.
 
         Parameters
         ----------
         tensions : (m,) [N]
-        positions : (J, 3) [m], nan where a marker was not seen
+        positions : (J, 3) [m], nan for a missing marker
         frames : int
-            Of which the positions are the mean.
+            Number of frames whose mean the positions are.
 
         """
-        look = self._looked(tensions, positions, frames)
-        if look is None:
+        compared = self._compare(tensions, positions, frames)
+        if compared is None:
             return self.state
-        chi2 = float(look.innovation @ look.inverse @ look.innovation)
-        odd = chi2_sf(chi2, len(look.innovation)) < ODD_PROBABILITY
+        chi2 = float(compared.innovation @ compared.inverse @ compared.innovation)
+        odd = chi2_sf(chi2, len(compared.innovation)) < ODD_PROBABILITY
         if self._count % BEGIN_EVERY == 0:
             known = self.arm.mean.copy(), self.arm.covariance.copy()
-            self._beginnings.append(_ChangeBegun(len(self._spread), *known, self._count))
-            del self._beginnings[:-BEGINNINGS_KEPT]
-        stood = _Stood(self._count, tensions, positions, frames, odd)
-        self._recent.append(stood)
+            self._change_points.append(_ChangePoint(len(self._spread), *known, self._count))
+            del self._change_points[:-CHANGE_POINTS_MAX]
+        posture = _Posture(self._count, tensions, positions, frames, odd)
+        self._recent.append(posture)
         self._count += 1
-        for begun in self._beginnings:
-            signature = look.signature(begun)
-            weighted = look.inverse @ signature
-            begun.take(signature.T @ weighted, weighted.T @ look.innovation)
-        if not odd:  # the filter learns, and what it makes of every change is noted
-            for begun in self._beginnings:
-                begun.followed += look.gain @ look.signature(begun)
-            self.arm.learn(look.expected, look.measured, look.frames)
-        self._leave_out(stood)
-        self.state = self._judged(stood)
+        for point in self._change_points:
+            signature = compared.signature(point)
+            weighted = compared.inverse @ signature
+            point.take(signature.T @ weighted, weighted.T @ compared.innovation)
+        if not odd:  # update the filter and its response to every change
+            for point in self._change_points:
+                point.followed += compared.gain @ compared.signature(point)
+            self.arm.learn(compared.expected, compared.measured, compared.frames)
+        self._exclude_single(posture)
+        self.state = self._assess(posture)
         return self.state
 
-    def _leave_out(self, stood: _Stood) -> None:
-        """Forget an odd posture that the next ones leave alone; two of them are a change."""
+    def _exclude_single(self, posture: _Posture) -> None:
+        """Exclude an outlier that the next postures do not confirm; two outliers are a change."""
         single = self._single
-        if stood.odd:
-            self._single = stood.at if single is None else None
-        elif single is not None and stood.at - single >= BEGIN_EVERY:
-            for begun in self._beginnings:
-                begun.forget(single)
-            left = [one for one in self._recent if one.at != single]
-            self._recent, self._single = deque(left, self._recent.maxlen), None
+        if posture.odd:
+            self._single = posture.at if single is None else None
+        elif single is not None and posture.at - single >= BEGIN_EVERY:
+            for point in self._change_points:
+                point.forget(single)
+            others = [one for one in self._recent if one.at != single]
+            self._recent, self._single = deque(others, self._recent.maxlen), None
 
-    def _looked(self, tensions: Floats, positions: Floats, frames: int) -> _Look | None:
-        """Compare a posture with what is expected; None where nothing can be."""
+    def _compare(self, tensions: Floats, positions: Floats, frames: int) -> _Innovation | None:
+        """Return the innovation of a posture, None without a prediction or visible markers."""
         arm, measured = self.arm, positions.ravel()
         expected = arm.expected(tensions)
         rows = np.isfinite(measured)
         if expected is None or not rows.any():
             return None
-        shown = self._signatures(tensions, expected.columns)
-        if shown is None:
+        slopes = self._signatures(tensions, expected.columns)
+        if slopes is None:
             return None
-        innovation, columns, scatter = arm.seen(expected, measured, frames)
+        innovation, columns, scatter = arm.observation(expected, measured, frames)
         inverse = np.linalg.inv(columns @ arm.covariance @ columns.T + scatter)
-        return _Look(
+        return _Innovation(
             expected,
             measured,
             frames,
             columns,
-            shown[rows],
+            slopes[rows],
             innovation,
             inverse / arm.widening,
             arm.covariance @ columns.T @ inverse,
         )
 
-    def _judged(self, stood: _Stood) -> DriftState:
-        """Add up the evidence, and name what it speaks for."""
+    def _assess(self, posture: _Posture) -> DriftState:
+        """Return the state after the last posture."""
         logs = self._logs()
         evidence = _sum(logs)
         place, change = np.unravel_index(int(np.argmax(logs)), logs.shape)
-        begun = self._beginnings[int(place)]
-        # more than the one posture speaks for a change that speaks most for it
-        most = min(
-            range(begun.at, begun.at + begun.postures),
-            key=lambda at: self._log_ratio(begun, int(change), at),
+        point = self._change_points[int(place)]
+        # the alarm requires evidence beyond the strongest posture
+        strongest = min(
+            range(point.at, point.at + point.postures),
+            key=lambda at: self._log_ratio(point, int(change), at),
         )
-        enough = evidence >= self.threshold and _sum(self._logs(most)) >= CONFIRMED
+        enough = evidence >= self.threshold and _sum(self._logs(strongest)) >= CONFIRMED
         alarm = self.state.alarm or enough
-        suspects = self._suspects(begun, stood) if alarm else ()
-        return DriftState(alarm, evidence, begun.postures, suspects)
+        suspects = self._suspects(point, posture) if alarm else ()
+        return DriftState(alarm, evidence, point.postures, suspects)
 
     def _logs(self, without: int = -1) -> Floats:
-        """Return the log likelihood ratios (beginnings, changes), of all postures but one."""
+        """Return the log likelihood ratios (change points, changes), without a given posture."""
         which = range(len(self._changes))
         return np.array(
-            [[self._log_ratio(b, i, without) for i in which] for b in self._beginnings]
+            [[self._log_ratio(b, i, without) for i in which] for b in self._change_points]
         )
 
-    def _suspects(self, begun: _ChangeBegun, stood: _Stood) -> tuple[Suspect, ...]:
-        """Name changes by their probability, the most likely first; not at every posture."""
+    def _suspects(self, point: _ChangePoint, posture: _Posture) -> tuple[Suspect, ...]:
+        """Return the suspects, refitted at some postures after the alarm only."""
         if self.finder is None:
-            arm = self.arm.as_known(begun.mean, begun.covariance)
+            arm = self.arm.as_known(point.mean, point.covariance)
             self.finder = ChangeFinder(arm, self._changes)
-            # since the change: those before the first odd one may be before it
-            since = [one for one in self._recent if one.at >= begun.at]
+            # postures since the change: those before the first outlier may precede it
+            since = [one for one in self._recent if one.at >= point.at]
             first = next((i for i, one in enumerate(since) if one.odd), 0)
             for one in since[first if first < BEGIN_EVERY else 0 :]:
                 self.finder.take(one.tensions, one.positions, one.frames)
-        elif self._since_alarm < LOOKED_AFTER[-1]:
+        elif self._since_alarm < NAMED_AFTER[-1]:
             self._since_alarm += 1
-            self.finder.take(stood.tensions, stood.positions, stood.frames)
+            self.finder.take(posture.tensions, posture.positions, posture.frames)
         else:
             return self.state.suspects
-        if self._since_alarm not in LOOKED_AFTER:
+        if self._since_alarm not in NAMED_AFTER:
             return self.state.suspects
-        return self.finder.suspects()[:SUSPECTS_TOLD]
+        return self.finder.suspects()[:SUSPECTS_REPORTED]
 
-    def _log_ratio(self, begun: _ChangeBegun, i: int, without: int = -1) -> float:
-        """Return the log likelihood ratio of a change that began there against none."""
+    def _log_ratio(self, point: _ChangePoint, i: int, without: int = -1) -> float:
+        """Return the log likelihood ratio of a change since a change point against no change."""
         place = self._places[i]
-        scale, (information, score) = self._spread[place], begun.without(without)
+        scale, (information, score) = self._spread[place], point.without(without)
         both = information[place, place] * np.outer(scale, scale) + np.eye(len(scale))
         score = score[place] * scale
         gained = float(score @ np.linalg.solve(both, score))
         return 0.5 * gained - 0.5 * float(np.linalg.slogdet(both)[1])
 
     def _signatures(self, tensions: Floats, built: Floats) -> Floats | None:
-        """Return what a unit of every change does to the markers, (3 J, c) [m per unit]."""
+        """Return the motion of the markers by a unit of every change, (3 J, c) [m per unit]."""
         whole, inputs = self.arm.whole, np.maximum(tensions, 0.0)[None]
-        here = whole.markers({}, inputs)
-        if here is None:
+        base = whole.markers({}, inputs)
+        if base is None:
             return None
         columns = []
         for free in self._frees:
@@ -310,17 +311,17 @@ class DriftAlarm:
             if value + step > free.parameter.high:
                 step = -step
             moved = whole.markers({free: value + step}, inputs)
-            columns.append(np.zeros(here.size) if moved is None else (moved - here).ravel() / step)
+            columns.append(np.zeros(base.size) if moved is None else (moved - base).ravel() / step)
         return np.column_stack([*columns, built / self.arm.plausible])
 
 
 def _sum(logs: Floats) -> float:
-    """Return the evidence: averaged over the changes, added up over the beginnings."""
+    """Return the evidence: averaged over the changes, summed over the change points."""
     return float(np.exp(np.minimum(logs, 600.0)).mean(axis=1).sum())
 
 
 def dump_change(finder: ChangeFinder) -> str:
-    """Return what is known of a change as JSON."""
+    """Return the arm before a change and the postures since as JSON."""
     arm = finder.arm
     content: dict[str, Any] = {
         'format': FORMAT,
@@ -334,26 +335,26 @@ def dump_change(finder: ChangeFinder) -> str:
         **{name: float(getattr(arm, name)) for name in SIZES},
         'mean': arm.mean.tolist(),
         'covariance': arm.covariance.tolist(),
-        'postures': [[t.tolist(), y.tolist(), frames] for t, y, frames in finder.taken],
+        'postures': [[t.tolist(), y.tolist(), frames] for t, y, frames in finder.postures],
     }
     return json.dumps(content)
 
 
 def load_change(text: str, catalogue: Catalogue) -> ChangeFinder:
     """
-    Return a finder that knows as much.
+    Return the finder of a text of `dump_change`.
 
     Parameters
     ----------
     text : str
-        As of `dump_change`.
+        JSON of `dump_change`.
     catalogue : Catalogue
-        Of the effects that may have appeared.
+        Effects that may have appeared.
 
     Raises
     ------
     InputError
-        It is none, or of another version.
+        The text is no JSON of a change, or of another version.
 
     """
     try:
@@ -378,57 +379,57 @@ def load_change(text: str, catalogue: Catalogue) -> ChangeFinder:
 
 @dataclass(frozen=True)
 class WatchSettings:
-    """How it watches."""
+    """Settings of the monitoring."""
 
-    reference_postures: int = 30  # that the arm is learned from, while nothing touches it
-    alarm_postures: float = ALARM_POSTURES  # without a change no alarm before, on average
+    reference_postures: int = 30  # to learn the arm, without external load
+    alarm_postures: float = ALARM_POSTURES  # mean number before a false alarm
     tracker_noise: float = 2e-4  # [m] 1 sd of a coordinate of a marker
 
 
 @dataclass
 class ArmWatch:
-    """Learns the arm at its first postures, then tells when it is no longer that."""
+    """Learns the arm at its first postures, then detects changes and the tip force."""
 
     model: Model
     markers: Sequence[Marker]
     settings: WatchSettings = field(default_factory=WatchSettings)
 
     def __post_init__(self) -> None:
-        """Begin to learn."""
+        """Start to learn."""
         self.learn_anew()
 
     def learn_anew(self) -> None:
-        """Take the next postures as the reference."""
+        """Restart with the next postures as references."""
         robot, catalogue = self.model.robot, self.model.catalogue
         self._arm = BuiltArm(robot, catalogue, self.markers, self.settings.tracker_noise)
         self._observer = TipForceObserver(self._arm)
         self._references: list[tuple[Floats, Floats]] = []
-        self._frames = 1  # of which a reference is the mean, at least
+        self._frames = 1  # smallest number of frames of a reference
         self._learning: threading.Thread | None = None
         self.alarm: DriftAlarm | None = None
 
     @property
     def state(self) -> DriftState | None:
-        """What the alarm knows; None while the arm is being learned."""
+        """State of the drift alarm, None while the arm is being learned."""
         return None if self.alarm is None else self.alarm.state
 
     @property
     def text(self) -> str:
-        """How it is, in words."""
+        """The state in words."""
         state = self.state
         if state is None:
             have, of = len(self._references), self.settings.reference_postures
             return f'learning the arm: {have} of {of} postures'
-        said = 'as it was'
+        condition = 'as it was'
         if state.alarm:
-            said = f'no longer what the model says: looks like {described(state.suspects)}'
-        numbers = [f'{i + 1}' for i in self._arm.left_out]  # of what is no part of what is known
+            condition = f'no longer what the model says: looks like {described(state.suspects)}'
+        numbers = [f'{i + 1}' for i in self._arm.excluded]
         misread = f'; left out as misread: reference {listed(numbers)}' if numbers else ''
-        return said + misread
+        return condition + misread
 
     def change(self) -> str:
         """
-        Return what is known of a change, for an investigation to go on with.
+        Return the arm and the postures since a change as JSON, for an investigation.
 
         Raises
         ------
@@ -440,8 +441,8 @@ class ArmWatch:
             raise InputError(f'no alarm: {self.text}')
         return dump_change(self.alarm.finder)
 
-    def stands(self, tensions: Floats, positions: Floats, frames: int = 1) -> DriftState | None:
-        """Take a posture at which the arm stands: (m,) [N], the mean of frames (J, 3) [m]."""
+    def update(self, tensions: Floats, positions: Floats, frames: int = 1) -> DriftState | None:
+        """Update by a posture at rest: tensions (m,) [N], the mean of frames (J, 3) [m]."""
         if self.alarm is not None:
             return self.alarm.update(tensions, positions, frames)
         self._frames = frames if not self._references else min(frames, self._frames)
@@ -453,13 +454,13 @@ class ArmWatch:
         return None
 
     def wait(self) -> None:
-        """Wait until what is being learned is learned."""
+        """Wait until the arm is learned."""
         if self._learning is not None:
             self._learning.join()
 
     @property
     def slopes(self) -> Floats | None:
-        """How a force at the tip moved the markers lately (3 J, 3) [m/N]; None before."""
+        """Last Jacobian of the markers by a force at the tip (3 J, 3) [m/N], None before one."""
         return self._observer.slopes
 
     def force(
@@ -469,7 +470,7 @@ class ArmWatch:
         pulls: Floats | None = None,
         frames: int = 1,
     ) -> TipForce | None:
-        """Return what acts at the tip now; see `TipForceObserver.update`."""
+        """Return the force at the tip, None while the arm is learned; see `TipForceObserver`."""
         if self._learning is not None and self.alarm is None:
             return None  # the thread that learns uses the model
         return self._observer.update(tensions, positions, pulls, frames)

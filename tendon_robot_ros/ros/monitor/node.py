@@ -264,7 +264,7 @@ class MonitorNode(Runnable, Node):
             if np.isfinite(compared.rolling):
                 self._last_error = compared.rolling
             self._output.publish(self._base, compared)
-            still = self.monitor.stands()
+            still = self.monitor.new_posture()
             if still is not None and self.adapting is not None:
                 self.adapting.put(still)
             if self.watching is not None:

@@ -98,7 +98,7 @@ class Watching:
     ) -> None:
         """Use a frame, positions (J, 3) [m], and the posture if the arm is at rest."""
         if self._drift and still is not None:
-            self.watch.stands(still.inputs, still.positions, still.frames)
+            self.watch.update(still.inputs, still.positions, still.frames)
             self._publish_state()
         state = self._monitor.states.at(at)
         if state is None or not np.isfinite(self._period):
@@ -189,7 +189,7 @@ class Adapting:
         change = self._parameters['adapt']
         if self._waiting or not (change or self._parameters['reference_postures']):
             return
-        applied = self._adaptation.stands(still.inputs, still.positions, change, still.frames)
+        applied = self._adaptation.update(still.inputs, still.positions, change, still.frames)
         if applied is not None:
             self._log_change('changed', applied)
             self._put(self._adaptation.robot)
