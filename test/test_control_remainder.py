@@ -1,4 +1,4 @@
-"""What the closed loop says of the way that is left to the target."""
+"""The remaining error of the tip in closed loop, and its cause in words."""
 
 import numpy as np
 import pytest
@@ -15,48 +15,48 @@ FREE = np.full((2, 3), 0.5)
 SPATIAL = np.array([[0.5, -0.25, -0.25], [0.0, 0.4, -0.4], [1e-3, 1e-3, 1e-3]])  # [m]
 
 
-def left(off, slopes=SPATIAL, room=FREE, rest=1e-4, region=''):
+def remainder(off, slopes=SPATIAL, room=FREE, rest=1e-4, region=''):
     return Remainder(np.array(off), slopes, room, rest, region)
 
 
-def test_what_no_tendon_leads_the_tip_along_is_said_with_direction_and_reach():
-    said = left([2e-4, 0.0, -1.4e-3]).why(NAMES)
-    assert said.startswith('1.40 mm of it along (0.00, 0.00, -1.00)')
-    assert said.endswith('by 1.73 mm over their whole range')
+def test_a_direction_in_which_no_tendon_moves_the_tip_is_named_with_its_range():
+    cause = remainder([2e-4, 0.0, -1.4e-3]).why(NAMES)
+    assert cause.startswith('1.40 mm of it along (0.00, 0.00, -1.00)')
+    assert cause.endswith('by 1.73 mm over their whole range')
     planar = SPATIAL * [[1.0], [0.0], [0.0]]
-    assert '(0.00, 1.00, 0.00)' in left([0.0, 1e-3, 0.0], planar).why(NAMES)
+    assert '(0.00, 1.00, 0.00)' in remainder([0.0, 1e-3, 0.0], planar).why(NAMES)
 
 
-def test_a_tension_that_cannot_go_on_is_named_where_no_other_helps():
+def test_a_tension_at_its_limit_is_named_where_no_other_one_helps():
     high = np.array([[1.0, 0.5, 0.5], [0.0, 0.5, 0.5]])
-    assert left([1e-3, 0.0, 0.0], room=high).why(NAMES) == ''  # the others may go down
+    assert remainder([1e-3, 0.0, 0.0], room=high).why(NAMES) == ''  # the others may go down
     low = np.array([[1.0, 0.0, 0.0], [0.0, 0.5, 0.5]])
-    assert left([1e-3, 0.0, 0.0], room=low).why(NAMES) == 'at its limit: one, two, three'
-    assert left([-1e-3, 0.0, 0.0], room=low).why(NAMES) == ''
+    assert remainder([1e-3, 0.0, 0.0], room=low).why(NAMES) == 'at its limit: one, two, three'
+    assert remainder([-1e-3, 0.0, 0.0], room=low).why(NAMES) == ''
 
 
-def test_a_region_comes_first_and_where_nothing_is_known_nothing_is_said():
-    assert left([1e-3, 0.0, 0.0], region='lamp').why(NAMES) == 'kept out of lamp'
-    assert left([1e-3, 1e-3, 0.0]).why(NAMES) == ''
+def test_a_region_comes_first_and_without_a_known_cause_the_text_is_empty():
+    assert remainder([1e-3, 0.0, 0.0], region='lamp').why(NAMES) == 'kept out of lamp'
+    assert remainder([1e-3, 1e-3, 0.0]).why(NAMES) == ''
 
 
-def test_what_is_within_the_noise_is_none():
-    assert left([2.9e-4, 0.0, 0.0]).reached and not left([3.1e-4, 0.0, 0.0]).reached
-    assert left([9e-4, 0.0, 0.0], rest=5e-4).reached
+def test_an_error_within_the_noise_counts_as_reached():
+    assert remainder([2.9e-4, 0.0, 0.0]).reached and not remainder([3.1e-4, 0.0, 0.0]).reached
+    assert remainder([9e-4, 0.0, 0.0], rest=5e-4).reached
 
 
-def test_it_is_told_once_the_tip_comes_no_nearer_and_anew_for_another_target():
-    over, target = TipProgress(), object()
+def test_the_remainder_is_reported_once_it_is_constant_and_a_new_target_restarts():
+    progress, target = TipProgress(), object()
     for now in np.arange(0.0, 5.0, 0.02):  # away by a time constant of 0.5 s, then 1 mm
-        over.take(now, target, left([1e-3 + 0.1 * np.exp(-now / 0.5), 0.0, 0.0]))
-        if over.settled(now):
+        progress.take(now, target, remainder([1e-3 + 0.1 * np.exp(-now / 0.5), 0.0, 0.0]))
+        if progress.settled(now):
             break
     assert 3.0 < now < 4.5
-    over.take(now, target, left([5e-3, 0.0, 0.0]))
-    assert over.settled(now) is None
-    assert over.settled(now + NO_NEARER_S) is not None
-    over.take(now + 2.0, object(), left([5e-3, 0.0, 0.0]))
-    assert over.settled(now + 2.0) is None
+    progress.take(now, target, remainder([5e-3, 0.0, 0.0]))
+    assert progress.settled(now) is None
+    assert progress.settled(now + NO_NEARER_S) is not None
+    progress.take(now + 2.0, object(), remainder([5e-3, 0.0, 0.0]))
+    assert progress.settled(now + 2.0) is None
 
 
 @pytest.mark.parametrize('remembers', [False, True])

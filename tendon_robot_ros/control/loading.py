@@ -29,7 +29,7 @@ from .checks import check_inputs
 if TYPE_CHECKING:
     from ..model.model import Model
 
-# [1] of POSIX: a tenth of the processor, so that what controls goes first
+# [1] of POSIX: a tenth of the processor, so that the control thread has priority
 NICENESS = 10
 GENTLY_VARIABLE = 'TENDON_ROBOT_ROS_GENTLY'
 

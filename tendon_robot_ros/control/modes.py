@@ -112,7 +112,7 @@ class FollowTarget:
         return self.via[0] if self.via else core.goal(self.reach.tensions)
 
     def moving(self, core: Controller) -> bool:
-        """Whether the command is not yet where it goes."""
+        """Whether the command is not yet at its goal."""
         return bool(self.via) or not _same(core.command, core.goal(self.reach.tensions))
 
 
@@ -182,7 +182,7 @@ class FollowTwist:
         return Target(self.position, self.direction if oriented else None)
 
     def moving(self, core: Controller) -> bool:
-        """Whether the command is not yet where it goes."""
+        """Whether the command is not yet at its goal."""
         return self.reach is not None and not _same(core.command, self.reach.tensions)
 
 

@@ -38,7 +38,7 @@ SOLVER_PERIOD_S = 0.5
 # [1/s] of the ranges: faster, the tip's bias would change before it is estimated (docs/control.md)
 SPEED_MAX = 0.002
 # [1/s] of the length: velocity of the tip, 1 sd, that doubt of slopes may cause: 0.1 mm/s on 208
-# mm, so that the tracker sees it before it is a millimetre (docs/control.md)
+# mm, so that the tracker measures it before it is a millimetre (docs/control.md)
 DRIFT = 5e-4
 # [1] of the arm's length over the ranges: bias that such a motion causes, 1 sd, because on an arm
 # that differs from its model the tip drifts by a quarter of it and more (docs/control.md)
@@ -156,7 +156,7 @@ class NullSpace:
                 last is None
                 or not (last[0] is target and last[2] is core.model)
                 or last[1] != preferences
-            ):  # begin anew
+            ):  # restart
                 self._valid_for, self._tensions = (target, preferences, core.model), None
                 self._over = False
                 core.begin_motion(None)

@@ -361,7 +361,7 @@ class Adaptation:
         Parameters
         ----------
         tensions : (m,) [N]
-        positions : (J, 3) [m], nan where a marker was not seen
+        positions : (J, 3) [m], nan for a missing marker
         change : bool
             Whether the description may follow; the estimate is updated in any case.
         frames : int
