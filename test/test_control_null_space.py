@@ -37,8 +37,8 @@ def stepped(more, slope_sd=1e-3, away=0.0, slopes=SLOPES, length=LENGTH):
         return SimpleNamespace(inputs=goal, tip_position=slopes @ ((goal - HERE) / 4.9))
 
     tip = SimpleNamespace(
-        here=there(HERE),
-        there=there,
+        shape=there(HERE),
+        shape_at=there,
         limits=LIMITS,
         slopes_at=lambda shape: slopes,
         model=SimpleNamespace(robot=SimpleNamespace(length=length)),
@@ -91,7 +91,7 @@ def test_a_tip_that_is_pushed_away_is_left_to_the_tip_loop(length):
 def test_it_waits_until_the_bias_is_known():
     known = TipEstimate.begin(HERE, LIMITS, np.full(4, 0.1))
     motion = NullSpaceMotion.begin(None, HERE + 0.5, HERE)
-    tip = SimpleNamespace(here=SimpleNamespace(tip_position=np.zeros(3)))
+    tip = SimpleNamespace(shape=SimpleNamespace(tip_position=np.zeros(3)))
     waits, goal = motion.step(tip, HERE, known, PERIOD)
     assert waits.place is None and goal is HERE
     for _ in range(200):

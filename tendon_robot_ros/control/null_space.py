@@ -10,7 +10,7 @@ reverses its direction: with friction the tendon would stick, and later let the 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,6 +125,17 @@ class NullSpaceMotion:
         return self, step(miss, free * min(1.0, speed * passed / size))
 
 
+class StandingArm(Controller, Protocol):
+    """Access of the null-space motion to the core."""
+
+    @property
+    def motion(self) -> NullSpaceMotion | None:
+        """The running null-space motion in closed loop."""
+
+    def begin_motion(self, motion: NullSpaceMotion | None) -> None:
+        """Start a null-space motion; None ends it."""
+
+
 @dataclass
 class NullSpace:
     """Moves the tensions of an arm at rest to preferred ones; reports the stiffness of the tip."""
@@ -138,7 +149,7 @@ class NullSpace:
     _stiffness_time: float = -np.inf  # [s] of the last request
     _text: tuple[TipStiffness, dict[str, str]] | None = None  # a stiffness and its status
 
-    def step(self, core: Controller, now: float) -> Reach | None:
+    def step(self, core: StandingArm, now: float) -> Reach | None:
         """
         Request the next posture from the solver, and the stiffness periodically.
 
@@ -166,7 +177,7 @@ class NullSpace:
         return posture[1] if posture is not None and posture[0] is solution else None
 
     def _request_posture(
-        self, core: Controller, target: Target, preferences: Preferences, solution: Reach
+        self, core: StandingArm, target: Target, preferences: Preferences, solution: Reach
     ) -> None:
         """Request the preferred tensions, and in open loop the next posture."""
         model, last, acting = core.model, core.track.last, core.acting_tensions()
@@ -220,7 +231,7 @@ class NullSpace:
 
         core.solver.post('balance', work, done, SOLVER_PERIOD_S)
 
-    def _update_stiffness(self, core: Controller) -> None:
+    def _update_stiffness(self, core: StandingArm) -> None:
         """Request the stiffness of the tip; a motion ends where it is enough."""
         model, shape, preferences = core.model, core.track.last, core.settings.preferences
         if shape is None or len(shape.bend) != model.robot.cells:

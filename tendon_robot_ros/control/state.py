@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from ..model.model import Model
     from ..model.shape import Reach, Shape
     from ..model.tip_task import Preferences
-    from .null_space import NullSpaceMotion
     from .solver import Solver
 
 Array = NDArray[np.float64]
@@ -207,7 +206,7 @@ class ShapeTracker:
 
 
 class Controller(Protocol):
-    """What modes, searches, tip loop and null-space motion use of the core."""
+    """Read access of modes, searches and the tip loop to the core."""
 
     model: Model
     settings: Settings
@@ -239,13 +238,6 @@ class Controller(Protocol):
     @property
     def acting_offset(self) -> Array:
         """Difference (m,) [N] between the estimated and the commanded tensions."""
-
-    @property
-    def motion(self) -> NullSpaceMotion | None:
-        """The running null-space motion in closed loop."""
-
-    def begin_motion(self, motion: NullSpaceMotion | None) -> None:
-        """Start a null-space motion; None ends it."""
 
     @property
     def streaming(self) -> bool:
