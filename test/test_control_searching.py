@@ -20,7 +20,7 @@ class Gate:
     def post(self, kind, work, done, budget=np.inf, urgent=False):
         self.jobs[kind] = work, done
 
-    def tell(self, take):
+    def call_soon(self, take):
         take()
 
     def busy(self, kind):

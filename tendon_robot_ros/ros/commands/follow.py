@@ -146,7 +146,9 @@ def _tips(pilot: Pilot, rows: TipRows, options: argparse.Namespace, pace: Pace) 
         current = _commanded_shape(pilot, model)
         change = float(np.abs(planned.tensions[0] - current.inputs).max())
         times = planned.path.times + change / pace.tension  # after the move to its start
-        if refusal := keep_out_refusal(model, current, Trajectory(times, planned.tensions), regions, False):
+        if refusal := keep_out_refusal(
+            model, current, Trajectory(times, planned.tensions), regions, False
+        ):
             if not options.plan:
                 raise InputError(f'{options.path}: {_without_prefix(refusal)}')
             print(_without_prefix(refusal))
@@ -171,7 +173,9 @@ def _tendons(
     if options.keep_out:
         model, regions = pilot.model(), load_keep_out(options.keep_out)
         shape = _commanded_shape(pilot, model)
-        if refusal := keep_out_refusal(model, shape, Trajectory(times, values), regions, pilot.pull):
+        if refusal := keep_out_refusal(
+            model, shape, Trajectory(times, values), regions, pilot.pull
+        ):
             raise InputError(f'{options.path}: {_without_prefix(refusal)}')
     return None if options.plan else run_tendons(pilot, times, values)
 
