@@ -9,7 +9,7 @@ from measurements import blind
 from source_tree import ROOT
 
 from tendon_robot_ros.common.errors import InputError, NoEquilibriumError, TendonRobotError
-from tendon_robot_ros.comparison.compare import bending_axes, compare, turns
+from tendon_robot_ros.comparison.compare import bending_axes, cell_rotations, compare
 from tendon_robot_ros.data import Marker, load_dataset, save_dataset
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.report.comparison_text import worst
@@ -129,7 +129,7 @@ def test_angular_displacement_is_the_turn_from_chord_to_chord(kato):
     plain = replace(kato, effects={})
     shapes = Model(plain).shapes([[0.5, 0.0, 0.0, 0.9], [0.0, 0.3, 0.0, 0.0]])
     bend = shapes.bend[..., 0]
-    turned = turns(shapes.positions)
+    turned = cell_rotations(shapes.positions)
     np.testing.assert_allclose(turned[:, 0, 1], bend[:, 0] / 2, atol=1e-12)
     np.testing.assert_allclose(turned[:, 1:, 1], (bend[:, :-1] + bend[:, 1:]) / 2, atol=1e-12)
     np.testing.assert_allclose(turned[..., [0, 2]], 0.0, atol=1e-12)
@@ -146,7 +146,7 @@ def test_in_space_angles_count_in_the_plane_of_bending():
     for tensions in ([[0.8, 0.0, 0.0]], [[0.1, 0.6, 0.3]]):
         shapes = Model(robot).shapes(tensions)
         axes = bending_axes(shapes.positions)
-        turned = (turns(shapes.positions) * axes[:, None]).sum(axis=2)
+        turned = (cell_rotations(shapes.positions) * axes[:, None]).sum(axis=2)
         size = np.linalg.norm(shapes.bend[0, 0])
         np.testing.assert_allclose(np.abs(turned[0, 1:]), size, atol=1e-9)
 

@@ -26,8 +26,8 @@ from tendon_robot_ros.report.sentences import (
     load_words,
     quantities,
     quantity,
+    rounded_quantity,
     short_quantities,
-    told_quantity,
 )
 
 LEVER = Value(1.584e-4, 1.517e-4, 1.652e-4, 'm')
@@ -73,7 +73,7 @@ def test_changes_are_shown_in_percent_and_forces_in_one_unit():
     (Value(0.151, -np.inf, np.inf, 'N'), 'x 0.151 N'),
 ])  # fmt: skip
 def test_a_value_alone_has_as_many_places_as_its_interval_tells(value, text):
-    assert told_quantity('x', value) == text
+    assert rounded_quantity('x', value) == text
 
 
 AXES = np.eye(3)
@@ -137,7 +137,7 @@ def test_the_owner_of_a_value_is_said_in_words():
     change = {'relative_change[distal]': Value(-0.081, -0.085, -0.077, '1')}
     assert quantities(change) == 'relative_change of distal = -8.1 ± 0.4 %'
     assert short_quantities(change) == 'relative_change of distal -8.1 %'
-    assert told_quantity(*change.popitem()) == 'relative_change of distal -8.1 %'
+    assert rounded_quantity(*change.popitem()) == 'relative_change of distal -8.1 %'
 
 
 def test_the_share_is_of_what_the_noise_leaves_even_where_it_was_declared_too_large():

@@ -15,9 +15,9 @@ from tendon_robot_ros.studies import fleet
 from tendon_robot_ros.studies.fleet import (
     FleetRow,
     changes,
+    datasets_below,
     fleet_page,
     fleet_rows,
-    found_below,
     map_parameters,
     when_of,
 )
@@ -126,7 +126,7 @@ def test_a_folder_without_measurements_is_one_line(tmp_path, capsys):
     assert 'no data set (dataset.yaml) and no recording' in capsys.readouterr().err
     assert not (tmp_path / 'out').exists()
     with pytest.raises(Exception, match='is no folder'):
-        found_below(tmp_path / 'none')
+        datasets_below(tmp_path / 'none')
 
 
 def test_the_page_has_units_that_suit_and_says_how_dates_are_known():

@@ -125,7 +125,7 @@ def found(tmp_path_factory):
     folder = tmp_path_factory.mktemp('investigation') / 'found'
     said = []
     subject = arm({'hinge_friction': {}}, lost=0.25)
-    made = Investigation(subject, Goal(tension_max=0.8), folder, tell=said.append).run()
+    made = Investigation(subject, Goal(tension_max=0.8), folder, report=said.append).run()
     return subject, made, folder, [news.text for news in said]
 
 
@@ -139,7 +139,7 @@ def test_it_names_what_is_hidden_with_half_of_the_twelve_postures(found):
 def test_what_it_adds_lowers_the_error_on_fresh_postures_and_is_written_whole(found):
     _, made, folder, _ = found
     assert made.check is not None and len(made.check.postures) == 3
-    assert made.made.check.after < 0.3 * made.made.check.before
+    assert made.addition.check.after < 0.3 * made.addition.check.before
     written = load_dataset(folder / 'data')
     assert np.array_equal(written.positions, made.dataset.positions, equal_nan=True)
     log = json.loads((folder / 'investigation.json').read_text())
@@ -202,7 +202,7 @@ def test_interrupted_it_lets_go_and_goes_on_where_it_was(tmp_path):
 def test_of_an_arm_without_a_hidden_effect_it_says_that_the_model_is_adequate():
     made = Investigation(arm({}, seed=5), Goal()).run()
     assert made.outcome is InvestigationEnd.ADEQUATE
-    assert made.made is None
+    assert made.addition is None
 
 
 def test_adequate_is_not_said_while_an_effect_may_move_the_tip_unseen():
@@ -211,7 +211,7 @@ def test_adequate_is_not_said_while_an_effect_may_move_the_tip_unseen():
     subject = arm({'pre_curvature': {'angle_x': 0.0021}}, seed=103, robot=load_robot(KATO))
     said = []
     goal = Goal(postures=6, checks=0)
-    made = Investigation(subject, goal, tell=lambda news: said.append(news.text)).run()
+    made = Investigation(subject, goal, report=lambda news: said.append(news.text)).run()
     first, last = made.record.rounds[0], made.record.rounds[-1]
     assert first.verdict == 'adequate' and 'pre_curvature' in first.possible
     assert any('adequate, but not excluded: ' in text for text in said)

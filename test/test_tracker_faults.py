@@ -8,7 +8,7 @@ from tendon_robot_ros.data.tracker_faults import (
     SENTINEL,
     ZERO,
     exchange_lines,
-    not_there,
+    is_missing,
     put_back,
     renumbered,
     unseen_lines,
@@ -108,7 +108,7 @@ def test_places_in_a_wrong_unit_are_no_sentinels():
 
 def test_a_single_frame_knows_what_is_none_by_itself():
     places = [[0.0, 0.0, 0.0], [np.nan, 1.0, 1.0], [-9999.0, 0.1, 0.1], [0.0, 0.0, 0.1]]
-    assert not_there(np.array(places)).tolist() == [True, True, True, False]
+    assert is_missing(np.array(places)).tolist() == [True, True, True, False]
 
 
 def test_a_marker_that_is_numbered_anew_is_one():

@@ -373,11 +373,11 @@ def test_after_an_alarm_the_postures_tell_what_has_changed_and_no_effect_is_made
     plant, said = changed({}, 0.03), []
     finder = load_change(dump_change(alarmed(known, plant)), load_catalogue())
     subject = SimulatedArm(plant, seed=2)
-    made = Investigation(subject, Goal(), tell=said.append, change=finder).run()
+    made = Investigation(subject, Goal(), report=said.append, change=finder).run()
     assert made.outcome is InvestigationEnd.CHANGED
     assert made.record.outcome['names'] == [f'gain of {ROBOT.inputs[1]}']
     assert made.record.changed[0]['values']['relative_change'] == pytest.approx(0.03, abs=0.01)
-    assert made.diagnosis is None and made.made is None
+    assert made.diagnosis is None and made.addition is None
     assert len(made.dataset.postures) <= 6
     assert 'monitor/learn' in said[-1].text
     assert subject.released == 1

@@ -13,7 +13,7 @@ from tendon_robot_ros.common.errors import InputError
 from tendon_robot_ros.common.workers import Workers
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import dump_robot
-from tendon_robot_ros.workspace.cubes import LOOKS, Cubes, folds
+from tendon_robot_ros.workspace.cubes import SPHERE_PART_COUNT, Cubes, folds
 from tendon_robot_ros.workspace.view_angle import find_workspace, pairs_of
 from tendon_robot_ros.workspace.volume import Sampling, find_volume
 
@@ -220,7 +220,7 @@ def test_a_cube_keeps_the_posture_of_least_tension_and_all_directions():
         assert_allclose(reached.tensions[row], tensions[least])
         assert_allclose(reached.tips[row], tips[least])
     around_the_base = np.flatnonzero((reached.cells == [0, 0, 0]).all(axis=1))
-    assert reached.looks[around_the_base] == LOOKS // 8  # an octant of all directions
+    assert reached.looks[around_the_base] == SPHERE_PART_COUNT // 8  # an octant of all directions
 
 
 def test_an_arm_that_closes_a_ring_runs_into_itself():

@@ -45,10 +45,10 @@ def run(args: argparse.Namespace) -> int:
     with options.progress() as show:
         dataset, check, catalogue = options.load_judged(args, show)
         show(f'fitting {" and ".join(args.effects)}', 0, 0)
-        made = add_effects(dataset, args.effects, None, catalogue, check)
-    content = {**made.to_json(), 'written': args.output if made.helps else None}
-    if made.helps:
-        options.write_description(made.robot, args.output)
-    last = options.next_step(args.output) if made.helps else NOT_WRITTEN
-    options.emit(args, content, '\n'.join([*addition_lines(made), last]))
-    return 0 if made.helps else ExitCode.REFUSED
+        addition = add_effects(dataset, args.effects, None, catalogue, check)
+    content = {**addition.to_json(), 'written': args.output if addition.helps else None}
+    if addition.helps:
+        options.write_description(addition.robot, args.output)
+    last = options.next_step(args.output) if addition.helps else NOT_WRITTEN
+    options.emit(args, content, '\n'.join([*addition_lines(addition), last]))
+    return 0 if addition.helps else ExitCode.REFUSED

@@ -103,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def find_files(args: argparse.Namespace) -> None:
-    """Set what was not said from the files in this folder: they must be the only ones."""
+    """Fill in missing arguments from the only description and configuration in this folder."""
     if args.robot is not None and args.config is not None and args.kind is not None:
         return
     contents: dict[str, dict[str, Any]] = {}
@@ -128,17 +128,17 @@ def find_files(args: argparse.Namespace) -> None:
         args.kind = drivers[args.config]
 
 
-def _only(names: list[str], what: str, said: str) -> str:
+def _only(names: list[str], what: str, remedy: str) -> str:
     if len(names) != 1:
         came = f'{len(names)} of them ({", ".join(names)})' if names else 'none'
         raise InputError(
-            f'calibrate --check: expected {what} in this folder, got {came}; say {said}'
+            f'calibrate --check: expected {what} in this folder, got {came}; say {remedy}'
         )
     return names[0]
 
 
 def check_tendons(args: argparse.Namespace) -> int:
-    """Compare the tendons with the last time; 1 where one has crept."""
+    """Compare the tendons with the reference; return 1 if one has crept."""
     from ..drivers import make_driver
     from ..drivers.tendon_check import changes, measure_reference, read_reference, save_reference
 
@@ -160,13 +160,13 @@ def check_tendons(args: argparse.Namespace) -> int:
         print(f'written: {path}; the next check compares with it')
         return 0
     crept = changes(before, now)
-    said = [text for change in crept if (text := change.text(tension))]
+    texts = [text for change in crept if (text := change.text(tension))]
     worst = max(abs(change.pull) for change in crept)
-    print('\n'.join(said) or f'no tendon has crept (at most {1e3 * worst:.2f} mm)')
+    print('\n'.join(texts) or f'no tendon has crept (at most {1e3 * worst:.2f} mm)')
     print(f'since {before.date}, at {tension:g} N')
-    if said:
+    if texts:
         print('mend what has slipped and calibrate it, or take it as it is: --check --renew')
-    return 1 if said else 0
+    return 1 if texts else 0
 
 
 def _content(path: str) -> dict[str, Any]:

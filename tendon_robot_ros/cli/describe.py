@@ -59,11 +59,11 @@ def description(robot: Robot) -> str:
     lines += ['', section_table(robot), '', tendon_table(robot), '', *handling(robot), '']
     lines.append('effects:' if robot.effects else 'effects: none')
     for name, values in robot.effects.items():
-        told = ', '.join(
+        texts = ', '.join(
             f'{key} {", ".join(map(str, v)) if isinstance(v, tuple) else v}'
             for key, v in values.items()
         )
-        lines.append(f'  {name}: {told}{" (fitted)" if name in robot.fitted else ""}')
+        lines.append(f'  {name}: {texts}{" (fitted)" if name in robot.fitted else ""}')
     if robot.tolerances:
         shown = ', '.join(f'{name} {value:g}' for name, value in robot.tolerances.items())
         lines.append(f'not sure (1 sd): {shown}')
@@ -101,7 +101,7 @@ def section_table(robot: Robot) -> str:
 
 
 def _route(offsets: tuple[XY, ...]) -> str:
-    """Say where offsets [m] begin and end, in millimetres."""
+    """Format the offsets [m] of both ends of a tendon, in millimetres."""
     first, last = ('{:g}, {:g}'.format(*(1e3 * v for v in at)) for at in (offsets[0], offsets[-1]))
     return first if first == last else f'{first} to {last}'
 

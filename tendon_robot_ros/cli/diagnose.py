@@ -73,35 +73,35 @@ def run(args: argparse.Namespace) -> int:
         show('fitting what was found', 0, 0)
         outside = diagnosis.verdict is Verdict.OUTSIDE_CATALOGUE
         may_add = bool(diagnosis.effects) and (diagnosis.adds or (outside and args.partial))
-        made = None
+        added = None
         if diagnosis.effects and (args.check or (args.add and may_add)):
             effects = diagnosis.effects
             names = [effect.name for effect in effects]
-            made = add_effects(dataset, names, None, catalogue, check, effects, partial=outside)
+            added = add_effects(dataset, names, None, catalogue, check, effects, partial=outside)
     report_lines = [*lines(diagnosis), *trust_lines(diagnosis)]
     content: dict[str, Any] = diagnosis.to_json()
-    if made is not None:
-        report_lines += [never_used(made), *addition_warnings(made)]
-        content['added'] = made.to_json()
-    outcome = outcome_of(args.add, diagnosis, made, may_add) if args.add else ''
+    if added is not None:
+        report_lines += [never_used(added), *addition_warnings(added)]
+        content['added'] = added.to_json()
+    outcome = outcome_of(args.add, diagnosis, added, may_add) if args.add else ''
     report_lines += [outcome] if outcome else []
     if args.report:
-        better = None if made is None else made.robot
+        better = None if added is None else added.robot
         pictures = pictures_of(diagnosis, dataset, catalogue, better)
-        told = outcome.replace('    ', '; ')
-        page = write_diagnosis(diagnosis, pictures, args.report, made, told)
+        outcome_line = outcome.replace('    ', '; ')
+        page = write_diagnosis(diagnosis, pictures, args.report, added, outcome_line)
         report_lines.append(f'report: {page}')
-    written = made is not None and made.helps and args.add and may_add
-    if made is not None and written:
-        options.write_description(made.robot, args.add)
+    written = added is not None and added.helps and args.add and may_add
+    if added is not None and written:
+        options.write_description(added.robot, args.add)
     content['written'] = args.add if written else None
     options.emit(args, content, '\n'.join(report_lines))
     return ExitCode.REFUSED if args.add and not written and outside else 0
 
 
-def outcome_of(new: str, diagnosis: Diagnosis, made: Addition | None, may_add: bool) -> str:
-    """Say what becomes of the file that --add names."""
-    if made is not None and not made.helps:
+def outcome_of(new: str, diagnosis: Diagnosis, addition: Addition | None, may_add: bool) -> str:
+    """Describe whether the file of --add is written."""
+    if addition is not None and not addition.helps:
         return NOT_WRITTEN
     if may_add:
         return options.next_step(new)

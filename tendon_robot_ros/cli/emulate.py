@@ -43,7 +43,7 @@ SPRING_STIFFNESS = 200.0
 
 @dataclass(frozen=True)
 class Emulated:
-    """What is emulated: its port, a configuration for the driver, and in words."""
+    """An emulated device: its port, a configuration for the driver, and a description."""
 
     line: Plug
     config: dict[str, Any]
@@ -73,7 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Serve until the input says quit or a signal comes."""
     robot = load_robot(args.robot)
-    made = (
+    emulated = (
         emulated_servos(args, robot) if args.kind == 'dynamixel' else emulated_board(args, robot)
     )
     ending = threading.Event()
@@ -83,28 +83,28 @@ def run(args: argparse.Namespace) -> int:
 
     before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        serve(args, made, ending)
+        serve(args, emulated, ending)
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
     return 0
 
 
-def serve(args: argparse.Namespace, made: Emulated, ending: threading.Event) -> None:
+def serve(args: argparse.Namespace, emulated: Emulated, ending: threading.Event) -> None:
     """Write the configuration and say where the port is, then wait for the end."""
-    with made.line as line:
+    with emulated.line as line:
         if args.write_config:
-            text = yaml.safe_dump(made.config, sort_keys=False, default_flow_style=None)
-            write_text(args.write_config, f'# emulated: {made.words}\n{text}')
+            text = yaml.safe_dump(emulated.config, sort_keys=False, default_flow_style=None)
+            write_text(args.write_config, f'# emulated: {emulated.words}\n{text}')
         print(line.port, flush=True)
-        print(f'{made.words}; type help for faults', file=sys.stderr)
+        print(f'{emulated.words}; type help for faults', file=sys.stderr)
         more = (line.obey, ending, args.ends_with_input)
         threading.Thread(target=listen, args=more, daemon=True).start()
         ending.wait()
 
 
 def listen(obey: Callable[[str], str], ending: threading.Event, to_the_end: bool) -> None:
-    """Obey what comes in on the standard input."""
+    """Execute the commands of the standard input."""
     for text in sys.stdin:
         if not text.strip():
             continue

@@ -112,7 +112,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def placed(imported: Imported, method: str | None, up: str | None) -> tuple[DataSet, list[str]]:
-    """Return the data set in the base frame, and what to say of how it came there."""
+    """Return the data set in the base frame, and lines about its registration."""
     from ..effects import load_catalogue
     from ..tables.imported import frame_lines, labelled_lines
     from ..tables.registration import place
@@ -126,11 +126,11 @@ def placed(imported: Imported, method: str | None, up: str | None) -> tuple[Data
             raise
         return imported.dataset, [f'the frame was not checked: {error}']
     if choice.method == 'base':  # as it is; what contradicts it is said
-        return imported.dataset, labelled_lines('LOOK', placing.frame_look)
+        return imported.dataset, labelled_lines('LOOK', placing.frame_warnings)
     lines = labelled_lines(
         'frame', [f'{imported.frame!r}, which no transform joins with the base']
     )
     lines += labelled_lines('', frame_lines(placing.frame, placing.dataset.robot))
     return placing.dataset, lines + labelled_lines('dropped', placing.dropped) + labelled_lines(
-        'LOOK', placing.look
+        'LOOK', placing.warnings
     )

@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_columns(group: argparse._ArgumentGroup) -> None:
-    """Declare which column is what, and its unit."""
+    """Declare the roles of columns, and their units."""
     add = group.add_argument
     what = 'column of an input, or of time; may be repeated'
     add('--column', action='append', default=[], metavar='INPUT=COLUMN', help=what)
@@ -65,7 +65,7 @@ def add_columns(group: argparse._ArgumentGroup) -> None:
 
 
 def add_arm(group: argparse._ArgumentGroup) -> None:
-    """Declare where markers are, and how the frame of the tracker is found."""
+    """Declare the places of the markers, and the method for the tracker's frame."""
     add = group.add_argument
     add('--up', choices=UPS, help='axis of the tracker that points up: gravity is known then')
     what = (
@@ -89,7 +89,7 @@ def add_arm(group: argparse._ArgumentGroup) -> None:
 
 
 def add_still(group: argparse._ArgumentGroup) -> None:
-    """Declare where the arm stood still, and what is one posture."""
+    """Declare the thresholds of still segments and of equal postures."""
     add = group.add_argument
     add('--speed', type=float, metavar='MM/S', help='slower is still (default: 2, or the noise)')
     add('--duration', type=float, metavar='S', help='at least so long (default: 1)')
@@ -132,7 +132,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def refuse_swapped(args: argparse.Namespace) -> None:
-    """Raise InputError, before any work, where a file or folder stands in place of another."""
+    """Raise InputError, before any work, if a path is another kind of file or a folder."""
     for path in args.raw:
         if path.lower().endswith(YAML_ENDINGS):
             raise InputError(
@@ -167,7 +167,7 @@ def refuse_swapped(args: argparse.Namespace) -> None:
 
 
 def with_columns(recipe: Recipe, args: argparse.Namespace, inputs: tuple[str, ...]) -> Recipe:
-    """Return a recipe with the columns and units that were typed."""
+    """Return a recipe with the columns and units of the arguments."""
     columns, units = pairs('--column', args.column), pairs('--unit', args.unit)
     for name in columns:
         if name != 'time' and name not in inputs:
@@ -206,7 +206,7 @@ def with_columns(recipe: Recipe, args: argparse.Namespace, inputs: tuple[str, ..
 
 
 def with_arm(recipe: Recipe, args: argparse.Namespace) -> Recipe:
-    """Return a recipe with the markers and the frame that were typed."""
+    """Return a recipe with the markers and the frame of the arguments."""
     if args.markers:
         places = _lengths('--markers', args.markers)
         if any(b <= a for a, b in pairwise(places)):
@@ -231,7 +231,7 @@ def _lengths(option: str, text: str) -> tuple[float, ...]:
 
 
 def with_measurements(recipe: Recipe, args: argparse.Namespace) -> Recipe:
-    """Return a recipe with what was typed of still segments and postures."""
+    """Return a recipe with the thresholds of the arguments."""
     given: dict[str, Any] = {}
     for key, value in (
         ('speed', None if args.speed is None else 1e-3 * args.speed),
@@ -248,6 +248,6 @@ def with_measurements(recipe: Recipe, args: argparse.Namespace) -> Recipe:
 
 
 def refuse_outside(option: str, value: float, low: float) -> None:
-    """Raise InputError where a number is not above a bound, or beyond all sense."""
+    """Raise InputError if a number is not above a bound, or implausibly large."""
     if not low < value < 1e9:
         raise InputError(f'{option}: expected a number above {low:g}, got {value:g}')

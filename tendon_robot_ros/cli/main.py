@@ -23,7 +23,7 @@ from enum import IntEnum
 from pathlib import Path
 from typing import NoReturn
 
-from ..common.errors import InputError, MissingExtraError, TendonRobotError, meant
+from ..common.errors import InputError, MissingExtraError, TendonRobotError, suggestion
 from ..common.files import keep_bytecode
 from ..common.words import PROGRAM
 
@@ -97,7 +97,7 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Raise the error instead of printing the usage and ending with 2."""
         unknown = re.match(r'unrecognized arguments: (--[\w-]+)', message)
-        hint = meant(unknown[1], self._option_string_actions) if unknown else ''
+        hint = suggestion(unknown[1], self._option_string_actions) if unknown else ''
         raise InputError(f'{message}; {hint}see {self.prog} --help')
 
 
@@ -142,7 +142,7 @@ def run_command(name: str, arguments: list[str], program: str) -> int:
             print(f'  {command:{width}}  {_help_line(module_name)}')
         return 0
     if name not in COMMANDS:
-        hint = meant(name, COMMANDS)
+        hint = suggestion(name, COMMANDS)
         raise InputError(f'no command {name!r}; {hint}known: {", ".join(COMMANDS)}')
     module_name = COMMANDS[name]
     if '.ros.' in module_name:

@@ -43,14 +43,14 @@ BACK = ('<', 'back')  # answers that go to the question before
 # [m], [N·m/rad] a cell that is stiff and has no length, so that the first eyelet lies behind it
 # (docs/robot_file.md)
 PLATE = {'name': 'plate', 'cells': 1, 'cell_length': 1e-5, 'bending_stiffness': 1000.0}
-SEEN_FROM_TIP = """\
+VIEW_FROM_TIP = """\
 Look at the tip of the level arm from the front, so that it points at you:
               180 up
                 |
      270 left --o-- 90 right     {first} is the first tendon.
                 |                {others}
               0 down, where a weight pulls"""
-ANY_TURN = '(Where the first tendon lies does not matter then: an import turns the tracker.)'
+ANY_ROTATION = '(Where the first tendon lies does not matter then: an import turns the tracker.)'
 FILE_HEAD = '# Written by new-robot. In m and N; +z points along the straight arm.\n'
 
 
@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     """Ask, write, draw."""
     refuse_existing('--output', args.output, args.overwrite)
     questions = Questions(sys.stdin, sys.stderr)
-    questions.tell(FIRST_WORDS)
+    questions.show(FIRST_WORDS)
 
     def ask_all() -> tuple[Path, Robot]:
         name = questions.text('Name of the robot', 'my_robot')
@@ -122,7 +122,7 @@ def ask(questions: Questions, name: str) -> dict[str, Any]:
         if questions.choice(question, ('no', 'yes')) == 'yes':
             content['sections'].insert(0, dict(PLATE))
     if many > 2 and not any(content.get('gravity', ())[:2]):  # else gravity tells it
-        ask_turn(questions, content['tendons'])
+        ask_rotation(questions, content['tendons'])
     known = [tendon['name'] for tendon in content['tendons']]
     called = questions.names('Names of the tendons', known)
     for tendon, name in zip(content['tendons'], called, strict=True):
@@ -144,7 +144,7 @@ def ask_weight(questions: Questions, length: float, effects: dict[str, Any]) -> 
         effects['gravity'] = {'linear_density': float(f'{1e-3 * grams / length:.4g}')}
     if along == 'horizontal':
         return {'gravity': [acceleration, 0.0, 0.0]}
-    questions.tell(ANY_TURN)
+    questions.show(ANY_ROTATION)
     return {'gravity': [0.0, 0.0, acceleration]}
 
 
@@ -178,7 +178,7 @@ def ask_down(
     if len(ring) > 2:
         apart = f'{360.0 / len(ring):.4g}°'
         others = f'{ring[1]} and so on follow counter-clockwise, {apart} apart.'
-    questions.tell(SEEN_FROM_TIP.format(first=first['name'], others=others))
+    questions.show(VIEW_FROM_TIP.format(first=first['name'], others=others))
     question = f'There {first["name"]} lies at [°, or down, right, up, left]'
     sides = {'down': 0.0, 'right': 90.0, 'up': 180.0, 'left': 270.0}
     degrees = questions.number(question, 0.0, -360.0, 360.0, sides)
@@ -187,7 +187,7 @@ def ask_down(
     return {'gravity': [round(down[0], 4) + 0.0, round(down[1], 4) + 0.0, 0.0]}
 
 
-def ask_turn(questions: Questions, tendons: list[dict[str, Any]]) -> None:
+def ask_rotation(questions: Questions, tendons: list[dict[str, Any]]) -> None:
     """Ask where the first tendon lies in a base frame of the user's own; all turn with it."""
     first = tendons[0]['name']
     question = f'In your base frame {first} lies at [° from x towards y]'
@@ -200,7 +200,7 @@ def ask_turn(questions: Questions, tendons: list[dict[str, Any]]) -> None:
 
 @dataclass(frozen=True)
 class Size:
-    """What a stiffness is worked out for."""
+    """The dimensions from which a stiffness is computed."""
 
     sections: int
     cells: int  # of a section
@@ -211,7 +211,7 @@ class Size:
 
 @dataclass(frozen=True)
 class Stiffness:
-    """How the stiffness is known, and how well, usually."""
+    """The source of the stiffness, and its usual accuracy [%]."""
 
     of_cell: Callable[[Size], float]  # [N·m/rad]
     percent: float
@@ -236,10 +236,10 @@ def ask_stiffness(questions: Questions, length: float) -> Stiffness:
         return Stiffness(lambda size: rod_stiffness(modulus, outer, inner, size.length), 10.0)
     if source == 'sag':
         grams = questions.number('Hold the arm level, weight at its tip [g]', 10.0, 1e-3, 1e6)
-        most = 1e3 * SAG_FRACTION_MAX * length
+        sag_max = 1e3 * SAG_FRACTION_MAX * length
         why = f'{100 * SAG_FRACTION_MAX:g} % of the arm; if it sags more, take a lighter weight'
         sags = questions.number(
-            'Its tip then sags by [mm]', min(5.0, 0.5 * most), 1e-3, most, why=why
+            'Its tip then sags by [mm]', min(5.0, 0.5 * sag_max), 1e-3, sag_max, why=why
         )
         force, drop = 1e-3 * STANDARD_GRAVITY * grams, 1e-3 * sags
         return Stiffness(
@@ -268,8 +268,8 @@ def tendons_of(
             {'name': f'{prefix}_{side}', 'offset': [x, 0.0], 'section': section}
             for side, x in list(sides.items())[:many]
         ]
-    turn = math.pi / many * (index % 2)
-    angles = [turn + 2.0 * math.pi * j / many for j in range(many)]
+    offset = math.pi / many * (index % 2)
+    angles = [offset + 2.0 * math.pi * j / many for j in range(many)]
     return [
         {
             'name': f'{prefix}_{j + 1}',
@@ -281,7 +281,7 @@ def tendons_of(
 
 
 class WentBack(Exception):
-    """Somebody wants to answer the question before once more."""
+    """The user wants to answer the previous question again."""
 
 
 class Questions:
@@ -292,13 +292,13 @@ class Questions:
         self._answers, self._prompts = answers, prompts
         self._person = answers.isatty()
         self._given: list[str] = []  # answers, in order
-        self._turn = 0  # of the next question
+        self._index = 0  # of the next question
         self._before: dict[str, str] = {}  # question -> what was answered before going back
 
     def until_answered[T](self, ask: Callable[[], T]) -> T:
         """Return what `ask` makes of the answers; after a `<` what stays is answered as it was."""
         while True:
-            self._turn = 0
+            self._index = 0
             try:
                 return ask()
             except WentBack:
@@ -340,9 +340,9 @@ class Questions:
 
         return self.ask(question, str(default), f'a whole number from {low} to {high}', read)
 
-    def tell(self, text: str) -> None:
-        """Say something before a question, unless that is answered already."""
-        if self._turn == len(self._given):
+    def show(self, text: str) -> None:
+        """Print a text before a question, unless the question is answered already."""
+        if self._index == len(self._given):
             print(text, file=self._prompts)
 
     def number(
@@ -377,9 +377,9 @@ class Questions:
 
     def ask[T](self, question: str, default: str, expected: str, read: Callable[[str], T]) -> T:
         """Ask until `read` takes the answer; a pipe is asked once."""
-        self._turn += 1
-        if self._turn <= len(self._given):
-            return read(self._given[self._turn - 1])
+        self._index += 1
+        if self._index <= len(self._given):
+            return read(self._given[self._index - 1])
         default = self._before.get(question, default)
         while True:
             print(f'{question} [{default}]: ', end='', file=self._prompts, flush=True)

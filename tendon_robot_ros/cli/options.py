@@ -199,13 +199,13 @@ def position(option: str, text: str | None, unit: str, reach: float) -> list[flo
     if len(parts) != 3:
         raise InputError(f'{option}: expected three lengths x,y,z, got {text!r}')
     values = [length(option, part, unit) for part in parts]
-    away = math.hypot(*values)
+    distance = math.hypot(*values)
     nearest, farthest = (lengths * reach for lengths in TARGET_LENGTHS)
-    if away > farthest or 0.0 < away < nearest:
-        mend = other_unit(text, away, unit, nearest, farthest)
+    if distance > farthest or 0.0 < distance < nearest:
+        mend = other_unit(text, distance, unit, nearest, farthest)
         raise InputError(
-            f'{option}: {text} {unit} is {digits(1e3 * away, 4)} mm from the base of an arm of '
-            f'{1e3 * reach:.4g} mm{mend}'
+            f'{option}: {text} {unit} is {digits(1e3 * distance, 4)} mm from the base of an arm '
+            f'of {1e3 * reach:.4g} mm{mend}'
         )
     return values
 
@@ -369,7 +369,7 @@ def write_description(robot: Robot, path: str) -> None:
 
 
 def next_step(path: str) -> str:
-    """Say what to do with a new description."""
+    """Describe the use of a new description."""
     return f'written: {path}    send it to the robot: controller parameter model := {path}'
 
 
@@ -395,13 +395,13 @@ def progress(remaining: bool = False) -> Iterator[Progress]:
 
         def line() -> str:
             what, done, total = now
-            took = time.monotonic() - start
-            left = took / max(done, 1) * (total - done)
-            end = f', {left / 60.0:.1f} min left' if remaining and done else ''
+            elapsed = time.monotonic() - start
+            remaining_s = elapsed / max(done, 1) * (total - done)
+            end = f', {remaining_s / 60.0:.1f} min left' if remaining and done else ''
             count = f' {done:,}/{total:,}' if total else ''
-            return f'{what}{count}, {took:.0f} s so far{end}'
+            return f'{what}{count}, {elapsed:.0f} s so far{end}'
 
-        def tell() -> None:
+        def show_regularly() -> None:
             pause = LOG_EVERY_S if bar.disable else DRAWN_EVERY_S
             while not ended.wait(pause):
                 if bar.disable:
@@ -411,7 +411,7 @@ def progress(remaining: bool = False) -> Iterator[Progress]:
                     what, bar.n, bar.total = now
                     bar.set_description_str(what)
 
-        teller = threading.Thread(target=tell, name='progress', daemon=True)
+        teller = threading.Thread(target=show_regularly, name='progress', daemon=True)
         teller.start()
         try:
             yield show

@@ -65,15 +65,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Search and print."""
-    asked, along = (
+    position_text, direction_text = (
         None if parts is None else ','.join(part.strip(',') for part in parts)
         for parts in (args.position, args.direction)
     )
-    direction = vector('--direction', along)
-    if asked is None and direction is None:
+    direction = vector('--direction', direction_text)
+    if position_text is None and direction is None:
         raise InputError('target: expected --position, --direction, or both, got neither')
     model = load_model(args)
-    target = position('--position', asked, args.unit, model.robot.length)
+    target = position('--position', position_text, args.unit, model.robot.length)
     wants = preferences(args.prefer)
     regions = load_keep_out(args.keep_out) if args.keep_out else None
     reach = model.reach(target, direction, preferences=wants, keep_out=regions)
@@ -94,9 +94,9 @@ def preferences(text: str | None) -> Preferences | None:
 
 def stiffness_content(model: Model, reach: Reach) -> dict[str, float]:
     """Return the stiffness of the tip [N/m] along the axes, and where it is softest."""
-    made = model.tip_stiffness(reach.shape)
-    along = {axis: made.along(row) for axis, row in zip('xyz', np.eye(3).tolist(), strict=True)}
-    return {**along, 'softest': made.softest[0]}
+    tip = model.tip_stiffness(reach.shape)
+    along = {axis: tip.along(row) for axis, row in zip('xyz', np.eye(3).tolist(), strict=True)}
+    return {**along, 'softest': tip.softest[0]}
 
 
 def reach_content(model: Model, reach: Reach) -> dict[str, Any]:

@@ -93,7 +93,7 @@ def tip_content(shape: Shape) -> dict[str, list[float]]:
 
 
 def tip_line(shape: Shape) -> str:
-    """Say where the tip is."""
+    """Format the position and direction of the tip."""
     at = ', '.join(f'{1e3 * value:.2f}' for value in shape.tip_position)
     along = ', '.join(f'{value:.3f}' for value in shape.tip_direction)
     return f'tip at ({at}) mm, direction ({along})'
@@ -107,8 +107,8 @@ def shape_table(model: Model, shape: Shape) -> str:
         x, y = np.degrees(shape.bend[start : start + section.cells].sum(axis=0))
         line = f'{section.name}: bends {x:.2f}° towards x, {y:.2f}° towards y'
         if model.arrays.twists:
-            turn = np.degrees(shape.twist[start : start + section.cells].sum())
-            line += f', twists {turn:.2f}°'
+            twist = np.degrees(shape.twist[start : start + section.cells].sum())
+            line += f', twists {twist:.2f}°'
         lines.append(line)
         start += section.cells
     rows = [['tendon', 'tension [N]', 'at its end [N]', 'wire pull [mm]']]

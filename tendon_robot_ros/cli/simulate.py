@@ -60,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_measuring(parser: argparse.ArgumentParser) -> None:
-    """Declare how it is measured."""
+    """Declare the postures, trials, markers and noise."""
     usual = SimulatedNoise()
     add = parser.add_argument
     add('--postures', metavar='CSV', help='like inputs.csv (default: some that suit the robot)')
@@ -109,20 +109,20 @@ def run(args: argparse.Namespace) -> int:
     plant = make_plant(robot, hidden, seed=args.seed, catalogue=catalogue, work=work)
     if args.table:
         return write_tables(args, plant)
-    made = [(args.output, _measured(args, plant, 0))]
+    datasets = [(args.output, _measured(args, plant, 0))]
     if args.check:
-        made.append((args.check, _measured(args, plant, 1)))
-    for folder, dataset in made:
+        datasets.append((args.check, _measured(args, plant, 1)))
+    for folder, dataset in datasets:
         save_dataset(dataset, folder, args.overwrite)
         P, Q, J = dataset.positions.shape[:3]
         print(f'written: {folder}: {P} postures x {Q} trials x {J} markers')
-    _tell(args, plant)
+    _print_hidden(args, plant)
     print(f'next:    python -m tendon_robot_ros compare {args.output}')
     return 0
 
 
-def _tell(args: argparse.Namespace, plant: Plant) -> None:
-    """Say what is hidden, and how it is built."""
+def _print_hidden(args: argparse.Namespace, plant: Plant) -> None:
+    """Print the hidden effects and the imperfections of the arm."""
     print(f'hidden:  {", ".join(args.hidden) or "nothing"}')
     for line in () if args.exact else plant.built.text():
         print(f'built:   {line}')
@@ -148,7 +148,7 @@ def write_tables(args: argparse.Namespace, plant: Plant) -> int:
         write_table(path, names, values)
         rows, columns = values.shape
         print(f'written: {path}: {rows:,} rows of {columns} columns, {values[-1, 0]:.0f} s')
-    _tell(args, plant)
+    _print_hidden(args, plant)
     print(f'next:    python -m tendon_robot_ros import-table {args.table} --robot {args.robot}')
     return 0
 

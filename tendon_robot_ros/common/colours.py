@@ -30,7 +30,7 @@ DIVERGING = [[i / (len(_BELOW_TO_ABOVE) - 1), c] for i, c in enumerate(_BELOW_TO
 
 
 @dataclass(frozen=True)
-class Look:
+class LineStyle:
     """How one model is drawn everywhere."""
 
     colour: str
@@ -39,10 +39,10 @@ class Look:
     symbol: str
 
 
-def look(index: int) -> Look:
-    """Return the look of the model at a place in the list."""
+def line_style(index: int) -> LineStyle:
+    """Return how the model at an index of the list is drawn."""
     i = index % len(COLOURS)
-    return Look(COLOURS[i], DASHES[i], STROKES[i], SYMBOLS[i])
+    return LineStyle(COLOURS[i], DASHES[i], STROKES[i], SYMBOLS[i])
 
 
 def rgb(colour: str) -> tuple[int, int, int]:

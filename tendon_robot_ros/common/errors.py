@@ -30,7 +30,7 @@ REASON_MAX = 200  # [1] characters of what a parser says, so that a message stay
 
 
 def reason_of(error: BaseException) -> str:
-    """Return on one line what a parser says, or the kind of its error where it says nothing."""
+    """Return the message of a parser on one line, or the type of its error without a message."""
     return ' '.join(str(error).split())[:REASON_MAX] or type(error).__name__
 
 
@@ -42,7 +42,7 @@ class RobotDescriptionError(TendonRobotError):
     """A robot description is not valid."""
 
     def __init__(self, source: str, key: str, expected: str, got: object) -> None:
-        """Say which file and key, what was expected and what came."""
+        """Name the file and key, the expected and the given value."""
         self.source, self.key, self.expected, self.got = source, key, expected, got
         super().__init__(f'{source}: {key}: expected {expected}, got {short(got)}')
 
@@ -113,13 +113,13 @@ Progress = Callable[[str, int, int], None]  # called with what is done, steps do
 
 
 def refusal(name: str, expected: str, given: object) -> InputError:
-    """Return the error that says what an argument should have been, and what came."""
+    """Return the error that names the expected and the given value of an argument."""
     kind = '' if isinstance(given, str | int | float | None) else f'{type(given).__name__} '
     return InputError(f'{name}: expected {expected}, got {kind}{short(given)}')
 
 
 def whole(name: str, given: object, low: int = 0) -> int:
-    """Return a whole number from `low` on; one of numpy is one as well."""
+    """Return an integer of at least `low`; integers of numpy are accepted."""
     try:
         value = low - 1 if isinstance(given, bool) else operator.index(given)  # type: ignore[arg-type]
     except TypeError:
@@ -144,7 +144,7 @@ def number(name: str, given: object, low: float, high: float, unit: str = '1') -
 
 
 def choice(name: str, given: object, known: Sequence[str]) -> str:
-    """Return one of the known words."""
+    """Return the text if it is one of the known words; else refuse it."""
     if not isinstance(given, str) or given not in known:
         raise refusal(name, f'one of {", ".join(known)}', given)
     return given
@@ -158,7 +158,7 @@ def place(name: str, given: object) -> Path:
 
 
 def names(what: str, given: object, count: int) -> tuple[str, ...]:
-    """Return names for `count` things, '0' to 'count-1' where none are given."""
+    """Return the given names, or '0' to 'count-1' if none are given."""
     if not isinstance(given, Iterable) or isinstance(given, str | bytes):
         raise refusal(what, f'{count} names', given)
     listed = tuple(map(str, given)) or tuple(map(str, range(count)))
@@ -168,7 +168,7 @@ def names(what: str, given: object, count: int) -> tuple[str, ...]:
 
 
 def listener(given: Progress | None) -> Progress:
-    """Return the callable that reports the progress of long work; None: one that does nothing."""
+    """Return the progress callable, or one that does nothing for None."""
     if given is None:
         return lambda what, done, total: None
     if not callable(given):
@@ -176,7 +176,7 @@ def listener(given: Progress | None) -> Progress:
     return given
 
 
-def meant(name: object, known: Iterable[str]) -> str:
+def suggestion(name: object, known: Iterable[str]) -> str:
     """Return 'did you mean ...? ' where a name is nearly one of the known, else ''."""
     near = get_close_matches(str(name), list(known), n=1)
     return f'did you mean {near[0]}? ' if near else ''

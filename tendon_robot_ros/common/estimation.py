@@ -56,55 +56,56 @@ def kalman_update(
     return KalmanUpdate(mean + gain.T @ white, 0.5 * (after + after.T), chi2, log_likelihood)
 
 
-def gauss_newton[Left](
+def gauss_newton[Residual](
     start: Floats,
     information: Floats,
-    left: Callable[[Floats], tuple[Left, float] | None],
-    linearised: Callable[[Floats, Left], tuple[Floats, Floats] | None],
+    residual_of: Callable[[Floats], tuple[Residual, float] | None],
+    linearised: Callable[[Floats, Residual], tuple[Floats, Floats] | None],
     bounds: tuple[Floats | float, Floats | float] = (-np.inf, np.inf),
-) -> tuple[Floats, Left, float, Floats] | None:
+) -> tuple[Floats, Residual, float, Floats] | None:
     """
     Return the likeliest values of a model with a Gaussian prior around 0.
 
-    Steps are shortened until the cost, chi² of what is left and of the prior, is lower.
+    Gauss-Newton steps are shortened until the cost, the chi² of the residual and of the prior,
+    decreases (Nocedal and Wright 2006, section 10.3).
 
     Parameters
     ----------
     start : (k,)
     information : (k, k)
         Inverse covariance of the prior.
-    left : callable
-        From values to what they leave of the measurements, and its chi²; None where the model
-        says nothing.
+    residual_of : callable
+        From values to the residual of the measurements and its chi²; None where the model has no
+        prediction.
     linearised : callable
-        From values and what they leave to J' V^-1 J (k, k) and J' V^-1 r (k,).
+        From values and their residual to J' V^-1 J (k, k) and J' V^-1 r (k,).
     bounds : (k,) and (k,)
         Of the values.
 
     Returns
     -------
-    values, what they leave, its chi², and J' V^-1 J (k, k) there; None where the model says
-    nothing.
+    values, their residual, its chi², and J' V^-1 J (k, k) at these values; None where the
+    model has no prediction.
 
     """
-    values, here = start, left(start)
-    told = np.zeros_like(information)
+    values, residual = start, residual_of(start)
+    measured = np.zeros_like(information)
     for _ in range(ITERATIONS_MAX):
-        slopes = None if here is None else linearised(values, here[0])
-        if here is None or slopes is None:
+        slopes = None if residual is None else linearised(values, residual[0])
+        if residual is None or slopes is None:
             return None
-        told, gradient = slopes
-        step = np.linalg.solve(told + information, gradient - information @ values)
-        if step @ (told + information) @ step < CONVERGED_SD**2:
+        measured, gradient = slopes
+        step = np.linalg.solve(measured + information, gradient - information @ values)
+        if step @ (measured + information) @ step < CONVERGED_SD**2:
             break
-        cost = here[1] + values @ information @ values
+        cost = residual[1] + values @ information @ values
         for length in STEP_LENGTHS:
             place = np.clip(values + length * step, *bounds)
-            there = left(place)
-            if there is not None and there[1] + place @ information @ place < cost:
-                values, here = place, there
+            candidate = residual_of(place)
+            if candidate is not None and candidate[1] + place @ information @ place < cost:
+                values, residual = place, candidate
                 break
         else:
             break
-    assert here is not None
-    return values, *here, told
+    assert residual is not None
+    return values, *residual, measured

@@ -67,7 +67,7 @@ def new_folder(folder: Path, replaceable: tuple[str, ...] = ()) -> Iterator[Path
 
     """
     shown, folder = folder, Path(os.path.abspath(folder))  # '.' and 'name/..' have no parent
-    refuse_taken(shown, replaceable)
+    refuse_other_files(shown, replaceable)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         temporary = Path(tempfile.mkdtemp(prefix=DRAFT, dir=folder.parent))
@@ -82,7 +82,7 @@ def new_folder(folder: Path, replaceable: tuple[str, ...] = ()) -> Iterator[Path
         filled.mkdir()
         with write_errors(shown):
             yield filled
-            refuse_taken(shown, replaceable)
+            refuse_other_files(shown, replaceable)
             old = temporary / f'{folder.name}.old'
             if folder.exists():
                 folder.rename(old)
@@ -96,8 +96,8 @@ def new_folder(folder: Path, replaceable: tuple[str, ...] = ()) -> Iterator[Path
         shutil.rmtree(temporary, ignore_errors=True)
 
 
-def refuse_taken(folder: Path, replaceable: tuple[str, ...]) -> None:
-    """Raise DataSetError where a folder holds anything but replaceable files, or is a file."""
+def refuse_other_files(folder: Path, replaceable: tuple[str, ...]) -> None:
+    """Raise DataSetError if a folder holds anything but replaceable files, or is a file."""
     if not folder.exists():
         return
     if not folder.is_dir():
@@ -126,8 +126,8 @@ def new_file(path: Path) -> Iterator[Path]:
         draft = Path(temporary) / path.name
         yield draft
         if special:
-            with draft.open('rb') as made, path.open('wb') as device:
-                shutil.copyfileobj(made, device)
+            with draft.open('rb') as source, path.open('wb') as device:
+                shutil.copyfileobj(source, device)
         else:
             draft.replace(path)
 

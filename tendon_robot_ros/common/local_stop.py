@@ -60,10 +60,10 @@ class StopListener:
         kind, node = 'driver' if who.drives else 'controller', who.node[:NODE_LENGTH_MAX]
         own = f'{domain}.{os.getpid()}.{next(_number)}'
         with contextlib.suppress(OSError):  # no Linux
-            made = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-            made.bind(f'\0tendon_robot_ros.stop.{own}.{kind}{node}')
-            made.listen()
-            self._socket = made
+            listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+            listening.bind(f'\0tendon_robot_ros.stop.{own}.{kind}{node}')
+            listening.listen()
+            self._socket = listening
             self._thread = threading.Thread(target=self._listen, name='local stop', daemon=True)
             self._thread.start()
 
@@ -109,7 +109,7 @@ def stop_local(domain: int, below: str, timeout: float) -> dict[Stoppable, bool]
 
     """
     end, below = time.monotonic() + timeout, below.rstrip('/') + '/'
-    asked: list[tuple[Stoppable, socket.socket]] = []
+    requests: list[tuple[Stoppable, socket.socket]] = []
     for name, who in _listening(domain):
         person = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         if not who.node.startswith(below):
@@ -121,14 +121,14 @@ def stop_local(domain: int, below: str, timeout: float) -> dict[Stoppable, bool]
         except OSError:  # it has ended meanwhile
             person.close()
         else:
-            asked.append((who, person))
-    found = {}
-    for who, person in asked:
+            requests.append((who, person))
+    confirmed = {}
+    for who, person in requests:
         with contextlib.suppress(OSError), person:
             person.settimeout(max(end - time.monotonic(), 1e-3))
-            found[who] = False
-            found[who] = person.recv(len(STOPPED)) == STOPPED
-    return found
+            confirmed[who] = False
+            confirmed[who] = person.recv(len(STOPPED)) == STOPPED
+    return confirmed
 
 
 def _listening(domain: int) -> list[tuple[str, Stoppable]]:
@@ -137,9 +137,9 @@ def _listening(domain: int) -> list[tuple[str, Stoppable]]:
         lines = SOCKETS.read_text().splitlines()
     except OSError:
         return []
-    found = {name[0]: name for line in lines if (name := NAME.search(line)) is not None}
+    matches = {name[0]: name for line in lines if (name := NAME.search(line)) is not None}
     return [
         ('\0' + text[1:], Stoppable(name['node'], name['kind'] == 'driver'))
-        for text, name in sorted(found.items())
+        for text, name in sorted(matches.items())
         if int(name['domain']) == domain
     ]

@@ -1,4 +1,4 @@
-"""Children that end with who started them (Linux); who goes first; one thread for matrices."""
+"""Child processes that end with their parent (Linux), priorities, one thread for matrices."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def child_environment() -> dict[str, str]:
 
 
 def end_with_parent(parent: int = 0, by: signal.Signals = signal.SIGINT) -> None:
-    """Let the kernel signal this process when its parent dies; `child_environment` asks for it."""
+    """Let the kernel signal this process when its parent dies; see `child_environment`."""
     parent = parent or int(os.environ.pop(PARENT, '0'))
     if not parent or not sys.platform.startswith('linux'):
         return
@@ -94,14 +94,14 @@ def go_realtime(
     """
     if os.getpriority(os.PRIO_PROCESS, 0) > 0 or not sys.platform.startswith('linux'):
         return
-    left = {thread.native_id for thread in threading.enumerate() if thread.name in but}
-    for thread in {int(name) for name in os.listdir(f'/proc/{process or "self"}/task')} - left:
+    excluded = {thread.native_id for thread in threading.enumerate() if thread.name in but}
+    for thread in {int(name) for name in os.listdir(f'/proc/{process or "self"}/task')} - excluded:
         _scheduled(thread, os.SCHED_RR | os.SCHED_RESET_ON_FORK, priority)
 
 
 class RealtimeLoan:
     """
-    Has a thread that computes scheduled in real time while it does.
+    Lends real-time scheduling to a thread while it computes.
 
     Its priority is below that of what moves motors. The allowance runs down while it works and
     fills up so that it works in real time for `LOAN_FRACTION` of the time at most. A thread that
@@ -115,33 +115,33 @@ class RealtimeLoan:
         self._lock = threading.Lock()
         self._borrower: int | None = None
         self._working = False
-        self._left, self._counted = LOAN_MAX_S, time.monotonic()
+        self._allowance, self._counted = LOAN_MAX_S, time.monotonic()
 
     def begin(self, thread: int) -> None:
-        """Lend to a thread (its native id) for as long as the allowance lasts; never waits."""
+        """Lend to a thread (its native id) while the allowance lasts; never blocks."""
         lent = self._working and self._borrower is not None
         if lent or not self._lock.acquire(blocking=False):
             return
         self._count()
         self._working = True
-        if self._borrower is None and self._left > 0.0:
+        if self._borrower is None and self._allowance > 0.0:
             policy = os.SCHED_RR | os.SCHED_RESET_ON_FORK
             if _scheduled(thread, policy, Realtime.COMPUTATION):
                 self._borrower = thread
         self._lock.release()
 
     def end(self) -> None:
-        """Count no more: the thread is about to wait for work."""
+        """Stop counting, because the thread is about to wait for work."""
         with self._lock:
             self._count()
             self._working = False
 
     def limit(self) -> None:
-        """Take it back where the allowance is used up; never waits."""
+        """End the loan if the allowance is used up; never blocks."""
         if self._borrower is None or not self._lock.acquire(blocking=False):
             return
         self._count()
-        if self._working and self._left <= 0.0:
+        if self._working and self._allowance <= 0.0:
             _scheduled(self._borrower, os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, 0)
             self._borrower = None
         self._lock.release()
@@ -151,11 +151,11 @@ class RealtimeLoan:
         passed = self._counted - before
         lent = self._working and self._borrower is not None
         more = -1.0 if lent else LOAN_FRACTION / (1.0 - LOAN_FRACTION)
-        self._left = min(self._left + more * passed, LOAN_MAX_S)
+        self._allowance = min(self._allowance + more * passed, LOAN_MAX_S)
 
 
 def _scheduled(thread: int, policy: int, priority: int) -> bool:
-    """Have a thread scheduled so; whether that was allowed."""
+    """Set the scheduling policy of a thread; return whether that was permitted."""
     try:
         os.sched_setscheduler(thread, policy, os.sched_param(priority))
     except OSError:  # not allowed, or ended meanwhile
@@ -164,14 +164,14 @@ def _scheduled(thread: int, policy: int, priority: int) -> bool:
 
 
 def in_realtime() -> bool:
-    """Whether this thread is scheduled in real time: nothing but devices makes it late."""
+    """Return whether this thread is scheduled in real time."""
     if not sys.platform.startswith('linux'):
         return False
     return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK in (os.SCHED_RR, os.SCHED_FIFO)
 
 
 def go_with_others() -> None:
-    """Take back what was inherited from a process that goes first."""
+    """Reset the priority inherited from a parent with a raised one."""
     if os.getpriority(os.PRIO_PROCESS, 0) < 0:
         os.setpriority(os.PRIO_PROCESS, 0, 0)
 
@@ -181,7 +181,7 @@ ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def ending_signals() -> list[signal.Signals]:
-    """Return the signals that ask this process to end; `nohup` takes the last one away."""
+    """Return the signals that terminate this process; `nohup` removes the last one."""
     ignored = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
     return [one for one in ENDING_SIGNALS if one != signal.SIGHUP or not ignored]
 

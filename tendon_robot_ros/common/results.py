@@ -8,7 +8,7 @@ from typing import Any
 
 from .errors import MissingExtraError
 
-# By its name: the words import the results, and are needed by who asks for them only.
+# Imported by name when `text` is called, because `report` imports the results.
 WORDS = 'tendon_robot_ros.report.in_words'
 
 

@@ -58,7 +58,7 @@ def from_rotation_vector(vector: Sequence[float] | Array) -> Array:
 
 
 def towards(direction: Array) -> Array:
-    """Return a rotation matrix whose z axis is a unit vector, turned there the shortest way."""
+    """Return the smallest rotation (3, 3) that maps +z to a unit vector."""
     x, y, z = direction
     across = x * x + y * y
     if z < 0.0 and across < 1e-24:
@@ -67,8 +67,8 @@ def towards(direction: Array) -> Array:
     return np.array([[1 - k * x * x, -k * x * y, x], [-k * x * y, 1 - k * y * y, y], [-x, -y, z]])
 
 
-def turn_onto(direction: Array, other: Array) -> Array:
-    """Return a rotation (3, 3) that turns one vector (3,) into the direction of another."""
+def rotation_between(direction: Array, other: Array) -> Array:
+    """Return a rotation (3, 3) that maps the direction of one vector (3,) to that of another."""
     one, two = (towards(v / np.linalg.norm(v)) for v in (direction, other))
     rotation: Array = two @ one.T
     return rotation
@@ -105,37 +105,37 @@ def from_quaternion(quaternion: Sequence[float]) -> Array:
 
 def rigid_fit(points: Array, onto: Array, weights: Array | None = None) -> tuple[Array, Array]:
     """
-    Return the rotation (3, 3) and the shift (3,) [m] that lay points best onto others.
+    Return the rotation (3, 3) and the translation (3,) [m] that fit points to others.
 
     Least squares over weighted (n, 3) [m] pairs: `rotation @ point + shift` (Kabsch 1976).
     """
     middle = np.average(points, axis=0, weights=weights)
-    there = np.average(onto, axis=0, weights=weights)
+    target_middle = np.average(onto, axis=0, weights=weights)
     scaled = points - middle if weights is None else weights[:, None] * (points - middle)
-    u, _, vt = np.linalg.svd(scaled.T @ (onto - there))
+    u, _, vt = np.linalg.svd(scaled.T @ (onto - target_middle))
     flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(vt.T @ u.T))])
     rotation: Array = vt.T @ flip @ u.T
-    return rotation, there - rotation @ middle
+    return rotation, target_middle - rotation @ middle
 
 
 def upright_fit(
     points: Array, onto: Array, axis: Array, weights: Array | None = None
 ) -> tuple[Array, Array]:
-    """Return the same as `rigid_fit` of a rotation about a unit vector (3,), and the shift."""
+    """Return the `rigid_fit` whose rotation is about a unit vector (3,)."""
     middle = np.average(points, axis=0, weights=weights)
-    there = np.average(onto, axis=0, weights=weights)
+    target_middle = np.average(onto, axis=0, weights=weights)
     scaled = points - middle if weights is None else weights[:, None] * (points - middle)
-    rotation = rotation_about(axis, scaled, onto - there)
-    return rotation, there - rotation @ middle
+    rotation = rotation_about(axis, scaled, onto - target_middle)
+    return rotation, target_middle - rotation @ middle
 
 
 def rotation_about(axis: Array, vectors: Array, onto: Array) -> Array:
-    """Return the rotation (3, 3) about a unit vector that lays vectors (n, 3) best onto others."""
+    """Return the rotation (3, 3) about a unit vector that fits vectors (n, 3) to others."""
     along = (vectors @ axis) @ (onto @ axis)
     across = float(axis @ np.cross(vectors, onto).sum(axis=0))
     return from_rotation_vector(math.atan2(across, float((vectors * onto).sum() - along)) * axis)
 
 
-def turn_angle(rotation: Array) -> float:
+def rotation_angle(rotation: Array) -> float:
     """Return the angle [rad] of a rotation matrix (3, 3)."""
     return math.acos(min(max((float(np.trace(rotation)) - 1.0) / 2.0, -1.0), 1.0))

@@ -32,13 +32,13 @@ def scale_of(unit: str, size: float, name: str = '') -> tuple[float, str]:
     return 1.0 / scale, prefix + unit
 
 
-def percent(share: float) -> str:
-    """Show a fraction in percent; what is less than all is never 100 %."""
-    return f'{int(100.0 * share) if share < 1.0 else 100} %'
+def percent(fraction: float) -> str:
+    """Format a fraction in percent, rounded down: 100 % only for a fraction of 1 or more."""
+    return f'{int(100.0 * fraction) if fraction < 1.0 else 100} %'
 
 
 def digits(value: float, count: int = 2) -> str:
-    """Show a number with so many significant digits, without an exponent where it is short."""
+    """Format a number with significant digits, without an exponent if that is short."""
     if value == 0.0 or not math.isfinite(value):
         return '0' if value == 0.0 else 'infinite' if math.isinf(value) else 'unknown'
     places = count - 1 - math.floor(math.log10(abs(value)))
@@ -84,7 +84,7 @@ def probability(p: float) -> str:
 
 
 def commands(inputs: Mapping[str, float | None], kind: str = 'tension') -> str:
-    """Say what is commanded: 'left 1.10 N, right 0.80 N'; slack wires are left out."""
+    """Format a command: 'left 1.10 N, right 0.80 N'; slack wires are omitted."""
     scale, unit = (1.0, 'N') if kind == 'tension' else (1e3, 'mm')
     parts = [
         f'{name} {digits(scale * value, 3)} {unit}'
@@ -95,7 +95,7 @@ def commands(inputs: Mapping[str, float | None], kind: str = 'tension') -> str:
 
 
 def postures(count: int, resting: int = 0) -> str:
-    """Say how many postures there are, and how many of them are the arm at rest."""
+    """Describe the number of postures, and how many of them are the arm at rest."""
     rest = f' ({"one" if resting == 1 else resting} at rest)' if resting else ''
     return f'{count} posture{"" if count == 1 else "s"}{rest}'
 
@@ -223,20 +223,20 @@ def read_quantity(option: str, text: str, usual: str, *kinds: str) -> float:
         It is no finite number, or its unit is of another kind.
 
     """
-    found = QUANTITY.match(text)
-    if found is None or not math.isfinite(float(found['number'])):
+    match = QUANTITY.match(text)
+    if match is None or not math.isfinite(float(match['number'])):
         raise InputError(f'{option}: expected a number with a unit such as {usual}, got {text!r}')
-    return float(found['number']) * read_unit(option, found['unit'] or usual, *kinds).factor
+    return float(match['number']) * read_unit(option, match['unit'] or usual, *kinds).factor
 
 
 def other_unit(text: str, length: float, unit: str, low: float, high: float) -> str:
     """
-    Return '; if m is meant, say --unit m' where that helps, else ''.
+    Return the advice '; if m is meant, say --unit m' if it fits, else ''.
 
-    It helps where the typed numbers have no unit of their own, and the length [m] that was read
+    It fits if the typed numbers have no unit of their own, and the length [m] that was read
     in `unit` would in the other one lie between `low` and `high` [m].
     """
-    if any(found['unit'] for found in map(QUANTITY.match, text.split(',')) if found):
+    if any(match['unit'] for match in map(QUANTITY.match, text.split(',')) if match):
         return ''
     for other in TYPED_LENGTHS:
         scale = read_unit('', other, 'length').factor / read_unit('', unit, 'length').factor

@@ -1,9 +1,10 @@
 """
 Chunks of independent work, behind `concurrent.futures`: here, in processes, on a cluster.
 
-What is worth a chunk takes a second or more: handing one out takes a millisecond here and some
-milliseconds through a scheduler. Results come as they get ready; whoever wants them to be the same
-whatever the number of workers gives every chunk seeds of its own (`numpy.random.SeedSequence`).
+A chunk should take a second or more, because handing one out takes a millisecond here and some
+milliseconds through a scheduler. Results come in the order in which they are ready. For results
+that do not depend on the number of workers, give every chunk its own seed
+(`numpy.random.SeedSequence`).
 """
 
 from __future__ import annotations
@@ -42,14 +43,14 @@ Spread = Callable[[Work, Iterable[Any]], Iterator[tuple[int, Any]]]
 
 @dataclass(frozen=True)
 class LostWork:
-    """Comes in place of a result: every worker that tried the chunk died."""
+    """Result of a chunk over which every worker died."""
 
     workers: int
 
 
 class ChunkSize:
     """
-    How many pieces of work to hand out at a time: those of some seconds, fewer at the end.
+    Number of items in a chunk: some seconds of work, less at the end.
 
     Parameters
     ----------
@@ -62,15 +63,15 @@ class ChunkSize:
         self.slots = slots
         self.seconds = 0.0  # for a piece; 0: not yet known
 
-    def of(self, left: int) -> int:
-        """Return how many of those that are left make the next chunk."""
+    def of(self, remaining: int) -> int:
+        """Return the size of the next chunk out of the remaining items."""
         # a quarter of a slot's share, so that no worker waits for long at the end
-        fair = max(left // (4 * self.slots), 1)
-        wanted = max(int(CHUNK_S / self.seconds), 1) if self.seconds else 1
-        return min(wanted, fair)
+        fair = max(remaining // (4 * self.slots), 1)
+        desired = max(int(CHUNK_S / self.seconds), 1) if self.seconds else 1
+        return min(desired, fair)
 
-    def took(self, seconds: float, pieces: int) -> None:
-        """Learn from a chunk; the last five or so count, because like pieces come together."""
+    def learn(self, seconds: float, pieces: int) -> None:
+        """Update the time per item from a finished chunk: an average over the last five or so."""
         own = seconds / pieces
         self.seconds = 0.8 * self.seconds + 0.2 * own if self.seconds else own
 
@@ -88,7 +89,7 @@ class Engine(Protocol):
         ...
 
     def is_loss(self, error: BaseException) -> bool:
-        """Tell whether a worker died; what it needs to go on without is then done."""
+        """Return whether an error means that a worker died; if so, replace the worker."""
         ...
 
     def close(self) -> None:
@@ -173,19 +174,19 @@ class Workers:
         self, engine: Engine, work: Work, coming: Iterator[tuple[int, Any]], until: float
     ) -> Iterator[tuple[int, Any]]:
         waiting: dict[Future[Any], tuple[int, Any]] = {}
-        again: deque[tuple[int, Any]] = deque()
+        retries: deque[tuple[int, Any]] = deque()
         losses: dict[int, int] = {}
 
         def hand_out() -> None:
             while len(waiting) < engine.slots:
-                item = again.popleft() if again else next(coming, None)
+                item = retries.popleft() if retries else next(coming, None)
                 if item is None:
                     return
                 waiting[engine.submit(_call, (self.prepare, work, item[1]))] = item
 
         hand_out()
-        while waiting and (left := until - time.monotonic()) > 0.0:
-            done, _ = wait(waiting, min(left, IDLE_S), FIRST_COMPLETED)
+        while waiting and (remaining := until - time.monotonic()) > 0.0:
+            done, _ = wait(waiting, min(remaining, IDLE_S), FIRST_COMPLETED)
             for future in done:
                 index, chunk = waiting.pop(future)
                 try:
@@ -195,7 +196,7 @@ class Workers:
                         raise
                     losses[index] = losses.get(index, 0) + 1
                     if losses[index] < LOSSES_MAX:
-                        again.append((index, chunk))
+                        retries.append((index, chunk))
                         continue
                     result = LostWork(losses[index])
                 try:
@@ -206,7 +207,7 @@ class Workers:
 
 
 def _call(task: tuple[Prepare | None, Work, Any]) -> Any:
-    """Do a chunk, in a worker."""
+    """Compute a chunk in a worker."""
     prepare, work, chunk = task
     if prepare is not None:
         _prepared(prepare)
@@ -269,7 +270,7 @@ class _Slot:
         self.process = self.pool.submit(_load, self.prepare)
 
     def end(self) -> None:
-        """Kill it: whatever it still computes is not wanted."""
+        """Kill the process; its unfinished result is dropped."""
         if self.process.cancel():
             self.pool.shutdown()
             return
@@ -319,8 +320,8 @@ class _Cluster:
             import distributed
         except ImportError:
             raise MissingExtraError('distributed', 'cluster') from None
-        self.address, self.looked = address, 0.0
-        for part in ('client', 'utils'):  # one line says what else would be a traceback
+        self.address, self.checked_at = address, 0.0
+        for part in ('client', 'utils'):  # their tracebacks are replaced by one line
             logging.getLogger(f'distributed.{part}').setLevel(logging.CRITICAL)
         self.killed: type[BaseException] = distributed.KilledWorker
         _check_certificates(address)
@@ -336,9 +337,9 @@ class _Cluster:
 
     @property
     def slots(self) -> int:
-        """Chunks for the workers that are there now: more may come, and some go."""
-        if time.monotonic() > self.looked + IDLE_S:
-            self.looked = time.monotonic()
+        """Chunks for the current workers, whose number may change."""
+        if time.monotonic() > self.checked_at + IDLE_S:
+            self.checked_at = time.monotonic()
             with contextlib.suppress(OSError, RuntimeError):
                 threads = sum(self.client.nthreads().values())
                 if not threads and self.threads:
@@ -351,7 +352,7 @@ class _Cluster:
             future: Future[Any] = self.executor.submit(work, chunk)
             return future
         except (OSError, RuntimeError) as error:
-            raise self._gone(error) from None
+            raise self._lost_error(error) from None
 
     def is_loss(self, error: BaseException) -> bool:
         if isinstance(error, self.killed):
@@ -362,10 +363,10 @@ class _Cluster:
                 'or another version of it; install the same on all machines'
             ) from None
         if isinstance(error, (CancelledError, OSError)) or self.client.status != 'running':
-            raise self._gone(error) from None
+            raise self._lost_error(error) from None
         return False
 
-    def _gone(self, error: BaseException) -> ClusterLostError:
+    def _lost_error(self, error: BaseException) -> ClusterLostError:
         return ClusterLostError(
             f'--cluster {self.address}: the scheduler is gone '
             f'({str(error) or type(error).__name__}); what was finished is kept: start it again, '

@@ -12,12 +12,12 @@ from .errors import DriverError, RobotDescriptionError, TendonRobotError
 
 NESTING_MAX = 100  # [1] brackets within brackets, else compiled code would run out of memory
 # [1] characters that are read once more for a better message, because that takes ten times as long
-READ_AGAIN_CHARACTERS_MAX = 4_000
+EXPLAINED_CHARACTERS_MAX = 4_000
 Loader: Any = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)  # compiled: a tenth of the time
 
 
 class _Counting:
-    """Counts how deep a loader is: compiled code would run out of memory without a word."""
+    """Limits the nesting depth, because the compiled loader would crash without an error."""
 
     depth = 0
 
@@ -33,11 +33,11 @@ class _Counting:
 
 
 class _Plain(_Counting, Loader):  # type: ignore[misc]
-    """Reads."""
+    """The fast loader, compiled where available."""
 
 
 class _Explaining(_Counting, yaml.SafeLoader):
-    """Reads in Python alone, and knows better where a mistake is."""
+    """The loader in pure Python, whose errors name the position more exactly."""
 
 
 def parse_yaml(text: str) -> Any:
@@ -54,7 +54,7 @@ def parse_yaml(text: str) -> Any:
         return yaml.load(text, Loader=_Plain)
     except yaml.MarkedYAMLError as refused:
         error = refused
-        if len(text) <= READ_AGAIN_CHARACTERS_MAX:
+        if len(text) <= EXPLAINED_CHARACTERS_MAX:
             try:  # the interpreted loader knows better where the mistake is
                 yaml.load(text, Loader=_Explaining)
             except yaml.MarkedYAMLError as explained:
@@ -82,11 +82,11 @@ class Reader:
         return RobotDescriptionError(self.source, self._where(key), expected, got)
 
     def has(self, key: str) -> bool:
-        """Tell whether a key is there and not empty."""
+        """Return whether a key is present and not empty."""
         return self.content.get(key) is not None
 
     def only(self, *known: str) -> None:
-        """Refuse keys that nothing reads."""
+        """Refuse unknown keys."""
         for key in self.content:
             if key not in known:
                 raise self.error(str(key), 'one of ' + ', '.join(known), str(key))
@@ -110,7 +110,7 @@ class Reader:
             yield type(self)(self.source, f'{self._where(key)}[{index}]', item)
 
     def unique(self, key: str, names: list[str]) -> None:
-        """Refuse a name that stands twice."""
+        """Refuse a repeated name."""
         for name in names:
             if names.count(name) > 1:
                 raise self.error(key, 'names that differ', name)

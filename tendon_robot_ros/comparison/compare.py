@@ -44,7 +44,7 @@ def equilibria(predictor: Predictor) -> ShapeBatch:
                 predictor.inputs[part.rows],
             )
             carry = model.remembers and dataset.path != 'from_straight'
-            if dataset.input == 'displacement':  # each of these says in which posture
+            if dataset.input == 'displacement':  # the error names the posture
                 pull_shapes(model, inputs, memory=model.arrays.fresh_memory() if carry else None)
             elif carry:
                 model.sequence(inputs)
@@ -114,10 +114,10 @@ def compare(
                 f'{dataset.name}, got {", ".join(robot.inputs)}'
             )
     show('trials', 0, len(named))
-    left_out: tuple[Mapping[str, Any], ...] = ()
+    excluded: tuple[Mapping[str, Any], ...] = ()
     if leave_out:
         outliers = find_outliers(Predictor(dataset, dataset.robot, catalogue), {})
-        left_out, dataset = tuple(outliers.rows(dataset)), outliers.without(dataset)
+        excluded, dataset = tuple(outliers.rows(dataset)), outliers.without(dataset)
     predictors = [Predictor(dataset, robot, catalogue) for _, robot in named]
     errors, axes = list[ModelErrors](), None
     for (name, robot), predictor in zip(named, predictors, strict=True):
@@ -140,7 +140,7 @@ def compare(
     show('noise', len(named), len(named))
     best = int(np.argmin([model.rms for model in errors]))
     angles = None if axes is None else _angles(dataset.positions.swapaxes(0, 1), axes)
-    measured = replace(_measured(dataset, predictors[best], angles), left_out=left_out)
+    measured = replace(_measured(dataset, predictors[best], angles), left_out=excluded)
     return Comparison(measured, tuple(errors), error)
 
 
@@ -165,21 +165,21 @@ def _named(models: Models) -> list[tuple[str, Robot]]:
 def _predict(predictor: Predictor) -> Floats:
     markers = predictor.markers({})
     if markers is None:
-        equilibria(predictor)  # says in which posture
+        equilibria(predictor)  # its error names the posture
         raise NoEquilibriumError(predictor.dataset.name, predictor.model.implicit_effects, np.nan)
     return markers
 
 
 def _angles(positions: Floats, axes: Floats) -> Floats:
     """Angular displacements (..., P, J) [rad] about the axes (P, 3) of the postures."""
-    return np.asarray((turns(positions) * axes[:, None, :]).sum(axis=-1))
+    return np.asarray((cell_rotations(positions) * axes[:, None, :]).sum(axis=-1))
 
 
 def _centreline(dataset: DataSet, robot: Robot, catalogue: Catalogue) -> Floats:
     """Return the ends of the cells (P, n, 3) [m] as the tracker would see them."""
     cells = default_markers(robot)
-    there = np.where(dataset.trial_mask, 0.0, np.nan)[..., None, None]  # not all were measured
-    places = np.broadcast_to(there, (*there.shape[:2], len(cells), 3))
+    blank = np.where(dataset.trial_mask, 0.0, np.nan)[..., None, None]  # not all were measured
+    places = np.broadcast_to(blank, (*blank.shape[:2], len(cells), 3))
     unseen = replace(dataset, markers=cells, positions=places, orientations=None)
     return _predict(Predictor(unseen, robot, catalogue))
 
@@ -213,14 +213,14 @@ def _measured(dataset: DataSet, predictor: Predictor, angles: Floats | None) -> 
 
 
 def on_the_centreline(dataset: DataSet) -> bool:
-    """Tell whether the markers lie on the centreline, so that their chords show how it bends."""
+    """Return whether the markers lie on the centreline, so that their chords show its bends."""
     inside = (dataset.offsets == 0.0).all() and len(dataset.markers) > 1
     return bool(inside and (np.diff(dataset.arc_lengths, prepend=0.0) > 0.0).all())
 
 
-def turns(positions: Floats) -> Floats:
+def cell_rotations(positions: Floats) -> Floats:
     """
-    Turn from one chord of the arm to the next, as rotation vectors.
+    Rotation from one chord of the arm to the next, as rotation vectors.
 
     The chord of a cell leads from the marker before it (the base for the first) to its own; the
     first turns from +z: the angular displacement of a cell based on the cell before it (Kato et
@@ -253,7 +253,7 @@ def bending_axes(markers: Floats) -> Floats:
     turns by a positive angle.
     """
     axes = np.tile([0.0, 1.0, 0.0], (len(markers), 1))
-    for p, turned in enumerate(turns(markers)):
+    for p, turned in enumerate(cell_rotations(markers)):
         values, vectors = np.linalg.eigh(turned.T @ turned)
         axis = vectors[:, -1]
         if values[-1] > 0.0 and abs(axis[1]) < 0.999:

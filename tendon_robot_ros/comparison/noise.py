@@ -120,21 +120,21 @@ class Whitener:
         accuracy: float = 0.0,
         rough: float = 0.0,
     ) -> None:
-        """Find the roots; `slopes` are those of `input_slopes`."""
-        self._seen = np.repeat(dataset.counts > 0, 3, axis=1)  # (P, 3 J)
+        """Factor the covariance; `slopes` are those of `input_slopes`."""
+        self._visible = np.repeat(dataset.counts > 0, 3, axis=1)  # (P, 3 J)
         counts = np.repeat(np.maximum(dataset.counts, 1), 3, axis=1)
         own = noise.position**2 / counts
         driven = _driven(dataset, noise, slopes, own + rough**2)
         total = own + (driven**2).sum(axis=1)
-        self.variance = [one[seen] for one, seen in zip(total, self._seen, strict=True)]
-        self._scale = np.where(self._seen, 1.0 / np.sqrt(own + rough**2), 0.0)  # (P, 3 J)
+        self.variance = [one[visible] for one, visible in zip(total, self._visible, strict=True)]
+        self._scale = np.where(self._visible, 1.0 / np.sqrt(own + rough**2), 0.0)  # (P, 3 J)
         scaled = driven * self._scale[:, None]
         values, vectors = np.linalg.eigh(scaled @ scaled.swapaxes(1, 2))
         values = np.maximum(values, 0.0)[..., None]  # (P, m, 1)
         shrunk = 1.0 / np.sqrt(1.0 + values + np.sqrt(1.0 + values))
         self._along = shrunk * (vectors.swapaxes(1, 2) @ scaled)  # (P, m, 3 J)
         self._logs = np.log1p(values).sum(axis=(1, 2)) - 2.0 * np.log(
-            self._scale, out=np.zeros_like(self._scale), where=self._seen
+            self._scale, out=np.zeros_like(self._scale), where=self._visible
         ).sum(axis=1)
         self._dense: list[Floats] | None = None
         if not accuracy:
@@ -150,54 +150,54 @@ class Whitener:
 
     @property
     def rows(self) -> list[npt.NDArray[np.intp]]:
-        """What was seen of each posture: indices of (marker, coordinate)."""
-        return [np.flatnonzero(seen) for seen in self._seen]
+        """Indices of the visible (marker, coordinate) pairs of each posture."""
+        return [np.flatnonzero(visible) for visible in self._visible]
 
     @property
     def size(self) -> int:
         """Number N of whitened values."""
-        return int(self._seen.sum())
+        return int(self._visible.sum())
 
     def root(self, p: int) -> Floats:
         """Return W (n, n) for what was seen of a posture: W'W is the covariance's inverse."""
         if self._dense is not None:
             return self._dense[p]
-        rows = np.flatnonzero(self._seen[p])
+        rows = np.flatnonzero(self._visible[p])
         along = self._along[p][:, rows]
         return np.asarray((np.eye(len(rows)) - along.T @ along) * self._scale[p, rows])
 
     def without(self, postures: Sequence[int] | npt.NDArray[np.int64]) -> Whitener:
-        """Return weights that do not see some postures."""
-        made, held = copy(self), list(postures)
-        made._seen, made._scale = self._seen.copy(), self._scale.copy()
-        made._along, made._logs = self._along.copy(), self._logs.copy()
-        made._seen[held], made._scale[held] = False, 0.0
-        made._along[held], made._logs[held] = 0.0, 0.0
+        """Return the same whitener with some postures weighted zero."""
+        copied, held = copy(self), list(postures)
+        copied._visible, copied._scale = self._visible.copy(), self._scale.copy()
+        copied._along, copied._logs = self._along.copy(), self._logs.copy()
+        copied._visible[held], copied._scale[held] = False, 0.0
+        copied._along[held], copied._logs[held] = 0.0, 0.0
         if self._dense is not None:
             nothing = np.zeros((0, 0))
-            made._dense = [nothing if p in held else one for p, one in enumerate(self._dense)]
-        return made
+            copied._dense = [nothing if p in held else one for p, one in enumerate(self._dense)]
+        return copied
 
     def white(self, difference: Floats) -> Floats:
         """Whiten differences (..., P, J, 3) [m] into (..., N)."""
-        lead, (P, n) = difference.shape[:-3], self._seen.shape
+        leading, (P, n) = difference.shape[:-3], self._visible.shape
         flat = difference.reshape(-1, P, n).swapaxes(0, 1)  # (P, q, 3 J)
         if self._dense is not None:
             own = zip(flat, self.rows, self._dense, strict=True)
             blocks = [one[:, rows] @ root.T for one, rows, root in own]
-            return np.concatenate(blocks, axis=1).reshape(*lead, -1)
-        complete = self._seen.all()
-        scaled = (flat if complete else np.where(self._seen[:, None], flat, 0.0)) * self._scale[
+            return np.concatenate(blocks, axis=1).reshape(*leading, -1)
+        complete = self._visible.all()
+        scaled = (flat if complete else np.where(self._visible[:, None], flat, 0.0)) * self._scale[
             :, None
         ]
         white = scaled - (scaled @ self._along.swapaxes(1, 2)) @ self._along
         rows = white.swapaxes(0, 1).reshape(-1, P * n)
-        return (rows if complete else rows[:, self._seen.reshape(-1)]).reshape(*lead, -1)
+        return (rows if complete else rows[:, self._visible.reshape(-1)]).reshape(*leading, -1)
 
     @property
     def owners(self) -> npt.NDArray[np.int64]:
         """Posture (N,) that each whitened value belongs to."""
-        return np.repeat(np.arange(len(self._seen)), self._seen.sum(axis=1))
+        return np.repeat(np.arange(len(self._visible)), self._visible.sum(axis=1))
 
     @property
     def log_determinant(self) -> float:
@@ -211,7 +211,7 @@ class Whitener:
 
 
 def _driven(dataset: DataSet, noise: Noise, slopes: Floats, own: Floats) -> Floats:
-    """Return rows G (P, q, 3 J) [m] of what inputs and shifts do to the marker means."""
+    """Return rows G (P, q, 3 J) [m]: displacements of the marker means by inputs and shifts."""
     flat = slopes.reshape(*slopes.shape[:2], -1)  # (P, m, 3 J)
     driven = _moved(_shared_noise(dataset, noise.setting, noise.trial), flat, own)
     if not noise.shift:
@@ -226,8 +226,8 @@ def _moved(rows: Floats, flat: Floats, own: Floats) -> Floats:
     loudest = (flat**2 / own[:, None]).max(axis=(1, 2), initial=0.0)
     shown = (rows**2).sum(axis=2) * loudest[:, None] > NEGLIGIBLE
     rows = rows[:, : max(int(shown.any(axis=0).sum()), 1)]
-    made = np.repeat(rows, 3, axis=2)[:, :, None] * flat[:, None]
-    return np.asarray(made.reshape(len(made), -1, made.shape[-1]))
+    moved = np.repeat(rows, 3, axis=2)[:, :, None] * flat[:, None]
+    return np.asarray(moved.reshape(len(moved), -1, moved.shape[-1]))
 
 
 def _shared_noise(dataset: DataSet, setting: float, trial: float) -> Floats:
@@ -249,16 +249,16 @@ def _shared_noise(dataset: DataSet, setting: float, trial: float) -> Floats:
 
 def common_error(dataset: DataSet, rows: npt.NDArray[np.int64], accuracy: float) -> Floats:
     """Covariance of an error of one posture that grows along the arm up to `accuracy` [m]."""
-    share = np.repeat(dataset.arc_lengths / dataset.robot.length, 3)[rows]
+    height = np.repeat(dataset.arc_lengths / dataset.robot.length, 3)[rows]
     same = (rows[:, None] % 3) == (rows[None, :] % 3)
-    return np.asarray(accuracy**2 / 3.0 * np.minimum.outer(share, share) * same)
+    return np.asarray(accuracy**2 / 3.0 * np.minimum.outer(height, height) * same)
 
 
 def rms(difference: Floats) -> float:
-    """Root mean square 3-D distance [m] over what was seen, nan of nothing; (P, J, 3)."""
+    """Root mean square 3-D distance [m] over visible markers (P, J, 3); nan without any."""
     distance2 = (difference**2).sum(axis=-1)
-    seen = distance2[~np.isnan(distance2)]
-    return float(np.sqrt(seen.mean())) if seen.size else float('nan')
+    known = distance2[~np.isnan(distance2)]
+    return float(np.sqrt(known.mean())) if known.size else float('nan')
 
 
 # [1] logarithms of the size of an error over the rms of all residuals between which it is sought:
@@ -291,11 +291,11 @@ def likely(
         Postures that do not count.
 
     """
-    seen = np.repeat(dataset.counts > 0, 3, axis=1)  # (P, 3 J)
-    seen[list(held)] = False
-    size = rms(np.where(seen.reshape(off.shape), off, np.nan)) / np.sqrt(3.0)
+    visible = np.repeat(dataset.counts > 0, 3, axis=1)  # (P, 3 J)
+    visible[list(held)] = False
+    size = rms(np.where(visible.reshape(off.shape), off, np.nan)) / np.sqrt(3.0)
     residuals = _Residuals(
-        dataset, noise, slopes, np.where(seen, off.reshape(seen.shape), 0.0), seen
+        dataset, noise, slopes, np.where(visible, off.reshape(visible.shape), 0.0), visible
     )
     best = [0.0, 0.0]
     for _ in range(DESCENT_ROUNDS):
@@ -313,21 +313,21 @@ class _Residuals:
     """Residuals (P, 3 J) [m] of postures, where markers were seen, and their noise covariance."""
 
     def __init__(
-        self, dataset: DataSet, noise: Noise, slopes: Floats, flat: Floats, seen: BoolArray
+        self, dataset: DataSet, noise: Noise, slopes: Floats, flat: Floats, visible: BoolArray
     ) -> None:
-        self.flat, self.seen, self.here = flat, seen, np.arange(flat.shape[1])
+        self.flat, self.visible, self.indices = flat, visible, np.arange(flat.shape[1])
         self.own = noise.position**2 / np.repeat(np.maximum(dataset.counts, 1), 3, axis=1)
         driven = _driven(dataset, noise, slopes, self.own)
         self.driven = driven.swapaxes(1, 2) @ driven  # (P, 3 J, 3 J)
-        self.common = common_error(dataset, self.here, 1.0)
+        self.common = common_error(dataset, self.indices, 1.0)
 
     def cost(self, smooth: float, rough: float) -> float:
         """Return -2 log likelihood with errors of these sizes [m]."""
-        seen, here = self.seen, self.here
+        visible, diagonal = self.visible, self.indices
         blocks = self.driven + smooth**2 * self.common
-        blocks[:, here, here] += self.own + rough**2
-        blocks = np.where(seen[:, :, None] & seen[:, None], blocks, 0.0)
-        blocks[:, here, here] += ~seen
+        blocks[:, diagonal, diagonal] += self.own + rough**2
+        blocks = np.where(visible[:, :, None] & visible[:, None], blocks, 0.0)
+        blocks[:, diagonal, diagonal] += ~visible
         root = np.linalg.cholesky(blocks)
         white = np.linalg.solve(root, self.flat[..., None])
         logs = np.log(np.diagonal(root, axis1=1, axis2=2))
@@ -343,7 +343,7 @@ SHIFT_GAIN_MIN = chi2_isf(1e-3, 1.0)
 
 def estimate_noise(dataset: DataSet, slopes: Floats) -> Noise | None:
     """
-    Estimate the noise from deviations within postures only (REML), else take what is declared.
+    Estimate the noise from deviations within postures (REML), else return the declared noise.
 
     Model error is the same in all trials of a posture, so it does not bias the estimate. Among
     visits it may, because the commands before the last one differ; then what is declared is used
@@ -358,20 +358,19 @@ def estimate_noise(dataset: DataSet, slopes: Floats) -> Noise | None:
     deviations, driven = list[Floats](), list[Floats]()
     explained = input_effect(dataset, slopes)
     for p in range(len(dataset.postures)):
-        seen = dataset.trial_mask[p]
-        complete = dataset.mask[p][seen].all(axis=0)
-        trials = int(seen.sum())
+        measured = dataset.trial_mask[p]
+        complete = dataset.mask[p][measured].all(axis=0)
+        trials = int(measured.sum())
         if trials < 2 or not complete.any():
             continue
-        moves = (dataset.positions[p] - explained[p])[seen][:, complete].reshape(trials, -1)
+        moves = (dataset.positions[p] - explained[p])[measured][:, complete].reshape(trials, -1)
         deviations.append(moves - moves.mean(axis=0))
         driven.append(slopes[p][:, complete].reshape(len(slopes[p]), -1).T)
     total = float(sum((len(moves) - 1) * moves.shape[1] for moves in deviations))
     if total < TRIAL_DOF_MIN:
         return declared
-    many = any(
-        moves.shape[1] > 6 for moves in deviations
-    )  # on two markers inputs look like a shift
+    # with two markers or fewer the inputs cannot be distinguished from a shift
+    many = any(moves.shape[1] > 6 for moves in deviations)
     position, trial, shift = _likeliest(_TrialLikelihood(deviations, driven), many)
     return Noise(position, trial, dataset.setting_noise, total, 'trials', shift)
 
@@ -418,7 +417,7 @@ class _TrialLikelihood:
         axes = [np.hstack([g, np.tile(np.eye(3), (len(g) // 3, 1))]) for g in driven]
         self._gram = np.stack([a.T @ a for a in axes])
         along = [a.T @ moves.T for a, moves in zip(axes, deviations, strict=True)]
-        self._seen = np.stack([c @ c.T for c in along])
+        self._products = np.stack([c @ c.T for c in along])
         self._freedom = np.array([len(moves) - 1.0 for moves in deviations])
         self._count = float(sum((len(moves) - 1) * moves.shape[1] for moves in deviations))
         self._total = float(sum((moves**2).sum() for moves in deviations))
@@ -433,14 +432,14 @@ class _TrialLikelihood:
         root = np.linalg.cholesky(np.eye(len(size)) + scale * self._gram)
         logs = 2.0 * np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
         inverse = np.linalg.inv(root)
-        explained = float(((inverse @ (scale * self._seen)) * inverse).sum())
+        explained = float(((inverse @ (scale * self._products)) * inverse).sum())
         variance = max((self._total - explained) / self._count, 1e-24)
         return float(self._freedom @ logs) + self._count * math.log(variance), variance
 
     def likeliest(
         self, known: tuple[float | None, float | None], low: float, high: float
     ) -> float:
-        """Return the likeliest of the two variances that is not known, between two logarithms."""
+        """Return the likeliest value of the unknown variance, between two logarithms."""
 
         def cost(log: float) -> float:
             inputs, shift = (math.exp(log) if one is None else one for one in known)

@@ -1,16 +1,16 @@
 """
-Which readings and trials of a posture its other trials contradict.
+Readings and trials of a posture that contradict its other trials.
 
-A trial reads y = c + G u + e: c where the markers of the posture are, u how far its inputs were
-off, which moves markers along the known columns of G, and e the tracker, of one variance s². The
-least squares of a posture leave M y, of covariance s² M. What they leave of a reading i, deleted
-from the others, has the squared norm d = r' M_ii^-1 r, which is s² chi² of as many degrees of
-freedom as M_ii has rank (Cook and Weisberg 1982, 2.2): with fewer trials, and where inputs explain
-more of a reading, its residual is smaller, and so is its expectation. s² is the median
-of all d over that of chi², so that outliers do not count for it, and d is beyond chance by the F
-distribution. A trial is judged by the squared norm of G u, from the mean of the others: a sum of
-chi² with the weights s² + t² g², g the singular values of G, so no more than the largest weight
-times chi². The variance t² of inputs is the one that the median of all trials asks for.
+A trial measures y = c + G u + e, where c are the true places of the markers, u the errors of the
+inputs, which displace the markers along the known columns of G, and e the noise of the tracker
+with variance s². Least squares over the trials of a posture gives the residual M y with covariance
+s² M. The deleted residual r of reading i has the squared norm d = r' M_ii^-1 r, distributed as s²
+chi² with rank(M_ii) degrees of freedom (Cook and Weisberg 1982, 2.2): with fewer trials, or where
+inputs explain more of a reading, both its residual and its expectation are smaller. s² is the
+median of all d over the median of chi², which outliers hardly change, and the F distribution gives
+the limit of d. A trial is tested by the squared norm of G u, relative to the mean of the other
+trials: a sum of chi² with weights s² + t² g², where g are the singular values of G, bounded by the
+largest weight times chi². The variance t² of the inputs follows from the median of all trials.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ MEDIAN_EFFICIENCY = 0.37
 
 def contradicted(moves: Floats, slopes: Floats) -> tuple[Bools, Bools]:
     """
-    Tell which readings (P, Q, J) and which trials (P, Q) the other trials contradict.
+    Return which readings (P, Q, J) and trials (P, Q) are contradicted by the other trials.
 
     In every posture the reading, or the trial, that is farthest beyond its limit is removed, and
     the others are tested again without it, because it biased what was expected of them.
@@ -61,10 +61,10 @@ def contradicted(moves: Floats, slopes: Floats) -> tuple[Bools, Bools]:
         What inputs do, relative.
 
     """
-    seen = np.isfinite(moves).all(axis=3)
-    counts, runs = seen.sum(axis=2), seen.any(axis=2).sum(axis=1)
+    visible = np.isfinite(moves).all(axis=3)
+    counts, runs = visible.sum(axis=2), visible.any(axis=2).sum(axis=1)
     still = np.nanmax(np.abs(moves), axis=(0, 1, 2), initial=0.0) < RESOLUTION  # never measured
-    out, trials = np.zeros_like(seen), np.zeros(seen.shape[:2], dtype=bool)
+    out, trials = np.zeros_like(visible), np.zeros(visible.shape[:2], dtype=bool)
     residuals = dict[int, _Deviations]()
     stale = np.flatnonzero(runs >= TRIALS_MIN).tolist()
     while stale:
@@ -78,14 +78,14 @@ def contradicted(moves: Floats, slopes: Floats) -> tuple[Bools, Bools]:
             if of_trials.max() >= of_readings.max():
                 trials[p, int(of_trials.argmax())] = True
             else:
-                q, j = divmod(int(of_readings.argmax()), seen.shape[2])
+                q, j = divmod(int(of_readings.argmax()), visible.shape[2])
                 out[p, q, j] = True
                 trials[p, q] |= out[p, q].sum() > max(0.5 * counts[p, q], 1)  # most of it
             out[p] |= trials[p, :, None]
             stale.append(p)
     trials &= (trials.sum(axis=1) < 0.5 * runs)[:, None]  # where half is off, all may be
-    out &= (out.sum(axis=1) < 0.5 * seen.sum(axis=1))[:, None]
-    return out & seen & ~trials[..., None], trials
+    out &= (out.sum(axis=1) < 0.5 * visible.sum(axis=1))[:, None]
+    return out & visible & ~trials[..., None], trials
 
 
 def outlier_limits(sizes: Floats, freedom: Counts) -> Floats:
@@ -130,26 +130,26 @@ def trial_residuals(moves: Floats, slopes: Floats) -> _Deviations:
     g = slopes.reshape(len(slopes), -1).T  # (3 J, m)
     _, strong, directions = np.linalg.svd(g, full_matrices=False)
     g = g @ directions[strong > NEGLIGIBLE * strong.max(initial=RESOLUTION)].T  # (3 J, r)
-    seen = np.isfinite(moves.reshape(Q, -1))
-    a = seen[..., None] * g
+    visible = np.isfinite(moves.reshape(Q, -1))
+    a = visible[..., None] * g
     fit = np.linalg.pinv(a, rcond=NEGLIGIBLE)  # (Q, r, 3 J)
-    across = seen[..., None] * np.eye(3 * J) - a @ fit  # (Q, 3 J, 3 J): what inputs cannot do
+    across = visible[..., None] * np.eye(3 * J) - a @ fit  # (Q, 3 J, 3 J): what inputs cannot do
     inverse = np.linalg.pinv(across.sum(axis=0), rcond=NEGLIGIBLE, hermitian=True)
-    y = np.where(seen, moves.reshape(Q, -1), 0.0)
-    y = np.where(seen, y - inverse @ np.einsum('qij,qj->i', across, y), 0.0)
+    y = np.where(visible, moves.reshape(Q, -1), 0.0)
+    y = np.where(visible, y - inverse @ np.einsum('qij,qj->i', across, y), 0.0)
     residual = np.einsum('qij,qj->qi', across, y).reshape(Q, J, 3)
     own = np.einsum('qjajb->qjab', (across - across @ inverse @ across).reshape(Q, J, 3, J, 3))
     values, axes = np.linalg.eigh(own)
     known = values > NEGLIGIBLE
     squares = np.einsum('qjab,qja->qjb', axes, residual) ** 2 / np.where(known, values, np.inf)
-    here = seen.reshape(Q, J, 3).any(axis=2)
-    enough = here & (here.sum(axis=0) >= TRIALS_MIN)
+    measured = visible.reshape(Q, J, 3).any(axis=2)
+    enough = measured & (measured.sum(axis=0) >= TRIALS_MIN)
 
-    trials, u = here.any(axis=1), np.einsum('qrj,qj->qr', fit, y)
+    trials, u = measured.any(axis=1), np.einsum('qrj,qj->qr', fit, y)
     n = int(trials.sum())
     u = u - trials / max(n, 1) @ u
-    taken = (a @ u[..., None]).reshape(Q, J, 3)
-    shares = np.linalg.norm(taken, axis=2) / np.maximum(
+    by_inputs = (a @ u[..., None]).reshape(Q, J, 3)
+    ratios = np.linalg.norm(by_inputs, axis=2) / np.maximum(
         np.linalg.norm(residual, axis=2), RESOLUTION
     )
     strengths = np.zeros((Q, len(slopes)))
@@ -158,14 +158,14 @@ def trial_residuals(moves: Floats, slopes: Floats) -> _Deviations:
     return _Deviations(
         np.sqrt(squares.sum(axis=2)),
         np.where(enough, known.sum(axis=2), 0),
-        np.maximum(1.0 - SLOPES_OFF_FRACTION * shares, 0.0),
-        (taken**2).sum(axis=(1, 2)) * n / max(n - 1, 1),
+        np.maximum(1.0 - SLOPES_OFF_FRACTION * ratios, 0.0),
+        (by_inputs**2).sum(axis=(1, 2)) * n / max(n - 1, 1),
         strengths,
     )
 
 
 def _beyond(residuals: dict[int, _Deviations]) -> tuple[Floats, Floats]:
-    """Return how far readings (P, Q, J) and trials (P, Q) are, over the limits of chance."""
+    """Return the deviations of readings (P, Q, J) and trials (P, Q), over their chance limits."""
     sizes, freedom, surely, moved, strengths = (
         np.stack([getattr(one, field.name) for one in residuals.values()])
         for field in fields(_Deviations)
@@ -210,11 +210,11 @@ UNSETTLED_FRACTION_MAX = 0.25
 
 @dataclass(frozen=True)
 class Outliers:
-    """What the other trials contradict."""
+    """Readings and trials that the other trials contradict."""
 
     readings: npt.NDArray[np.bool_]  # (P, Q, J) single marker readings
     trials: npt.NDArray[np.bool_]  # (P, Q) whole trials
-    distance: Floats  # (P, Q, J) [m] from what the other trials say
+    distance: Floats  # (P, Q, J) [m] from the prediction by the other trials
 
     @property
     def any(self) -> bool:

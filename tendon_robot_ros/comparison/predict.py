@@ -1,4 +1,4 @@
-"""What a model with free parameters predicts for the postures of a data set, and its gradient."""
+"""Predictions of a model with free parameters for a data set, and their derivatives."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from ..robot import Robot
 
 @dataclass(frozen=True)
 class Conditions:
-    """What acts on the arm in some of the postures, as far as the data set says it."""
+    """Known loads in some of the postures, as declared by the data set."""
 
     rows: npt.NDArray[np.int64]
     gravity: Floats  # (3,) [m/s²]
@@ -65,7 +65,7 @@ def known_values(part: Part, catalogue: Catalogue) -> dict[tuple[str, str], floa
 
 @dataclass(frozen=True)
 class Tangent:
-    """How q parameters move P settled postures with J markers."""
+    """Derivatives of P equilibria with J markers by q parameters."""
 
     markers: Floats  # (q, P, J, 3) [m per unit]
     states: Floats  # (q, P, 3n) [rad per unit]
@@ -73,7 +73,7 @@ class Tangent:
 
 
 class Freed:
-    """A parameter that moves a little to both sides, as far as its bounds let it."""
+    """A parameter that is varied to both sides within its bounds, by central differences."""
 
     def __init__(
         self,
@@ -82,7 +82,7 @@ class Freed:
         count: int,
         set_to: Callable[[float], None],
     ) -> None:
-        """Note what `set_to` makes of the model's arrays at both ends, for `count` postures."""
+        """Store the model's arrays as `set_to` changes them at both ends, for `count` postures."""
         self.down, self.up = (np.full(count, end) for end in ends)
         self._moved: tuple[npt.NDArray[Any], ...] = (
             arrays.values,
@@ -103,7 +103,7 @@ class Freed:
 
     @contextmanager
     def applied(self, model: ForwardModel, side: Floats) -> Iterator[None]:
-        """Let the parameter be on one side while the block runs."""
+        """Set the parameter to one side while the block runs."""
         self._put(float(side[0]))
         try:
             yield
@@ -116,7 +116,7 @@ class Freed:
 
 
 class Shifted:
-    """The same of a parameter of an effect, that the model's arrays hold as it is now."""
+    """Like `Freed`, for a parameter of an effect, whose value is set in the model's arrays."""
 
     def __init__(
         self,
@@ -127,11 +127,11 @@ class Shifted:
         parameter: str,
         columns: slice,
     ) -> None:
-        """Note where its values lie, and how far it moves in `count` postures."""
+        """Store the location of its values, and its variation in `count` postures."""
         self.down, self.up = (np.full(count, end) for end in ends)
         self._arrays, self._effect = arrays, effect
         self._values = arrays.values[arrays.layout.rows[effect, parameter], columns]
-        self._here = self._values.copy()
+        self._described = self._values.copy()
 
     def inputs(self, inputs: Floats, side: Floats) -> Floats:
         """Return the input tensions (b, m) [N]: they stay."""
@@ -139,18 +139,18 @@ class Shifted:
 
     @contextmanager
     def applied(self, model: ForwardModel, side: Floats) -> Iterator[None]:
-        """Let the parameter be on one side, its effect on, while the block runs."""
+        """Set the parameter to one side, with its effect on, while the block runs."""
         on = self._arrays.on.copy()
         self._arrays.act(self._effect)
-        self._values[:] = self._here + side[0]
+        self._values[:] = self._described + side[0]
         try:
             yield
         finally:
-            self._values[:], self._arrays.on[:] = self._here, on
+            self._values[:], self._arrays.on[:] = self._described, on
 
 
 class Pulled:
-    """An input tension that moves a little to both sides, never below zero."""
+    """An input tension that is varied to both sides, never below zero."""
 
     def __init__(self, j: int, tensions: Floats) -> None:
         """Take the index of the input and its tensions (b,) [N]."""
@@ -168,21 +168,22 @@ class Pulled:
         return nullcontext()
 
 
-def held(tensions: Floats, seen: Floats, states: Floats, q: int) -> tuple[Floats, Floats, Floats]:
+def held(tensions: Floats, rows: Floats, states: Floats, q: int) -> tuple[Floats, Floats, Floats]:
     """
-    Let tensions (b, m) [N] answer q parameters so that the pulls of taut wires stay.
+    Eliminate the changes of tensions (b, m) [N] that keep the pulls of taut wires.
 
-    `seen` (q + m, b, m + 3 J) begins with the pulls, `states` is (q + m, b, 3n); the last m by the
-    tensions. Returns both for the parameters alone, and the answers (q, b, m) [N per unit].
+    `rows` (q + m, b, m + 3 J), which begins with the pulls, and `states` (q + m, b, 3n) are
+    derivatives by q parameters and by the m tensions. Returns both by the parameters alone, and
+    the derivatives (q, b, m) [N per unit] of the tensions.
     """
     m = tensions.shape[1]
     answers = np.zeros((q, len(tensions), m))
     for b, own in enumerate(tensions):
         taut = np.flatnonzero(own > SLACK_BELOW_N)
-        by_tension = seen[q:, b, :m][np.ix_(taut, taut)]
-        answers[:, b, taut] = -seen[:q, b, taut] @ np.linalg.pinv(by_tension, rcond=1e-9)
+        by_tension = rows[q:, b, :m][np.ix_(taut, taut)]
+        answers[:, b, taut] = -rows[:q, b, taut] @ np.linalg.pinv(by_tension, rcond=1e-9)
     return (
-        seen[:q] + np.einsum('qbm,mbx->qbx', answers, seen[q:]),
+        rows[:q] + np.einsum('qbm,mbx->qbx', answers, rows[q:]),
         states[:q] + np.einsum('qbm,mbx->qbx', answers, states[q:]),
         answers,
     )
@@ -211,7 +212,7 @@ class FreeParameter:
 
     @property
     def key(self) -> str:
-        """Name within its effect, as files hold it; `common.words.spoken` says it to people."""
+        """Name within its effect, as in files; see `common.words.spoken` for sentences."""
         return f'{self.parameter.name}[{self.label}]' if self.label else self.parameter.name
 
 
@@ -242,7 +243,7 @@ Point = Mapping[FreeParameter, float]
 
 @dataclass(frozen=True)
 class SettledShapes:
-    """Where the equilibria of P postures were found: a start for their neighbours."""
+    """Equilibria of P postures, the initial guess for nearby parameters."""
 
     tensions: Floats  # (P, m) [N]
     state: Floats  # (P, 3n) [rad], bends and twists
@@ -283,7 +284,7 @@ class Predictor:
             arrays.cells.copy(),
         )
         self.inputs = mean_inputs(dataset)
-        self.visits = None if dataset.visits is None else dataset.visits.seen(dataset.trial_mask)
+        self.visits = None if dataset.visits is None else dataset.visits.masked(dataset.trial_mask)
         self.settled: SettledShapes | None = None  # of the last prediction
         self._first: SettledShapes | None = None
 
@@ -340,7 +341,7 @@ class Predictor:
         self, point: Point, frees: Sequence[FreeParameter], settled: SettledShapes
     ) -> Tangent | None:
         """
-        Return how freed parameters move what settled at a point, without solving again.
+        Return the derivatives of equilibria by freed parameters, without solving again.
 
         By the implicit function theorem (`model.derivatives.follow`); where wire pulls are
         commanded, tensions answer so that taut wires keep theirs. None where friction remembers:
@@ -353,46 +354,46 @@ class Predictor:
             np.zeros((q, *settled.tensions.shape)),
         )
         for part in self.parts:
-            there, count = settled.of(part.rows), len(part.rows)
+            start, count = settled.of(part.rows), len(part.rows)
             self.set_parameters(point, part)
             if self.model.remembers:
                 return None
             moves: list[Move] = [self._freed(point, part, free) for free in frees]
             if self.dataset.input == 'displacement':
-                m = there.tensions.shape[1]
-                moves += [Pulled(j, there.tensions[:, j]) for j in range(m)]
+                m = start.tensions.shape[1]
+                moves += [Pulled(j, start.tensions[:, j]) for j in range(m)]
 
                 def pulls_and_markers(shapes: ShapeBatch) -> Floats:  # (b, m + 3 J) [m]
                     return np.hstack([shapes.pulls, self.see(shapes).reshape(len(shapes), -1)])
 
-                seen, states = follow(
-                    self.model, there.tensions, there.state, moves, pulls_and_markers
+                rows, states = follow(
+                    self.model, start.tensions, start.state, moves, pulls_and_markers
                 )
-                seen, states, answers = held(there.tensions, seen, states, q)
-                moved.tensions[:, part.rows], seen = answers, seen[..., m:]
+                rows, states, answers = held(start.tensions, rows, states, q)
+                moved.tensions[:, part.rows], rows = answers, rows[..., m:]
             else:
-                seen, states = follow(self.model, there.tensions, there.state, moves, self.see)
-            moved.markers[:, part.rows] = seen.reshape(q, count, -1, 3)
+                rows, states = follow(self.model, start.tensions, start.state, moves, self.see)
+            moved.markers[:, part.rows] = rows.reshape(q, count, -1, 3)
             moved.states[:, part.rows] = states
         return moved
 
     def _freed(self, point: Point, part: Conditions, free: FreeParameter) -> Freed | Shifted:
-        """Return a parameter that is ready to move a little; the model is at the point."""
-        here, own, count = point.get(free, self.value(free)), free.parameter, len(part.rows)
-        step = TANGENT_STEP * max(abs(here), own.typical)
-        ends = (max(-step, own.low - here), min(step, own.high - here))
+        """Return the variation of a parameter about a point; the model is set to the point."""
+        value, own, count = point.get(free, self.value(free)), free.parameter, len(part.rows)
+        step = TANGENT_STEP * max(abs(value), own.typical)
+        ends = (max(-step, own.low - value), min(step, own.high - value))
         if free.effect in self.model.catalogue and (free.effect, own.name) not in part.known:
             return Shifted(
                 self.model.arrays, ends, count, free.effect, own.name, self.columns(free)
             )
 
         def set_to(side: float) -> None:
-            self.set_parameters({**point, free: here + side}, part)
+            self.set_parameters({**point, free: value + side}, part)
 
         return Freed(self.model.arrays, ends, count, set_to)
 
     def columns(self, free: FreeParameter) -> slice:
-        """Return the sections or tendons whose values a free parameter is."""
+        """Return the columns of the sections or tendons that a free parameter belongs to."""
         return slice(None) if free.column is None else slice(free.column, free.column + 1)
 
     def unsettled(self) -> tuple[str, ...]:
@@ -422,15 +423,15 @@ class Predictor:
         """
         for part in self.parts:
             self.set_parameters(point, part, stiffness)
-            there = None if near is None else near.of(part.rows)
+            start = None if near is None else near.of(part.rows)
             visits, own = self._visits(part), inputs[part.rows]
             if visits is None:
-                yield part, self.shapes(own, there)
+                yield part, self.shapes(own, start)
                 continue
             legs = []
             for leg in visits.legs():
                 rows = visits.rows[leg]
-                legs.append(self.shapes(own[rows], None if there is None else there.of(rows)))
+                legs.append(self.shapes(own[rows], None if start is None else start.of(rows)))
             yield part, together(legs)
 
     def _visits(self, part: Conditions) -> Visits | None:
@@ -439,7 +440,7 @@ class Predictor:
         return self.visits.among(part.rows) if remembered and self.visits else None
 
     def last_visits(self, part: Conditions) -> npt.NDArray[np.int64] | slice:
-        """Return which of the settled shapes of a part stand for its postures."""
+        """Return the indices of the settled shapes of a part that belong to its postures."""
         visits = self._visits(part)
         return slice(None) if visits is None else visits.last
 
@@ -461,11 +462,11 @@ class Predictor:
         if near is None or not len(far):
             return None if len(far) else batch
         for b in far:  # once more, from straight
-            again, changes = self.model.solve(inputs[b : b + 1])
+            retried, changes = self.model.solve(inputs[b : b + 1])
             if not changes[0] < TOLERANCE:
                 return None
             for name in FIELDS:
-                getattr(batch, name)[b] = getattr(again, name)[0]
+                getattr(batch, name)[b] = getattr(retried, name)[0]
         return batch
 
     def see(self, shapes: ShapeBatch) -> Floats:
@@ -502,16 +503,16 @@ class Predictor:
 
 
 def together(batches: Sequence[ShapeBatch | None]) -> ShapeBatch | None:
-    """Return shapes one after the other; None where one part of them has no equilibrium."""
-    found = [batch for batch in batches if batch is not None]
-    if len(found) < len(batches):
+    """Concatenate batches of shapes; None if one of them has no equilibrium."""
+    settled = [batch for batch in batches if batch is not None]
+    if len(settled) < len(batches):
         return None
-    fields = {name: np.concatenate([getattr(one, name) for one in found]) for name in FIELDS}
-    return replace(found[0], **fields)
+    fields = {name: np.concatenate([getattr(one, name) for one in settled]) for name in FIELDS}
+    return replace(settled[0], **fields)
 
 
 def stiffness_factors(free: FreeParameter, value: float, n: int) -> Floats:
-    """Return the factors (n,) by which a parameter that is no effect changes the cells."""
+    """Return the factors (n,) of the cells' stiffness by a parameter that is no effect."""
     if free.effect == TAPER:
         along = np.linspace(-1.0, 1.0, n) if free.parameter.name == 'slope' else np.ones(n)
         return np.asarray(np.exp(value * along))
@@ -523,9 +524,9 @@ def mean_inputs(dataset: DataSet) -> Floats:
     """Return the inputs (P, m) of the postures, the mean of the trials' where measured."""
     if dataset.trial_inputs is None:
         return np.array(dataset.inputs)
-    seen = dataset.trial_mask[..., None]
-    total = np.where(seen, dataset.trial_inputs, 0.0).sum(axis=1)
-    counts = seen.sum(axis=1)
+    measured = dataset.trial_mask[..., None]
+    total = np.where(measured, dataset.trial_inputs, 0.0).sum(axis=1)
+    counts = measured.sum(axis=1)
     return np.where(counts > 0, total / np.maximum(counts, 1), dataset.inputs)
 
 

@@ -129,7 +129,7 @@ class Comparison(TextResult):
     error: str = 'ci'  # 95 % t-interval, or 'sem'
 
     def __repr__(self) -> str:
-        """Say the errors of every model, and the noise floor."""
+        """Summarise the errors of every model, and the noise floor."""
         rows = [
             f'{m.name}: rms {_mm(m.rms)}, tip error {_mm(m.tip_error().mean)}' for m in self.models
         ]
@@ -252,16 +252,16 @@ class Comparison(TextResult):
 
     def grows_from(self, model: ModelErrors) -> int | None:
         """
-        Index of the marker from which the error is more than noise up to the tip.
+        Index of the marker from which on, up to the tip, the error exceeds the noise.
 
-        None where it nowhere is, or the noise is unknown.
+        None if there is no such marker, or the noise is unknown.
         """
         floor = self.measured.floor_per_marker
         if floor is None:
             return None
-        seen = np.flatnonzero(np.isfinite(floor))
-        low = seen[~(model.per_marker_rms[seen] > GROWN_FROM_FLOORS * floor[seen])]
-        later = seen[seen > (low[-1] if len(low) else -1)]
+        known = np.flatnonzero(np.isfinite(floor))
+        low = known[~(model.per_marker_rms[known] > GROWN_FROM_FLOORS * floor[known])]
+        later = known[known > (low[-1] if len(low) else -1)]
         return int(later[0]) if len(later) else None
 
     def angle_bands(self) -> tuple[Floats, Floats] | None:
@@ -345,11 +345,11 @@ def _model_to_json(comparison: Comparison, model: ModelErrors) -> dict[str, Any]
 
     def of_posture(p: int, posture: str) -> dict[str, Any]:
         distance = model.distance[p]
-        seen = np.isfinite(distance).any()
+        known = np.isfinite(distance).any()
         return {
             'posture': posture,
             'rms': _number(model.per_posture_rms[p]),
-            'max': _number(np.nanmax(distance)) if seen else None,
+            'max': _number(np.nanmax(distance)) if known else None,
             'tip_error': _estimate(model.tip_error_of(p, error)),
             'tip_errors': _numbers(model.tip_errors[p]),
             'error': _numbers(distance),

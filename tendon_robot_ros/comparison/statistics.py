@@ -20,7 +20,7 @@ ERRORS = ('ci', 'sem')  # 95 % t-interval of the mean, or its standard error
 
 
 def chi2_sf(x: float, freedom: float) -> float:
-    """Probability that chi² with so many degrees of freedom exceeds x; 1 without any."""
+    """Probability that chi² of some degrees of freedom exceeds x; 1 for zero degrees."""
     return float(special.chdtrc(freedom, x)) if x > 0.0 and freedom > 0.0 else 1.0
 
 
@@ -70,25 +70,25 @@ def false_discovery_control(p: Floats) -> Floats:
 def minimum(
     cost: Callable[[float], float], low: float, high: float, precision: float
 ) -> tuple[float, float]:
-    """Return where a curve with one valley is lowest between two ends, and how low (golden)."""
+    """Return the minimiser and minimum of a unimodal function (golden-section search)."""
     golden = 0.5 * (math.sqrt(5.0) - 1.0)
-    left, right = high - golden * (high - low), low + golden * (high - low)
-    at_left, at_right = cost(left), cost(right)
+    lower, upper = high - golden * (high - low), low + golden * (high - low)
+    cost_lower, cost_upper = cost(lower), cost(upper)
     while high - low > precision:
-        if at_left <= at_right:
-            high, right, at_right = right, left, at_left
-            left = high - golden * (high - low)
-            at_left = cost(left)
+        if cost_lower <= cost_upper:
+            high, upper, cost_upper = upper, lower, cost_lower
+            lower = high - golden * (high - low)
+            cost_lower = cost(lower)
         else:
-            low, left, at_left = left, right, at_right
-            right = low + golden * (high - low)
-            at_right = cost(right)
-    return (left, at_left) if at_left <= at_right else (right, at_right)
+            low, lower, cost_lower = lower, upper, cost_upper
+            upper = low + golden * (high - low)
+            cost_upper = cost(upper)
+    return (lower, cost_lower) if cost_lower <= cost_upper else (upper, cost_upper)
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A mean and how well it is known, in the unit of the values; NaN where it is unknown."""
+    """A mean and its interval, in the unit of the values; NaN where it is unknown."""
 
     mean: float
     half: float  # half the width of the 95 % t-interval, or the standard error
@@ -146,17 +146,17 @@ def half_width(values: Floats, error: str = 'ci') -> Floats:
 
 def estimate(values: npt.ArrayLike, error: str = 'ci') -> Estimate:
     """Mean of numbers (n,) with its interval; NaN = missing."""
-    seen = np.asarray(values, dtype=float).ravel()
-    seen = seen[np.isfinite(seen)]
-    if not len(seen):
+    known = np.asarray(values, dtype=float).ravel()
+    known = known[np.isfinite(known)]
+    if not len(known):
         return Estimate(np.nan, np.nan, 0)
-    return Estimate(float(seen.mean()), float(half_width(seen, error)), len(seen))
+    return Estimate(float(known.mean()), float(half_width(known, error)), len(known))
 
 
 def paired_t(
     models: tuple[str, str], first: npt.ArrayLike, second: npt.ArrayLike, posture: str | None
 ) -> PairedT | None:
-    """Test whether two models err alike (n,) [m]; None with fewer than two pairs."""
+    """Compare errors (n,) [m] of two models (paired t-test); None with fewer than two pairs."""
     differences = np.asarray(first, dtype=float) - np.asarray(second, dtype=float)
     differences = differences[np.isfinite(differences)]
     if len(differences) < 2:

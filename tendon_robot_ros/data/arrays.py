@@ -42,7 +42,7 @@ def default_markers(robot: Robot) -> tuple[Marker, ...]:
 
 
 def even_markers(robot: Robot, count: int) -> tuple[Marker, ...]:
-    """Return so many markers, named '1' to 'n', evenly spaced up to the tip."""
+    """Return `count` markers, named '1' to 'n', evenly spaced up to the tip."""
     places = robot.length * (np.arange(count) + 1.0) / count
     return tuple(Marker(str(i + 1), float(place)) for i, place in enumerate(places))
 
@@ -175,9 +175,9 @@ def read_frame(frame: Any, inputs: Sequence[str], name: str) -> FrameArrays:
             f'{kept[row, column]:g}',
             'a trial has one value for each input',
         )
-    there = ~np.isinf(each)
-    mean = np.where(there, each, 0.0).sum(axis=1) / there.sum(axis=1)
-    spread = np.where(there, np.abs(each - mean[:, None]), 0.0)
+    measured = ~np.isinf(each)
+    mean = np.where(measured, each, 0.0).sum(axis=1) / measured.sum(axis=1)
+    spread = np.where(measured, np.abs(each - mean[:, None]), 0.0)
     differ = np.nan_to_num(spread).max() >= RESOLUTION
     return FrameArrays(
         postures=postures,
@@ -185,7 +185,7 @@ def read_frame(frame: Any, inputs: Sequence[str], name: str) -> FrameArrays:
         markers=markers,
         arc_lengths=arc_lengths,
         inputs=mean,
-        trial_inputs=np.where(there, each, np.nan) if differ else None,
+        trial_inputs=np.where(measured, each, np.nan) if differ else None,
         positions=positions,
         orientations=orientations,
     )
@@ -193,14 +193,14 @@ def read_frame(frame: Any, inputs: Sequence[str], name: str) -> FrameArrays:
 
 def _codes(column: Any) -> tuple[tuple[str, ...], Codes]:
     """
-    Return the names in a column, and each row's.
+    Return the names in a column, and the index of each row's name.
 
     In the order of an ordered categorical, else in that in which they appear.
     """
     texts = [str(value) for value in column.tolist()]
     first = list(column.cat.categories) if hasattr(column, 'cat') and column.cat.ordered else []
-    there = set(texts)
-    order = [text for text in map(str, first) if text in there]
+    present = set(texts)
+    order = [text for text in map(str, first) if text in present]
     names = {text: i for i, text in enumerate(dict.fromkeys([*order, *texts]))}
     return tuple(names), np.array([names[text] for text in texts], dtype=np.int64)
 
@@ -221,7 +221,7 @@ def _numbers(frame: Any, columns: Sequence[str], name: str) -> Floats:
 
 def frame_columns(arrays: FrameArrays, names: Sequence[str]) -> dict[str, Any]:
     """
-    Return the columns of a tidy table; a posture that nobody measured has one row of each marker.
+    Return the columns of a tidy table; an unmeasured posture has one row of each marker.
 
     Parameters
     ----------

@@ -33,13 +33,13 @@ class Table:
     numbers: dict[str, FloatArray]  # (n,), NaN where the cell is empty
 
     def name(self, row: int, *keys: str) -> str:
-        """Say which row of the table this is, by its names (in all name columns by default)."""
+        """Name a row for a message by its names (in all name columns by default)."""
         return ', '.join(
             f'{key} {self.labels[key][self.codes[key][row]]!r}' for key in keys or self.labels
         )
 
     def repeated(self, keys: Sequence[str]) -> tuple[int, int] | None:
-        """Return the first row whose names stood in an earlier row, and that row."""
+        """Return the first row whose names repeat those of an earlier row, and that row."""
         if not keys:
             return None
         index = np.zeros(len(self.codes[keys[0]]), dtype=np.int64)
@@ -286,7 +286,7 @@ class CsvFile:
 
 
 def _parse(lines: list[str], dtype: np.dtype[Any]) -> Block | None:
-    """Parse lines whose numbers are all good; empty cells become NaN. None = look closer."""
+    """Parse lines of valid numbers; empty cells become NaN. None: use `_parse_exactly`."""
     text = ''.join(lines)
     filled = text
     if ',,' in text or ',\n' in text or not text.endswith('\n'):

@@ -41,7 +41,7 @@ PATHS = (*LOADINGS, 'visits')
 
 
 def at_rest(inputs: FloatArray) -> BoolArray:
-    """Tell which postures (P,) are at rest, by inputs (P, m) [N] or [m]; NaN is a slack wire."""
+    """Return which postures (P,) of inputs (P, m) [N] or [m] are at rest; NaN is a slack wire."""
     sizes = np.abs(np.nan_to_num(inputs)).max(axis=1)
     return np.asarray(sizes < REST_FRACTION * sizes.max())
 
@@ -58,7 +58,7 @@ class Part:
 @dataclass(frozen=True, eq=False)
 class DataSet(TextResult):
     """
-    Postures of a robot, what was commanded and where its markers were.
+    Postures of a robot: commanded inputs and measured positions of its markers.
 
     P postures, Q trials, J markers, m inputs. In a `sequence` every trial replays all postures in
     order, so a posture without any measurement may stand between others, as among `visits`;
@@ -78,7 +78,7 @@ class DataSet(TextResult):
     input: str = 'tension'  # or 'displacement'
     path: str = 'from_straight'  # or 'sequence' or 'visits'
     visits: Visits | None = None  # how the arm came to its postures, where it is of `visits`
-    gravity: Vector | None = None  # [m/s²], base frame; None = the file does not say
+    gravity: Vector | None = None  # [m/s²], base frame; None = not given
     position_noise: float | None = None  # [m], 1 sd per coordinate
     setting_noise: float = 0.0  # [1], relative 1 sd per tendon, shared by a posture's trials
     trial_noise: float = 0.0  # [1], relative 1 sd per tendon and trial
@@ -99,8 +99,8 @@ class DataSet(TextResult):
             )
         if not self.trial_names:
             object.__setattr__(self, 'trial_names', tuple(str(q) for q in range(Q)))
-        seen = {'positions': (P, Q, J, 3), 'orientations': (P, Q, J, 4)}
-        for key, shape in {'inputs': (P, m), 'trial_inputs': (P, Q, m), **seen}.items():
+        shapes = {'positions': (P, Q, J, 3), 'orientations': (P, Q, J, 4)}
+        for key, shape in {'inputs': (P, m), 'trial_inputs': (P, Q, m), **shapes}.items():
             if (given := getattr(self, key)) is None:
                 continue
             array = np.array(given, dtype=float)
@@ -121,7 +121,7 @@ class DataSet(TextResult):
             )
 
     def __repr__(self) -> str:
-        """Say what was measured of which robot."""
+        """Summarise the size of the data set and its robot."""
         P, Q, J = self.positions.shape[:3]
         unit = 'N' if self.input == 'tension' else 'm'
         lost = 1.0 - self.mask[self.trial_mask].mean() if self.trial_mask.any() else 1.0
@@ -311,7 +311,7 @@ class DataSet(TextResult):
     @cached_property
     def groups(self) -> IntArray:
         """
-        Index (P,) of what was commanded: the same for postures of the same inputs.
+        Index (P,) of the command: the same for postures of the same inputs.
 
         Such postures are not independent: leave all of them out to judge a prediction.
         """
@@ -322,27 +322,27 @@ class DataSet(TextResult):
 
     @cached_property
     def mask(self) -> BoolArray:
-        """Tell which marker was seen in which trial, (P, Q, J)."""
+        """Whether a marker was visible in a trial, (P, Q, J)."""
         return np.isfinite(self.positions).all(axis=3)
 
     @cached_property
     def trial_mask(self) -> BoolArray:
-        """Tell which trial saw at least one marker, (P, Q)."""
+        """Whether a trial has at least one visible marker, (P, Q)."""
         return self.mask.any(axis=2)
 
     @cached_property
     def trials(self) -> NDArray[np.int64]:
-        """Number of trials that saw at least one marker, (P,)."""
+        """Number of trials with at least one visible marker, (P,)."""
         return self.trial_mask.sum(axis=1)
 
     @cached_property
     def counts(self) -> NDArray[np.int64]:
-        """Number of trials that saw the marker, (P, J)."""
+        """Number of trials in which the marker was visible, (P, J)."""
         return self.mask.sum(axis=1)
 
     @cached_property
     def mean(self) -> FloatArray:
-        """Mean position over the trials that saw the marker, (P, J, 3) [m]; NaN without any."""
+        """Mean position over the trials with a visible marker, (P, J, 3) [m]; NaN without any."""
         total = np.where(self.mask[..., None], self.positions, 0.0).sum(axis=1)
         counts = self.counts[..., None]
         return np.where(counts > 0, total / np.maximum(counts, 1), np.nan)
@@ -382,22 +382,22 @@ class DataSet(TextResult):
             A posture is unknown, or none is named.
 
         """
-        wanted = set(postures)
-        unknown = wanted.difference(self.postures)
-        if unknown or not wanted:
+        selected = set(postures)
+        unknown = selected.difference(self.postures)
+        if unknown or not selected:
             problem = f'no posture {min(unknown)!r}' if unknown else 'no posture is selected'
             raise InputError(f'{self.name}: {problem}; known: {listing(self.postures)}')
-        chosen = np.array([posture in wanted for posture in self.postures])
+        chosen = np.array([posture in selected for posture in self.postures])
         if self.path == 'from_straight':
             return self._rows(np.flatnonzero(chosen))
         end = len(chosen) if self.visits else int(np.flatnonzero(chosen)[-1]) + 1
         part = self._rows(np.arange(end))
         hidden = ~chosen[: len(part.postures), None, None, None]
-        seen = part.orientations
+        orientations = part.orientations
         return replace(
             part,
             positions=np.where(hidden, np.nan, part.positions),
-            orientations=None if seen is None else np.where(hidden, np.nan, seen),
+            orientations=None if orientations is None else np.where(hidden, np.nan, orientations),
         )
 
     def hold_out(self, share: float = 0.25, seed: int = 0) -> tuple[DataSet, DataSet]:
@@ -418,8 +418,8 @@ class DataSet(TextResult):
 
         """
         of = self.visits.commands if self.visits else self.postures  # all visits of a command
-        seen = zip(of, self.postures, self.trials, strict=True)
-        measured = {name: command for command, name, n in seen if n}
+        visits = zip(of, self.postures, self.trials, strict=True)
+        measured = {name: command for command, name, n in visits if n}
         commands = list(dict.fromkeys(measured.values()))
         if len(commands) < 2 or not 0.0 < share < 1.0:
             raise InputError(
@@ -432,7 +432,7 @@ class DataSet(TextResult):
         return self.select(set(measured) - check), self.select(check)
 
     def by_origin(self, split: Split, trials: IntArray | None) -> DataSet:
-        """Return postures by where the arm came from; rows (R,) are of a trial, or of all."""
+        """Split the postures by the command before; rows (R,) are of a trial, or of all."""
         inputs = self.inputs[split.command]
         own = np.zeros((len(split.postures), self.positions.shape[1]), dtype=bool)
         own[split.posture, slice(None) if trials is None else trials] = True
@@ -509,9 +509,9 @@ def _checked(
     """Return a data set of arrays whose values are in plausible units."""
     choice('input', metadata.input, INPUTS)
     choice('path', metadata.path, LOADINGS)
-    for key, (most, unit) in LIMITS.items():
+    for key, (maximum, unit) in LIMITS.items():
         if getattr(metadata, key) is not None:
-            number(key, getattr(metadata, key), 0.0, most, unit)
+            number(key, getattr(metadata, key), 0.0, maximum, unit)
     if metadata.gravity is not None:
         down = finite('gravity', metadata.gravity, 3)
         metadata = metadata._replace(gravity=(float(down[0]), float(down[1]), float(down[2])))

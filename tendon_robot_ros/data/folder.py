@@ -15,7 +15,7 @@ import yaml
 
 from ..common import files
 from ..common.errors import DataSetError, TendonRobotError, place, short
-from ..common.files import TABLE_ENDINGS, new_folder, refuse_taken
+from ..common.files import TABLE_ENDINGS, new_folder, refuse_other_files
 from ..common.words import PROGRAM
 from ..common.yaml_reading import Reader, parse_yaml
 from ..robot import Robot, dump_robot, load_robot
@@ -68,7 +68,7 @@ class DatasetFields(Reader):
 
 @dataclass(frozen=True)
 class Description:
-    """What dataset.yaml says; see `DataSet` for the meaning of each value."""
+    """The content of dataset.yaml; see `DataSet` for the meaning of each value."""
 
     input: str
     path: str
@@ -155,7 +155,7 @@ def describe(fields: DatasetFields, robot: Robot) -> Description:
     """
     noise = fields.child('tension_noise', optional=True)
     noise.only('setting', 'trial')
-    known: dict[str, dict[str, float]] = {}  # what its effects mean the catalogue says
+    known: dict[str, dict[str, float]] = {}  # checked later, against the catalogue
     for name in fields.mapping('known'):
         effect = fields.child('known').child(str(name))
         if not effect.content:
@@ -222,7 +222,7 @@ def dump_description(dataset: DataSet) -> str:
     )
 
 
-TAKEN = ('markers', 'path')  # fields of a description that are taken one by one
+OWN_FIELDS = ('markers', 'path')  # fields of a description that are taken one by one
 
 
 def read_folder(folder: Path, robot: Robot | None = None) -> DataSet:
@@ -270,29 +270,29 @@ def read_folder(folder: Path, robot: Robot | None = None) -> DataSet:
         raise
     between = description.path != 'from_straight'
     shapes = read_shapes(folder / 'shapes.csv', robot, names, commands, between)
-    seen = np.isfinite(shapes.positions[..., 0]).any(axis=(0, 1))
-    if description.markers and not seen.all():
-        problem = f'{names[int(seen.argmin())]!r} was never seen in shapes.csv'
+    visible = np.isfinite(shapes.positions[..., 0]).any(axis=(0, 1))
+    if description.markers and not visible.all():
+        problem = f'{names[int(visible.argmin())]!r} was never seen in shapes.csv'
         raise DataSetError(f'{path}: markers', problem, 'correct the name or remove the marker')
-    turned = shapes.orientations
+    orientations = shapes.orientations
     dataset = DataSet(
         name=str(folder),
         robot=robot,
-        markers=tuple(marker for marker, one in zip(markers, seen, strict=True) if one),
+        markers=tuple(marker for marker, one in zip(markers, visible, strict=True) if one),
         postures=commands.postures,
         inputs=commands.by_posture(),
         trial_names=shapes.trials,
         trial_inputs=commands.by_trial(shapes.trials),
-        positions=shapes.positions[:, :, seen],
-        orientations=None if turned is None else turned[:, :, seen],
+        positions=shapes.positions[:, :, visible],
+        orientations=None if orientations is None else orientations[:, :, visible],
         path='sequence' if visits else description.path,
-        **{key: value for key, value in vars(description).items() if key not in TAKEN},
+        **{key: value for key, value in vars(description).items() if key not in OWN_FIELDS},
     )
     return _by_history(dataset, commands) if visits else dataset
 
 
 def refuse_table(path: Path) -> None:
-    """Raise DataSetError where there is no folder, or a file stands in its place."""
+    """Raise DataSetError if the folder does not exist or is a file."""
     if not os.path.exists(path):
         raise DataSetError(str(path), 'is not there', 'name the folder of a data set')
     if path.suffix.lower() in TABLE_ENDINGS and os.path.isfile(path):
@@ -324,11 +324,11 @@ def described_robot(folder: str | Path) -> Robot:
 
 
 def _by_history(dataset: DataSet, commands: Commands) -> DataSet:
-    """Return the trials of each posture apart by where the arm came from."""
+    """Split the trials of each posture by the command before."""
     code, known = commands.table.codes['posture'], commands.trials is not None
     trial = commands.table.translate('trial', dataset.trial_names) if known else None
-    seen = dataset.trial_mask
-    measured = seen.any(axis=1)[code] if trial is None else seen[code, trial]
+    trial_mask = dataset.trial_mask
+    measured = trial_mask.any(axis=1)[code] if trial is None else trial_mask[code, trial]
     if commands.origin is not None:
         split = split_by_origin(dataset.postures, code, commands.origin, measured)
     else:
@@ -349,7 +349,7 @@ def refuse_dataset_in(folder: str | Path, overwrite: bool) -> None:
         raise DataSetError(
             str(folder), 'holds a data set already', 'name a new folder or allow --overwrite'
         )
-    refuse_taken(Path(folder), (*FILES, *BESIDE) if overwrite else ())
+    refuse_other_files(Path(folder), (*FILES, *BESIDE) if overwrite else ())
 
 
 def save_dataset(
@@ -391,13 +391,13 @@ def save_dataset(
             'select the measured postures',
         )
     refuse_dataset_in(folder, overwrite)
-    seen, turned = dataset.mask.any(axis=(0, 1)), dataset.orientations
-    if not seen.all():
+    visible, orientations = dataset.mask.any(axis=(0, 1)), dataset.orientations
+    if not visible.all():
         dataset = replace(
             dataset,
-            markers=tuple(m for m, one in zip(dataset.markers, seen, strict=True) if one),
-            positions=dataset.positions[:, :, seen],
-            orientations=None if turned is None else turned[:, :, seen],
+            markers=tuple(m for m, one in zip(dataset.markers, visible, strict=True) if one),
+            positions=dataset.positions[:, :, visible],
+            orientations=None if orientations is None else orientations[:, :, visible],
         )
     with new_folder(Path(folder), (*FILES, *BESIDE) if overwrite else ()) as new:
         (new / 'dataset.yaml').write_text(dump_description(dataset), encoding='utf-8')
@@ -441,7 +441,7 @@ def _input_rows(dataset: DataSet) -> Iterator[Iterable[object]]:
 
 
 def _visit_rows(dataset: DataSet, visits: Visits) -> Iterator[Iterable[object]]:
-    """Yield the visits in their order, or of every trial the command before."""
+    """Yield the visits in their order, or the command before every trial."""
     names, inputs = dataset.trial_names, dataset.inputs_by_trial
     if visits.in_one_go and (visits.trials >= 0).all():
         yield ('posture', 'trial', VISIT, *dataset.input_names)

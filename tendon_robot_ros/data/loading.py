@@ -171,7 +171,7 @@ def _joined(datasets: Sequence[DataSet]) -> DataSet:
 
 
 def _stacked(arrays: Sequence[FloatArray], trials: int) -> FloatArray:
-    """Join arrays (P, Q, ...) of postures, each padded with NaN to so many trials."""
+    """Join arrays (P, Q, ...) of postures, each padded with NaN to the same number of trials."""
     padded = []
     for array in arrays:
         lacking = np.zeros((array.ndim, 2), dtype=int)

@@ -1,4 +1,4 @@
-"""inputs.csv and shapes.csv: what was commanded, and where the markers were."""
+"""inputs.csv and shapes.csv: the commands, and the measured positions of the markers."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Commands:
     file: CsvFile
     table: Table
     values: FloatArray  # (R, m) [N] or [m], NaN = slack
-    visit: IntArray | None = None  # (R,) when each row was visited; None: the file does not say
+    visit: IntArray | None = None  # (R,) order of the visits; None: not in the file
     origin: IntArray | None = None  # (R,) index of the posture before, `STRAIGHT` for none
 
     @property
@@ -71,7 +71,7 @@ class Commands:
         """
         Return the values of every trial, (P, Q, m), None where the file has none.
 
-        Visits need a row per trial: where all of a posture are the same, none was measured.
+        Visits need a row per trial; equal rows of a posture are commands and no measurements.
         """
         if self.trials is None:
             return None
@@ -125,14 +125,14 @@ def read_inputs(
 
 
 def check_drums(file: CsvFile, robot: Robot) -> None:
-    """Refuse a drum beside its wires, and one of which neither stands there."""
+    """Refuse a drum together with its wires, and a drum for which neither has a column."""
     for drum, wound in robot.drums.items():
-        there = [wire for wire in wound if wire in file.header]
-        if drum in file.header and there:
-            problem = f'drum {drum!r} and its wire {there[0]!r} both have a column'
+        present = [wire for wire in wound if wire in file.header]
+        if drum in file.header and present:
+            problem = f'drum {drum!r} and its wire {present[0]!r} both have a column'
             raise file.error(1, problem, 'keep one of them')
-        if drum not in file.header and len(there) < len(wound):
-            missing = next(wire for wire in wound if wire not in there)
+        if drum not in file.header and len(present) < len(wound):
+            missing = next(wire for wire in wound if wire not in present)
             remedy = f'add it to the header, or with input: displacement its drum {drum!r}'
             raise file.error(1, f'column {missing!r} is missing', remedy)
 
@@ -151,16 +151,16 @@ def wound(file: CsvFile, table: Table, robot: Robot) -> FloatArray:
 
 
 def check_history(file: CsvFile, visits: bool) -> None:
-    """Refuse columns of a history that dataset.yaml does not speak of, and the reverse."""
-    there = [name for name in HISTORY if name in file.header]
-    if there and not visits:
+    """Refuse columns of a history that dataset.yaml does not announce, and the reverse."""
+    present = [name for name in HISTORY if name in file.header]
+    if present and not visits:
         remedy = 'write path: visits in dataset.yaml, or remove the column'
-        raise file.error(1, f'column {there[0]!r} tells of visits', remedy)
-    if visits and len(there) != 1:
-        problem = 'visit and previous both' if there else 'neither visit nor previous'
+        raise file.error(1, f'column {present[0]!r} tells of visits', remedy)
+    if visits and len(present) != 1:
+        problem = 'visit and previous both' if present else 'neither visit nor previous'
         remedy = 'write visit (its number in the order of visits) or previous (posture before)'
         raise file.error(1, f'with path: visits there is {problem}', remedy)
-    if VISIT in there and 'trial' not in file.header:
+    if VISIT in present and 'trial' not in file.header:
         raise file.error(1, "visits are counted, but column 'trial' is missing", 'add it')
 
 
@@ -181,7 +181,7 @@ def visits_of(file: CsvFile, table: Table) -> IntArray | None:
 
 
 def origins(file: CsvFile, table: Table) -> IntArray | None:
-    """Return the index of the posture before (R,), None where the file does not say."""
+    """Return the index of the posture before (R,), None if the file has no such column."""
     if ORIGIN not in table.labels:
         return None
     postures, names = table.labels['posture'], table.labels[ORIGIN]
@@ -285,14 +285,14 @@ def read_shapes(
             '{} postures x {} trials x {} markers are too many'.format(*sizes),
             'count the trials of every posture from 0',
         )
-    seen = ~np.isnan(xyz[:, 0])
-    _check_trials(file, table, commands, (posture, trial, seen, trials), sequence)
+    visible = ~np.isnan(xyz[:, 0])
+    _check_trials(file, table, commands, (posture, trial, visible, trials), sequence)
     positions = np.full((*sizes, 3), np.nan)
     positions[posture, trial, marker] = xyz
     orientations = None
     if turned:
         orientations = np.full((*sizes, 4), np.nan)
-        orientations[posture, trial, marker] = _quaternions(file, table, seen)
+        orientations[posture, trial, marker] = _quaternions(file, table, visible)
     return Shapes(trials, positions, orientations)
 
 
@@ -343,9 +343,9 @@ def _check_trials(
     file: CsvFile, table: Table, commands: Commands, places: Places, sequence: bool
 ) -> None:
     """Refuse trials without a measurement, measurements without inputs and the reverse."""
-    posture, trial, seen, trials = places
+    posture, trial, visible, trials = places
     measured = np.zeros((len(commands.postures), len(trials)), dtype=bool)
-    measured[posture[seen], trial[seen]] = True
+    measured[posture[visible], trial[visible]] = True
     empty = ~measured[posture, trial]
     _refuse(
         file,
@@ -355,7 +355,7 @@ def _check_trials(
     )
     codes = commands.table.codes
     if commands.trials is None:
-        done = measured.any(axis=1)[codes['posture']]
+        is_measured = measured.any(axis=1)[codes['posture']]
     else:
         rows = codes['posture'], commands.table.translate('trial', trials)
         commanded = np.zeros_like(measured)
@@ -367,9 +367,9 @@ def _check_trials(
             f'{table.name(int(alone.argmax()), *KEYS[:2])}: inputs.csv has no row for this trial',
             'add its inputs there or remove its rows here',
         )
-        done = measured[rows]
-    if not sequence and not done.all():
-        row = int(done.argmin())
+        is_measured = measured[rows]
+    if not sequence and not is_measured.all():
+        row = int(is_measured.argmin())
         raise commands.file.error(
             row + 2,
             f'{commands.table.name(row)}: {file.path.name} has no such measurement',
@@ -377,7 +377,7 @@ def _check_trials(
         )
 
 
-def _quaternions(file: CsvFile, table: Table, seen: NDArray[np.bool_]) -> FloatArray:
+def _quaternions(file: CsvFile, table: Table, visible: NDArray[np.bool_]) -> FloatArray:
     """Return unit quaternions, (n, 4)."""
     q = np.stack([table.numbers[name] for name in QUATERNION], axis=1)
     missing = np.isnan(q)
@@ -389,7 +389,7 @@ def _quaternions(file: CsvFile, table: Table, seen: NDArray[np.bool_]) -> FloatA
     )
     _refuse(
         file,
-        ~missing.all(axis=1) & ~seen,
+        ~missing.all(axis=1) & ~visible,
         'an orientation without a position',
         'write x, y, z too, or leave the quaternion empty',
     )

@@ -21,7 +21,7 @@ NO_PATH = 'name a CSV file of targets, or a recording'
 
 @dataclass(frozen=True)
 class TipRows:
-    """Targets of the tip; `held` says that each one stands until the next."""
+    """Targets of the tip; with `held` each target holds until the next one."""
 
     times: FloatArray | None  # (n,) [s] from 0, None: as fast as the limits allow
     positions: FloatArray  # (n, 3) [m]
@@ -165,26 +165,26 @@ def read_moves(path: str | Path) -> Moves:
         It is no recording, or holds neither targets nor commands.
 
     """
-    heard: dict[str, list[tuple[float, Any]]] = {}
+    received: dict[str, list[tuple[float, Any]]] = {}
     with opened(path) as reader:
         types = {c.topic: c.msgtype for c in reader.connections}
         tips = [(name, POSE_STAMPED) for name in TIPS]
         kinds = [*TARGETS, TRAJECTORY, *tips, (COMMAND, JOINT_STATE)]
         topics = ((topic_of(types, name, kind), name) for name, kind in kinds)
-        wanted = {topic: name for topic, name in topics if topic is not None}
-        for connection, time, data in stored(reader, wanted):
+        roles = {topic: name for topic, name in topics if topic is not None}
+        for connection, time, data in stored(reader, roles):
             message = reader.deserialize(data, connection.msgtype)
-            heard.setdefault(wanted[connection.topic], []).append((1e-9 * time, message))
+            received.setdefault(roles[connection.topic], []).append((1e-9 * time, message))
         start = 1e-9 * reader.start_time
-    if not any(heard.get(name) for name in ('target_pose', 'target_point', COMMAND)):
+    if not any(received.get(name) for name in ('target_pose', 'target_point', COMMAND)):
         raise DataSetError(
             str(path),
             'holds neither target_pose, target_point nor tendon_command',
             'record them: python -m tendon_robot_ros record',
         )
-    targets = [_place(m) for name, _ in TARGETS for m in heard.get(name, [])]
-    tip = next((name for name in TIPS if heard.get(name)), TIPS[-1])
-    sent = heard.get(COMMAND, [])
+    targets = [_place(m) for name, _ in TARGETS for m in received.get(name, [])]
+    tip = next((name for name in TIPS if received.get(name)), TIPS[-1])
+    sent = received.get(COMMAND, [])
     names = tuple(sent[0][1].name) if sent else ()
     pull = bool(sent) and len(sent[0][1].effort) == 0
     values = np.array([joints_of(message, names)[0 if pull else 1] for _, message in sent])
@@ -192,8 +192,8 @@ def read_moves(path: str | Path) -> Moves:
     good = np.isfinite(values).all(axis=1)
     return Moves(
         _places(targets, start),
-        np.array([time - start for time, _ in heard.get(TRAJECTORY[0], [])]),
-        _places([_place(m) for m in heard.get(tip, [])], start),
+        np.array([time - start for time, _ in received.get(TRAJECTORY[0], [])]),
+        _places([_place(m) for m in received.get(tip, [])], start),
         tip == TIPS[0],
         names,
         np.array([time - start for time, _ in sent])[good],
@@ -202,9 +202,9 @@ def read_moves(path: str | Path) -> Moves:
     )
 
 
-def _place(heard: tuple[float, Any]) -> tuple[float, FloatArray, FloatArray]:
+def _place(stamped: tuple[float, Any]) -> tuple[float, FloatArray, FloatArray]:
     """Return time, position and approach direction (+z) of a pose or a point."""
-    time, message = heard
+    time, message = stamped
     if hasattr(message, 'point'):
         p = message.point
         return time, np.array([p.x, p.y, p.z]), np.full(3, np.nan)

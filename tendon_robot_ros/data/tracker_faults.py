@@ -1,10 +1,9 @@
 """
-Faults of trackers: readings that are none, markers that are numbered anew or exchanged.
+Faults of trackers: invalid readings, markers that are renumbered or exchanged.
 
-Trackers and their exports write something where they did not see a marker: an empty cell or NaN,
-0 0 0, a number that no place has (-3.697e28 of NDI, 9999999, -9999), or once more the place where
-the marker was seen last. And a marker that was lost may come back under another number, or two
-may be taken for each other from some frame on.
+For a hidden marker trackers and their exports write an empty cell or NaN, 0 0 0, a value outside
+any workspace (-3.697e28 by NDI, 9999999, -9999), or the last visible position again. A marker that
+was lost may return under another number, and from some frame on two markers may be exchanged.
 """
 
 from __future__ import annotations
@@ -42,9 +41,9 @@ WHY = {
 }
 
 
-def not_there(places: FloatArray, far: float = FAR_M) -> BoolArray:
+def is_missing(places: FloatArray, far: float = FAR_M) -> BoolArray:
     """
-    Tell which places (..., 3) cannot be a marker: no numbers, 0 0 0, or too far away.
+    Return which positions (..., 3) are no marker: not finite, 0 0 0, or too far away.
 
     Parameters
     ----------
@@ -65,7 +64,7 @@ def without_unseen(
     news: BoolArray | None = None,
 ) -> tuple[FloatArray, dict[str, IntArray]]:
     """
-    Return positions with NaN for readings that are none, and how many these are, by reason.
+    Replace invalid readings by NaN, and count them by reason.
 
     Parameters
     ----------
@@ -86,19 +85,19 @@ def without_unseen(
 
     """
     numbers = np.isfinite(positions).all(axis=2)
-    none = not_there(positions, far)
+    none = is_missing(positions, far)
     zero = numbers & (positions == 0.0).all(axis=2)
-    seen = np.where(none[..., None], np.nan, positions)
-    sentinel = (numbers & none & ~zero) | _stands_for_none(seen, length)
-    seen[sentinel] = np.nan
-    held = _held(seen, news)
-    seen[held] = np.nan
+    cleaned = np.where(none[..., None], np.nan, positions)
+    sentinel = (numbers & none & ~zero) | _is_sentinel(cleaned, length)
+    cleaned[sentinel] = np.nan
+    held = _held(cleaned, news)
+    cleaned[held] = np.nan
     masks = {ZERO: zero, SENTINEL: sentinel, HELD: held}
-    return seen, {why: mask.sum(axis=0) for why, mask in masks.items() if mask.any()}
+    return cleaned, {why: mask.sum(axis=0) for why, mask in masks.items() if mask.any()}
 
 
 def unseen_lines(counts: dict[str, IntArray], labels: Sequence[str]) -> list[str]:
-    """Say how many readings were left out, of which markers, and why."""
+    """Describe how many readings of which markers are excluded, and why."""
     lines = []
     for why, count in counts.items():
         of = np.flatnonzero(count)
@@ -108,65 +107,65 @@ def unseen_lines(counts: dict[str, IntArray], labels: Sequence[str]) -> list[str
     return lines
 
 
-def _stands_for_none(positions: FloatArray, length: float | None) -> BoolArray:
-    """Tell which readings (T, J) are one value, repeated exactly, that is no place on this arm."""
-    seen = np.isfinite(positions[..., 0])
-    marked = np.zeros(seen.shape, dtype=bool)
-    if not seen.any():
+def _is_sentinel(positions: FloatArray, length: float | None) -> BoolArray:
+    """Return which readings (T, J) are an exactly repeated value that cannot lie on this arm."""
+    visible = np.isfinite(positions[..., 0])
+    marked = np.zeros(visible.shape, dtype=bool)
+    if not visible.any():
         return marked
-    places = positions[seen]
+    places = positions[visible]
     odd = (places == places[:, :1]).all(axis=1)  # such as -1, -1, -1
     if length is not None:
-        away = np.linalg.norm(places - np.median(places, axis=0), axis=1)
-        far = away > PLAUSIBLE_FACTOR * length
+        distance = np.linalg.norm(places - np.median(places, axis=0), axis=1)
+        far = distance > PLAUSIBLE_FACTOR * length
         odd |= far if far.mean() < 0.5 else False  # most are in another unit
     if odd.any():
         _, which, times = np.unique(places[odd], axis=0, return_inverse=True, return_counts=True)
         odd[odd] = times[which.ravel()] > 1
-        marked[seen] = odd
+        marked[visible] = odd
     return marked
 
 
 def changes(positions: FloatArray) -> BoolArray:
-    """Tell at which steps (T - 1, J) the places (T, J, 3) of markers that were seen change."""
-    seen = np.isfinite(positions[..., 0])
-    return np.asarray((seen[1:] & seen[:-1]) & (positions[1:] != positions[:-1]).any(axis=2))
+    """Return at which steps (T - 1, J) the positions (T, J, 3) of visible markers change."""
+    visible = np.isfinite(positions[..., 0])
+    return np.asarray((visible[1:] & visible[:-1]) & (positions[1:] != positions[:-1]).any(axis=2))
 
 
 def _held(positions: FloatArray, news: BoolArray | None) -> BoolArray:
     """
-    Tell which readings (T, J) only repeat the last place of their marker.
+    Return which readings (T, J) only repeat the last position of their marker.
 
     A marker that keeps its place to the last digit while others change, and else changes with
     them, was not seen: its column holds the last value.
     """
-    seen = np.isfinite(positions[..., 0])
-    held = np.zeros(seen.shape, dtype=bool)
-    both = seen[1:] & seen[:-1]
+    visible = np.isfinite(positions[..., 0])
+    held = np.zeros(visible.shape, dtype=bool)
+    both = visible[1:] & visible[:-1]
     changed = changes(positions)
     count = changed.sum(axis=1) + (0 if news is None else news)
-    for j in range(seen.shape[1]):
-        asked = both[:, j] & (count > changed[:, j])  # steps at which another marker changed
+    for j in range(visible.shape[1]):
+        comparable = both[:, j] & (count > changed[:, j])  # steps at which another marker changed
         same = both[:, j] & ~changed[:, j]
         edges = np.flatnonzero(np.diff(same, prepend=False, append=False))
-        runs = [np.flatnonzero(asked[a:b]) + a for a, b in edges.reshape(-1, 2).tolist()]
+        runs = [np.flatnonzero(comparable[a:b]) + a for a, b in edges.reshape(-1, 2).tolist()]
         runs = [run for run in runs if len(run) >= HELD_STEPS_MIN]
         if not runs:
             continue
-        free = asked.copy()
+        free = comparable.copy()
         free[np.concatenate(runs)] = False
         if free.sum() < HELD_STEPS_MIN or (rate := changed[free, j].mean()) < 0.5:
             continue
-        least = np.log(HELD_PROBABILITY) / np.log(max(1.0 - rate, 1e-12))
+        length_min = np.log(HELD_PROBABILITY) / np.log(max(1.0 - rate, 1e-12))
         for run in runs:
-            if len(run) >= least:
+            if len(run) >= length_min:
                 held[run[0] + 1 : run[-1] + 2, j] = True
     return held
 
 
 def renumbered(positions: FloatArray) -> list[tuple[int, ...]]:
     """
-    Tell which columns hold one marker, one after the other: a tracker numbered it anew.
+    Return which columns hold one marker, one after the other, because it was renumbered.
 
     Parameters
     ----------
@@ -180,10 +179,10 @@ def renumbered(positions: FloatArray) -> list[tuple[int, ...]]:
         never seen is a marker of its own.
 
     """
-    seen = np.isfinite(positions[..., 0])
-    T, J = seen.shape
-    first = np.where(seen.any(axis=0), seen.argmax(axis=0), T)
-    last = np.where(seen.any(axis=0), T - 1 - seen[::-1].argmax(axis=0), -1)
+    visible = np.isfinite(positions[..., 0])
+    T, J = visible.shape
+    first = np.where(visible.any(axis=0), visible.argmax(axis=0), T)
+    last = np.where(visible.any(axis=0), T - 1 - visible[::-1].argmax(axis=0), -1)
     chains = [[j] for j in range(J)]
     for j in np.argsort(first, kind='stable').tolist():
         if not 0 < first[j] < T:
@@ -191,8 +190,8 @@ def renumbered(positions: FloatArray) -> list[tuple[int, ...]]:
         ends = []  # chains that are gone when this marker begins, and do not come back
         for chain in chains:
             one = chain[-1]
-            fewest = min(int(seen[:, one].sum()), int(seen[:, j].sum()))
-            later = int(seen[first[j] :, one].sum())
+            fewest = min(int(visible[:, one].sum()), int(visible[:, j].sum()))
+            later = int(visible[first[j] :, one].sum())
             if chain[0] != j and fewest > 0 and later <= SHARED_FRAMES_MAX * fewest:
                 ends.append(chain)
         place = positions[first[j], j]
@@ -213,7 +212,7 @@ def renumbered(positions: FloatArray) -> list[tuple[int, ...]]:
 
 def put_back(places: FloatArray) -> tuple[FloatArray, list[tuple[int, int, int]]]:
     """
-    Put markers back into their columns from where on two of them exchange these.
+    Undo exchanges: put two markers that exchange their columns back into their own.
 
     From one frame to the next each of the two is where the other one was: no arm does that.
 
@@ -230,10 +229,10 @@ def put_back(places: FloatArray) -> tuple[FloatArray, list[tuple[int, int, int]]
         In the order of time.
 
     """
-    seen, cleaned = np.isfinite(places[..., 0]), places.copy()
+    visible, cleaned = np.isfinite(places[..., 0]), places.copy()
     exchanges = list[tuple[int, int, int]]()
-    for i, j in combinations(range(seen.shape[1]), 2):
-        both = np.flatnonzero(seen[:, i] & seen[:, j])
+    for i, j in combinations(range(visible.shape[1]), 2):
+        both = np.flatnonzero(visible[:, i] & visible[:, j])
         before, after = places[both[:-1], :, :3], places[both[1:], :, :3]
 
         def steps(a: int, b: int, before: FloatArray = before, after: FloatArray = after) -> Any:
@@ -244,7 +243,7 @@ def put_back(places: FloatArray) -> tuple[FloatArray, list[tuple[int, int, int]]
             # what is seen of one alone may be of either
             cleaned[both[k] + 1 : both[k + 1], [i, j]] = np.nan
             exchanges.append((int(both[k + 1]), i, j))
-    restored, owners = cleaned.copy(), np.arange(seen.shape[1])
+    restored, owners = cleaned.copy(), np.arange(visible.shape[1])
     for frame, i, j in sorted(exchanges):
         owners[[i, j]] = owners[[j, i]]
         restored[frame:, owners] = cleaned[frame:]
@@ -254,7 +253,7 @@ def put_back(places: FloatArray) -> tuple[FloatArray, list[tuple[int, int, int]]
 def exchange_lines(
     exchanges: Sequence[tuple[int, int, int]], times: FloatArray, names: Sequence[str]
 ) -> list[str]:
-    """Say which markers exchange their columns, when first [s], and how often."""
+    """Describe which markers exchange their columns, when first [s], and how often."""
     lines = []
     for pair in dict.fromkeys((i, j) for _, i, j in exchanges):
         frames = [frame for frame, *two in exchanges if tuple(two) == pair]
@@ -268,10 +267,10 @@ def exchange_lines(
 
 def joined(places: FloatArray, chains: Sequence[Sequence[int]]) -> FloatArray:
     """Return places (T, J, n) of markers whose columns follow each other, as of `renumbered`."""
-    made = []
+    columns = []
     for first, *later in chains:
         place = places[:, first]
         for j in later:
             place = np.where(np.isnan(place), places[:, j], place)
-        made.append(place)
-    return np.stack(made, axis=1)
+        columns.append(place)
+    return np.stack(columns, axis=1)

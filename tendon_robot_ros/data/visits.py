@@ -16,7 +16,7 @@ STRAIGHT = -1  # [1] index of the straight arm as the command before, so that it
 @dataclass(frozen=True, eq=False)
 class Visits:
     """
-    How the arm came to the P postures of a data set: V visits, one after the other.
+    The history of the P postures of a data set: V visits, one after the other.
 
     A posture is a command and the command before it. A visit that was measured is a trial of its
     posture; what a model says of the posture is the mean over these visits.
@@ -36,11 +36,11 @@ class Visits:
     @property
     def origins(self) -> tuple[str, ...]:
         """Return the command (P,) that the arm came from; an empty name is the straight arm."""
-        found = [''] * len(self.commands)
+        origins = [''] * len(self.commands)
         for v in np.argsort(self.counts, kind='stable').tolist():  # what counts has the last word
             row = self.rows[v]
-            found[row] = '' if self.fresh[v] else self.commands[self.rows[v - 1]]
-        return tuple(found)
+            origins[row] = '' if self.fresh[v] else self.commands[self.rows[v - 1]]
+        return tuple(origins)
 
     def among(self, postures: IntArray) -> Visits:
         """Return the visits to some postures; no other may lie between them."""
@@ -55,8 +55,8 @@ class Visits:
             self.trials[own],
         )
 
-    def seen(self, mask: BoolArray) -> Visits:
-        """Return the same visits; those of trials that are not in a mask (P, Q) do not count."""
+    def masked(self, mask: BoolArray) -> Visits:
+        """Return the same visits, of which only those of trials in a mask (P, Q) are measured."""
         known = self.trials >= 0
         counts = self.counts.copy()
         counts[known] &= mask[self.rows[known], self.trials[known]]
@@ -67,22 +67,22 @@ class Visits:
         begins = np.flatnonzero(self.fresh).tolist()
         return [slice(a, b) for a, b in zip(begins, [*begins[1:], len(self.rows)], strict=True)]
 
-    def mean(self, seen: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Average what was seen in the visits (V, ...) over those of each posture, (P, ...)."""
+    def mean(self, observed: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Average observations (V, ...) of the visits over those of each posture, (P, ...)."""
         measured = np.zeros(len(self.commands), dtype=bool)
         measured[self.rows[self.counts]] = True
         used = self.counts | ~measured[self.rows]
-        total = np.zeros((len(self.commands), *seen.shape[1:]))
-        np.add.at(total, self.rows[used], seen[used])
+        total = np.zeros((len(self.commands), *observed.shape[1:]))
+        np.add.at(total, self.rows[used], observed[used])
         number = np.bincount(self.rows[used], minlength=len(self.commands))
-        return total / number.reshape(-1, *(1,) * (seen.ndim - 1))
+        return total / number.reshape(-1, *(1,) * (observed.ndim - 1))
 
     @property
     def last(self) -> IntArray:
         """Return the last visit (P,) to each posture."""
-        found = np.zeros(len(self.commands), dtype=np.int64)
-        found[self.rows] = np.arange(len(self.rows))
-        return found
+        last = np.zeros(len(self.commands), dtype=np.int64)
+        last[self.rows] = np.arange(len(self.rows))
+        return last
 
 
 def joined(parts: Sequence[Visits]) -> Visits:
@@ -99,7 +99,7 @@ def joined(parts: Sequence[Visits]) -> Visits:
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """Commands as postures that differ by the command before."""
+    """Commands split into postures by the command before."""
 
     visits: Visits
     postures: tuple[str, ...]  # (P,) 'bent after rest'
@@ -128,10 +128,10 @@ def split_by_order(
 def split_by_origin(
     names: Sequence[str], commands: IntArray, before: IntArray, measured: BoolArray
 ) -> Split:
-    """Split rows (R,) that say from which command the arm came; it went there from straight."""
+    """Split rows (R,) by their given command before, which the arm reached from straight."""
     pairs, posture = _pairs(commands, before)
-    there = np.zeros(len(pairs), dtype=bool)
-    there[posture[measured]] = True
+    present = np.zeros(len(pairs), dtype=bool)
+    present[posture[measured]] = True
     row, fresh, counts = [], [], []
     for p, (_, origin) in enumerate(pairs.tolist()):
         if origin != STRAIGHT:
@@ -140,7 +140,7 @@ def split_by_origin(
             counts.append(False)
         row.append(p)
         fresh.append(origin == STRAIGHT)
-        counts.append(bool(there[p]))
+        counts.append(bool(present[p]))
     visits = Visits((), np.array(row), np.array(fresh), np.array(counts), np.full(len(row), -1))
     return _split(names, pairs, posture, visits)
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..common.arrays import Floats
-from ..common.rotations import rigid_fit, turn_angle, turn_onto, upright_fit
+from ..common.rotations import rigid_fit, rotation_angle, rotation_between, upright_fit
 from ..common.words import STANDARD_GRAVITY
 from ..comparison.noise import rms
 from ..comparison.predict import Point, Predictor
@@ -269,7 +269,7 @@ def registered(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     measured = predictor.dataset.mean
     visible = np.isfinite(measured).all(axis=2)
     rotation, shift = rigid_fit(measured[visible], markers[visible])
-    angle = math.degrees(turn_angle(rotation))
+    angle = math.degrees(rotation_angle(rotation))
     far = np.linalg.norm(shift) > FRAME_SHIFTED_MIN * predictor.robot.length
     if angle < FRAME_TURNED_MIN_DEG and not far:
         return
@@ -372,7 +372,7 @@ def gravities(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
         with predictor.under_gravity(vector):
             moved = predictor.markers({})
         level = predictor.robot.tolerances.get('rotation', 0.0) >= FRAME_HARDLY_KNOWN_RAD
-        rotations = [turn_onto(described, vector)] if level and size > 0.0 else []
+        rotations = [rotation_between(described, vector)] if level and size > 0.0 else []
         x, y, z = vector.tolist()
         text = f'{x:g}, {y:g}, {z:g}'
         for rotation in (*rotations, np.eye(3)):

@@ -12,7 +12,7 @@ from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 
-from ..common.errors import EffectError, meant, refusal
+from ..common.errors import EffectError, refusal, suggestion
 from .effect import Effect
 
 # Order matters twice: laws of one stage apply in it, and exact twins are reported in it.
@@ -74,7 +74,7 @@ class Catalogue:
         if name not in self._effects:
             raise EffectError(
                 f'unknown effect {name!r}; known: {", ".join(self.names)} '
-                f'({meant(name, self.names)}name your own by its file)'
+                f'({suggestion(name, self.names)}name your own by its file)'
             )
         return self._effects[name]
 

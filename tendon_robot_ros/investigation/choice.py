@@ -1,22 +1,22 @@
 """
-Which posture to measure next: those that may be chosen, and which of them tells most.
+The next posture to measure: the allowed ones, and the most informative of them.
 
-Worth is the expected information about the effects that are in question. What the markers show
-is taken as linear around the best guess, y = F theta + B b + noise: theta
-are the parameters of the effects that are in question, b the imperfections of the arm as built and
-the declared tolerances, both with their prior. A posture is worth the information that it adds
-about theta with b unknown,
+The value of a posture is the expected information about the effects in question. The markers are
+linearised about the current estimate, y = F theta + B b + noise: theta are the parameters of the
+effects in question, b the imperfections of the arm as built and the declared tolerances, both with
+their prior. The value of a posture is the information that it adds about theta with b unknown,
 
     1/2 log det(P' / P) - 1/2 log det(Pbb' / Pbb),
 
-P the precision of theta and b, Pbb its block of b, primed with the posture (Bayesian D-optimal for
-a subset, Chaloner and Verdinelli 1995). Effects that look alike in what was measured leave a
-direction of theta unknown, so that the posture that separates them tells most; so does the one
-that narrows a parameter, and one is chosen less where imperfections do what the effects do.
+where P is the precision of theta and b, Pbb its block of b, and a prime marks the values with the
+posture (Bayesian D-optimality for a subset, Chaloner and Verdinelli 1995). Effects with the same
+displacements in the measured postures leave a direction of theta undetermined, so that a posture
+which separates them has the highest value; a posture in which imperfections act like the effects
+has a low one.
 
-Once it is only an interval that is too wide, the widest one counts, which a volume may leave as it
-is: worth is then 1/2 log(v / v'), v the largest variance of theta in units of the prior, whose
-sizes are those that an interval is compared with.
+If only an interval is still too wide, the determinant may decrease without narrowing the widest
+interval. The value is then 1/2 log(v / v'), with v the largest variance of theta in units of its
+prior, to which the goal compares the intervals.
 """
 
 from __future__ import annotations
@@ -59,14 +59,14 @@ PRIOR_SD = 3.0
 
 @dataclass(frozen=True)
 class Room:
-    """Where the arm may be, and how far off the model may be that says where it is."""
+    """The keep-out regions of the arm, and the error of the model that predicts its place."""
 
     regions: KeepOut = field(default_factory=KeepOut)
     margin: float = 0.0  # [m]
 
     def keeps(self, points: Floats) -> bool:
         """
-        Tell whether an arm keeps clear on a path (w, n, 3) [m] of its points, base first.
+        Return whether an arm keeps clear on a path (w, n, 3) [m] of its points, base first.
 
         The model may be off the more the farther from the base; between two places of the path a
         point leaves both by at most half of the distance between them.
@@ -132,7 +132,7 @@ def pool(
 
 
 def fresh(robot: Robot, goal: Goal, input: str, model: Model, room: Room) -> Floats:
-    """Return allowed postures that the pool of this goal does not have, to verify on."""
+    """Return allowed postures outside the pool of this goal, for verification."""
     rows = default_postures(robot, 4 * goal.checks + 4, 3 + goal.seed, input)
     return allowed(rows, goal, input, model, room)
 
@@ -153,7 +153,7 @@ def allowed(
 
 
 def _tension_of(model: Model, pulls: Floats) -> float:
-    """Return the highest tension [N] that wire pulls take; infinite where there is no shape."""
+    """Return the highest tension [N] of wire pulls; infinite without an equilibrium."""
     try:
         return float(model.pull_shape(pulls).inputs.max())
     except (NoEquilibriumError, InputError):
@@ -161,7 +161,7 @@ def _tension_of(model: Model, pulls: Floats) -> float:
 
 
 def _keeps_out(model: Model, row: Floats, input: str, room: Room, start: Floats | None) -> bool:
-    """Tell whether the arm keeps out of the regions on its straight path to a posture."""
+    """Return whether the arm keeps out of the regions on its straight path to a posture."""
     begin = model.limits[:, 0] if input == 'tension' else np.where(np.isnan(row), np.nan, 0.0)
     if start is not None:
         begin = start
@@ -177,12 +177,12 @@ def _keeps_out(model: Model, row: Floats, input: str, room: Room, start: Floats 
 
 @dataclass(frozen=True)
 class OpenQuestion:
-    """What is not known yet."""
+    """The effects in question, and the current estimate of their parameters."""
 
     effects: tuple[str, ...]  # that may act
-    point: Point  # the best guess of their parameters; those that it lacks are as described
+    point: Point  # estimates of their parameters; the others have their described values
     noise: Noise
-    narrows: bool = False  # it is their widest interval that is too wide, nothing else
+    narrows: bool = False  # only their widest interval is still too wide
 
 
 @dataclass(frozen=True)
@@ -201,7 +201,7 @@ def choose(
     count: int = 1,
 ) -> list[Choice]:
     """
-    Choose the postures that tell most, one after the other.
+    Choose the most informative postures, one after the other.
 
     Parameters
     ----------
@@ -228,17 +228,17 @@ def choose(
     for rows in design.rows(measured) if len(measured.postures) else ():
         precision += rows.T @ rows
     choices = list[Choice]()
-    left = list(range(len(offered)))
-    for _ in range(min(count, len(left))):
-        gains = [design.gain(precision, offered[i]) for i in left]
-        best = left.pop(int(np.argmax(gains)))
+    remaining = list(range(len(offered)))
+    for _ in range(min(count, len(remaining))):
+        gains = [design.gain(precision, offered[i]) for i in remaining]
+        best = remaining.pop(int(np.argmax(gains)))
         choices.append(Choice(pool[where[best]], float(max(gains))))
         precision += offered[best].T @ offered[best]
     return choices
 
 
 class LinearDesign:
-    """The linear picture of a question: columns in units of their prior, effects first."""
+    """The linearised model of a question: columns in units of their prior, effects first."""
 
     def __init__(self, question: OpenQuestion, measured: DataSet, catalogue: Catalogue) -> None:
         self.question, self.measured = question, measured
@@ -248,7 +248,7 @@ class LinearDesign:
         self.size = 0
 
     def offered(self, pool: Floats) -> tuple[list[Floats], list[int]]:
-        """Return what each posture of the pool shows, and which of them have an equilibrium."""
+        """Return the whitened rows of the solved postures of a pool, and their indices."""
         as_if, shown = self.as_if_measured(pool)
         predictor = Predictor(as_if, self.robot, self.catalogue)
         if predictor.markers(self.question.point) is None:
@@ -266,23 +266,23 @@ class LinearDesign:
     def rows(self, dataset: DataSet) -> list[Floats]:
         """Return whitened derivatives (values, columns) for every posture of a data set."""
         point, predictor = self.question.point, Predictor(dataset, self.robot, self.catalogue)
-        here = predictor.markers(point)
-        if here is None:
+        markers = predictor.markers(point)
+        if markers is None:
             return []
         slopes = []
         for free in self.frees:
             offset = abs(point.get(free, predictor.value(free)) - free.parameter.neutral)
             prior = PRIOR_SD * max(free.parameter.typical, offset)
-            slopes.append(prior * self._slope(predictor, free, here))
+            slopes.append(prior * self._slope(predictor, free, markers))
         slopes += [
-            n.spread * self._slope(predictor, n.free, here)
+            n.spread * self._slope(predictor, n.free, markers)
             for n in nuisances_of(self.robot, self.catalogue, predictor)
         ]
         if not self.robot.exact:
             slopes += self.as_built(dataset)
         self.size = len(slopes)
         whitener = Whitener(dataset, self.question.noise, input_slopes(predictor, point))
-        columns = np.array(slopes).reshape(len(slopes), len(here), -1)
+        columns = np.array(slopes).reshape(len(slopes), len(markers), -1)
         return [whitener.root(p) @ columns[:, p, rows].T for p, rows in enumerate(whitener.rows)]
 
     def gain(self, precision: Floats, rows: Floats) -> float:
@@ -305,7 +305,7 @@ class LinearDesign:
             inputs = np.stack([last, pool], axis=1).reshape(-1, pool.shape[1])
             shown = slice(1, None, 2)
         trials = max(old.positions.shape[1], 1)
-        made = replace(
+        dataset = replace(
             old,
             postures=tuple(map(str, range(len(inputs)))),
             inputs=inputs,
@@ -314,9 +314,9 @@ class LinearDesign:
             trial_inputs=None,
             trial_names=(),
         )
-        return made, shown
+        return dataset, shown
 
-    def _slope(self, predictor: Predictor, free: FreeParameter, here: Floats) -> Floats:
+    def _slope(self, predictor: Predictor, free: FreeParameter, markers: Floats) -> Floats:
         """Return the derivative (P, J, 3) [m per unit] of the markers by a parameter."""
         point, parameter = self.question.point, free.parameter
         value = point.get(free, predictor.value(free))
@@ -326,8 +326,8 @@ class LinearDesign:
                 step = -step
             moved = predictor.markers({**point, free: value + step})
             if moved is not None:
-                return (moved - here) / step
-        return np.zeros_like(here)
+                return (moved - markers) / step
+        return np.zeros_like(markers)
 
     def as_built(self, dataset: DataSet) -> list[Floats]:
         """Return the displacement (P, J, 3) [m] by each imperfection of a plausible size."""
@@ -342,7 +342,7 @@ class LinearDesign:
 
 
 def information(precision: Floats, rows: Floats) -> float:
-    """Return by how much the log determinant of a precision grows with rows."""
+    """Return the increase of the log determinant of a precision by additional rows."""
     if not precision.size:
         return 0.0
     middle = rows @ np.linalg.solve(precision, rows.T)

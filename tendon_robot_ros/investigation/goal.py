@@ -1,4 +1,4 @@
-"""The goal of an investigation, its budget, and when it knows enough."""
+"""The goal of an investigation, its budget, and its criteria to stop."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from .record import Round
 
 @dataclass(frozen=True)
 class Goal:
-    """What is to be found out, and the budget for it."""
+    """The required accuracy of an investigation, and its budget."""
 
     interval: float = 0.25  # [1] half a 95 % interval, of the value or of a typical size
     visible: float = 0.015  # [1] tip motion, of the length, that no effect may make unseen
@@ -153,13 +153,13 @@ SENTENCES = {
 
 
 def names_of(diagnosis: Diagnosis) -> list[str]:
-    """Return what a diagnosis names: effects, or a class."""
+    """Return the names in a diagnosis: effects, or the members of a class."""
     return sorted({*(e.name for e in diagnosis.effects), *diagnosis.cannot_tell_apart})
 
 
 def in_question(diagnosis: Diagnosis) -> list[str]:
     """
-    Return the effects that may still be it, the likeliest first.
+    Return the effects that may still be the cause, the likeliest first.
 
     Those that are named; then those that fit as well though less likely; while nothing is settled
     (adequate, outside, cannot judge) all that these postures hardly show, too.
@@ -190,7 +190,7 @@ def possible(
     diagnosis: Diagnosis, dataset: DataSet, catalogue: Catalogue, visible: float
 ) -> dict[str, float]:
     """
-    Return the effects that may act unseen though the model is adequate, the largest first.
+    Return the effects that are not excluded although the model is adequate, the largest first.
 
     An effect may act while an end of a 95 % interval of its parameters, the others at their best
     values, moves the tip by more than is asked, rms over the postures.
@@ -201,38 +201,38 @@ def possible(
     dataset : DataSet
     catalogue : Catalogue
     visible : float
-        Tip motion [m] that is asked for.
+        Tip motion [m] below which an effect is irrelevant.
 
     Returns
     -------
     dict of str to float
-        Tip motion [m] that is left possible, by effect.
+        Largest tip motion [m] that is not excluded, by effect.
 
     """
     predictor = Predictor(dataset, dataset.robot, catalogue)
-    here = predictor.markers({})
-    if here is None:
+    described = predictor.markers({})
+    if described is None:
         return {}
-    left: dict[str, float] = {}
+    motions: dict[str, float] = {}
     for row in diagnosis.candidates:
         frees = frees_of(row.name.split(' + '), predictor.model.catalogue, dataset.robot)
         fitted = {f: row.parameters[f.key] for f in frees if f.key in row.parameters}
         best = {free: value.value for free, value in fitted.items()}
         for free, value in fitted.items():
             for end in (value.low, value.high):
-                there = predictor.markers({**best, free: end}) if np.isfinite(end) else None
-                if there is not None:
-                    tip = float(np.sqrt(((there - here)[:, -1] ** 2).sum(axis=1).mean()))
-                    left[row.name] = max(left.get(row.name, 0.0), tip)
-    seen = {name: tip for name, tip in left.items() if tip > visible}
-    return dict(sorted(seen.items(), key=lambda item: -item[1]))
+                changed = predictor.markers({**best, free: end}) if np.isfinite(end) else None
+                if changed is not None:
+                    tip = float(np.sqrt(((changed - described)[:, -1] ** 2).sum(axis=1).mean()))
+                    motions[row.name] = max(motions.get(row.name, 0.0), tip)
+    exceeding = {name: tip for name, tip in motions.items() if tip > visible}
+    return dict(sorted(exceeding.items(), key=lambda item: -item[1]))
 
 
 def settled(
     diagnosis: Diagnosis, rounds: Sequence[Round], goal: Goal, postures: int
 ) -> InvestigationEnd | None:
     """
-    Tell whether it is enough; the last of the rounds is this diagnosis.
+    Return why the investigation ends, None if it goes on; the last round is this diagnosis.
 
     A verdict counts when the one before, on fewer postures, was the same; a name, or a class,
     when its interval is as narrow as asked. Adequate is the model when no effect is left that may
@@ -242,13 +242,13 @@ def settled(
     if verdict is Verdict.CANNOT_JUDGE:
         return InvestigationEnd.MISTAKE if 'mistake' in diagnosis.details else None
     before = rounds[-2] if len(rounds) > 1 else None
-    again = before is not None and (before.verdict, before.names) == (now.verdict, now.names)
+    repeated = before is not None and (before.verdict, before.names) == (now.verdict, now.names)
     narrow = now.widest is not None and now.widest <= goal.interval
     if verdict in NAMING and not diagnosis.cannot_tell_apart:
-        return InvestigationEnd.NAMED if again and narrow else None
+        return InvestigationEnd.NAMED if repeated and narrow else None
     if verdict is Verdict.ADEQUATE:
-        sure = again and postures >= POSTURES_ENOUGH and not now.possible
-        return InvestigationEnd.ADEQUATE if sure else None
+        confirmed = repeated and postures >= POSTURES_ENOUGH and not now.possible
+        return InvestigationEnd.ADEQUATE if confirmed else None
     if verdict is Verdict.OUTSIDE_CATALOGUE:
         enough = before is not None and before.verdict == now.verdict
         return InvestigationEnd.OUTSIDE if enough and postures >= POSTURES_ENOUGH else None
@@ -256,7 +256,7 @@ def settled(
 
 
 def only_wide(diagnosis: Diagnosis, rounds: Sequence[Round], goal: Goal) -> bool:
-    """Tell whether it is named, or an inseparable class, and only the interval is too wide."""
+    """Return whether an effect or inseparable class is named, and only its interval too wide."""
     now = rounds[-1]
     if now.widest is None or now.widest <= goal.interval:
         return False
@@ -266,15 +266,15 @@ def only_wide(diagnosis: Diagnosis, rounds: Sequence[Round], goal: Goal) -> bool
     return diagnosis.verdict in NAMING and (named_before or set(now.in_question) <= set(now.names))
 
 
-def adequate_again(rounds: Sequence[Round]) -> bool:
-    """Tell whether two diagnoses in a row, on enough postures, miss nothing."""
+def adequate_twice(rounds: Sequence[Round]) -> bool:
+    """Return whether two diagnoses in a row, on enough postures, found the model adequate."""
     last = rounds[-2:]
     same = len(last) == 2 and all(one.verdict == Verdict.ADEQUATE for one in last)
     return same and last[-1].postures >= POSTURES_ENOUGH
 
 
 def _inseparable(diagnosis: Diagnosis, rounds: Sequence[Round]) -> bool:
-    """Tell whether a class stays what it is: nothing separates it, or three rounds did not."""
+    """Return whether a class is inseparable: by any posture, or in three rounds."""
     last = [one.names for one in rounds[-CLASS_ROUNDS:]]
     same = len(last) > 1 and last[-1] == last[-2]
     following = diagnosis.next_measurement
@@ -288,19 +288,19 @@ def _inseparable(diagnosis: Diagnosis, rounds: Sequence[Round]) -> bool:
 
 
 def may_act(now: Round) -> str:
-    """Say what may act unseen, most of all; '' where nothing does."""
-    left = [f'{name} of {mm(tip)} at the tip' for name, tip in now.possible.items()]
-    more = f' and {len(left) - 2} more effects' if len(left) > 2 else ''
-    return f', but not excluded: {", ".join(left[:2])}{more}' if left else ''
+    """Describe the largest effects that are not excluded; '' if there is none."""
+    texts = [f'{name} of {mm(tip)} at the tip' for name, tip in now.possible.items()]
+    more = f' and {len(texts) - 2} more effects' if len(texts) > 2 else ''
+    return f', but not excluded: {", ".join(texts[:2])}{more}' if texts else ''
 
 
-def short(found: Diagnosis) -> str:
-    """Say a verdict in a few words."""
-    names = names_of(found)
-    if found.verdict in NAMING:
+def short(diagnosis: Diagnosis) -> str:
+    """Describe a verdict in a few words."""
+    names = names_of(diagnosis)
+    if diagnosis.verdict in NAMING:
         return f'consistent with {listed(names)}'
-    if found.cannot_tell_apart and found.verdict.may_add:
-        return f'{listed(found.cannot_tell_apart, "or")} explain it equally well'
-    if not found.verdict.judged:
-        return f'cannot judge: {found.remainder}'
-    return str(found.verdict).replace('_', ' ')
+    if diagnosis.cannot_tell_apart and diagnosis.verdict.may_add:
+        return f'{listed(diagnosis.cannot_tell_apart, "or")} explain it equally well'
+    if not diagnosis.verdict.judged:
+        return f'cannot judge: {diagnosis.remainder}'
+    return str(diagnosis.verdict).replace('_', ' ')

@@ -1,11 +1,11 @@
 """
-The loop: choose the posture that tells most, measure it, diagnose, until enough is known.
+The loop of an investigation: choose the most informative posture, measure it, diagnose.
 
-After a drift alarm the first postures are those that separate what may have changed.
-It ends when one name is left with an interval as narrow as asked, when what is left cannot be
-separated, when the model is adequate, when nothing in the catalogue fits, or when the budget is
-spent. Then what was found is verified on postures that were never chosen for it, and everything
-is written: data, recording, diagnosis, page, description.
+After a drift alarm the first postures are those that separate the suspected changes. The loop ends
+when one effect is named with an interval as narrow as requested, when the remaining effects are
+inseparable, when the model is adequate, when nothing in the catalogue fits, or when the budget is
+spent. The result is then verified on postures that were not used to find it, and written: data,
+recording, diagnosis, page, description.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from .goal import (
     SENTENCES,
     Goal,
     InvestigationEnd,
-    adequate_again,
+    adequate_twice,
     in_question,
     may_act,
     names_of,
@@ -54,7 +54,7 @@ from .goal import (
     short,
     widest,
 )
-from .measuring import Measurer, News, Tell, no_effect, separate_changes
+from .measuring import Measurer, News, Report, no_effect, separate_changes
 from .record import (
     BETTER,
     CHECK,
@@ -67,7 +67,7 @@ from .record import (
 )
 
 RECORDING, RESULT, REPORT = 'recording.mcap', 'diagnosis.json', 'report.html'
-# [nat] information below which a posture tells nothing: an interval that it narrows would become
+# [nat] information below which a posture is useless: an interval that it narrows would become
 # shorter by 2 %
 GAIN_MIN = 0.02
 # [nat] information below which a posture hardly narrows what may act unseen (docs/investigate.md)
@@ -78,19 +78,23 @@ NARROWING_FROM = 8
 
 @dataclass(frozen=True)
 class Findings:
-    """What an investigation came to."""
+    """The result of an investigation."""
 
     outcome: InvestigationEnd
     diagnosis: Diagnosis | None
     dataset: DataSet
     record: Record
-    made: Addition | None = None  # fitted, and its error on fresh postures
+    addition: Addition | None = None  # fitted effects, and their error on fresh postures
     check: DataSet | None = None
 
     @property
     def may_add(self) -> bool:
-        """Whether the description that was made is worth writing without asking."""
-        return self.outcome is InvestigationEnd.NAMED and self.made is not None and self.made.helps
+        """Whether the new description may be written without --add."""
+        return (
+            self.outcome is InvestigationEnd.NAMED
+            and self.addition is not None
+            and self.addition.helps
+        )
 
 
 class Investigation:
@@ -102,12 +106,12 @@ class Investigation:
         goal: Goal,
         folder: Path | None = None,
         regions: KeepOut | None = None,
-        tell: Tell = lambda news: None,
+        report: Report = lambda news: None,
         resume: bool = False,
         change: ChangeFinder | None = None,
     ) -> None:
         """
-        Begin, or go on with what a folder has.
+        Begin an investigation, or resume one from a folder.
 
         Parameters
         ----------
@@ -117,18 +121,18 @@ class Investigation:
             Where it is written, after every posture.
         regions : KeepOut, optional
             Where no part of the arm may be.
-        tell : callable, optional
-            Hears what happens.
+        report : callable, optional
+            Called with every `News`.
         resume : bool
         change : ChangeFinder, optional
-            What a drift alarm knows: it is looked after first.
+            The change detector of a drift alarm: its suspects are separated first.
 
         Raises
         ------
         InputError
 
         """
-        self.arm, self.goal, self.tell, self.change = arm, goal, tell, change
+        self.arm, self.goal, self.report, self.change = arm, goal, report, change
         self.catalogue: Catalogue = load_catalogue(goal.effect_files).sized(
             natural_sizes(arm.robot)
         )
@@ -138,7 +142,7 @@ class Investigation:
         self.diagnosis: Diagnosis | None = None
         self._suspected: list[str] = []  # effects that have appeared since an alarm
         room = Room(regions or KeepOut(), MARGIN_FRACTION * arm.robot.length)
-        self.measurer = Measurer(arm, self.record, room, trials, goal, tell)
+        self.measurer = Measurer(arm, self.record, room, trials, goal, report)
         self._deadline = time.monotonic() + 60.0 * goal.minutes
 
     def run(self) -> Findings:
@@ -154,20 +158,20 @@ class Investigation:
         """
         try:
             outcome = self.ask()
-            self.tell_end(outcome)
+            self.report_end(outcome)
             return self.verified(outcome)
         finally:
             self.record.save()
             self.arm.release()
 
     def ask(self) -> InvestigationEnd:
-        """Measure and diagnose until it is enough."""
+        """Measure and diagnose until the goal is reached or the budget spent."""
         if self.change is not None:
-            left = separate_changes(self.change, self.measurer, self.offered)
-            self.record.changed = [vars(suspect) for suspect in left]
+            suspects = separate_changes(self.change, self.measurer, self.offered)
+            self.record.changed = [vars(suspect) for suspect in suspects]
             self.record.save()
-            self._suspected = [suspect.name for suspect in left if suspect.is_effect]
-            if no_effect(left):
+            self._suspected = [suspect.name for suspect in suspects if suspect.is_effect]
+            if no_effect(suspects):
                 return InvestigationEnd.CHANGED
         while True:
             have = len(self.record.dataset.postures)
@@ -177,13 +181,13 @@ class Investigation:
                     return outcome
             if have >= self.goal.postures or time.monotonic() > self._deadline:
                 return InvestigationEnd.BUDGET
-            wanted = self.goal.start - have if have < self.goal.start else self.goal.at_once
+            count = self.goal.start - have if have < self.goal.start else self.goal.at_once
             if self.arm.path == 'sequence':  # the next one depends on where this one was
-                wanted = 1
-            choices = self.choices(min(wanted, self.goal.postures - have))
+                count = 1
+            choices = self.choices(min(count, self.goal.postures - have))
             gain = choices[0].gain if choices else 0.0
             many = have >= NARROWING_FROM
-            if adequate_again(self.record.rounds) and gain < (NARROWING_MIN if many else GAIN_MIN):
+            if adequate_twice(self.record.rounds) and gain < (NARROWING_MIN if many else GAIN_MIN):
                 return InvestigationEnd.ADEQUATE
             if not choices or (have >= self.goal.start and gain < GAIN_MIN):
                 return InvestigationEnd.POOL
@@ -212,16 +216,16 @@ class Investigation:
         return self.measurer.untried(rows)
 
     def question(self) -> OpenQuestion:
-        """Return what is not known yet."""
-        found: Sequence[Any] = () if self.diagnosis is None else self.diagnosis.effects
+        """Return the question that the next posture is to answer."""
+        effects: Sequence[Any] = () if self.diagnosis is None else self.diagnosis.effects
         values = {
             (effect.name, key): value.value
-            for effect in found
+            for effect in effects
             for key, value in effect.parameters.items()
         }
         point: dict[FreeParameter, float] = {
             free: values[free.effect, free.key]
-            for free in frees_of([e.name for e in found], self.catalogue, self.arm.robot)
+            for free in frees_of([e.name for e in effects], self.catalogue, self.arm.robot)
             if (free.effect, free.key) in values
         }
         return OpenQuestion(tuple(self.sought), point, self.noise, self._only_wide)
@@ -240,21 +244,21 @@ class Investigation:
         if self.diagnosis is None and self._suspected:
             return self._suspected[:IN_QUESTION_MAX]
         names = [] if self.diagnosis is None else in_question(self.diagnosis)
-        left = self.record.rounds[-1].possible if self.record.rounds else {}
-        if left:
-            return list(left)[:IN_QUESTION_MAX]
+        unexcluded = self.record.rounds[-1].possible if self.record.rounds else {}
+        if unexcluded:
+            return list(unexcluded)[:IN_QUESTION_MAX]
         if not names or (self.diagnosis is not None and not self.diagnosis.effects):
             names += [e.name for e in self.catalogue if e.name not in names and self.shows(e)]
         return names
 
     @property
     def guess(self) -> Robot:
-        """The description with what is thought to be missing."""
+        """The description with the effects of the last diagnosis."""
         robot = self.arm.robot
         return robot if self.diagnosis is None else with_effects(self.diagnosis, robot)
 
     def shows(self, effect: Effect) -> bool:
-        """Tell whether an effect can show at all on this arm."""
+        """Return whether an effect has any influence on this arm."""
         robot = self.arm.robot
         if effect.acts_on and effect.acts_on not in robot.effects:
             return False
@@ -274,36 +278,36 @@ class Investigation:
         return Noise(position, trial, setting, np.inf, 'declared')
 
     def judge(self) -> InvestigationEnd | None:
-        """Diagnose what there is, and tell whether it is enough."""
+        """Diagnose the measurements; return why the investigation ends, None if it goes on."""
         dataset = self.record.dataset
-        found = diagnose(dataset, None, self.catalogue, 1)
-        self.diagnosis = found
-        length, left = self.arm.robot.length, dict[str, float]()
-        if found.verdict.judged and np.isfinite(found.error_after):
+        diagnosis = diagnose(dataset, None, self.catalogue, 1)
+        self.diagnosis = diagnosis
+        length, unexcluded = self.arm.robot.length, dict[str, float]()
+        if diagnosis.verdict.judged and np.isfinite(diagnosis.error_after):
             # as far from the regions as the best model is off (3 sd), but no farther than before
-            margin = min(3.0 * found.error_after, MARGIN_FRACTION * length)
+            margin = min(3.0 * diagnosis.error_after, MARGIN_FRACTION * length)
             self.measurer.room = Room(self.measurer.room.regions, margin)
-        if found.verdict is Verdict.ADEQUATE:
-            left = possible(found, dataset, self.catalogue, self.goal.visible * length)
+        if diagnosis.verdict is Verdict.ADEQUATE:
+            unexcluded = possible(diagnosis, dataset, self.catalogue, self.goal.visible * length)
         now = Round(
             len(dataset.postures),
-            str(found.verdict),
-            names_of(found),
-            in_question(found),
-            widest(found, self.catalogue),
-            short(found),
-            left,
+            str(diagnosis.verdict),
+            names_of(diagnosis),
+            in_question(diagnosis),
+            widest(diagnosis, self.catalogue),
+            short(diagnosis),
+            unexcluded,
         )
         self.record.rounds.append(now)
         self.record.save()
-        outcome = settled(found, self.record.rounds, self.goal, now.postures)
+        outcome = settled(diagnosis, self.record.rounds, self.goal, now.postures)
         width = '' if now.widest is None else f', to {100.0 * now.widest:.0f} %'
         text = f'  {now.postures} postures: {now.text}{width}{may_act(now)}'
-        self.tell(News('diagnosis', text, {**vars(now), 'enough': outcome is not None}))
+        self.report(News('diagnosis', text, {**vars(now), 'enough': outcome is not None}))
         return outcome
 
-    def tell_end(self, outcome: InvestigationEnd) -> None:
-        """Record and say why it ended."""
+    def report_end(self, outcome: InvestigationEnd) -> None:
+        """Record and report why the investigation ended."""
         record, named = self.record, [] if self.diagnosis is None else names_of(self.diagnosis)
         if outcome is InvestigationEnd.CHANGED:
             named = [one['name'] for one in record.changed]
@@ -314,30 +318,30 @@ class Investigation:
             sentence += may_act(record.rounds[-1])
         if record.skipped:
             sentence += f'; {len(record.skipped)} could not be measured'
-        self.tell(News('end', sentence, record.outcome))
+        self.report(News('end', sentence, record.outcome))
 
     def verified(self, outcome: InvestigationEnd) -> Findings:
-        """Fit what was found and see what it does on fresh postures."""
-        found, dataset = self.diagnosis, self.record.dataset
-        adds = found is not None and bool(found.effects) and found.verdict.may_add
-        sure = outcome is InvestigationEnd.NAMED or self.goal.add
-        if found is None or not adds or not sure:
-            return Findings(outcome, found, dataset, self.record)
+        """Fit the named effects, and compute their error on fresh postures."""
+        diagnosis, dataset = self.diagnosis, self.record.dataset
+        adds = diagnosis is not None and bool(diagnosis.effects) and diagnosis.verdict.may_add
+        confirmed = outcome is InvestigationEnd.NAMED or self.goal.add
+        if diagnosis is None or not adds or not confirmed:
+            return Findings(outcome, diagnosis, dataset, self.record)
         check = self.measure_fresh() if self.goal.checks else None
-        names = [effect.name for effect in found.effects]
-        made = add_effects(dataset, names, None, self.catalogue, check, found.effects)
-        self.tell(
+        names = [effect.name for effect in diagnosis.effects]
+        addition = add_effects(dataset, names, None, self.catalogue, check, diagnosis.effects)
+        self.report(
             News(
                 'added',
                 f'{listed(names)}: error on {"fresh" if check else "left-out"} postures '
-                f'{1e3 * made.check.before:.2f} -> {1e3 * made.check.after:.2f} mm',
-                {'before': made.check.before, 'after': made.check.after, 'names': names},
+                f'{1e3 * addition.check.before:.2f} -> {1e3 * addition.check.after:.2f} mm',
+                {'before': addition.check.before, 'after': addition.check.after, 'names': names},
             )
         )
-        return Findings(outcome, found, dataset, self.record, made, check)
+        return Findings(outcome, diagnosis, dataset, self.record, addition, check)
 
     def measure_fresh(self) -> DataSet | None:
-        """Measure postures that were not chosen for anything."""
+        """Measure random postures that no choice has selected."""
         self.arm.release()
         model = Model(self.guess, self.catalogue)
         rows = fresh(self.arm.robot, self.goal, self.arm.input, model, self.measurer.room)
@@ -348,7 +352,7 @@ class Investigation:
             measured = self.measurer.attempted(row)
             if measured is not None:
                 check = with_posture(check, row, measured, self.arm.position_noise)
-                self.tell(News('check', f'  fresh posture {len(check.postures)} measured'))
+                self.report(News('check', f'  fresh posture {len(check.postures)} measured'))
         return check if len(check.postures) else None
 
 
@@ -367,7 +371,7 @@ def write_results(findings: Findings, folder: Path, catalogue: Catalogue, add: b
         Write the description even where the verdict is a class, or the intervals are wide.
 
     """
-    found, made = findings.diagnosis, findings.made
+    diagnosis, added = findings.diagnosis, findings.addition
     written = [DATA] if len(findings.dataset.postures) else []
     if findings.check is not None:
         save_dataset(findings.check, folder / CHECK, True)
@@ -376,19 +380,20 @@ def write_results(findings: Findings, folder: Path, catalogue: Catalogue, add: b
         (folder / RECORDING).unlink(missing_ok=True)
         export_bag(findings.dataset, folder / RECORDING)
         written.append(RECORDING)
-    text = [] if found is None else ['', *lines(found)]
-    if found is not None:
-        found.save(folder / RESULT)
+    text = [] if diagnosis is None else ['', *lines(diagnosis)]
+    if diagnosis is not None:
+        diagnosis.save(folder / RESULT)
         written.append(RESULT)
         if importlib.util.find_spec('plotly') is not None:
-            better = with_effects(found, findings.dataset.robot) if made is None else made.robot
-            pictures = pictures_of(found, findings.dataset, catalogue, better)
-            write_diagnosis(found, pictures, folder / REPORT, made)
+            data = findings.dataset
+            better = with_effects(diagnosis, data.robot) if added is None else added.robot
+            pictures = pictures_of(diagnosis, data, catalogue, better)
+            write_diagnosis(diagnosis, pictures, folder / REPORT, added)
             written.append(REPORT)
-    if made is not None:
-        text += [never_used(made), *addition_warnings(made)]
-        if made.helps and (findings.may_add or add):
-            write_text(folder / BETTER, dump_robot(made.robot))
+    if added is not None:
+        text += [never_used(added), *addition_warnings(added)]
+        if added.helps and (findings.may_add or add):
+            write_text(folder / BETTER, dump_robot(added.robot))
             written.append(BETTER)
             text.append(f'controller parameter model := {folder / BETTER}')
     return [*text, f'written: {folder}: {", ".join(written)}']

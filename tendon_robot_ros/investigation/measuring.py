@@ -1,7 +1,7 @@
 """
-Measuring postures: what breaks is tried once more, then skipped; regions are kept out.
+Measure postures: a failed one is repeated once, then skipped; regions are kept out.
 
-After a drift alarm, the postures that separate what has changed.
+After a drift alarm, measure the postures that separate the suspected changes.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .record import BrokenMeasurementError, MeasurableArm, PostureMeasured, Reco
 
 @dataclass(frozen=True)
 class News:
-    """Something that happened: a line to print, and plain data for a page."""
+    """An event: a line to print, and plain data for a page."""
 
     # 'posture', 'broken', 'skipped', 'change', 'changed', 'diagnosis', 'end', 'added', 'check'
     kind: str
@@ -31,27 +31,27 @@ class News:
     content: dict[str, Any] = field(default_factory=dict)
 
 
-Tell = Callable[[News], None]
+Report = Callable[[News], None]
 
 
 @dataclass
 class Measurer:
-    """Asks an arm for postures and writes down what it measures."""
+    """Commands postures to an arm, and records the measurements."""
 
     arm: MeasurableArm
     record: Record
     room: Room
     trials: int
     goal: Goal
-    tell: Tell
+    report: Report
 
     def next(self, inputs: Floats, why: str, content: dict[str, Any]) -> PostureMeasured | None:
-        """Say where the arm goes next and why, measure and record it; None: it was skipped."""
+        """Announce, measure and record a posture; None if it was skipped."""
         number = len(self.record.dataset.postures) + 1
         named = dict(zip(self.arm.robot.inputs, inputs.tolist(), strict=True))
-        told = {'number': number, 'inputs': inputs.tolist(), 'most': self.goal.postures, **content}
+        data = {'number': number, 'inputs': inputs.tolist(), 'most': self.goal.postures, **content}
         text = f'posture {number}: {commands(named, self.arm.input)}   {why}'
-        self.tell(News('posture', text, told))
+        self.report(News('posture', text, data))
         measured = self.attempted(inputs)
         if measured is not None:
             self.record.take(inputs, measured, self.arm.position_noise)
@@ -76,9 +76,9 @@ class Measurer:
             except BrokenMeasurementError as error:
                 reason = str(error)
                 if not is_last:
-                    self.tell(News('broken', f'  not measured: {reason}; once more'))
+                    self.report(News('broken', f'  not measured: {reason}; once more'))
         self.record.skip(inputs, reason)
-        self.tell(News('skipped', f'  skipped: {reason}'))
+        self.report(News('skipped', f'  skipped: {reason}'))
         if len(self.record.skipped) >= self.goal.skipped + len(self.record.dataset.postures):
             raise TendonRobotError(
                 f'{len(self.record.skipped)} postures could not be measured, the last one: '
@@ -106,10 +106,10 @@ def checked(measured: PostureMeasured) -> PostureMeasured:
     BrokenMeasurementError
 
     """
-    seen = np.isfinite(measured.positions).all(axis=2)  # (Q, J)
-    good = seen.mean(axis=1) >= 0.5
+    visible = np.isfinite(measured.positions).all(axis=2)  # (Q, J)
+    good = visible.mean(axis=1) >= 0.5
     if not good.any():
-        lost = 100.0 * (1.0 - seen.mean())
+        lost = 100.0 * (1.0 - visible.mean())
         raise BrokenMeasurementError(f'the tracker lost {lost:.0f} % of the markers')
     positions = np.where(good[:, None, None], measured.positions, np.nan)
     return replace(measured, positions=positions)
@@ -137,11 +137,11 @@ def separate_changes(
     Returns
     -------
     list of Suspect
-        The changes that remain: the likeliest first, together likely enough.
+        The remaining changes, the likeliest first; see `likely`.
 
     """
     suspects = finder.suspects()
-    tell_suspects(measurer, suspects)
+    report_suspects(measurer, suspects)
     for _ in range(min(measurer.goal.after_alarm, measurer.goal.postures)):
         rows = offered()
         best = finder.most_informative(rows) if len(rows) else None
@@ -153,42 +153,42 @@ def separate_changes(
         why = f'separates {first}{more}' if len(names) > 1 else f'is to confirm {first}'
         measured = measurer.next(rows[best], why, {'asked': names})
         if measured is not None:
-            taken, seen = rows[best], np.isfinite(measured.positions)
+            inputs, visible = rows[best], np.isfinite(measured.positions)
             if measured.inputs is not None:
-                taken = np.nanmean(measured.inputs, axis=0)
-            count = np.where(seen.any(axis=0), seen.sum(axis=0), np.nan)
+                inputs = np.nanmean(measured.inputs, axis=0)
+            count = np.where(visible.any(axis=0), visible.sum(axis=0), np.nan)
             # all trials of a posture are one measurement
-            finder.take(taken, np.nansum(measured.positions, axis=0) / count, measured.frames)
+            finder.take(inputs, np.nansum(measured.positions, axis=0) / count, measured.frames)
             suspects = finder.suspects()
-            tell_suspects(measurer, suspects)
-    left = likely(suspects)
-    if left:
+            report_suspects(measurer, suspects)
+    rest = likely(suspects)
+    if rest:
         have = len(measurer.record.dataset.postures)
-        content = {'names': [suspect.name for suspect in left], 'postures': have}
-        measurer.tell(News('changed', f'  {have} postures: has changed: {sizes(left)}', content))
-    return left
+        content = {'names': [suspect.name for suspect in rest], 'postures': have}
+        measurer.report(News('changed', f'  {have} postures: has changed: {sizes(rest)}', content))
+    return rest
 
 
 def likely(suspects: Sequence[Suspect]) -> list[Suspect]:
-    """Return the likeliest changes that are together likely enough."""
+    """Return the fewest likeliest changes whose total probability is large enough."""
     sums = np.cumsum([suspect.probability for suspect in suspects])
     return list(suspects[: int(np.searchsorted(sums, APART_PROBABILITY)) + 1])
 
 
 def no_effect(suspects: Sequence[Suspect]) -> bool:
-    """Tell whether something has changed that no description has: a cell, a gain, the tracker."""
+    """Return whether all suspects are no effects: a cell, a gain, the tracker."""
     return bool(suspects) and not any(suspect.is_effect for suspect in suspects)
 
 
 def sizes(suspects: Sequence[Suspect]) -> str:
-    """Say what has changed, and by how much; several look alike."""
-    said = [f'{suspect.name} ({suspect.size})' for suspect in suspects[:3]]
+    """Describe up to three alternative changes with their sizes."""
+    texts = [f'{suspect.name} ({suspect.size})' for suspect in suspects[:3]]
     more = f' or {len(suspects) - 3} more' if len(suspects) > 3 else ''
-    return ' or '.join(said) + more
+    return ' or '.join(texts) + more
 
 
-def tell_suspects(measurer: Measurer, suspects: Sequence[Suspect]) -> None:
-    """Tell what the change looks like after the postures so far."""
+def report_suspects(measurer: Measurer, suspects: Sequence[Suspect]) -> None:
+    """Report the likeliest changes after the postures so far."""
     have = len(measurer.record.dataset.postures)
     content = {'suspects': [vars(suspect) for suspect in likely(suspects)], 'postures': have}
-    measurer.tell(News('change', f'  looks like {described(suspects)}', content))
+    measurer.report(News('change', f'  looks like {described(suspects)}', content))

@@ -1,5 +1,5 @@
 """
-What an investigation needs of an arm, simulated or real, and the record of what it measured.
+The interface of an arm, simulated or real, to an investigation, and the record of postures.
 
 The record is a data set that grows; it is on disk after every posture.
 """
@@ -25,7 +25,7 @@ FORMAT = 'tendon_robot_ros/investigation@1'
 
 
 class BrokenMeasurementError(TendonRobotError):
-    """A posture was not measured: lost tracker, an arm that does not stand, a slipped tendon."""
+    """A posture could not be measured: tracker lost, arm not at rest, tendon slipped."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class MeasurableArm(Protocol):
 
     @property
     def markers(self) -> Sequence[Marker]:
-        """What the tracker sees."""
+        """The markers of the tracker."""
 
     @property
     def input(self) -> str:
@@ -78,7 +78,7 @@ class MeasurableArm(Protocol):
         """
 
     def release(self) -> None:
-        """Let the arm go: the safe state, whatever happened."""
+        """Release the arm to its safe state."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class Skipped:
 
 @dataclass(frozen=True)
 class Round:
-    """One diagnosis on the way."""
+    """One diagnosis during an investigation."""
 
     postures: int
     verdict: str
@@ -104,7 +104,7 @@ class Round:
 
 @dataclass
 class Record:
-    """The data set so far, what was skipped, and the diagnoses."""
+    """The data set so far, the skipped postures, and the diagnoses."""
 
     dataset: DataSet
     folder: Path | None = None
@@ -116,7 +116,7 @@ class Record:
     @classmethod
     def begin(cls, arm: MeasurableArm, folder: Path | None, trials: int) -> Record:
         """
-        Begin with nothing.
+        Begin with an empty data set.
 
         Raises
         ------
@@ -126,15 +126,15 @@ class Record:
         """
         if folder is not None:
             if folder.exists():
-                begun = 'use --resume or another folder' if (folder / LOG).exists() else ''
-                raise InputError(f'{folder}: is there already; {begun or "name another folder"}')
+                remedy = 'use --resume or another folder' if (folder / LOG).exists() else ''
+                raise InputError(f'{folder}: is there already; {remedy or "name another folder"}')
             folder.mkdir(parents=True)
         return cls(empty_dataset(arm, DATA, trials), folder)
 
     @classmethod
     def resume(cls, arm: MeasurableArm, folder: Path, trials: int) -> Record:
         """
-        Go on with what a folder has.
+        Resume from a folder.
 
         Raises
         ------
@@ -174,7 +174,7 @@ class Record:
         self.save()
 
     def skip(self, inputs: Floats, reason: str) -> None:
-        """Remember a posture that could not be measured."""
+        """Record a posture that could not be measured."""
         self.skipped.append(Skipped(np.asarray(inputs).tolist(), reason))
         self.save()
 
@@ -220,19 +220,19 @@ def with_posture(
     """Return a data set with one posture more; missing trials are nan."""
     trials = max(old.positions.shape[1], len(measured.positions))
     positions = _stacked([*old.positions, measured.positions], trials)
-    taken: Floats | None = None
+    trial_inputs: Floats | None = None
     if old.trial_inputs is not None or measured.inputs is not None:
         before = [] if not len(old.postures) else list(old.inputs_by_trial)
         now = measured.inputs
         if now is None:
             now = np.tile(inputs, (len(measured.positions), 1))
-        taken = _stacked([*before, now], trials)
+        trial_inputs = _stacked([*before, now], trials)
     return replace(
         old,
         postures=(*old.postures, str(len(old.postures) + 1)),
         inputs=np.vstack([old.inputs, inputs]),
         positions=positions,
-        trial_inputs=taken,
+        trial_inputs=trial_inputs,
         trial_names=(),
         position_noise=noise,
     )
@@ -240,7 +240,7 @@ def with_posture(
 
 def _stacked(rows: Sequence[Floats], trials: int) -> Floats:
     """Stack arrays whose first axis are trials; nan where one is missing."""
-    made = np.full((len(rows), trials, *rows[-1].shape[1:]), np.nan)
-    for row, values in zip(made, rows, strict=True):
+    stacked = np.full((len(rows), trials, *rows[-1].shape[1:]), np.nan)
+    for row, values in zip(stacked, rows, strict=True):
         row[: len(values)] = values
-    return made
+    return stacked

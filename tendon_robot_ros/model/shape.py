@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.arrays import Floats
-from ..common.colours import ERROR, MEASURED, look
+from ..common.colours import ERROR, MEASURED, line_style
 from ..common.errors import InputError
 from ..common.results import TextResult, make_frame
 from ..common.rotations import bent, turned_in_plane
@@ -509,7 +509,7 @@ def plot_sides(measured: Floats, models: Mapping[str, tuple[Floats, Floats]]) ->
         for i, (name, (line, markers)) in enumerate(models.items()):
             for pair in np.stack([measured, markers], axis=1):
                 draw(pair, color=ERROR, linewidth=1.0)
-            draw(np.vstack([np.zeros((1, 3)), line]), color=look(i).colour, label=name)
+            draw(np.vstack([np.zeros((1, 3)), line]), color=line_style(i).colour, label=name)
         draw(measured, color=MEASURED, marker='o', linestyle='', label='measured')
         axes.set_aspect('equal', adjustable='datalim')
     towards = f'plane of bending, {np.degrees(azimuth):.0f}° from x [mm]'

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..common.arrays import Floats
-from ..common.colours import FLOOR, MEASURED, WARN, look
+from ..common.colours import FLOOR, MEASURED, WARN, line_style
 from ..common.words import capital, mm
 from ..comparison.result import Comparison
 from ..model.shape import bending_azimuth, views_of
@@ -29,7 +29,7 @@ from .page import (
     symbol,
     titled,
 )
-from .sentences import Fault, left_out, marks, of_inputs
+from .sentences import Fault, excluded_lines, marks, of_inputs
 
 
 def write_comparison(comparison: Comparison, path: str | Path) -> Path:
@@ -38,12 +38,12 @@ def write_comparison(comparison: Comparison, path: str | Path) -> Path:
 
 
 def comparison_page(comparison: Comparison) -> Page:
-    """Return the page: what to know first, with what was left out, then errors, shapes."""
+    """Return the page: verdict and excluded readings first, then errors and shapes."""
     measured = comparison.measured
     page = Page(f'Models against measurements: {measured.data}', say.size(comparison))
     add_verdict(page, comparison)
-    said = left_out({'outliers': measured.left_out})
-    page.text(*(f'{capital(line)}.' for line in said))
+    excluded = excluded_lines({'outliers': measured.left_out})
+    page.text(*(f'{capital(line)}.' for line in excluded))
     add_errors(page, comparison)
     add_shapes(page, comparison)
     add_angles(page, comparison)
@@ -74,7 +74,7 @@ def add_verdict(page: Page, comparison: Comparison) -> None:
 
 
 def add_errors(page: Page, comparison: Comparison) -> None:
-    """Add where the models are off."""
+    """Add the figures of errors along the arm, by posture and at the tip."""
     page.heading('Where the models are off')
     figures = [per_marker(comparison), per_posture(comparison), tip_boxes(comparison)]
     figures.append(staircase(steps(comparison), 'Models and noise floor'))
@@ -82,13 +82,13 @@ def add_errors(page: Page, comparison: Comparison) -> None:
 
 
 def steps(comparison: Comparison) -> list[Step]:
-    """Return the staircase of the models, the worst first, down to the noise floor."""
+    """Return the errors of the models as steps, the largest first, down to the noise floor."""
     order = sorted(range(len(comparison.models)), key=lambda i: -comparison.models[i].rms)
-    made = [
+    of_models = [
         Step(comparison.models[i].name, comparison.models[i].rms, 'before', model=i) for i in order
     ]
     floor = comparison.noise_floor
-    return [*made, Step('noise floor', floor, 'floor')] if floor is not None else made
+    return [*of_models, Step('noise floor', floor, 'floor')] if floor is not None else of_models
 
 
 def add_shapes(page: Page, comparison: Comparison, faults: Sequence[Fault] = ()) -> None:
@@ -105,7 +105,7 @@ def add_shapes(page: Page, comparison: Comparison, faults: Sequence[Fault] = ())
 
 
 def add_angles(page: Page, comparison: Comparison) -> None:
-    """Add angular displacements of the worst postures, where the markers tell them."""
+    """Add angular displacements of the worst postures, if the markers determine them."""
     page.heading('Angular displacement')
     if comparison.measured.angles is None:
         page.text(
@@ -143,7 +143,7 @@ def shape_key(comparison: Comparison, faults: Sequence[Fault] = ()) -> list[tupl
     """Return the legend that the pictures share."""
     entries = [(symbol(MEASURED, dot=True), 'measured (mean of the trials)')]
     for i, model in enumerate(comparison.models):
-        entries.append((symbol(look(i).colour, look(i).stroke), model.name))
+        entries.append((symbol(line_style(i).colour, line_style(i).stroke), model.name))
     if any(fault['along'] is not None for fault in faults):
         entries.append((symbol(WARN, dot=True), 'here the model is wrong'))
     return entries
@@ -152,12 +152,12 @@ def shape_key(comparison: Comparison, faults: Sequence[Fault] = ()) -> list[tupl
 def chosen_postures(comparison: Comparison) -> list[int]:
     """Return the postures to draw, in their order: all, or the worst of the best model."""
     errors = np.nan_to_num(comparison.best.per_posture_rms, nan=-1.0)
-    seen = np.flatnonzero(errors >= 0.0)
-    return sorted(seen[np.argsort(-errors[seen], kind='stable')][: Shown.POSTURES].tolist())
+    valid = np.flatnonzero(errors >= 0.0)
+    return sorted(valid[np.argsort(-errors[valid], kind='stable')][: Shown.POSTURES].tolist())
 
 
 def is_planar(comparison: Comparison) -> bool:
-    """Tell whether all shapes lie in the x-z plane."""
+    """Return whether all shapes lie in the x-z plane."""
     length = comparison.measured.arc_lengths.max()
     shapes = [comparison.measured.mean, *(model.markers for model in comparison.models)]
     return all(np.nanmax(np.abs(shape[..., 1])) < FLAT_FRACTION * length for shape in shapes)
@@ -197,8 +197,8 @@ def fault_rings(line: Floats, places: Sequence[tuple[float, str]]) -> list[Trace
     at = [distance for distance, _ in places]
     points = np.column_stack([np.interp(at, along, nodes[:, axis]) for axis in range(3)])
     ring = {'color': WARN, 'symbol': 'circle-open', 'size': 16, 'line': {'width': 3}}
-    made = {**coordinates(points), 'name': 'wrong here', 'mode': 'markers', 'marker': ring}
-    return [{**made, 'text': [escape(text) for _, text in places], 'hoverinfo': 'text'}]
+    rings = {**coordinates(points), 'name': 'wrong here', 'mode': 'markers', 'marker': ring}
+    return [{**rings, 'text': [escape(text) for _, text in places], 'hoverinfo': 'text'}]
 
 
 def flat_figure(drawn: DrawnPosture) -> Figure:
@@ -220,10 +220,10 @@ def side_figure(drawn: DrawnPosture) -> Figure:
     """One posture seen across the plane in which it bends, and along that plane."""
     data = []
     for trace in drawn.traces:
-        seen = views_of(np.array([trace[axis] for axis in 'xyz'], dtype=float).T, drawn.azimuth)
+        views = views_of(np.array([trace[axis] for axis in 'xyz'], dtype=float).T, drawn.azimuth)
         rest = {key: value for key, value in trace.items() if key not in 'xyz'}
         for side, name in enumerate(('x', 'x2')):
-            points = {'x': plain(seen[:, side]), 'y': plain(seen[:, 2])}
+            points = {'x': plain(views[:, side]), 'y': plain(views[:, 2])}
             data.append({**rest, **points, 'xaxis': name})
     layout = {
         'showlegend': False,
@@ -244,12 +244,12 @@ def scene_figure(comparison: Comparison, drawn: Sequence[DrawnPosture]) -> Figur
     data = []
     for i, one in enumerate(drawn):
         for trace in one.traces:
-            made = {**trace, 'type': 'scatter3d', 'visible': i == active}
+            drawn_trace = {**trace, 'type': 'scatter3d', 'visible': i == active}
             if 'line' in trace:  # in the sizes of a scene in space
-                made['line'] = {**trace['line'], 'width': 2.0 * trace['line']['width']}
+                drawn_trace['line'] = {**trace['line'], 'width': 2.0 * trace['line']['width']}
             if 'marker' in trace:
-                made['marker'] = {**trace['marker'], 'size': 0.6 * trace['marker']['size']}
-            data.append(made)
+                drawn_trace['marker'] = {**trace['marker'], 'size': 0.6 * trace['marker']['size']}
+            data.append(drawn_trace)
     owner = np.repeat(np.arange(len(drawn)), [len(one.traces) for one in drawn])
     buttons = []
     for i, one in enumerate(drawn):
@@ -302,7 +302,7 @@ def posture_traces(comparison: Comparison, p: int) -> list[Trace]:
     """Return the lines and points of one posture in space."""
     measured, traces = comparison.measured, []
     for i, model in enumerate(comparison.models):
-        style = look(i)
+        style = line_style(i)
         line = {'color': style.colour, 'dash': style.dash, 'width': 3}
         arm = coordinates(np.concatenate([np.zeros((1, 3)), model.line[p]]))
         traces.append({**arm, 'name': escape(model.name), 'mode': 'lines', 'line': line})

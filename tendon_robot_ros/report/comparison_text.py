@@ -1,4 +1,4 @@
-"""What a comparison says in words and as a table."""
+"""A comparison as sentences and as a table."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from ..common.words import PROGRAM, columns, commands, digits, mm, postures, pro
 from ..comparison.result import Comparison, ModelErrors
 from ..comparison.statistics import Estimate, PairedT
 from ..data.dataset import at_rest
-from .sentences import left_out
+from .sentences import excluded_lines
 
 # [1] noise floors: as good as the measurements can tell, because the rms over 12 postures in three
 # coordinates scatters by 12 % (1 sd) by chance
@@ -38,23 +38,23 @@ def errors(comparison: Comparison, model: ModelErrors) -> list[str]:
 
 
 def sentences(comparison: Comparison) -> list[str]:
-    """Return what to know: where the best model is worst, which model is better, what to do."""
-    lines = [*left_out({'outliers': comparison.measured.left_out}), where_worst(comparison)]
+    """Return the conclusions: the largest errors, the better model, and the next step."""
+    lines = [*excluded_lines({'outliers': comparison.measured.left_out}), where_worst(comparison)]
     lines += [paired(test) for test in comparison.paired_t if test.posture is None]
     last = f'{verdict(comparison)} {next_step(comparison)}'
     return [*lines, last.strip().replace('`', '')]
 
 
 def size(comparison: Comparison) -> str:
-    """Say how much was measured."""
+    """Describe the number of postures, trials and markers."""
     measured = comparison.measured
-    fewest, most = int(measured.trials[measured.trials > 0].min()), int(measured.trials.max())
-    trials = f'{most}' if fewest == most else f'{fewest} to {most}'
-    seen = measured.trials > 0
+    minimum, maximum = int(measured.trials[measured.trials > 0].min()), int(measured.trials.max())
+    trials = f'{maximum}' if minimum == maximum else f'{minimum} to {maximum}'
+    measured_postures = measured.trials > 0
     parts = (trials, 'trial'), (len(measured.markers), 'marker')
-    said = [f'{n} {name}{"" if str(n) == "1" else "s"}' for n, name in parts]
-    resting = int(at_rest(measured.inputs)[seen].sum())
-    return ' x '.join([postures(int(seen.sum()), resting), *said])
+    counts = [f'{n} {name}{"" if str(n) == "1" else "s"}' for n, name in parts]
+    resting = int(at_rest(measured.inputs)[measured_postures].sum())
+    return ' x '.join([postures(int(measured_postures.sum()), resting), *counts])
 
 
 def error_name(comparison: Comparison) -> str:
@@ -102,14 +102,14 @@ def posture_name(comparison: Comparison, posture: int) -> str:
 
 
 def where_worst(comparison: Comparison) -> str:
-    """Say where the best model is worst, and which it is where there are several."""
+    """Describe where the best model has its largest error, and its name if there are several."""
     best = comparison.best
     of = '' if len(comparison.models) == 1 else f' of {best.name}'
     return f'worst{of}: {worst(comparison, best)}'
 
 
 def worst(comparison: Comparison, model: ModelErrors) -> str:
-    """Say where a model is worst and where its error begins."""
+    """Describe where a model has its largest error, and where the error exceeds the noise."""
     posture = comparison.worst_posture(model)
     rms = mm(model.per_posture_rms[posture])
     text = f'{posture_name(comparison, posture)}, rms {rms}'
@@ -153,7 +153,7 @@ def verdict(comparison: Comparison) -> str:
 
 
 def _drowned(comparison: Comparison) -> bool:
-    """Tell whether the noise floor is a large fraction of the motion, if there is any."""
+    """Return whether the noise floor is a large fraction of the motion."""
     measured, floor = comparison.measured, comparison.noise_floor
     several = int((measured.trials > 0).sum()) > 1
     return several and floor is not None and floor > FLOOR_FRACTION_MAX * measured.motion
@@ -170,12 +170,12 @@ def next_step(comparison: Comparison) -> str:
 
 
 def paired(test: PairedT) -> str:
-    """Say which of two models has the smaller tip error, and how sure that is."""
+    """Describe which of two models has the smaller tip error, and the p-value."""
     better, other = test.models if test.difference < 0.0 else test.models[::-1]
     low, high = sorted((abs(test.low), abs(test.high)))
     over = 'postures' if test.posture is None else f'trials of posture {test.posture}'
-    sure = probability(test.p)
-    pairs = f'paired t over {test.n} {over}, {sure}'
+    significance = probability(test.p)
+    pairs = f'paired t over {test.n} {over}, {significance}'
     if test.low <= 0.0 <= test.high:
         return f'tip error: {better} and {other} do not differ ({pairs})'
     return (

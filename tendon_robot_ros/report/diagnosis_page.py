@@ -78,9 +78,9 @@ def pictures_of(
         if diagnosis_text.with_arm(diagnosis):
             name += ' alone' if changed is None else ' and the arm as found'
         models.append((name, after))
-    left_out = set(diagnosis.details.get('unsettled') or ())
-    if left_out:
-        dataset = dataset.select(set(dataset.postures) - left_out)
+    unsettled = set(diagnosis.details.get('unsettled') or ())
+    if unsettled:
+        dataset = dataset.select(set(dataset.postures) - unsettled)
     try:
         comparison = compare(dataset, models, catalogue)
     except NoEquilibriumError:
@@ -111,17 +111,17 @@ def write_diagnosis(
     diagnosis: Diagnosis,
     pictures: Pictures | None,
     path: str | Path,
-    made: Addition | None = None,
+    addition: Addition | None = None,
     outcome: str = '',
 ) -> Path:
     """Write the page; it opens without a network."""
-    return diagnosis_page(diagnosis, pictures, made, outcome).write(path)
+    return diagnosis_page(diagnosis, pictures, addition, outcome).write(path)
 
 
 def diagnosis_page(
     diagnosis: Diagnosis,
     pictures: Pictures | None = None,
-    made: Addition | None = None,
+    addition: Addition | None = None,
     outcome: str = '',
 ) -> Page:
     """
@@ -132,7 +132,7 @@ def diagnosis_page(
     diagnosis : Diagnosis
     pictures : Pictures, optional
         Without them the page has words and tables only.
-    made : Addition, optional
+    addition : Addition, optional
         What was added, with the errors on postures that were not used.
     outcome : str
         Where a file was asked for: what became of it; else what to type is said.
@@ -141,7 +141,7 @@ def diagnosis_page(
     page = Page('Diagnosis', diagnosis_text.size(diagnosis))
     add_verdict(page, diagnosis, outcome)
     if diagnosis.verdict.judged:
-        add_staircase(page, diagnosis, made)
+        add_staircase(page, diagnosis, addition)
         add_alternatives(page, diagnosis)
     if pictures is not None:
         add_pictures(page, pictures, diagnosis.details.get('local_faults', ()))
@@ -153,8 +153,8 @@ def add_verdict(page: Page, diagnosis: Diagnosis, outcome: str = '') -> None:
     """Add the verdict, and what to do now, or what was done."""
     lines = diagnosis_text.verdict(diagnosis).split('\n')
     if diagnosis.verdict.judged:
-        said = [line.replace('->', '→') for line in diagnosis_text.errors(diagnosis)]
-        lines += [*map(capital, said), diagnosis.remainder]
+        error_lines = [line.replace('->', '→') for line in diagnosis_text.errors(diagnosis)]
+        lines += [*map(capital, error_lines), diagnosis.remainder]
     page.box(lines, f'verdict {diagnosis.verdict.colour}')
     caveats = [f'{capital(caveat)}.' for caveat in diagnosis.details.get('caveats', ())]
     if caveats:
@@ -173,13 +173,13 @@ def to_do(diagnosis: Diagnosis) -> str:
     return diagnosis.verdict.advice.format(command=f'{PROGRAM} diagnose {data}')
 
 
-def add_staircase(page: Page, diagnosis: Diagnosis, made: Addition | None) -> None:
+def add_staircase(page: Page, diagnosis: Diagnosis, addition: Addition | None) -> None:
     """Add the errors before and after, and those of a perfect model."""
     if not diagnosis.effects:
         return
     partly = not diagnosis.adds
     page.heading('A part of the error falls' if partly else 'The error falls')
-    if made is None:
+    if addition is None:
         steps = [Step('before', diagnosis.error_before)]
         if diagnosis_text.with_arm(diagnosis):
             steps.append(Step('effects alone', diagnosis.error_alone, 'after', model=2))
@@ -188,10 +188,10 @@ def add_staircase(page: Page, diagnosis: Diagnosis, made: Addition | None) -> No
             Step('noise floor', diagnosis.noise_floor, 'floor'),
         ]
     else:
-        never_used = diagnosis_text.never_used(made).replace('->', '→').replace('  ', ' ')
+        never_used = diagnosis_text.never_used(addition).replace('->', '→').replace('  ', ' ')
         page.text(f'{capital(never_used)}.')
         steps = []
-        for errors in (made.fitted, made.check):
+        for errors in (addition.fitted, addition.check):
             group = GROUPS[errors.kind]
             steps.append(Step('before', errors.before, 'before', group))
             if errors.alone is not None and math.isfinite(errors.alone):
@@ -199,12 +199,12 @@ def add_staircase(page: Page, diagnosis: Diagnosis, made: Addition | None) -> No
             steps.append(Step('after', errors.after, 'after', group))
             if errors.floor is not None:
                 steps.append(Step('noise floor', errors.floor, 'floor', group))
-        page.text(*map(capital, diagnosis_text.addition_warnings(made)))
+        page.text(*map(capital, diagnosis_text.addition_warnings(addition)))
     page.figures([staircase(steps, height=HEIGHTS_PX['low'])])
 
 
 def add_alternatives(page: Page, diagnosis: Diagnosis) -> None:
-    """Add the table of candidates, what cannot be told apart, and what was not tested."""
+    """Add the table of candidates, indistinguishable effects, and untested ones."""
     page.heading('What else it could be')
     alike = diagnosis_text.alike(diagnosis)
     if len(diagnosis.cannot_tell_apart) > 1:
@@ -237,7 +237,7 @@ def add_alternatives(page: Page, diagnosis: Diagnosis) -> None:
 
 
 def candidate_row(row: CandidateRow) -> list[str]:
-    """Return what a table of candidates says of one, as `CANDIDATE_HEAD` names it."""
+    """Return the row of a candidate, with the columns of `CANDIDATE_HEAD`."""
     name = f'{row.name} (another value)' if row.present else row.name
     return [
         name,

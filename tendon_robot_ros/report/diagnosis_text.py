@@ -25,7 +25,7 @@ from ..diagnosis.verdict import (
 from .sentences import (
     as_built,
     described_quantity,
-    left_out,
+    excluded_lines,
     load_words,
     quantities,
     short_quantities,
@@ -50,7 +50,7 @@ def lines(diagnosis: Diagnosis) -> list[str]:
     text = [
         size(diagnosis),
         *declared(diagnosis),
-        *left_out(diagnosis.details),
+        *excluded_lines(diagnosis.details),
         '',
         verdict(diagnosis),
     ]
@@ -128,26 +128,26 @@ def verdict(diagnosis: Diagnosis) -> str:
 
 
 def explained_part(diagnosis: Diagnosis) -> str:
-    """Say how much of the explainable error goes away, with the arm as it was found or without."""
-    share = percent(diagnosis.effects[0].explained)
+    """Describe the fraction of the explainable error that is removed, with and without the arm."""
+    explained = percent(diagnosis.effects[0].explained)
     if not with_arm(diagnosis):
-        return f'{share} of the explainable error'
-    least = min(diagnosis.noise_floor, diagnosis.error_after)
-    alone = explained_fraction(diagnosis.error_before, diagnosis.error_alone, least) or 0.0
+        return f'{explained} of the explainable error'
+    lowest = min(diagnosis.noise_floor, diagnosis.error_after)
+    alone = explained_fraction(diagnosis.error_before, diagnosis.error_alone, lowest) or 0.0
     return (
-        f'{share} of the explainable error with the arm as it was found, '
+        f'{explained} of the explainable error with the arm as it was found, '
         f'{percent(max(alone, 0.0))} alone'
     )
 
 
 def with_arm(diagnosis: Diagnosis) -> bool:
-    """Tell whether `add` would write the arm as it was found in addition to the effects."""
+    """Return whether `add` would write the estimated arm in addition to the effects."""
     alone = diagnosis.error_alone
     return bool(np.isfinite(alone) and diagnosis.effects and alone != diagnosis.error_after)
 
 
 def errors(diagnosis: Diagnosis) -> list[str]:
-    """Say whose errors the numbers are, where there is more than one after the verdict."""
+    """Explain the errors, if there is more than one after the verdict."""
     if not with_arm(diagnosis):
         return []
     names = listed([effect.name for effect in diagnosis.effects])
@@ -173,7 +173,7 @@ def what_is_off(diagnosis: Diagnosis) -> str:
 
 
 def instead(diagnosis: Diagnosis) -> str:
-    """Say what the description says instead, and how much the new value explains."""
+    """Describe the values in the description, and how much the new ones explain."""
     if diagnosis.out_of_tolerance:
         return ''
     best = diagnosis.effects[0]
@@ -204,14 +204,14 @@ def what_remains(diagnosis: Diagnosis) -> str:
     if 'rival' in diagnosis.details and best is not None and best.probability > P_SINGLE_MIN:
         name = diagnosis.details['rival']['name']
         return f'{text}{PATTERNS.get(name, name)} fits better without any physics'
-    sure = ''
+    significance = ''
     if best is not None:
         p = best.probability
-        sure = ' (p < 1e-6)' if p < 1e-6 else f' (p = {digits(p, 1)})'
+        significance = ' (p < 1e-6)' if p < 1e-6 else f' (p = {digits(p, 1)})'
     size = f'{digits(after / floor)} times the noise'
     if after < SAME_ERROR_RATIO * floor:
-        return f'{text}what remains is not random{sure}, though it is only {size}'
-    return f'{text}what remains is {size}{sure}'
+        return f'{text}what remains is not random{significance}, though it is only {size}'
+    return f'{text}what remains is {size}{significance}'
 
 
 # field of a sentence of `diagnosis.verdict.Verdict` -> what stands there, so that a sentence names
@@ -248,7 +248,7 @@ _FIELDS: dict[str, Callable[[Diagnosis], str]] = {
 
 
 def alike(diagnosis: Diagnosis) -> str:
-    """Say what cannot be told apart from the named effects, and how far the next best is off."""
+    """Describe effects indistinguishable from the named ones, and the next best one."""
     if not diagnosis.effects:
         return ''
     own = {effect.name for effect in diagnosis.effects}
@@ -271,7 +271,7 @@ def alike(diagnosis: Diagnosis) -> str:
 
 
 def untested(diagnosis: Diagnosis) -> str:
-    """List what these postures say nothing about, and why."""
+    """List the effects that these postures do not determine, and why."""
     if not diagnosis.not_tested:
         return ''
     why = diagnosis.details.get('not_tested_because', {})
@@ -286,13 +286,13 @@ def untested(diagnosis: Diagnosis) -> str:
 
 
 def detectable(diagnosis: Diagnosis) -> str:
-    """Say how small an effect would have been seen."""
-    seen = diagnosis.details.get('detectable')
-    if not seen:
+    """Describe the smallest detectable size of every effect."""
+    sizes = diagnosis.details.get('detectable')
+    if not sizes:
         return ''
     parts = [
         f'{name} {described_quantity(one["parameter"], one["unit"], [one["size"]], 2)}'
-        for name, one in seen.items()
+        for name, one in sizes.items()
     ]
     return 'smallest size that would have been seen (four times in five): ' + ', '.join(parts)
 
@@ -340,7 +340,7 @@ def predicted_apart(step: NextMeasurement) -> str:
 
 
 def trust_lines(diagnosis: Diagnosis) -> list[str]:
-    """Return what the bootstrap says; nothing where none was made."""
+    """Describe the false alarm rate and power by the bootstrap; empty without one."""
     if 'trust' not in diagnosis.details:
         return []
     trust = diagnosis.details['trust']
@@ -371,10 +371,10 @@ def trust_lines(diagnosis: Diagnosis) -> list[str]:
         sizes.append(f'{name} {", ".join(shown)}')
     sentences.append('Smallest sizes that raise it four times in five: ' + '; '.join(sizes) + '.')
     if trust['checked']:
-        share = 100.0 * trust['detected'] / trust['checked']
+        rate = 100.0 * trust['detected'] / trust['checked']
         sentences.append(
             f'Of {trust["checked"]} simulated robots with an effect of such a size, '
-            f'{share:.0f} % raised it.'
+            f'{rate:.0f} % raised it.'
         )
     if diagnosis.verdict is Verdict.OUTSIDE_CATALOGUE:
         sentences.append(
@@ -383,61 +383,61 @@ def trust_lines(diagnosis: Diagnosis) -> list[str]:
     return sentences
 
 
-def addition_lines(made: Addition) -> list[str]:
+def addition_lines(addition: Addition) -> list[str]:
     """Return values, errors, tolerances and warnings."""
     lines = [
-        f'{name}: {quantities(values, made.loads.get(name))}'
-        for name, values in made.values.items()
+        f'{name}: {quantities(values, addition.loads.get(name))}'
+        for name, values in addition.values.items()
     ]
-    lines.append(error_table(made))
-    lines += addition_warnings(made)
+    lines.append(error_table(addition))
+    lines += addition_warnings(addition)
     return lines
 
 
-def error_table(made: Addition) -> str:
+def error_table(addition: Addition) -> str:
     """Return the table of errors before, after, and of a perfect model."""
-    alone = ['effects alone'] if made.beside else []
+    alone = ['effects alone'] if addition.beside else []
     table = [['error (rms)', 'before', *alone, 'after', 'noise floor', 'gone']]
-    for errors in (made.fitted, made.check):
+    for errors in (addition.fitted, addition.check):
         count = f'{errors.postures} posture{"" if errors.postures == 1 else "s"}'
         numbers = [mm(errors.before), mm(errors.after), mm(errors.floor)]
-        if made.beside:  # the effects alone; without the arm as found there may be no shape
+        if addition.beside:  # the effects alone; without the arm as found there may be no shape
             known = errors.alone is not None and math.isfinite(errors.alone)
             numbers.insert(1, mm(errors.alone) if known else 'no equilibrium')
-        gone = '' if errors.gone is None else percent(errors.gone)
-        table.append([f'{errors.kind}: {count} of {errors.data}', *numbers, gone])
+        removed = '' if errors.gone is None else percent(errors.gone)
+        table.append([f'{errors.kind}: {count} of {errors.data}', *numbers, removed])
     return columns(table)
 
 
-def never_used(made: Addition) -> str:
-    """Say in one line what became of the error on postures that were not fitted."""
-    check = made.check
+def never_used(addition: Addition) -> str:
+    """Describe the change of the error on postures that were not fitted, in one line."""
+    check = addition.check
     floor = '' if check.floor is None else f'  (floor {mm(check.floor)})'
     which = 'never used' if check.kind == 'check' else 'left out in turn'
     return f'error on postures {which}: {mm(check.before)} -> {mm(check.after)}{floor}'
 
 
-def also_written(made: Addition) -> list[str]:
+def also_written(addition: Addition) -> list[str]:
     """Name what the new file changes in addition to the effects that were added."""
-    robot, before = made.robot, made.described
+    robot, before = addition.robot, addition.described
     if before is None:
         return []
-    said = []
+    changes = []
     stiffness = _changes(
         [k for s in before.sections for k in s.bending_stiffness],
         [k for s in robot.sections for k in s.bending_stiffness],
     )
     if stiffness:
-        said.append(f'stiffness of {_count(stiffness, "cell")}')
+        changes.append(f'stiffness of {_count(stiffness, "cell")}')
     offsets = _changes(*([np.hypot(*t.base) for t in one.tendons] for one in (before, robot)))
     if offsets:
-        said.append(f'offset of {_count(offsets, "tendon")}')
-    said += [
+        changes.append(f'offset of {_count(offsets, "tendon")}')
+    changes += [
         name
         for name, values in robot.effects.items()
-        if name not in made.values and values != before.effects.get(name)
+        if name not in addition.values and values != before.effects.get(name)
     ]
-    return [*said, 'gravity'] if robot.gravity != before.gravity else said
+    return [*changes, 'gravity'] if robot.gravity != before.gravity else changes
 
 
 def _changes(before: Sequence[float], after: Sequence[float]) -> list[float]:
@@ -453,24 +453,24 @@ def _count(changes: Sequence[float], what: str) -> str:
     return f'{len(changes)} {what}{"" if len(changes) == 1 else "s"} ({size})'
 
 
-def addition_warnings(made: Addition) -> list[str]:
+def addition_warnings(addition: Addition) -> list[str]:
     """Say what else is written and at work, which tolerances moved, when a check got worse."""
     sentences = []
-    if made.beside:
-        also = also_written(made)
+    if addition.beside:
+        also = also_written(addition)
         sentences.append(
             'after: with the effects and the arm as it was found beside them; '
             f'the file holds that, too: {listed(also)}'
         )
-    if made.moved:
-        moves = ', '.join(f'{name} by {digits(z)} sd' for name, z in made.moved.items())
-        where = 'in the file, too' if made.beside else 'not in the file'
+    if addition.moved:
+        moves = ', '.join(f'{name} by {digits(z)} sd' for name, z in addition.moved.items())
+        where = 'in the file, too' if addition.beside else 'not in the file'
         sentences.append(f'declared tolerances moved in the fit: {moves} ({where})')
-    if made.accuracy:
-        sentences.append(f'weighed by the declared accuracy of {mm(made.accuracy, 2)}')
-    if made.more_at_work:
-        sentences.append(f'note: {made.more_at_work}')
-    if made.check.after > made.check.before:
+    if addition.accuracy:
+        sentences.append(f'weighed by the declared accuracy of {mm(addition.accuracy, 2)}')
+    if addition.more_at_work:
+        sentences.append(f'note: {addition.more_at_work}')
+    if addition.check.after > addition.check.before:
         sentences.append(
             'note: the error on postures that were not fitted grew; do not use these values'
         )

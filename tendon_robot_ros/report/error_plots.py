@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..common.colours import BAND, DIVERGING, FLOOR, MEASURED, look
+from ..common.colours import BAND, DIVERGING, FLOOR, MEASURED, line_style
 from ..common.words import capital, mm
 from ..comparison.result import Comparison
 from ..diagnosis.missing_moment import MissingMoment
@@ -66,7 +66,7 @@ def per_marker(comparison: Comparison) -> Figure:
             trace(along, mm_list(floor), 'repeatability (a perfect model)', line=line, **FILLED)
         )
     for i, model in enumerate(comparison.models):
-        data.append(curve(along, mm_list(model.per_marker_rms), model.name, look(i), size=7))
+        data.append(curve(along, mm_list(model.per_marker_rms), model.name, line_style(i), size=7))
     layout = {
         'xaxis': titled(place_title(comparison)),
         'yaxis': _error_axis(comparison, 'error, rms over postures [mm]'),
@@ -77,17 +77,17 @@ def per_marker(comparison: Comparison) -> Figure:
 def per_posture(comparison: Comparison) -> Figure:
     """Error posture by posture."""
     measured = comparison.measured
-    seen = [p for p in range(len(measured.postures)) if measured.trials[p]]
-    names = [escape(measured.postures[p]) for p in seen]
+    rows = [p for p in range(len(measured.postures)) if measured.trials[p]]
+    names = [escape(measured.postures[p]) for p in rows]
     data: list[dict[str, Any]] = []
     for i, model in enumerate(comparison.models):
-        marker = {'color': look(i).colour, 'symbol': look(i).symbol, 'size': 9}
+        marker = {'color': line_style(i).colour, 'symbol': line_style(i).symbol, 'size': 9}
         marker |= {'line': {'width': 2}}
-        text = [escape(posture_name(comparison, p)) for p in seen]
-        errors = mm_list(model.per_posture_rms[seen])
+        text = [escape(posture_name(comparison, p)) for p in rows]
+        errors = mm_list(model.per_posture_rms[rows])
         data.append(trace(names, errors, model.name, 'markers', text=text, marker=marker))
     if measured.floor is not None:
-        floor = np.sqrt(np.nanmean(measured.floor[seen], axis=1))
+        floor = np.sqrt(np.nanmean(measured.floor[rows], axis=1))
         line = {'color': FLOOR, 'width': 1, 'shape': 'hvh'}
         data.append(trace(names, mm_list(floor), 'repeatability', line=line, **FILLED))
     layout = {
@@ -106,7 +106,7 @@ def angles(comparison: Comparison, p: int) -> Figure:
     data: list[dict[str, Any]] = []
     for i, model in enumerate(comparison.models):
         assert model.angles is not None
-        data.append(curve(along, degrees_list(model.angles[p]), model.name, look(i), 2.5))
+        data.append(curve(along, degrees_list(model.angles[p]), model.name, line_style(i), 2.5))
     what = '95 %' if comparison.error == 'ci' else 'standard error'
     marker, bars = {'color': MEASURED, 'size': 5}, error_bars(degrees_list(half[p]))
     points = along, degrees_list(mean[p])
@@ -122,12 +122,12 @@ def angles(comparison: Comparison, p: int) -> Figure:
 def tip_boxes(comparison: Comparison) -> Figure:
     """Tip error over all trials, as figure 15: median, quartiles, data within 1.5 of them."""
     measured = comparison.measured
-    seen = [p for p in range(len(measured.postures)) if measured.trials[p]]
-    apart = len(seen) <= Shown.OWN_BOXES and len(comparison.models) > 1
+    rows = [p for p in range(len(measured.postures)) if measured.trials[p]]
+    apart = len(rows) <= Shown.OWN_BOXES and len(comparison.models) > 1
     data: list[dict[str, Any]] = []
     for i, model in enumerate(comparison.models):
-        values = model.tip_errors[seen]
-        names = np.broadcast_to(np.array(measured.postures)[seen][:, None], values.shape)
+        values = model.tip_errors[rows]
+        names = np.broadcast_to(np.array(measured.postures)[rows][:, None], values.shape)
         good = np.isfinite(values)
         where = names[good] if apart else [model.name] * int(good.sum())
         data.append(
@@ -136,7 +136,7 @@ def tip_boxes(comparison: Comparison) -> Figure:
                 'x': [escape(name) for name in where],
                 'y': mm_list(values[good]),
                 'name': escape(model.name),
-                'marker': {'color': look(i).colour, 'symbol': look(i).symbol},
+                'marker': {'color': line_style(i).colour, 'symbol': line_style(i).symbol},
                 'boxpoints': 'all' if good.sum() <= Shown.BOX_POINTS else 'outliers',
                 'jitter': 0.4,
                 'pointpos': 0.0,
@@ -172,7 +172,7 @@ def staircase(
                 'textposition': 'outside',
                 'cliponaxis': False,
                 'name': escape(label),
-                'marker': {'color': FLOOR if first.kind == 'floor' else look(model).colour},
+                'marker': {'color': FLOOR if first.kind == 'floor' else line_style(model).colour},
             }
         )
     layout = {
@@ -247,7 +247,7 @@ def moments(lacks: MissingMoment) -> list[Figure]:
         data = []
         for b, name in enumerate(lacks.blocks):
             bars = error_bars(plain(1.96 * lacks.moment_sd[:, b], 1e3), width=0)
-            marker = {'color': look(b).colour, 'symbol': look(b).symbol, 'size': 8}
+            marker = {'color': line_style(b).colour, 'symbol': line_style(b).symbol, 'size': 8}
             points = plain(cause[:, b]), plain(lacks.moment[:, b], 1e3)
             data.append(trace(*points, name, 'markers', error_y=bars, marker=marker))
         layout = {

@@ -1,4 +1,4 @@
-"""What `improve` says, as text and page: the falling error, values, what remains, shapes."""
+"""The result of `improve` as text and page: errors, values, remaining error, shapes."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from ..effects import Catalogue
 from .comparison_page import add_shapes
 from .error_plots import per_marker, per_posture
 from .page import HEIGHTS_PX, LOG_AXIS, Figure, Page, Shown, mm_list, titled, trace
-from .sentences import as_built, left_out, quantities, where_wrong
+from .sentences import as_built, excluded_lines, quantities, where_wrong
 
 NOT_WRITTEN = 'Nothing was written: there is no step that lowers the error on left-out postures.'
 
 
 def improvement_lines(improvement: Improvement) -> list[str]:
     """Return the table of the steps, values, and what remains."""
-    made = [columns(step_table(improvement)), *sentences(improvement)]
-    made += [f'{name}: {said}' for name, said in _values(improvement)]
-    return [*made, *profile(improvement), *as_built(improvement.as_built), *remains(improvement)]
+    lines = [columns(step_table(improvement)), *sentences(improvement)]
+    lines += [f'{name}: {text}' for name, text in _values(improvement)]
+    return [*lines, *profile(improvement), *as_built(improvement.as_built), *remains(improvement)]
 
 
 def _values(improvement: Improvement) -> list[tuple[str, str]]:
@@ -64,10 +64,10 @@ def numbers(errors: Floats) -> str:
 
 
 def sentences(improvement: Improvement) -> list[str]:
-    """Say how far the error falls, and why no further."""
+    """Describe the reduction of the error, and why the search stopped."""
     first, last = improvement.steps[0], improvement.steps[improvement.taken]
     inside, before = improvement.chosen, total(first.left_out)
-    said = [
+    texts = [
         'Postures that had no part in the search are predicted to '
         f'{_reached(improvement, last.left_out)}, by the description as '
         f'it was to {mm(before)}; the noise floor is {mm(improvement.noise_floor)}.',
@@ -75,14 +75,14 @@ def sentences(improvement: Improvement) -> list[str]:
         f'{_reached(improvement, inside)}.',
     ]
     if not improvement.more_at_work:
-        said.append(
+        texts.append(
             f'It stops there: what remains is noise ({probability(improvement.probability)}).'
         )
     elif improvement.taken + 1 < len(improvement.steps):
-        said.append('It stops there: what follows takes off too little to be told from chance.')
+        texts.append('It stops there: what follows takes off too little to be told from chance.')
     else:
-        said.append('It stops there: no other effect promises to lower the error.')
-    return said
+        texts.append('It stops there: no other effect promises to lower the error.')
+    return texts
 
 
 def _reached(improvement: Improvement, errors: Floats) -> str:
@@ -97,18 +97,18 @@ def _reached(improvement: Improvement, errors: Floats) -> str:
 
 def profile(improvement: Improvement) -> list[str]:
     """Say how the stiffness along the arm and the routes of the tendons have changed."""
-    said = []
+    texts = []
     if improvement.routes:
-        turns = ', '.join(
-            f'{name} by {degrees(turn)}, winding by {degrees(helix)}/m'
-            for name, (turn, helix) in improvement.routes.items()
+        rotations = ', '.join(
+            f'{name} by {degrees(rotation)}, winding by {degrees(helix)}/m'
+            for name, (rotation, helix) in improvement.routes.items()
         )
-        said.append(f'tendon_routes, turned about the axis: {turns}')
+        texts.append(f'tendon_routes, turned about the axis: {rotations}')
     if not improvement.profile:
-        return said
+        return texts
     places = zip(('base', 'middle', 'tip'), improvement.profile, strict=True)
     changes = ', '.join(f'{100.0 * change:+.0f} % at the {where}' for where, change in places)
-    return [*said, f'bending_stiffness along the arm: {changes}']
+    return [*texts, f'bending_stiffness along the arm: {changes}']
 
 
 def degrees(radians: float) -> str:
@@ -117,15 +117,15 @@ def degrees(radians: float) -> str:
 
 
 def remains(improvement: Improvement) -> list[str]:
-    """Say what is not explained: the worst postures, places, and that more is at work."""
+    """Describe the remaining error: the worst postures and places, and unexplained causes."""
     worst = sorted(improvement.tips.items(), key=lambda item: -item[1])[: Shown.WORST]
     named = ', '.join(f'posture {posture} ({mm(error)})' for posture, error in worst)
-    said = [
+    texts = [
         f'worst at marker {improvement.markers[-1]} when left out: {named}',
         *where_wrong(improvement.local_faults),
-        *left_out(improvement.left_out),
+        *excluded_lines(improvement.left_out),
     ]
-    return [*said, f'note: {improvement.more_at_work}'] if improvement.more_at_work else said
+    return [*texts, f'note: {improvement.more_at_work}'] if improvement.more_at_work else texts
 
 
 def write_improvement(
@@ -144,7 +144,7 @@ def improvement_page(improvement: Improvement, dataset: DataSet, catalogue: Cata
     kinds = ['strong' if k == improvement.taken else '' for k in range(improvement.taken + 1)]
     page.table(header, rows, kinds + ['faint'] * (len(rows) - len(kinds)), left=[0])
     page.heading('Values')
-    page.text(*(f'`{name}`: {said}' for name, said in _values(improvement)))
+    page.text(*(f'`{name}`: {text}' for name, text in _values(improvement)))
     page.text(*map(capital, [*profile(improvement), *as_built(improvement.as_built)]))
     page.heading('What remains')
     page.text(*map(capital, remains(improvement)))
@@ -163,9 +163,9 @@ def curve(improvement: Improvement) -> Figure:
     floor = mm_list([improvement.noise_floor] * len(names))
     line = {'color': FLOOR, 'width': 2, 'dash': 'dot'}
     data = [trace(names, floor, 'noise floor', line=line)]
-    taken = ['circle' if k <= improvement.taken else 'circle-open' for k in range(len(names))]
+    symbols = ['circle' if k <= improvement.taken else 'circle-open' for k in range(len(names))]
     for kind, errors in improvement.falling.items():
-        line, marker = {'color': COLOURS[kind]}, {'symbol': taken, 'size': 9}
+        line, marker = {'color': COLOURS[kind]}, {'symbol': symbols, 'size': 9}
         data.append(trace(names, mm_list(errors), kind, 'lines+markers', line=line, marker=marker))
     layout = {
         'xaxis': {'type': 'category', 'tickangle': -90},

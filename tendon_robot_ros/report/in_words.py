@@ -25,8 +25,8 @@ Rows = list[list[str]]
 @singledispatch
 def text(result: TextResult) -> str:
     """Return a result in words; of what has no words of its own its `repr`, and its table."""
-    said = repr(result).strip('<>')
-    return '\n'.join([said, columns(rows(result))]) if rows(result) else said
+    summary = repr(result).strip('<>')
+    return '\n'.join([summary, columns(rows(result))]) if rows(result) else summary
 
 
 @singledispatch
@@ -38,10 +38,10 @@ def rows(result: object) -> Rows:
 def html(result: TextResult) -> str:
     """Return a result for a notebook: the words, and the table below."""
     table = rows(result)
-    said = result.text()
+    words = result.text()
     if table:
-        said = said.removesuffix(columns(table)).rstrip()
-    shown = [f'<pre style="white-space: pre-wrap">{escape(said)}</pre>']
+        words = words.removesuffix(columns(table)).rstrip()
+    shown = [f'<pre style="white-space: pre-wrap">{escape(words)}</pre>']
     if table:
         shown += ['<table>', _row('th', table[0]), *(_row('td', row) for row in table[1:])]
         shown.append('</table>')
@@ -87,9 +87,9 @@ def _(result: DataSet) -> Rows:
     table = [['posture', *inputs, 'trials', 'markers seen', 'last marker at [mm]']]
     for p, posture in enumerate(result.postures[: Shown.ROWS]):
         values = [digits(scale * value, 3) for value in result.inputs[p].tolist()]
-        seen = f'{int((result.counts[p] > 0).sum())} of {len(result.markers)}'
+        visible = f'{int((result.counts[p] > 0).sum())} of {len(result.markers)}'
         tip = ', '.join(f'{1e3 * x:.1f}' for x in result.mean[p, -1].tolist())
-        table.append([posture, *values, str(result.trials[p]), seen, tip])
+        table.append([posture, *values, str(result.trials[p]), visible, tip])
     more = len(result.postures) - Shown.ROWS
     return [*table, [f'and {more} more']] if more > 0 else table
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..common.colours import ERROR, INK, KINDS, Look
+from ..common.colours import ERROR, INK, KINDS, LineStyle
 from ..common.errors import MissingExtraError
 from ..common.files import write_text
 
@@ -79,12 +79,12 @@ def curve(
     x: Sequence[Any],
     y: Sequence[Any],
     name: str,
-    style: Look,
+    style: LineStyle,
     width: float = 2.0,
     size: int = 0,
     **more: Any,
 ) -> Trace:
-    """Draw a curve in the look of a model; with symbols of a size [px], if any."""
+    """Draw a curve in the line style of a model; with symbols of a size [px], if any."""
     line = {'color': style.colour, 'dash': style.dash, 'width': width}
     if size:
         more = {'marker': {'symbol': style.symbol, 'size': size}, **more}
@@ -145,7 +145,7 @@ class Figure:
             {'data': self.data, 'layout': layout}, allow_nan=False, separators=(',', ':')
         ).replace('<', '\\u003c')
         title = f'<p class="title">{escape(self.title)}</p>' if self.title else ''
-        chosen = {'sliders', 'updatemenus'} & set(self.layout)  # page.js hears the keys
+        chosen = {'sliders', 'updatemenus'} & set(self.layout)  # page.js handles the keys
         words = ' '.join(filter(None, [self.caption, KEYS if chosen else '']))
         axes = [layout[axis].get('title', {}).get('text', '') for axis in ('yaxis', 'xaxis')]
         named = self.title or ' over '.join(filter(None, axes)) or 'figure'
@@ -275,8 +275,8 @@ def _row(
     """Return a row; on a narrow screen every cell stands below its name."""
     labels = [f' data-name="{escape(name)}"' for name in names] or [''] * len(cells)
     role = 'role="columnheader" scope="col"' if tag == 'th' else 'role="cell"'
-    made = ''.join(
+    content = ''.join(
         f'<{tag} {role} class="{side}"{label}>{escape(cell)}</{tag}>'
         for cell, side, label in zip(cells, sides, labels, strict=True)
     )
-    return f'<tr role="row" class="{escape(kind)}">{made}</tr>'
+    return f'<tr role="row" class="{escape(kind)}">{content}</tr>'

@@ -168,21 +168,21 @@ def path_lines(run: PathRun) -> list[str]:
     return text
 
 
-def _chosen(count: int, most: int) -> np.ndarray:
-    """Return which of so many to show, evenly spread, the first and the last among them."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
+def _chosen(count: int, maximum: int) -> np.ndarray:
+    """Return at most `maximum` evenly spread indices, with the first and the last."""
+    return np.unique(np.linspace(0, count - 1, min(count, maximum)).round().astype(int))
 
 
 def tip_rows(run: PathRun) -> list[list[str]]:
     """Return the rows of a path of the tip: what was requested and what was reached."""
-    errors, turns = run.errors(run.row_times)
-    targets, views = run.targets_at(run.row_times)
+    errors, rotations = run.errors(run.row_times)
+    goals, views = run.targets_at(run.row_times)
     reached, _ = run.tip_at(run.row_times)
     rows = [['row', 'time [s]', 'asked x, y, z [mm]', 'reached [mm]', 'error', 'turned by']]
     for i, time in enumerate(run.row_times):
-        turn = '' if np.isnan(views[i]).any() else f'{np.degrees(turns[i]):.2f}°'
+        angle = '' if np.isnan(views[i]).any() else f'{np.degrees(rotations[i]):.2f}°'
         rows.append(
-            [str(i + 1), f'{time:.2f}', place(targets[i]), place(reached[i]), _mm(errors[i]), turn]
+            [str(i + 1), f'{time:.2f}', place(goals[i]), place(reached[i]), _mm(errors[i]), angle]
         )
     return rows
 
@@ -195,11 +195,11 @@ def tendon_rows(run: PathRun) -> list[list[str]]:
     commanded = run.commanded_at(run.row_times)
     rows = [['row', 'time [s]', f'asked [{unit}]', f'commanded [{unit}]', 'tip [mm]']]
     for i, time in enumerate(run.row_times):
-        asked, came = (
+        goals, sent = (
             ', '.join(f'{scale * v:.2f}' for v in values)
             for values in (run.target_values[i], commanded[i])
         )
-        rows.append([str(i + 1), f'{time:.2f}', asked, came, place(reached[i])])
+        rows.append([str(i + 1), f'{time:.2f}', goals, sent, place(reached[i])])
     return rows
 
 
@@ -255,21 +255,21 @@ def draw_side(axes: Any, run: PathRun, axis: int) -> None:
     """Draw the requested and the reached path, with arrows where a row requests a direction."""
     reached, _ = run.tip_at(run.row_times)
     if len(run.targets):
-        targets, views = run.targets_at(run.row_times)
-        axes.plot(*_seen(run.targets, axis), '--', color=FLOOR, linewidth=1.2, label='asked')
-        if len(targets) <= Shown.MARKED_ROWS:
-            axes.plot(*_seen(targets, axis), 'o', color=FLOOR, markersize=5, fillstyle='none')
-        shown = _chosen(len(targets), Shown.ARROWS)
-        for place, view in zip(targets[shown], views[shown], strict=True):
+        goals, views = run.targets_at(run.row_times)
+        axes.plot(*_flat(run.targets, axis), '--', color=FLOOR, linewidth=1.2, label='asked')
+        if len(goals) <= Shown.MARKED_ROWS:
+            axes.plot(*_flat(goals, axis), 'o', color=FLOOR, markersize=5, fillstyle='none')
+        shown = _chosen(len(goals), Shown.ARROWS)
+        for place, view in zip(goals[shown], views[shown], strict=True):
             if np.isfinite(view).all() and np.hypot(view[axis], view[2]) > 0.1:
-                (x, z), tip = _seen(place, axis), 8.0 * view[[axis, 2]]
+                (x, z), tip = _flat(place, axis), 8.0 * view[[axis, 2]]
                 arrow = {'arrowstyle': '->', 'color': FLOOR}
                 axes.annotate('', (x + tip[0], z + tip[1]), (x, z), arrowprops=arrow)
     label = 'measured' if run.measured else 'as the model sees it'
     colour = _tip_colour(run)
-    axes.plot(*_seen(run.tips, axis), '-', color=colour, linewidth=1.0, label=label)
+    axes.plot(*_flat(run.tips, axis), '-', color=colour, linewidth=1.0, label=label)
     if len(reached) <= Shown.MARKED_ROWS:
-        axes.plot(*_seen(reached, axis), 'x', color=colour, markersize=5)
+        axes.plot(*_flat(reached, axis), 'x', color=colour, markersize=5)
     axes.set(xlabel=f'{"xy"[axis]} [mm]', ylabel='z [mm]')
     axes.set_aspect('equal', adjustable='datalim')
     if axis == 0:
@@ -280,7 +280,7 @@ def _tip_colour(run: PathRun) -> str:
     return MEASURED if run.measured else PREDICTED
 
 
-def _seen(places: Any, axis: int) -> tuple[Any, Any]:
+def _flat(places: Any, axis: int) -> tuple[Any, Any]:
     return 1e3 * places[..., axis], 1e3 * places[..., 2]
 
 
@@ -313,7 +313,7 @@ def draw_commands(axes: Any, run: PathRun) -> None:
         colour = COLOURS[i % len(COLOURS)]
         axes.plot(run.command_times, scale * run.commands[:, i], color=colour, label=name)
         if run.target_values is not None:
-            wanted = scale * run.target_values[:, i]
-            axes.plot(run.row_times, wanted, 'o', color=colour, ms=4, fillstyle='none')
+            requested = scale * run.target_values[:, i]
+            axes.plot(run.row_times, requested, 'o', color=colour, ms=4, fillstyle='none')
     axes.set(xlabel='time [s]', ylabel='wire pull [mm]' if run.pull else 'tension [N]')
     axes.legend(fontsize='small', ncols=2, loc='upper right')

@@ -1,7 +1,7 @@
 """
-What several reports say: values with their intervals, an arm as built, readings left out, faults.
+Sentences of several reports: values with intervals, an arm as built, excluded readings, faults.
 
-Faults are the places where a model is still wrong; they are marks on the pictures of the arm, too.
+Faults are the places where a model is still wrong; they are also marked in pictures of the arm.
 """
 
 from __future__ import annotations
@@ -64,36 +64,36 @@ def _with_interval(name: str, value: Value, size: float = 0.0) -> str:
 
 
 def quantities(values: Mapping[str, Value], load: LoadVector | None = None) -> str:
-    """Join the parameters of an effect; of a force also say its size and direction."""
-    said = [quantity(name, v, _largest(values, v.unit)) for name, v in values.items()]
-    return ', '.join([*said, *([] if load is None else [f'together {load_words(load)}'])])
+    """Format the parameters of an effect; of a force also its size and direction."""
+    texts = [quantity(name, v, _largest(values, v.unit)) for name, v in values.items()]
+    return ', '.join([*texts, *([] if load is None else [f'together {load_words(load)}'])])
 
 
 def load_words(load: LoadVector) -> str:
     """Say '0.151 ± 0.004 N, along gravity, 86 ± 9° from the arm's axis'."""
     size = _with_interval('', load.size)
-    told = []
+    directions = []
     if (angle := load.from_gravity) is not None:
         if angle.low <= 0.0:
-            told.append('along gravity')
+            directions.append('along gravity')
         elif angle.high >= math.pi:
-            told.append('against gravity')
+            directions.append('against gravity')
         else:
-            told.append(f'{_with_interval("angle", angle)} from gravity')
+            directions.append(f'{_with_interval("angle", angle)} from gravity')
     if (angle := load.from_axis) is not None:
         if angle.low <= 0.0 or angle.high >= math.pi:
             end = 'tip' if angle.low <= 0.0 else 'base'
-            told.append(f"along the arm's axis, towards its {end}")
+            directions.append(f"along the arm's axis, towards its {end}")
         else:
-            said = f"{_with_interval('', angle)} from the arm's axis"
-            if load.from_gravity is None:  # which does not tell the side
+            text = f"{_with_interval('', angle)} from the arm's axis"
+            if load.from_gravity is None:  # the axis alone leaves the side open
                 quarter = round(load.around_axis / (0.5 * math.pi))
                 side = f'{round(math.degrees(load.around_axis)) % 360}° (x: 0°, y: 90°)'
                 if abs(load.around_axis - quarter * 0.5 * math.pi) < AXIS_TOLERANCE_RAD:
                     side = ('x', 'y', '-x', '-y')[quarter % 4]
-                said = f'{said} towards {side}'
-            told.append(said)
-    return ', '.join([size, *(told or ['its direction is not told'])])
+                text = f'{text} towards {side}'
+            directions.append(text)
+    return ', '.join([size, *(directions or ['its direction is not told'])])
 
 
 def short_quantities(values: Mapping[str, Value]) -> str:
@@ -107,8 +107,8 @@ def short_quantities(values: Mapping[str, Value]) -> str:
     return ', '.join(parts)
 
 
-def told_quantity(name: str, value: Value) -> str:
-    """Say 'force_y 0.000 N': as many places as the interval tells, without its ends."""
+def rounded_quantity(name: str, value: Value) -> str:
+    """Format 'force_y 0.000 N', with decimals by its interval, which is not shown."""
     half = 0.5 * (value.high - value.low)
     known = math.isfinite(half) and half > 0.0
     factor, unit = scale_of(value.unit, max(abs(value.value), half if known else 0.0), name)
@@ -137,7 +137,7 @@ def decimals(half: float) -> int:
 
 
 def rounded(value: float, places: int) -> str:
-    """Show a number with so many places behind the point, never as -0 nor as a row of zeros."""
+    """Format a number with some decimals, never as -0 nor as zeros alone."""
     text = f'{value:.{places}f}' if places <= DECIMALS_MAX else digits(value, 3)
     if float(text) != 0.0:
         return text
@@ -153,22 +153,22 @@ def amount(value: float, unit: str, sign: bool = False) -> str:
 
 
 def as_built(report: Mapping[str, Any] | None) -> list[str]:
-    """Say how much the arm scatters, with 95 % intervals, and what is out of line."""
+    """Describe the scatter of the arm as built, with 95 % intervals, and its outliers."""
     if not report:
         return []
-    told = []
+    sizes = []
     for kind in report['kinds']:
         name, size, low, high = (kind[key] for key in ('kind', 'size', 'low', 'high'))
         if not kind['told']:
             continue
-        said = [None if end is None else amount(end, kind['unit']) for end in (size, low, high)]
+        amounts = [None if end is None else amount(end, kind['unit']) for end in (size, low, high)]
         if low <= 0.0:  # where one end is open, the other one alone
-            told.append(f'{KIND_NAMES[name]} below {said[2]}')
+            sizes.append(f'{KIND_NAMES[name]} below {amounts[2]}')
         elif high is None:
-            told.append(f'{KIND_NAMES[name]} above {said[1]}')
+            sizes.append(f'{KIND_NAMES[name]} above {amounts[1]}')
         else:
-            told.append(f'{KIND_NAMES[name]} {said[0]} ({said[1]} to {said[2]})')
-    lines = [f'the arm as built scatters by (1 sd, 95 %): {", ".join(told)}'] if told else []
+            sizes.append(f'{KIND_NAMES[name]} {amounts[0]} ({amounts[1]} to {amounts[2]})')
+    lines = [f'the arm as built scatters by (1 sd, 95 %): {", ".join(sizes)}'] if sizes else []
     strange = [
         f'{name} ({amount(kind["members"][name]["value"], kind["unit"], True)})'
         for kind in report['kinds']
@@ -183,8 +183,8 @@ def as_built(report: Mapping[str, Any] | None) -> list[str]:
     return lines
 
 
-def left_out(details: Mapping[str, Any], how: str = 'left out') -> list[str]:
-    """Name the readings and trials that the others contradict, and postures that do not settle."""
+def excluded_lines(details: Mapping[str, Any], how: str = 'left out') -> list[str]:
+    """Describe excluded readings and trials, and postures without an equilibrium."""
     unsettled = details.get('unsettled') or []
     outliers = details.get('outliers') or []
     trials = [f'trial {o["trial"]} of posture {o["posture"]}' for o in outliers if not o['marker']]
@@ -215,18 +215,18 @@ Fault = Mapping[str, Any]  # of `local_faults` in the details of a diagnosis
 
 
 def where_wrong(faults: Sequence[Fault]) -> list[str]:
-    """Say where the model is still wrong; nothing where it is nowhere."""
+    """Describe where the model is still wrong; empty if there is no such place."""
     if not faults:
         return []
     rate = f'{100.0 * FALSE_DISCOVERY_RATE:.0f} %'
-    told = []
+    places = []
     for fault in faults:
         posture = fault['posture']
         where = 'in all postures' if posture is None else f'in posture {posture}'
-        told.append(f'{where} {sentence(fault)}')
+        places.append(f'{where} {sentence(fault)}')
     return [
         f'where it is still wrong (of such places at most {rate} are false alarms): '
-        + '; '.join(told)
+        + '; '.join(places)
     ]
 
 
@@ -274,7 +274,7 @@ def _range(fault: Fault, sign: float) -> str:
 
 
 def place_of(fault: Fault) -> str:
-    """Name a place, or the cells among which it cannot be told."""
+    """Name a place, or the cells among which it cannot be located."""
     alike = [name.partition(' towards ') for name in fault['alike']]
     if len(alike) < 2 or fault['along'] is None:
         return str(fault['place'])

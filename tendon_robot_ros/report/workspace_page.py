@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.arrays import Floats
-from ..common.colours import ERROR, FLOOR, INK, PREDICTED, look
+from ..common.colours import ERROR, FLOOR, INK, PREDICTED, line_style
 from ..common.words import commands, digits, listed
-from ..workspace.cubes import LOOKS, Numbers, Reached
+from ..workspace.cubes import SPHERE_PART_COUNT, Numbers, Reached
 from ..workspace.view_angle import Family, Workspace
 from ..workspace.volume import Volume, bends_as_one
 from .page import (
@@ -49,11 +49,11 @@ SCALE = 'Cividis'  # read alike by all eyes, and in grey
 
 def rows(workspace: Workspace) -> list[list[str]]:
     """Return the table of the families: how many postures, where the tips are, which tension."""
-    made = []
+    table = []
     for family in workspace.families:
         tension = float(family.tensions.max())
         full = ' (the limit)' if np.isclose(tension, workspace.limit) else ''
-        made.append(
+        table.append(
             [
                 degree(family.view),
                 family.pair.name,
@@ -64,7 +64,7 @@ def rows(workspace: Workspace) -> list[list[str]]:
                 f'{digits(tension, 3)} N{full}',
             ]
         )
-    return made
+    return table
 
 
 def missing(workspace: Workspace) -> list[str]:
@@ -105,7 +105,7 @@ def postures(family: Family) -> Figure:
     title = f'{degree(family.view)} view, {family.pair.name}'
     data: list[Trace] = []
     for i, row in enumerate(family.salient):
-        style = look(i)
+        style = line_style(i)
         points = np.concatenate([np.zeros((1, 3)), family.positions[row]])
         marker: Trace = {'color': style.colour, 'symbol': style.symbol, 'size': 5 if planar else 3}
         line = {'color': style.colour, 'dash': style.dash, 'width': 2 if planar else 5}
@@ -141,7 +141,7 @@ def displacement(family: Family) -> Figure:
     for i, b in enumerate(family.salient):
         bend = family.bend[b]
         angle = bend[:, 0] if planar else np.linalg.norm(bend, axis=1)
-        data.append(curve(cells, degrees_list(angle), HEIGHT_NAMES[i], look(i), size=6))
+        data.append(curve(cells, degrees_list(angle), HEIGHT_NAMES[i], line_style(i), size=6))
     layout = {
         'xaxis': titled('cell'),
         'yaxis': titled('angular displacement per cell [°]'),
@@ -163,9 +163,9 @@ def _places(points: Floats, planar: bool) -> Trace:
     return {'type': 'scatter3d', **coordinates(points)}
 
 
-def thinned[T: np.generic](rows: npt.NDArray[T], most: int) -> npt.NDArray[T]:
-    """Return so many of the rows at most, evenly spread."""
-    kept = np.linspace(0, len(rows) - 1, min(len(rows), most)).astype(int)
+def thinned[T: np.generic](rows: npt.NDArray[T], maximum: int) -> npt.NDArray[T]:
+    """Return at most `maximum` of the rows, evenly spread."""
+    kept = np.linspace(0, len(rows) - 1, min(len(rows), maximum)).astype(int)
     return rows.take(kept, axis=0)
 
 
@@ -194,37 +194,37 @@ def workspace_page(workspace: Workspace) -> Page:
 
 
 def summary(volume: Volume) -> list[str]:
-    """Return what came out, a line each."""
+    """Summarise the result, a line for each finding."""
     reached, other = volume.reached, volume.frictionless
-    left_out = []
+    excluded = []
     if volume.folded:
-        left_out.append(f'{_share(volume.folded, volume.postures)} run into themselves')
+        excluded.append(f'{_percentage(volume.folded, volume.postures)} run into themselves')
     if volume.unsolved:
-        left_out.append(f'{_share(volume.unsolved, volume.postures)} have no equilibrium')
+        excluded.append(f'{_percentage(volume.unsolved, volume.postures)} have no equilibrium')
     low, high = volume.limits
     lines = [
         f'{volume.postures:,} postures over {len(volume.robot.inputs)} tendons from {low:g} to '
-        f'{high:g} N{f"; left out: {listed(left_out)}" if left_out else ""}',
+        f'{high:g} N{f"; left out: {listed(excluded)}" if excluded else ""}',
         f'tips within {_box(reached)}',
         f'they fill {_fill(reached)}, in cubes of {digits(1e3 * reached.edge)} mm; '
         f'their convex hull has {_size(reached, reached.hull[2])}',
     ]
-    looks = f'the tip turns up to {degree(volume.largest)} away from the base'
+    orientations = f'the tip turns up to {degree(volume.largest)} away from the base'
     if not reached.is_flat:
-        looks += f' and looks into {_share(volume.sphere, 1.0)} of all directions'
-        looks += (
+        orientations += f' and looks into {_percentage(volume.sphere, 1.0)} of all directions'
+        orientations += (
             '. With one section the place of the tip nearly fixes where it looks: the places of '
             'one view angle are a ring around the base'
             if bends_as_one(volume.robot)
-            else f'; from one cube into {digits(float(reached.looks.mean()))} of {LOOKS} equal '
-            'parts of them (mean)'
+            else f'; from one cube into {digits(float(reached.looks.mean()))} of '
+            f'{SPHERE_PART_COUNT} equal parts of them (mean)'
         )
-    lines.append(looks)
+    lines.append(orientations)
     if other is not None:
-        taken, given = (_share(part or 0.0, 1.0) for part in (volume.taken, volume.given))
+        lost, given = (_percentage(part or 0.0, 1.0) for part in (volume.taken, volume.given))
         why = ': it bends more near the base, less farther out' if volume.given else ''
         lines.append(
-            f'friction takes {taken} of the places that the same arm without friction reaches '
+            f'friction takes {lost} of the places that the same arm without friction reaches '
             f'({_fill(other)}); {given} of the places with friction lie beyond those{why}'
         )
     for view, part in volume.views.items():
@@ -237,7 +237,7 @@ def summary(volume: Volume) -> list[str]:
     return [*lines, *_late(volume)]
 
 
-def _share(part: float, whole: float) -> str:
+def _percentage(part: float, whole: float) -> str:
     return f'{digits(100.0 * part / whole)} %'
 
 
@@ -255,7 +255,7 @@ def _size(reached: Reached, size: float) -> str:
 
 
 def _fill(reached: Reached) -> str:
-    """Say how much space tips fill; of a surface in space none that cubes can tell."""
+    """Describe the volume or area of the tips; for a surface in space cubes give no volume."""
     if reached.size < THIN_FRACTION * len(reached) * reached.edge ** (2 if reached.is_flat else 3):
         return 'a curve' if reached.is_flat else 'a thin shell'
     return _size(reached, reached.size)
@@ -265,8 +265,8 @@ def _late(volume: Volume) -> list[str]:
     if volume.late < LATE_MAX:
         return []
     return [
-        f'NOT YET FULL: the last tenth of the postures found {_share(volume.late, 1.0)} of the '
-        'cubes; ask for more --postures or larger --cubes'
+        f'NOT YET FULL: the last tenth of the postures found {_percentage(volume.late, 1.0)} of '
+        'the cubes; ask for more --postures or larger --cubes'
     ]
 
 
@@ -298,10 +298,10 @@ def volume_page(volume: Volume) -> Page:
 
 
 def _values(volume: Volume) -> tuple[Floats, str]:
-    """Return what colours a cube (c,), and what it is."""
+    """Return the values (c,) that colour the cubes, and their title."""
     if volume.reached.is_flat or bends_as_one(volume.robot):
         return volume.reached.tensions.max(axis=1), 'highest<br>tension [N]'
-    return volume.reached.looks.astype(float), f'directions<br>of {LOOKS}'
+    return volume.reached.looks.astype(float), f'directions<br>of {SPHERE_PART_COUNT}'
 
 
 def _scene() -> dict[str, Any]:
@@ -374,8 +374,8 @@ def section_figure(volume: Volume, values: Floats, title: str, axis: int) -> Fig
     data: list[dict[str, Any]] = []
     for i, place in enumerate(places):
         for part, heights, colours in parts:
-            here = part.cells[:, axis] == place
-            cut = heat_map(frame, part.cells[here][:, [across, up]], heights[here])
+            in_slice = part.cells[:, axis] == place
+            cut = heat_map(frame, part.cells[in_slice][:, [across, up]], heights[in_slice])
             data.append({**cut, 'visible': i == middle, **colours})
     name, other_name = 'xyz'[up], 'xyz'[axis]
     layout: dict[str, Any] = {
@@ -428,10 +428,10 @@ def direction_figure(part: Reached, view: float) -> Figure:
     tips, ends = part.tips[rows], part.tips[rows] + length * part.directions[rows]
     lines = np.stack([tips, ends, np.full_like(tips, np.nan)], axis=1).reshape(-1, 3)
     points: Trace = {'type': 'scatter3d', 'mode': 'markers', 'name': 'tips', **coordinates(tips)}
-    looks: Trace = {'type': 'scatter3d', 'mode': 'lines', **coordinates(lines)}
+    directions: Trace = {'type': 'scatter3d', 'mode': 'lines', **coordinates(lines)}
     data = [
         {**points, 'marker': {'size': 2.5, 'color': PREDICTED}},
-        {**looks, 'name': 'where they look', 'line': {'color': ERROR, 'width': 2}}
+        {**directions, 'name': 'where they look', 'line': {'color': ERROR, 'width': 2}}
         | {'hoverinfo': 'skip'},
     ]
     caption = f'{len(part):,} cubes whose tips look {degree(view)} away from the base.'

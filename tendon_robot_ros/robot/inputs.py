@@ -9,7 +9,7 @@ from typing import Any, TypeGuard
 import numpy as np
 
 from ..common.arrays import Floats
-from ..common.errors import InputError, meant, named_columns, refusal, short
+from ..common.errors import InputError, named_columns, refusal, short, suggestion
 from .description import Robot
 
 TensionsLike = Mapping[str, float] | Sequence[float] | Floats
@@ -142,7 +142,7 @@ def _in_order(what: str, robot: Robot, values: Any, absent: float | None) -> Any
     if unknown or missing:
         lacks = f'unknown {", ".join(map(repr, unknown))}' if unknown else ''
         lacks = lacks or f'{", ".join(map(repr, missing))} missing'
-        hint = meant(unknown[0], robot.inputs) if unknown else ''
+        hint = suggestion(unknown[0], robot.inputs) if unknown else ''
         raise InputError(f'{what}: {lacks}; {hint}{robot.name} has {", ".join(robot.inputs)}')
     if absent is None:
         return np.column_stack([np.asarray(named[name], dtype=float) for name in robot.inputs])

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 import yaml
 
-from ..common.errors import InputError, RobotDescriptionError, meant, refusal
+from ..common.errors import InputError, RobotDescriptionError, refusal, suggestion
 from ..common.files import read_text, shared_file
 from ..common.yaml_reading import Reader
 from .description import DESCRIPTION_MAX, Robot, Section, Tendon, check_robot, parse_robot
@@ -81,7 +81,7 @@ def robot_file(text: str) -> Path | None:
         names = [] if first is None else sorted(path.stem for path in first.parent.glob('*.yaml'))
         raise InputError(
             f'{text}: expected a path or the name of a robot, no such file; '
-            f'{meant(text, names)}known names: {", ".join(names) or "none installed"}'
+            f'{suggestion(text, names)}known names: {", ".join(names) or "none installed"}'
         )
     return path
 

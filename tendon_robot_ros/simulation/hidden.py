@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 
 from ..common.arrays import Floats
-from ..common.errors import EffectError, InputError, meant, refusal
+from ..common.errors import EffectError, InputError, refusal, suggestion
 from ..effects import Catalogue, Effect, Parameter
 from ..robot import Robot
 from ..robot.description import EffectValues
@@ -139,7 +139,7 @@ def hide(
         else:
             known = (*catalogue.names, *CAUSES)
             raise EffectError(
-                f'unknown hidden effect {name!r}; {meant(name, known)}in the catalogue: '
+                f'unknown hidden effect {name!r}; {suggestion(name, known)}in the catalogue: '
                 f'{", ".join(catalogue.names)}; outside it: {", ".join(CAUSES)}'
             )
     return effects

@@ -26,7 +26,7 @@ import numpy as np
 
 from ..cli.main import ExitCode
 from ..cli.options import add_cluster, add_effect_files, add_json, emit, progress
-from ..common.colours import BAND, ERROR, PREDICTED, look
+from ..common.colours import BAND, ERROR, PREDICTED, line_style
 from ..common.words import columns, digits
 from ..common.workers import Workers
 from ..diagnosis.verdict import Verdict
@@ -72,8 +72,8 @@ def run(args: argparse.Namespace) -> int:
     """Run the cases of a plan that are missing, print, write."""
     plan, folder = read_plan(args.plan, args.effect_file), Path(args.output)
     if args.dry_run:
-        there = len(table_of(folder).rows_of(plan.cases)) if folder.exists() else 0
-        print(f'{len(plan.cases):,} cases, {there:,} of them are there')
+        finished = len(table_of(folder).rows_of(plan.cases)) if folder.exists() else 0
+        print(f'{len(plan.cases):,} cases, {finished:,} of them are there')
         return 0
     plan.setup.compile()
     prepare = Preparation.of_this_process(plan.setup.effects)
@@ -113,48 +113,48 @@ FITTED_COLUMNS = ('intervals of', 'hold', 'of', 'not determined')
 
 
 def hidden_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
-    """Return a row per robot and hidden effect: how often it was seen, named, and how well."""
-    made = []
+    """Return a row per robot and hidden effect: detection and naming rates, and accuracy."""
+    table = []
     for (robot, hidden), members in grouped(rows, lambda r: (r.robot, r.hidden)).items():
         verdicts = collections.Counter(row.verdict for row in members)
-        seen = [row for row in members if row.visible]
+        visible = [row for row in members if row.visible]
         is_effect = hidden not in (NOTHING, *CAUSES)
         named = [row for row in members if row.verdict in NAMING]
         inside = [held for row in members for held in row.held]
-        gone = [row.gone for row in members if row.gone is not None and hidden != NOTHING]
+        removed = [row.gone for row in members if row.gone is not None and hidden != NOTHING]
         cells = [
             f'{robot}: {hidden}',
             f'{len(members)}',
             f'{np.mean([row.right for row in members]):.0%}',
-            f'{len(seen)}',
-            str(Rate.of(row.right for row in seen)) if is_effect else '–',
+            f'{len(visible)}',
+            str(Rate.of(row.right for row in visible)) if is_effect else '–',
             f'{sum(row.wrong_name for row in members)}',
             f'{verdicts[Verdict.ADEQUATE]}',
             f'{verdicts[Verdict.OUTSIDE_CATALOGUE]}',
             f'{verdicts[Verdict.SEVERAL]}',
             f'{np.mean([max(len(row.group), 1) for row in named]):.1f}' if named else '–',
             f'{np.mean(inside):.0%}' if inside else '–',
-            f'{np.median(gone):.0%}' if gone else '–',
+            f'{np.median(removed):.0%}' if removed else '–',
             f'{np.median([row.seconds for row in members]):.1f} s',
         ]
-        made.append(cells)
-    return made
+        table.append(cells)
+    return table
 
 
 def rate_lines(rows: Sequence[CaseRow]) -> list[str]:
-    """Say the rates of which there are cases."""
+    """Describe the rates that have cases."""
     return [f'{name}: {rate}' for name, rate in rates(rows).items() if rate.runs]
 
 
 def summary(rows: Sequence[CaseRow]) -> list[str]:
     """Return the table by hidden effect and the rates."""
-    told = rate_lines(rows)
+    texts = rate_lines(rows)
     named = [max(len(row.group), 1) for row in rows if row.right and row.effects]
     if named:
-        told.append(f'members of a class that is right, mean: {np.mean(named):.1f}')
+        texts.append(f'members of a class that is right, mean: {np.mean(named):.1f}')
     if rows:
         seconds = np.median([row.seconds for row in rows])
-        told.append(f'a diagnosis, median: {seconds:.2g} s of processor time')
+        texts.append(f'a diagnosis, median: {seconds:.2g} s of processor time')
     problems = collections.Counter(row.problem for row in rows if row.problem)
     worst = [f'{count} x {problem}' for problem, count in problems.most_common(3)]
     tables: list[list[Sequence[str]]] = [[HIDDEN_COLUMNS, *hidden_rows(rows)]]
@@ -162,7 +162,7 @@ def summary(rows: Sequence[CaseRow]) -> list[str]:
         tables.append([FITTED_COLUMNS, *interval_rows(rows)])
     if by_robot := robot_rows(rows):
         tables.append([*by_robot])
-    return [*map(columns, tables), *told, *worst]
+    return [*map(columns, tables), *texts, *worst]
 
 
 def robot_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
@@ -176,21 +176,21 @@ def robot_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
 
 
 def interval_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
-    """Return a row per robot, effect and parameter: how many 95 % intervals hold the truth."""
+    """Return a row per robot, effect and parameter: the coverage of the 95 % intervals."""
     hits: dict[tuple[str, str, str], list[bool]] = {}
     for row in rows:
         for name, held in zip(row.parameter, row.held, strict=True):
             hits.setdefault((row.robot, row.hidden, name), []).append(held)
     refused = collections.Counter((row.robot, row.hidden) for row in rows if row.problem)
-    made = []
+    table = []
     for (robot, hidden, name), every in sorted(hits.items()):
         counts = [f'{np.mean(every):.1%}', f'{len(every)}', f'{refused[robot, hidden]}']
-        made.append([f'{robot}: {hidden} {name}', *counts])
-    return made
+        table.append([f'{robot}: {hidden} {name}', *counts])
+    return table
 
 
 def smallest_text(power: Power) -> str:
-    """Say from which size on an effect is named in four of five cases."""
+    """Describe the size from which on an effect is named in four of five cases."""
     if power.smallest is None:
         rate = power.right[-1]
         size = digits(power.sizes[-1])
@@ -201,7 +201,7 @@ def smallest_text(power: Power) -> str:
 
 
 def power_lines(rows: Sequence[CaseRow]) -> list[str]:
-    """Say for every effect which size is seen."""
+    """Describe the smallest detected size of every effect."""
     return [
         f'{power.robot}: {power.hidden}{f" ({power.way})" if power.way else ""}: '
         f'named {smallest_text(power)}'
@@ -218,7 +218,7 @@ NAMED = (
 def campaign_page(
     rows: Sequence[CaseRow], title: str, total: int, mixed: Sequence[str] = ()
 ) -> Page:
-    """Return the page of the rows that are there, of so many cases; `mixed` warns of others."""
+    """Return the page of the finished rows out of `total` cases; `mixed` warns of versions."""
     page = Page(title, f'{len(rows):,} of {total:,} cases')
     page.box(rate_lines(rows), 'verdict', 'In short, with 95 % intervals')
     if by_robot := robot_rows(rows):
@@ -250,7 +250,7 @@ def campaign_page(
     if clean := clean_rows(rows):
         page.text('With nothing hidden:')
         header = ('robot', 'measured so', 'any alarm', 'an effect named')
-        cells = [[robot, way or 'all', str(any_), str(named)] for robot, way, any_, named in clean]
+        cells = [[robot, method or 'all', *map(str, counts)] for robot, method, *counts in clean]
         page.table(header, cells, left=[0, 1])
 
     page.heading('What postures, trials and markers cost')
@@ -265,15 +265,15 @@ def campaign_page(
 
 
 def power_figure(name: str, powers_of_it: Sequence[Power]) -> Figure:
-    """Draw how often one effect is named, over its size; a curve per robot and way."""
+    """Draw how often one effect is named, over its size; a curve per robot and method."""
     several = len({power.robot for power in powers_of_it}) > 1
     data: list[dict[str, Any]] = []
     for i, power in enumerate(powers_of_it):
         label = '; '.join(filter(None, (power.robot if several else '', power.way)))
-        shares = [100.0 * (rate.share or 0.0) for rate in power.right]
+        rates = [100.0 * (rate.share or 0.0) for rate in power.right]
         bars, size = rate_bars(power.right), 7 + 3 * min(i, 3)  # none hides another
-        made = curve(list(power.sizes), shares, label, look(i), size=size, error_y=bars)
-        data.append({**made, 'showlegend': len(powers_of_it) > 1})
+        line = curve(list(power.sizes), rates, label, line_style(i), size=size, error_y=bars)
+        data.append({**line, 'showlegend': len(powers_of_it) > 1})
     layout = {
         'xaxis': titled('size, times the typical one', type='log'),
         'yaxis': titled('named [%]', range=[-4, 104]),
@@ -286,12 +286,12 @@ def power_figure(name: str, powers_of_it: Sequence[Power]) -> Figure:
 def rate_bars(counted: Sequence[Rate]) -> dict[str, Any]:
     """Return the 95 % intervals of rates [%]."""
     both = [(rate.share or 0.0, *rate.interval) for rate in counted]
-    up = [100.0 * (high - share) for share, _, high in both]
-    return error_bars(up, [100.0 * (share - low) for share, low, _ in both], width=3)
+    up = [100.0 * (high - fraction) for fraction, _, high in both]
+    return error_bars(up, [100.0 * (fraction - low) for fraction, low, _ in both], width=3)
 
 
 def confusion_figure(rows: Sequence[CaseRow]) -> Figure:
-    """Draw what was said of what was hidden."""
+    """Draw the verdicts over the hidden effects (confusion matrix)."""
     hidden, words, counts = confusion(rows)
     heat = {
         'type': 'heatmap',
@@ -321,21 +321,21 @@ def confusion_figure(rows: Sequence[CaseRow]) -> Figure:
 
 
 def coverage_figure(rows: Sequence[CaseRow]) -> Figure:
-    """Draw how many intervals hold the true value against how many should."""
+    """Draw the coverage of intervals over their nominal confidence."""
     counted = coverage(rows)
     held = [rate for _, rate in counted]
-    shares = [100.0 * (rate.share or 0.0) for rate in held]
-    low = max(0.0, min([40.0, *(share - 15.0 for share in shares)]))
+    rates = [100.0 * (rate.share or 0.0) for rate in held]
+    low = max(0.0, min([40.0, *(percentage - 15.0 for percentage in rates)]))
     ends, promised = [low, 104.0], [100.0 * nominal for nominal, _ in counted]
     line = {'color': ERROR, 'width': 2, 'dash': 'dot'}
     area: Trace = {'fill': 'toself', 'fillcolor': BAND, 'hoverinfo': 'skip', 'line': {'width': 0}}
     style: Trace = {'line': {'color': PREDICTED}, 'marker': {'size': 8}}
-    style |= {'text': [f'{share:.0f} %' for share in shares], 'textposition': 'top left'}
+    style |= {'text': [f'{percentage:.0f} %' for percentage in rates], 'textposition': 'top left'}
     style['error_y'] = rate_bars(held)
     traces = [
         trace([low, 104.0, 104.0], [low, 104.0, low], 'too narrow', **area),
         trace(ends, ends, 'as promised', line=line),
-        trace(promised, shares, 'found', 'lines+markers+text', **style),
+        trace(promised, rates, 'found', 'lines+markers+text', **style),
     ]
     layout = {
         'xaxis': titled('intervals promise [%]', range=ends),

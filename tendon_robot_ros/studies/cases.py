@@ -1,4 +1,4 @@
-"""One simulated robot: what it hides, how it is built, and what is measured of it."""
+"""One simulated robot: hidden effect, imperfections, and measurements."""
 
 from __future__ import annotations
 
@@ -146,7 +146,7 @@ class Chance:
 
 @dataclass(frozen=True)
 class Simulated:
-    """What was measured of a case, and the truth."""
+    """The measurements of a case, and the truth."""
 
     robot: Robot  # as its owner describes it
     fit: DataSet
@@ -157,7 +157,7 @@ class Simulated:
 
 
 def described(case: Case, arm: PlannedRobot, catalogue: Catalogue) -> Robot:
-    """Return the owner's description: all that the arm has, but what is hidden."""
+    """Return the owner's description: the arm without what is hidden."""
     robot = arm.robot
     if case.hidden in robot.effects:
         robot = robot.without_effect(case.hidden)
@@ -278,7 +278,7 @@ def postures_of(
 
 
 def with_lost_readings(dataset: DataSet, seed: int) -> DataSet:
-    """Lose some of the readings of the markers, and put a few of them far off."""
+    """Remove some readings of the markers, and displace a few of them far."""
     random = np.random.default_rng([seed, 19])
     positions = dataset.positions.copy()
     wild = random.random(positions.shape[:3]) < WILD_FRACTION
@@ -289,52 +289,52 @@ def with_lost_readings(dataset: DataSet, seed: int) -> DataSet:
     return replace(dataset, positions=positions)
 
 
-def is_visible(case: Case, made: Simulated) -> bool:
+def is_visible(case: Case, sim: Simulated) -> bool:
     """
-    Tell whether the hidden effect stands out of the noise.
+    Return whether the hidden effect exceeds the noise.
 
-    On an arm as built: by what imperfections of that level cannot explain (information left).
+    On an arm as built, by the part that imperfections of that level cannot explain.
     """
     if case.hidden in CAUSES or case.hidden == NOTHING:
         return case.hidden != NOTHING
-    before = Predictor(made.fit, made.robot, made.catalogue)
+    before = Predictor(sim.fit, sim.robot, sim.catalogue)
     slopes = input_slopes(before, {})
-    noise = estimate_noise(made.fit, slopes)
-    real = made.robot.with_effect(case.hidden, true_values(case, made))
-    after = Predictor(made.fit, real, made.catalogue).markers({})
+    noise = estimate_noise(sim.fit, slopes)
+    real = sim.robot.with_effect(case.hidden, true_values(case, sim))
+    after = Predictor(sim.fit, real, sim.catalogue).markers({})
     markers = before.markers({})
     if after is None or markers is None or noise is None:
         return True
-    whitener = Whitener(made.fit, noise, slopes)
+    whitener = Whitener(sim.fit, noise, slopes)
     white = whitener.white(after - markers)
     built = None if case.exact else imperfections(SplitPredictor(before), {})
     if built is None:
         return float(white @ white) > VISIBLE_FROM_CHI2
     random = RandomEffects(whitener.white(built.moves).T, built.owners, built.kinds)
     sizes = case.level * np.where(np.isfinite(random.plausible), random.plausible, 0.0)
-    left = random.lift(random.root(sizes), white)
-    return float(left @ left) > VISIBLE_FROM_CHI2
+    unexplained = random.lift(random.root(sizes), white)
+    return float(unexplained @ unexplained) > VISIBLE_FROM_CHI2
 
 
-def true_values(case: Case, made: Simulated) -> dict[str, float | tuple[float, ...]]:
+def true_values(case: Case, sim: Simulated) -> dict[str, float | tuple[float, ...]]:
     """Spread the hidden values over sections as the plant does."""
     values: dict[str, float | tuple[float, ...]] = {}
-    for parameter in made.catalogue[case.hidden].parameters:
-        value = made.values[parameter.name]
+    for parameter in sim.catalogue[case.hidden].parameters:
+        value = sim.values[parameter.name]
         if parameter.per_section:
-            spread = np.broadcast_to(value, len(made.robot.sections))
+            spread = np.broadcast_to(value, len(sim.robot.sections))
             values[parameter.name] = tuple(spread.tolist())
         else:
             values[parameter.name] = float(np.asarray(value))
     return values
 
 
-def truth_of(case: Case, made: Simulated, keys: Mapping[str, object]) -> dict[str, float]:
+def truth_of(case: Case, sim: Simulated, keys: Mapping[str, object]) -> dict[str, float]:
     """Return the true value of every fitted parameter, by its key: `name` or `name[section]`."""
     truth = {}
     for key in keys:
         bare, _, member = key.partition('[')
-        value = np.atleast_1d(made.values[bare])
-        names = [f'{section.name}]' for section in made.robot.sections]
+        value = np.atleast_1d(sim.values[bare])
+        names = [f'{section.name}]' for section in sim.robot.sections]
         truth[key] = float(value[names.index(member)] if len(value) > 1 else value[0])
     return truth

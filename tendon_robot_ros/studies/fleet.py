@@ -37,7 +37,7 @@ from ..diagnosis.verdict import Verdict
 from ..model.versions import Preparation, UserEffect, catalogue_of
 from ..report.page import Figure, Page, error_bars, titled, trace
 from ..robot import dump_robot
-from .judge import fitted_values, told_by
+from .judge import diagnosis_fields, fitted_values
 from .running import ERROR, TABLE, GrowingTable, Row, judge_all
 
 HELP = 'diagnose all recordings of many robots, and say what changed when'
@@ -61,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Diagnose what is new, print, write."""
     folder, output = Path(args.folder), Path(args.output)
-    found_below(folder)
+    datasets_below(folder)
     effects = UserEffect.read(args.effect_file)
     prepare = Preparation.of_this_process(effects)
     with Workers(args.workers, args.cluster, prepare) as workers, progress(True) as show:
@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
 
 @dataclass(frozen=True, kw_only=True)
 class FleetRow(Row):
-    """What a recording or data set says; `parameter`: of every effect fitted alone."""
+    """The diagnosis of a recording or data set; `parameter`: of every effect fitted alone."""
 
     place: str  # below the folder of all
     when: str  # ISO 8601
@@ -107,10 +107,10 @@ class FleetCase:
 
     @classmethod
     def of(cls, path: Path, folder: Path) -> FleetCase:
-        """Name what lies below a folder."""
+        """Return the case of a path below a folder."""
         files = sorted(path.rglob('*')) if path.is_dir() else [path]
-        told = [(file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in files]
-        digest = hashlib.sha256(repr(told).encode()).hexdigest()[:12]
+        stamps = [(file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in files]
+        digest = hashlib.sha256(repr(stamps).encode()).hexdigest()[:12]
         place = str(path.relative_to(folder))
         return cls(path.resolve(), place, f'{place}:{digest}')
 
@@ -120,7 +120,7 @@ class FleetCase:
         return FleetRow(key=self.key, place=self.place, when=when, dated_by=dated_by, **told)
 
     def refused(self, problem: str) -> FleetRow:
-        """Return the row of what could not be read or judged."""
+        """Return the row of a recording that could not be read or judged."""
         return self.row(robot='not read', verdict=ERROR, problem=' '.join(problem.split()))
 
 
@@ -144,7 +144,7 @@ class Fleet:
             return case.refused(f'{type(error).__name__}: {error}')
 
     def lost(self, case: FleetCase, workers: int) -> FleetRow:
-        """Return the row of what every worker died over."""
+        """Return the row of a recording over which every worker died."""
         return case.refused(f'{workers} processes died over it')
 
 
@@ -159,7 +159,7 @@ def write_errors(dataset: DataSet, diagnosis: Diagnosis) -> dict[str, Any]:
     sizes = zip(('postures', 'trials', 'markers'), dataset.positions.shape, strict=False)
     return {
         **dict(sizes),
-        **told_by(diagnosis),
+        **diagnosis_fields(diagnosis),
         **fitted_values(fitted),
         'unit': tuple(value.unit for value in fitted.values()),
         'robot': dataset.robot.name,
@@ -168,7 +168,7 @@ def write_errors(dataset: DataSet, diagnosis: Diagnosis) -> dict[str, Any]:
     }
 
 
-def found_below(folder: Path) -> list[Path]:
+def datasets_below(folder: Path) -> list[Path]:
     """
     List the data sets and recordings below a folder.
 
@@ -222,7 +222,7 @@ def run_fleet(
     inside = output.resolve()
     cases = [
         FleetCase.of(path, folder)
-        for path in found_below(folder)
+        for path in datasets_below(folder)
         if inside not in path.resolve().parents
     ]
     table = GrowingTable(output / TABLE, FleetRow)
@@ -231,7 +231,7 @@ def run_fleet(
 
 
 def when_of(path: Path) -> tuple[str, str]:
-    """Return when something was measured, and what says so: its name, the recording, the file."""
+    """Return the time of a measurement, and its source: the name, the recording, or the file."""
     for part in reversed(path.parts):
         for year, month, day in DATED.findall(part):
             try:
@@ -250,7 +250,7 @@ def when_of(path: Path) -> tuple[str, str]:
 
 @dataclass(frozen=True)
 class Change:
-    """What is different in a recording from the one before of the same robot."""
+    """A difference between a recording and the one before of the same robot."""
 
     robot: str
     since: str  # the last one without it
@@ -277,7 +277,7 @@ def tracked(rows: Sequence[FleetRow]) -> list[str]:
 
 
 def changes(rows: Sequence[FleetRow]) -> list[Change]:
-    """Say what changed when, robot by robot."""
+    """Return the changes of every robot, in the order of time."""
     return [
         Change(robot, old.when, new.when, text)
         for robot, own in histories(rows).items()
@@ -287,17 +287,17 @@ def changes(rows: Sequence[FleetRow]) -> list[Change]:
 
 
 def differences_of(old: FleetRow, new: FleetRow) -> list[str]:
-    """Say what is different between two recordings of a robot."""
-    told = []
+    """Describe the differences between two recordings of a robot."""
+    texts = []
     if old.description != new.description:
-        told.append('another description')
+        texts.append('another description')
     if (old.verdict, old.effects) != (new.verdict, new.effects):
-        told.append(f'{words_of(old)} before, now {words_of(new)}')
+        texts.append(f'{words_of(old)} before, now {words_of(new)}')
     if old.before and new.before:
         ratio = new.before / old.before
         if not 1.0 / WORSE_FACTOR < ratio < WORSE_FACTOR:
             errors = f'{mm(old.before)} to {mm(new.before)}'
-            told.append(f'the error of the description went from {errors}')
+            texts.append(f'the error of the description went from {errors}')
     for name in new.parameter:
         first, then = old.fitted(name), new.fitted(name)
         if first is None or then is None or name.split()[0] not in new.effects:
@@ -309,12 +309,12 @@ def differences_of(old: FleetRow, new: FleetRow) -> list[str]:
                 f'{digits(scale * v)} ({digits(scale * low)} to {digits(scale * high)})'
                 for v, low, high in (first, then)
             ]
-            told.append(f'{name}: {ends[0]} before, now {ends[1]} {shown}'.rstrip())
-    return told
+            texts.append(f'{name}: {ends[0]} before, now {ends[1]} {shown}'.rstrip())
+    return texts
 
 
 def words_of(row: FleetRow) -> str:
-    """Say in a few words what was said of one."""
+    """Describe the verdict of a recording in a few words."""
     if row.verdict in (Verdict.ADEQUATE, Verdict.CANNOT_JUDGE, ERROR):
         return row.verdict.replace('_', ' ')
     names = listed(row.effects, 'and') if row.effects else ''
@@ -336,7 +336,7 @@ def fleet_rows(rows: Sequence[FleetRow]) -> list[list[str]]:
 
 
 def when_text(row: FleetRow) -> str:
-    """Say when something was measured, and how that is known where nobody wrote it down."""
+    """Format the time of a measurement, with its source if that is the file."""
     when = _readable(row.when)
     return f'{when} (its files)' if row.dated_by == 'file' else when
 
@@ -347,7 +347,7 @@ def _readable(when: str) -> str:
 
 
 def change_lines(rows: Sequence[FleetRow]) -> list[str]:
-    """Say what changed when."""
+    """Describe the changes, a line each."""
     return [
         f'{c.robot}, {_readable(c.when)} (since {_readable(c.since)}): {c.text}'
         for c in changes(rows)
@@ -355,7 +355,7 @@ def change_lines(rows: Sequence[FleetRow]) -> list[str]:
 
 
 def problems(rows: Sequence[FleetRow]) -> list[str]:
-    """Say what could not be read or judged."""
+    """Describe the recordings that could not be read or judged."""
     return [f'{row.place}: {row.problem}' for row in rows if row.verdict == ERROR]
 
 
@@ -370,8 +370,8 @@ def fleet_page(rows: Sequence[FleetRow], title: str) -> Page:
     """Return the page: what changed, and a history per robot."""
     own = histories(rows)
     counts = {'recording': sum(map(len, own.values())), 'robot': len(own)}
-    told = [f'{count} {what}{"" if count == 1 else "s"}' for what, count in counts.items()]
-    page = Page(title, ' of '.join(told))
+    totals = [f'{count} {what}{"" if count == 1 else "s"}' for what, count in counts.items()]
+    page = Page(title, ' of '.join(totals))
     page.box(change_lines(rows) or [NO_CHANGE], 'verdict', 'What changed when')
     if problems(rows):
         page.box(problems(rows), 'warn', 'Left out')
@@ -403,19 +403,19 @@ def error_figure(history: Sequence[FleetRow]) -> Figure:
 
 
 def map_parameters(history: Sequence[FleetRow]) -> list[Figure]:
-    """Draw every parameter of what was ever named of a robot, over time."""
+    """Draw the parameters of all effects ever named of a robot, over time."""
     figures = []
     for name in tracked(history):
         fitted = [(row, row.fitted(name)) for row in history]
-        told = [(row, values) for row, values in fitted if values is not None]
-        unit = next(row.unit[row.parameter.index(name)] for row, _ in told)
-        largest = max(max(map(abs, values)) for _, values in told)
+        known = [(row, values) for row, values in fitted if values is not None]
+        unit = next(row.unit[row.parameter.index(name)] for row, _ in known)
+        largest = max(max(map(abs, values)) for _, values in known)
         factor, unit = scale_of(unit, largest, name.rpartition(' ')[2])
         bars = error_bars(
-            [factor * max(high - value, 0.0) for _, (value, _, high) in told],
-            [factor * max(value - low, 0.0) for _, (value, low, _) in told],
+            [factor * max(high - value, 0.0) for _, (value, _, high) in known],
+            [factor * max(value - low, 0.0) for _, (value, low, _) in known],
         )
-        points = [row.when for row, _ in told], [factor * value for _, (value, _, _) in told]
+        points = [row.when for row, _ in known], [factor * value for _, (value, _, _) in known]
         line = {'color': PREDICTED}
         data = [trace(*points, '', 'lines+markers', line=line, error_y=bars)]
         layout = {'xaxis': {'type': 'date'}, 'yaxis': titled(f'[{unit or 1}]')}

@@ -134,8 +134,8 @@ def read_slip_angles(path: str | Path) -> tuple[tuple[str, ...], npt.NDArray[np.
             'write the slip angle in degrees, between 0 and 90',
         )
     if degrees.max() < RADIANS_BELOW_DEG:
-        told = f'no angle exceeds {RADIANS_BELOW_DEG}°'
-        raise DataSetError(str(path), told, 'write degrees, not radians')
+        problem = f'no angle exceeds {RADIANS_BELOW_DEG}°'
+        raise DataSetError(str(path), problem, 'write degrees, not radians')
     labels = table.labels['measurement']
     return tuple(labels[code] for code in table.codes['measurement']), np.radians(degrees)
 
@@ -159,9 +159,9 @@ def slip_friction(names: tuple[str, ...], angles: npt.ArrayLike) -> SlipFriction
             f'slip angles: expected at least {ANGLES_MIN}, got {len(tangents)}; measure more'
         )
     mean = estimate(tangents)
-    away = np.abs(tangents - np.median(tangents))
-    spread = float(np.median(away)) / NormalDist().inv_cdf(0.75)  # 1 sd if they are normal
-    far = away > OUTLIER_FROM_SD * spread if spread > 0.0 else np.zeros(len(away), dtype=bool)
+    off = np.abs(tangents - np.median(tangents))
+    spread = float(np.median(off)) / NormalDist().inv_cdf(0.75)  # 1 sd if they are normal
+    far = off > OUTLIER_FROM_SD * spread if spread > 0.0 else np.zeros(len(off), dtype=bool)
     return SlipFriction(
         mean=mean.mean,
         sd=float(tangents.std(ddof=1)),
@@ -190,6 +190,6 @@ def with_friction(robot: Robot, friction: SlipFriction, data: str, date: str) ->
         'date': date,
     }
     values: EffectValues = {'friction_coefficient': round(friction.mean, 4)}
-    made = robot.with_effect('tendon_friction', values, origin)
+    changed = robot.with_effect('tendon_friction', values, origin)
     relative = round((friction.high - friction.low) / (2.0 * 1.96) / friction.mean, 4)
-    return replace(made, tolerances={**robot.tolerances, 'friction_coefficient': relative})
+    return replace(changed, tolerances={**robot.tolerances, 'friction_coefficient': relative})

@@ -34,19 +34,19 @@ DIAGNOSIS, INTERVALS = 'diagnosis', 'intervals'
 QUESTIONS = (DIAGNOSIS, INTERVALS)
 NAMING = tuple(verdict for verdict in Verdict if verdict.may_add)
 # [1] error over the noise floor; below it the fraction of their difference would be that of noise
-ERROR_STANDS_OUT = 1.2
+ERROR_RATIO_MIN = 1.2
 # [1] nominal probability of the intervals whose coverage is counted
 NOMINAL = (0.5, 0.8, 0.9, 0.95, 0.99)
 # [1] bins, on a logarithmic scale, of sizes that were drawn, so that each holds many cases; sizes
 # are drawn where there are more than twice as many, because nobody lists so many
 BINS = 6
 # [1] of the error on other postures that an effect must take off to count (docs/campaigns.md)
-GONE_FRACTION = 0.9
+REMOVED_FRACTION = 0.9
 
 
 @dataclass(frozen=True, kw_only=True)
 class CaseRow(Row):
-    """What came of a simulated case; `parameter`: of the hidden effect where it was named."""
+    """The result of a simulated case; `parameter`: of the hidden effect if it was named."""
 
     hidden: str
     size: float
@@ -60,7 +60,7 @@ class CaseRow(Row):
     visible: bool = True  # the truth stands out of the noise
     gone: float | None = None  # fraction of (before - floor) gone on postures not used
     scatter_inside: float | None = None  # fraction of the kinds whose true size is in its interval
-    scatter_told: int = 0  # such kinds whose size was printed
+    scatter_told: int = 0  # number of such kinds with a printed size
     seconds: float = 0.0  # of processor time, for the diagnosis alone
     truth: tuple[float, ...] = ()
 
@@ -103,7 +103,7 @@ class Setup:
         """Simulate, diagnose, and hold the verdict against the truth."""
         start = time.process_time()
         try:
-            made = simulated(
+            sim = simulated(
                 case,
                 self.arm(case.robot),
                 self.designs[case.design],
@@ -114,15 +114,15 @@ class Setup:
             )
             start = time.process_time()
             judge = diagnosed if self.question == DIAGNOSIS else fitted
-            result = judge(case, made)
+            result = judge(case, sim)
         except Exception as error:  # whatever a case meets, the others go on and it is counted
             result = {'verdict': ERROR, 'problem': f'{type(error).__name__}: {error}'}
         return self._row(case, {'seconds': time.process_time() - start, **result})
 
     def lost(self, case: Case, workers: int) -> CaseRow:
         """Return the row of a case at which every worker died."""
-        told = {'verdict': ERROR, 'problem': f'{workers} workers died over it'}
-        return self._row(case, told)
+        fields = {'verdict': ERROR, 'problem': f'{workers} workers died over it'}
+        return self._row(case, fields)
 
     def _row(self, case: Case, result: Mapping[str, Any]) -> CaseRow:
         return CaseRow(
@@ -138,8 +138,8 @@ class Setup:
         )
 
 
-def told_by(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return what a row holds of a diagnosis."""
+def diagnosis_fields(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Return the fields of a row that describe a diagnosis."""
     errors = {
         'before': diagnosis.error_before,
         'after': diagnosis.error_after,
@@ -154,7 +154,7 @@ def told_by(diagnosis: Diagnosis) -> dict[str, Any]:
 
 
 def fitted_values(values: Mapping[str, Value]) -> dict[str, Any]:
-    """Return what a row holds of fitted parameters."""
+    """Return the fields of a row that describe fitted parameters."""
     return {
         'parameter': tuple(values),
         'value': tuple(float(value.value) for value in values.values()),
@@ -163,10 +163,10 @@ def fitted_values(values: Mapping[str, Value]) -> dict[str, Any]:
     }
 
 
-def diagnosed(case: Case, made: Simulated) -> dict[str, Any]:
-    """Diagnose, and say what was right: name, interval, error on other postures, scatter."""
+def diagnosed(case: Case, sim: Simulated) -> dict[str, Any]:
+    """Diagnose and compare with the truth: name, interval, error on other postures, scatter."""
     start = time.process_time()
-    diagnosis = diagnose(made.fit, catalogue=made.catalogue, workers=1)
+    diagnosis = diagnose(sim.fit, catalogue=sim.catalogue, workers=1)
     seconds = time.process_time() - start
     listed = {*(effect.name for effect in diagnosis.effects), *diagnosis.cannot_tell_apart}
     named = diagnosis.verdict in NAMING
@@ -177,27 +177,27 @@ def diagnosed(case: Case, made: Simulated) -> dict[str, Any]:
     else:
         right = named and case.hidden in listed
     row = {
-        **told_by(diagnosis),
+        **diagnosis_fields(diagnosis),
         'right': right,
         'wrong_name': named and case.hidden not in listed,
         'alarm': diagnosis.verdict is not Verdict.ADEQUATE,
-        'visible': is_visible(case, made),
-        'gone': error_gone(diagnosis, made) if named else None,
+        'visible': is_visible(case, sim),
+        'gone': removed_fraction(diagnosis, sim) if named else None,
         'seconds': seconds,
     }
     if case.level and right and case.hidden not in CAUSES:
-        held = scatter_held(diagnosis.details.get('as_built'), made.built)
+        held = scatter_held(diagnosis.details.get('as_built'), sim.built)
         row['scatter_inside'] = float(np.mean(held)) if held else None
         row['scatter_told'] = len(held)
     own = next((effect for effect in diagnosis.effects if effect.name == case.hidden), None)
     if named and own is not None:
-        row |= _beside_truth(case, made, own.parameters)
+        row |= _beside_truth(case, sim, own.parameters)
     return row
 
 
-def fitted(case: Case, made: Simulated) -> dict[str, Any]:
+def fitted(case: Case, sim: Simulated) -> dict[str, Any]:
     """Fit the hidden effect alone, to see whether its intervals hold the true values."""
-    added = add_effects(made.fit, [case.hidden], None, made.catalogue, made.fit)
+    added = add_effects(sim.fit, [case.hidden], None, sim.catalogue, sim.fit)
     errors = added.fitted
     return {
         'verdict': 'fitted',
@@ -207,20 +207,20 @@ def fitted(case: Case, made: Simulated) -> dict[str, Any]:
         'before': errors.before,
         'after': errors.after,
         'floor': errors.floor,
-        **_beside_truth(case, made, added.values[case.hidden]),
+        **_beside_truth(case, sim, added.values[case.hidden]),
     }
 
 
-def _beside_truth(case: Case, made: Simulated, values: Mapping[str, Value]) -> dict[str, Any]:
-    truth = tuple(truth_of(case, made, values).values())
+def _beside_truth(case: Case, sim: Simulated, values: Mapping[str, Value]) -> dict[str, Any]:
+    truth = tuple(truth_of(case, sim, values).values())
     return {**fitted_values(values), 'truth': truth}
 
 
-def error_gone(diagnosis: Diagnosis, made: Simulated) -> float | None:
+def removed_fraction(diagnosis: Diagnosis, sim: Simulated) -> float | None:
     """Return the fraction of (before - floor) that the named effects remove elsewhere."""
     keys = {
         (free.effect, free.key): free
-        for free in frees_of([e.name for e in diagnosis.effects], made.catalogue, made.robot)
+        for free in frees_of([e.name for e in diagnosis.effects], sim.catalogue, sim.robot)
     }
     point = {
         keys[effect.name, key]: value.value
@@ -229,16 +229,16 @@ def error_gone(diagnosis: Diagnosis, made: Simulated) -> float | None:
     }
     errors = []
     for one in ({}, point):
-        markers = Predictor(made.check, made.robot, made.catalogue).markers(one)
+        markers = Predictor(sim.check, sim.robot, sim.catalogue).markers(one)
         if markers is None:
             return None
-        errors.append(rms(made.check.mean - markers))
+        errors.append(rms(sim.check.mean - markers))
     before, after, floor = *errors, diagnosis.noise_floor
-    return (before - after) / (before - floor) if before > ERROR_STANDS_OUT * floor else None
+    return (before - after) / (before - floor) if before > ERROR_RATIO_MIN * floor else None
 
 
 def scatter_held(report: Mapping[str, Any] | None, built: Built) -> list[bool]:
-    """Tell of each kind of imperfections whose size is printed whether its interval holds it."""
+    """Return for each printed kind of imperfections whether its interval holds the true size."""
     sizes = built_sizes(built)
     return [
         kind['low'] <= sizes[kind['kind']] <= (kind['high'] or np.inf)
@@ -258,7 +258,7 @@ def built_sizes(built: Built) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Rate:
-    """So many of so many, with the 95 % interval of Wilson."""
+    """A proportion of hits in runs, with the 95 % interval of Wilson 1927."""
 
     hits: int
     runs: int
@@ -283,8 +283,8 @@ class Rate:
         if not self.runs:
             return '–'
         low, high = self.interval
-        share = 100.0 * self.hits / self.runs
-        return f'{share:.0f} % ({100 * low:.0f} to {100 * high:.0f}; {self.hits} of {self.runs})'
+        rate = 100.0 * self.hits / self.runs
+        return f'{rate:.0f} % ({100 * low:.0f} to {100 * high:.0f}; {self.hits} of {self.runs})'
 
 
 @dataclass(frozen=True)
@@ -301,40 +301,40 @@ class Power:
     @property
     def smallest(self) -> float | None:
         """Return the size that is named in four of five cases, between those tried."""
-        shares = [rate.share or 0.0 for rate in self.right]
-        for i, share in enumerate(shares):
-            if min(shares[i:]) >= DETECTION_POWER:
+        rates = [one.share or 0.0 for one in self.right]
+        for i, rate in enumerate(rates):
+            if min(rates[i:]) >= DETECTION_POWER:
                 if i == 0:
                     return self.sizes[0]
-                part = (DETECTION_POWER - shares[i - 1]) / max(share - shares[i - 1], 1e-12)
+                part = (DETECTION_POWER - rates[i - 1]) / max(rate - rates[i - 1], 1e-12)
                 ends = np.log([self.sizes[i - 1], self.sizes[i]])
                 return float(np.exp(ends[0] + part * (ends[1] - ends[0])))
         return None
 
 
 def methods(rows: Sequence[CaseRow]) -> Callable[[CaseRow], str]:
-    """Return what says how a case was measured and built, as far as that differs in a table."""
+    """Return a function that describes how a case was measured, where that differs in the rows."""
     parts: dict[str, Callable[[CaseRow], str]] = {
         'design': lambda row: row.design,
         'noise': lambda row: f'noise {row.noise}',
         'level': lambda row: f'imperfections x {row.level:g}',
     }
-    told = [say for name, say in parts.items() if len({getattr(r, name) for r in rows}) > 1]
-    return lambda row: '; '.join(say(row) for say in told)
+    varying = [part for name, part in parts.items() if len({getattr(r, name) for r in rows}) > 1]
+    return lambda row: '; '.join(part(row) for part in varying)
 
 
 def powers(rows: Sequence[CaseRow]) -> list[Power]:
     """Count how often every effect was seen, size by size."""
     method_of = methods(rows)
     hidden = [row for row in rows if row.hidden != NOTHING]
-    made = []
+    results = []
     for key, members in grouped(hidden, lambda r: (r.robot, r.hidden, method_of(r))).items():
         by_size = grouped(binned(members), lambda row: row.size)
         sizes = sorted(by_size)
         alarms = tuple(Rate.of(row.alarm for row in by_size[size]) for size in sizes)
         right = tuple(Rate.of(row.right for row in by_size[size]) for size in sizes)
-        made.append(Power(*key, tuple(sizes), alarms, right))
-    return made
+        results.append(Power(*key, tuple(sizes), alarms, right))
+    return results
 
 
 def binned(rows: Sequence[CaseRow]) -> list[CaseRow]:
@@ -348,8 +348,8 @@ def binned(rows: Sequence[CaseRow]) -> list[CaseRow]:
     return [replace(row, size=float(middles[i])) for row, i in zip(rows, which, strict=True)]
 
 
-def said(row: CaseRow) -> str:
-    """Say in one word what a diagnosis said: the class's first member where it names one."""
+def verdict_words(row: CaseRow) -> str:
+    """Return the verdict in one word, or the named effects."""
     if row.verdict in NAMING and row.effects:
         return row.hidden if row.right else ' + '.join(row.effects)
     return row.verdict.replace('_', ' ')
@@ -357,7 +357,7 @@ def said(row: CaseRow) -> str:
 
 def confusion(rows: Sequence[CaseRow]) -> tuple[list[str], list[str], list[list[int]]]:
     """Return what was hidden, what was said, and how often."""
-    counts = collections.Counter((row.hidden, said(row)) for row in rows)
+    counts = collections.Counter((row.hidden, verdict_words(row)) for row in rows)
     hidden = list(dict.fromkeys(row.hidden for row in rows))
     names = {name for _, name in counts}
     words = [name for name in hidden if name in names] + sorted(names - set(hidden))
@@ -372,13 +372,13 @@ def coverage(rows: Sequence[CaseRow]) -> list[tuple[float, Rate]]:
             half = (high - value) if true > value else (value - low)
             z.append(abs(true - value) / half if half > 0.0 else float(true != value) * np.inf)
     full = NormalDist().inv_cdf(0.975)
-    limits = [(share, NormalDist().inv_cdf(0.5 + 0.5 * share) / full) for share in NOMINAL]
-    return [(share, Rate.of(one <= limit for one in z)) for share, limit in limits]
+    limits = [(nominal, NormalDist().inv_cdf(0.5 + 0.5 * nominal) / full) for nominal in NOMINAL]
+    return [(nominal, Rate.of(one <= limit for one in z)) for nominal, limit in limits]
 
 
 @dataclass(frozen=True)
 class Cost:
-    """What a way to measure brings, and what it costs."""
+    """Detection rates and computing time of a method of measurement."""
 
     way: str
     alarms: Rate  # of hidden effects seen
@@ -388,11 +388,11 @@ class Cost:
 
 
 def costs(rows: Sequence[CaseRow]) -> list[Cost]:
-    """Compare the ways to measure: the same arms, all effects and sizes."""
-    made = []
+    """Compare the methods of measurement over the same arms, all effects and sizes."""
+    results = []
     for method, members in grouped(rows, methods(rows)).items():
         hidden = [row for row in members if row.hidden != NOTHING and row.hidden not in CAUSES]
-        made.append(
+        results.append(
             Cost(
                 method,
                 Rate.of(row.alarm for row in hidden),
@@ -401,11 +401,11 @@ def costs(rows: Sequence[CaseRow]) -> list[Cost]:
                 float(np.median([row.seconds for row in members])),
             )
         )
-    return made
+    return results
 
 
 def clean_rows(rows: Sequence[CaseRow]) -> list[tuple[str, str, Rate, Rate]]:
-    """Return (robot, way, alarms, named) of the sets with nothing hidden."""
+    """Return (robot, method, alarms, named) of the sets with nothing hidden."""
     method_of = methods(rows)
     clean = [row for row in rows if row.hidden == NOTHING]
     return [
@@ -433,7 +433,7 @@ def rates(rows: Sequence[CaseRow]) -> dict[str, Rate]:
             held for row in effects for held in row.held
         ),
         'named effects that take 90 % of the error off other postures': Rate.of(
-            row.gone >= GONE_FRACTION for row in named if row.gone is not None
+            row.gone >= REMOVED_FRACTION for row in named if row.gone is not None
         ),
         'scatter inside its interval, where it is told': Rate.of(
             held for row in rows for held in row.scatter_held
@@ -454,7 +454,7 @@ def rates_by_robot(rows: Sequence[CaseRow]) -> dict[str, dict[str, Rate]]:
 
 @dataclass(frozen=True)
 class HiddenRates:
-    """What was said where one thing was hidden in one robot."""
+    """The verdicts on one hidden effect in one robot."""
 
     robot: str
     hidden: str
@@ -480,7 +480,7 @@ def rates_by_hidden(rows: Sequence[CaseRow]) -> list[HiddenRates]:
 
 
 def grouped[K](rows: Iterable[CaseRow], by: Callable[[CaseRow], K]) -> dict[K, list[CaseRow]]:
-    """Collect rows that share something."""
+    """Group rows by a key."""
     groups: dict[K, list[CaseRow]] = {}
     for row in rows:
         groups.setdefault(by(row), []).append(row)
@@ -495,7 +495,7 @@ def to_json(rows: Sequence[CaseRow]) -> dict[str, Any]:
         'rates_by_robot': _plain(rates_by_robot(rows)),
         'rates_by_hidden': _plain(rates_by_hidden(rows)),
         'power': [{**_plain(one), 'smallest': one.smallest} for one in powers(rows)],
-        'coverage': [{'nominal': share, **_plain(rate)} for share, rate in coverage(rows)],
+        'coverage': [{'nominal': nominal, **_plain(rate)} for nominal, rate in coverage(rows)],
         'seconds': float(np.median([row.seconds for row in rows])) if rows else None,
     }
 

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from ..cli.options import progress
-from ..common.colours import INK, MEASURED, look
+from ..common.colours import INK, MEASURED, line_style
 from ..common.errors import InputError
 from ..common.files import new_folder
 from ..common.words import capital, columns, commands, digits, listed, mm
@@ -64,7 +64,7 @@ PAPER_ROBOTS = ('kato_1_1', 'kato_10_1', 'kato_10_1_single', 'kato_2_1')
 PAPER_FILES = ('paper.html', 'paper.json')
 Range = tuple[float, float, float]
 # [1] relative difference that counts as met, because what else is assumed moves as much
-MET_TOLERANCE = 0.15
+AGREEMENT_TOLERANCE = 0.15
 # [printed unit / SI] (Kato et al. 2015)
 SCALES = {'1': 1.0, '%': 100.0, 'mm': 1e3, '°': 180.0 / np.pi}
 
@@ -143,7 +143,7 @@ class Number:
     @property
     def met(self) -> str:
         """How the published number is met: 'within 15 %', 'in range' or 'not met'."""
-        if abs(self.difference) <= MET_TOLERANCE:
+        if abs(self.difference) <= AGREEMENT_TOLERANCE:
             return 'within 15 %'
         return 'in range' if self.low <= self.published <= self.high else 'not met'
 
@@ -189,9 +189,9 @@ def reproduce(robots: Robots, progress: Callable[[str, int, int], None] | None =
         'small': lambda: small_experiment(robots.small),
     }
     results = {}
-    for done, (name, run) in enumerate(steps.items()):
+    for index, (name, run) in enumerate(steps.items()):
         if progress:
-            progress(name, done, len(steps))
+            progress(name, index, len(steps))
         results[name] = run()
     return Paper(robots=robots, **results)
 
@@ -316,7 +316,7 @@ def posture(comparison: Comparison, data: DataSet, p: int) -> Figure:
     for i, model in enumerate(comparison.models):
         points = np.concatenate([np.zeros((1, 3)), model.markers[p]])
         x, z = mm_list(points[:, 0]), mm_list(points[:, 2])
-        traces.append(curve(x, z, model.name, look(i), 2.5))
+        traces.append(curve(x, z, model.name, line_style(i), 2.5))
     half = half_width(data.positions[p], comparison.error)
     mean = comparison.measured.mean[p]
     bars = {f'error_{axis}': error_bars(mm_list(half[:, i])) for i, axis in ((0, 'x'), (2, 'y'))}
@@ -340,8 +340,8 @@ def error_per_cell(comparison: Comparison, data: DataSet, p: int) -> Figure:
         errors = np.linalg.norm(data.positions[p] - model.markers[p], axis=2)
         mean, half = np.nanmean(errors, axis=0), half_width(errors, comparison.error)
         bars = error_bars(mm_list(half))
-        made = curve(cells, mm_list(mean), model.name, look(i), 1.5, size=8, error_y=bars)
-        traces.append(made)
+        line = curve(cells, mm_list(mean), model.name, line_style(i), 1.5, size=8, error_y=bars)
+        traces.append(line)
     layout = {
         'xaxis': titled('cell'),
         'yaxis': titled(f'position error ± {_what(comparison)} [mm]', rangemode='tozero'),
@@ -361,7 +361,7 @@ def arrangements(motion: MotionExperiment, published: float) -> Figure:
         'y': names,
         'x': mm_list(across),
         'error_x': error_bars(mm_list(high), mm_list(low)),
-        'marker': {'color': look(0).colour},
+        'marker': {'color': line_style(0).colour},
         'name': 'ours; whisker: "180°" is ±1° to ±5°',
     }
     style = {'color': INK, 'dash': 'dash', 'width': 3}
@@ -405,15 +405,15 @@ def paper_page(paper: Paper) -> Page:
     """Return the page."""
     page = Page('Kato et al. 2015, section IV, reproduced', PAPER_SOURCE)
     table = paper.rows
-    missed = [row for row in table if row.met == 'not met']
-    met = sum(row.met == 'within 15 %' for row in table)
+    contradicted = [row for row in table if row.met == 'not met']
+    agreeing = sum(row.met == 'within 15 %' for row in table)
     page.box(
         [
-            f'{met} of {len(table)} published numbers are met within 15 %; '
-            f'{len(table) - met - len(missed)} more lie in the range that the paper leaves open; '
-            f'{len(missed)} are not met.'
+            f'{agreeing} of {len(table)} published numbers are met within 15 %; '
+            f'{len(table) - agreeing - len(contradicted)} more lie in the range that the paper '
+            f'leaves open; {len(contradicted)} are not met.'
         ],
-        'verdict' if missed else 'verdict good',
+        'verdict' if contradicted else 'verdict good',
     )
     page.table(ROW_COLUMNS, list(map(number_cells, table)), left=(1, 6, 7))
     page.heading('What is assumed')
@@ -434,8 +434,8 @@ def number_cells(one: Number) -> list[str]:
     if abs(one.difference) > 1.0:
         difference = f'{one.ours - one.published:+.2g} {one.unit}'
     ours, low, high = (digits(number, 3) for number in (one.ours, one.low, one.high))
-    met = one.met.replace(' ', '\u00a0')
-    numbers = [f'{one.published:g}{unit}', f'{ours}{unit}', difference, f'{low} to {high}', met]
+    fit = one.met.replace(' ', '\u00a0')
+    numbers = [f'{one.published:g}{unit}', f'{ours}{unit}', difference, f'{low} to {high}', fit]
     return [one.section, one.what, *numbers, one.why]
 
 
@@ -484,8 +484,8 @@ def add_displacement(page: Page, experiment: DisplacementExperiment) -> None:
         tips = ', '.join(f'{1e3 * z:.0f}' for z in one.tips[:, 2])
         apart = ', '.join(f'{1e3 * d:.1f}' for d in one.apart)
         everywhere = ' to '.join(f'{1e3 * d:.1f}' for d in one.everywhere)
-        told = [f'{text} mm' for text in (pulls, tips, apart, everywhere)]
-        cells.append([one.pair.kind, mm(one.arm, 2), *told])
+        texts = [f'{text} mm' for text in (pulls, tips, apart, everywhere)]
+        cells.append([one.pair.kind, mm(one.arm, 2), *texts])
     page.table((*header, 'at all heights'), cells, left=(2, 3, 4))
     low, high = experiment.heights.everywhere
     page.text(
@@ -510,10 +510,10 @@ def add_displacement(page: Page, experiment: DisplacementExperiment) -> None:
 def add_tension(page: Page, experiment: TensionExperiment) -> None:
     """Add section IV.D."""
     page.heading('IV.D Posture by tension (figures 16 and 17)')
-    found, data = experiment.comparison, experiment.data
-    postures = range(len(found.measured.postures))
-    page.figures([posture(found, data, p) for p in postures], 'two')
-    page.figures([error_per_cell(found, data, p) for p in postures], 'two')
+    comparison, data = experiment.comparison, experiment.data
+    postures = range(len(comparison.measured.postures))
+    page.figures([posture(comparison, data, p) for p in postures], 'two')
+    page.figures([error_per_cell(comparison, data, p) for p in postures], 'two')
     page.text(
         f'PCCA predicts the same shape for 0.51 N alone and for 0.99 against 0.48 N (apart by '
         f'{1e3 * experiment.same:.2f} mm), as published.'
@@ -537,7 +537,7 @@ def add_tension(page: Page, experiment: TensionExperiment) -> None:
 
 
 def diagnosis_lines(diagnosis: Diagnosis) -> list[str]:
-    """Say what a diagnosis says of the two postures, and what it proposes."""
+    """Describe the diagnosis of the two postures, and the posture that it proposes."""
     lines = [
         f'Verdict: {diagnosis.verdict}. Error {mm(diagnosis.error_before)} before, '
         f'{mm(diagnosis.error_after)} with the best effect, '
@@ -547,11 +547,11 @@ def diagnosis_lines(diagnosis: Diagnosis) -> list[str]:
         lines.append(f'Best: `{effect.name}`, {quantities(effect.parameters, effect.load)}.')
     if diagnosis.cannot_tell_apart:
         lines.append(f'Cannot be told apart: {listed(diagnosis.cannot_tell_apart)}.')
-    asked = diagnosis.next_measurement
-    if asked is not None:
+    proposal = diagnosis.next_measurement
+    if proposal is not None:
         lines.append(
-            f'Measure next: {commands(asked.input)}; the predictions differ there by '
-            f'{mm(asked.difference)}, noise {mm(asked.noise)}.'
+            f'Measure next: {commands(proposal.input)}; the predictions differ there by '
+            f'{mm(proposal.difference)}, noise {mm(proposal.noise)}.'
         )
     return lines
 

@@ -116,14 +116,14 @@ def with_arm(robot: Robot, arm: float) -> Robot:
 def with_cells(robot: Robot, cells: int) -> Robot:
     """Return a robot of one section with as many cells, of the same length and stiffness."""
     (section,) = robot.sections
-    made = replace(
+    changed = replace(
         section,
         cells=cells,
         cell_length=section.cells * section.cell_length / cells,
         bending_stiffness=(section.bending_stiffness[0] * cells / section.cells,) * cells,
         mass_profile=(1.0,) * cells,
     )
-    return replace(robot, sections=(made,))
+    return replace(robot, sections=(changed,))
 
 
 def at_view(model: Model, inputs: tuple[int, int], near: Floats, view: float, side: int) -> Floats:
@@ -154,7 +154,7 @@ def at_view(model: Model, inputs: tuple[int, int], near: Floats, view: float, si
     rows[:, :, inputs[0]], rows[:, :, inputs[1]] = near[:, None], levels
 
     def gap_at(tensions: Floats) -> Floats:
-        """Return how much farther than the view angle the tip is turned, (...) [rad]."""
+        """Return the tip angle minus the view angle, (...) [rad]."""
         bend = model.solve(tensions.reshape(-1, len(model.inputs)))[0].bend
         turned = bend[:, :, 0].sum(axis=1).reshape(tensions.shape[:-1])
         return np.asarray(side * turned - view)
@@ -220,9 +220,9 @@ def motion(robot: Robot) -> MotionExperiment:
     variants[f'three wires at one place, {high:g} N in all'] = replace(
         robot, tension_limits=shared
     )
-    made = tuple(arrangement(name, one, family.pair) for name, one in variants.items())
+    arrangements = tuple(arrangement(name, one, family.pair) for name, one in variants.items())
     return MotionExperiment(
-        workspace, made, stiffening(robot, family), stiffening(robot, family, every=True)
+        workspace, arrangements, stiffening(robot, family), stiffening(robot, family, every=True)
     )
 
 
@@ -230,8 +230,8 @@ def spread(robot: Robot, degrees: float) -> Robot:
     """Return the robot with the wires of every group of three spread by an angle about z."""
     tendons = list(robot.tendons)
     for members in robot.input_tendons:
-        for k, turn in zip(members, np.radians([-degrees, 0.0, degrees]), strict=True):
-            x, y = turned_in_plane(np.array(tendons[k].base), turn).tolist()
+        for k, angle in zip(members, np.radians([-degrees, 0.0, degrees]), strict=True):
+            x, y = turned_in_plane(np.array(tendons[k].base), angle).tolist()
             tendons[k] = replace(tendons[k], base=(x, y), end=(x, y))
     return replace(robot, tendons=tuple(tendons))
 
@@ -292,8 +292,8 @@ def arrangement(name: str, robot: Robot, pair: Pair) -> Arrangement:
     for tolerance in Assumed.VIEW_TOLERANCES_DEG:
         span = 0.0  # [m] along x, of the postures near enough to the view
         for family in workspace.of(Published.VIEW_ANGLES_RAD[0])[:1]:
-            away = np.abs(np.abs(family.angle) - family.view)
-            near = family.tips[away <= np.radians(tolerance), 0]
+            deviations = np.abs(np.abs(family.angle) - family.view)
+            near = family.tips[deviations <= np.radians(tolerance), 0]
             span = float(np.ptp(near)) if len(near) else 0.0
         spans.append(span)
     middle = spans[Assumed.VIEW_TOLERANCES_DEG.index(2.5)]

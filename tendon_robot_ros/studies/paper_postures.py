@@ -175,9 +175,9 @@ def trials(plant: Plant, heights: Heights, seed: int) -> DataSet:
         )
         shapes = plant.shapes(pulls, displacement=True).positions
         own = play + Assumed.TRIAL_SCATTERS_RAD[1] * random.normal(size=(count, robot.cells))
-        seen = turned(shapes, held(own, robot))
-        seen[..., [0, 2]] += Assumed.PIXEL_M * random.normal(size=(*seen.shape[:2], 2))
-        positions[p, :count] = seen
+        photos = turned(shapes, held(own, robot))
+        photos[..., [0, 2]] += Assumed.PIXEL_M * random.normal(size=(*photos.shape[:2], 2))
+        positions[p, :count] = photos
     return DataSet(
         name='section IV.C, simulated',
         robot=robot,
@@ -244,16 +244,16 @@ def turned(positions: Floats, play: Floats) -> Floats:
     moved = np.array(positions, dtype=float)
     joints = np.concatenate([np.zeros_like(moved[..., :1, :]), moved[..., :-1, :]], axis=-2)
     for i in reversed(range(moved.shape[-2])):  # what lies nearer to the base is still in place
-        away = moved[..., i:, :] - joints[..., i : i + 1, :]
+        arms = moved[..., i:, :] - joints[..., i : i + 1, :]
         c, s = np.cos(play[..., i, None]), np.sin(play[..., i, None])
-        moved[..., i:, 0] = joints[..., i, None, 0] + c * away[..., 0] + s * away[..., 2]
-        moved[..., i:, 2] = joints[..., i, None, 2] - s * away[..., 0] + c * away[..., 2]
+        moved[..., i:, 0] = joints[..., i, None, 0] + c * arms[..., 0] + s * arms[..., 2]
+        moved[..., i:, 2] = joints[..., i, None, 2] - s * arms[..., 0] + c * arms[..., 2]
     return moved
 
 
 @dataclass(frozen=True, eq=False)
 class TensionExperiment:
-    """Simulated trials under tension against the models, and what diagnose says about them."""
+    """Simulated trials under tension against the models, and their diagnoses."""
 
     data: DataSet
     comparison: Comparison  # FKM, PCCA, FKM + hinge friction; the two postures
@@ -293,8 +293,8 @@ def tension_experiment(
         for model in comparison.models
     }
     levers = [errors_of_lever(robot, factor * lever) for factor in Assumed.LEVER_FACTORS]
-    (_, alone), (left, right) = Published.POSTURES_N.values()
-    tips = Model(pcca(robot)).shapes([[0.0, alone], [left, right]]).tip_position
+    (_, alone), (first, second) = Published.POSTURES_N.values()
+    tips = Model(pcca(robot)).shapes([[0.0, alone], [first, second]]).tip_position
     diagnoses = diagnose_and_measure(robot, data, lever, seed)
     return TensionExperiment(
         data=data,

@@ -91,18 +91,18 @@ class CampaignPlan:
     def contents(self) -> dict[str, str]:
         """Digests of what cases are made of, by name: a table is one of the same things."""
         setup = self.setup
-        found = {'question': setup.question, 'seed': str(setup.seed)}
+        digests = {'question': setup.question, 'seed': str(setup.seed)}
         for arm in setup.arms:
-            found[f'robot {arm.name}'] = _digest(dump_robot(arm.robot), arm.down)
+            digests[f'robot {arm.name}'] = _digest(dump_robot(arm.robot), arm.down)
         for i, design in enumerate(setup.designs):
             data = design.data
             measured = () if data is None else (data.inputs.tobytes(), data.trials.tobytes())
-            found[f'design {i + 1}'] = _digest(
+            digests[f'design {i + 1}'] = _digest(
                 design.name, design.postures, design.trials, design.markers, *measured
             )
         for i, (name, noise) in enumerate(setup.noises):
-            found[f'noise {i + 1}'] = _digest(name, noise)
-        return found
+            digests[f'noise {i + 1}'] = _digest(name, noise)
+        return digests
 
 
 def read_plan(path: str | Path, effect_files: Sequence[str] = ()) -> CampaignPlan:
@@ -206,19 +206,17 @@ def noises_of(top: PlanReader) -> Iterator[tuple[str, SimulatedNoise]]:
         known = tuple(field.name for field in fields(SimulatedNoise))
         entry.only('name', *known)
         values = {key: entry.number(key, 0.0, 0.5) for key in known if entry.has(key)}
-        made = SimulatedNoise(**values)
-        title = (
-            f'{1e3 * made.position:.3g} mm, {100 * made.setting:.3g} %, {100 * made.trial:.3g} %'
-        )
+        one = SimulatedNoise(**values)
+        title = f'{1e3 * one.position:.3g} mm, {100 * one.setting:.3g} %, {100 * one.trial:.3g} %'
         names.append(entry.name('name') if entry.has('name') else title)
-        yield names[-1], made
+        yield names[-1], one
     top.unique('noise', names)
 
 
 def cases_of(
     top: PlanReader, setup: Setup, catalogue: Catalogue, skipped: Mapping[str, list[str]]
 ) -> Iterator[Case]:
-    """List the cases: seeds outermost, so that what is done first says something of all."""
+    """List the cases, seeds outermost, so that early results cover all robots."""
     known = (ALL, ALL_CAUSES, *catalogue.names, *CAUSES)
     groups = {ALL: catalogue.names, ALL_CAUSES: tuple(CAUSES)}
     words = top.words('hidden', known, (ALL,))
@@ -253,7 +251,7 @@ def cases_of(
 
 
 def sizes_of(top: PlanReader) -> Callable[[int, int, str], list[float]]:
-    """Return a function of (seed, number, name) that says which sizes are hidden."""
+    """Return a function of (seed, number, name) that gives the hidden sizes."""
     if top.has('sizes') and top.has('drawn'):
         raise top.error('drawn', 'either sizes or drawn', top.content['drawn'])
     if not top.has('drawn'):
@@ -273,7 +271,7 @@ def sizes_of(top: PlanReader) -> Callable[[int, int, str], list[float]]:
 
 
 def can_show(name: str, arm: PlannedRobot, setup: Setup, catalogue: Catalogue) -> bool:
-    """Tell whether an effect can do anything on an arm that is measured so."""
+    """Return whether an effect has any influence on the measurements of an arm."""
     if name not in catalogue:
         return True
     robot, effect = arm.robot, catalogue[name]

@@ -138,15 +138,15 @@ class SimulatedArm:
             1.0 + self.noise.trial * self._random.normal(size=(trials, *inputs.shape))
         )
         try:
-            seen = self.markers_after(inputs * np.maximum(factors, 0.0))
+            mean = self.markers_after(inputs * np.maximum(factors, 0.0))
         except (NoEquilibriumError, InputError) as error:
             raise BrokenMeasurementError(f'the arm does not stand: {error}') from None
         size = float(self.position_noise or 0.0)
         frames = trials * (READINGS if self.path == 'sequence' else 1)
-        return PostureMeasured(seen + self._random.normal(0.0, size, seen.shape), None, frames)
+        return PostureMeasured(mean + self._random.normal(0.0, size, mean.shape), None, frames)
 
     def release(self) -> None:
-        """Let go; the arm is straight and remembers nothing."""
+        """Release the arm: it is straight, without friction memory."""
         self.released += 1
         self.plant.forget()
 

@@ -25,7 +25,7 @@ ERROR = 'error'  # in place of a verdict
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """What came of a case: of a simulated robot, or of a recording."""
+    """The result of a case: of a simulated robot, or of a recording."""
 
     key: str  # of the case, in all studies that share a table
     robot: str
@@ -65,11 +65,11 @@ class Study[C: Keyed, R: Row](Protocol):
         ...
 
     def judge(self, case: C) -> R:
-        """Return what came of a case; an error is a row as well."""
+        """Return the result of a case; an error becomes a row as well."""
         ...
 
     def lost(self, case: C, workers: int) -> R:
-        """Return the row of a case at which so many workers died."""
+        """Return the row of a case over which `workers` workers died."""
         ...
 
 
@@ -117,7 +117,7 @@ def judge_all[C: Keyed, R: Row](
         What is there already counts; what is finished stays there, whatever happens.
     workers : Workers
     progress : callable, optional
-        Called with (what, done, total) of the cases that were left.
+        Called with (what, done, total) of the missing cases.
     what : str
         How cases are called there.
 
@@ -128,19 +128,19 @@ def judge_all[C: Keyed, R: Row](
 
     """
     show, known = listener(progress), table.keys()
-    left = [case for case in cases if case.key not in known]
-    if there := len(cases) - len(left):
-        what = f'{what} ({there:,} were there)'
+    missing = [case for case in cases if case.key not in known]
+    if known_count := len(cases) - len(missing):
+        what = f'{what} ({known_count:,} were there)'
     buffer: list[R] = []
     done, written = 0, time.monotonic()
     try:
-        for rows in chunk_by_chunk(study, left, workers):
+        for rows in chunk_by_chunk(study, missing, workers):
             buffer += rows
             done += len(rows)
             if time.monotonic() > written + SAVED_EVERY_S:
                 table.append(buffer)
                 buffer, written = [], time.monotonic()
-            show(what, done, len(left))
+            show(what, done, len(missing))
     finally:
         table.append(buffer)
     table.merge()
@@ -148,7 +148,7 @@ def judge_all[C: Keyed, R: Row](
 
 
 def chunk_by_chunk[C: Keyed, R: Row](
-    study: Study[C, R], left: Sequence[C], workers: Workers
+    study: Study[C, R], remaining: Sequence[C], workers: Workers
 ) -> Iterator[list[R]]:
     """Yield the rows of chunks as they come."""
     pace = ChunkSize(workers.slots)
@@ -156,9 +156,9 @@ def chunk_by_chunk[C: Keyed, R: Row](
 
     def chunks() -> Iterator[Chunk[C, R]]:
         begin = 0
-        while begin < len(left):
-            end = begin + pace.of(len(left) - begin)
-            handed.append(Chunk(study, tuple(left[begin:end])))
+        while begin < len(remaining):
+            end = begin + pace.of(len(remaining) - begin)
+            handed.append(Chunk(study, tuple(remaining[begin:end])))
             yield handed[-1]
             begin = end
 
@@ -166,7 +166,7 @@ def chunk_by_chunk[C: Keyed, R: Row](
         if isinstance(result, LostWork):
             yield [study.lost(case, result.workers) for case in handed[index].cases]
             continue
-        pace.took(result.seconds, len(result.rows))
+        pace.learn(result.seconds, len(result.rows))
         yield result.rows
 
 
@@ -220,15 +220,15 @@ class GrowingTable[R: Row]:
         rows: dict[str, R] = {}
         for path in self.files():
             for plain in self._read(path).to_pylist():
-                made: dict[str, Any] = {
+                values: dict[str, Any] = {
                     name: tuple(value) if isinstance(value, list) else value
                     for name, value in plain.items()
                 }
-                rows[plain['key']] = self.kind(**made)
+                rows[plain['key']] = self.kind(**values)
         return list(rows.values())
 
     def rows_of(self, cases: Sequence[Keyed]) -> list[R]:
-        """Return the rows that are there of some cases, in their order."""
+        """Return the existing rows of some cases, in the order of the cases."""
         rows = {row.key: row for row in self.rows()}
         return [rows[case.key] for case in cases if case.key in rows]
 

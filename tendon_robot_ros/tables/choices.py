@@ -1,4 +1,4 @@
-"""Fill in which columns are taken, and their units, where a recipe leaves it open."""
+"""Select columns and their units where a recipe leaves them open."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from .recipe import MarkerColumns, Recipe
 
 # [s] a median step above is in another unit, because nobody records an arm so slowly
 STEP_MAX_S = 2.0
-LENGTH_UNITS = ('m', 'mm')  # a thousand apart, so that lengths on an arm tell one from the other
+LENGTH_UNITS = ('m', 'mm')  # a factor of 1000, so that the size of the arm decides
 FAR = FAR_M / UNITS['length']['mm']  # in the smallest unit that is tried
 # [1] lengths of the arm that its markers may be apart, because a bent arm shows less, and one with
 # a long tool more
@@ -33,26 +33,26 @@ EXTENT = (0.25, 1.3)
 
 
 @dataclass(frozen=True)
-class Taken:
-    """Which columns are used for what, and why; in the order of the tables."""
+class Selection:
+    """The selected columns, their use, and how they were recognised, in table order."""
 
     recipe: Recipe
     reasons: Mapping[str, str]  # column -> how it was recognised
     unused: tuple[str, ...]
     assumed: tuple[str, ...]
     kind: str  # 'tension' or 'displacement'
-    look: tuple[str, ...] = ()  # what a table says otherwise than its reader
-    aside: tuple[str, ...] = ()  # triples that are left aside, and as what
+    warnings: tuple[str, ...] = ()  # contradictions between a table and the recipe
+    aside: tuple[str, ...] = ()  # excluded triples, by quantity
     nameless: tuple[tuple[str, str, str], ...] = ()  # columns of markers that have no name
 
     @property
-    def left_aside(self) -> tuple[str, ...]:
-        """What is left aside, those without a name counted."""
+    def unused_points(self) -> tuple[str, ...]:
+        """The excluded points by quantity, and the number of points without a name."""
         count = len(self.nameless)
         return self.aside + ((f'{count} points without a name (unlabeled)',) if count else ())
 
 
-def choose_columns(tables: Sequence[RawTable], robot: Robot, recipe: Recipe) -> Taken:
+def choose_columns(tables: Sequence[RawTable], robot: Robot, recipe: Recipe) -> Selection:
     """
     Fill in the columns and units that a recipe leaves open.
 
@@ -82,36 +82,37 @@ def choose_columns(tables: Sequence[RawTable], robot: Robot, recipe: Recipe) -> 
         recipe = replace(recipe, zero=turned)
         if turned:
             assumed.append('motors count from where they are when the arm first stands still')
-    look = tuple(_units_contradicted(tables, recipe))
+    warnings = tuple(_units_contradicted(tables, recipe))
     triples = {c for table in tables for triple in triples_of(table) for c in triple.columns}
     unused = [column for column in dict.fromkeys(unused) if column not in triples]
-    taken = Taken(recipe, reasons, tuple(unused), tuple(assumed), kind, look)
+    chosen = Selection(recipe, reasons, tuple(unused), tuple(assumed), kind, warnings)
     if points is None:
-        return taken
-    taken = replace(taken, aside=points.aside, nameless=points.nameless)
-    if points.share_aside > 0.5:  # most of them
-        left = (
-            f'{100 * points.share_aside:.0f} % of all x, y, z are left out, '
-            f'{listing(taken.left_aside)}: are the markers those that are taken?'
+        return chosen
+    chosen = replace(chosen, aside=points.aside, nameless=points.nameless)
+    if points.unused_fraction > 0.5:  # most of them
+        question = (
+            f'{100 * points.unused_fraction:.0f} % of all x, y, z are left out, '
+            f'{listing(chosen.unused_points)}: are the markers those that are taken?'
         )
-        taken = replace(taken, look=(*look, left))
-    return taken
+        chosen = replace(chosen, warnings=(*warnings, question))
+    return chosen
 
 
 def _units_contradicted(tables: Sequence[RawTable], recipe: Recipe) -> list[str]:
     """
-    Say where a table says another unit than was taken.
+    Return a line for each unit in a table that contradicts the unit in use.
 
-    It is no refusal: headers of loggers are wrong as well, and then what a person says must count.
+    This is a warning and no error, because the header of a logger may be wrong, and then the unit
+    given by the user must hold.
     """
     inputs = (recipe.inputs or {}).values()
-    taken = {use.column: ('inputs', use.unit) for use in inputs}
+    used_as = {use.column: ('inputs', use.unit) for use in inputs}
     columns = [column for marker in recipe.markers or () for column in marker.columns]
-    taken |= dict.fromkeys(columns, ('positions', recipe.positions or ''))
-    taken |= {column: ('time', unit) for column, unit in (recipe.time or {}).items()}
+    used_as |= dict.fromkeys(columns, ('positions', recipe.positions or ''))
+    used_as |= {column: ('time', unit) for column, unit in (recipe.time or {}).items()}
     contradictions: dict[tuple[str, str, str], list[str]] = {}
     for name in (name for table in tables for name in names_of(table)):
-        what, text = taken.get(name.column, ('', ''))
+        what, text = used_as.get(name.column, ('', ''))
         unit = find_unit(text)
         if name.unit is None or unit is None or unit.kind == name.unit.kind == 'counts':
             continue
@@ -160,7 +161,7 @@ def _choose_times(
     if times and not all(time_column(table, times) for table in tables):
         lacking = next(table for table in tables if not time_column(table, times))
         raise DataSetError(lacking.name, 'has no column of times', 'say --column time=COLUMN')
-    if not times and recipe.time_unit is not None:  # who says its unit knows of a column
+    if not times and recipe.time_unit is not None:  # a unit was given, so a column must exist
         raise DataSetError(tables[0].name, 'has no column of times', 'say --column time=COLUMN')
     if not times:
         assumed.append(
@@ -215,7 +216,7 @@ def _choose_inputs(
     written: dict[str, str] = {}
     for column, unit in units:
         written.setdefault(column, unit.text)
-    for name, use in inputs.items():  # as an option says, as a recipe, or as the file does
+    for name, use in inputs.items():  # the unit of an option, of the recipe, or of the file
         text = recipe.input_unit or use.unit or written.get(use.column, '')
         inputs[name] = replace(use, unit=text)
     lacking = [use.column for use in inputs.values() if not use.unit]
@@ -232,7 +233,7 @@ def _choose_inputs(
 def _choose_markers(
     tables: Sequence[RawTable], recipe: Recipe, reasons: dict[str, str], assumed: list[str]
 ) -> tuple[Recipe, Points | None]:
-    """Return the recipe, and the points that were chosen, where it names none."""
+    """Return the recipe, and the selected points if it names no markers."""
     if recipe.markers is not None:
         for marker in recipe.markers:
             for column in marker.columns:
@@ -267,7 +268,7 @@ def _choose_position_unit(
             'export all in one; where only the header is wrong, say --unit positions=mm',
         )
     apart = _extent(tables, recipe)
-    low, high = (share * robot.length for share in EXTENT)
+    low, high = (fraction * robot.length for fraction in EXTENT)
     fitting = [u for u in LENGTH_UNITS if low <= apart * UNITS['length'][u] <= high]
     if not fitting:
         others = [u for u in TYPED_LENGTHS if low <= apart * UNITS['length'][u] <= high]
@@ -286,7 +287,7 @@ def _choose_position_unit(
 
 
 def _extent(tables: Sequence[RawTable], recipe: Recipe) -> float:
-    """Return the largest distance between two markers in their unit; of one, how far it moves."""
+    """Return the largest distance of two markers, or the path of a single one, in their unit."""
     largest = 0.0
     for table in tables:
         places = [

@@ -1,4 +1,4 @@
-"""Named columns of numbers, as they were found in a file, and what each is, by name and unit."""
+"""Named columns of numbers as read from a file, and the role of each by its name and unit."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ..common.words import Unit, find_unit, listing, split_name
 FloatArray = NDArray[np.float64]
 # [m] of a usual tracker, about, so that smaller differences are no motion of the arm
 TRACKER_NOISE_M = 5e-4
-# what a point is, by the head of an export
+# kinds of points, according to the header of an export
 MARKER, BODY_MARKER, BODY, DERIVED = 'markers', 'markers of bodies', 'bodies', 'derived points'
 # units of other quantities than places, inputs and times
 OTHER_UNITS = {
@@ -41,17 +41,17 @@ MISSING = ('', 'nan', 'NaN', 'NAN', 'NA', 'N/A', 'null', 'None', '-', '--')
 
 @dataclass(frozen=True, eq=False)
 class RawTable:
-    """Named columns of R rows, as they were found."""
+    """Named columns of R rows, as read from a file."""
 
     name: str  # the file, as the user wrote it
-    columns: dict[str, FloatArray]  # (R,) numbers, NaN = not there
+    columns: dict[str, FloatArray]  # (R,) numbers, NaN = missing
     texts: dict[str, tuple[str, ...]] = field(default_factory=dict)  # (R,) other columns
-    units: dict[str, str] = field(default_factory=dict)  # column -> unit, where the file says it
-    first: int | None = None  # row of the file that the first row of numbers stands in
-    kinds: dict[str, str] = field(default_factory=dict)  # column -> what its point is
+    units: dict[str, str] = field(default_factory=dict)  # column -> unit given in the file
+    first: int | None = None  # row number in the file of the first row of numbers
+    kinds: dict[str, str] = field(default_factory=dict)  # column -> kind of its point
     part: str = ''  # of a file that has several
-    up: str | None = None  # axis that points up, where the format has one
-    notes: tuple[str, ...] = ()  # what was assumed on reading
+    up: str | None = None  # axis that points up, if the format defines one
+    notes: tuple[str, ...] = ()  # assumptions of the reader
 
     def __len__(self) -> int:
         """Count the rows."""
@@ -64,7 +64,7 @@ class RawTable:
         return (*self.columns, *self.texts)
 
     def holds(self, *columns: str) -> bool:
-        """Tell whether these are all among its columns."""
+        """Return whether the table has all of these columns."""
         return all(column in self.columns or column in self.texts for column in columns)
 
     def where(self, row: int) -> str:
@@ -78,7 +78,7 @@ class RawTable:
         Raises
         ------
         DataSetError
-            A cell is none: which, and what stands there.
+            A cell is no number; the message names the cell and its content.
 
         """
         if column in self.columns:
@@ -139,7 +139,7 @@ TIMES = {'time', 'timestamp', 'seconds', 'sec', 'zeit', 'stamp'}
 FILLERS = word_set(
     'pos position coord coordinate marker markers m point p tvec translation trans tag t'
 )
-# quantities with x, y and z that are no measured places, and the words by which they are known
+# quantities with x, y and z other than measured positions, and the words that identify them
 QUANTITIES = {
     what: word_set(words)
     for what, words in {
@@ -158,7 +158,7 @@ QUANTITIES = {
         'predicted places': 'predicted pred sim simulated',
     }.items()
 }
-# quantity of tx, rx, vx ...; that of a place has no name
+# quantity of tx, rx, vx ...; a position has an empty name
 PREFIXES = dict.fromkeys(('', 't', 'p'), '') | dict.fromkeys('rq', 'rotations')
 PREFIXES |= dict.fromkeys('wg', 'angular velocities')
 PREFIXES |= {'v': 'velocities', 'a': 'accelerations', 'f': 'forces', 'm': 'torques'}
@@ -168,8 +168,8 @@ OF_UNITS = {
 }
 BRACKETED = re.compile(r'^(?P<name>.+?)\s*[\[(]\s*(?P<unit>[^\])]+?)\s*[\])]$')
 COMMANDED = word_set('cmd command commanded set setpoint ref target des desired goal soll')
-# kinds of inputs, the first that is there is taken: tension acts on the arm, the others only
-# tell it; then the words by which a column without a unit is one
+# kinds of inputs in order of preference: tension acts on the arm, the others only determine it;
+# then the words by which a column without a unit is one
 KINDS: dict[str, set[str]] = {
     'force': {'tension', 'force', 't', 'f', 'load', 'loadcell', 'kraft', 'zugkraft'},
     'length': {'pull', 'displacement', 'disp', 'wire', 'cable', 'tendon', 'length'},
@@ -181,7 +181,7 @@ KINDS: dict[str, set[str]] = {
 
 @dataclass(frozen=True)
 class ColumnUse:
-    """A column that is taken, and its unit; '' where nobody says it."""
+    """A selected column and its unit; '' if the unit is unknown."""
 
     column: str
     unit: str
@@ -189,32 +189,32 @@ class ColumnUse:
 
 @dataclass(frozen=True)
 class ColumnName:
-    """The name of a column, taken apart."""
+    """The name of a column, split into words and a unit."""
 
     column: str
     words: tuple[str, ...]  # in lower case, letters and digits apart
     unit: Unit | None
-    other: str = ''  # quantity that its unit tells, where it is no place
+    other: str = ''  # quantity implied by its unit, if that is no length
 
     @property
     def component(self) -> tuple[str, str, tuple[str, ...]]:
         """Return the axis of a coordinate ('' for none), its quantity, and its other words."""
         for at in (len(self.words) - 1, 0):
-            found = AXIS.fullmatch(self.words[at]) if self.words else None
-            if found is None:
+            match = AXIS.fullmatch(self.words[at]) if self.words else None
+            if match is None:
                 continue
             rest = self.words[:at] + self.words[at + 1 :]
-            quantity = PREFIXES[found[1]] or self.other
+            quantity = PREFIXES[match[1]] or self.other
             for name, words in QUANTITIES.items():
                 quantity = quantity or (name if words & set(rest) else '')
             if not quantity and self.unit is not None:
                 quantity = OF_UNITS.get(self.unit.kind, '')
-            return found[2], quantity, (found[1], *rest) if found[1] else rest
+            return match[2], quantity, (match[1], *rest) if match[1] else rest
         return '', '', self.words
 
     @property
     def axis(self) -> str:
-        """Which coordinate it is by its last or first word, '' for none."""
+        """The coordinate axis named by the last or first word, '' for none."""
         return self.component[0]
 
     @property
@@ -238,12 +238,12 @@ class ColumnName:
 
 
 def words_of(name: str) -> tuple[str, ...]:
-    """Take a name apart: words in lower case, and numbers."""
+    """Split a name into words in lower case and numbers."""
     return tuple(word.lower() for word in WORDS.findall(HUMP.sub(' ', name)))
 
 
 def names_of(table: RawTable) -> list[ColumnName]:
-    """Take the names of all columns apart; units that the file says go before."""
+    """Split the names of all columns; a unit given in the file has precedence over the name."""
     parsed = []
     for column in table.names:
         name, unit = split_name(column)
@@ -277,12 +277,12 @@ class Triple:
 
     name: tuple[str, ...]  # words
     columns: tuple[str, str, str]
-    quantity: str  # what it is, where it is no measured place
-    kind: str  # MARKER where nobody says it
+    quantity: str  # other than a measured position, '' for a position
+    kind: str  # MARKER by default
 
 
 def triples_of(table: RawTable) -> list[Triple]:
-    """Return every three columns that are alike but for x, y and z, in the order of the table."""
+    """Return all triples of columns that differ only in x, y and z, in the order of the table."""
     groups: dict[tuple[tuple[str, ...], str], dict[str, str]] = {}
     for name in names_of(table):
         axis, quantity, words = name.component
@@ -297,7 +297,7 @@ def triples_of(table: RawTable) -> list[Triple]:
 
 
 def marker_label(columns: Sequence[str]) -> str:
-    """Name a point by what the names of its columns have in common before the axis."""
+    """Name a point by the common beginning of the names of its columns, without the axis."""
     names = [WORDS.findall(HUMP.sub(' ', split_name(column)[0])) for column in columns[::3]]
     for words in names:
         if len(words) > 1 and AXIS.fullmatch(words[-1].lower()):
@@ -310,7 +310,7 @@ def marker_label(columns: Sequence[str]) -> str:
 
 @dataclass(frozen=True)
 class InputGuess:
-    """Columns of the inputs, and by what they were recognised."""
+    """The columns of the inputs, and the reason for this assignment."""
 
     columns: dict[str, ColumnUse]  # input -> column
     reason: str
@@ -318,10 +318,10 @@ class InputGuess:
 
 def guess_inputs(names: Sequence[ColumnName], inputs: Sequence[str]) -> InputGuess | None:
     """
-    Return the column of every input of a robot; None where they are not all found.
+    Return the column of every input of a robot; None if one of them is missing.
 
-    Tensions go before wire pulls, these before angles and currents of motors; what was measured
-    goes before what was commanded.
+    Tensions are preferred to wire pulls, these to angles and currents of motors, and measured
+    values to commanded ones.
     """
     for kind in KINDS:
         groups: dict[tuple[str, ...], list[ColumnName]] = {}
@@ -330,32 +330,32 @@ def guess_inputs(names: Sequence[ColumnName], inputs: Sequence[str]) -> InputGue
                 groups.setdefault(tuple(sorted(COMMANDED & set(name.words))), []).append(name)
         for group in sorted(groups):  # without such a word first: measured
             for find in (_by_name, _by_number, _by_order):
-                if (found := find(groups[group], inputs)) is not None:
-                    return found
+                if (guess := find(groups[group], inputs)) is not None:
+                    return guess
     named = [name for name in names if name.unit is None and not name.axis]
     return _by_name(named, inputs)
 
 
-def _guess(found: Sequence[ColumnName], inputs: Sequence[str], reason: str) -> InputGuess:
-    uses = [ColumnUse(n.column, '' if n.unit is None else n.unit.text) for n in found]
+def _guess(columns: Sequence[ColumnName], inputs: Sequence[str], reason: str) -> InputGuess:
+    uses = [ColumnUse(n.column, '' if n.unit is None else n.unit.text) for n in columns]
     return InputGuess(dict(zip(inputs, uses, strict=True)), reason)
 
 
 def _by_name(names: Sequence[ColumnName], inputs: Sequence[str]) -> InputGuess | None:
-    """Find each input's own name in the name of one column."""
-    found = []
+    """Assign each input to the one column whose name contains the name of the input."""
+    columns = []
     for name in inputs:
         words = words_of(name)
         exact = [n for n in names if n.words == words]
-        having = exact or [n for n in names if set(words) <= set(n.words)]
-        if len(having) != 1:
+        matches = exact or [n for n in names if set(words) <= set(n.words)]
+        if len(matches) != 1:
             return None
-        found.append(having[0])
-    return _guess(found, inputs, 'its name') if len(set(found)) == len(found) else None
+        columns.append(matches[0])
+    return _guess(columns, inputs, 'its name') if len(set(columns)) == len(columns) else None
 
 
 def _by_number(names: Sequence[ColumnName], inputs: Sequence[str]) -> InputGuess | None:
-    """Take columns that are alike but for a number in the order of these numbers."""
+    """Assign columns whose names differ only in a number, in the order of these numbers."""
     stems: dict[tuple[str, ...], list[ColumnName]] = {}
     for name in names:
         if len(name.numbers) == 1:

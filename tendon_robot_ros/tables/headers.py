@@ -1,9 +1,9 @@
 """
-The head of a text table, read by its structure, whoever wrote it.
+The header of a text table, read by its structure, whatever system wrote it.
 
-A head is what stands above the first row that looks like the rows below it. Its last row names
-the columns, or their axes; whose axes they are stands above it, and so do types, quantities and
-identifiers, which are recognised by their content. All else are words with values.
+The header is everything above the first row that looks like the rows below it. Its last row names
+the columns, or their axes; rows above it hold the points of these axes, types, quantities and
+identifiers, which are recognised by their content. All other cells are words with values.
 """
 
 from __future__ import annotations
@@ -55,12 +55,12 @@ LENGTHS = ('length units', 'units', 'unit')
 
 @dataclass(frozen=True)
 class Maker:
-    """A system that tracks markers: how its files are recognised, and what they leave unsaid."""
+    """A motion capture system: how its files are recognised, and defaults that they omit."""
 
     name: str
-    told_by: tuple[str, ...]  # one of these words begins a row of the head
-    up: str | None = None  # axis that points up if nobody turned it
-    unit: str = ''  # of lengths, where the file names none
+    head_words: tuple[str, ...]  # a row of the header begins with one of these words
+    up: str | None = None  # axis that points up by default
+    unit: str = ''  # default unit of length
 
 
 MAKERS = (
@@ -74,7 +74,7 @@ MAKERS = (
 
 @dataclass(frozen=True)
 class Head:
-    """What the head of a table says."""
+    """The content of the header of a table."""
 
     names: tuple[str, ...]
     units: dict[str, str] = field(default_factory=dict)
@@ -82,11 +82,11 @@ class Head:
     maker: Maker | None = None
     title: str = ''  # of a part of the file
     rate: float | None = None  # [Hz]
-    frames: int | None = None  # that the file says it has
+    frames: int | None = None  # number of frames stated in the file
 
 
 def is_value(cell: str) -> bool:
-    """Tell whether a cell holds a number, with a point or a comma, or a time."""
+    """Return whether a cell holds a number, with a decimal point or comma, or a time."""
     return is_number(cell) or is_number(cell.replace(',', '.')) or bool(STAMP.fullmatch(cell))
 
 
@@ -164,7 +164,7 @@ def read_head(shown: str, first: int, rows: Sequence[Row], width: int) -> Head:
         labels = [row for row in labels if row[0] not in keys]
         labels = labels or [_qualisys_names(shown, keys, width)]
         title = 'objects' if 'BODY_NAMES' in keys and 'MARKER_NAMES' not in keys else ''
-    # the last row of labels says units where all cells do
+    # the last row of labels holds units if all of its cells do
     cells = [cell for cell in labels[-1] if cell] if len(labels) > 1 else ['']
     has_units = all(find_unit(cell) or cell in OTHER_UNITS for cell in cells)
     units_row: Row = labels.pop() if has_units else []
@@ -191,13 +191,13 @@ def read_head(shown: str, first: int, rows: Sequence[Row], width: int) -> Head:
 
 
 def maker_of(rows: Sequence[Row]) -> Maker | None:
-    """Return whose export has such a head, None for nobody's that is known."""
+    """Return the system whose exports have such a header, None if it is unknown."""
     begins = {cell.lower().rstrip(':') for row in rows for cell in row[:3:2] if cell}
-    return next((maker for maker in MAKERS if begins & set(maker.told_by)), None)
+    return next((maker for maker in MAKERS if begins & set(maker.head_words)), None)
 
 
 def _values_by_word(rows: Sequence[Row]) -> dict[str, list[str]]:
-    """Return every word with what stands beside it and below it."""
+    """Return every word with the cells to its right and below it."""
     values_by_word: dict[str, list[str]] = {}
     for row, below in pairwise([*rows, []]):
         parts = [part.strip() for cell in row for part in cell.lstrip('#% ').split(':', 1)]
@@ -210,7 +210,7 @@ def _values_by_word(rows: Sequence[Row]) -> dict[str, list[str]]:
 def _first(
     values_by_word: Mapping[str, list[str]], words: Sequence[str], fits: Callable[[str], Any]
 ) -> str:
-    """Return the first value that fits, of the first word that has one; '' for none."""
+    """Return the first accepted value of the first word that has one, '' for none."""
     return next(
         (value for word in words for value in values_by_word.get(word, ()) if fits(value)), ''
     )
@@ -236,7 +236,7 @@ def unnamed(shown: str, row: int, maker: Maker | None) -> DataSetError:
 
 
 def _qualisys_names(shown: str, keys: Mapping[str, Row], width: int) -> Row:
-    """Return the names of columns of a file of Qualisys that has no row of them."""
+    """Return the names of the columns of a Qualisys file without a row of names."""
     markers = [name for name in keys.get('MARKER_NAMES', []) if name]
     before = width - 3 * len(markers)
     while before > 2:  # a tab at the end of every row
@@ -255,7 +255,7 @@ def _qualisys_names(shown: str, keys: Mapping[str, Row], width: int) -> Row:
 def _names(
     shown: str, row: int, labels: Sequence[Row], width: int, maker: Maker | None, title: str
 ) -> tuple[list[str], dict[str, str]]:
-    """Return one name for each column, and the kind of point that columns of points belong to."""
+    """Return a name for each column, and the kind of point of the columns of points."""
     tracked = maker is not None
     types, quantities, owners, axes, above = _sorted_labels(labels, width, tracked, title)
     names: list[str] = []
@@ -279,7 +279,7 @@ def _names(
     kinds = [_kind(types[i], title) for i in range(width)]
     twice = {name for name, count in Counter(names).items() if count > 1 and name}
     names = [f'{n} {types[i]}'.strip() if n in twice else n for i, n in enumerate(names)]
-    for i, name in enumerate(names):  # the axis behind the type that tells two columns apart
+    for i, name in enumerate(names):  # the axis follows a type that distinguishes columns
         words = name.split(' ')
         at = next((k for k, word in enumerate(words) if word in ('X', 'Y', 'Z', 'W')), None)
         if name not in axes and at is not None:
@@ -319,13 +319,13 @@ def _sorted_labels(
     elif not any(quantities):
         owners = _leading(axes)
     subjects = {owner.rpartition(':')[0] for owner in owners if owner}
-    if title and len(subjects) == 1:  # one subject: it tells nothing apart
+    if title and len(subjects) == 1:  # a single subject distinguishes nothing
         owners = [owner.rpartition(':')[2] for owner in owners]
     return types, quantities, owners, axes, above
 
 
 def _check(where: str, names: list[str]) -> None:
-    """Refuse columns without a name, or with one that stands twice; name empty ones at the end."""
+    """Refuse missing or repeated names of columns; name the empty ones at the end of a row."""
     last = max((i for i, name in enumerate(names) if name), default=-1)
     for i, name in enumerate(names):
         if not name and i > last:  # a delimiter at the end of every row
@@ -337,32 +337,32 @@ def _check(where: str, names: list[str]) -> None:
 
 
 def _spread(owners: Row, axes: Row, quantities: Row) -> Row:
-    """Write an owner that stands above its first column above all of its columns."""
-    found: Row = []
-    owner, seen = '', set[tuple[str, str]]()
+    """Repeat the owner given above the first of its columns above all of them."""
+    spread: Row = []
+    owner, named = '', set[tuple[str, str]]()
     for i, cell in enumerate(owners):
         what = quantities[i], axes[i]
         if cell and cell != owner:
-            owner, seen = cell, set()
-        elif not cell and (what in seen or not axes[i]):  # nobody named this one
+            owner, named = cell, set()
+        elif not cell and (what in named or not axes[i]):  # a point without a name
             owner = f'Unlabeled {i + 1}' if axes[i] else ''
-            seen = set()
-        seen.add(what)
+            named = set()
+        named.add(what)
         is_own = owner and (axes[i] or quantities[i]) and axes[i].lower() not in ('frame',)
-        found.append(owner if is_own and (cell or AXIS.fullmatch(axes[i]) or axes[i]) else '')
-    return found
+        spread.append(owner if is_own and (cell or AXIS.fullmatch(axes[i]) or axes[i]) else '')
+    return spread
 
 
 def _leading(names: Row) -> Row:
-    """Return the owner of every name that stands again and again: the one before the group."""
+    """Return the owner of every repeated name: the name before the group."""
     count = Counter(names)
-    found, owner = [], ''
+    owners, owner = [], ''
     for i, name in enumerate(names):
         follows = names[i + 1] if i + 1 < len(names) else ''
         if count[name] == 1 and count[follows] > 1:
             owner = name
-        found.append(owner if count[name] > 1 else '')
-    return found
+        owners.append(owner if count[name] > 1 else '')
+    return owners
 
 
 def _kind(text: str, title: str) -> str:

@@ -1,4 +1,4 @@
-"""What an import of tables gives: a data set, how it came about in words, and in a picture."""
+"""The result of an import of tables: a data set, and its derivation in words and as a picture."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..common.words import mm, postures
 from ..data import DataSet, save_dataset
 from ..data.dataset import at_rest
 from ..robot import Robot
-from .choices import Taken
+from .choices import Selection
 from .columns import FloatArray, marker_label
 from .markers import MarkerOrder
 from .measuring import Piece, StillMeasurements
@@ -33,34 +33,34 @@ RECIPE, PICTURE = 'import.yaml', 'import.png'
 @dataclass(frozen=True)
 class ImportedTable(TextResult):
     """
-    A data set, and how it came out of tables.
+    A data set, and how it was derived from tables.
 
     Attributes
     ----------
     dataset : DataSet
         In the robot's base frame.
     recipe : Recipe
-        Every choice: importing again with it gives the same data set.
-    taken : Taken
+        Every choice; an import with this recipe gives the same data set.
+    taken : Selection
         Columns, and how they were recognised.
     measured : StillMeasurements
-        Still segments in the tracker's frame, and what was cut out.
+        Still segments in the tracker's frame, and the excluded readings.
     order : MarkerOrder
-        Which marker is where.
+        The positions of the markers along the arm.
     frame : TrackerFrame
-        How the tracker stands.
+        Pose of the tracker's frame in the base frame.
     source : str
         The tables, with their sizes.
     predicted : (P, J, 3) [m]
-        What the robot as described does in these postures.
+        Marker positions of these postures by the robot as described.
     dropped, assumed, look : tuple of str
-        What was not used; what was assumed without being given; what should be checked.
+        Excluded columns and readings; assumptions; contradictions that should be checked.
 
     """
 
     dataset: DataSet
     recipe: Recipe
-    taken: Taken
+    taken: Selection
     measured: StillMeasurements
     order: MarkerOrder
     frame: TrackerFrame
@@ -71,7 +71,7 @@ class ImportedTable(TextResult):
     look: tuple[str, ...]
 
     def __repr__(self) -> str:
-        """Say what came out."""
+        """Summarise the result."""
         P, Q, J = self.dataset.positions.shape[:3]
         return (
             f'<ImportedTable {self.dataset.name}: {P} postures x up to {Q} trials x {J} markers; '
@@ -94,18 +94,18 @@ class ImportedTable(TextResult):
         )
 
     def plot(self) -> Figure:
-        """Draw the raw traces, what was cut out, and the markers on the arm (matplotlib)."""
+        """Draw the raw traces, the excluded readings, and the markers on the arm (matplotlib)."""
         members = self.order.members
         return draw(self.dataset, self.measured, self.recipe, members, self.predicted)
 
     def text(self) -> str:
-        """Say which columns were taken, what was dropped and assumed, and how the frame lies."""
+        """List the columns in use, exclusions, assumptions and the tracker's frame."""
         lines = [
             f'{self.dataset.robot.name} from {self.source}',
             columns_table(self.recipe, self.taken),
             '',
         ]
-        lines += labelled_lines('taken', [taken_line(self.dataset, self.measured)])
+        lines += labelled_lines('taken', [measurement_line(self.dataset, self.measured)])
         lines += labelled_lines('dropped', self.dropped)
         lines += labelled_lines('assumed', self.assumed)
         lines += labelled_lines('frame', frame_lines(self.frame, self.dataset.robot))
@@ -123,17 +123,17 @@ METHODS = {
 
 
 def labelled_lines(word: str, lines: Sequence[str]) -> list[str]:
-    """Put a word before the first of some lines."""
+    """Put a label before the first of some lines."""
     return [f'{word if i == 0 else "":9}{line}' for i, line in enumerate(lines)]
 
 
-def columns_table(recipe: Recipe, taken: Taken) -> str:
-    """Return the table of columns: as what each was taken, its unit, and why."""
+def columns_table(recipe: Recipe, chosen: Selection) -> str:
+    """Return the table of columns: the role of each, its unit, and the reason."""
     rows = [['column', 'taken as', 'unit', 'because']]
     for column, unit in (recipe.time or {}).items():
-        rows.append([column, 'time', unit, taken.reasons.get(column, '')])
+        rows.append([column, 'time', unit, chosen.reasons.get(column, '')])
     for name, use in (recipe.inputs or {}).items():
-        rows.append([use.column, f'input {name}', use.unit, taken.reasons.get(use.column, '')])
+        rows.append([use.column, f'input {name}', use.unit, chosen.reasons.get(use.column, '')])
     placed = []
     for marker in recipe.markers or ():
         why = f'{1e3 * (marker.arc_length or 0.0):.4g} mm from the base along the arm'
@@ -151,22 +151,22 @@ def columns_table(recipe: Recipe, taken: Taken) -> str:
     )
 
 
-def taken_line(dataset: DataSet, measured: StillMeasurements) -> str:
-    """Say how many measurements there are, and from how many still segments."""
+def measurement_line(dataset: DataSet, measured: StillMeasurements) -> str:
+    """Describe the number of measurements and of the still segments behind them."""
     trials = dataset.trials
     each = ' to '.join(str(count) for count in sorted({trials.min(), trials.max()}))
     rule = measured.rule
-    found = len(measured.segments) + sum(len(piece.resting) for piece in measured.pieces)
-    still = f'{len(measured.segments)} of {found} times that the arm stood still'
+    total = len(measured.segments) + sum(len(piece.resting) for piece in measured.pieces)
+    still = f'{len(measured.segments)} of {total} times that the arm stood still'
     resting = int(at_rest(dataset.inputs).sum())
-    taken = f'{postures(len(trials), resting)} x {each} trials x {len(dataset.markers)} markers'
+    size = f'{postures(len(trials), resting)} x {each} trials x {len(dataset.markers)} markers'
     if measured.pieces[0].motion is None:
-        return f'{taken}, a row each'
-    return f'{taken}: {still} (slower than {1e3 * rule.speed:.2g} mm/s for {rule.duration:g} s)'
+        return f'{size}, a row each'
+    return f'{size}: {still} (slower than {1e3 * rule.speed:.2g} mm/s for {rule.duration:g} s)'
 
 
 def frame_lines(frame: TrackerFrame, robot: Robot) -> list[str]:
-    """Say how the tracker's frame lies, how well that fits, and what a diagnosis makes of it."""
+    """Describe the pose of the tracker's frame, its residual, and its tolerance in a diagnosis."""
     shift = ', '.join(f'{1e3 * x:.1f}' for x in frame.shift)
     angle = np.degrees(angle_of(frame))
     straight = '' if frame.straight is None else f', {mm(frame.straight)} where it is straight'
@@ -188,7 +188,7 @@ POINTS_MAX = 4000  # [1] of a line, because a picture has fewer columns
 # [1] of the colours of markers, dark at the base: that of the tip, because lighter ones are hard
 # to see on white
 TIP_SHADE = 0.62
-LEFT_OUT_LOOK: dict[str, Any] = {'facecolor': 'none', 'edgecolor': LEFT_OUT, 'hatch': '////'}
+EXCLUDED_STYLE: dict[str, Any] = {'facecolor': 'none', 'edgecolor': LEFT_OUT, 'hatch': '////'}
 
 
 def draw(
@@ -247,7 +247,7 @@ def draw(
         handles = [
             Patch(color=GOOD, alpha=0.3, label='taken'),
             Patch(color=REST, alpha=0.6, label='rest'),
-            Patch(**LEFT_OUT_LOOK, label='left out'),
+            Patch(**EXCLUDED_STYLE, label='left out'),
             *[Line2D([], [], color=LEFT_OUT, marker='x', linestyle='', label='cut out')] * has_cut,
             Line2D([], [], color=colours(0.0), label='marker next to the base'),
             Line2D([], [], color=colours(TIP_SHADE), label='marker at the tip'),
@@ -322,7 +322,7 @@ def _inputs(axes: Axes, dataset: DataSet, measured: StillMeasurements) -> None:
 def _markers(
     axes: Axes, measured: StillMeasurements, recipe: Recipe, members: Sequence[int]
 ) -> None:
-    """Draw how far every marker is from where it began, and what was cut out or left out."""
+    """Draw the displacement of every marker since the start, and excluded readings and trials."""
     from matplotlib import colormaps
 
     out = set(recipe.leave_out or ())
@@ -332,28 +332,28 @@ def _markers(
         track = piece.recording.tracks[0]
         part = _thinned(track.times)
         for place, j in enumerate(members):
-            here = track.positions[part, j]
-            seen = np.flatnonzero(np.isfinite(here[:, 0]))
-            if not len(seen):
+            path = track.positions[part, j]
+            visible = np.flatnonzero(np.isfinite(path[:, 0]))
+            if not len(visible):
                 continue
-            away = 1e3 * np.linalg.norm(here - here[seen[0]], axis=1)
+            distance = 1e3 * np.linalg.norm(path - path[visible[0]], axis=1)
             shade = colours(TIP_SHADE * place / max(len(members) - 1, 1))
-            axes.plot(begin + track.times[part], away, color=shade, linewidth=1.0)
+            axes.plot(begin + track.times[part], distance, color=shade, linewidth=1.0)
             mine = piece.cut.markers == j
-            far = 1e3 * np.linalg.norm(piece.cut.places[mine] - here[seen[0]], axis=1)
+            far = 1e3 * np.linalg.norm(piece.cut.places[mine] - path[visible[0]], axis=1)
             cut.append(np.column_stack([begin + piece.cut.times[mine], far]))
     if sum(map(len, cut)):
         when, far = np.concatenate(cut).T
-        top = axes.get_ylim()[1]  # where what is far off lies
-        look: dict[str, Any] = {'color': LEFT_OUT, 'markersize': 6.0, 'clip_on': False}
-        axes.plot(when, np.minimum(far, top), 'x', zorder=3.0, **look)
+        top = axes.get_ylim()[1]  # distant readings are drawn at the upper edge
+        style: dict[str, Any] = {'color': LEFT_OUT, 'markersize': 6.0, 'clip_on': False}
+        axes.plot(when, np.minimum(far, top), 'x', zorder=3.0, **style)
         axes.set_ylim(top=top)
     _shade(axes, measured)
     segments = iter(measured.segments)
     for begin, piece in _pieces(measured):
         for one in (next(segments) for _ in piece.segments):
             if (one.posture, one.trial) in out:
-                axes.axvspan(begin + one.begin, begin + one.end, **LEFT_OUT_LOOK)
+                axes.axvspan(begin + one.begin, begin + one.end, **EXCLUDED_STYLE)
     axes.set_ylabel('markers moved [mm]')
     axes.set_xlabel('time [s]' if recipe.time else 'row')
     axes.margins(x=0.0)

@@ -1,4 +1,4 @@
-"""Tables to a data set in the robot's frame, with all that was taken, dropped and assumed."""
+"""Convert tables to a data set in the robot's frame, with every choice and exclusion."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from ..data.recording.still_segments import Segment
 from ..data.visits import split_by_order
 from ..effects import Catalogue, CatalogueLike, load_catalogue
 from ..robot import Robot, RobotLike, load_robot
-from .choices import Taken, choose_columns
+from .choices import Selection, choose_columns
 from .columns import TRACKER_NOISE_M, FloatArray, RawTable, from_frame, marker_label
 from .imported import ImportedTable
 from .markers import AS_GIVEN, MarkerOrder, flag_columns, order_markers, places_contradicted
@@ -87,57 +87,57 @@ def import_table(
     ups = {table.up for table in tables} - {None}  # of the files, where their format has one
     if not is_up_given and len(ups) == 1:
         recipe = replace(recipe, up=ups.pop())
-    taken = choose_columns(tables, robot, recipe)
-    columns = {use.column for use in (taken.recipe.inputs or {}).values()}
-    columns |= {c for marker in taken.recipe.markers or () for c in marker.columns}
-    # parts of a file of which nothing is taken are left out
+    chosen = choose_columns(tables, robot, recipe)
+    columns = {use.column for use in (chosen.recipe.inputs or {}).values()}
+    columns |= {c for marker in chosen.recipe.markers or () for c in marker.columns}
+    # parts of a file without any column in use are excluded
     used = [t for t in tables if not t.part or columns & set(t.names)]
     show(STEPS[1], 1, len(STEPS))
-    taken = follow_renumbered(used, taken, robot.length)
-    measured = measure(make_traces(used, taken, robot.length), taken, robot)
+    chosen = follow_renumbered(used, chosen, robot.length)
+    measured = measure(make_traces(used, chosen, robot.length), chosen, robot)
     name = tables[0].name
-    places = [marker.arc_length for marker in taken.recipe.markers or ()]
+    places = [marker.arc_length for marker in chosen.recipe.markers or ()]
     if None in places or not places:
         positions = np.array([one.positions for one in measured.segments])
-        order = order_markers(positions, robot, taken.recipe.places, name)
-    else:  # a recipe says where each of them is
+        order = order_markers(positions, robot, chosen.recipe.places, name)
+    else:  # the recipe gives their arc lengths
         arc_lengths = tuple(place for place in places if place is not None)
         order = MarkerOrder(tuple(range(len(places))), arc_lengths, AS_GIVEN)
-    raw, markers = _in_tracker_frame(measured, taken, order, robot, name)
+    raw, markers = _in_tracker_frame(measured, chosen, order, robot, name)
     show(STEPS[2], 2, len(STEPS))
     catalogue = load_catalogue(catalogue)
     up_assumed: list[str] = []
     if not is_up_given:
         predictor = Predictor(raw, robot, catalogue)
-        up, up_assumed = up_that_fits(raw, predictor, taken.recipe.frame, recipe.up)
-        taken = replace(taken, recipe=replace(taken.recipe, up=up))
-    placed = place(raw, taken.recipe, catalogue)
-    final, frame, left_out = placed.dataset, placed.frame, placed.left_out
+        up, up_assumed = up_that_fits(raw, predictor, chosen.recipe.frame, recipe.up)
+        chosen = replace(chosen, recipe=replace(chosen.recipe, up=up))
+    placed = place(raw, chosen.recipe, catalogue)
+    final, frame, excluded = placed.dataset, placed.frame, placed.left_out
     show(STEPS[3], 3, len(STEPS))
     predicted = Predictor(final, final.robot, catalogue).markers({})
-    assert predicted is not None  # it was, before
+    assert predicted is not None  # this robot had equilibria in these postures above
     return ImportedTable(
         dataset=final,
-        recipe=_written_out(taken.recipe, tables, markers, measured, frame, left_out),
-        taken=taken,
+        recipe=_written_out(chosen.recipe, tables, markers, measured, frame, excluded),
+        taken=chosen,
         measured=measured,
         order=order,
         frame=frame,
         source=', '.join(f'{t.name} ({len(t):,} rows of {len(t.names)} columns)' for t in tables),
         predicted=predicted,
-        dropped=(*_columns_dropped(taken, tables), *measured.dropped, *placed.dropped),
+        dropped=(*_columns_dropped(chosen, tables), *measured.dropped, *placed.dropped),
         assumed=(
-            *taken.assumed,
+            *chosen.assumed,
             *measured.assumed,
             *up_assumed,
-            *_markers_assumed(order, taken),
+            *_markers_assumed(order, chosen),
         ),
         look=(
-            *taken.look,
-            *_history_look(final, measured, order, frame, taken.recipe, catalogue),
-            *placed.look,
-            *_places_look(final),
-            *(() if placed.frame_look else _offset_look(final, predicted, catalogue)),
+            *chosen.warnings,
+            *_history_warnings(final, measured, order, frame, chosen.recipe, catalogue),
+            *placed.warnings,
+            *_place_warnings(final),
+            *(() if placed.frame_warnings else _offset_warnings(final, predicted, catalogue)),
         ),
     )
 
@@ -148,9 +148,9 @@ def _written_out(
     markers: tuple[MarkerColumns, ...],
     measured: StillMeasurements,
     frame: TrackerFrame,
-    left_out: tuple[tuple[str, str], ...],
+    excluded: tuple[tuple[str, str], ...],
 ) -> Recipe:
-    """Return the recipe with every choice, so that nothing is guessed the next time."""
+    """Return the recipe with every choice, so that it reproduces this import without guesses."""
     x, y, z = frame.shift.tolist()
     return replace(
         recipe,
@@ -163,7 +163,7 @@ def _written_out(
         delay=measured.delays or None,
         drift=measured.drifts if any(measured.drifts) else None,
         frame=FrameChoice(frame.method, rotation_vector(frame.rotation), (x, y, z)),
-        leave_out=left_out,
+        leave_out=excluded,
     )
 
 
@@ -172,10 +172,10 @@ def _tables(source: Any, recipe: Recipe) -> list[RawTable]:
         source = [source]
     if not isinstance(source, list | tuple) or not all(map(_is_table, source)):
         raise refusal('tables', 'the path of a table, a DataFrame, or a list of these', source)
-    found = list(source) or list(recipe.sources)
-    if not found:
+    sources = list(source) or list(recipe.sources)
+    if not sources:
         raise DataSetError('tables', 'none is named', 'name a .csv, .parquet or .c3d file')
-    read = [read_tables(s) if isinstance(s, str | Path) else [from_frame(s)] for s in found]
+    read = [read_tables(s) if isinstance(s, str | Path) else [from_frame(s)] for s in sources]
     return [widened(table) for tables in read for table in tables]
 
 
@@ -184,16 +184,16 @@ def _is_table(source: object) -> bool:
 
 
 def _in_tracker_frame(
-    measured: StillMeasurements, taken: Taken, order: MarkerOrder, robot: Robot, name: str
+    measured: StillMeasurements, chosen: Selection, order: MarkerOrder, robot: Robot, name: str
 ) -> tuple[DataSet, tuple[MarkerColumns, ...]]:
-    """Put the segments together; positions stay in the tracker's frame."""
-    known = taken.recipe.markers or ()
+    """Assemble the segments to a data set; positions stay in the tracker's frame."""
+    known = chosen.recipe.markers or ()
     markers = tuple(
         replace(
             known[j],
             name=known[j].name or str(i + 1),
             arc_length=arc_length,
-            offset=taken.recipe.offset or known[j].offset,
+            offset=chosen.recipe.offset or known[j].offset,
         )
         for i, (j, arc_length) in enumerate(zip(order.members, order.arc_lengths, strict=True))
     )
@@ -203,28 +203,28 @@ def _in_tracker_frame(
         replace(one, positions=one.positions[members], orientations=one.orientations[members])
         for one in measured.segments
     ]
-    path = SEQUENCE if taken.recipe.path == VISITS else taken.recipe.path
-    described = Description(taken.kind, path, None, None, 0.0, 0.0, None, {}, placed)
+    path = SEQUENCE if chosen.recipe.path == VISITS else chosen.recipe.path
+    described = Description(chosen.kind, path, None, None, 0.0, 0.0, None, {}, placed)
     dataset = segments_dataset(name, segments, robot, described, placed)
-    if taken.recipe.path == VISITS:
+    if chosen.recipe.path == VISITS:
         dataset = as_visits(dataset, segments, measured.begins)
     return dataset, markers
 
 
-def _columns_dropped(taken: Taken, tables: Sequence[RawTable]) -> list[str]:
-    markers = [point for marker in taken.recipe.markers or () for point in marker.points]
+def _columns_dropped(chosen: Selection, tables: Sequence[RawTable]) -> list[str]:
+    markers = [point for marker in chosen.recipe.markers or () for point in marker.points]
     flags = {name.column for t in tables for name, _, _ in flag_columns(t, markers)}
-    names = [column for column in taken.unused if column not in flags]
-    lines = [f'no markers: {line}' for line in taken.left_aside]
+    names = [column for column in chosen.unused if column not in flags]
+    lines = [f'no markers: {line}' for line in chosen.unused_points]
     if not names:
         return lines
     shown = listed(names[:8]) if len(names) <= 8 else f'{", ".join(names[:8])} and more'
     return [*lines, f'{len(names)} columns: {shown}']
 
 
-def _markers_assumed(order: MarkerOrder, taken: Taken) -> list[str]:
+def _markers_assumed(order: MarkerOrder, chosen: Selection) -> list[str]:
     lines = [] if order.reason == AS_GIVEN else [order.reason]
-    labels = [marker_label(marker.columns) for marker in taken.recipe.markers or ()]
+    labels = [marker_label(marker.columns) for marker in chosen.recipe.markers or ()]
     if order.off_arm:
         names = listed(labels[j] for j in order.off_arm)
         lines.append(f'{names}: below the base, not on the arm')
@@ -237,7 +237,7 @@ def _markers_assumed(order: MarkerOrder, taken: Taken) -> list[str]:
     return lines
 
 
-def _history_look(
+def _history_warnings(
     dataset: DataSet,
     measured: StillMeasurements,
     order: MarkerOrder,
@@ -245,8 +245,8 @@ def _history_look(
     recipe: Recipe,
     catalogue: Catalogue,
 ) -> list[str]:
-    """Say what contradicts the assumed history: from where the arm came to its postures."""
-    lines = [*measured.look, *frames_only(dataset)]
+    """Return contradictions of the assumed history, that is the posture before each posture."""
+    lines = [*measured.warnings, *frames_only(dataset)]
     if recipe.path != FROM_STRAIGHT or measured.rest or recipe.time is None:
         return lines
     segments = measured.segments
@@ -254,14 +254,14 @@ def _history_look(
     if not path_dependence(segments, measured.begins, places):
         return lines
     slopes = input_slopes(Predictor(dataset, dataset.robot, catalogue), {})
-    share = input_effect(dataset, slopes) @ frame.rotation  # in the tracker's frame
+    shift = input_effect(dataset, slopes) @ frame.rotation  # in the tracker's frame
     rows = [dataset.postures.index(one.posture) for one in segments]
     columns = [dataset.trial_names.index(one.trial) for one in segments]
-    return [*lines, *path_dependence(segments, measured.begins, places - share[rows, columns])]
+    return [*lines, *path_dependence(segments, measured.begins, places - shift[rows, columns])]
 
 
-def _places_look(dataset: DataSet) -> list[str]:
-    """Say that markers cannot sit where they would: the arm is longer, or they are others."""
+def _place_warnings(dataset: DataSet) -> list[str]:
+    """Return contradictions between marker motion and the assumed arc lengths."""
     first = dataset.markers[0]
     places = dataset.mean[:, 0]
     lines = places_contradicted(dataset)
@@ -278,8 +278,8 @@ def _places_look(dataset: DataSet) -> list[str]:
     ]
 
 
-def _offset_look(dataset: DataSet, predicted: FloatArray, catalogue: Catalogue) -> list[str]:
-    """Say where markers seem to sit beside the backbone, though nobody said so."""
+def _offset_warnings(dataset: DataSet, predicted: FloatArray, catalogue: Catalogue) -> list[str]:
+    """Return a line if markers seem to sit beside the backbone although no offset is given."""
     if np.any(dataset.offsets):
         return []
     moved = []
@@ -304,7 +304,7 @@ def path_dependence(
     segments: Sequence[Segment], begins: Sequence[int], places: FloatArray
 ) -> list[str]:
     """
-    Say that trials of a posture differ by the posture that the arm came from.
+    Return a line if trials of a posture differ with the posture before it.
 
     Parameters
     ----------
@@ -346,7 +346,7 @@ def path_dependence(
 
 def as_visits(dataset: DataSet, segments: Sequence[Segment], begins: Sequence[int]) -> DataSet:
     """
-    Return the postures of a data set apart by the posture before, as visits in their order.
+    Split the postures of a data set by the posture before, as visits in their order.
 
     Parameters
     ----------
@@ -372,7 +372,7 @@ def as_visits(dataset: DataSet, segments: Sequence[Segment], begins: Sequence[in
 
 
 def frames_only(dataset: DataSet) -> list[str]:
-    """Say that the noise is that of frames, where no posture has trials of the same history."""
+    """Return a line if only the noise between frames is known: no history has two trials."""
     known = dataset.position_noise is None or dataset.trials.max(initial=0) > 1
     if known or dataset.path == FROM_STRAIGHT:
         return []

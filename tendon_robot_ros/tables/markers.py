@@ -1,8 +1,8 @@
 """
-Which columns are markers of the arm, and where on the arm each marker is.
+The columns that are markers of the arm, and the arc length of each marker.
 
 Markers are named triples of columns, centres of rims, or bodies; other columns say whether a
-marker was seen (State of NDI, visible, occluded and the like).
+marker was visible (State of NDI, visible, occluded and the like).
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ CHOICES = ('markers', 'rims', 'bodies')
 # [1] of the widest distance on a rim, by which noise changes distances, because that of a tracker,
 # 0.3 mm, is less even across 10 mm
 RIM_TOLERANCE = 0.05
-# [1] that tell whether markers are fixed to each other, because more say the same
+# [1] that show whether markers are fixed to each other, because more show nothing else
 FRAMES_MAX = 500
 NAMELESS = ('unlabeled', 'unlabelled', 'unidentified', 'ghost')
-# words of the name of a column that says whether a marker was seen, then of what stands in it
-SEEN = {'visible', 'visibility', 'seen', 'valid', 'tracked', 'detected'}  # 0: it was not
-HIDDEN = {'occluded', 'occlusion', 'hidden', 'missing', 'lost', 'invalid'}  # 0: it was seen
+# words in the name of a column that says whether a marker was visible, then in its cells
+VISIBLE = {'visible', 'visibility', 'seen', 'valid', 'tracked', 'detected'}  # 0: hidden
+HIDDEN = {'occluded', 'occlusion', 'hidden', 'missing', 'lost', 'invalid'}  # 0: visible
 STATE = {'state', 'status'}  # in words
 YES, NO = {'1', 'true', 'yes', 'y', 't'}, {'0', 'false', 'no', 'n', 'f'}
 LOST = HIDDEN | {'disabled', 'unseen', 'untracked', 'out', 'not', 'bad', 'none', 'unknown'}
@@ -55,27 +55,27 @@ LOST = HIDDEN | {'disabled', 'unseen', 'untracked', 'out', 'not', 'bad', 'none',
 @dataclass(frozen=True)
 class Points:
     """
-    The points that are taken.
+    The selected points.
 
     Attributes
     ----------
     columns : tuple of tuple of str
         Of each point x, y, z; of three or more markers on a rim all of theirs.
     note : str
-        What they are, and what else could be taken; '' where there is no choice.
+        What they are, and the alternatives; '' if there is none.
     aside : tuple of str
-        Triples that are not used, by what they are.
-    share_aside : float
+        Triples that are not used, by quantity.
+    unused_fraction : float
         Fraction of the triples that are not used, except those that an export names.
     nameless : tuple of tuple of str
-        Markers without a name among these; a named one that was lost may go on in them.
+        Those without a name: a named marker that was lost may continue in one of them.
 
     """
 
     columns: tuple[tuple[str, ...], ...]
     note: str
     aside: tuple[str, ...]
-    share_aside: float
+    unused_fraction: float
     nameless: tuple[tuple[str, str, str], ...]
 
 
@@ -89,7 +89,7 @@ def choose_points(tables: Sequence[RawTable], choice: str | None) -> Points:
     Raises
     ------
     DataSetError
-        No triple is a place, or none is of the kind that was asked for.
+        No triple is a position, or none is of the requested kind.
 
     """
     candidates = [(triple, table) for table in tables for triple in triples_of(table)]
@@ -106,8 +106,8 @@ def choose_points(tables: Sequence[RawTable], choice: str | None) -> Points:
     named = [(t, table) for t, table in places if not _is_nameless(t)]
     unnamed = [(t, table) for t, table in places if _is_nameless(t)]
     if not named:
-        shares = [np.isfinite(_places(*one)).all(axis=1).mean() for one in unnamed]
-        named = [one for one, seen in zip(unnamed, shares, strict=True) if seen >= 0.5]
+        fractions = [np.isfinite(_places(*one)).all(axis=1).mean() for one in unnamed]
+        named = [one for one, fraction in zip(unnamed, fractions, strict=True) if fraction >= 0.5]
         named = named or unnamed
     kept = {t.columns for t, _ in named}
     unnamed = [one for one in unnamed if one[0].columns not in kept]
@@ -122,33 +122,33 @@ def choose_points(tables: Sequence[RawTable], choice: str | None) -> Points:
         'rims': [*(tuple(t.columns for t in rim) for rim in rims), *single] if rims else [],
         'bodies': [(t.columns,) for t, _ in groups[BODY]],
     }
-    taken = choice or ('rims' if rims else 'markers')
-    if choice is None and len(options['bodies']) > len(options[taken]):
-        taken = 'bodies'
-    if not options[taken]:
+    mode = choice or ('rims' if rims else 'markers')
+    if choice is None and len(options['bodies']) > len(options[mode]):
+        mode = 'bodies'
+    if not options[mode]:
         known = [name for name in CHOICES if options[name]]
         raise DataSetError(
-            tables[0].name, f'holds no {taken} (--points {taken})', f'use one of {listing(known)}'
+            tables[0].name, f'holds no {mode} (--points {mode})', f'use one of {listing(known)}'
         )
-    used = {columns for point in options[taken] for columns in point}
+    used = {columns for point in options[mode] for columns in point}
     unused = [t for t, _ in named if t.columns not in used]
     aside = [*_by_quantity(unused), *_by_quantity(others)]
     unknown = [t for t, table in candidates if not table.kinds and t in others]
     dropped = len(unnamed) + len(unknown)
     nameless = tuple(t.columns for t, _ in unnamed)
-    columns = tuple(tuple(c for three in point for c in three) for point in options[taken])
-    other_choices = [name for name in CHOICES if options[name] and name != taken]
+    columns = tuple(tuple(c for three in point for c in three) for point in options[mode])
+    other_choices = [name for name in CHOICES if options[name] and name != mode]
     note = {
         'markers': 'the markers are taken, each by itself',
         'bodies': 'the origins of bodies are taken',
         'rims': 'markers that are fixed to each other around a circle are the rim of a disk and '
         f'give its centre: {listing(marker_label(c) for c in columns if len(c) > 3)}',
-    }[taken] + f' (otherwise say --points {" or ".join(other_choices)})'
+    }[mode] + f' (otherwise say --points {" or ".join(other_choices)})'
     return Points(
         columns=columns,
         note=note if other_choices else '',
         aside=tuple(aside),
-        share_aside=dropped / (dropped + len(used)),
+        unused_fraction=dropped / (dropped + len(used)),
         nameless=nameless,
     )
 
@@ -177,7 +177,7 @@ def _places(triple: Triple, table: RawTable) -> FloatArray:
 
 
 def _rims(markers: Sequence[tuple[Triple, RawTable]]) -> list[list[Triple]]:
-    """Return the markers of each body or beginning of a name that are fixed around a circle."""
+    """Return the markers that form a rim: of one body or prefix, at fixed places on a circle."""
     groups: dict[str, list[tuple[Triple, RawTable]]] = {}
     for triple, table in markers:
         body, mark, _ = triple.columns[0].rpartition(':')
@@ -190,17 +190,17 @@ def _rims(markers: Sequence[tuple[Triple, RawTable]]) -> list[list[Triple]]:
 
 
 def _is_rim(places: FloatArray) -> bool:
-    """Tell whether markers (T, K, 3) keep their distances, and lie around a circle."""
-    seen = places[np.isfinite(places).all(axis=(1, 2))]
-    if not len(seen):
+    """Return whether markers (T, K, 3) keep their distances and lie on a circle."""
+    visible = places[np.isfinite(places).all(axis=(1, 2))]
+    if not len(visible):
         return False
-    i, j = np.triu_indices(seen.shape[1], 1)
-    apart = np.linalg.norm(seen[:, i] - seen[:, j], axis=2)
+    i, j = np.triu_indices(visible.shape[1], 1)
+    apart = np.linalg.norm(visible[:, i] - visible[:, j], axis=2)
     usual = np.median(apart, axis=0)
     spread = np.percentile(apart, 90, axis=0) - np.percentile(apart, 10, axis=0)
     if not (spread <= RIM_TOLERANCE * usual.max()).all():
         return False
-    one = seen[np.argmin(np.abs(apart - usual).max(axis=1))][None]
+    one = visible[np.argmin(np.abs(apart - usual).max(axis=1))][None]
     centre = circle_centres(one)
     radii = np.linalg.norm(one[0] - centre, axis=1)
     return bool(
@@ -219,27 +219,27 @@ def circle_centres(points: FloatArray) -> FloatArray:
     if points.shape[1] == 1:
         return points[:, 0]
     centres = np.full((len(points), 3), np.nan)
-    seen = np.isfinite(points).all(axis=(1, 2))
-    middle = points[seen].mean(axis=1, keepdims=True)
-    _, _, axes = np.linalg.svd(points[seen] - middle, full_matrices=False)
+    complete = np.isfinite(points).all(axis=(1, 2))
+    middle = points[complete].mean(axis=1, keepdims=True)
+    _, _, axes = np.linalg.svd(points[complete] - middle, full_matrices=False)
     plane = axes[:, :2]  # (T, 2, 3)
-    flat = (points[seen] - middle) @ plane.transpose(0, 2, 1)  # (T, K, 2)
+    flat = (points[complete] - middle) @ plane.transpose(0, 2, 1)  # (T, K, 2)
     system = np.concatenate([2.0 * flat, np.ones((*flat.shape[:2], 1))], axis=2)
-    found = np.linalg.pinv(system) @ (flat**2).sum(axis=2)[..., None]
-    centres[seen] = middle[:, 0] + (found[:, :2].transpose(0, 2, 1) @ plane)[:, 0]
+    solution = np.linalg.pinv(system) @ (flat**2).sum(axis=2)[..., None]
+    centres[complete] = middle[:, 0] + (solution[:, :2].transpose(0, 2, 1) @ plane)[:, 0]
     return centres
 
 
 def kind_of_flag(name: ColumnName) -> set[str] | None:
-    """Return the words of which a column's name has one: `SEEN`, `HIDDEN` or `STATE`."""
-    return next((kind for kind in (SEEN, HIDDEN, STATE) if kind & set(name.words)), None)
+    """Return the set of words that the name matches: `VISIBLE`, `HIDDEN` or `STATE`; else None."""
+    return next((kind for kind in (VISIBLE, HIDDEN, STATE) if kind & set(name.words)), None)
 
 
 def flag_columns(
     table: RawTable, markers: Sequence[Sequence[str]]
 ) -> Iterator[tuple[ColumnName, set[str], list[int]]]:
     """
-    Find columns that say whether markers were seen.
+    Find the columns that say whether markers were visible.
 
     Parameters
     ----------
@@ -251,9 +251,9 @@ def flag_columns(
     ------
     name : ColumnName
     kind : set of str
-        `SEEN`, `HIDDEN` or `STATE`.
+        `VISIBLE`, `HIDDEN` or `STATE`.
     of : list of int
-        The markers that it is about: the one with the same words, all where it names none.
+        Indices of its markers: the one with the same words, or all if it names none.
 
     """
     names = names_of(table)
@@ -273,14 +273,14 @@ def flag_columns(
 
 
 def not_visible(table: RawTable, markers: Sequence[Sequence[str]]) -> dict[str, BoolArray]:
-    """Return, by why, the readings (R, J) that a column says were not seen."""
+    """Return masks (R, J) of the readings that a column marks as hidden, by reason."""
     masks = {}
     for name, kind, of in flag_columns(table, markers):
         if name.column in table.columns:
             values = table.columns[name.column]
-            hidden = values == 0.0 if kind is SEEN else np.nan_to_num(values) != 0.0
+            hidden = values == 0.0 if kind is VISIBLE else np.nan_to_num(values) != 0.0
         else:
-            known = {text: _says_hidden(text, kind) for text in set(table.texts[name.column])}
+            known = {text: _is_hidden(text, kind) for text in set(table.texts[name.column])}
             hidden = np.array([known[text] for text in table.texts[name.column]])
         if hidden.any() and not hidden.all():
             mask = np.zeros((len(table), len(markers)), dtype=bool)
@@ -293,15 +293,15 @@ def _words(words: Iterable[str]) -> tuple[str, ...]:
     return tuple(word for word in words if word not in FILLERS)
 
 
-def _says_hidden(text: str, kind: set[str]) -> bool:
+def _is_hidden(text: str, kind: set[str]) -> bool:
     words = set(text.lower().replace('_', ' ').split())
     if text in MISSING:
         return False
     if is_number(text):
-        return kind is not STATE and (float(text) == 0.0) == (kind is SEEN)
+        return kind is not STATE and (float(text) == 0.0) == (kind is VISIBLE)
     if words & LOST:
         return True
-    return bool(words & NO) if kind is SEEN else kind is HIDDEN and bool(words & YES)
+    return bool(words & NO) if kind is VISIBLE else kind is HIDDEN and bool(words & YES)
 
 
 AS_GIVEN = 'places as given'
@@ -327,7 +327,7 @@ class MarkerOrder:
     members: tuple[int, ...]
     arc_lengths: tuple[float, ...]  # [m]
     reason: str
-    off_arm: tuple[int, ...] = ()  # fixed beside the base, say
+    off_arm: tuple[int, ...] = ()  # for example fixed beside the base
     twice: tuple[int, ...] = ()
     unseen: tuple[int, ...] = ()  # in no still segment
 
@@ -353,19 +353,19 @@ def order_markers(
     Raises
     ------
     DataSetError
-        The markers do not fit on the arm, or their count is another one.
+        The markers do not fit on the arm, or their number differs from that of `given`.
 
     """
     unseen = tuple(np.flatnonzero(~np.isfinite(positions).any(axis=(0, 2))).tolist())
-    seen = [j for j in range(positions.shape[1]) if j not in unseen]
+    visible = [j for j in range(positions.shape[1]) if j not in unseen]
     apart = np.full((positions.shape[1],) * 2, -1.0)
-    apart[np.ix_(seen, seen)] = _distances(positions[:, seen])
+    apart[np.ix_(visible, visible)] = _distances(positions[:, visible])
     same = 2.0 * TRACKER_NOISE_M  # [m] never farther apart: one marker that was exported twice
-    twice = tuple(j for j in seen if any(0.0 <= apart[i, j] < same for i in seen if i < j))
-    members = [j for j in seen if j not in twice]
+    twice = tuple(j for j in visible if any(0.0 <= apart[i, j] < same for i in visible if i < j))
+    members = [j for j in visible if j not in twice]
     known = tuple(value for value in given if value is not None)
     if len(members) == 1:
-        if len(seen) > 2:  # two may be one, exported twice
+        if len(visible) > 2:  # two may be one, exported twice
             raise _no_arm(name, float(apart.max()), robot)
         if len(known) > 1:
             raise DataSetError(
@@ -457,11 +457,11 @@ def _distances(positions: FloatArray) -> FloatArray:
     """
     with np.errstate(invalid='ignore'):
         chords = np.linalg.norm(positions[:, :, None] - positions[:, None], axis=-1)
-    seen = np.isfinite(chords)
-    longest: FloatArray = np.where(seen, chords, -1.0).max(axis=0)
-    whole = np.where(seen.all(axis=(1, 2)), np.nan_to_num(chords).max(axis=(1, 2)), -1.0)
+    known = np.isfinite(chords)
+    longest: FloatArray = np.where(known, chords, -1.0).max(axis=0)
+    whole = np.where(known.all(axis=(1, 2)), np.nan_to_num(chords).max(axis=(1, 2)), -1.0)
     best = int(whole.argmax())
-    if whole[best] >= STRAIGHT_RATIO * longest.max():  # instead of the luckiest of many
+    if whole[best] >= STRAIGHT_RATIO * longest.max():  # maxima over many collect noise
         straightest: FloatArray = chords[best]
         return straightest
     return longest
@@ -481,15 +481,15 @@ def _lengths_to_tip(
     chords = np.linalg.norm(steps, axis=2)
     with np.errstate(invalid='ignore', divide='ignore'):
         along = steps / chords[..., None]
-        turns = angle_between(along[:, 1:], along[:, :-1])
-    turns = np.nan_to_num(turns)
-    beside = np.concatenate([turns[:, :1], turns, turns[:, -1:]], axis=1)
-    half = 0.25 * (beside[:, 1:] + beside[:, :-1]) if turns.shape[1] else np.zeros(chords.shape)
+        bends = angle_between(along[:, 1:], along[:, :-1])
+    bends = np.nan_to_num(bends)
+    beside = np.concatenate([bends[:, :1], bends, bends[:, -1:]], axis=1)
+    half = 0.25 * (beside[:, 1:] + beside[:, :-1]) if bends.shape[1] else np.zeros(chords.shape)
     arcs = chords / np.sinc(half / np.pi)
-    seen = np.isfinite(arcs)
-    total = np.where(seen, arcs, 0.0).sum(axis=0)
+    known = np.isfinite(arcs)
+    total = np.where(known, arcs, 0.0).sum(axis=0)
     longest = [apart[a, b] for a, b in pairwise(members)]
-    lengths = np.where(seen.any(axis=0), total / np.maximum(seen.sum(axis=0), 1), longest)
+    lengths = np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), longest)
     return np.append(np.cumsum(lengths[::-1])[::-1], 0.0)
 
 

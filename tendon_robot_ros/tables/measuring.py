@@ -1,4 +1,4 @@
-"""Traces to measurements: where the arm stood still, cleaned, named by posture and trial."""
+"""Traces to measurements: cleaned still segments, named by posture and trial."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from ..data.recording.still_segments import (
 )
 from ..data.tracker_faults import unseen_lines
 from ..robot import Robot
-from .choices import Taken
+from .choices import Selection
 from .columns import TRACKER_NOISE_M, FloatArray, marker_label
 from .recipe import Recipe
 from .traces import CutReadings, Traces, cut_out
@@ -59,7 +59,7 @@ def history_assumed(
     path: str, rest: float, timed: bool, counts: Sequence[tuple[int, int, float]]
 ) -> str:
     """
-    Say how the arm is taken to have come to its postures, and what to say if it did not.
+    Describe the assumed history of the postures, and the option to contradict it.
 
     `counts` are of `let_go_between`, recording by recording.
     """
@@ -71,7 +71,7 @@ def history_assumed(
 
 
 def _was_let_go(counts: Sequence[tuple[int, int, float]]) -> bool:
-    """Tell whether inputs were let go before most loaded postures, however short."""
+    """Return whether the inputs were released before most loaded postures, however briefly."""
     let_go, of = sum(count for count, _, _ in counts), sum(of for _, of, _ in counts)
     return of >= LOADED_MIN and let_go >= MOSTLY * of
 
@@ -80,7 +80,7 @@ def let_go_between(
     times: FloatArray, inputs: FloatArray, segments: Sequence[Segment], same: float
 ) -> tuple[int, int, float]:
     """
-    Count the loaded segments before which all inputs were let go since the last loaded one.
+    Count the loaded segments before which all inputs were released since the last loaded one.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def let_go_between(
     -------
     count, of : int
     level : float
-        [N] or [m] below which they were.
+        [N] or [m] below which an input counts as released.
 
     """
     sizes = np.nan_to_num(inputs).max(axis=1)
@@ -106,18 +106,18 @@ def let_go_between(
     if not loaded.any():
         return 0, 0, lowest
     level = lowest + max(same, LET_GO_FRACTION * float(own[loaded].min() - lowest))
-    there = [one for one, is_loaded in zip(segments, loaded, strict=True) if is_loaded]
+    loaded_segments = [one for one, is_loaded in zip(segments, loaded, strict=True) if is_loaded]
     count = 0
-    for before, after in pairwise(there):
+    for before, after in pairwise(loaded_segments):
         begin, end = np.searchsorted(times, [before.end, after.begin])
         count += bool(sizes[begin:end].min(initial=np.inf) < level)
-    return count, len(there) - 1, level
+    return count, len(loaded_segments) - 1, level
 
 
 def history_contradicted(
     path: str, counts: Sequence[tuple[int, int, float]], unit: str
 ) -> list[str]:
-    """Say that an arm that was let go before its postures did not come from one to the next."""
+    """Return a line if the inputs were released between postures although `path` denies it."""
     if path == FROM_STRAIGHT or not _was_let_go(counts):
         return []
     let_go, of = sum(count for count, _, _ in counts), sum(of for _, of, _ in counts)
@@ -152,7 +152,7 @@ REST_FRACTION = 0.3
 
 @dataclass(frozen=True)
 class Piece:
-    """One recording: what it held, how the arm moved, and where it stood still."""
+    """One recording: its content, the motion of the arm, and its still segments."""
 
     recording: Recording
     inputs: FloatArray  # (T, m) [N] or [m]
@@ -164,7 +164,7 @@ class Piece:
 
 @dataclass(frozen=True)
 class StillMeasurements:
-    """The measurements of all recordings in the tracker's frame, and what was dropped."""
+    """The measurements of all recordings in the tracker's frame, and the excluded readings."""
 
     pieces: tuple[Piece, ...]
     segments: tuple[Segment, ...]
@@ -175,7 +175,7 @@ class StillMeasurements:
     drifts: tuple[float, ...]  # [s/s] that its clock loses
     dropped: tuple[str, ...]
     assumed: tuple[str, ...]
-    look: tuple[str, ...] = ()  # markers exchanged, what contradicts how the arm is said to come
+    warnings: tuple[str, ...] = ()  # exchanged markers, contradictions of the assumed history
 
     @property
     def begins(self) -> list[int]:
@@ -184,7 +184,7 @@ class StillMeasurements:
         return np.cumsum([0, *counts[:-1]]).tolist()
 
 
-def measure(traces: Sequence[Traces], taken: Taken, robot: Robot) -> StillMeasurements:
+def measure(traces: Sequence[Traces], chosen: Selection, robot: Robot) -> StillMeasurements:
     """
     Find the still segments of all recordings, and name them by posture and trial.
 
@@ -194,7 +194,7 @@ def measure(traces: Sequence[Traces], taken: Taken, robot: Robot) -> StillMeasur
         The arm never stands still, or an input is in another unit.
 
     """
-    recipe, kind = taken.recipe, taken.kind
+    recipe, kind = chosen.recipe, chosen.kind
     unit = 'N' if kind == 'tension' else 'm'
     rule = Rule(recipe.speed or SPEED_LIMITS_M_S[0], recipe.duration, recipe.change)
     rule = rule.fill(robot, kind)
@@ -261,7 +261,7 @@ def measure(traces: Sequence[Traces], taken: Taken, robot: Robot) -> StillMeasur
         tuple(dropped),
         tuple(assumed),
         (
-            *(f'{one.recording.name}: {said}' for one in traces for said in one.exchanged),
+            *(f'{one.recording.name}: {line}' for one in traces for line in one.exchanged),
             *history_contradicted(recipe.path, counts, unit),
         ),
     )
@@ -305,7 +305,7 @@ def _without_peaks(moved: ArmMotion) -> ArmMotion:
 def _still_rule(
     motions: Sequence[ArmMotion], traces: Sequence[Traces], rule: Rule, recipe: Recipe
 ) -> Rule:
-    """Return what counts as still for the noise that this tracker and these load cells have."""
+    """Return the thresholds of stillness for the noise of this tracker and these load cells."""
     speeds = np.concatenate([m.speed[np.isfinite(m.speed)] for m in motions])
     changes = np.concatenate([m.change[np.isfinite(m.change)] for m in motions])
     if recipe.speed is None and len(speeds):
@@ -314,7 +314,7 @@ def _still_rule(
     if recipe.change is None and len(changes):
         size = max(float(np.nanquantile(np.abs(one.inputs), 0.995)) for one in traces)
         quiet = NOISE_MARGIN * float(np.quantile(changes, QUIET_FRACTION))
-        low, high = (share * max(size, 1e-9) for share in CHANGE_FRACTIONS)
+        low, high = (fraction * max(size, 1e-9) for fraction in CHANGE_FRACTIONS)
         rule = replace(rule, change=float(f'{np.clip(quiet, low, high):.3g}'))
     return rule
 
@@ -332,14 +332,14 @@ def _piece(traces: Traces, moved: ArmMotion | None, rule: Rule) -> Piece:
         return Piece(recording, inputs, None, rows, (), CutReadings.none())
     cleaned, cut = _without_jumps(recording, still_stretches(moved, rule))
     segments, _ = find_segments(cleaned, inputs, moved, rule, sequence=True)
-    seen = [one for one in segments if np.isfinite(one.positions).any()]
-    return Piece(recording, inputs, moved, tuple(seen), (), cut + traces.cut)
+    visible = [one for one in segments if np.isfinite(one.positions).any()]
+    return Piece(recording, inputs, moved, tuple(visible), (), cut + traces.cut)
 
 
 def _without_jumps(
     recording: Recording, stretches: Sequence[tuple[float, float]]
 ) -> tuple[Recording, CutReadings]:
-    """Cut out frames in which a marker is far from where it is in the others of a stretch."""
+    """Exclude frames in which a marker is far from its median in a still stretch."""
     track = recording.tracks[0]
     positions = track.positions.copy()
     cut = CutReadings.none()
@@ -347,15 +347,15 @@ def _without_jumps(
         inside = slice(*np.searchsorted(track.times, [begin - 1e-9, end + 1e-9]))
         times, frames = track.times[inside], positions[inside]  # views: positions change
         for j in range(frames.shape[1]):
-            seen = np.flatnonzero(np.isfinite(frames[:, j, 0]))
-            if len(seen) < 0.5 * len(frames):  # the arm may have settled in the gap
+            known = np.flatnonzero(np.isfinite(frames[:, j, 0]))
+            if len(known) < 0.5 * len(frames):  # the arm may have settled in the gap
                 frames[:, j] = np.nan
-            if len(seen) < 5:
+            if len(known) < 5:
                 continue
-            away = np.linalg.norm(frames[seen, j] - np.median(frames[seen, j], axis=0), axis=1)
-            far = away > max(JUMP_DEVIATIONS * float(np.median(away)) / 1.54, TRACKER_NOISE_M)
+            off = np.linalg.norm(frames[known, j] - np.median(frames[known, j], axis=0), axis=1)
+            far = off > max(JUMP_DEVIATIONS * float(np.median(off)) / 1.54, TRACKER_NOISE_M)
             if far.any():
-                cut += cut_out(frames, times, j, seen[far])
+                cut += cut_out(frames, times, j, known[far])
     return replace(recording, tracks=(replace(track, positions=positions),)), cut
 
 
@@ -406,7 +406,7 @@ def _guess_rest(segments: Sequence[Segment], same: float) -> float:
 
 
 def _without_rest(piece: Piece, rest: float, first: bool) -> Piece:
-    """Take out the segments at rest; the very first one shows the straight arm and stays."""
+    """Exclude the segments at rest but the first one, which shows the straight arm."""
     if not rest:
         return piece
     resting = _sizes(piece.segments) < rest
@@ -421,7 +421,7 @@ def _without_rest(piece: Piece, rest: float, first: bool) -> Piece:
 
 
 def _dropped_lines(pieces: Sequence[Piece], labels: Sequence[str]) -> list[str]:
-    """Say what was not used."""
+    """Describe the excluded readings and segments."""
     lines = []
     resting = sum(len(piece.resting) for piece in pieces)
     if resting:

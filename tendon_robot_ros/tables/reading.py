@@ -34,7 +34,7 @@ from .columns import (
 from .headers import Head, first_row_of_data, maker_of, read_head, unnamed
 from .markers import kind_of_flag
 
-# ending -> whose files have it, and what to export instead
+# ending -> system that writes it, and the format to export instead
 MAKERS_OWN = {
     '.tak': ('Motive (OptiTrack)', 'export the take as CSV, with header information, or as C3D'),
     '.tra': ('Motive (OptiTrack)', 'export the take as CSV, with header information, or as C3D'),
@@ -54,7 +54,7 @@ UP_OF_SCREEN = {axis.upper(): axis for axis in ('x', 'y', 'z', '-x', '-y', '-z')
 UP_OF_SCREEN |= {f'+{axis}': axis.lower() for axis in 'XYZ'}
 BYTES_MAX = 1_000_000_000  # [1] bytes, so that a file and its numbers fit into memory
 HEAD = 1 << 16  # [1] bytes that show what kind of file it is, because no header is longer
-SAMPLE = 200  # [1] rows of a part that tell header from data, because no header is longer
+SAMPLE = 200  # [1] rows of a part that separate header and data, because no header is longer
 DELIMITERS = {';': 'semicolons', '\t': 'tabs', ',': 'commas'}  # commas may be decimal ones
 EMPTY_LINES = re.compile(rb'(?:\A|\n)(?:[ \t\r,;]*\n)+')  # between the parts of a file
 
@@ -146,7 +146,7 @@ def _read_text(shown: str, path: Path) -> list[RawTable]:
 
 
 def _delimiter(shown: str, head: bytes, encoding: str) -> str:
-    """Return what stands in most lines; a comma beside another delimiter is a decimal one."""
+    """Return the delimiter in most lines; a comma beside another delimiter is a decimal comma."""
     lines = [line for line in head.decode(encoding, errors='ignore').splitlines() if line.strip()]
     for mark in DELIMITERS:
         if 2 * sum(mark in line for line in lines) >= len(lines):
@@ -161,7 +161,7 @@ def _delimiter(shown: str, head: bytes, encoding: str) -> str:
 
 
 def _parts(shown: str, data: mmap.mmap, encoding: str, delimiter: str) -> list[TextPart]:
-    """Split a file where, below an empty line, another head begins."""
+    """Split a file at empty lines that are followed by another header."""
     parts: list[TextPart] = []
     head: list[tuple[int, list[str]]] = []
     for begin, end, line in _blocks(data):
@@ -187,7 +187,7 @@ def _parts(shown: str, data: mmap.mmap, encoding: str, delimiter: str) -> list[T
 
 
 def _blocks(data: mmap.mmap) -> Iterator[tuple[int, int, int]]:
-    """Yield first byte, end and first line of what stands between empty lines."""
+    """Yield first byte, end and first line of each block between empty lines."""
     begin = line = 0
     for gap in [*EMPTY_LINES.finditer(data), None]:
         end = len(data) if gap is None else gap.start() + (gap.start() > 0)
@@ -247,7 +247,7 @@ def _read_part(
 
 
 def _with_times(table: RawTable, head: Head) -> RawTable:
-    """Count the time of an export that only counts frames, and say what its maker leaves open."""
+    """Add times to an export that only counts frames, and the defaults of its system."""
     if head.maker is None:
         return table
     columns, units = dict(table.columns), dict(table.units)
@@ -304,7 +304,7 @@ def _count_rows(
     shown: str, raw: bytes, part: TextPart, encoding: str, delimiter: str
 ) -> int | None:
     """
-    Refuse a row with too few or too many cells; None: all rows are whole.
+    Refuse a row with too few or too many cells; None: all rows are complete.
 
     Delimiters are counted, which takes a tenth of the time of reading; only where they do not
     come out the rows are looked at one by one. Returns how many are whole where the last, as a
@@ -396,7 +396,7 @@ def _value(content: Any, group: str, key: str, default: Any) -> Any:
 
 
 def _apart(labels: Sequence[str]) -> list[str]:
-    """Return labels of which none stands twice: the second `disk` is `disk no 2`."""
+    """Make labels unique: the second `disk` becomes `disk no 2`."""
     apart: list[str] = []
     for label in labels:
         number, name = 1, label
@@ -408,7 +408,7 @@ def _apart(labels: Sequence[str]) -> list[str]:
 
 
 def _labels(content: Any, group: str, count: int) -> list[str]:
-    """Return the names of points or channels; more than 255 stand in several parameters."""
+    """Return the names of points or channels; beyond 255 they continue in further parameters."""
     parameters = content['parameters'].get(group, {})
     labels: list[str] = []
     for number in ('', *map(str, range(2, 10))):
@@ -428,7 +428,7 @@ MARKERS_MAX = 1000  # [1] different values of a column of names, because more ar
 
 def widened(table: RawTable) -> RawTable:
     """
-    Return a long table with a row for each time; one that is wide already as it is.
+    Convert a long table to a row for each time; a wide table is returned as it is.
 
     A table is long where it has one place in a row, and a column that says whose place it is:
     with several values, whose times overlap. Other columns that differ between rows of one time
@@ -445,11 +445,11 @@ def widened(table: RawTable) -> RawTable:
     frame = pandas().DataFrame({**table.columns, **{n: list(t) for n, t in table.texts.items()}})
     number = frame[time.column].to_numpy()
     if len(set(number)) == len(number):  # rows have times of their own
-        seen, count, number = set[Hashable](), 0, []  # a round has each marker once at most
+        in_round, count, number = set[Hashable](), 0, []  # a round has each marker once at most
         for value in frame[whose]:
-            if value in seen:
-                count, seen = count + 1, set()
-            seen.add(value)
+            if value in in_round:
+                count, in_round = count + 1, set()
+            in_round.add(value)
             number.append(count)
     keys = frame.assign(**{ROUND: number}).drop_duplicates([ROUND, whose])
     rounds = keys.groupby(ROUND, sort=True)
@@ -472,12 +472,12 @@ def widened(table: RawTable) -> RawTable:
 
 
 def _whose(table: RawTable, time: str) -> str | None:
-    """Return the column that says whose place a row holds, None for none."""
-    taken = {column for triple in triples_of(table) for column in triple.columns}
+    """Return the column that names the marker of each row, None if there is none."""
+    coordinates = {column for triple in triples_of(table) for column in triple.columns}
     stamps = _numbered(table, time)
     best, many = None, 1
     for name in names_of(table):
-        if not WHOSE & set(name.words) or name.column in taken or name.column == time:
+        if not WHOSE & set(name.words) or name.column in coordinates or name.column == time:
             continue
         if kind_of_flag(name) is not None:
             continue

@@ -125,7 +125,7 @@ class Recipe:
     robot: str | None = None
     time: Mapping[str, str] | None = None  # column -> unit; each table has one of them
     inputs: Mapping[str, ColumnUse] | None = None  # input -> its column
-    input_unit: str | None = None  # where columns are guessed; goes before what names say
+    input_unit: str | None = None  # of guessed columns; precedes units in their names
     time_unit: str | None = None
     zero: bool | None = None  # inputs count from their value when the arm first stands still
     spool: WireSpool = WireSpool()

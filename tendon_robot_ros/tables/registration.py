@@ -1,4 +1,4 @@
-"""Where the tracker's frame lies in that of the base, and measurements moved there."""
+"""Register the tracker's frame to the base frame, and transform measurements to it."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from ..common.rotations import (
     from_rotation_vector,
     rigid_fit,
     rotation_about,
+    rotation_angle,
     towards,
-    turn_angle,
     upright_fit,
 )
 from ..common.words import STANDARD_GRAVITY, listed, mm
@@ -88,7 +88,7 @@ class TrackerFrame:
 
     @property
     def is_contradicted(self) -> bool:
-        """Whether the frame as it is said to lie has a much larger residual than a free one."""
+        """Whether the frame under its constraints has a much larger residual than a free one."""
         return self.residual > CONTRADICTED_FACTOR * self.free + 2.0 * TRACKER_NOISE_M
 
     def tolerances(self, length: float) -> dict[str, float]:
@@ -117,7 +117,7 @@ def find_frame(
     dataset: DataSet, predictor: Predictor, choice: FrameChoice, up: str | None
 ) -> TrackerFrame:
     """
-    Find where the tracker's frame lies, from postures in that frame.
+    Estimate the pose of the tracker's frame from postures in that frame.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def find_frame(
     Raises
     ------
     InputError
-        The model has no equilibrium for a posture, or the method needs what is not there.
+        The model has no equilibrium for a posture, or data for the method are missing.
 
     """
     markers = predictor.markers({})
@@ -143,7 +143,7 @@ def find_frame(
             'stiffness in the robot description'
         )
     measured = dataset.mean
-    seen = np.isfinite(measured).all(axis=2)
+    visible = np.isfinite(measured).all(axis=2)
     gravity = np.array(predictor.robot.gravity or (0.0, 0.0, 0.0))
     has_verticals = up is not None and np.linalg.norm(gravity) > 0.0
     method = choice.method or ('level' if has_verticals else 'model')
@@ -153,7 +153,7 @@ def find_frame(
     elif method == 'base':
         rotation, shift = np.eye(3), np.zeros(3)
     elif method == 'straight':
-        rotation, shift = _straight(measured, markers, dataset, seen)
+        rotation, shift = _straight(measured, markers, dataset, visible)
     else:
         above = None  # where up is in the base frame, (3,)
         if method == 'level':
@@ -174,9 +174,9 @@ def find_frame(
         method,
         rms(off),
         rms(off[:, :2]),
-        rms(off[straight]) if seen[straight].any() else None,
-        _free_residual(measured[seen], markers[seen]),
-        _free_residual(measured[seen] * [1.0, 1.0, -1.0], markers[seen]),
+        rms(off[straight]) if visible[straight].any() else None,
+        _free_residual(measured[visible], markers[visible]),
+        _free_residual(measured[visible] * [1.0, 1.0, -1.0], markers[visible]),
     )
 
 
@@ -186,8 +186,8 @@ def up_that_fits(
     """
     Return the axis that points up, where only the file format suggests one, and assumptions.
 
-    A tracker may be set up otherwise: another axis is taken where with the usual one the
-    verticals contradict the postures, and with the other they do not.
+    Another axis is used if the verticals contradict the postures with the usual one and agree
+    with the other one, because a tracker may be set up differently.
     """
     gravity = predictor.robot.gravity
     if usual is None or gravity is None or not any(gravity) or choice.method or choice.rotation:
@@ -219,25 +219,25 @@ def _weighted(
     random, so that markers next to the base have the largest weights. How fast it grows is
     estimated from the residuals.
     """
-    seen = np.isfinite(measured).all(axis=2)
-    a, b = measured[seen], markers[seen]
-    weights = np.ones(seen.shape)
+    mask = np.isfinite(measured).all(axis=2)
+    a, b = measured[mask], markers[mask]
+    weights = np.ones(mask.shape)
     for _ in range(ROUNDS):
-        w = weights[seen]
+        w = weights[mask]
         if above is None or up is None:
             rotation, shift = rigid_fit(a, b, w)
         else:
             first = towards(above) @ towards(up_axis(up)).T  # the tracker's up onto the base's
             about, shift = upright_fit(a @ first.T, b, above, w)
             rotation = about @ first
-        squares = np.where(seen, ((measured @ rotation.T + shift - markers) ** 2).sum(axis=2), 0.0)
-        weights = np.broadcast_to(_weights(squares, seen, arc_lengths), seen.shape)
+        squares = np.where(mask, ((measured @ rotation.T + shift - markers) ** 2).sum(axis=2), 0.0)
+        weights = np.broadcast_to(_weights(squares, mask, arc_lengths), mask.shape)
     return rotation, shift
 
 
-def _weights(squares: FloatArray, seen: BoolArray, arc_lengths: FloatArray) -> FloatArray:
+def _weights(squares: FloatArray, visible: BoolArray, arc_lengths: FloatArray) -> FloatArray:
     """Return a weight (J,) [1/m²] for each marker, from squared distances (P, J) [m²]."""
-    cube = seen * arc_lengths**3
+    cube = visible * arc_lengths**3
     growth = float((squares * cube).sum() / (cube**2).sum())
     return np.asarray(1.0 / (TRACKER_NOISE_M**2 + growth * arc_lengths**3))
 
@@ -249,7 +249,7 @@ def side_offset(
     Return the offset [m] at which all markers seem to sit beside the backbone, None for none.
 
     Fitted together with a shift and a small rotation of the frame. A load that the model lacks
-    hides it: then nothing is said.
+    hides it: the result is then None.
 
     Parameters
     ----------
@@ -258,18 +258,18 @@ def side_offset(
     predicted : (P, J, 3) [m]
         The same markers by the model.
     sideways : two of (P, J, 3)
-        By what they move for each metre that they sit towards x and y.
+        Derivatives [m/m] of the markers by an offset along x and along y.
 
     """
     off = dataset.mean - predicted
-    seen = np.isfinite(off).all(axis=2)
-    squares = np.where(seen, (off**2).sum(axis=2), 0.0)
-    weight = np.sqrt(_weights(squares, seen, dataset.arc_lengths))
-    scale = np.broadcast_to(weight[None, :, None], off.shape)[seen].ravel()
+    visible = np.isfinite(off).all(axis=2)
+    squares = np.where(visible, (off**2).sum(axis=2), 0.0)
+    weight = np.sqrt(_weights(squares, visible, dataset.arc_lengths))
+    scale = np.broadcast_to(weight[None, :, None], off.shape)[visible].ravel()
     frame = [np.broadcast_to(axis, off.shape) for axis in np.eye(3)]
     frame += [np.cross(axis, predicted) for axis in np.eye(3)]
-    columns = np.array([column[seen].ravel() * scale for column in (*sideways, *frame)]).T
-    values = off[seen].ravel() * scale
+    columns = np.array([column[visible].ravel() * scale for column in (*sideways, *frame)]).T
+    values = off[visible].ravel() * scale
     estimate, without = (np.linalg.lstsq(a, values)[0] for a in (columns, columns[:, 2:]))
     residual, residual_before = values - columns @ estimate, values - columns[:, 2:] @ without
     x, y = estimate[:2].tolist()
@@ -286,30 +286,30 @@ def _free_residual(measured: FloatArray, markers: FloatArray) -> float:
 
 
 def _straight_postures(markers: FloatArray, dataset: DataSet) -> BoolArray:
-    """Tell which postures are straight by the model, (P,)."""
+    """Return which postures are straight according to the model, (P,)."""
     straight = np.zeros_like(markers)
     straight[..., 2] = dataset.arc_lengths
     off = np.linalg.norm(markers - straight - dataset.offsets, axis=2).max(axis=1)
-    found: BoolArray = off < STRAIGHT_TOLERANCE * dataset.robot.length
-    return found
+    is_straight: BoolArray = off < STRAIGHT_TOLERANCE * dataset.robot.length
+    return is_straight
 
 
 def _straight(
-    measured: FloatArray, markers: FloatArray, dataset: DataSet, seen: BoolArray
+    measured: FloatArray, markers: FloatArray, dataset: DataSet, visible: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Lay the straight posture onto +z, and find the rotation about it by the other postures."""
+    """Align the straight posture with +z, and fit the rotation about it to the other postures."""
     chosen = _straight_postures(markers, dataset)
-    use = seen & chosen[:, None]
+    use = visible & chosen[:, None]
     if use.sum() < 2:
         raise InputError(
             '--frame straight needs a posture in which the arm is straight with two markers seen'
         )
     points = measured[use]
-    arc = np.broadcast_to(dataset.arc_lengths, seen.shape)[use]
+    arc = np.broadcast_to(dataset.arc_lengths, visible.shape)[use]
     slope = (arc - arc.mean()) @ (points - points.mean(axis=0))
     first = towards(slope / np.linalg.norm(slope)).T
     middle = points.mean(axis=0)
-    a, b = (measured[seen] - middle) @ first.T, markers[seen] - arc.mean() * Z
+    a, b = (measured[visible] - middle) @ first.T, markers[visible] - arc.mean() * Z
     rotation = rotation_about(Z, a, b) @ first
     return rotation, arc.mean() * Z - rotation @ middle
 
@@ -327,8 +327,8 @@ def rotation_vector(rotation: FloatArray) -> Vector:
 
 
 def angle_of(frame: TrackerFrame) -> float:
-    """Return by how much the frame is turned [rad]."""
-    return turn_angle(frame.rotation)
+    """Return the rotation angle of the frame [rad]."""
+    return rotation_angle(frame.rotation)
 
 
 TRIALS_SHOWN = 6  # [1] of those that were left out, so that the line is read
@@ -341,16 +341,16 @@ GRAVITY_APART_MAX_RAD = 0.3
 
 @dataclass(frozen=True)
 class Placed:
-    """A data set in the base frame, and how it came there."""
+    """A data set in the base frame, and its registration."""
 
     dataset: DataSet
     frame: TrackerFrame
-    left_out: tuple[tuple[str, str], ...]  # posture, trial that the others contradict
-    gravity_look: tuple[str, ...]  # what should be checked about gravity
+    left_out: tuple[tuple[str, str], ...]  # (posture, trial) contradicted by the other trials
+    gravity_warnings: tuple[str, ...]  # contradictions about gravity
 
     @property
-    def frame_look(self) -> list[str]:
-        """Lines about contradictions of the frame."""
+    def frame_warnings(self) -> list[str]:
+        """Contradictions of the frame, a line each."""
         frame, length, lines = self.frame, self.dataset.robot.length, []
         known = frame.tolerances(length)
         if (
@@ -377,31 +377,31 @@ class Placed:
         return lines
 
     @property
-    def look(self) -> list[str]:
-        """Lines about what should be checked."""
-        return [*self.gravity_look, *self.frame_look]
+    def warnings(self) -> list[str]:
+        """Everything that should be checked, a line each."""
+        return [*self.gravity_warnings, *self.frame_warnings]
 
     @property
     def dropped(self) -> list[str]:
-        """Lines about trials that were left out."""
+        """The excluded trials, a line."""
         if not self.left_out:
             return []
         names = [f'posture {posture} trial {trial}' for posture, trial in self.left_out]
         more = len(names) - TRIALS_SHOWN
-        told = listed(names if more < 2 else [*names[:TRIALS_SHOWN], f'{more} more'])
-        return [f'{told}: the other trials contradict (a slipped tendon?)']
+        shown = listed(names if more < 2 else [*names[:TRIALS_SHOWN], f'{more} more'])
+        return [f'{shown}: the other trials contradict (a slipped tendon?)']
 
 
 def place(raw: DataSet, recipe: Recipe, catalogue: Catalogue) -> Placed:
     """
-    Find the tracker's frame, and leave out what its other trials contradict.
+    Register the tracker's frame, and exclude trials that the other trials contradict.
 
     Parameters
     ----------
     raw : DataSet
         In the tracker's frame.
     recipe : Recipe
-        Says `up`, `frame` and `leave_out`, as far as they are known.
+        With `up`, `frame` and `leave_out`, as far as they are known.
     catalogue : Catalogue
 
     Raises
@@ -428,12 +428,12 @@ def place(raw: DataSet, recipe: Recipe, catalogue: Catalogue) -> Placed:
         )
         if pairs:
             dataset, frame = placed(_without(raw, pairs))
-    gravity, look = _gravity(dataset, frame, recipe)
+    gravity, warnings = _gravity(dataset, frame, recipe)
     known = frame.tolerances(robot.length)  # so that a diagnosis may move it
     if choice.rotation is not None:  # a frame that is given comes with its tolerances
         known |= {key: robot.tolerances[key] for key in known if key in robot.tolerances}
     robot = replace(dataset.robot, tolerances={**dataset.robot.tolerances, **known})
-    return Placed(replace(dataset, gravity=gravity, robot=robot), frame, pairs, look)
+    return Placed(replace(dataset, gravity=gravity, robot=robot), frame, pairs, warnings)
 
 
 def _without(dataset: DataSet, pairs: Sequence[tuple[str, str]]) -> DataSet:
@@ -453,15 +453,15 @@ def _without(dataset: DataSet, pairs: Sequence[tuple[str, str]]) -> DataSet:
 def _gravity(
     dataset: DataSet, frame: TrackerFrame, recipe: Recipe
 ) -> tuple[tuple[float, float, float] | None, tuple[str, ...]]:
-    """Return gravity by the tracker where the robot has none, and contradictions of both."""
+    """Return gravity from the tracker if the robot has none, and contradictions between both."""
     known = dataset.robot.gravity
     if recipe.up is None:
-        told = 'where down is: say --up (y for OptiTrack, z for most others)'
-        return None, (f'nothing says {told}',) if known is None else ()
-    seen = gravity_of(frame, recipe.up)
+        missing = 'where down is: say --up (y for OptiTrack, z for most others)'
+        return None, (f'nothing says {missing}',) if known is None else ()
+    by_up = gravity_of(frame, recipe.up)
     if known is None or not np.linalg.norm(known):
-        at = ', '.join(f'{g:.2g}' for g in seen)
-        return (seen if known is None else None), (
+        at = ', '.join(f'{g:.2g}' for g in by_up)
+        return (by_up if known is None else None), (
             f'up is told ({recipe.up}), but the description '
             + (
                 'has no gravity: the tracker is not levelled by it, and gravity is taken as '
@@ -472,7 +472,7 @@ def _gravity(
             ),
         )
     apart = float(
-        angle_between(np.divide(known, np.linalg.norm(known)), np.divide(seen, STANDARD_GRAVITY))
+        angle_between(np.divide(known, np.linalg.norm(known)), np.divide(by_up, STANDARD_GRAVITY))
     )
     if apart < GRAVITY_APART_MAX_RAD:
         return None, ()

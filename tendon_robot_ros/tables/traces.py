@@ -22,7 +22,7 @@ from ..data.tracker_faults import (
     renumbered,
     without_unseen,
 )
-from .choices import Taken, time_column
+from .choices import Selection, time_column
 from .columns import TRACKER_NOISE_M, FloatArray, RawTable, marker_label
 from .markers import circle_centres, not_visible
 from .recipe import MarkerColumns, Recipe, WireSpool, points_of
@@ -148,8 +148,8 @@ class _Comparison:
         match = np.zeros(self._count)
         for column in self._spectrum.T:
             match += (np.fft.irfft(column[:, None] * other, self._count, axis=0) ** 2).sum(axis=1)
-        found: FloatArray = np.roll(match, before)[: self._given + before]
-        return found
+        by_delay: FloatArray = np.roll(match, before)[: self._given + before]
+        return by_delay
 
 
 def _on_grid(times: FloatArray, values: FloatArray, step: float) -> FloatArray:
@@ -157,9 +157,9 @@ def _on_grid(times: FloatArray, values: FloatArray, step: float) -> FloatArray:
     grid = np.arange(times[0], times[-1] + 0.5 * step, step)
     columns = []
     for column in values.T:
-        seen = np.isfinite(column)
-        if seen.sum() > 1:
-            placed = np.interp(grid, times[seen], column[seen])
+        known = np.isfinite(column)
+        if known.sum() > 1:
+            placed = np.interp(grid, times[known], column[known])
             columns.append(placed - placed.mean())
     return np.array(columns).T.reshape(len(grid), -1)
 
@@ -252,7 +252,7 @@ class Traces:
     exchanged: tuple[str, ...] = ()  # which markers were put back, and when
 
 
-def make_traces(tables: Sequence[RawTable], taken: Taken, length: float) -> list[Traces]:
+def make_traces(tables: Sequence[RawTable], chosen: Selection, length: float) -> list[Traces]:
     """
     Return one recording per table, or per pair of tables where markers have their own.
 
@@ -264,7 +264,7 @@ def make_traces(tables: Sequence[RawTable], taken: Taken, length: float) -> list
         Time goes back, a cell is no number, or tables do not fit to each other.
 
     """
-    recipe = taken.recipe
+    recipe = chosen.recipe
     inputs = [u.column for u in (recipe.inputs or {}).values()]
     triples = [t for marker in recipe.markers or () for t in (marker.columns, *marker.later)]
     places = [column for triple in triples for column in triple]
@@ -356,29 +356,29 @@ def _trace(
     track = Track(times, positions, turned)
     recording = Recording(marker_table.name, state_times, [], (track,), (), [], None, None)
     labels = [marker_label(marker.columns) for marker in recipe.markers or ()]
-    said = tuple(exchange_lines(exchanges, times, labels))
-    return Traces(recording, inputs, unseen, cut, delay, drift, clocks, said)
+    exchange_notes = tuple(exchange_lines(exchanges, times, labels))
+    return Traces(recording, inputs, unseen, cut, delay, drift, clocks, exchange_notes)
 
 
 def marker_places(
-    seen: RawTable, recipe: Recipe, length: float
+    table: RawTable, recipe: Recipe, length: float
 ) -> tuple[FloatArray, dict[str, IntArray]]:
     """Return places (T, J, 3) [m], NaN where not seen, and the readings (J,) left out, by why."""
     factor = UNITS['length'][find_unit(recipe.positions or 'm').text]  # type: ignore[union-attr]
     markers = [(marker.columns, *marker.later) for marker in recipe.markers or ()]
     rims = [points_of(columns) for parts in markers for columns in parts]
     points = [point for rim in rims for point in rim]
-    positions = np.array([[seen.numbers(column) for column in point] for point in points])
+    positions = np.array([[table.numbers(column) for column in point] for point in points])
     positions, unseen = without_unseen(
         positions.transpose(2, 0, 1), length / factor, FAR_M / factor
     )
-    there = np.isfinite(positions).all(axis=2)
-    for why, hidden in not_visible(seen, points).items():
-        if (hidden & there).any():
-            unseen[why] = (hidden & there).sum(axis=0)
+    visible = np.isfinite(positions).all(axis=2)
+    for why, hidden in not_visible(table, points).items():
+        if (hidden & visible).any():
+            unseen[why] = (hidden & visible).sum(axis=0)
             positions[hidden] = np.nan
-            there &= ~hidden
-    positions[~there] = np.nan
+            visible &= ~hidden
+    positions[~visible] = np.nan
     of_rims = np.split(positions, np.cumsum([len(rim) for rim in rims])[:-1], axis=1)
     centres = np.stack([circle_centres(one) for one in of_rims], axis=1)
     counts = np.cumsum([0, *map(len, markers)])
@@ -388,24 +388,24 @@ def marker_places(
     return joined(centres, own) * factor, summed
 
 
-def follow_renumbered(tables: Sequence[RawTable], taken: Taken, length: float) -> Taken:
+def follow_renumbered(tables: Sequence[RawTable], chosen: Selection, length: float) -> Selection:
     """
-    Join the columns of markers that the tracker numbered anew, and say which.
+    Join the columns of markers that the tracker renumbered, with a line for each.
 
     A marker may go on in columns without a name; the others of these are reflections. Where a
     recipe says where each marker is on the arm, it has said that already.
     """
-    markers = taken.recipe.markers or ()
+    markers = chosen.recipe.markers or ()
     if len(markers) < 2 or any(marker.arc_length is not None for marker in markers):
-        return taken
+        return chosen
     columns = [c for marker in markers for c in marker.columns]
-    seen = [table for table in tables if table.holds(*columns)]
-    if not seen:
-        return taken
-    nameless = [c for c in taken.nameless if all(table.holds(*c) for table in seen)]
+    with_markers = [table for table in tables if table.holds(*columns)]
+    if not with_markers:
+        return chosen
+    nameless = [c for c in chosen.nameless if all(table.holds(*c) for table in with_markers)]
     every = (*markers, *map(MarkerColumns, nameless))
-    recipe = replace(taken.recipe, markers=every)
-    places = np.concatenate([marker_places(t, recipe, length)[0] for t in seen])
+    recipe = replace(chosen.recipe, markers=every)
+    places = np.concatenate([marker_places(t, recipe, length)[0] for t in with_markers])
     chains = [chain for chain in renumbered(places) if chain[0] < len(markers)]
     lines = [
         f'{marker_label(every[j].columns)} is {marker_label(markers[chain[0]].columns)}, '
@@ -419,10 +419,10 @@ def follow_renumbered(tables: Sequence[RawTable], taken: Taken, length: float) -
     )
     joined_up = {columns for marker in followed for columns in marker.later}
     return replace(
-        taken,
-        recipe=replace(taken.recipe, markers=followed),
-        assumed=(*taken.assumed, *lines),
-        nameless=tuple(columns for columns in taken.nameless if columns not in joined_up),
+        chosen,
+        recipe=replace(chosen.recipe, markers=followed),
+        assumed=(*chosen.assumed, *lines),
+        nameless=tuple(columns for columns in chosen.nameless if columns not in joined_up),
     )
 
 
@@ -439,11 +439,11 @@ def _clock(
         )
         return 0.0, 0.0, why
     delay, drift = round(fit.delay, 3), round(fit.drift, 7)
-    way = 'after' if delay >= 0.0 else 'before'
+    order = 'after' if delay >= 0.0 else 'before'
     speed = 'fast' if drift < 0.0 else 'slow'
     off = f'{abs(drift) * times[-1]:.2f} s at its end, {1e6 * abs(drift):.0f} in a million'
     how = (
-        f"the tracker's file begins {abs(delay):.2f} s {way} that of the inputs"
+        f"the tracker's file begins {abs(delay):.2f} s {order} that of the inputs"
         + (f', and its clock is {speed} ({off})' if drift else '')
         + f': then {100 * fit.match:.0f} % of what the markers move goes with the inputs, '
         f'at no other delay more than {100 * fit.next_best:.0f} %'
@@ -463,27 +463,27 @@ def cut_out(
 def _cut_jumps(positions: FloatArray, times: FloatArray) -> CutReadings:
     """Take out frames in which a marker leaps away and, a moment later, is back."""
     step_s = float(np.median(np.diff(times))) if len(times) > 2 else 1.0
-    most = int(np.clip(JUMP_MAX_S / max(step_s, 1e-9), 1, 50))
-    cut, least = CutReadings.none(), 4.0 * TRACKER_NOISE_M  # [m] of a leap
+    frames_max = int(np.clip(JUMP_MAX_S / max(step_s, 1e-9), 1, 50))
+    cut, leap_min = CutReadings.none(), 4.0 * TRACKER_NOISE_M  # [m] of a leap
     for j in range(positions.shape[1]):
-        seen = np.flatnonzero(np.isfinite(positions[:, j, 0]))
-        path = positions[seen, j]
+        visible = np.flatnonzero(np.isfinite(positions[:, j, 0]))
+        path = positions[visible, j]
         steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
         if len(steps) < 3:
             continue
-        leaps = np.flatnonzero(steps > max(JUMP_FACTOR * float(np.median(steps)), least)) + 1
+        leaps = np.flatnonzero(steps > max(JUMP_FACTOR * float(np.median(steps)), leap_min)) + 1
         out = set[int]()
         for frame in leaps.tolist():
             before = frame - 1
             while before in out:
                 before -= 1
             leap = float(np.linalg.norm(path[frame] - path[before]))
-            if before < 0 or frame in out or leap < least:
+            if before < 0 or frame in out or leap < leap_min:
                 continue
-            back = np.linalg.norm(path[frame : frame + most] - path[before], axis=1)
+            back = np.linalg.norm(path[frame : frame + frames_max] - path[before], axis=1)
             near = np.flatnonzero(back < 0.25 * leap)
             out |= set(range(frame, frame + int(near[0]))) if len(near) else set()
-        cut += cut_out(positions, times, j, seen[sorted(out)])
+        cut += cut_out(positions, times, j, visible[sorted(out)])
     return cut
 
 

@@ -1,5 +1,5 @@
 """
-Where the tip can be, and which postures are worth a look.
+The workspace of the tip, and postures to measure.
 
 volume.py          all places that the tip reaches, over all tendons: postures in chunks of bounded
                    memory, on many processors; what friction takes; where an unfinished one goes on

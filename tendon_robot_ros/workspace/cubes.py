@@ -18,7 +18,7 @@ Numbers = npt.NDArray[np.int64]
 # [1] equal areas of the sphere of directions, by height and around the base: 48, so that a bit for
 # each fits into 64
 SPHERE_PARTS = (6, 8)
-LOOKS = math.prod(SPHERE_PARTS)
+SPHERE_PART_COUNT = math.prod(SPHERE_PARTS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,10 +31,10 @@ class Reached:
     tensions: Floats  # (c, m) [N] of the posture with the lowest highest tension
     tips: Floats  # (c, 3) [m] of that posture
     directions: Floats  # (c, 3) its approach direction
-    looks: Numbers  # (c,) into how many of the `LOOKS` equal parts of the sphere its tips look
+    looks: Numbers  # (c,) how many equal parts of the sphere hold approach directions
     lows: Floats  # (3,) [m] the least coordinate of all tips
     highs: Floats  # (3,) [m] the greatest
-    postures: int  # that are in it
+    postures: int  # that were added
 
     def __len__(self) -> int:
         """Count the cubes."""
@@ -122,16 +122,16 @@ class Cubes:
         self._coming: list[Rows] = []
 
     def add(self, tensions: Floats, tips: Floats, directions: Floats) -> None:
-        """Keep the posture of least tension in every cube, and where all of them look."""
+        """Keep the posture of least tension in every cube, and the directions of all."""
         cells = np.floor(tips / self.edge + 1e-9).astype(np.int64) + self.half
         inside = ((cells >= 0) & (cells < self.side)).all(axis=1)
         content = np.concatenate([tensions, tips, directions], axis=1)[inside]
         where = np.ravel_multi_index(tuple(cells[inside].T), (self.side,) * 3)
-        looks = np.int64(1) << sphere_part(directions[inside], 1)
+        bits = np.int64(1) << sphere_part(directions[inside], 1)
         self.postures += len(where)
         self.lows = np.minimum(self.lows, tips[inside].min(axis=0, initial=np.inf))
         self.highs = np.maximum(self.highs, tips[inside].max(axis=0, initial=-np.inf))
-        self._put(Rows(where, looks, content))
+        self._put(Rows(where, bits, content))
 
     def _put(self, rows: Rows) -> None:
         """Keep rows; sort them in when they are as many as what is known."""
@@ -144,11 +144,11 @@ class Cubes:
         if self._coming:
             parts = zip(self._known, *self._coming, strict=True)
             rows = Rows(*map(np.concatenate, parts))
-            self._known, self._coming = rows.least(len(self.robot.inputs)), []
+            self._known, self._coming = rows.lowest_tension(len(self.robot.inputs)), []
         return self._known
 
     def packed(self) -> dict[str, npt.NDArray[Any]]:
-        """Return what is known as arrays."""
+        """Return the content as arrays."""
         span = np.array([self.lows, self.highs])
         return {**self._sort_in()._asdict(), 'span': span, 'postures': np.array(self.postures)}
 
@@ -186,10 +186,10 @@ class Rows(NamedTuple):
     """Cubes, and of each a posture."""
 
     where: Numbers  # (r,) which cube: its place in the box of all
-    seen: Numbers  # (r,) a bit for each of the `LOOKS` parts of the sphere that tips look into
+    seen: Numbers  # (r,) a bit for every part of the sphere that holds a direction
     best: Floats  # (r, m + 6) tensions, tip, direction
 
-    def least(self, inputs: int) -> Rows:
+    def lowest_tension(self, inputs: int) -> Rows:
         """
         Return a row for every cube: the posture of the lowest highest tension of so many inputs.
 
@@ -198,24 +198,24 @@ class Rows(NamedTuple):
         """
         order = np.argsort(self.where, kind='stable')
         first = np.flatnonzero(np.diff(self.where[order], prepend=-1))
-        seen = np.bitwise_or.reduceat(self.seen[order], first)
+        visible = np.bitwise_or.reduceat(self.seen[order], first)
         tensions = self.best[:, :inputs]
         for key in (tensions.max(axis=1), tensions.sum(axis=1)):
-            least = np.minimum.reduceat(key[order], first)
-            order = order[key[order] == np.repeat(least, np.diff(first, append=len(order)))]
+            lowest = np.minimum.reduceat(key[order], first)
+            order = order[key[order] == np.repeat(lowest, np.diff(first, append=len(order)))]
             first = np.flatnonzero(np.diff(self.where[order], prepend=-1))
         if len(order) > len(first):  # some are alike in both
             order = order[np.lexsort((*self.best[order].T[::-1], self.where[order]))]
         kept = order[first]
-        return Rows(self.where[kept], seen, self.best[kept])
+        return Rows(self.where[kept], visible, self.best[kept])
 
 
 def sphere_part(directions: Floats, finer: int) -> Numbers:
-    """Return in which of LOOKS times finer² equal parts of the sphere directions (b, 3) lie."""
-    heights, turns = (finer * count for count in SPHERE_PARTS)
+    """Return the index (b,) of the part of the sphere of directions (b, 3), finer² as many."""
+    heights, sectors = (finer * count for count in SPHERE_PARTS)
     up = np.clip(0.5 * (directions[:, 2] + 1.0) * heights, 0, heights - 1).astype(np.int64)
-    turn = np.arctan2(directions[:, 1], directions[:, 0]) / (2.0 * np.pi) + 0.5
-    return up * turns + np.clip(turn * turns, 0, turns - 1).astype(np.int64)
+    fraction = np.arctan2(directions[:, 1], directions[:, 0]) / (2.0 * np.pi) + 0.5
+    return up * sectors + np.clip(fraction * sectors, 0, sectors - 1).astype(np.int64)
 
 
 def beyond(cells: Numbers, known: Numbers) -> npt.NDArray[np.bool_]:
@@ -240,7 +240,7 @@ def neighbours(cells: Numbers, is_flat: bool) -> Numbers:
 
 
 def _grid(cells: Numbers) -> tuple[npt.NDArray[np.bool_], Numbers]:
-    """Return which cubes of a box are taken, with a free layer around, and their places in it."""
+    """Return the occupancy of a box of cubes with a free layer around, and their indices in it."""
     shifted = cells - cells.min(axis=0, initial=np.iinfo(np.int64).max >> 1) + 1
     full = np.zeros(shifted.max(axis=0, initial=1) + 2, dtype=bool)
     full[tuple(shifted.T)] = True
@@ -249,7 +249,7 @@ def _grid(cells: Numbers) -> tuple[npt.NDArray[np.bool_], Numbers]:
 
 def folds(positions: Floats, thickness: Floats, lengths: Floats) -> npt.NDArray[np.bool_]:
     """
-    Tell which arms (b,) run into themselves.
+    Return which arms (b,) collide with themselves.
 
     Two places of the backbone are nearer than the tendons beside them need, although the arm
     between them is long enough to turn round; or a cell bends until its holes meet.
@@ -272,9 +272,9 @@ def folds(positions: Floats, thickness: Floats, lengths: Floats) -> npt.NDArray[
     turned = np.arccos(np.clip(cosines, -1.0, 1.0)).sum(axis=1)
     along = np.cumsum(lengths) - 0.5 * lengths
     apart = np.add.outer(thickness, thickness)
-    turns_round = np.subtract.outer(along, along) > 0.5 * math.pi * apart
+    can_touch = np.subtract.outer(along, along) > 0.5 * math.pi * apart
     hit = np.zeros(len(positions), dtype=np.bool_)
-    limit = np.where(turns_round, apart**2, -1.0)  # (n, n) [m²]
+    limit = np.where(can_touch, apart**2, -1.0)  # (n, n) [m²]
     # A line that turns by less than an angle in all has ends farther apart than cos(angle / 2) of
     # its length (Schur 1921): up to a quarter turn that is more than the 2/pi of it at which
     # places may touch, also where bent cells are a tenth shorter.

@@ -1,4 +1,4 @@
-"""Postures to measure for a user who has none in mind: singles, bends all around, squeezes."""
+"""Default postures to measure: single inputs, bends in all directions, squeezes."""
 
 from __future__ import annotations
 

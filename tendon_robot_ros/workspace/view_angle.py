@@ -258,14 +258,14 @@ class _Kept:
 
     def families(self, pairs: Sequence[Pair]) -> tuple[Family, ...]:
         """Return them by view and pair, the largest family of a view first."""
-        made = [
+        families = [
             Family(
                 pairs[which], self.views[v], side, *map(np.concatenate, zip(*rows, strict=True))
             )
             for (v, which, side), rows in self._parts.items()
         ]
         order = {view: v for v, view in enumerate(self.views)}
-        return tuple(sorted(made, key=lambda family: (order[family.view], -len(family))))
+        return tuple(sorted(families, key=lambda family: (order[family.view], -len(family))))
 
 
 def tip_angles(bend: Floats, direction: Floats) -> Floats:
@@ -470,9 +470,9 @@ def _around(model: Model, angle: float, steps: int) -> list[Posture]:
         guess=straight,
     )
     postures, shape = [], first.shape
-    for i, turn in enumerate(np.linspace(0.0, 2.0 * np.pi, steps)):
-        place = about(2, turn) @ first.shape.tip_position
-        along = about(2, turn) @ np.array([np.sin(angle), 0.0, np.cos(angle)])
+    for i, phi in enumerate(np.linspace(0.0, 2.0 * np.pi, steps)):
+        place = about(2, phi) @ first.shape.tip_position
+        along = about(2, phi) @ np.array([np.sin(angle), 0.0, np.cos(angle)])
         solution = model.reach(place, along, guess=shape)
         if (
             solution.position_error > POSITION_TOLERANCE_M
@@ -480,8 +480,9 @@ def _around(model: Model, angle: float, steps: int) -> list[Posture]:
         ):
             raise InputError(
                 f'{model.robot.name}: the {np.degrees(angle):.0f}° view is out of reach when '
-                f'turned by {np.degrees(turn):.0f}°: nearest {1e3 * solution.position_error:.1f} '
-                f'mm, {np.degrees(solution.direction_error):.1f}°; ask for a smaller angle'
+                f'turned by {np.degrees(phi):.0f}°: nearest '
+                f'{1e3 * solution.position_error:.1f} mm, '
+                f'{np.degrees(solution.direction_error):.1f}°; ask for a smaller angle'
             )
         shape = solution.shape
         postures.append(Posture.of(str(i), shape))

@@ -1,11 +1,11 @@
 """
-All places that the tip reaches, over all tendons at once, and where it can look from there.
+The workspace of the tip over all tendons at once, and its approach directions.
 
-Postures come in rounds: the first has random tensions; those after it start from postures whose
-tips lie at the edge of what is known then, and change them a little. Every batch has a random
-generator of its own, seeded by its round and number, and is sorted into cubes where it is
-computed; cubes may be merged in any order. So the result does not depend on which process computes
-what and when, and memory does not grow with the number of postures.
+Postures are sampled in rounds: the first round has random tensions; each later one starts from the
+postures whose tips lie at the edge of the known workspace, and changes them a little. Every batch
+has its own random generator, seeded by its round and number, and is sorted into cubes by the
+process that computes it; cubes may be merged in any order. The result therefore does not depend on
+the distribution of the work, and memory does not grow with the number of postures.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from ..model.model import Model
 from ..model.shape import ShapeBatch
 from ..robot import Robot, dump_robot
 from ..robot.description import tendon_offsets
-from .cubes import LOOKS, Cubes, Reached, beyond, folds, sphere_part
+from .cubes import SPHERE_PART_COUNT, Cubes, Reached, beyond, folds, sphere_part
 from .view_angle import POSTURES_AT_ONCE, POSTURES_MAX
 
 # [1] postures wanted for every cube: with fewer some stay empty by chance
@@ -48,8 +48,8 @@ EXTREMES = (0.5, 0.1)
 # [1] of the range of tensions, 1 sd of a step from a posture at the edge; small, so that most of
 # the new postures lie near the edge as well
 STEP_SD = 0.15
-# [1] times finer than LOOKS, along either side, are the parts (of 5°) of all directions that are
-# counted, so that their fraction is known to a percent or so
+# [1] parts of the sphere per part of `cubes`, along either side: 5°, so that the fraction of all
+# directions is known to a percent or so
 FINER = 6
 KEPT = ('unfinished-0.npz', 'unfinished-1.npz')  # with friction, without: not yet ended
 Packed = dict[str, npt.NDArray[Any]]
@@ -105,7 +105,7 @@ class Sampling:
 
         """
         robot = model.robot
-        least, most = CUBES_ALONG
+        minimum, maximum = CUBES_ALONG
         low, high = limits or (float(model.limits[:, 0].min()), float(model.limits[:, 1].max()))
         if edge is None:
             # tips fill about three squares, or four cubes, of the length of the arm; those of one
@@ -113,7 +113,7 @@ class Sampling:
             cubes, flat = postures / POSTURES_PER_CUBE, not tendon_offsets(robot)[..., 1].any()
             sheet = flat or bends_as_one(robot)
             count = (max(cubes, 0.0) / (3.0 if flat else 4.0)) ** (1 / 2 if sheet else 1 / 3)
-            edge = robot.length / float(np.clip(count, least, most))
+            edge = robot.length / float(np.clip(count, minimum, maximum))
         if not 0 < postures <= POSTURES_MAX:
             raise InputError(
                 f'workspace: expected 1 to {POSTURES_MAX:,} postures, got {postures:,}'
@@ -127,10 +127,10 @@ class Sampling:
             raise InputError(
                 'workspace: expected view angles of 0° or more and a tolerance above 0'
             )
-        if not robot.length / most <= edge <= robot.length:
+        if not robot.length / maximum <= edge <= robot.length:
             raise InputError(
-                f'workspace: expected cubes of {1e3 * robot.length / most:.2g} mm to the length '
-                f'of the arm, got {1e3 * edge:.3g} mm'
+                f'workspace: expected cubes of {1e3 * robot.length / maximum:.2g} mm to the '
+                f'length of the arm, got {1e3 * edge:.3g} mm'
             )
         files = model.catalogue.files
         return cls(robot, files, postures, tuple(views), tolerance, (low, high), edge, seed)
@@ -159,13 +159,13 @@ class Batches:
 
 
 class SortedTips:
-    """What became of postures: cubes, and counts that do not grow."""
+    """Sorted postures: cubes of tips, and counts, of bounded memory."""
 
     def __init__(self, sampling: Sampling) -> None:
         self.sampling = sampling
         self.all = Cubes(sampling.robot, sampling.edge)
         self.views = [Cubes(sampling.robot, sampling.edge) for _ in sampling.views]
-        self.sphere = np.zeros(FINER**2 * LOOKS, dtype=bool)  # directions that were looked into
+        self.sphere = np.zeros(FINER**2 * SPHERE_PART_COUNT, dtype=bool)  # visited
         self.counts = np.zeros(3, dtype=np.int64)  # postures, without equilibrium, folded
         self.largest = np.zeros(1)  # [rad]
         # (n,) [m], the farthest tendon
@@ -193,7 +193,7 @@ class SortedTips:
             cubes.merge({name: other[f'{i}_{name}'] for name in names})
 
     def add(self, batch: ShapeBatch, changes: Floats) -> None:
-        """Put solved postures where they belong, those that the arm cannot have left out."""
+        """Sort solved postures into the cubes; arms that collide with themselves are excluded."""
         tips, along = batch.tip_position, batch.tip_direction
         solved = changes < forward.TOLERANCE
         free = ~folds(batch.positions, self.thickness, self.sampling.robot.cell_lengths)
@@ -260,7 +260,7 @@ class Stream:
     sampling: Sampling
     kept: Path | None = None  # where it is written
     tally: SortedTips = field(init=False)
-    done: set[tuple[int, int]] = field(default_factory=set)  # (round, batch)
+    finished: set[tuple[int, int]] = field(default_factory=set)  # (round, batch)
     start: Floats = field(init=False)  # (e, m) [N] that the round starts from
     late: int = 0  # cubes when the last tenth of the postures began
     saved: float = field(default_factory=time.monotonic)
@@ -280,8 +280,8 @@ class Stream:
         text = f'{dump_robot(self.sampling.robot)} {sampling} {digests}'
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
-    def run(self, workers: Workers, show: Progress, begun: int, total: int) -> None:
-        """Sample what is missing; `begun` of `total` postures were computed before."""
+    def run(self, workers: Workers, show: Progress, computed: int, total: int) -> None:
+        """Sample what is missing; `computed` of `total` postures were computed before."""
         sizes, chunk_size = self.sampling.rounds, ChunkSize(workers.slots)
         for number, size in enumerate(sizes):
             if number == len(sizes) - 2:
@@ -289,9 +289,9 @@ class Stream:
             batches = [
                 (i, min(POSTURES_AT_ONCE, size - i * POSTURES_AT_ONCE))
                 for i in range(-(-size // POSTURES_AT_ONCE))
-                if (number, i) not in self.done
+                if (number, i) not in self.finished
             ]
-            begins = not any(done == number for done, _ in self.done)
+            begins = not any(round_done == number for round_done, _ in self.finished)
             if number and batches and begins and len(self.tally.all):
                 edge = self.tally.all.reached().edge_tensions
                 # thinned, because the start goes to every worker with every chunk
@@ -306,12 +306,12 @@ class Stream:
                         'same postures; is there memory for --workers of them?'
                     )
                 packed, seconds = result
-                chunk_size.took(seconds, len(handed[index].sizes))
+                chunk_size.learn(seconds, len(handed[index].sizes))
                 self.tally.merge(packed)
-                self.done |= {(number, i) for i, _ in handed[index].sizes}
+                self.finished |= {(number, i) for i, _ in handed[index].sizes}
                 if self.kept is not None and time.monotonic() > self.saved + SAVED_EVERY_S:
                     self.save(self.kept)
-                show('postures', begun + int(self.tally.counts[0]), total)
+                show('postures', computed + int(self.tally.counts[0]), total)
 
     def chunks(
         self,
@@ -329,15 +329,15 @@ class Stream:
             yield handed[-1]
 
     def save(self, path: Path) -> None:
-        """Write what is known."""
+        """Write the state."""
         self.saved = time.monotonic()
-        done = np.array(sorted(self.done), dtype=np.int64)
+        finished = np.array(sorted(self.finished), dtype=np.int64)
         known: dict[str, Any] = self.tally.packed()
         with new_file(path) as draft, draft.open('wb') as file:
-            np.savez(file, key=self.key, done=done, start=self.start, late=self.late, **known)
+            np.savez(file, key=self.key, done=finished, start=self.start, late=self.late, **known)
 
     def load(self, path: Path) -> None:
-        """Read what an earlier run has written, and go on from there."""
+        """Load the state of an earlier run, to continue it."""
         try:
             with np.load(path) as arrays:
                 content = dict(arrays)
@@ -349,19 +349,19 @@ class Stream:
                 f'{path}: is of another robot or other options; delete it, or give these again'
             )
         self.tally.merge(content)
-        self.done = {(int(r), int(i)) for r, i in content['done']}
+        self.finished = {(int(r), int(i)) for r, i in content['done']}
         self.start, self.late = content['start'], int(content['late'])
 
 
 @dataclass(frozen=True, eq=False)
 class Volume:
-    """Where the tip of a robot can be, all its tendons pulling as they like."""
+    """The workspace of the tip over all combinations of tensions."""
 
     robot: Robot
     limits: tuple[float, float]  # [N]
     postures: int  # that were computed
     unsolved: int  # of them without equilibrium
-    folded: int  # of them in which the arm would run into itself
+    folded: int  # of them in which the arm collides with itself
     reached: Reached
     late: float  # fraction of the cubes that only the last tenth of the postures found
     largest: float  # [rad] angle between the tip's direction and the base's

@@ -18,8 +18,8 @@ from ..folder import Description, describe, read_fields
 from ..tracker_faults import (
     changes,
     exchange_lines,
+    is_missing,
     joined,
-    not_there,
     put_back,
     renumbered,
     unseen_lines,
@@ -52,7 +52,7 @@ NOISE_MIN_M = 1e-7
 
 @dataclass(frozen=True)
 class Imported:
-    """A data set and where in the recording it comes from."""
+    """A data set, and the segments of the recording that it is made of."""
 
     dataset: DataSet
     segments: tuple[Segment, ...]
@@ -138,7 +138,7 @@ def import_bag(
     recording, exchanged = _put_back(recording)
     rule = (rule or Rule()).fill(robot, described.input)
     speeds = motion(recording, inputs, rule)
-    segments, left_out = find_segments(
+    segments, excluded = find_segments(
         recording, inputs, speeds, rule, sequence=described.path == 'sequence'
     )
     if not any(np.isfinite(one.positions).any() for one in segments):
@@ -168,17 +168,17 @@ def import_bag(
         recording.state_times,
         inputs,
         rule,
-        (*renumbered_lines, *exchanged, *unseen, *left_out),
+        (*renumbered_lines, *exchanged, *unseen, *excluded),
         recording.frame,
     )
 
 
 def _renumbered(recording: Recording, markers: Sequence[Marker]) -> tuple[Recording, list[str]]:
-    """Join poses that follow each other where there are more of them than markers, and say so."""
+    """Join tracks of markers that were renumbered; return the recording and a line for each."""
     track = recording.tracks[0]
     if recording.marker_names or track.positions.shape[1] <= len(markers):
         return recording, []
-    positions = np.where(not_there(track.positions)[..., None], np.nan, track.positions)
+    positions = np.where(is_missing(track.positions)[..., None], np.nan, track.positions)
     chains = renumbered(positions)
     if len(chains) != len(markers):
         return recording, []
@@ -193,7 +193,7 @@ def _renumbered(recording: Recording, markers: Sequence[Marker]) -> tuple[Record
 
 
 def _put_back(recording: Recording) -> tuple[Recording, list[str]]:
-    """Put poses of a shape back that exchange their places in it, and say when."""
+    """Undo exchanges of markers within a shape; return the recording and a line for each."""
     if recording.marker_names or len(recording.tracks) != 1:
         return recording, []
     (track,) = recording.tracks
@@ -207,7 +207,7 @@ def _put_back(recording: Recording) -> tuple[Recording, list[str]]:
 def _without_unseen(
     recording: Recording, robot: Robot, names: list[str]
 ) -> tuple[Recording, list[str]]:
-    """Take out readings of markers that are none, and say how many and why."""
+    """Exclude invalid readings of markers; return the recording and a line for each reason."""
     steps = [track.times[1:][changes(track.positions).any(axis=1)] for track in recording.tracks]
     tracks: list[Track] = []
     lines: list[str] = []
@@ -326,12 +326,12 @@ def plausible_inputs(
     """
     inputs = np.nan_to_num([one.inputs for one in segments])
     if kind == 'tension':
-        limit, least = robot.tension_limits[1], rule.change or 0.0
+        limit, margin = robot.tension_limits[1], rule.change or 0.0
         if inputs.max() > PLAUSIBLE_FACTOR * limit:
             raise DataSetError(bag, *too_tense('a tendon', float(inputs.max()), limit))
-        if inputs.min() < -least:
+        if inputs.min() < -margin:
             problem = f'a tendon is {inputs.min():g} N, but a tendon cannot push'
-            remedy = f'zero its load cell at rest, to within {least:g} N, or turn its sign around'
+            remedy = f'zero its load cell at rest, to within {margin:g} N, or turn its sign around'
             raise DataSetError(bag, problem, remedy)
         return [replace(one, inputs=np.maximum(one.inputs, 0.0)) for one in segments]
     for value in (inputs.min(), inputs.max()):
@@ -367,8 +367,8 @@ def draw_segments(imported: Imported, path: str | Path) -> Path:
     """
     from matplotlib.figure import Figure
 
-    wanted = NAME_WIDTH_IN * len(imported.segments)
-    width = min(max(8.0, wanted), PICTURE_WIDTH_MAX_IN)
+    names_width = NAME_WIDTH_IN * len(imported.segments)
+    width = min(max(8.0, names_width), PICTURE_WIDTH_MAX_IN)
     figure = Figure(figsize=(width, 5.5), layout='constrained')
     above, below = figure.subplots(2, 1, sharex=True)
     moved, limit = imported.motion, 1e3 * imported.rule.speed
@@ -387,7 +387,7 @@ def draw_segments(imported: Imported, path: str | Path) -> Path:
     )
     above.set_ylabel('speed [mm/s]')
     data = imported.dataset
-    for one in imported.segments if wanted <= PICTURE_WIDTH_MAX_IN else ():
+    for one in imported.segments if names_width <= PICTURE_WIDTH_MAX_IN else ():
         above.annotate(
             one.posture if len(data.trial_names) == 1 else f'{one.posture}, {one.trial}',
             ((one.begin + one.end) / 2, 1.0),
@@ -416,7 +416,7 @@ def draw_segments(imported: Imported, path: str | Path) -> Path:
 
 
 def summary(imported: Imported) -> str:
-    """Say in one line what was found."""
+    """Summarise the import in one line."""
     trials = imported.dataset.trials
     each = f'{trials.min()}' if trials.min() == trials.max() else f'{trials.min()}..{trials.max()}'
     return (

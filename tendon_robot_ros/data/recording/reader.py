@@ -1,4 +1,4 @@
-"""What a ROS 2 recording holds about a measurement, and whether two programs sent it."""
+"""Read the measurements in a ROS 2 recording; refuse messages of two senders."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ Message = tuple[str, int, Any]  # topic, time [ns], message or (frame, poses)
 
 @dataclass(frozen=True)
 class Topics:
-    """Where a recording holds what; names without the leading slash will do."""
+    """The topics of a recording by role; the leading slash of a name may be omitted."""
 
     states: str = 'tendon_states'  # sensor_msgs/JointState
     shape: str = 'measured_shape'  # geometry_msgs/PoseArray
     markers: Mapping[str, str] = field(default_factory=dict)  # marker -> PoseStamped topic
-    sender: str = ''  # of several that published the states, the one whose frame_id has this
+    sender: str = ''  # of several publishers of states, the one with this in its frame_id
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Track:
 
 @dataclass(frozen=True)
 class Recording:
-    """What a bag holds; times in seconds since it began."""
+    """The content of a bag; times in seconds since its beginning."""
 
     name: str
     state_times: FloatArray  # (T,) [s]
@@ -90,16 +90,16 @@ def read_bag(path: str | Path, topics: Topics | None = None) -> Recording:
     topics = topics or Topics()
     with opened(path) as reader:
         types = {c.topic: c.msgtype for c in reader.connections}
-        wanted = _wanted(str(path), types, topics)
+        roles = _roles(str(path), types, topics)
         messages = list[Message]()
-        for connection, time, data in stored(reader, wanted):
+        for connection, time, data in stored(reader, roles):
             if connection.msgtype == POSE_ARRAY:
                 messages.append((connection.topic, time, parse_pose_array(data)))
                 continue
             message = reader.deserialize(data, connection.msgtype)
             shown = poses_of(message) if connection.msgtype == POSE_STAMPED else message
             messages.append((connection.topic, time, shown))
-    return _sorted(str(path), messages, wanted, topics, bool(other_sources(types)))
+    return _sorted(str(path), messages, roles, topics, bool(other_sources(types)))
 
 
 @contextmanager
@@ -170,36 +170,36 @@ def topic_of(types: Mapping[str, str], name: str, kind: str) -> str | None:
     return below[0] if len(below) == 1 else None
 
 
-def _wanted(bag: str, types: Mapping[str, str], topics: Topics) -> dict[str, str]:
-    """Map the topics to read to what they are: 'states', 'shape', a marker or a text."""
-    wanted = {name: name for name in (DESCRIPTION, ROBOT, LABEL) if types.get(name) == STRING}
+def _roles(bag: str, types: Mapping[str, str], topics: Topics) -> dict[str, str]:
+    """Map the topics to read to their roles: 'states', 'shape', a marker or a text."""
+    roles = {name: name for name in (DESCRIPTION, ROBOT, LABEL) if types.get(name) == STRING}
     shapes = [(topic, f'marker {name}', POSE_STAMPED) for name, topic in topics.markers.items()]
     shapes = shapes or [(topics.shape, 'shape', POSE_ARRAY)]
     for topic, role, kind in [(topics.states, 'states', JOINT_STATE), *shapes]:
         name = '/' + topic.lstrip('/')
-        if (there := topic_of(types, topic, kind)) is None:
+        if (name_in_bag := topic_of(types, topic, kind)) is None:
             sources = other_sources(types)
-            told = [t for t in sources if role == 'shape' or types[t] == TF]
-            if role != 'states' and name not in types and told:
+            alternatives = [t for t in sources if role == 'shape' or types[t] == TF]
+            if role != 'states' and name not in types and alternatives:
                 continue  # markers come otherwise: `with_markers` finds them, or says so
             known = listing(sorted(t for t, k in types.items() if k == kind))
             problem = f'is a {types[name]}' if name in types else 'is not in it'
             raise DataSetError(
                 bag, f'topic {name} {problem}', f'name one that is a {kind}; there: {known}'
             )
-        wanted[there] = role
-    return wanted
+        roles[name_in_bag] = role
+    return roles
 
 
 def other_sources(types: Mapping[str, str]) -> list[str]:
-    """Return the topics that may hold markers where the one that is wanted is not there."""
+    """Return the topics that may hold markers if the requested one is missing."""
     return sorted(t for t, kind in types.items() if kind in (TF, POSE_STAMPED))
 
 
 def stored(reader: Any, topics: Iterable[str]) -> Iterator[tuple[Any, int, bytes]]:
     """Yield connection, time [ns] and bytes of the messages of topics; of no topic, none."""
-    wanted = set(topics)
-    connections = [c for c in reader.connections if c.topic in wanted]
+    selected = set(topics)
+    connections = [c for c in reader.connections if c.topic in selected]
     if connections:  # without any, all messages would come
         yield from reader.messages(connections=connections)
 
@@ -207,20 +207,20 @@ def stored(reader: Any, topics: Iterable[str]) -> Iterator[tuple[Any, int, bytes
 def _sorted(
     bag: str,
     messages: list[Message],
-    wanted: Mapping[str, str],
+    roles: Mapping[str, str],
     topics: Topics,
     elsewhere: bool,
 ) -> Recording:
     """Sort messages by topic; markers may be `elsewhere`, in topics that are read later."""
-    by_role: dict[str, list[tuple[float, Any]]] = {role: [] for role in wanted.values()}
+    by_role: dict[str, list[tuple[float, Any]]] = {role: [] for role in roles.values()}
     start = min((time for _, time, _ in messages), default=0)
     frames = set()
     for topic, time, message in messages:
         if isinstance(message, tuple):
             frames.add(message[0])
-        elif wanted[topic] == 'states' and topics.sender not in message.header.frame_id:
+        elif roles[topic] == 'states' and topics.sender not in message.header.frame_id:
             continue
-        by_role[wanted[topic]].append((1e-9 * (time - start), message))
+        by_role[roles[topic]].append((1e-9 * (time - start), message))
     if len(frames) > 1:
         raise DataSetError(
             bag,
@@ -266,7 +266,7 @@ def _track(bag: str, samples: list[tuple[float, Any]]) -> Track:
 
 
 def _sane(values: FloatArray) -> FloatArray:
-    """Return values with NaN for those that are no measurements and overflow in a sum."""
+    """Replace values that are no measurements, and would overflow in a sum, by NaN."""
     return np.where(np.abs(values) < 1e9, values, np.nan)
 
 
@@ -277,13 +277,13 @@ Pose = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]  # rotation (3, 3
 
 
 def is_base(frame: str) -> bool:
-    """Whether a frame is called as the base of an arm is; '' says nothing, and is taken so."""
+    """Return whether a frame has a name of the base; the empty name counts as the base."""
     name = frame.rpartition('/')[2]
     return name in BASES or name.endswith('_base')
 
 
 class Transforms:
-    """The transforms of a recording: of every frame its parent, and where it was in it."""
+    """The transforms of a recording: the parent of every frame, and its poses in the parent."""
 
     def __init__(self, name: str, start: int, samples: Mapping[tuple[str, str], Any]) -> None:
         """Take rows (S, 8) of time [ns], x, y, z [m], qx, qy, qz, qw by parent and child."""
@@ -292,11 +292,11 @@ class Transforms:
 
     @property
     def children(self) -> list[str]:
-        """Frames that are given in another one."""
+        """Frames that have a parent frame."""
         return sorted({child for _, child in self.edges})
 
     def track(self, child: str) -> tuple[str, Track]:
-        """Return the frame in which a marker is given, and its samples."""
+        """Return the parent frame of a marker, and its samples."""
         parents = [parent for parent, own in self.edges if own == child]
         if len(parents) > 1:
             raise DataSetError(
@@ -319,17 +319,17 @@ class Transforms:
 
         """
         routes: dict[str, list[tuple[str, str]]] = {frame: []}  # transforms up to a frame
-        for here in iter(waiting := [frame]):
-            if here and is_base(here):
+        for current in iter(waiting := [frame]):
+            if current and is_base(current):
                 break
             for pair in self.edges:
-                if here in pair and (other := pair[pair[0] == here]) not in routes:
-                    routes[other] = [*routes[here], pair]
+                if current in pair and (other := pair[pair[0] == current]) not in routes:
+                    routes[other] = [*routes[current], pair]
                     waiting.append(other)
         else:
             return None
         rotation, shift = np.eye(3), np.zeros(3)
-        for parent, child in routes[here]:
+        for parent, child in routes[current]:
             rows = self.edges[parent, child]
             moved, quaternion = np.median(rows[:, 1:4], axis=0), rows[len(rows) // 2, 4:]
             far = np.linalg.norm(rows[:, 1:4] - moved, axis=1).max()
@@ -353,8 +353,8 @@ def read_transforms(recording: Recording) -> Transforms:
     """Read all transforms of a recording, static ones as well."""
     samples: dict[tuple[str, str], list[list[float]]] = {}
     with opened(recording.name) as reader:
-        wanted = [c.topic for c in reader.connections if c.msgtype == TF]
-        for connection, time, data in stored(reader, wanted):
+        topics = [c.topic for c in reader.connections if c.msgtype == TF]
+        for connection, time, data in stored(reader, topics):
             for one in reader.deserialize(data, connection.msgtype).transforms:
                 p, q = one.transform.translation, one.transform.rotation
                 pair = one.header.frame_id.lstrip('/'), one.child_frame_id.lstrip('/')
@@ -383,7 +383,7 @@ def with_markers(
     Raises
     ------
     DataSetError
-        No topic and no frame is called as a marker; with those that are there.
+        No topic and no frame has the name of a marker; the message lists the existing ones.
 
     """
     with opened(bag) as reader:
@@ -391,15 +391,15 @@ def with_markers(
     poses = [topic for topic in other_sources(types) if types[topic] == POSE_STAMPED]
     if not topics.markers:
         own = {n: [t for t in poses if n in t.split('/')] for n in names}
-        if all(len(there) == 1 for there in own.values()):
+        if all(len(matches) == 1 for matches in own.values()):
             return read_bag(bag, replace(topics, markers={n: t[0] for n, t in own.items()}))
     transforms = read_transforms(recording)
     chosen = dict(topics.markers) or {name: name for name in names}
     chosen = {name: frame.lstrip('/') for name, frame in chosen.items()}
-    there = transforms.children
-    lacking = [frame for frame in chosen.values() if frame not in there]
+    frames = transforms.children
+    lacking = [frame for frame in chosen.values() if frame not in frames]
     if lacking:
-        shown = [*poses, *there]
+        shown = [*poses, *frames]
         raise DataSetError(
             str(bag),
             f'topic /{topics.shape.lstrip("/")} is not in it, and no topic or frame of /tf is '
@@ -407,10 +407,10 @@ def with_markers(
             f'say which is which marker, --marker {next(iter(chosen))}=NAME for each; there: '
             f'{listing(shown)}',
         )
-    found = [transforms.track(frame) for frame in chosen.values()]
-    parents = {parent for parent, _ in found}
+    placed = [transforms.track(frame) for frame in chosen.values()]
+    parents = {parent for parent, _ in placed}
     tracks = []
-    for parent, track in found:
+    for parent, track in placed:
         pose = transforms.to_base(parent)
         if pose is None and len(parents) > 1:
             raise DataSetError(
@@ -425,7 +425,7 @@ def with_markers(
 
 
 def in_base(recording: Recording) -> Recording:
-    """Return a recording in the frame of the base where its transforms say where that is."""
+    """Transform a recording to the frame of the base if its transforms allow it."""
     if is_base(recording.frame):
         return recording
     pose = read_transforms(recording).to_base(recording.frame.lstrip('/'))
@@ -435,16 +435,16 @@ def in_base(recording: Recording) -> Recording:
     return replace(recording, tracks=tracks, frame='base')
 
 
-def _moved(track: Track, turn: FloatArray, shift: FloatArray) -> Track:
+def _moved(track: Track, matrix: FloatArray, shift: FloatArray) -> Track:
     from scipy.spatial.transform import Rotation
 
-    turned = track.orientations.copy()
-    known = np.linalg.norm(np.nan_to_num(turned), axis=-1) > 0.5
-    plain = (turned == NO_ROTATION).all(axis=-1)
+    quats = track.orientations.copy()
+    known = np.linalg.norm(np.nan_to_num(quats), axis=-1) > 0.5
+    plain = (quats == NO_ROTATION).all(axis=-1)
     known &= ~plain
     if known.any():
-        turned[known] = (Rotation.from_matrix(turn) * Rotation.from_quat(turned[known])).as_quat()
-    return Track(track.times, track.positions @ turn.T + shift, turned)
+        quats[known] = (Rotation.from_matrix(matrix) * Rotation.from_quat(quats[known])).as_quat()
+    return Track(track.times, track.positions @ matrix.T + shift, quats)
 
 
 # Messages are looked at in groups. In a group of two senders values are of two kinds, apart by
@@ -526,18 +526,18 @@ def alternating(times: FloatArray, values: FloatArray) -> tuple[float, float, fl
     at = gaps.argmax(axis=1)[:, None]
     gap = np.take_along_axis(gaps, at, axis=1)
     above = groups > np.take_along_axis(order, at, axis=1)
-    turns = (above[:, 1:] != above[:, :-1]).sum(axis=1)  # (count, n)
+    flips = (above[:, 1:] != above[:, :-1]).sum(axis=1)  # (count, n)
     within = np.ptp(np.where(np.isfinite(groups), groups, order[:, :1]), axis=1) - gap[:, 0]
     many = above.sum(axis=1)
-    found = (
-        (turns >= ALTERNATIONS_MIN) & (gap[:, 0] > within) & (gap[:, 0] > APART_FRACTION * spread)
+    mixed = (
+        (flips >= ALTERNATIONS_MIN) & (gap[:, 0] > within) & (gap[:, 0] > APART_FRACTION * spread)
     )
-    found &= (many >= FEWEST) & (many <= GROUP - FEWEST) & (spread > 0.0)
+    mixed &= (many >= FEWEST) & (many <= GROUP - FEWEST) & (spread > 0.0)
     chance = CHANCE * count
-    found &= found.sum(axis=0) >= max(FEWEST, chance + DEVIATIONS * np.sqrt(chance))
-    where = np.flatnonzero(found.any(axis=1))
+    mixed &= mixed.sum(axis=0) >= max(FEWEST, chance + DEVIATIONS * np.sqrt(chance))
+    where = np.flatnonzero(mixed.any(axis=1))
     if not len(where):
         return None
-    largest = np.where(found, gap[:, 0], 0.0).max(axis=1)
+    largest = np.where(mixed, gap[:, 0], 0.0).max(axis=1)
     begin, end = times[where[0] * GROUP], times[min((where[-1] + 1) * GROUP, len(times) - 1)]
     return float(begin), float(end), float(largest.max())

@@ -1,4 +1,4 @@
-"""Where a recorded arm stands still: segments, averaged and put together to a data set."""
+"""Still segments of a recorded arm: found, averaged and assembled to a data set."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Rule:
 
 @dataclass(frozen=True)
 class ArmMotion:
-    """How the arm moved, on a regular grid of times."""
+    """Speed of the arm and change of its inputs, on a regular grid of times."""
 
     times: FloatArray  # (G,) [s]
     speed: FloatArray  # (G,) [m/s], inf where no marker was seen
@@ -87,28 +87,29 @@ def motion(recording: Recording, inputs: FloatArray, rule: Rule) -> ArmMotion:
             before, after = np.split(means, 2)
             speeds.append(np.linalg.norm(after - before, axis=1) / half)
     squares = np.stack(speeds, axis=1) ** 2  # (G, J)
-    seen = np.isfinite(squares)
-    mean = np.where(seen, squares, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
+    valid = np.isfinite(squares)
+    mean = np.where(valid, squares, 0.0).sum(axis=1) / np.maximum(valid.sum(axis=1), 1)
     before = held_means(recording.state_times, inputs, times - half, times)
     after = held_means(recording.state_times, inputs, times, times + half)
     slackened = np.isnan(before) != np.isnan(after)
     changes = np.where(slackened, np.inf, np.nan_to_num(np.abs(after - before)))
-    return ArmMotion(times, np.where(seen.any(axis=1), np.sqrt(mean), np.inf), changes.max(axis=1))
+    speed = np.where(valid.any(axis=1), np.sqrt(mean), np.inf)
+    return ArmMotion(times, speed, changes.max(axis=1))
 
 
 def never_still(
     name: str, motions: Sequence[ArmMotion], times: Sequence[FloatArray], rule: Rule
 ) -> DataSetError:
-    """Build the error of recordings, with the times [s] of their markers, that are never still."""
+    """Return the error of recordings without any still segment; `times` [s] of their markers."""
     slowest = 1e3 * min(float(moved.speed.min(initial=np.inf)) for moved in motions)
     lasts = max(float(np.ptp(own)) for own in times)
     # a speed takes messages in both halves of its window, which is half of the duration
     steps = [float(np.median(np.diff(own))) for own in times if len(own) > 1]
-    least = 3.999 * min(steps, default=0.0)  # times are rounded
+    shortest = 3.999 * min(steps, default=0.0)  # times are rounded
     shorter = min(0.5 * lasts, 0.5 * rule.duration)
     allow = (
         f'allow a shorter duration, say {shorter:.2g}'
-        if shorter >= least
+        if shorter >= shortest
         else 'let the arm rest longer in every posture'
     )
     if lasts < rule.duration:
@@ -117,12 +118,12 @@ def never_still(
             f'lasts {lasts:.3g} s, and the arm counts as still after {rule.duration:g} s',
             allow,
         )
-    if rule.duration < least:
+    if rule.duration < shortest:
         return DataSetError(
             name,
-            f'holds a place every {0.25 * least:.2g} s, too few to see in {rule.duration:g} s '
+            f'holds a place every {0.25 * shortest:.2g} s, too few to see in {rule.duration:g} s '
             'whether the arm stands still',
-            f'ask for a duration of {2.0 * least:.2g} or more',
+            f'ask for a duration of {2.0 * shortest:.2g} or more',
         )
     if slowest == np.inf:
         return DataSetError(name, 'no marker was ever seen', 'record the markers again')
@@ -194,10 +195,10 @@ def sample_means(
         (G, n), NaN where there is no value.
 
     """
-    seen = np.isfinite(values)
+    known = np.isfinite(values)
     zero = np.zeros((1, values.shape[1]))
-    sums = np.concatenate([zero, np.cumsum(np.where(seen, values, 0.0), axis=0)])
-    counts = np.concatenate([zero, np.cumsum(seen, axis=0)])
+    sums = np.concatenate([zero, np.cumsum(np.where(known, values, 0.0), axis=0)])
+    counts = np.concatenate([zero, np.cumsum(known, axis=0)])
     first = np.searchsorted(times, begin - 1e-9)
     last = np.searchsorted(times, end + 1e-9)
     count = counts[last] - counts[first]
@@ -217,7 +218,7 @@ def held_means(
 
 @dataclass(frozen=True)
 class Segment:
-    """A stretch of time in which the arm stood still, and what was measured then."""
+    """An interval in which the arm stood still, and its mean measurements."""
 
     begin: float  # [s] since the recording began
     end: float  # [s]
@@ -245,7 +246,7 @@ def find_segments(
     recording: Recording, inputs: FloatArray, moved: ArmMotion, rule: Rule, sequence: bool
 ) -> tuple[list[Segment], list[str]]:
     """
-    Return the measurements of a recording, and one line about each that is left out.
+    Return the measurements of a recording, and a line for each one that is excluded.
 
     Parameters
     ----------
@@ -264,7 +265,7 @@ def find_segments(
     if not any(text for _, text in recording.labels):
         averages = [_average(recording, inputs, *part) for part in still_stretches(moved, rule)]
         return name_segments(averages, rule, sequence), []
-    segments, left_out = [], []
+    segments, excluded = [], []
     ends = [time for time, _ in recording.labels[1:]] + [np.inf]
     stretches = still_stretches(moved, rule, np.array([time for time, _ in recording.labels]))
     for (begin, text), end in zip(recording.labels, ends, strict=True):
@@ -280,10 +281,10 @@ def find_segments(
             nothing = np.full_like(one.positions, np.nan), np.full_like(one.orientations, np.nan)
             one = replace(one, positions=nothing[0], orientations=nothing[1])
         else:
-            left_out.append(f'posture {posture}, trial {trial}: the arm did not stand still')
+            excluded.append(f'posture {posture}, trial {trial}: the arm did not stand still')
             continue
         segments.append(replace(one, posture=posture, trial=trial))
-    return segments, left_out
+    return segments, excluded
 
 
 def _label(bag: str, text: str) -> tuple[str, str]:
@@ -306,10 +307,10 @@ def _average(recording: Recording, inputs: FloatArray, begin: float, end: float)
         frames = track.positions[inside]
         flat = frames.reshape(-1, 3 * count)
         positions.append(sample_means(track.times[inside], flat, first, last).reshape(count, 3))
-        orientations.append(_mean_turn(track.orientations[inside]))
+        orientations.append(_mean_quaternion(track.orientations[inside]))
         noise.append(_noise(frames))
-    begun, ended = np.searchsorted(recording.state_times, [begin - 1e-9, end + 1e-9])
-    near = slice(max(int(begun) - 1, 0), max(int(ended), 1))  # and the last state before
+    first_state, end_state = np.searchsorted(recording.state_times, [begin - 1e-9, end + 1e-9])
+    near = slice(max(int(first_state) - 1, 0), max(int(end_state), 1))  # and the last state before
     return Segment(
         begin,
         end,
@@ -322,20 +323,20 @@ def _average(recording: Recording, inputs: FloatArray, begin: float, end: float)
 
 def _noise(positions: FloatArray) -> float:
     """Return 1 sd [m] of the mean of frames (S, J, 3), per coordinate."""
-    seen = np.isfinite(positions)
-    count = seen.sum(axis=0)
-    mean = np.where(seen, positions, 0.0).sum(axis=0) / np.maximum(count, 1)
-    squares = np.where(seen, (positions - mean) ** 2, 0.0).sum(axis=0)
+    visible = np.isfinite(positions)
+    count = visible.sum(axis=0)
+    mean = np.where(visible, positions, 0.0).sum(axis=0) / np.maximum(count, 1)
+    squares = np.where(visible, (positions - mean) ** 2, 0.0).sum(axis=0)
     known = count > 1
     if not known.any():
         return float('nan')
     return float(np.sqrt(np.mean(squares[known] / (count[known] * (count[known] - 1)))))
 
 
-def _mean_turn(turned: FloatArray) -> FloatArray:
+def _mean_quaternion(quaternions: FloatArray) -> FloatArray:
     """Return the mean of quaternions that differ little, (S, J, 4) to (J, 4)."""
-    known = np.abs(np.linalg.norm(turned, axis=2, keepdims=True) - 1.0) < 0.05
-    values = np.where(known, turned, 0.0)
+    known = np.abs(np.linalg.norm(quaternions, axis=2, keepdims=True) - 1.0) < 0.05
+    values = np.where(known, quaternions, 0.0)
     reference = values[known.argmax(axis=0)[:, 0], np.arange(values.shape[1])]
     total = (values * np.where((values * reference).sum(axis=2) < 0, -1, 1)[..., None]).sum(axis=0)
     norm = np.linalg.norm(total, axis=1, keepdims=True)
@@ -381,16 +382,16 @@ def assemble(bag: str, segments: list[Segment]) -> SegmentArrays:
     J, m = len(segments[0].positions), len(segments[0].inputs)
     inputs = np.full((*size, m), np.nan)
     positions, turned = np.full((*size, J, 3), np.nan), np.full((*size, J, 4), np.nan)
-    done = np.zeros(size, dtype=bool)
+    filled = np.zeros(size, dtype=bool)
     for one in segments:
         place = places[0][one.posture], places[1][one.trial]
-        if done[place]:
+        if filled[place]:
             raise DataSetError(
                 bag,
                 f'posture {one.posture!r}, trial {one.trial!r} is labelled twice',
                 'record it again with labels that differ',
             )
-        done[place] = True
+        filled[place] = True
         inputs[place], positions[place], turned[place] = (
             one.inputs,
             one.positions,
@@ -398,9 +399,9 @@ def assemble(bag: str, segments: list[Segment]) -> SegmentArrays:
         )
     known = np.isfinite(turned)
     plain = not known.any() or np.all(turned[known].reshape(-1, 4) == NO_ROTATION)
-    counts = done.sum(axis=1)[:, None]
-    mean = (np.where(done[..., None], inputs, 0.0).sum(axis=1) / counts).round(DIGITS)
-    spread = np.nan_to_num(np.abs(inputs - mean[:, None]))[done]
+    counts = filled.sum(axis=1)[:, None]
+    mean = (np.where(filled[..., None], inputs, 0.0).sum(axis=1) / counts).round(DIGITS)
+    spread = np.nan_to_num(np.abs(inputs - mean[:, None]))[filled]
     return SegmentArrays(
         postures,
         trials,

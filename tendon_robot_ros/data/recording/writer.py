@@ -168,13 +168,13 @@ class Builder:
             effort=np.asarray(tension, dtype=float),
         )
 
-    def pose_array(self, time: int, positions: FloatArray, turned: FloatArray) -> object:
+    def pose_array(self, time: int, positions: FloatArray, quaternions: FloatArray) -> object:
         """Build a PoseArray from positions (J, 3) [m] and quaternions (J, 4); time [ns]."""
         pose, point = (self._types[f'geometry_msgs/msg/{name}'] for name in ('Pose', 'Point'))
         quaternion = self._types['geometry_msgs/msg/Quaternion']
         poses = [
-            pose(position=point(*map(float, place)), orientation=quaternion(*map(float, turn)))
-            for place, turn in zip(positions, turned, strict=True)
+            pose(position=point(*map(float, place)), orientation=quaternion(*map(float, rotation)))
+            for place, rotation in zip(positions, quaternions, strict=True)
         ]
         return self._types[POSE_ARRAY](header=self._header(time), poses=poses)
 
@@ -202,7 +202,7 @@ def parse_pose_array(data: bytes) -> tuple[str, FloatArray]:
         The bytes are no PoseArray.
 
     """
-    order = '<' if data[1] == 1 else '>'  # CDR: four bytes that say how, then aligned fields
+    order = '<' if data[1] == 1 else '>'  # CDR: four bytes of encoding, then aligned fields
     body = memoryview(data)[4:]
 
     def count(place: int) -> int:
@@ -218,7 +218,7 @@ def parse_pose_array(data: bytes) -> tuple[str, FloatArray]:
 
 
 def joints_of(message: Any, names: Sequence[str]) -> tuple[list[float], list[float]]:
-    """Take pulls [m] and tensions [N] of the named tendons of a JointState; NaN = not there."""
+    """Return pulls [m] and tensions [N] of the named tendons of a JointState; NaN = missing."""
     places = {name: place for place, name in enumerate(message.name)}
 
     def pick(values: Sequence[float]) -> list[float]:
@@ -235,7 +235,7 @@ OTHER_FILES = ('.bag', '.db3')  # endings that no folder may have: readers go by
 
 @dataclass(frozen=True)
 class Timing:
-    """How long an exported recording shows what."""
+    """Durations of the phases of an exported recording."""
 
     hold: float = 2.0  # [s] each measurement
     move: float = 1.0  # [s] from one measurement to the next
@@ -338,22 +338,22 @@ def _stages(dataset: DataSet, timing: Timing) -> Iterator[tuple[str, list[_State
         order = [(p, q) for q in range(Q) for p in range(P)]
     turned, last = dataset.orientations, straight
     for p, q in order:
-        looks = np.full((J, 4), np.nan) if turned is None else turned[p, q]
-        state = _State(dataset.inputs_by_trial[p, q], dataset.positions[p, q], looks)
-        way = [last, straight, state] if dataset.path == 'from_straight' else [last, state]
-        yield '', _move(way, max(round(timing.move * timing.rate), 2))
+        quaternions = np.full((J, 4), np.nan) if turned is None else turned[p, q]
+        state = _State(dataset.inputs_by_trial[p, q], dataset.positions[p, q], quaternions)
+        waypoints = [last, straight, state] if dataset.path == 'from_straight' else [last, state]
+        yield '', _move(waypoints, max(round(timing.move * timing.rate), 2))
         label = {'posture': dataset.postures[p], 'trial': dataset.trial_names[q]}
         yield json.dumps(label, ensure_ascii=False), [state] * count
         last = state
     yield '', [last]
 
 
-def _move(way: list[_State], count: int) -> list[_State]:
-    """Return instants on straight lines, without the ends."""
+def _move(waypoints: list[_State], count: int) -> list[_State]:
+    """Interpolate linearly along waypoints; return `count` instants between the ends."""
     states = []
-    for share in np.linspace(0.0, len(way) - 1, count + 2)[1:-1]:
-        leg = min(int(share), len(way) - 2)
-        a, b, t = way[leg], way[leg + 1], share - leg
+    for progress in np.linspace(0.0, len(waypoints) - 1, count + 2)[1:-1]:
+        leg = min(int(progress), len(waypoints) - 2)
+        a, b, t = waypoints[leg], waypoints[leg + 1], progress - leg
         states.append(
             _State(
                 (1 - t) * a.inputs + t * b.inputs,

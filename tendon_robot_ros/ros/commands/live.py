@@ -376,12 +376,12 @@ def investigate(director: Director, story: Story, folder: Path) -> None:
     finally:
         arm.destroy_node()
     story.verdict = {} if findings.diagnosis is None else findings.diagnosis.to_json()
-    if findings.made is not None and findings.diagnosis is not None:
+    if findings.addition is not None and findings.diagnosis is not None:
         names = [effect.name for effect in findings.diagnosis.effects]
         story.added = director.wait(
             lambda: director.uses(names), MOVE_TIMEOUT_S, 'the reload', strict=False
         )
-        story.before, story.after = findings.made.check.before, findings.made.check.after
+        story.before, story.after = findings.addition.check.before, findings.addition.check.after
 
 
 def tour_forever(director: Director, model: Model, postures: int) -> None:

@@ -28,7 +28,7 @@ from ...common.colours import PREDICTED
 from ...control import Refusal, Target, Twist
 from ...control.checks import by_name, check_frame, check_stamp, direction, finite, position
 from ...control.state import Trajectory
-from ...data.tracker_faults import not_there
+from ...data.tracker_faults import is_missing
 from ...model.model import Model
 from ...model.shape import Shape
 from ...robot import Robot
@@ -106,7 +106,7 @@ class Incoming:
         what, p = 'measured_tip', message.pose.position
         rotation, shift = self._to_base(message.header, what)
         point = finite([p.x, p.y, p.z], what)
-        if not_there(point):  # sent by trackers for a marker that is not visible
+        if is_missing(point):  # sent by trackers for a marker that is not visible
             raise Refusal('not_finite', f'measured_tip: {point.tolist()} says that it is not seen')
         return self._within_reach(rotation @ point + shift, what)
 

@@ -13,7 +13,7 @@ from std_msgs.msg import Float64, Float64MultiArray, Header
 from ...common.arrays import Floats
 from ...common.errors import InputError
 from ...control.checks import Refusal, check_stamp
-from ...data.tracker_faults import not_there
+from ...data.tracker_faults import is_missing
 from ...monitoring import Monitor
 from ...monitoring.monitor import Compared
 from ..shared.messages import (
@@ -149,7 +149,7 @@ class MarkerInput:
             self.problem = str(refusal)
             return None
         self.problem = ''
-        points = np.where(not_there(points)[:, None], np.nan, points)
+        points = np.where(is_missing(points)[:, None], np.nan, points)
         return points @ rotation.T + translation
 
     def _time(self, header: Header) -> float:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ...common.colours import BAD, ERROR, GOOD, INK, KINDS, MEASURED, PREDICTED, WARN, rgb
 from ...common.words import mm, percent
 from ...diagnosis.result import NOT_NEEDED, LoadVector, Value
-from ...report.sentences import load_words, told_quantity
+from ...report.sentences import load_words, rounded_quantity
 from .state import CURVE_SPAN_S
 
 Floats32 = NDArray[np.float32]
@@ -239,7 +239,7 @@ def verdict(diagnosis: Mapping[str, Any], count: int = 6) -> str:
     rows = []
     for row in diagnosis.get('candidates', [])[:count]:
         values = ', '.join(
-            told_quantity(key, _value_of(v))
+            rounded_quantity(key, _value_of(v))
             for key, v in row['parameters'].items()
             if v.get('value') is not None
         )
