@@ -140,6 +140,18 @@ def test_the_mean_of_a_marker_that_a_trial_lost_has_the_inputs_of_the_others():
         np.testing.assert_allclose(white, np.eye(len(white)), atol=2e-3)
 
 
+def test_a_noisy_marker_counts_though_a_trial_of_every_posture_lost_it():
+    quiet = replace(NOISE, trial=0.0, setting=0.0)
+    dataset, random = measured(ROBOT, trials=20, noise=quiet), np.random.default_rng(5)
+    markers, positions = dataset.markers[4::5], dataset.positions[:, :, 4::5].copy()
+    positions[:, :, -1] += random.normal(0.0, 1e-3, positions[:, :, -1].shape)
+    positions[np.arange(8), random.integers(0, 20, 8), -1] = np.nan
+    lossy = replace(dataset, markers=markers, positions=positions)
+    estimate = estimate_noise(lossy, np.zeros_like(slopes_of(lossy)))  # inputs are exact
+    truth = np.sqrt(NOISE.position**2 + 1e-3**2 / len(markers))
+    assert np.hypot(estimate.position, estimate.shift) == pytest.approx(truth, rel=0.05)
+
+
 def shifted(dataset, size, seed=0):
     """Return the data set with all markers of a trial moved alike, 1 sd per coordinate [m]."""
     P, Q = dataset.positions.shape[:2]

@@ -20,6 +20,7 @@ from .predict import Point, Predictor
 from .statistics import chi2_isf, minimum
 
 BoolArray = npt.NDArray[np.bool_]
+Indices = npt.NDArray[np.intp]
 # [1] relative variance, or singular value, below which a cause is left out, because it changes no
 # weight by more than a thousandth
 NEGLIGIBLE = 1e-3
@@ -358,14 +359,13 @@ def estimate_noise(dataset: DataSet, slopes: Floats) -> Noise | None:
     deviations, driven = list[Floats](), list[Floats]()
     explained = input_effect(dataset, slopes)
     for p in range(len(dataset.postures)):
-        measured = dataset.trial_mask[p]
-        complete = dataset.mask[p][measured].all(axis=0)
-        trials = int(measured.sum())
-        if trials < 2 or not complete.any():
+        trials, markers = _complete(dataset.mask[p])
+        if len(trials) < 2 or not len(markers):
             continue
-        moves = (dataset.positions[p] - explained[p])[measured][:, complete].reshape(trials, -1)
+        block = np.ix_(trials, markers)
+        moves = (dataset.positions[p][block] - explained[p][block]).reshape(len(trials), -1)
         deviations.append(moves - moves.mean(axis=0))
-        driven.append(slopes[p][:, complete].reshape(len(slopes[p]), -1).T)
+        driven.append(slopes[p][:, markers].reshape(len(slopes[p]), -1).T)
     total = float(sum((len(moves) - 1) * moves.shape[1] for moves in deviations))
     if total < TRIAL_DOF_MIN:
         return declared
@@ -373,6 +373,21 @@ def estimate_noise(dataset: DataSet, slopes: Floats) -> Noise | None:
     many = any(moves.shape[1] > 6 for moves in deviations)
     position, trial, shift = _likeliest(_TrialLikelihood(deviations, driven), many)
     return Noise(position, trial, dataset.setting_noise, total, 'trials', shift)
+
+
+def _complete(mask: BoolArray) -> tuple[Indices, Indices]:
+    """
+    Return trials and markers of a posture, of which every reading (Q, J) is there.
+
+    Trials that lost a marker are left out, or markers that a trial lost: whatever keeps more
+    readings, so that a marker with one lost reading still counts, however noisy it is.
+    """
+    some = mask[mask.any(axis=1)][:, mask.any(axis=0)]
+    trials, markers = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    whole_trials, whole_markers = some.all(axis=1), some.all(axis=0)
+    if (whole_trials.sum() - 1) * len(markers) >= (len(trials) - 1) * whole_markers.sum():
+        return trials[whole_trials], markers
+    return trials, markers[whole_markers]
 
 
 def _likeliest(likelihood: _TrialLikelihood, may_shift: bool) -> tuple[float, float, float]:
