@@ -102,7 +102,7 @@ setup(
     maintainer=PACKAGE_XML.findtext('maintainer'),
     maintainer_email=PACKAGE_XML.find('maintainer').get('email'),
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={'': ['py.typed', '*.css', '*.html', '*.js']},
+    package_data={'': ['py.typed', '*.css', '*.html', '*.js', '*.yaml']},
     data_files=shared_files(),
     python_requires='>=3.12',
     install_requires=[

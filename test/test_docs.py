@@ -118,16 +118,13 @@ def test_every_command_and_option_on_a_page_exists():
 
 @pytest.mark.skipif(importlib.util.find_spec('rclpy') is None, reason='rclpy is not installed')
 def test_every_node_parameter_on_a_page_exists():
+    from tendon_robot_ros.ros.shared.parameters import declared
+
     wrong, seen = [], 0
     for page, name, given in arguments():
         for parameter in re.findall(r'-p (\w+):=', given):
-            module = COMMANDS[name]
-            parameters = module.replace('.node', '.parameters')
-            if importlib.util.find_spec(parameters):
-                module = parameters
-            known = [spec.name for spec in importlib.import_module(module).SPECS]
             seen += 1
-            if parameter not in known:
+            if parameter not in declared()[name.replace('-', '_')]:
                 wrong.append(f'{page}: {name} has no parameter {parameter}')
     assert seen > 10
     assert not wrong, '\n'.join(wrong)

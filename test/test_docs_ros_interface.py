@@ -13,15 +13,9 @@ pytest.importorskip('rclpy')
 
 from trajectory_msgs.msg import JointTrajectoryPoint
 
-from tendon_robot_ros.ros.commands import robot_model, teleop
-from tendon_robot_ros.ros.controller import parameters as controller_setup
-from tendon_robot_ros.ros.driver import node as driver_setup
-from tendon_robot_ros.ros.monitor import node as monitor_setup
-from tendon_robot_ros.ros.viewer import node as viewer
+from tendon_robot_ros.ros.shared.parameters import declared
 
 DOC = (ROOT / 'docs' / 'ros_interface.md').read_text(encoding='utf-8')
-NODES = {'controller': controller_setup, 'driver': driver_setup, 'teleop': teleop}
-NODES |= {'monitor': monitor_setup, 'viewer': viewer, 'robot-model': robot_model}
 KINDS = {bool: 'bool', float: 'double', str: 'string', list: 'string[]'}
 
 
@@ -48,13 +42,11 @@ def row(spec):
     )
 
 
-@pytest.mark.parametrize('node', NODES)
+@pytest.mark.parametrize('node', declared())
 def test_every_parameter_is_documented_as_it_is(node):
-    missing = [row(spec) for spec in NODES[node].SPECS if row(spec) not in section(node)]
-    assert missing == []
-    assert section(node).count(' | fixed | ') + section(node).count(' | any time | ') == len(
-        NODES[node].SPECS
-    )
+    rows, told = [row(spec) for spec in declared()[node].values()], section(node.replace('_', '-'))
+    assert [one for one in rows if one not in told] == []
+    assert told.count(' | fixed | ') + told.count(' | any time | ') == len(rows)
 
 
 @pytest.mark.parametrize('node', ['controller', 'driver'])

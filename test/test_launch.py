@@ -14,13 +14,9 @@ pytest.importorskip('rclpy')
 
 from tendon_robot_ros.cli.main import COMMANDS
 from tendon_robot_ros.common.processes import PARENT
-from tendon_robot_ros.ros.commands import robot_model
-from tendon_robot_ros.ros.controller import parameters as controller_setup
-from tendon_robot_ros.ros.driver import node as driver_setup
+from tendon_robot_ros.ros.shared.parameters import declared
 
 LAUNCH = sorted((ROOT / 'launch').glob('*.launch.py'))
-FILE_SPECS = {'controller': controller_setup.SPECS, 'driver': driver_setup.SPECS}
-SPECS = {**FILE_SPECS, 'robot-model': robot_model.SPECS}
 SHARES = {'tendon_robot_ros': ROOT}
 
 
@@ -35,17 +31,17 @@ def started(tmp_path):
     return start
 
 
-@pytest.mark.parametrize('name', FILE_SPECS)
+@pytest.mark.parametrize('name', ['controller', 'driver'])
 def test_a_parameter_file_holds_the_defaults(name):
     content = yaml.safe_load((ROOT / 'config' / f'{name}.yaml').read_text())
-    specs = {spec.name: spec for spec in SPECS[name]}
+    specs = declared()[name]
     for key, value in content['/**']['ros__parameters'].items():
         assert specs[key].checked(value) == specs[key].default
 
 
-@pytest.mark.parametrize('name', FILE_SPECS)
+@pytest.mark.parametrize('name', ['controller', 'driver'])
 def test_every_parameter_says_what_it_is(name):
-    for spec in SPECS[name]:
+    for spec in declared()[name].values():
         assert spec.text
         assert spec.checked(spec.default) is not None
         assert type(spec.default) is not float or spec.unit
@@ -74,8 +70,8 @@ def test_nodes_of_this_package_get_parameters_that_they_know(path, space, starte
     ]
     for process in own:
         assert process.executable in COMMANDS
-        specs = {spec.name: spec for spec in SPECS[process.executable]}
         name = process.executable.replace('-', '_')
+        specs = declared()[name]
         assert f'__node:={name}' in process.arguments
         assert f'__ns:=/{space.strip("/")}' in process.arguments
         given = process.parameters(f'/left_arm/{name}' if space else f'/{name}')

@@ -14,12 +14,26 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from tendon_robot_ros.common.errors import InputError
-from tendon_robot_ros.ros.controller import parameters as controller
-from tendon_robot_ros.ros.driver import node as driver
-from tendon_robot_ros.ros.monitor import node as monitor
-from tendon_robot_ros.ros.shared.parameters import Parameters, check_files, check_overrides
+from tendon_robot_ros.control.approach import APPROACHES
+from tendon_robot_ros.data.dataset import LOADINGS
+from tendon_robot_ros.drivers.interface import BACKENDS
+from tendon_robot_ros.drivers.safety import STOP_TIME_MIN_S
+from tendon_robot_ros.monitoring.watch import ALARM_POSTURES
+from tendon_robot_ros.ros.shared.parameters import (
+    Parameters,
+    check_files,
+    check_overrides,
+    declared,
+)
 
-NODES = {'controller': controller.SPECS, 'driver': driver.SPECS, 'monitor': monitor.SPECS}
+
+def test_the_table_agrees_with_what_the_nodes_do():
+    driver, controller, monitor = (declared()[n] for n in ('driver', 'controller', 'monitor'))
+    assert list(driver['backend'].choices) == list(BACKENDS)
+    assert driver['stop_time'].low == STOP_TIME_MIN_S
+    assert list(controller['approach'].choices) == list(APPROACHES)
+    assert sorted(monitor['path'].choices) == sorted(LOADINGS)
+    assert monitor['alarm_postures'].default == ALARM_POSTURES
 
 
 def whole(spec):
@@ -29,9 +43,10 @@ def whole(spec):
 
 @pytest.mark.ros
 @pytest.mark.parametrize('source', ['command line', 'file', 'set'])
-@pytest.mark.parametrize('name', NODES)
+@pytest.mark.parametrize('name', ['controller', 'driver', 'monitor'])
 def test_integers_are_taken_for_every_double(name, source, tmp_path):
-    doubles = [spec for spec in NODES[name] if isinstance(spec.default, float)]
+    specs = declared()[name].values()
+    doubles = [spec for spec in specs if isinstance(spec.default, float)]
     given = {spec.name: whole(spec) for spec in doubles if whole(spec) is not None}
     assert len(given) > 3
     arguments = []
@@ -45,9 +60,9 @@ def test_integers_are_taken_for_every_double(name, source, tmp_path):
     rclpy.init(args=['node', '--ros-args', *arguments] if arguments else [], context=context)
     try:
         node = Node(name, context=context, start_parameter_services=False)
-        parameters = Parameters(node, NODES[name])
+        parameters = Parameters(node, name)
         if source == 'set':
-            fixed = {s.name for s in NODES[name] if s.read_only}
+            fixed = {s.name for s in specs if s.read_only}
             given = {key: n for key, n in given.items() if key not in fixed}
             results = node.set_parameters([Parameter(key, value=n) for key, n in given.items()])
             assert [one.reason for one in results if not one.successful] == []

@@ -22,22 +22,11 @@ from ...common.errors import TendonRobotError
 from ...robot import Robot, load_robot
 from ...robot.urdf import joint_angles, joint_names, transforms, urdf
 from ..shared.messages import LATCHED, LISTEN, STATE, joint_state, matrix, quaternion
-from ..shared.parameters import CONTROLLER, FRAME_PREFIX, Parameters, RemoteParameter, fixed
+from ..shared.parameters import Parameters, RemoteParameter
 from ..shared.runtime import Runnable, repeat, run
 from ..shared.timing import STATUS_PERIOD_S
 
 HELP = 'show RViz and Foxglove the robot: URDF, joints, frames'
-SPECS = (
-    fixed(
-        'robot',
-        '',
-        'robot description: a path, the name of a robot in config/robots, or YAML text; empty: '
-        'that of the controller',
-    ),
-    CONTROLLER,
-    FRAME_PREFIX,
-    fixed('publish_tf', True, 'frames of all cells, where tf2_ros is installed'),
-)
 
 
 class RobotModelNode(Runnable, Node):
@@ -46,7 +35,7 @@ class RobotModelNode(Runnable, Node):
     def __init__(self) -> None:
         """Read the robot of the parameter, or request that of the controller."""
         super().__init__('robot_model')
-        self.parameters = Parameters(self, SPECS)
+        self.parameters = Parameters(self, 'robot_model')
         controller = self.parameters['controller']
         self._robot: Robot | None = None
         self._prefix, self._problem = '', ''

@@ -24,20 +24,11 @@ from std_srvs.srv import Trigger
 
 from ...common.errors import InputError
 from ..shared.messages import COMMAND, LATCHED, stamp_now, status_values
-from ..shared.parameters import CONTROLLER, FRAME_PREFIX, Parameters, Spec, fixed
+from ..shared.parameters import Parameters
 from ..shared.runtime import Runnable, repeat, run
 from ..shared.timing import NEWS_PERIOD_S
 
 HELP = 'move the tip with the keyboard'
-# [1] defaults and ranges, each with its unit: docs/ros_interface.md
-SPECS = (
-    CONTROLLER,
-    fixed('robot', 'kato_10_1', 'name of the robot: its frames are <robot>_base and <robot>_tip'),
-    FRAME_PREFIX,
-    Spec('linear_speed', 0.01, 'speed of the tip', 'm/s', 0.0001, 0.5),
-    Spec('angular_speed', 0.3, 'turning speed of the tip', 'rad/s', 0.001, 5.0),
-    Spec('hold', 0.15, 'time after the last repeat of a key until the tip stops', 's', 0.05, 1.0),
-)
 KEPT_FROM_MOVING = 'stopped', 'driver_stopped', 'released', 'no_driver', 'not_ready'
 
 
@@ -49,7 +40,7 @@ class TeleopNode(Runnable, Node):
         super().__init__('teleop')
         if not sys.stdin.isatty():
             raise InputError('teleop: expected a terminal to read keys from, got a pipe or file')
-        self.parameters = Parameters(self, SPECS)
+        self.parameters = Parameters(self, 'teleop')
         name = self.parameters['controller']
         self._twists = self.create_publisher(TwistStamped, f'{name}/delta_twist', COMMAND)
         self._calls = {

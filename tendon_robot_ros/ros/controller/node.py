@@ -60,7 +60,7 @@ class ControllerNode(StoppableNode):
     def __init__(self) -> None:
         """Declare parameters and start to load the model; nothing is commanded yet."""
         super().__init__('controller', drives=False)
-        self.parameters = Parameters(self, parameters.SPECS)
+        self.parameters = Parameters(self, 'controller')
         self.status = Status(self, 'control')
         self.core: ControllerCore | None = None
         self._loading = ModelLoading(self.parameters)

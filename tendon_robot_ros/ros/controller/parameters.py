@@ -7,7 +7,6 @@ from dataclasses import fields
 
 from ...common.errors import InputError, TendonRobotError
 from ...control import Settings
-from ...control.approach import APPROACHES
 from ...control.checks import check_inputs
 from ...control.loading import Loader
 from ...effects import load_catalogue
@@ -17,113 +16,13 @@ from ...robot import load_robot
 from ...robot.description import DESCRIPTION_MAX
 from ...robot.keep_out import KeepOut, parse_keep_out, text_of
 from ...robot.loading import robot_file
-from ..shared.lifecycle import AUTOSTART
-from ..shared.parameters import BASE_FRAME, COMMAND_MODE, FRAME_PREFIX, Parameters, Spec, fixed
+from ..shared.parameters import Parameters, declared
 
 # [1] keep-out regions, because each is checked along every planned path
 REGIONS_MAX = 50
 # [1] characters of a description that is parsed before the parameter is accepted: a longer one
 # would delay the commands
 READ_AT_ONCE_MAX = 4_000
-# [1] defaults and ranges, each with its unit: docs/ros_interface.md
-SPECS = (
-    Spec(
-        'model',
-        '',
-        'robot description with its effects: a path, the name of a robot in '
-        'config/robots, or YAML text; reloads at run time',
-    ),
-    Spec(
-        'effects',
-        [''],
-        'Python files with effects of your own (they are executed); read when a model is loaded',
-    ),
-    COMMAND_MODE,
-    fixed('rate', 200.0, 'commands per second', 'Hz', 10.0, 1000.0),
-    fixed('shape_rate', 30.0, 'predicted shapes, tips and markers per second', 'Hz', 1.0, 200.0),
-    Spec('rate_limit', 10.0, 'largest change of a tension', 'N/s', 0.01, 1000.0),
-    Spec(
-        'state_timeout',
-        0.25,
-        'silence of tendon_states after which the driver counts as gone',
-        's',
-        0.02,
-        10.0,
-    ),
-    Spec('twist_timeout', 0.1, 'silence of delta_twist after which the tip stops', 's', 0.02, 2.0),
-    Spec(
-        'no_equilibrium_timeout',
-        0.5,
-        'time without equilibrium after which the arm is released',
-        's',
-        0.0,
-        10.0,
-    ),
-    Spec(
-        'resume',
-        False,
-        'go on to the old target when the driver comes back or its release is over, instead of '
-        'holding where the arm is',
-    ),
-    Spec('stamp_tolerance', 0.5, 'largest age, and largest lead, of a stamp', 's', 0.01, 60.0),
-    Spec('hold_direction', False, 'keep the view while a twist moves the tip'),
-    Spec(
-        'direction_weight',
-        0.0,
-        'how much a radian counts against position; 0: a fifth of the length of the robot',
-        'm/rad',
-        0.0,
-        10.0,
-    ),
-    Spec(
-        'tip_gain',
-        0.0,
-        'closed loop on measured_tip: share of a lasting error removed per second; 0: open loop',
-        '1/s',
-        0.0,
-        10.0,
-    ),
-    Spec(
-        'approach',
-        'any',
-        'the last leg of the way to a target: any; from_below: from straight, friction has '
-        'forgotten',
-        choices=APPROACHES,
-    ),
-    Spec(
-        'keep_out',
-        '',
-        'regions that no part of the arm may enter: the path of a YAML file, or its text',
-    ),
-    Spec('look_ahead', 0.0, 'by which a stream of targets is led', 's', 0.0, 0.5),
-    Spec('drive_lag', 0.0, 'of first order, of tensions behind their commands', 's', 0.0, 0.5),
-    Spec('tracker_delay', 0.0, 'from what the tracker sees to measured_tip', 's', 0.0, 0.5),
-    Spec('prefer_low_tension', 0.0, 'weight of little tension', '1', 0.0, 1e3),
-    Spec('prefer_stiffness', 0.0, 'weight of a tip that gives way little', '1', 0.0, 1e3),
-    Spec(
-        'prefer_stiffness_along',
-        '',
-        'direction of prefer_stiffness in the base frame, as "x y z"; empty: that in which the '
-        'tip is softest',
-    ),
-    Spec(
-        'prefer_stiffness_enough',
-        0.0,
-        'stiffness along it beyond which nothing is gained; 0: there is no such',
-        'N/m',
-        0.0,
-        1e6,
-    ),
-    Spec('prefer_slack', 0.0, 'weight of distance from the lowest tension', '1', 0.0, 1e3),
-    Spec('prefer_limit', 0.0, 'weight of distance from the highest tension', '1', 0.0, 1e3),
-    Spec('prefer_smooth', 0.0, 'weight of little change of the tensions', '1', 0.0, 1e3),
-    Spec('prefer_margin', 0.1, 'distance wanted, as a share of the range', '1', 0.001, 0.5),
-    BASE_FRAME,
-    fixed('tip_frame', '', 'frame of the tip; empty: <robot>_tip'),
-    FRAME_PREFIX,
-    fixed('driver_status', 'driver/status', 'topic of the status of the driver; empty: none'),
-    AUTOSTART,
-)
 
 
 def keep_out_of(text: str) -> KeepOut:
@@ -153,7 +52,7 @@ def direction_of(text: str) -> tuple[float, float, float]:
 # weights of the preferences of tensions, as named in `Preferences`
 WEIGHTS = 'low_tension', 'stiffness', 'slack', 'limit', 'smooth'
 # settings of the core that equal the parameter of the same name
-SAME = {s.name for s in SPECS} & {f.name for f in fields(Settings)} - {'keep_out'}
+SAME = {*declared()['controller']} & {f.name for f in fields(Settings)} - {'keep_out'}
 
 
 def settings(parameters: Parameters, keep_out: KeepOut) -> Settings:

@@ -7,16 +7,13 @@ Also the status of the driver, and the service of the driver that the controller
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped, PoseArray, PoseStamped, TwistStamped
-from rclpy.client import Client
 from rclpy.node import Node
-from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
@@ -47,7 +44,7 @@ from ..shared.messages import (
     tensions_and_pulls,
     time_now,
 )
-from ..shared.parameters import Parameters, base_frame
+from ..shared.parameters import Parameters, Request, base_frame
 from ..shared.timing import SILENCE_S, VALUES_PERIOD_S
 
 # [1] points of a trajectory: more would delay the commands while they are parsed
@@ -249,14 +246,12 @@ class DriverLink:
         """Create subscription and client."""
         self.last = '', '', 0, ''
         self._own, self._callback = own, callback
-        self._client: Client | None = None
-        self._future: Future | None = None
-        self._requested_at = float('-inf')  # [s]
+        self._request: Request | None = None
         self._answers: list[Resumed] = []
         if topic:
             node.create_subscription(DiagnosticStatus, topic, self.receive, LATCHED)
         if topic.endswith(STATUS):
-            self._client = node.create_client(Trigger, topic.removesuffix(STATUS) + RESUME)
+            self._request = Request(node, Trigger, topic.removesuffix(STATUS) + RESUME)
 
     @property
     def another(self) -> str:
@@ -266,34 +261,30 @@ class DriverLink:
     @property
     def may_ask(self) -> bool:
         """Whether a request may be repeated: none is pending, and the last one is old enough."""
-        return self._future is None and time.monotonic() - self._requested_at > VALUES_PERIOD_S
+        request = self._request
+        return request is not None and not request.waiting and request.age > VALUES_PERIOD_S
 
     def resume(self, answer: Resumed) -> bool:
         """Request that the driver follows commands again; return False without a service."""
-        if self._client is None or not self._client.service_is_ready():
+        if self._request is None or not self._request.ready:
             return False
-
-        def done(future: Future) -> None:
-            if future is self._future:
-                response = future.result()
-                self._answer_all(response.success, response.message)
-
         self._answers.append(answer)
-        if self._future is None:
-            self._requested_at = time.monotonic()
-            self._future = self._client.call_async(Trigger.Request())
-            self._future.add_done_callback(done)
+        if not self._request.waiting:
+            self._request.ask(
+                Trigger.Request(),
+                lambda response: self._answer(response.success, response.message),
+            )
         return True
 
     def poll(self) -> None:
         """Drop a request without an answer."""
-        if self._future is not None and time.monotonic() - self._requested_at > SILENCE_S:
-            assert self._client is not None
-            self._client.remove_pending_request(self._future)
-            self._answer_all(False, f'the driver does not answer within {SILENCE_S:g} s')
+        request = self._request
+        if request is not None and request.waiting and request.age > SILENCE_S:
+            request.drop()
+            self._answer(False, f'the driver does not answer within {SILENCE_S:g} s')
 
-    def _answer_all(self, follows: bool, why: str) -> None:
-        answers, self._answers, self._future = self._answers, [], None
+    def _answer(self, follows: bool, why: str) -> None:
+        answers, self._answers = self._answers, []
         for answer in answers:
             answer(follows, why)
 

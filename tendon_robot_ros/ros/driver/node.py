@@ -20,7 +20,6 @@ from std_srvs.srv import Trigger
 from ...common.errors import TendonRobotError
 from ...common.processes import Realtime, go_realtime
 from ...control.checks import Refusal, by_name, check_stamp, finite
-from ...drivers.interface import BACKENDS
 from ...drivers.mock import MockDriver
 from ...drivers.safety import (
     FOLLOWING,
@@ -28,16 +27,15 @@ from ...drivers.safety import (
     LIMP,
     OFF,
     RELEASED,
-    STOP_TIME_MIN_S,
     StopLatch,
     Supervisor,
 )
 from ...drivers.tendon_check import due
 from ...robot import load_robot
 from ..shared.inbox import Inbox, Received
-from ..shared.lifecycle import AUTOSTART, ERROR, OK, WARN, Status, StoppableNode
+from ..shared.lifecycle import ERROR, OK, WARN, Status, StoppableNode
 from ..shared.messages import JOINTS, STATE, refilled, seconds, stamp_now, time_now
-from ..shared.parameters import BASE_FRAME, COMMAND_MODE, Parameters, Spec, fixed
+from ..shared.parameters import Parameters
 from ..shared.runtime import end_requested, has_priority, on_end_request, repeat, run
 from ..shared.senders import OwnPublisher, PublisherNames, Senders, gid_text
 from ..shared.timing import SILENCE_S, VALUES_PERIOD_S
@@ -58,80 +56,6 @@ GO_ON = 'a new target of the controller, or reset, goes on'
 NO_MORE = 'the sender of the commands lets go'
 INACTIVE, INACTIVE_REASON = 'inactive', 'the node is not active'
 
-# [1] defaults and ranges, each with its unit: docs/ros_interface.md
-SPECS = (
-    fixed(
-        'robot',
-        '',
-        'robot description: a path, the name of a robot in config/robots, or YAML text',
-    ),
-    fixed('backend', 'mock', 'what is behind the driver', choices=tuple(BACKENDS)),
-    fixed(
-        'config',
-        '',
-        'configuration of the backend: a path, the name of a file in config, or YAML text',
-    ),
-    COMMAND_MODE,
-    fixed('rate', 200.0, 'cycles of command and reading', 'Hz', 10.0, 1000.0),
-    Spec('command_timeout', 0.1, 'silence after which the arm is released', 's', 0.01, 10.0),
-    Spec('rate_limit', 20.0, 'largest change of a commanded tension', 'N/s', 0.01, 1000.0),
-    Spec(
-        'release_rate', 10.0, 'largest change of a tension during a release', 'N/s', 0.01, 1000.0
-    ),
-    Spec(
-        'stop_time',
-        0.06,
-        'after a stop no motor pulls more than pretension so much later (docs/safety.md)',
-        's',
-        STOP_TIME_MIN_S,
-        10.0,
-    ),
-    Spec(
-        'release_to',
-        'pretension',
-        'end of a release: hold pretension, or torque off',
-        choices=('pretension', 'limp'),
-    ),
-    fixed(
-        'pretension',
-        -1.0,
-        'tension held after a release; -1: the lower tension limit',
-        'N',
-        -1.0,
-        100.0,
-    ),
-    fixed(
-        'pull_limit', 0.0, 'largest wire pull either way; 0: that of the backend', 'm', 0.0, 1.0
-    ),
-    Spec('pull_rate_limit', 0.05, 'largest change of a commanded wire pull', 'm/s', 1e-5, 10.0),
-    Spec(
-        'pull_release_rate',
-        0.02,
-        'largest change of a wire pull during a release',
-        'm/s',
-        1e-5,
-        10.0,
-    ),
-    Spec(
-        'stamp_tolerance',
-        0.5,
-        'largest age, and largest lead, of a stamped command',
-        's',
-        0.01,
-        60.0,
-    ),
-    fixed('frame_prefix', '', 'put before frame names (backend mock: its tracker)'),
-    BASE_FRAME,
-    fixed(
-        'tendon_reference',
-        '',
-        'file of calibrate --check; after the power was off the status asks for the check; '
-        'empty: nobody asks',
-    ),
-    Spec('mock_fault', '', 'backend mock: fault to inject, as overload:NAME,NAME; empty: none'),
-    AUTOSTART,
-)
-
 
 class DriverNode(StoppableNode):
     """ROS interface of a driver: its motor thread commands, this thread serves topics."""
@@ -139,7 +63,7 @@ class DriverNode(StoppableNode):
     def __init__(self) -> None:
         """Declare the parameters; no device is opened yet."""
         super().__init__('driver', drives=True)
-        self.parameters = Parameters(self, SPECS)
+        self.parameters = Parameters(self, 'driver')
         self.parameters.watch({'mock_fault': self._inject}, self._retune)
         self.status = Status(self, 'motors')
         self.loop: MotorLoop | None = None

@@ -30,19 +30,14 @@ from ...data import save_dataset
 from ...monitoring import Monitor, MonitorSettings
 from ...monitoring.job import Work
 from ...monitoring.monitor import read_markers
-from ...monitoring.watch import ALARM_POSTURES, ArmWatch
+from ...monitoring.watch import ArmWatch
 from ...robot import load_robot
 from ..shared.lifecycle import ERROR, OK, WARN, Status
 from ..shared.messages import LATCHED, LISTEN, seconds, tensions_and_pulls, time_now
 from ..shared.parameters import (
-    BASE_FRAME,
-    CONTROLLER,
-    FRAME_PREFIX,
     Parameters,
     RemoteParameter,
-    Spec,
     base_frame,
-    fixed,
     parsed,
 )
 from ..shared.runtime import Runnable, repeat, run
@@ -51,100 +46,6 @@ from .measured import MarkerInput, MonitorOutput
 from .watching import Adapting, Watching
 
 HELP = 'compare the running robot with its model; record, diagnose, add what is missing'
-# [1] defaults and ranges, each with its unit: docs/ros_interface.md
-SPECS = (
-    fixed(
-        'model',
-        '',
-        'robot description to compare with: a path, the name of a robot in config/robots, or YAML '
-        'text; empty: that of the controller',
-    ),
-    Spec('effects', [''], 'Python files with effects of your own (they are executed)'),
-    CONTROLLER,
-    fixed(
-        'markers',
-        '',
-        'YAML list of {name, arc_length, offset} in metres, as poses[i] of measured_shape; empty: '
-        'one at the end of every cell',
-    ),
-    fixed(
-        'measured_markers',
-        '',
-        'YAML mapping {marker: topic} of PoseStamped topics; empty: measured_shape, or '
-        'measured_tip where there is no shape',
-    ),
-    fixed('folder', 'monitor', 'where recordings go, a folder each'),
-    Spec('partial', False, 'add what was found even if more is at work'),
-    fixed('still_time', 0.6, 'time to stand still before a posture counts', 's', 0.1, 30.0),
-    fixed('still_speed', 0.002, 'speed below which the arm is still', 'm/s', 1e-6, 1.0),
-    fixed('rolling', 1.0, 'time over which the rolling error is taken', 's', 0.05, 600.0),
-    fixed(
-        'position_noise',
-        0.0,
-        '1 sd of a recorded mean position; 0: from the frames of the posture',
-        'm',
-        0.0,
-        0.1,
-    ),
-    fixed('setting_noise', 0.002, 'relative 1 sd of a measured input', '', 0.0, 0.5),
-    fixed(
-        'path',
-        'sequence',
-        'how recorded postures are taken: one after the other, or each by itself, which is faster '
-        'and cannot test friction_memory',
-        choices=('sequence', 'from_straight'),
-    ),
-    fixed(
-        'force_rate',
-        0.0,
-        'times a second that the force at the tip is estimated; 0: never',
-        'Hz',
-        0.0,
-        100.0,
-    ),
-    fixed(
-        'force_time',
-        3.0,
-        'longest time over which frames are averaged for it, while neither tensions nor the arm '
-        'change by more than chance',
-        's',
-        0.0,
-        60.0,
-    ),
-    fixed(
-        'reference_postures',
-        0.0,
-        'postures at which the arm is learned, free of any touch, before drift is watched; 0: not '
-        'watched',
-        '',
-        0.0,
-        10000.0,
-    ),
-    fixed(
-        'alarm_postures',
-        ALARM_POSTURES,
-        'without a change no alarm before so many postures, on average',
-        '',
-        10.0,
-        1e9,
-    ),
-    Spec(
-        'adapt',
-        False,
-        'parameters of the added effects follow the arm slowly, within their intervals',
-    ),
-    fixed('tracker_noise', 2e-4, '1 sd of a coordinate of a marker', 'm', 1e-7, 0.1),
-    BASE_FRAME,
-    FRAME_PREFIX,
-    Spec('stamp_tolerance', 0.5, 'largest age, and largest lead, of a stamp', 's', 0.01, 60.0),
-    fixed(
-        'tracker_transform',
-        '',
-        'x y z qx qy qz qw of the frame of the tracker in that of the base [m]; empty: the '
-        'tracker measures in the base frame, or TF knows',
-    ),
-)
-
 SETTINGS = 'still_time', 'still_speed', 'rolling', 'position_noise', 'setting_noise', 'path'
 
 
@@ -154,7 +55,7 @@ class MonitorNode(Runnable, Node):
     def __init__(self) -> None:
         """Create topics and services; the model comes when the controller answers."""
         super().__init__('monitor')
-        self.parameters = Parameters(self, SPECS)
+        self.parameters = Parameters(self, 'monitor')
         self.status = Status(self, 'model error')
         self.monitor: Monitor | None = None
         self.work = Work()

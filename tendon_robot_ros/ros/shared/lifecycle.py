@@ -19,13 +19,10 @@ from ...common.local_stop import StopListener, Stoppable
 from ...drivers.safety import StopLatch
 from .inbox import STOP_REASON, Service, StopTopic
 from .messages import LATCHED, STATE, stamp_now
-from .parameters import Parameters, fixed
+from .parameters import Parameters
 from .runtime import Runnable
 from .timing import NEWS_PERIOD_S, RETRY_PERIOD_S, STATUS_PERIOD_S, VALUES_PERIOD_S
 
-AUTOSTART = fixed(
-    'autostart', True, 'configure and activate by itself, and try again when that fails'
-)
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 LEVELS = {'ok': OK, 'warn': WARN, 'error': ERROR}
 STOP_CALLED = 'stop was called'

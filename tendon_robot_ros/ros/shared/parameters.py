@@ -1,5 +1,5 @@
 """
-Parameters: declared with description, unit and range; refusals; parameters of other nodes.
+Parameters: declared as parameters.yaml lists them; refusals; parameters of other nodes.
 
 A parameter that a node is started with and does not declare is refused, too: ROS would ignore a
 misspelt `-p`, or a file of parameters for other nodes, and the node would run with its defaults.
@@ -14,6 +14,7 @@ import re
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,6 @@ from rcl_interfaces.msg import (
     SetParametersResult,
 )
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
-from rclpy.client import Client
 from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
@@ -38,6 +38,7 @@ from ...robot.description import DESCRIPTION_MAX
 from .runtime import given
 from .timing import ANSWER_TIMEOUT_S
 
+TABLE = Path(__file__).parent.parent / 'parameters.yaml'  # the parameters of all nodes
 TYPES = {  # type of a default -> type of ROS, and what a refusal expects
     bool: (ParameterType.PARAMETER_BOOL, 'true or false'),
     float: (ParameterType.PARAMETER_DOUBLE, 'a number'),
@@ -57,7 +58,7 @@ class Spec:
     low: float = -math.inf
     high: float = math.inf
     read_only: bool = False
-    choices: tuple[str, ...] = ()
+    choices: Sequence[str] = ()
 
     def checked(self, value: Any) -> Any:
         """Return the value converted to its type; InputError: it has another type or range."""
@@ -95,41 +96,26 @@ class Spec:
         return descriptor
 
 
-def fixed(
-    name: str,
-    default: bool | float | str | list[str],
-    text: str,
-    unit: str = '',
-    low: float = -math.inf,
-    high: float = math.inf,
-    choices: tuple[str, ...] = (),
-) -> Spec:
-    """Return a parameter that cannot be changed at run time."""
-    return Spec(name, default, text, unit, low, high, True, choices)
-
-
-COMMAND_MODE = fixed(
-    'command_mode',
-    'tension',
-    'what is commanded: tension [N] (effort) or wire pull [m] (position)',
-    choices=('tension', 'pull'),
-)
-BASE_FRAME = fixed('base_frame', '', 'frame of the base; empty: <robot>_base')
-FRAME_PREFIX = fixed('frame_prefix', '', 'put before frame names')
-CONTROLLER = fixed('controller', 'controller', 'name of the controller node')
+@cache
+def declared() -> dict[str, dict[str, Spec]]:
+    """Return the parameters of every node of this package by their names, as declared."""
+    nodes = parse_yaml(TABLE.read_text(encoding='utf-8'))
+    return {
+        node: {name: Spec(name, **entry) for name, entry in parameters.items()}
+        for node, parameters in nodes.items()
+    }
 
 
 class Parameters:
     """The parameters of a node, by name; always valid."""
 
-    def __init__(self, node: Node, specs: Sequence[Spec]) -> None:
-        """Declare them; InputError when the node was started with an invalid one."""
-        self._node = node
-        self._specs = {spec.name: spec for spec in specs}
+    def __init__(self, node: Node, table: str) -> None:
+        """Declare those of a node in the table; InputError: it was started with an invalid one."""
+        self._node, self._specs = node, declared()[table]
         self._values: dict[str, Any] = {}
         self._hooks: dict[str, Callable[[Any], object]] = {}
         self._changed: Callable[[], None] | None = None
-        for spec in specs:
+        for spec in self._specs.values():
             try:
                 value = node.declare_parameter(spec.name, spec.default, spec.descriptor()).value
             except ParameterException as error:
@@ -190,14 +176,9 @@ def base_frame(parameters: Parameters | Mapping[str, Any], robot: str) -> str:
     return str(parameters['frame_prefix'] + (parameters['base_frame'] or f'{robot}_base'))
 
 
-NODES = 'driver', 'controller', 'monitor', 'viewer', 'teleop', 'robot_model'  # of launch files
 ALL = '/**'
-SPEC = re.compile(r"\b(?:Spec|fixed)\(\s*'(\w+)'")
-OF_ROS = (
-    'use_sim_time',
-    'start_type_description_service',
-    'qos_overrides.',
-)  # declared by every node
+# declared by every node
+OF_ROS = 'use_sim_time', 'start_type_description_service', 'qos_overrides.'
 
 
 def check_overrides(
@@ -226,10 +207,7 @@ def check_overrides(
     for_all = {
         name for _, content in _files(arguments) for name in _sections(content).get(ALL, ())
     }
-    sources = (
-        Path(__file__).parents[1].rglob('*.py')
-    )  # read as text, because to import all nodes takes long
-    of_any = {name for file in sources for name in SPEC.findall(file.read_text(encoding='utf-8'))}
+    of_any = set().union(*declared().values())
     for name in unknown:
         if name not in for_all & of_any:
             near = difflib.get_close_matches(name, known, n=1)
@@ -273,7 +251,7 @@ def check_files(arguments: Sequence[str], node: str) -> list[str]:
             continue
         problem = f'{file}: its parameters are for {", ".join(keys)}, not for {node}'
         names = [key.rpartition('/')[2] for key in keys]
-        if node.rpartition('/')[2] in names or not any(name in NODES for name in names):
+        if node.rpartition('/')[2] in names or not any(name in declared() for name in names):
             raise InputError(f'{problem}; write {node}: or /**: as the first line')
         warnings.append(f'{problem}, which takes none of them')
     return warnings
@@ -336,13 +314,11 @@ class RemoteParameter:
     def __init__(self, node: Node, other: str, name: str) -> None:
         """Create the clients."""
         self._name, self._other = name, other
-        get = node.create_client(GetParameters, f'{other}/get_parameters')
-        put = node.create_client(SetParametersAtomically, f'{other}/set_parameters_atomically')
-        self._get, self._set = RepeatedRequest(get), RepeatedRequest(put)
+        self._get = Request(node, GetParameters, f'{other}/get_parameters')
+        self._set = Request(node, SetParametersAtomically, f'{other}/set_parameters_atomically')
 
     def ask(self, answer: Callable[[Any], object]) -> None:
         """Request the value; to be called periodically: it repeats overdue requests."""
-        self._set.repeat()
 
         def done(response: GetParameters.Response) -> None:
             value = parameter_value_to_python(response.values[0]) if response.values else None
@@ -351,7 +327,8 @@ class RemoteParameter:
 
         if not self._get.waiting:
             self._get.ask(GetParameters.Request(names=[self._name]), done)
-        self._get.repeat()
+        for request in (self._get, self._set):
+            request.repeat()
 
     def put(self, value: str, answer: Callable[[bool, str], object]) -> None:
         """Set the value; `answer` gets whether it was accepted, and why not."""
@@ -365,45 +342,58 @@ class RemoteParameter:
             answer(False, f'{self._other} does not answer: is it running?')
 
 
-class RepeatedRequest:
-    """A request that is repeated until it is answered; a new request replaces it."""
+class Request:
+    """A request to a service that may be repeated or dropped; a new one replaces it."""
 
-    def __init__(self, client: Client) -> None:
-        """Keep the client."""
-        self._client = client
+    def __init__(self, node: Node, kind: Any, service: str) -> None:
+        """Create the client."""
+        self._client = node.create_client(kind, service)
         self._future: Future | None = None
         self._request: object = None
-        self._answer: Callable[..., object] | None = None
-        self._sent_at = 0.0
+        self._answer: Callable[[Any], object] = lambda response: None
+        self._sent_at = float('-inf')
 
     @property
     def waiting(self) -> bool:
         """Return whether an answer is pending."""
         return self._future is not None
 
-    def ask(self, request: object, answer: Callable[..., object]) -> bool:
+    @property
+    def age(self) -> float:
+        """The time [s] since it was sent."""
+        return time.monotonic() - self._sent_at
+
+    @property
+    def ready(self) -> bool:
+        """Whether the service exists."""
+        return bool(self._client.service_is_ready())
+
+    def ask(self, request: object, answer: Callable[[Any], object]) -> bool:
         """Send a request; return whether the service exists."""
-        if self._future is not None:
-            self._client.remove_pending_request(self._future)
-            self._future = None
-        if not self._client.service_is_ready():
-            return False
+        self.drop()
         self._request, self._answer = request, answer
-        self._send()
-        return True
+        if self.ready:
+            self._send()
+        return self.waiting
 
     def repeat(self) -> None:
         """Repeat the request if its answer is overdue."""
-        if self._future is not None and time.monotonic() - self._sent_at > ANSWER_TIMEOUT_S:
-            self._client.remove_pending_request(self._future)
+        if self.waiting and self.age > ANSWER_TIMEOUT_S:
+            self.drop()
             self._send()
+
+    def drop(self) -> None:
+        """Ignore the answer if it is pending."""
+        if self._future is not None:
+            self._client.remove_pending_request(self._future)
+            self._future = None
 
     def _send(self) -> None:
         self._sent_at = time.monotonic()
         future = self._future = self._client.call_async(self._request)
 
         def done(answered: Future) -> None:
-            if answered is self._future and self._answer is not None:
+            if answered is self._future:
                 self._future = None
                 self._answer(answered.result())
 

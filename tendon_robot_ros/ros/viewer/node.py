@@ -35,29 +35,13 @@ from ..shared.messages import (
     stamp_now,
     status_values,
 )
-from ..shared.parameters import CONTROLLER, Parameters, RemoteParameter, fixed
+from ..shared.parameters import Parameters, RemoteParameter
 from ..shared.runtime import Runnable, repeat, run
 from ..shared.timing import STATUS_PERIOD_S
 from .page import LivePage
 from .state import PANEL_PERIOD_S, ViewState
 
 HELP = 'the live page in the browser (extra: viewer)'
-# [1] defaults and ranges, each with its unit: docs/ros_interface.md
-SPECS = (
-    fixed('host', '127.0.0.1', 'address to serve on; beyond this machine a token is needed'),
-    fixed('port', 8080.0, 'port of the page', '', 1.0, 65535.0),
-    fixed(
-        'token',
-        '',
-        'what a browser must give before it may command; empty: none on this '
-        'machine, else drawn and logged',
-    ),
-    CONTROLLER,
-    fixed('driver', 'driver', 'name of the driver node'),
-    fixed('monitor', 'monitor', 'name of the monitor node'),
-    fixed('investigate', 'investigate', 'name of the node that investigates'),
-    fixed('rate', 25.0, 'frames per second', 'Hz', 1.0, 60.0),
-)
 SERVICES = {
     'record': ('monitor',),
     'diagnose': ('monitor',),
@@ -74,7 +58,7 @@ class ViewerNode(Runnable, Node):
     def __init__(self) -> None:
         """Open the page and create the subscriptions; the other nodes may start and end."""
         super().__init__('viewer')
-        self.parameters = Parameters(self, SPECS)
+        self.parameters = Parameters(self, 'viewer')
         self.state = ViewState()
         nodes = ('controller', 'driver', 'monitor', 'investigate')
         names = {key: self.parameters[key] for key in nodes}
