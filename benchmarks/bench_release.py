@@ -31,7 +31,7 @@ from machine import machine, tell
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 
-from tendon_robot_ros.cli.emulate import SPRING_STIFFNESS
+from tendon_robot_ros.cli.motors import SPRING_STIFFNESS
 
 STANDING_N = {'tension': STILL['tension'], 'pull': STILL['pull'] * SPRING_STIFFNESS}  # [N]
 WATCHED_S = 1.5  # [s]; what moved by itself did so within 0.16 s

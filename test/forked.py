@@ -112,7 +112,7 @@ def load():
         importlib.import_module(f'tendon_robot_ros.{name}')
     for command in importlib.import_module('tendon_robot_ros.cli.main').COMMANDS.values():
         if '.ros.' not in command:
-            importlib.import_module(command)
+            importlib.import_module(command.partition(':')[0])
     importlib.import_module('matplotlib.figure')
     if importlib.util.find_spec('rclpy') is not None:
         for name in MESSAGES:

@@ -235,8 +235,8 @@ def test_rates_are_told_of_every_robot_and_of_all_that_is_hidden():
     stand_out = 'right, of those that stand out of the noise'
     assert [by_robot[name][stand_out] for name in ('arm', 'other')] == [Rate(3, 4), Rate(2, 2)]
     one, other = rates_by_hidden(made)
-    assert (one.robot, one.right, one.right_if_seen) == ('arm', Rate(3, 5), Rate(3, 4))
-    assert (other.inside, one.inside) == (Rate(0, 2), Rate(5, 5))
+    assert (one['robot'], one['right'], one['right_if_seen']) == ('arm', Rate(3, 5), Rate(3, 4))
+    assert (other['inside'], one['inside']) == (Rate(0, 2), Rate(5, 5))
     assert to_json(made)['rates_by_robot']['other'][stand_out]['hits'] == 2
     assert robot_rows(made)[0][1:] == ['arm', 'other']
     assert robot_rows(made[:4]) == []

@@ -11,8 +11,8 @@ import pytest
 import yaml
 from source_tree import ROOT
 
-from tendon_robot_ros.cli.describe import description
 from tendon_robot_ros.cli.main import main
+from tendon_robot_ros.cli.robot import description
 from tendon_robot_ros.data import default_markers
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.report import pictures

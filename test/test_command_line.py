@@ -3,6 +3,7 @@
 import contextlib
 import importlib
 import io
+import re
 import sys
 import time
 
@@ -42,7 +43,9 @@ def run(args):
 def move(monkeypatch, tmp_path):
     """Give the package one more command, in a file as any other."""
     (tmp_path / 'move.py').write_text(MOVE)
-    monkeypatch.setattr(command_line, 'source_of', lambda module: tmp_path / 'move.py')
+    source_of = command_line.source_of
+    own = {'move': tmp_path / 'move.py', 'tendon_robot_ros.ros.move': tmp_path / 'move.py'}
+    monkeypatch.setattr(command_line, 'source_of', lambda at: own.get(at) or source_of(at))
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setitem(COMMANDS, 'move', 'move')
     monkeypatch.delitem(sys.modules, 'move', raising=False)
@@ -64,8 +67,8 @@ def test_a_command_runs_as_a_process_too():
 def test_every_module_with_a_command_is_in_the_table():
     folders = ('cli', 'studies', 'ros/*')
     files = [p for folder in folders for p in command_line.PACKAGE.glob(f'{folder}/*.py')]
-    commands = {path for path in files if '\nHELP = ' in path.read_text()}
-    assert commands == {command_line.source_of(module) for module in COMMANDS.values()}
+    commands = {path for path in files if re.search('^ *HELP = ', path.read_text(), re.M)}
+    assert commands == {command_line.source_of(place) for place in COMMANDS.values()}
 
 
 def test_without_arguments_the_commands_are_listed(capsys, move):
@@ -200,7 +203,7 @@ def test_all_that_may_take_long_tells_what_it_does(command, measured, tmp_path, 
     for path in measured.iterdir():
         (tmp_path / path.name).symlink_to(path)
     monkeypatch.chdir(tmp_path)
-    module = importlib.import_module(COMMANDS[command.split()[0]])
+    module = importlib.import_module(COMMANDS[command.split()[0]].partition(':')[0])
     owner = module if hasattr(module, 'progress') else options
     monkeypatch.setattr(owner, 'progress', heard)
     main(command.split())

@@ -12,7 +12,7 @@ from tendon_robot_ros.common.errors import InputError, NoEquilibriumError, Tendo
 from tendon_robot_ros.comparison.compare import bending_axes, cell_rotations, compare
 from tendon_robot_ros.data import Marker, load_dataset, save_dataset
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.report.comparison_text import worst
+from tendon_robot_ros.report.comparison import worst
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.hidden import Damage
 from tendon_robot_ros.simulation.measurements import SimulatedNoise, simulate

@@ -14,7 +14,7 @@ from tendon_robot_ros.common.words import mm
 from tendon_robot_ros.comparison.compare import compare
 from tendon_robot_ros.comparison.result import from_json, load_comparison, to_json
 from tendon_robot_ros.data import load_dataset, save_dataset
-from tendon_robot_ros.report.comparison_text import kind, sentences
+from tendon_robot_ros.report.comparison import kind, sentences
 
 
 @pytest.fixture(scope='module')

@@ -191,7 +191,7 @@ def test_where_a_fit_has_no_equilibrium_the_search_goes_on(arm, monkeypatch):
 
 def test_the_command_writes_what_it_says(arm, tmp_path, capsys, monkeypatch):
     dataset, check, found = arm
-    monkeypatch.setattr('tendon_robot_ros.cli.improve.improve', lambda *args: found)
+    monkeypatch.setattr('tendon_robot_ros.cli.diagnosis.improve', lambda *args: found)
     for name, one in (('data', dataset), ('check', check)):
         save_dataset(one, tmp_path / name)
     new, page, out = (tmp_path / name for name in ('new.yaml', 'page.html', 'out.json'))

@@ -20,7 +20,7 @@ from tendon_robot_ros.diagnosis.local_tests import (
 )
 from tendon_robot_ros.diagnosis.session import Session
 from tendon_robot_ros.diagnosis.verdict import FALSE_DISCOVERY_RATE
-from tendon_robot_ros.report.comparison_page import add_shapes
+from tendon_robot_ros.report.comparison import add_shapes
 from tendon_robot_ros.report.diagnosis_page import pictures_of
 from tendon_robot_ros.report.page import Page
 from tendon_robot_ros.report.sentences import marks, of_inputs, where_wrong

@@ -19,12 +19,11 @@ from tendon_robot_ros.comparison.compare import compare
 from tendon_robot_ros.comparison.result import load_comparison
 from tendon_robot_ros.data import Marker, load_dataset
 from tendon_robot_ros.report import page as page_module
-from tendon_robot_ros.report.comparison_page import (
+from tendon_robot_ros.report.comparison import (
     chosen_postures,
     comparison_page,
     is_planar,
     shape_figures,
-    write_comparison,
 )
 from tendon_robot_ros.report.error_plots import Step, staircase
 from tendon_robot_ros.report.page import Figure, Page, Shown
@@ -61,7 +60,7 @@ def test_the_page_opens_offline_draws_everything_and_fits(data, widths, tmp_path
         data, ROOT / 'data' / 'tentacle'
     )
     found = compared(folder)
-    seen = open_page(write_comparison(found, tmp_path / 'page.html'), tmp_path, widths)
+    seen = open_page(comparison_page(found).write(tmp_path / 'page.html'), tmp_path, widths)
     assert_fine(seen, widths)
     for section in (*SECTIONS, 'off by'):
         assert section in seen[widths[-1]]['text']

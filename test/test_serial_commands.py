@@ -67,7 +67,7 @@ def test_every_word_of_the_emulators_help_is_known_and_others_are_refused():
 def test_calibrate_finds_zero_and_scale_of_a_load_cell_with_their_errors(
     tmp_path, robot_file, monkeypatch, capsys
 ):
-    monkeypatch.setattr('tendon_robot_ros.cli.calibrate.SECONDS_PER_WEIGHT', 0.5)
+    monkeypatch.setattr('tendon_robot_ros.cli.motors.SECONDS_PER_WEIGHT', 0.5)
     masses = (0.1, 0.2, 0.4)  # [kg]
     with emulated_board.board() as line:
         config = tmp_path / 'board.yaml'

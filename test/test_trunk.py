@@ -52,13 +52,17 @@ def test_a_fit_that_makes_others_worse_is_not_written(tmp_path, monkeypatch, cap
     fitted = Errors('fitted', 'base', 9, 8e-3, 7e-3, 1e-3)
     worse = Errors('left out', 'base', 9, 8e-3, 8.1e-3, 1e-3)
     made = Addition(robot, {}, fitted, worse, 0.5)
-    monkeypatch.setattr('tendon_robot_ros.cli.add.add_effects', lambda *args, **options: made)
+    monkeypatch.setattr(
+        'tendon_robot_ros.cli.diagnosis.add_effects', lambda *args, **options: made
+    )
     new = tmp_path / 'new.yaml'
     assert main(['add', 'gravity', '--data', str(data), '--output', str(new)]) == 2
     assert 'Nothing was written: the error on postures' in capsys.readouterr().out
     assert not new.exists()
     better = replace(made, check=replace(worse, after=7e-3))
-    monkeypatch.setattr('tendon_robot_ros.cli.add.add_effects', lambda *args, **options: better)
+    monkeypatch.setattr(
+        'tendon_robot_ros.cli.diagnosis.add_effects', lambda *args, **options: better
+    )
     assert main(['add', 'gravity', '--data', str(data), '--output', str(new)]) == 0
     assert new.exists()
 

@@ -1,10 +1,10 @@
 """
 Choose a command by its name and run it.
 
-A command in ``cli/`` or ``studies/`` is a module with ``HELP`` (one line),
-``add_arguments(parser)`` and ``run(args) -> int`` (the exit code); a module in ``ros/`` has
-``HELP`` and ``main(argv) -> int``, or ``add_arguments`` and ``run(args, ros_arguments) -> int``
-where it takes more than parameters.
+A command in ``cli/`` or ``studies/`` is a class (``module:Class``), or a module of its own, with
+``HELP`` (one line), ``add_arguments(parser)`` and ``run(args) -> int`` (the exit code); a module
+in ``ros/`` has ``HELP`` and ``main(argv) -> int``, or ``add_arguments`` and
+``run(args, ros_arguments) -> int`` where it takes more than parameters.
 Only the chosen module is imported, so that no command pays for another one's dependencies;
 for the list of commands, ``HELP`` is read from the source.
 """
@@ -21,7 +21,7 @@ import sys
 from collections.abc import Sequence
 from enum import IntEnum
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from ..common.errors import InputError, MissingExtraError, TendonRobotError, suggestion
 from ..common.files import keep_bytecode
@@ -30,11 +30,11 @@ from ..common.words import PROGRAM
 # The one list of commands: `python -m`, `ros2 run` and setup.py all read it.
 COMMANDS: dict[str, str] = {
     'demo': 'tendon_robot_ros.ros.commands.demo',
-    'new-robot': 'tendon_robot_ros.cli.new_robot',
-    'describe': 'tendon_robot_ros.cli.describe',
-    'shape': 'tendon_robot_ros.cli.shape',
-    'reach': 'tendon_robot_ros.cli.reach',
-    'workspace': 'tendon_robot_ros.cli.workspace',
+    'new-robot': 'tendon_robot_ros.cli.robot:NewRobot',
+    'describe': 'tendon_robot_ros.cli.robot:Describe',
+    'shape': 'tendon_robot_ros.cli.model:ShapeCommand',
+    'reach': 'tendon_robot_ros.cli.model:ReachCommand',
+    'workspace': 'tendon_robot_ros.cli.model:WorkspaceCommand',
     'friction': 'tendon_robot_ros.studies.friction',
     'paper': 'tendon_robot_ros.studies.paper',
     'controller': 'tendon_robot_ros.ros.controller.node',
@@ -43,28 +43,28 @@ COMMANDS: dict[str, str] = {
     'teleop': 'tendon_robot_ros.ros.commands.teleop',
     'go-to': 'tendon_robot_ros.ros.commands.go_to',
     'follow': 'tendon_robot_ros.ros.commands.follow',
-    'sweep': 'tendon_robot_ros.cli.sweep',
+    'sweep': 'tendon_robot_ros.cli.model:Sweep',
     'record': 'tendon_robot_ros.ros.commands.record',
-    'plot': 'tendon_robot_ros.cli.plot',
+    'plot': 'tendon_robot_ros.cli.data:Plot',
     'robot-model': 'tendon_robot_ros.ros.commands.robot_model',
     'monitor': 'tendon_robot_ros.ros.monitor.node',
     'viewer': 'tendon_robot_ros.ros.viewer.node',
     'live': 'tendon_robot_ros.ros.commands.live',
     'investigate': 'tendon_robot_ros.ros.commands.investigate',
-    'compare': 'tendon_robot_ros.cli.compare',
-    'diagnose': 'tendon_robot_ros.cli.diagnose',
-    'add': 'tendon_robot_ros.cli.add',
-    'remove': 'tendon_robot_ros.cli.remove',
-    'improve': 'tendon_robot_ros.cli.improve',
+    'compare': 'tendon_robot_ros.cli.diagnosis:Compare',
+    'diagnose': 'tendon_robot_ros.cli.diagnosis:Diagnose',
+    'add': 'tendon_robot_ros.cli.diagnosis:Add',
+    'remove': 'tendon_robot_ros.cli.diagnosis:Remove',
+    'improve': 'tendon_robot_ros.cli.diagnosis:Improve',
     'fleet': 'tendon_robot_ros.studies.fleet',
     'campaign': 'tendon_robot_ros.studies.campaign',
     'simulate': 'tendon_robot_ros.cli.simulate',
     'rehearse': 'tendon_robot_ros.studies.rehearse',
-    'export-bag': 'tendon_robot_ros.cli.export_bag',
-    'import-bag': 'tendon_robot_ros.cli.import_bag',
-    'import-table': 'tendon_robot_ros.cli.import_table',
-    'emulate': 'tendon_robot_ros.cli.emulate',
-    'calibrate': 'tendon_robot_ros.cli.calibrate',
+    'export-bag': 'tendon_robot_ros.cli.data:ExportBag',
+    'import-bag': 'tendon_robot_ros.cli.data:ImportBag',
+    'import-table': 'tendon_robot_ros.cli.data:ImportTable',
+    'emulate': 'tendon_robot_ros.cli.motors:Emulate',
+    'calibrate': 'tendon_robot_ros.cli.motors:Calibrate',
 }
 
 PACKAGE = Path(__file__).parent.parent
@@ -138,19 +138,21 @@ def run_command(name: str, arguments: list[str], program: str) -> int:
     if name in ('-h', '--help'):
         width = max((len(command) for command in COMMANDS), default=0)
         print(f'usage: {PROGRAM} COMMAND [ARGUMENTS]\n\ncommands:')
-        for command, module_name in COMMANDS.items():
-            print(f'  {command:{width}}  {_help_line(module_name)}')
+        for known, place in COMMANDS.items():
+            print(f'  {known:{width}}  {_help_line(place)}')
         return 0
     if name not in COMMANDS:
         hint = suggestion(name, COMMANDS)
         raise InputError(f'no command {name!r}; {hint}known: {", ".join(COMMANDS)}')
-    module_name = COMMANDS[name]
-    if '.ros.' in module_name:
-        return run_node(module_name, arguments, program)
-    module = importlib.import_module(module_name)
-    parser = Parser(prog=program, description=_documentation(module_name))
-    module.add_arguments(parser)
-    return int(module.run(parser.parse_args(arguments)))
+    if '.ros.' in COMMANDS[name]:
+        return run_node(COMMANDS[name], arguments, program)
+    module_name, _, class_name = COMMANDS[name].partition(':')
+    command: Any = importlib.import_module(module_name)
+    if class_name:
+        command = getattr(command, class_name)()
+    parser = Parser(prog=program, description=_documentation(COMMANDS[name]))
+    command.add_arguments(parser)
+    return int(command.run(parser.parse_args(arguments)))
 
 
 def run_node(module_name: str, arguments: list[str], program: str) -> int:
@@ -175,24 +177,27 @@ def run_node(module_name: str, arguments: list[str], program: str) -> int:
     return int(module.run(parser.parse_args(own), ros_arguments))
 
 
-def source_of(module_name: str) -> Path:
-    """Find the file of a command's module without importing the packages around it."""
+def source_of(place: str) -> Path:
+    """Find the file of a command without importing the packages around it."""
+    module_name = place.partition(':')[0]
     return PACKAGE.joinpath(*module_name.split('.')[1:]).with_suffix('.py')
 
 
-def _tree(module_name: str) -> ast.Module:
-    return ast.parse(source_of(module_name).read_text(encoding='utf-8'))
+def _source(place: str) -> ast.Module | ast.ClassDef:
+    """Parse the module of a command, or its class there."""
+    tree, name = ast.parse(source_of(place).read_text(encoding='utf-8')), place.partition(':')[2]
+    classes = (node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == name)
+    return next(classes) if name else tree
 
 
-def _help_line(module_name: str) -> str:
-    """Read HELP from the source of a command's module."""
-    for node in _tree(module_name).body:
+def _help_line(place: str) -> str:
+    """Read HELP from the source of a command."""
+    for node in _source(place).body:
         if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == 'HELP':
             return str(ast.literal_eval(node.value))
-    raise AssertionError(f'{module_name} defines no HELP')
+    raise AssertionError(f'{place} defines no HELP')
 
 
-def _documentation(module_name: str) -> str:
-    """Join HELP and the docstring of a command's module."""
-    details = ast.get_docstring(_tree(module_name)) or ''
-    return f'{_help_line(module_name)}\n\n{details}'
+def _documentation(place: str) -> str:
+    """Join HELP and the docstring of a command."""
+    return f'{_help_line(place)}\n\n{ast.get_docstring(_source(place)) or ""}'

@@ -42,36 +42,57 @@ FRAME_TOLERANCES = ('position', 'rotation')  # of the tracker, in a robot.yaml
 DATA_HELP = 'data set (folder), or a recording (rosbag2 folder, .mcap or .db3 file)'
 
 
-def add_robot(parser: argparse.ArgumentParser) -> None:
-    """Declare the robot description and the user's own effects."""
-    parser.add_argument('robot', metavar='ROBOT', help='robot description (YAML)')
-    add_effect_files(parser)
+# arguments that several commands share: name -> how argparse takes it
+SHARED: dict[str, dict[str, Any]] = {
+    'robot': {'metavar': 'ROBOT', 'help': 'robot description (YAML)'},
+    'data': {
+        'nargs': '+',
+        'metavar': 'DATA',
+        'help': f'{DATA_HELP}; several of one robot count together',
+    },
+    '--effect-file': {
+        'action': 'append',
+        'default': [],
+        'metavar': 'FILE',
+        'help': 'Python file with an effect of your own (is executed; may be given several times)',
+    },
+    '--json': {
+        'type': file_to_write('--json'),
+        'nargs': '?',
+        'const': '-',
+        'metavar': 'OUT',
+        'help': 'write the result as JSON to OUT; without OUT print it instead of the table',
+    },
+    '--unit': {
+        'choices': TYPED_LENGTHS,
+        'default': 'mm',
+        'help': 'of the lengths that you type (default: mm); a number may have its own: 0.03m',
+    },
+    '--overwrite': {'action': 'store_true', 'help': 'replace a file that is there'},
+}
 
 
-def add_effect_files(parser: argparse.ArgumentParser) -> None:
-    """Declare --effect-file."""
-    what = 'Python file with an effect of your own (is executed; may be given several times)'
-    add = parser.add_argument
-    add('--effect-file', action='append', default=[], metavar='FILE', help=what)
+def declare(parser: argparse.ArgumentParser, *names: str) -> None:
+    """Declare arguments that several commands share, by their names in `SHARED`."""
+    for name in names:
+        parser.add_argument(name, **SHARED[name])
+
+
+def add_file(
+    parser: argparse.ArgumentParser, name: str, help: str, metavar: str = 'FILE', **more: Any
+) -> None:
+    """Declare an option that names a file to write; where none can go is said at once."""
+    parser.add_argument(name, type=file_to_write(name), metavar=metavar, help=help, **more)
 
 
 def add_report(parser: argparse.ArgumentParser) -> None:
     """Declare --report."""
-    to, what = file_to_write('--report'), 'write a page that opens offline'
-    parser.add_argument('--report', type=to, metavar='HTML', help=what)
-
-
-def add_json(parser: argparse.ArgumentParser) -> None:
-    """Declare --json."""
-    to, add = file_to_write('--json'), parser.add_argument
-    what = 'write the result as JSON to OUT; without OUT print it instead of the table'
-    add('--json', type=to, nargs='?', const='-', metavar='OUT', help=what)
+    add_file(parser, '--report', 'write a page that opens offline', 'HTML')
 
 
 def add_cluster(parser: argparse.ArgumentParser) -> None:
     """Declare where work is spread: processes of this machine, or a cluster."""
-    add = parser.add_argument
-    cores = len(os.sched_getaffinity(0))
+    add, cores = parser.add_argument, len(os.sched_getaffinity(0))
     what = 'processes (default: one per core)'
     add('--workers', type=int, default=cores, metavar='N', help=what)
     what = 'of a dask scheduler instead: tcp://host:8786, or tls:// as its settings say'
@@ -135,12 +156,6 @@ def named_numbers(option: str, text: str, unit: str) -> dict[str, float]:
             raise InputError(f'{option}: {name.strip()!r} stands twice')
         values[name.strip()] = value
     return values
-
-
-def add_unit(parser: argparse.ArgumentParser) -> None:
-    """Declare the unit of the lengths that a person types."""
-    what = 'of the lengths that you type (default: mm); a number may have its own: 0.03m'
-    parser.add_argument('--unit', choices=TYPED_LENGTHS, default=TYPED_LENGTHS[0], help=what)
 
 
 def length(option: str, text: str, unit: str) -> float:
@@ -269,12 +284,6 @@ def pairs(option: str, texts: Sequence[str], what: str = 'VALUE') -> dict[str, s
     return values
 
 
-def add_data(parser: argparse.ArgumentParser, *names: str, to: str = '', **options: Any) -> None:
-    """Declare one or several data sets."""
-    words = f'{DATA_HELP}{to}; several of one robot count together'
-    parser.add_argument(*names, nargs='+', metavar='DATA', help=words, **options)
-
-
 def load_measurements(
     paths: str | Sequence[str], robot: Robot | str | None, progress: Progress | None = None
 ) -> DataSet:
@@ -341,20 +350,14 @@ def add_check(parser: argparse.ArgumentParser, what: str) -> None:
 
 def add_workers(parser: argparse.ArgumentParser) -> None:
     """Declare --workers of a fit."""
-    parser.add_argument(
-        '--workers', type=int, default=2, metavar='N', help='at a time (default: 2)'
-    )
+    what = 'at a time (default: 2)'
+    parser.add_argument('--workers', type=int, default=2, metavar='N', help=what)
 
 
 def check_workers(args: argparse.Namespace) -> None:
     """Raise InputError where --workers is no number of processes."""
     if args.workers < 1:
         raise InputError(f'--workers: expected at least 1, got {args.workers}')
-
-
-def add_overwrite(parser: argparse.ArgumentParser) -> None:
-    """Declare --overwrite."""
-    parser.add_argument('--overwrite', action='store_true', help='replace a file that is there')
 
 
 def refuse_existing(option: str, path: str | None, overwrite: bool) -> None:

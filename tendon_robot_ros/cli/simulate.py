@@ -20,7 +20,6 @@ from dataclasses import asdict, fields, replace
 from pathlib import Path
 
 from ..common.errors import InputError, whole
-from ..common.files import file_to_write
 from ..data import DataSet, Marker, even_markers, save_dataset
 from ..data.dataset import INPUTS, PATHS
 from ..data.folder import refuse_dataset_in
@@ -30,8 +29,8 @@ from ..robot import Robot, load_robot
 from ..simulation.hidden import Workmanship
 from ..simulation.measurements import Laboratory, SimulatedNoise, raw_table, simulate, write_table
 from ..simulation.plant import Plant, make_plant
-from ..workspace.postures import default_postures
-from .options import add_effect_files, named_numbers, numbers, progress, refuse_existing, vector
+from ..workspace.postures import SEQUENCE_FACTOR, default_postures
+from .options import add_file, declare, named_numbers, numbers, progress, refuse_existing, vector
 
 # [mm] noise of a tracker: none is better, so that less is in another unit
 POSITION_NOISE_MIN_MM = 0.001
@@ -52,11 +51,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add('--gravity', metavar='X,Y,Z', help='[m/s²] in the base frame (default: as in ROBOT)')
     add('--output', metavar='DIR', help='folder of the data set')
     add('--check', metavar='DIR', help='a second data set: other postures of the same robot')
-    to, what = file_to_write('--table'), 'instead: a table over time as laboratories have them'
-    add('--table', type=to, metavar='CSV', help=what)
+    what = 'instead: a table over time as laboratories have them'
+    add_file(parser, '--table', what, 'CSV')
     add('--overwrite', action='store_true', help='replace data sets')
     add_measuring(parser)
-    add_effect_files(parser)
+    declare(parser, '--effect-file')
 
 
 def add_measuring(parser: argparse.ArgumentParser) -> None:
@@ -162,7 +161,7 @@ def _measured(args: argparse.Namespace, plant: Plant, which: int) -> DataSet:
         )
         inputs, names = commands.by_posture(), commands.postures
     else:
-        usual = 20 if args.path == 'sequence' else 12
+        usual = round(12 * SEQUENCE_FACTOR) if args.path == 'sequence' else 12
         count = usual if args.count is None else whole('--count', args.count, 1)
         inputs = default_postures(
             robot, max(count // (1 + which), 1), which, args.input, args.path

@@ -16,7 +16,7 @@ import os
 import signal
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -46,34 +46,6 @@ class LostWork:
     """Result of a chunk over which every worker died."""
 
     workers: int
-
-
-class ChunkSize:
-    """
-    Number of items in a chunk: some seconds of work, less at the end.
-
-    Parameters
-    ----------
-    slots : int
-        Chunks at work at a time.
-
-    """
-
-    def __init__(self, slots: int) -> None:
-        self.slots = slots
-        self.seconds = 0.0  # for a piece; 0: not yet known
-
-    def of(self, remaining: int) -> int:
-        """Return the size of the next chunk out of the remaining items."""
-        # a quarter of a slot's share, so that no worker waits for long at the end
-        fair = max(remaining // (4 * self.slots), 1)
-        desired = max(int(CHUNK_S / self.seconds), 1) if self.seconds else 1
-        return min(desired, fair)
-
-    def learn(self, seconds: float, pieces: int) -> None:
-        """Update the time per item from a finished chunk: an average over the last five or so."""
-        own = seconds / pieces
-        self.seconds = 0.8 * self.seconds + 0.2 * own if self.seconds else own
 
 
 class Engine(Protocol):
@@ -170,6 +142,41 @@ class Workers:
         else:
             yield from self._spread(self.engine, work, enumerate(chunks), until)
 
+    def in_chunks[T](
+        self, work: Work, items: Sequence[T], pack: Callable[[tuple[T, ...]], Any]
+    ) -> Iterator[tuple[tuple[T, ...], Any]]:
+        """
+        Yield (items, result) of chunks as they get ready: some seconds of work, less at the end.
+
+        Parameters
+        ----------
+        work : callable
+            As for `run`.
+        items : sequence
+        pack : callable
+            Returns what the work takes, of the items of a chunk.
+
+        """
+        handed: list[tuple[T, ...]] = []
+        per_item = 0.0  # [s] average over the last five chunks or so; 0: not yet known
+
+        def chunks() -> Iterator[tuple[Work, Any]]:
+            begin = 0
+            while begin < len(items):
+                # a quarter of a slot's share, so that no worker waits for long at the end
+                fair = max((len(items) - begin) // (4 * self.slots), 1)
+                desired = max(int(CHUNK_S / per_item), 1) if per_item else 1
+                handed.append(tuple(items[begin : begin + min(desired, fair)]))
+                begin += len(handed[-1])
+                yield work, pack(handed[-1])
+
+        for index, result in self.run(_timed, chunks()):
+            if not isinstance(result, LostWork):
+                result, seconds = result
+                own = seconds / len(handed[index])
+                per_item = 0.8 * per_item + 0.2 * own if per_item else own
+            yield handed[index], result
+
     def _spread(
         self, engine: Engine, work: Work, coming: Iterator[tuple[int, Any]], until: float
     ) -> Iterator[tuple[int, Any]]:
@@ -213,6 +220,12 @@ def _call(task: tuple[Prepare | None, Work, Any]) -> Any:
         _prepared(prepare)
     with one_thread():
         return work(chunk)
+
+
+def _timed(task: tuple[Work, Any]) -> tuple[Any, float]:
+    """Return the result of some work, and the time [s] that it took."""
+    start = time.monotonic()
+    return task[0](task[1]), time.monotonic() - start
 
 
 @lru_cache(maxsize=8)

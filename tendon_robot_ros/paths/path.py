@@ -68,10 +68,7 @@ class TipPath:
 
 
 def tip_path(
-    times: Array | None,
-    positions: Array,
-    directions: Array,
-    smooth: bool = True,
+    times: Array | None, positions: Array, directions: Array, smooth: bool = True
 ) -> TipPath:
     """
     Sample a path through rows of targets.

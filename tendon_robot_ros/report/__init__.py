@@ -7,8 +7,7 @@ pictures.py           pictures that are files: a robot; what was reached of a pa
 in_words.py           what a script prints of a result, and what a notebook shows
 sentences.py          what several say: values with intervals, an arm as built, readings left out,
                       where the model is still wrong
-comparison_text.py    a comparison in words
-comparison_page.py    its page; shapes, measured and predicted
+comparison.py         a comparison in words, and its page; shapes, measured and predicted
 diagnosis_text.py     a diagnosis in words, and how far to trust it; what was added
 diagnosis_page.py     the page of a diagnosis, with pictures
 improvement_page.py   how an error fell step by step, as text and page

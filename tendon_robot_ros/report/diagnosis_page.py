@@ -20,7 +20,7 @@ from ..effects import Catalogue, load_catalogue
 from ..robot import Robot
 from ..robot.description import EffectValues
 from . import diagnosis_text
-from .comparison_page import add_shapes
+from .comparison import add_shapes
 from .diagnosis_text import next_measurement, trust_lines
 from .error_plots import Step, heat_maps, moments, per_marker, per_posture, staircase
 from .page import HEIGHTS_PX, Page
@@ -33,7 +33,7 @@ GROUPS = {
     'check': 'postures never used',
 }
 CANDIDATE_HEAD = [
-    *('effect', 'explains', 'error left', 'left-out postures', 'chance', 'status', 'value'),
+    *('effect', 'explains', 'error left', 'left-out postures', 'chance', 'status', 'value')
 ]
 
 

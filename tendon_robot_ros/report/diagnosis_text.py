@@ -16,13 +16,9 @@ from ..common.words import columns, commands, digits, listed, mm, percent, postu
 from ..diagnosis.add import Addition
 from ..diagnosis.crossval import explained_fraction
 from ..diagnosis.result import Diagnosis, NextMeasurement
-from ..diagnosis.verdict import (
-    P_SINGLE_MIN,
-    SAME_ERROR_RATIO,
-    SEPARABLE_FROM_SD,
-    Verdict,
-)
+from ..diagnosis.verdict import P_SINGLE_MIN, SAME_ERROR_RATIO, SEPARABLE_FROM_SD, Verdict
 from .sentences import (
+    amount,
     as_built,
     described_quantity,
     excluded_lines,
@@ -32,6 +28,8 @@ from .sentences import (
     where_wrong,
 )
 
+# tolerances that are no fractions, and their units
+TOLERANCE_UNITS = {'position': 'm', 'pull_zero': 'm', 'rotation': 'rad', 'cell_kink': 'rad'}
 # a fit without physics that beat the effects, by its name
 PATTERNS = {
     'contact': 'a force somewhere along the arm',
@@ -85,21 +83,17 @@ def declared(diagnosis: Diagnosis) -> list[str]:
     if 'tolerances' not in details:
         return []
     tolerances = [tolerance(name, size) for name, size in details['tolerances'].items()]
-    if details.get('exact', True):
-        first = (
-            f'declared tolerances (1 sd): {", ".join(tolerances)}; '
-            'everything else is taken as exact'
-            if tolerances
-            else 'no tolerances declared: the description is taken as exact'
-        )
-    else:
+    listing = ', '.join(tolerances)
+    if not details.get('exact', True):
         first = 'the arm is taken as it is built: cells, tendons and tracker may be a little off'
-        first += f'; declared (1 sd): {", ".join(tolerances)}' if tolerances else ''
-    noise = details['noise']
-    if noise['source'] == 'trials':
-        second = f'noise, from the trials: {mm(noise["position"], 2)} per coordinate'
+        first += f'; declared (1 sd): {listing}' if tolerances else ''
+    elif tolerances:
+        first = f'declared tolerances (1 sd): {listing}; everything else is taken as exact'
     else:
-        second = f'noise, as declared: {mm(noise["position"], 2)} per coordinate'
+        first = 'no tolerances declared: the description is taken as exact'
+    noise = details['noise']
+    source = 'from the trials' if noise['source'] == 'trials' else 'as declared'
+    second = f'noise, {source}: {mm(noise["position"], 2)} per coordinate'
     if noise.get('shift'):
         second += f', {mm(noise["shift"], 2)} of all markers of a trial together'
     second += f', inputs {digits(100.0 * noise["trial"])} % per trial'
@@ -113,11 +107,7 @@ def declared(diagnosis: Diagnosis) -> list[str]:
 
 def tolerance(name: str, size: float) -> str:
     """Say a declared tolerance in the unit that suits it."""
-    if name in ('position', 'pull_zero'):
-        return f'{name} {mm(size, 2)}'
-    if name in ('rotation', 'cell_kink'):
-        return f'{name} {digits(np.degrees(size))}°'
-    return f'{name} {digits(100.0 * size)} %'
+    return f'{name} {amount(size, TOLERANCE_UNITS.get(name, "1"))}'
 
 
 def verdict(diagnosis: Diagnosis) -> str:

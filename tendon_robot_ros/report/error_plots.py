@@ -13,12 +13,13 @@ from ..common.colours import BAND, DIVERGING, FLOOR, MEASURED, line_style
 from ..common.words import capital, mm
 from ..comparison.result import Comparison
 from ..diagnosis.missing_moment import MissingMoment
-from .comparison_text import posture_name
 from .page import (
     HEIGHTS_PX,
     LOG_AXIS,
     Figure,
     Shown,
+    Trace,
+    axes,
     curve,
     degrees_list,
     error_bars,
@@ -27,6 +28,7 @@ from .page import (
     titled,
     trace,
 )
+from .sentences import interval_name, posture_name
 
 # [1] noise floors of an error above which the floor would lie on the zero line: 15 px of a figure
 LOG_AXIS_FROM_FLOORS = 25.0
@@ -54,47 +56,45 @@ class Step:
     model: int | None = None  # place in a list of models; default: before 0, after 1
 
 
+def symbols(model: int, size: int | None = None) -> Trace:
+    """Return the markers of a model, by its place in a list of models."""
+    style = line_style(model)
+    shape = {'color': style.colour, 'symbol': style.symbol}
+    return shape if size is None else {**shape, 'size': size}
+
+
 def per_marker(comparison: Comparison) -> Figure:
     """Error along the arm, with the band that a perfect model would lie in."""
     measured = comparison.measured
     along = places(comparison)
-    data: list[dict[str, Any]] = []
-    floor = measured.floor_per_marker
-    if floor is not None:
-        line = {'color': FLOOR, 'width': 1}
-        data.append(
-            trace(along, mm_list(floor), 'repeatability (a perfect model)', line=line, **FILLED)
-        )
+    data: list[Trace] = []
+    if measured.floor_per_marker is not None:
+        floor, name = mm_list(measured.floor_per_marker), 'repeatability (a perfect model)'
+        data.append(trace(along, floor, name, line={'color': FLOOR, 'width': 1}, **FILLED))
     for i, model in enumerate(comparison.models):
         data.append(curve(along, mm_list(model.per_marker_rms), model.name, line_style(i), size=7))
-    layout = {
-        'xaxis': titled(place_title(comparison)),
-        'yaxis': _error_axis(comparison, 'error, rms over postures [mm]'),
-    }
-    return Figure(data, layout, 'Error along the arm', '')
+    error = _error_axis(comparison, 'error, rms over postures [mm]')
+    return Figure(data, axes(place_title(comparison), error), 'Error along the arm')
 
 
 def per_posture(comparison: Comparison) -> Figure:
     """Error posture by posture."""
     measured = comparison.measured
-    rows = [p for p in range(len(measured.postures)) if measured.trials[p]]
+    rows = np.flatnonzero(measured.trials).tolist()
     names = [escape(measured.postures[p]) for p in rows]
-    data: list[dict[str, Any]] = []
+    text = [escape(posture_name(comparison, p)) for p in rows]
+    data: list[Trace] = []
     for i, model in enumerate(comparison.models):
-        marker = {'color': line_style(i).colour, 'symbol': line_style(i).symbol, 'size': 9}
-        marker |= {'line': {'width': 2}}
-        text = [escape(posture_name(comparison, p)) for p in rows]
+        marker = {**symbols(i, 9), 'line': {'width': 2}}
         errors = mm_list(model.per_posture_rms[rows])
         data.append(trace(names, errors, model.name, 'markers', text=text, marker=marker))
     if measured.floor is not None:
         floor = np.sqrt(np.nanmean(measured.floor[rows], axis=1))
         line = {'color': FLOOR, 'width': 1, 'shape': 'hvh'}
         data.append(trace(names, mm_list(floor), 'repeatability', line=line, **FILLED))
-    layout = {
-        'xaxis': titled('posture', type='category'),
-        'yaxis': _error_axis(comparison, 'error, rms over markers [mm]'),
-    }
-    return Figure(data, layout, 'Error posture by posture', '')
+    error = _error_axis(comparison, 'error, rms over markers [mm]')
+    layout = axes(titled('posture', type='category'), error)
+    return Figure(data, layout, 'Error posture by posture')
 
 
 def angles(comparison: Comparison, p: int) -> Figure:
@@ -103,28 +103,24 @@ def angles(comparison: Comparison, p: int) -> Figure:
     assert bands is not None
     mean, half = bands
     along = places(comparison)
-    data: list[dict[str, Any]] = []
+    data: list[Trace] = []
     for i, model in enumerate(comparison.models):
         assert model.angles is not None
         data.append(curve(along, degrees_list(model.angles[p]), model.name, line_style(i), 2.5))
-    what = '95 %' if comparison.error == 'ci' else 'standard error'
     marker, bars = {'color': MEASURED, 'size': 5}, error_bars(degrees_list(half[p]))
     points = along, degrees_list(mean[p])
-    name = f'measured, mean ± {what}'
+    name = f'measured, mean ± {interval_name(comparison)}'
     data.append(trace(*points, name, 'markers', error_y=bars, marker=marker))
-    layout = {
-        'xaxis': titled(place_title(comparison)),
-        'yaxis': titled('angular displacement [°]'),
-    }
-    return Figure(data, layout, capital(posture_name(comparison, p)), '')
+    layout = axes(place_title(comparison), 'angular displacement [°]')
+    return Figure(data, layout, capital(posture_name(comparison, p)))
 
 
 def tip_boxes(comparison: Comparison) -> Figure:
     """Tip error over all trials, as figure 15: median, quartiles, data within 1.5 of them."""
     measured = comparison.measured
-    rows = [p for p in range(len(measured.postures)) if measured.trials[p]]
+    rows = np.flatnonzero(measured.trials)
     apart = len(rows) <= Shown.OWN_BOXES and len(comparison.models) > 1
-    data: list[dict[str, Any]] = []
+    data: list[Trace] = []
     for i, model in enumerate(comparison.models):
         values = model.tip_errors[rows]
         names = np.broadcast_to(np.array(measured.postures)[rows][:, None], values.shape)
@@ -136,19 +132,15 @@ def tip_boxes(comparison: Comparison) -> Figure:
                 'x': [escape(name) for name in where],
                 'y': mm_list(values[good]),
                 'name': escape(model.name),
-                'marker': {'color': line_style(i).colour, 'symbol': line_style(i).symbol},
+                'marker': symbols(i),
                 'boxpoints': 'all' if good.sum() <= Shown.BOX_POINTS else 'outliers',
                 'jitter': 0.4,
                 'pointpos': 0.0,
             }
         )
-    layout: dict[str, Any] = {
-        'xaxis': titled('posture' if apart else 'model', type='category'),
-        'yaxis': titled('tip error [mm]', rangemode='tozero'),
-        'showlegend': apart,
-    }
-    if apart:
-        layout['boxmode'] = 'group'
+    shown = {'showlegend': apart, **({'boxmode': 'group'} if apart else {})}
+    x = titled('posture' if apart else 'model', type='category')
+    layout = axes(x, titled('tip error [mm]', rangemode='tozero'), **shown)
     caption = 'Tip error of every trial: the distance between predicted and measured tip.'
     return Figure(data, layout, 'Tip error', caption)
 
@@ -158,7 +150,7 @@ def staircase(
 ) -> Figure:
     """Errors that fall step by step towards the noise floor; groups beside each other."""
     groups = list(dict.fromkeys(step.group for step in steps))
-    data: list[dict[str, Any]] = []
+    data: list[Trace] = []
     for label in dict.fromkeys(step.label for step in steps):
         part = [step for step in steps if step.label == label]
         first = part[0]
@@ -175,13 +167,13 @@ def staircase(
                 'marker': {'color': FLOOR if first.kind == 'floor' else line_style(model).colour},
             }
         )
-    layout = {
-        'showlegend': len(groups) > 1,
-        'bargap': 0.35 if len(groups) == 1 else 0.12,
-        'margin': {'l': 56, 'r': 16, 't': 30, 'b': 44},
-        'xaxis': {'type': 'category'},
-        'yaxis': titled('error, rms [mm]', rangemode='tozero'),
-    }
+    layout = axes(
+        {'type': 'category'},
+        titled('error, rms [mm]', rangemode='tozero'),
+        showlegend=len(groups) > 1,
+        bargap=0.35 if len(groups) == 1 else 0.12,
+        margin={'l': 56, 'r': 16, 't': 30, 'b': 44},
+    )
     return Figure(data, layout, title, '', height)
 
 
@@ -212,7 +204,7 @@ def heat_maps(
     """Return signed deviations, marker by posture, before and after, in the same colours."""
     largest = float(np.clip(np.nanmax(np.abs(before.deviation)), *COLOURS_END_SD))
     measured, figures = comparison.measured, []
-    rows = [p for p in range(len(measured.postures)) if measured.trials[p]]
+    rows = np.flatnonzero(measured.trials).tolist()
     for model, lacks in zip(comparison.models, (before, after), strict=False):
         if lacks is None:
             continue
@@ -227,11 +219,8 @@ def heat_maps(
             'colorbar': {'title': {'text': 'noise sd', 'side': 'right'}, 'thickness': 12},
             'hovertemplate': '%{x}, posture %{y}: %{z:.1f} sd<extra></extra>',
         }
-        layout = {
-            'xaxis': titled(place_title(comparison)),
-            'yaxis': titled('posture', type='category', autorange='reversed'),
-            'margin': {'l': 56, 'r': 8, 't': 8, 'b': 44},
-        }
+        y = titled('posture', type='category', autorange='reversed')
+        layout = axes(place_title(comparison), y, margin={'l': 56, 'r': 8, 't': 8, 'b': 44})
         # a line of text for every posture, within what a screen shows
         height = int(np.clip(150 + 18 * len(rows), HEIGHTS_PX['low'], HEIGHTS_PX['scene']))
         figures.append(Figure([heat], layout, f'Deviation, {model.name}', '', height))
@@ -247,12 +236,9 @@ def moments(lacks: MissingMoment) -> list[Figure]:
         data = []
         for b, name in enumerate(lacks.blocks):
             bars = error_bars(plain(1.96 * lacks.moment_sd[:, b], 1e3), width=0)
-            marker = {'color': line_style(b).colour, 'symbol': line_style(b).symbol, 'size': 8}
             points = plain(cause[:, b]), plain(lacks.moment[:, b], 1e3)
-            data.append(trace(*points, name, 'markers', error_y=bars, marker=marker))
-        layout = {
-            'xaxis': titled(title, rangemode='tozero'),
-            'yaxis': titled('missing moment [mN·m]', zeroline=True),
-        }
+            data.append(trace(*points, name, 'markers', error_y=bars, marker=symbols(b, 8)))
+        x, y = titled(title, rangemode='tozero'), titled('missing moment [mN·m]', zeroline=True)
+        layout = axes(x, y)
         figures.append(Figure(data, layout, '', caption))
     return figures

@@ -16,9 +16,9 @@ from ..comparison.compare import compare
 from ..data import DataSet
 from ..diagnosis.result import COLOURS, Improvement, total
 from ..effects import Catalogue
-from .comparison_page import add_shapes
+from .comparison import add_shapes
 from .error_plots import per_marker, per_posture
-from .page import HEIGHTS_PX, LOG_AXIS, Figure, Page, Shown, mm_list, titled, trace
+from .page import HEIGHTS_PX, LOG_AXIS, Figure, Page, Shown, axes, mm_list, titled, trace
 from .sentences import as_built, excluded_lines, quantities, where_wrong
 
 NOT_WRITTEN = 'Nothing was written: there is no step that lowers the error on left-out postures.'
@@ -167,9 +167,7 @@ def curve(improvement: Improvement) -> Figure:
     for kind, errors in improvement.falling.items():
         line, marker = {'color': COLOURS[kind]}, {'symbol': symbols, 'size': 9}
         data.append(trace(names, mm_list(errors), kind, 'lines+markers', line=line, marker=marker))
-    layout = {
-        'xaxis': {'type': 'category', 'tickangle': -90},
-        'yaxis': titled('rms error, logarithmic [mm]', **LOG_AXIS),
-    }
+    x = {'type': 'category', 'tickangle': -90}
+    layout = axes(x, titled('rms error, logarithmic [mm]', **LOG_AXIS))
     title = 'The error falls step by step; hollow: not taken'
-    return Figure(data, layout, title, '', HEIGHTS_PX['tall'])
+    return Figure(data, layout, title, height=HEIGHTS_PX['tall'])

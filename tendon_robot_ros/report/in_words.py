@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from functools import singledispatch
 from html import escape
 
@@ -13,7 +15,8 @@ from ..diagnosis.add import Addition
 from ..diagnosis.result import Diagnosis, Improvement
 from ..model.shape import Reach, Shape
 from ..robot import Robot
-from . import comparison_text, diagnosis_text
+from ..robot.description import XY
+from . import comparison, diagnosis_text
 from .diagnosis_page import CANDIDATE_HEAD, candidate_row
 from .diagnosis_text import trust_lines
 from .improvement_page import improvement_lines
@@ -54,7 +57,7 @@ def _row(tag: str, cells: list[str]) -> str:
 
 @text.register
 def _(result: Comparison) -> str:
-    return '\n'.join([comparison_text.table(result), *comparison_text.sentences(result)])
+    return '\n'.join([comparison.table(result), *comparison.sentences(result)])
 
 
 @text.register
@@ -96,23 +99,29 @@ def _(result: DataSet) -> Rows:
 
 @rows.register
 def _(result: Robot) -> Rows:
-    table = [['tendon', 'offset [mm]', 'ends in', 'pulled by']]
+    table = [['tendon', 'offset x, y [mm]', 'ends in', 'pulled by']]
     for tendon in result.tendons:
-        offset = ', '.join(f'{1e3 * x:.4g}' for x in tendon.base)
+        offset = route((tendon.base, tendon.end))
+        if tendon.helix:
+            offset += f', winds {1e-3 * math.degrees(tendon.helix):.4g}°/mm'
+        elif tendon.offsets:
+            offset += f' in {len(tendon.offsets)} steps'
         table.append([tendon.name, offset, tendon.section, tendon.group or tendon.name])
     return table
 
 
+def route(offsets: Sequence[XY]) -> str:
+    """Format where something lies in the first and the last cell [m], in millimetres."""
+    first, last = ('{:g}, {:g}'.format(*(1e3 * v for v in at)) for at in (offsets[0], offsets[-1]))
+    return first if first == last else f'{first} to {last}'
+
+
 @rows.register
 def _(result: Shape) -> Rows:
-    tensions, pulls = result.inputs.tolist(), result.pulls.tolist()
     table = [['input', 'tension [N]', 'wire pull [mm]']]
-    names = map(str, range(1, len(tensions) + 1))
-    numbers = zip(tensions, pulls, strict=True)
-    return table + [
-        [name, f'{tension:.4g}', f'{1e3 * pull:.4g}']
-        for name, (tension, pull) in zip(names, numbers, strict=True)
-    ]
+    for i, (tension, pull) in enumerate(zip(result.inputs, result.pulls, strict=True)):
+        table.append([str(i + 1), f'{tension:.4g}', f'{1e3 * pull:.4g}'])
+    return table
 
 
 @rows.register

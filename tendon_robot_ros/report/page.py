@@ -68,6 +68,13 @@ def titled(title: str, **more: Any) -> Trace:
     return {'title': {'text': title}, **more}
 
 
+def axes(x: str | Trace, y: str | Trace, **layout: Any) -> Trace:
+    """Return a layout of two axes, each a title or as plotly takes it."""
+    both = {'xaxis': x, 'yaxis': y}
+    named = {key: titled(axis) if isinstance(axis, str) else axis for key, axis in both.items()}
+    return {**named, **layout}
+
+
 def trace(
     x: Sequence[Any], y: Sequence[Any], name: str, mode: str = 'lines', **more: Any
 ) -> Trace:

@@ -293,10 +293,7 @@ def draw_errors(axes: Any, run: PathRun) -> None:
         return
     errors, _ = run.errors(run.tip_times)
     axes.plot(
-        run.tip_times,
-        1e3 * errors,
-        color=_tip_colour(run),
-        label='from the target of the moment',
+        run.tip_times, 1e3 * errors, color=_tip_colour(run), label='from the target of the moment'
     )
     axes.plot(run.tip_times, 1e3 * run.across(), ':', color=INK, label='from the path')
     at, _ = run.errors(run.row_times)

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from ..common.words import digits, listed, mm, scale_of, spoken, with_unit
+from ..common.words import commands, digits, listed, mm, scale_of, spoken, with_unit
+from ..comparison.result import Comparison
 from ..diagnosis.result import LoadVector, Value
 from ..diagnosis.verdict import FALSE_DISCOVERY_RATE
 from .page import Shown
@@ -283,3 +284,15 @@ def place_of(fault: Fault) -> str:
     if numbers == list(range(numbers[0], numbers[-1] + 1)) and len(numbers) > 2:
         return f'one of the cells {numbers[0]} to {numbers[-1]}{tail}'
     return f'cell {listed(map(str, numbers), "or")}{tail}'
+
+
+def posture_name(comparison: Comparison, posture: int) -> str:
+    """Name a posture and what was commanded."""
+    measured = comparison.measured
+    inputs = dict(zip(measured.input_names, measured.inputs[posture].tolist(), strict=True))
+    return f'posture {measured.postures[posture]} ({commands(inputs, measured.input)})'
+
+
+def interval_name(comparison: Comparison) -> str:
+    """Name what stands behind a ±."""
+    return '95 %' if comparison.error == 'ci' else 'standard error'

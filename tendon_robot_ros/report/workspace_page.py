@@ -24,6 +24,7 @@ from .page import (
     Page,
     Shown,
     Trace,
+    axes,
     coordinates,
     curve,
     degrees_list,
@@ -119,17 +120,10 @@ def postures(family: Family) -> Figure:
         f'{len(family)} postures; tips within {digits(1e3 * across(family), 3)} mm across and '
         f'{digits(1e3 * float(family.span[2]), 3)} mm along z.'
     )
-    axes = {f'{axis}axis': titled(f'{axis} [mm]') for axis in 'xyz'}
     if not planar:
-        scene = {
-            'scene': {'aspectmode': 'data', **axes},
-            'margin': {'l': 0, 'r': 0, 't': 0, 'b': 0},
-        }
-        return Figure(data, scene, title, caption + ' Drag to turn.', height=HEIGHTS_PX['tall'])
-    layout = {
-        'xaxis': titled('x [mm]'),
-        'yaxis': titled('z [mm]', scaleanchor='x'),
-    }
+        caption += ' Drag to turn.'
+        return Figure(data, scene(), title, caption, height=HEIGHTS_PX['tall'])
+    layout = axes('x [mm]', titled('z [mm]', scaleanchor='x'))
     return Figure(data, layout, title, caption, height=HEIGHTS_PX['tall'])
 
 
@@ -142,18 +136,13 @@ def displacement(family: Family) -> Figure:
         bend = family.bend[b]
         angle = bend[:, 0] if planar else np.linalg.norm(bend, axis=1)
         data.append(curve(cells, degrees_list(angle), HEIGHT_NAMES[i], line_style(i), size=6))
-    layout = {
-        'xaxis': titled('cell'),
-        'yaxis': titled('angular displacement per cell [°]'),
-    }
     pulled = []
     for name, b in zip(HEIGHT_NAMES, family.salient, strict=True):
         values = family.tensions[b, list(family.pair.indices)].tolist()
         pulled.append(f'{name}: {commands(dict(zip(family.pair.inputs, values, strict=True)))}')
-    caption = '; '.join(pulled)
-    return Figure(
-        data, layout, 'Angular displacement per cell', caption, height=HEIGHTS_PX['tall']
-    )
+    title, caption = 'Angular displacement per cell', '; '.join(pulled)
+    layout = axes('cell', 'angular displacement per cell [°]')
+    return Figure(data, layout, title, caption, height=HEIGHTS_PX['tall'])
 
 
 def _places(points: Floats, planar: bool) -> Trace:
@@ -304,11 +293,12 @@ def _values(volume: Volume) -> tuple[Floats, str]:
     return volume.reached.looks.astype(float), f'directions<br>of {SPHERE_PART_COUNT}'
 
 
-def _scene() -> dict[str, Any]:
-    axes = {f'{axis}axis': titled(f'{axis} [mm]') for axis in 'xyz'}
-    scene = {'aspectmode': 'data', 'camera': {'eye': {'x': 1.8, 'y': 1.8, 'z': 0.9}}, **axes}
+def scene() -> Trace:
+    """Return the layout of a scene in space, at one scale."""
+    named = {f'{axis}axis': titled(f'{axis} [mm]') for axis in 'xyz'}
+    box = {'aspectmode': 'data', 'camera': {'eye': {'x': 1.8, 'y': 1.8, 'z': 0.9}}, **named}
     legend = {'orientation': 'h', 'itemsizing': 'constant', 'y': 1.0, 'x': 0.0}
-    return {'scene': scene, 'legend': legend, 'margin': {'l': 0, 'r': 0, 't': 0, 'b': 0}}
+    return {'scene': box, 'legend': legend, 'margin': {'l': 0, 'r': 0, 't': 0, 'b': 0}}
 
 
 def cloud_figure(volume: Volume) -> Figure:
@@ -351,7 +341,7 @@ def cloud_figure(volume: Volume) -> Figure:
         f'{len(rows):,} of {len(reached):,} cubes, each with the posture of least tension. '
         'Drag to turn; a point tells the tensions.'
     )
-    return Figure([tips, hull, arm], _scene(), 'Where the tip can be', caption, height=560)
+    return Figure([tips, hull, arm], scene(), 'Where the tip can be', caption, height=560)
 
 
 def section_figure(volume: Volume, values: Floats, title: str, axis: int) -> Figure:
@@ -378,10 +368,8 @@ def section_figure(volume: Volume, values: Floats, title: str, axis: int) -> Fig
             cut = heat_map(frame, part.cells[in_slice][:, [across, up]], heights[in_slice])
             data.append({**cut, 'visible': i == middle, **colours})
     name, other_name = 'xyz'[up], 'xyz'[axis]
-    layout: dict[str, Any] = {
-        'xaxis': titled('x [mm]', constrain='domain'),
-        'yaxis': titled(f'{name} [mm]', scaleanchor='x'),
-    }
+    x, y = titled('x [mm]', constrain='domain'), titled(f'{name} [mm]', scaleanchor='x')
+    layout = axes(x, y)
     if len(places) > 1:
         steps = [
             {
@@ -435,4 +423,4 @@ def direction_figure(part: Reached, view: float) -> Figure:
         | {'hoverinfo': 'skip'},
     ]
     caption = f'{len(part):,} cubes whose tips look {degree(view)} away from the base.'
-    return Figure(data, _scene(), '', caption, height=HEIGHTS_PX['tall'])
+    return Figure(data, scene(), '', caption, height=HEIGHTS_PX['tall'])

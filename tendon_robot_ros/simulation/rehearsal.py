@@ -22,10 +22,9 @@ from .hidden import CAUSES, chosen
 Array = NDArray[np.float64]
 NOTHING_HIDDEN = 'none'
 REFINEMENTS = ('eyelet_wrap', 'tendon_travel')  # what the mock's wires do, and its owner knows
-# [1] tip error of a hidden effect, in lengths of the arm: large enough to be seen on the page,
-# so that a person can watch it go
-TIP_ERROR_MIN = 0.02
-TIP_ERROR_MAX = 0.05  # [1] as above; so that the arm still goes near its targets
+# [1] tip error of a hidden effect, in lengths of the arm: between what a person sees on the page
+# and what keeps the arm near its targets, so that one can watch it go
+TIP_ERRORS = (0.02, 0.05)
 # [1] in lengths of the arm: an effect that cannot make more is not drawn, else nobody would see it
 TIP_ERROR_VISIBLE = 0.003
 # [1] 1 sd from cell to cell of the plant; its owner would know so much of it
@@ -108,7 +107,7 @@ def draw(robot: Robot, catalogue: Catalogue, name: str, seed: int) -> Hidden:
     while True:
         effect = name or str(random.choice(remaining))
         typical = chosen(sized[effect], {}, robot)
-        target = random.uniform(TIP_ERROR_MIN, TIP_ERROR_MAX) * robot.length
+        target = random.uniform(*TIP_ERRORS) * robot.length
         low, high = 0.02, 20.0  # times the typical size; bisected in its logarithm
         for _ in range(14):
             middle = float(np.sqrt(low * high))

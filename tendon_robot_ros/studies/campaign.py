@@ -25,13 +25,13 @@ from typing import Any
 import numpy as np
 
 from ..cli.main import ExitCode
-from ..cli.options import add_cluster, add_effect_files, add_json, emit, progress
+from ..cli.options import add_cluster, declare, emit, progress
 from ..common.colours import BAND, ERROR, PREDICTED, line_style
 from ..common.words import columns, digits
 from ..common.workers import Workers
 from ..diagnosis.verdict import Verdict
 from ..model.versions import Preparation
-from ..report.page import Figure, Page, Trace, curve, error_bars, titled, trace
+from ..report.page import Figure, Page, Trace, axes, curve, error_bars, titled, trace
 from ..simulation.hidden import CAUSES
 from .cases import NOTHING
 from .judge import (
@@ -39,11 +39,10 @@ from .judge import (
     CaseRow,
     Power,
     Rate,
-    clean_rows,
     confusion,
-    costs,
     coverage,
     grouped,
+    methods,
     powers,
     rates,
     rates_by_robot,
@@ -64,8 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     words = 'go on in a folder that other versions have begun; what is there stays'
     add('--accept-change', action='store_true', help=words)
     add_cluster(parser)
-    add_json(parser)
-    add_effect_files(parser)
+    declare(parser, '--json', '--effect-file')
 
 
 def run(args: argparse.Namespace) -> int:
@@ -250,18 +248,38 @@ def campaign_page(
     if clean := clean_rows(rows):
         page.text('With nothing hidden:')
         header = ('robot', 'measured so', 'any alarm', 'an effect named')
-        cells = [[robot, method or 'all', *map(str, counts)] for robot, method, *counts in clean]
-        page.table(header, cells, left=[0, 1])
+        page.table(header, clean, left=[0, 1])
 
     page.heading('What postures, trials and markers cost')
     header = ('measured so', 'effects seen', 'named', 'nothing hidden: said so', 'a diagnosis')
-    cells = [
-        [one.way or 'all', str(one.alarms), str(one.right), str(one.quiet)]
-        + [f'{digits(one.seconds)} s']
-        for one in costs(rows)
-    ]
-    page.table(header, cells, left=[0])
+    page.table(header, cost_rows(rows), left=[0])
     return page
+
+
+def clean_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
+    """Return a row per robot and method of measurement: alarms with nothing hidden."""
+    method_of = methods(rows)
+    clean = [row for row in rows if row.hidden == NOTHING]
+    table = []
+    for (robot, way), members in grouped(clean, lambda r: (r.robot, method_of(r))).items():
+        named = Rate.of(row.verdict in NAMING for row in members)
+        table.append([robot, way or 'all', str(Rate.of(r.alarm for r in members)), str(named)])
+    return table
+
+
+def cost_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
+    """Return a row per method of measurement over the same arms: rates and computing time."""
+    table = []
+    for way, members in grouped(rows, methods(rows)).items():
+        hidden = [row for row in members if row.hidden not in (NOTHING, *CAUSES)]
+        counted = (
+            Rate.of(row.alarm for row in hidden),
+            Rate.of(row.right for row in hidden),
+            Rate.of(row.right for row in members if row.hidden == NOTHING),
+        )
+        seconds = float(np.median([row.seconds for row in members]))
+        table.append([way or 'all', *map(str, counted), f'{digits(seconds)} s'])
+    return table
 
 
 def power_figure(name: str, powers_of_it: Sequence[Power]) -> Figure:
@@ -274,11 +292,8 @@ def power_figure(name: str, powers_of_it: Sequence[Power]) -> Figure:
         bars, size = rate_bars(power.right), 7 + 3 * min(i, 3)  # none hides another
         line = curve(list(power.sizes), rates, label, line_style(i), size=size, error_y=bars)
         data.append({**line, 'showlegend': len(powers_of_it) > 1})
-    layout = {
-        'xaxis': titled('size, times the typical one', type='log'),
-        'yaxis': titled('named [%]', range=[-4, 104]),
-        'legend': {'orientation': 'h', 'y': -0.35, 'x': 0.0, 'font': {'size': 11}},
-    }
+    x, y = titled('size, times the typical one', type='log'), titled('named [%]', range=[-4, 104])
+    layout = axes(x, y, legend={'orientation': 'h', 'y': -0.35, 'x': 0.0, 'font': {'size': 11}})
     caption = 'bars: 95 % intervals of the rates; a size of 1 is the typical one of the catalogue'
     return Figure(data, layout, name, caption, 300 + 24 * len(data))
 
@@ -337,10 +352,8 @@ def coverage_figure(rows: Sequence[CaseRow]) -> Figure:
         trace(ends, ends, 'as promised', line=line),
         trace(promised, rates, 'found', 'lines+markers+text', **style),
     ]
-    layout = {
-        'xaxis': titled('intervals promise [%]', range=ends),
-        'yaxis': titled('hold the true value [%]', range=ends),
-    }
+    x = titled('intervals promise [%]', range=ends)
+    layout = axes(x, titled('hold the true value [%]', range=ends))
     caption = (
         'Of all intervals of 95 %, 95 in 100 should hold the true value. A point on the dotted '
         'line is as promised; below it (grey) intervals are too narrow, above it wider than '

@@ -20,23 +20,15 @@ from ..effects import Catalogue
 from ..robot import Robot
 from ..robot.estimates import natural_sizes
 from ..simulation.hidden import CAUSES, Built, Workmanship
-from ..simulation.measurements import SimulatedNoise, simulate
+from ..simulation.measurements import SimulatedNoise, TrackerFaults, simulate
 from ..simulation.plant import make_plant
-from ..workspace.postures import default_postures
+from ..workspace.postures import SEQUENCE_FACTOR, default_postures
 
 HiddenSizes = dict[str, float | list[float]]
 NOTHING = 'none'
 # [1] whitened squared change of the markers that stands out of the noise: as chi² of three
 # parameters it comes about once in a million by chance
 VISIBLE_FROM_CHI2 = 30.0
-# [1] postures of a sequence for each of others, because two of five in a cycle only go down again
-SEQUENCE_FACTOR = 5.0 / 3.0
-# [1] of the readings that are lost, because markers of a laboratory's arm hide one another
-LOST_FRACTION = 0.03
-# [1] of the readings that are wild: about one in a data set, else none would try the diagnosis
-WILD_FRACTION = 0.005
-# [m] 1 sd of a wild reading: a cell or so, as where a tracker would take one marker for the next
-WILD_SD_M = 5e-3
 # [1] of the stiffness that a soft cell of size 1 lacks: nearly half, so that a person would see it
 SOFT_CELL_LOSS = 0.45
 # [1] of a typical size, each member of a vector, whose signs are drawn: so that it points anywhere
@@ -279,11 +271,11 @@ def postures_of(
 
 def with_lost_readings(dataset: DataSet, seed: int) -> DataSet:
     """Remove some readings of the markers, and displace a few of them far."""
-    random = np.random.default_rng([seed, 19])
+    random, faults = np.random.default_rng([seed, 19]), TrackerFaults()
     positions = dataset.positions.copy()
-    wild = random.random(positions.shape[:3]) < WILD_FRACTION
-    positions[wild] += random.normal(0.0, WILD_SD_M, (int(wild.sum()), 3))
-    lost = random.random(positions.shape[:3]) < LOST_FRACTION
+    wild = random.random(positions.shape[:3]) < faults.wild
+    positions[wild] += random.normal(0.0, faults.wild_sd, (int(wild.sum()), 3))
+    lost = random.random(positions.shape[:3]) < faults.lost
     lost[:, 0, 0] = False  # every posture keeps a reading
     positions[lost] = np.nan
     return replace(dataset, positions=positions)

@@ -22,7 +22,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from ..cli.options import add_cluster, add_effect_files, add_json, emit, progress
+from ..cli.options import add_cluster, declare, emit, progress
 from ..common.colours import BEFORE, FLOOR, PREDICTED
 from ..common.errors import InputError, Progress, TendonRobotError
 from ..common.words import columns, digits, listed, mm, scale_of
@@ -35,7 +35,7 @@ from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import CandidateRow, Diagnosis, EffectFinding, Value
 from ..diagnosis.verdict import Verdict
 from ..model.versions import Preparation, UserEffect, catalogue_of
-from ..report.page import Figure, Page, error_bars, titled, trace
+from ..report.page import Figure, Page, axes, error_bars, titled, trace
 from ..robot import dump_robot
 from .judge import diagnosis_fields, fitted_values
 from .running import ERROR, TABLE, GrowingTable, Row, judge_all
@@ -54,8 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add('folder', metavar='DIR', help='with data sets and recordings below it')
     add('--output', metavar='DIR', required=True, help='folder of the table and the page')
     add_cluster(parser)
-    add_json(parser)
-    add_effect_files(parser)
+    declare(parser, '--json', '--effect-file')
 
 
 def run(args: argparse.Namespace) -> int:
@@ -395,10 +394,7 @@ def error_figure(history: Sequence[FleetRow]) -> Figure:
         points = when, [None if error is None else 1e3 * error for error in errors]
         line = {'color': colour}
         data.append(trace(*points, name, 'lines+markers', text=text, line=line))
-    layout = {
-        'xaxis': {'type': 'date'},
-        'yaxis': titled('error, rms [mm]', rangemode='tozero'),
-    }
+    layout = axes({'type': 'date'}, titled('error, rms [mm]', rangemode='tozero'))
     return Figure(data, layout, 'Errors over time')
 
 
@@ -418,7 +414,7 @@ def map_parameters(history: Sequence[FleetRow]) -> list[Figure]:
         points = [row.when for row, _ in known], [factor * value for _, (value, _, _) in known]
         line = {'color': PREDICTED}
         data = [trace(*points, '', 'lines+markers', line=line, error_y=bars)]
-        layout = {'xaxis': {'type': 'date'}, 'yaxis': titled(f'[{unit or 1}]')}
+        layout = axes({'type': 'date'}, f'[{unit or 1}]')
         caption = '95 % intervals, fitted alone or with what was named beside it'
         figures.append(Figure(data, layout, name, caption))
     return figures

@@ -22,16 +22,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..cli.options import (
-    add_json,
-    add_overwrite,
-    emit,
-    next_step,
-    refuse_existing,
-    write_description,
-)
+from ..cli import options
 from ..common.errors import DataSetError, InputError
-from ..common.files import file_to_write
 from ..common.words import listed
 from ..comparison.statistics import estimate
 from ..data.csv_file import CsvFile
@@ -53,25 +45,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add('angles', metavar='SLIP_ANGLES', help='CSV file: measurement,angle_deg')
     add('--robot', metavar='ROBOT', help='robot description to write the coefficient into')
-    to = file_to_write('--output')
-    add('--output', type=to, metavar='NEW', help='the new description')
-    add_json(parser)
-    add_overwrite(parser)
+    options.add_file(parser, '--output', 'the new description', 'NEW')
+    options.declare(parser, '--json', '--overwrite')
 
 
 def run(args: argparse.Namespace) -> int:
     """Read, compute, write."""
     if (args.robot is None) != (args.output is None):
         raise InputError('friction: --robot and --output go together; give both or neither')
-    refuse_existing('--output', args.output, args.overwrite)
+    options.refuse_existing('--output', args.output, args.overwrite)
     friction = slip_friction(*read_slip_angles(args.angles))
     text = lines(friction)
     if args.output:
         date = datetime.now(UTC).date().isoformat()
         robot = with_friction(load_robot(args.robot), friction, Path(args.angles).name, date)
-        write_description(robot, args.output)
-        text.append(next_step(args.output))
-    emit(args, friction.to_json(), '\n'.join(text))
+        options.write_description(robot, args.output)
+        text.append(options.next_step(args.output))
+    options.emit(args, friction.to_json(), '\n'.join(text))
     return 0
 
 

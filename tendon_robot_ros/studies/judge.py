@@ -21,7 +21,7 @@ from ..diagnosis.add import add_effects
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import Diagnosis, Value
 from ..diagnosis.trust import DETECTION_POWER, wilson
-from ..diagnosis.verdict import Verdict
+from ..diagnosis.verdict import SAME_ERROR_RATIO, Verdict
 from ..effects import load_catalogue
 from ..model.model import Model
 from ..model.versions import UserEffect, catalogue_of
@@ -33,8 +33,6 @@ from .running import ERROR, Row
 DIAGNOSIS, INTERVALS = 'diagnosis', 'intervals'
 QUESTIONS = (DIAGNOSIS, INTERVALS)
 NAMING = tuple(verdict for verdict in Verdict if verdict.may_add)
-# [1] error over the noise floor; below it the fraction of their difference would be that of noise
-ERROR_RATIO_MIN = 1.2
 # [1] nominal probability of the intervals whose coverage is counted
 NOMINAL = (0.5, 0.8, 0.9, 0.95, 0.99)
 # [1] bins, on a logarithmic scale, of sizes that were drawn, so that each holds many cases; sizes
@@ -234,7 +232,7 @@ def removed_fraction(diagnosis: Diagnosis, sim: Simulated) -> float | None:
             return None
         errors.append(rms(sim.check.mean - markers))
     before, after, floor = *errors, diagnosis.noise_floor
-    return (before - after) / (before - floor) if before > ERROR_RATIO_MIN * floor else None
+    return (before - after) / (before - floor) if before > SAME_ERROR_RATIO * floor else None
 
 
 def scatter_held(report: Mapping[str, Any] | None, built: Built) -> list[bool]:
@@ -376,44 +374,6 @@ def coverage(rows: Sequence[CaseRow]) -> list[tuple[float, Rate]]:
     return [(nominal, Rate.of(one <= limit for one in z)) for nominal, limit in limits]
 
 
-@dataclass(frozen=True)
-class Cost:
-    """Detection rates and computing time of a method of measurement."""
-
-    way: str
-    alarms: Rate  # of hidden effects seen
-    right: Rate  # and named
-    quiet: Rate  # clean sets that were called so
-    seconds: float  # [s] of processor time for a diagnosis, median
-
-
-def costs(rows: Sequence[CaseRow]) -> list[Cost]:
-    """Compare the methods of measurement over the same arms, all effects and sizes."""
-    results = []
-    for method, members in grouped(rows, methods(rows)).items():
-        hidden = [row for row in members if row.hidden != NOTHING and row.hidden not in CAUSES]
-        results.append(
-            Cost(
-                method,
-                Rate.of(row.alarm for row in hidden),
-                Rate.of(row.right for row in hidden),
-                Rate.of(row.right for row in members if row.hidden == NOTHING),
-                float(np.median([row.seconds for row in members])),
-            )
-        )
-    return results
-
-
-def clean_rows(rows: Sequence[CaseRow]) -> list[tuple[str, str, Rate, Rate]]:
-    """Return (robot, method, alarms, named) of the sets with nothing hidden."""
-    method_of = methods(rows)
-    clean = [row for row in rows if row.hidden == NOTHING]
-    return [
-        (*key, Rate.of(r.alarm for r in members), Rate.of(r.verdict in NAMING for r in members))
-        for key, members in grouped(clean, lambda row: (row.robot, method_of(row))).items()
-    ]
-
-
 def rates(rows: Sequence[CaseRow]) -> dict[str, Rate]:
     """Return the rates that the diagnosis is judged by."""
     effects = [row for row in rows if row.hidden not in (*CAUSES, NOTHING)]
@@ -452,29 +412,17 @@ def rates_by_robot(rows: Sequence[CaseRow]) -> dict[str, dict[str, Rate]]:
     return {robot: rates(members) for robot, members in grouped(rows, lambda r: r.robot).items()}
 
 
-@dataclass(frozen=True)
-class HiddenRates:
-    """The verdicts on one hidden effect in one robot."""
-
-    robot: str
-    hidden: str
-    right: Rate  # of all sizes
-    right_if_seen: Rate  # of those that stand out of the noise
-    wrong_names: Rate
-    inside: Rate  # true values inside their 95 % intervals
-
-
-def rates_by_hidden(rows: Sequence[CaseRow]) -> list[HiddenRates]:
+def rates_by_hidden(rows: Sequence[CaseRow]) -> list[dict[str, Any]]:
     """Return the rates of everything that was hidden, robot by robot."""
     return [
-        HiddenRates(
-            robot,
-            hidden,
-            Rate.of(row.right for row in members),
-            Rate.of(row.right for row in members if row.visible),
-            Rate.of(row.wrong_name for row in members),
-            Rate.of(held for row in members for held in row.held),
-        )
+        {
+            'robot': robot,
+            'hidden': hidden,
+            'right': Rate.of(row.right for row in members),  # of all sizes
+            'right_if_seen': Rate.of(row.right for row in members if row.visible),
+            'wrong_names': Rate.of(row.wrong_name for row in members),
+            'inside': Rate.of(held for row in members for held in row.held),
+        }
         for (robot, hidden), members in grouped(rows, lambda r: (r.robot, r.hidden)).items()
     ]
 

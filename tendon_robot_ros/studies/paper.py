@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
@@ -26,17 +25,19 @@ from ..cli.options import progress
 from ..common.colours import INK, MEASURED, line_style
 from ..common.errors import InputError
 from ..common.files import new_folder
-from ..common.words import capital, columns, commands, digits, listed, mm
+from ..common.words import capital, columns, digits, listed, mm
 from ..comparison.result import Comparison
 from ..comparison.statistics import half_width
 from ..data import DataSet
 from ..diagnosis.result import Diagnosis
-from ..report import comparison_text as say
+from ..report import comparison as say
+from ..report import diagnosis_text
 from ..report.error_plots import angles, tip_boxes
 from ..report.page import (
     HEIGHTS_PX,
     Figure,
     Page,
+    axes,
     curve,
     error_bars,
     mm_list,
@@ -44,7 +45,7 @@ from ..report.page import (
     titled,
     trace,
 )
-from ..report.sentences import quantities
+from ..report.sentences import interval_name
 from ..report.workspace_page import FAMILY_COLUMNS, rows, view_figures
 from ..robot import load_robot
 from .friction import SlipFriction, slip_friction
@@ -82,8 +83,8 @@ def run(args: argparse.Namespace) -> int:
     folder = Path(args.output)
     if folder.exists() and any(folder.iterdir()) and not args.overwrite:
         raise InputError(f'{folder}: is not empty; use --overwrite or another --output')
-    own = robots_folder(args.robots)
-    robots = Robots(*(load_robot(own / f'{name}.yaml') for name in PAPER_ROBOTS))
+    own = [Path(args.robots, f'{name}.yaml') for name in PAPER_ROBOTS] if args.robots else None
+    robots = Robots(*map(load_robot, own or PAPER_ROBOTS))
     with progress() as show:
         paper = reproduce(robots, show)
     page = paper_page(paper)
@@ -91,27 +92,10 @@ def run(args: argparse.Namespace) -> int:
         page.write(draft / PAPER_FILES[0])
         text = json.dumps(paper.to_json(), indent=1)
         (draft / PAPER_FILES[1]).write_text(text, encoding='utf-8')
-    lines = [('', 'what', 'published', 'ours', 'range left open', 'met')]
-    for row in paper.rows:
-        ours, low, high = (digits(number, 3) for number in (row.ours, row.low, row.high))
-        published = f'{row.published:g} {row.unit}'
-        lines.append((row.section, row.what, published, ours, f'{low} to {high}', row.met))
-    print(columns(lines))
+    cells = [ROW_COLUMNS, *map(number_cells, paper.rows)]
+    print(columns([row[:-1] for row in cells]))  # without the reasons, which are long
     print(f'written: {folder / PAPER_FILES[0]}, {folder / PAPER_FILES[1]}')
     return 0
-
-
-def robots_folder(named: str | None) -> Path:
-    """Return the folder of the robots: the one given, the source tree's, the installed one."""
-    if named:
-        return Path(named)
-    source = Path(__file__).resolve().parents[2]
-    installed = Path(sys.prefix) / 'share' / 'tendon_robot_ros'
-    roots = [root / 'config' / 'robots' for root in (source, installed)]
-    folder = next((root for root in roots if root.is_dir()), None)
-    if folder is None:
-        raise InputError('paper: config/robots is not installed; name its folder with --robots')
-    return folder
 
 
 @dataclass(frozen=True)
@@ -320,16 +304,12 @@ def posture(comparison: Comparison, data: DataSet, p: int) -> Figure:
     half = half_width(data.positions[p], comparison.error)
     mean = comparison.measured.mean[p]
     bars = {f'error_{axis}': error_bars(mm_list(half[:, i])) for i, axis in ((0, 'x'), (2, 'y'))}
-    name, marker = f'trials, mean ± {_what(comparison)}', {'color': MEASURED, 'size': 5}
-    x, z = mm_list(mean[:, 0]), mm_list(mean[:, 2])
+    name = f'trials, mean ± {interval_name(comparison)}'
+    marker, x, z = {'color': MEASURED, 'size': 5}, mm_list(mean[:, 0]), mm_list(mean[:, 2])
     traces.append(trace(x, z, name, 'markers', marker=marker, **bars))
-    layout = {
-        'xaxis': titled('x [mm]'),
-        'yaxis': titled('z [mm]', scaleanchor='x'),
-    }
-    return Figure(
-        traces, layout, capital(comparison.measured.postures[p]), '', height=HEIGHTS_PX['tall']
-    )
+    layout = axes('x [mm]', titled('z [mm]', scaleanchor='x'))
+    title = capital(comparison.measured.postures[p])
+    return Figure(traces, layout, title, height=HEIGHTS_PX['tall'])
 
 
 def error_per_cell(comparison: Comparison, data: DataSet, p: int) -> Figure:
@@ -342,11 +322,9 @@ def error_per_cell(comparison: Comparison, data: DataSet, p: int) -> Figure:
         bars = error_bars(mm_list(half))
         line = curve(cells, mm_list(mean), model.name, line_style(i), 1.5, size=8, error_y=bars)
         traces.append(line)
-    layout = {
-        'xaxis': titled('cell'),
-        'yaxis': titled(f'position error ± {_what(comparison)} [mm]', rangemode='tozero'),
-    }
-    return Figure(traces, layout, f'{capital(comparison.measured.postures[p])}: error', '')
+    title = f'position error ± {interval_name(comparison)} [mm]'
+    layout = axes('cell', titled(title, rangemode='tozero'))
+    return Figure(traces, layout, f'{capital(comparison.measured.postures[p])}: error')
 
 
 def arrangements(motion: MotionExperiment, published: float) -> Figure:
@@ -366,34 +344,16 @@ def arrangements(motion: MotionExperiment, published: float) -> Figure:
     }
     style = {'color': INK, 'dash': 'dash', 'width': 3}
     line = trace(mm_list([published] * len(names)), names, 'published: 50 mm', line=style)
+    above = {'x': 0.0, 'xanchor': 'left', 'yanchor': 'bottom', 'yshift': 11, 'showarrow': False}
+    hidden = {'autorange': 'reversed', 'showticklabels': False, 'showgrid': False}
     layout = {
         # names stand above their bars: beside them they would take half of a phone
-        'yaxis': {
-            'type': 'category',
-            'autorange': 'reversed',
-            'showticklabels': False,
-            'showgrid': False,
-        },
-        'annotations': [
-            {
-                'text': escape(name),
-                'x': 0.0,
-                'y': i,
-                'xanchor': 'left',
-                'yanchor': 'bottom',
-                'yshift': 11,
-                'showarrow': False,
-            }
-            for i, name in enumerate(names)
-        ],
+        'yaxis': {'type': 'category', **hidden},
+        'annotations': [{'text': escape(n), 'y': i, **above} for i, n in enumerate(names)],
         'xaxis': titled('tip positions, across [mm]', rangemode='tozero'),
         'bargap': 0.62,
     }
     return Figure([bar, line], layout, 'Three wires in a group', '', 120 + 60 * len(names))
-
-
-def _what(comparison: Comparison) -> str:
-    return '95 %' if comparison.error == 'ci' else 'standard error'
 
 
 ROW_COLUMNS = (
@@ -434,9 +394,8 @@ def number_cells(one: Number) -> list[str]:
     if abs(one.difference) > 1.0:
         difference = f'{one.ours - one.published:+.2g} {one.unit}'
     ours, low, high = (digits(number, 3) for number in (one.ours, one.low, one.high))
-    fit = one.met.replace(' ', '\u00a0')
-    numbers = [f'{one.published:g}{unit}', f'{ours}{unit}', difference, f'{low} to {high}', fit]
-    return [one.section, one.what, *numbers, one.why]
+    numbers = [f'{one.published:g}{unit}', f'{ours}{unit}', difference, f'{low} to {high}']
+    return [one.section, one.what, *numbers, one.met, one.why]
 
 
 def add_motion(page: Page, experiment: MotionExperiment) -> None:
@@ -538,22 +497,13 @@ def add_tension(page: Page, experiment: TensionExperiment) -> None:
 
 def diagnosis_lines(diagnosis: Diagnosis) -> list[str]:
     """Describe the diagnosis of the two postures, and the posture that it proposes."""
+    error, floor = mm(diagnosis.error_before), mm(diagnosis.noise_floor)
     lines = [
-        f'Verdict: {diagnosis.verdict}. Error {mm(diagnosis.error_before)} before, '
-        f'{mm(diagnosis.error_after)} with the best effect, '
-        f'{mm(diagnosis.noise_floor)} for a perfect model.'
+        *diagnosis_text.verdict(diagnosis).split('\n'),
+        f'Error {error} before, {mm(diagnosis.error_after)} with the best effect, {floor} for a '
+        'perfect model.',
     ]
-    for effect in diagnosis.effects:
-        lines.append(f'Best: `{effect.name}`, {quantities(effect.parameters, effect.load)}.')
-    if diagnosis.cannot_tell_apart:
-        lines.append(f'Cannot be told apart: {listed(diagnosis.cannot_tell_apart)}.')
-    proposal = diagnosis.next_measurement
-    if proposal is not None:
-        lines.append(
-            f'Measure next: {commands(proposal.input)}; the predictions differ there by '
-            f'{mm(proposal.difference)}, noise {mm(proposal.noise)}.'
-        )
-    return lines
+    return [*lines, *filter(None, [diagnosis_text.next_measurement(diagnosis)])]
 
 
 def add_small(page: Page, paper: Paper) -> None:

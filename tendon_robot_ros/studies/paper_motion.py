@@ -12,7 +12,14 @@ from ..common.rotations import turned_in_plane
 from ..model.model import Model
 from ..robot import Robot
 from ..simulation.measurements import SimulatedNoise
-from ..workspace.view_angle import Family, Pair, Workspace, bisect, find_workspace
+from ..workspace.view_angle import (
+    POSTURES_PER_SIDE,
+    Family,
+    Pair,
+    Workspace,
+    bisect,
+    find_workspace,
+)
 
 
 class Published:
@@ -83,11 +90,6 @@ class Assumed:
     FRICTION_COEFFICIENTS = (0.28, 0.31, 0.34)  # 0.31 is published
 
 
-# [1] tensions up to the limit among which a view angle is bracketed: dense, so that the smallest
-# of several solutions is not missed
-VIEW_LEVELS = 101
-
-
 @dataclass(frozen=True)
 class Robots:
     """The four descriptions that the experiments need."""
@@ -149,7 +151,8 @@ def at_view(model: Model, inputs: tuple[int, int], near: Floats, view: float, si
         In the order of `near`, those without a solution left out.
 
     """
-    levels = np.linspace(0.0, model.robot.tension_limits[1], VIEW_LEVELS)
+    # dense, so that the smallest of several solutions is not missed
+    levels = np.linspace(0.0, model.robot.tension_limits[1], POSTURES_PER_SIDE)
     rows = np.zeros((len(near), len(levels), len(model.inputs)))
     rows[:, :, inputs[0]], rows[:, :, inputs[1]] = near[:, None], levels
 

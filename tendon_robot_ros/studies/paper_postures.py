@@ -314,11 +314,7 @@ def tension_experiment(
 
 
 def measured(
-    robot: Robot,
-    inputs: list[tuple[float, ...]],
-    names: tuple[str, ...],
-    lever: float,
-    seed: int,
+    robot: Robot, inputs: list[tuple[float, ...]], names: tuple[str, ...], lever: float, seed: int
 ) -> DataSet:
     """Simulate ten trials of postures of the prototype that has friction in its hinges."""
     plant = make_plant(robot, {'hinge_friction': {'lever': lever}}, scatter=0.0, seed=seed)

@@ -35,10 +35,8 @@ from .running import TABLE, GrowingTable, judge_all
 SIZES = (1e-3, 10.0)
 # [1] size of a cause outside the catalogue; smaller ones would be nothing
 CAUSE_SIZE_MIN = 0.5
-# [1] postures, trials or markers of a design; more would run for days, and is a mistake
-COUNT_MAX = 1000
-# [1] cases of every combination; more would run for years, and is a mistake
-SEEDS_MAX = 1_000_000
+# [1] of anything that is counted; more would run for years, and is a mistake
+COUNT_MAX = 1_000_000
 ALL, ALL_CAUSES = 'all', 'causes'
 KEYS = (
     *('question', 'seed', 'seeds', 'clean', 'robots', 'hidden', 'sizes', 'drawn', 'full_size'),
@@ -74,7 +72,7 @@ class PlanReader(Reader):
                 raise self.error(key, 'names of ' + ', '.join(known), word)
         return value
 
-    def count(self, key: str, default: int, low: int = 0, high: int = SEEDS_MAX) -> int:
+    def count(self, key: str, default: int, low: int = 0, high: int = COUNT_MAX) -> int:
         """Return a whole number within bounds."""
         return self.whole(key, low, high) if self.has(key) else default
 
@@ -185,9 +183,9 @@ def designs_of(top: PlanReader, folder: Path) -> Iterator[Design]:
         data = entry.content.get('data')
         if data is not None and not isinstance(data, str):
             raise entry.error('data', 'the folder of a data set', data)
-        postures = entry.count('postures', 12, 3, COUNT_MAX)
-        trials = entry.count('trials', 5, 1, COUNT_MAX)
-        markers = entry.count('markers', 0, 0, COUNT_MAX)
+        postures = entry.count('postures', 12, 3)
+        trials = entry.count('trials', 5, 1)
+        markers = entry.count('markers', 0)
         if data:
             title = f'as {Path(data).name}'
         else:

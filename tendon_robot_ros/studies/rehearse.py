@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..cli.options import add_effect_files
+from ..cli.options import declare
 from ..cli.simulate import hidden_effect, simulated_noise
 from ..common.arrays import Floats
 from ..common.errors import InputError, NoEquilibriumError
@@ -31,6 +31,7 @@ from ..effects import load_catalogue
 from ..investigation.goal import Goal, add_goal, goal_of
 from ..investigation.loop import Investigation, write_results
 from ..investigation.record import BrokenMeasurementError, PostureMeasured
+from ..report.diagnosis_text import TRIALS_ADVISED
 from ..robot import Robot, load_robot
 from ..robot.keep_out import KeepOut, load_keep_out
 from ..simulation.hidden import Workmanship
@@ -38,8 +39,6 @@ from ..simulation.measurements import SimulatedNoise
 from ..simulation.plant import Plant, make_plant
 
 HELP = 'investigate a simulated robot that hides something, as the real one will be'
-# [1] readings of a posture of a sequence, because it is measured once
-READINGS = 5
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -54,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add('--path', choices=LOADINGS, default='from_straight', help='how postures are reached')
     add('--lost', type=float, default=0.0, metavar='SHARE', help='of measurements that break')
     add_goal(parser, Goal().trials)
-    add_effect_files(parser)
+    declare(parser, '--effect-file')
 
 
 def run(args: argparse.Namespace) -> int:
@@ -120,8 +119,8 @@ class SimulatedArm:
     @property
     def position_noise(self) -> float | None:
         """Standard deviation [m] of a coordinate of a trial."""
-        once = self.path == 'sequence'
-        return float(self.noise.position / np.sqrt(READINGS if once else 1))
+        once = self.path == 'sequence'  # a posture has as many readings as others have trials
+        return float(self.noise.position / np.sqrt(TRIALS_ADVISED if once else 1))
 
     @property
     def input_noise(self) -> tuple[float, float]:
@@ -142,7 +141,7 @@ class SimulatedArm:
         except (NoEquilibriumError, InputError) as error:
             raise BrokenMeasurementError(f'the arm does not stand: {error}') from None
         size = float(self.position_noise or 0.0)
-        frames = trials * (READINGS if self.path == 'sequence' else 1)
+        frames = trials * (TRIALS_ADVISED if self.path == 'sequence' else 1)
         return PostureMeasured(mean + self._random.normal(0.0, size, mean.shape), None, frames)
 
     def release(self) -> None:

@@ -7,6 +7,7 @@ import time
 import typing
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, fields
+from functools import partial
 from pathlib import Path
 from types import UnionType
 from typing import Any, Protocol
@@ -14,7 +15,7 @@ from typing import Any, Protocol
 from ..common.errors import DataSetError, Progress, listener
 from ..common.files import new_file
 from ..common.results import arrow
-from ..common.workers import SAVED_EVERY_S, ChunkSize, LostWork, Workers
+from ..common.workers import SAVED_EVERY_S, LostWork, Workers
 from ..model.versions import UserEffect, compiled_once
 
 # [1] files of a table before they become one, because reading the keys opens every file
@@ -81,21 +82,10 @@ class Chunk[C: Keyed, R: Row]:
     cases: tuple[C, ...]
 
 
-@dataclass(frozen=True)
-class Judged[R: Row]:
-    """The rows of a chunk, and the time [s] that it took in the worker, of its processor too."""
-
-    rows: list[R]
-    seconds: float
-    processor: float
-
-
-def judge_chunk[C: Keyed, R: Row](chunk: Chunk[C, R]) -> Judged[R]:
+def judge_chunk[C: Keyed, R: Row](chunk: Chunk[C, R]) -> list[R]:
     """Judge cases, in a worker."""
-    start, began = time.monotonic(), time.thread_time()
     with compiled_once(chunk.study.question, chunk.study.effects):
-        rows = [chunk.study.judge(case) for case in chunk.cases]
-    return Judged(rows, time.monotonic() - start, time.thread_time() - began)
+        return [chunk.study.judge(case) for case in chunk.cases]
 
 
 def judge_all[C: Keyed, R: Row](
@@ -134,9 +124,10 @@ def judge_all[C: Keyed, R: Row](
     buffer: list[R] = []
     done, written = 0, time.monotonic()
     try:
-        for rows in chunk_by_chunk(study, missing, workers):
-            buffer += rows
-            done += len(rows)
+        for chunk, result in workers.in_chunks(judge_chunk, missing, partial(Chunk, study)):
+            lost = isinstance(result, LostWork)
+            buffer += [study.lost(case, result.workers) for case in chunk] if lost else result
+            done += len(chunk)
             if time.monotonic() > written + SAVED_EVERY_S:
                 table.append(buffer)
                 buffer, written = [], time.monotonic()
@@ -145,29 +136,6 @@ def judge_all[C: Keyed, R: Row](
         table.append(buffer)
     table.merge()
     return table.rows_of(cases)
-
-
-def chunk_by_chunk[C: Keyed, R: Row](
-    study: Study[C, R], remaining: Sequence[C], workers: Workers
-) -> Iterator[list[R]]:
-    """Yield the rows of chunks as they come."""
-    pace = ChunkSize(workers.slots)
-    handed: list[Chunk[C, R]] = []
-
-    def chunks() -> Iterator[Chunk[C, R]]:
-        begin = 0
-        while begin < len(remaining):
-            end = begin + pace.of(len(remaining) - begin)
-            handed.append(Chunk(study, tuple(remaining[begin:end])))
-            yield handed[-1]
-            begin = end
-
-    for index, result in workers.run(judge_chunk, chunks()):
-        if isinstance(result, LostWork):
-            yield [study.lost(case, result.workers) for case in handed[index].cases]
-            continue
-        pace.learn(result.seconds, len(result.rows))
-        yield result.rows
 
 
 class GrowingTable[R: Row]:

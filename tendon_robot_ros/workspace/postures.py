@@ -25,6 +25,9 @@ SIDE_COSINE = 0.2
 # [1] of a peak, one posture after the other: up and down, because friction shows its memory when a
 # tendon is let go; no value twice
 CYCLE = (0.25, 0.6, 1.0, 0.7, 0.3)
+# [1] postures of a sequence for each of others, because those of a cycle beyond its peak only go
+# down again
+SEQUENCE_FACTOR = len(CYCLE) / (CYCLE.index(max(CYCLE)) + 1)
 # [1] peak over a random bend, of arms of one section and of several; smaller there, because the
 # bends of sections add up
 PEAKS = (1.7, 1.2)

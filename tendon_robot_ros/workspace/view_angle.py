@@ -30,10 +30,9 @@ from ..robot.description import tendon_offsets
 POSTURES_MAX = 100_000_000
 # [1] postures solved at once, so that their shapes (some MB) stay in the cache
 POSTURES_AT_ONCE = 2_000
-# [rad] bend of a cell beyond which stacked guides would touch; assumed, the paper tells none
+# [rad] bend of a cell beyond which stacked guides would touch; assumed, the paper tells none. A
+# section that bends by less away from the view would make no visible S
 CELL_BEND_MAX_RAD = np.radians(20.0)
-# [rad] bend of the first section away from the view, so that a person sees an S
-S_BEND_MIN_RAD = np.radians(20.0)
 # [1] postures between straight and the tension limit that a look around chooses from: a millimetre
 # of the tip or so apart, else the highest and the lowest would be missed
 POSTURES_PER_SIDE = 250
@@ -347,7 +346,7 @@ def salient(model: Model) -> list[Posture]:
     postures = [Posture.of(name, model.shape(back.inputs[row])) for name, row in chosen]
     s_shaped = view(model, np.pi / 4)
     first = model.robot.sections[0].cells
-    opposite = np.flatnonzero(s_shaped.bend[:, :first, 0].sum(axis=1) < -S_BEND_MIN_RAD)
+    opposite = np.flatnonzero(s_shaped.bend[:, :first, 0].sum(axis=1) < -CELL_BEND_MAX_RAD)
     if len(opposite) == 0:
         raise InputError(f'{model.robot.name}: no S-shape at the 45° view within its limits')
     height = s_shaped.tip_position[opposite, 2]
@@ -465,10 +464,7 @@ def _in_plane(model: Model, angle: float, steps: int) -> list[Posture]:
 
 def _around(model: Model, angle: float, steps: int) -> list[Posture]:
     straight = model.shape(model.limits[:, 0])  # from there, a gentle bend and no curl
-    first = model.reach(
-        direction=[np.sin(angle), 0.0, np.cos(angle)],
-        guess=straight,
-    )
+    first = model.reach(direction=[np.sin(angle), 0.0, np.cos(angle)], guess=straight)
     postures, shape = [], first.shape
     for i, phi in enumerate(np.linspace(0.0, 2.0 * np.pi, steps)):
         place = about(2, phi) @ first.shape.tip_position

@@ -12,8 +12,9 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -25,7 +26,7 @@ from ..common.arrays import Floats
 from ..common.errors import InputError, Progress, listener
 from ..common.files import new_file
 from ..common.rotations import angle_between
-from ..common.workers import SAVED_EVERY_S, ChunkSize, LostWork, Workers
+from ..common.workers import SAVED_EVERY_S, LostWork, Workers
 from ..effects import load_catalogue
 from ..model import forward
 from ..model.model import Model
@@ -154,8 +155,8 @@ class Batches:
 
     sampling: Sampling
     round: int
-    sizes: tuple[tuple[int, int], ...]  # (number of the batch, its postures)
     start: Floats = field(repr=False)  # (e, m) [N] at the edge of what is known; none: random
+    sizes: tuple[tuple[int, int], ...]  # (number of the batch, its postures)
 
 
 class SortedTips:
@@ -209,16 +210,16 @@ class SortedTips:
             cubes.add(inputs[rows], tips[rows], along[rows])
 
 
-def sort_batches(chunk: Batches) -> tuple[Packed, float]:
-    """Solve and sort the batches of a chunk, in a worker; return what is known, and the time."""
-    start, sampling = time.monotonic(), chunk.sampling
+def sort_batches(chunk: Batches) -> Packed:
+    """Solve and sort the batches of a chunk, in a worker."""
+    sampling = chunk.sampling
     model, tally = _model_of(sampling), SortedTips(sampling)
     for number, count in chunk.sizes:
         entropy = np.random.SeedSequence(sampling.seed, spawn_key=(chunk.round, number))
         random = np.random.default_rng(entropy)
         tensions = (near_edge if len(chunk.start) else spread)(random, count, chunk)
         tally.add(*model.solve(tensions))
-    return tally.packed(), time.monotonic() - start
+    return tally.packed()
 
 
 _MODELS: dict[str, Model] = {}  # of the last sampling that this process has worked on
@@ -282,7 +283,7 @@ class Stream:
 
     def run(self, workers: Workers, show: Progress, computed: int, total: int) -> None:
         """Sample what is missing; `computed` of `total` postures were computed before."""
-        sizes, chunk_size = self.sampling.rounds, ChunkSize(workers.slots)
+        sizes = self.sampling.rounds
         for number, size in enumerate(sizes):
             if number == len(sizes) - 2:
                 self.late = self.late or len(self.tally.all)
@@ -296,37 +297,18 @@ class Stream:
                 edge = self.tally.all.reached().edge_tensions
                 # thinned, because the start goes to every worker with every chunk
                 self.start = edge[:: max(len(edge) // (10 * POSTURES_AT_ONCE), 1)]
-            handed: list[Batches] = []
-            for index, result in workers.run(
-                sort_batches, self.chunks(number, batches, chunk_size, handed)
-            ):
+            pack = partial(Batches, self.sampling, number, self.start)
+            for chunk, result in workers.in_chunks(sort_batches, batches, pack):
                 if isinstance(result, LostWork):
                     raise InputError(
                         f'{self.sampling.robot.name}: {result.workers} processes died over the '
                         'same postures; is there memory for --workers of them?'
                     )
-                packed, seconds = result
-                chunk_size.learn(seconds, len(handed[index].sizes))
-                self.tally.merge(packed)
-                self.finished |= {(number, i) for i, _ in handed[index].sizes}
+                self.tally.merge(result)
+                self.finished |= {(number, i) for i, _ in chunk}
                 if self.kept is not None and time.monotonic() > self.saved + SAVED_EVERY_S:
                     self.save(self.kept)
                 show('postures', computed + int(self.tally.counts[0]), total)
-
-    def chunks(
-        self,
-        number: int,
-        batches: list[tuple[int, int]],
-        chunk_size: ChunkSize,
-        handed: list[Batches],
-    ) -> Iterator[Batches]:
-        """Cut the batches of a round into chunks; append each to those handed out."""
-        begin = 0
-        while begin < len(batches):
-            end = begin + chunk_size.of(len(batches) - begin)
-            handed.append(Batches(self.sampling, number, tuple(batches[begin:end]), self.start))
-            begin = end
-            yield handed[-1]
 
     def save(self, path: Path) -> None:
         """Write the state."""

@@ -1,21 +1,22 @@
-"""The page that `compare --report` writes, and the shapes that other pages show as well."""
+"""A comparison as sentences, as a table, and as the page that `compare --report` writes."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..common.arrays import Floats
 from ..common.colours import FLOOR, MEASURED, WARN, line_style
-from ..common.words import capital, mm
-from ..comparison.result import Comparison
+from ..common.words import PROGRAM, capital, columns, digits, mm, postures, probability, times
+from ..comparison.result import Comparison, ModelErrors
+from ..comparison.statistics import Estimate, PairedT
+from ..data.dataset import at_rest
+from ..diagnosis.verdict import SAME_ERROR_RATIO
 from ..model.shape import bending_azimuth, views_of
-from . import comparison_text as say
 from .error_plots import Step, angles, per_marker, per_posture, staircase, tip_boxes
 from .page import (
     FLAT_FRACTION,
@@ -24,27 +25,179 @@ from .page import (
     Page,
     Shown,
     Trace,
+    axes,
     coordinates,
     plain,
     symbol,
     titled,
 )
-from .sentences import Fault, excluded_lines, marks, of_inputs
+from .sentences import Fault, excluded_lines, interval_name, marks, of_inputs, posture_name
+
+# [1] of the motion of the markers: with a noise floor above this a model would pass that is off by
+# a tenth of the motion; measurements of an arm with a tracker have a hundredth
+FLOOR_FRACTION_MAX = 0.1
 
 
-def write_comparison(comparison: Comparison, path: str | Path) -> Path:
-    """Write the page; it opens without a network."""
-    return comparison_page(comparison).write(path)
+def table(comparison: Comparison) -> str:
+    """Return the table of all models."""
+    return columns(model_rows(comparison, size(comparison)))
+
+
+def model_rows(comparison: Comparison, first: str) -> list[list[str]]:
+    """Return the errors of all models and the noise floor, a row each; the head has `first`."""
+    head = [first, 'rms', 'worst', f'tip error (mean ± {interval_name(comparison)})']
+    rows = [
+        [label(one), mm(one.rms), mm(one.max), interval(one.tip_error(comparison.error))]
+        for one in comparison.models
+    ]
+    if comparison.noise_floor is not None:
+        rows.append(['noise floor (a perfect model)', mm(comparison.noise_floor), '', ''])
+    return [head, *rows]
+
+
+def sentences(comparison: Comparison) -> list[str]:
+    """Return the conclusions: the largest errors, the better model, and the next step."""
+    lines = [*excluded_lines({'outliers': comparison.measured.left_out}), where_worst(comparison)]
+    lines += [paired(test) for test in comparison.paired_t if test.posture is None]
+    last = f'{verdict(comparison)} {next_step(comparison)}'
+    return [*lines, last.strip().replace('`', '')]
+
+
+def size(comparison: Comparison) -> str:
+    """Describe the number of postures, trials and markers."""
+    measured = comparison.measured
+    minimum, maximum = int(measured.trials[measured.trials > 0].min()), int(measured.trials.max())
+    trials = f'{maximum}' if minimum == maximum else f'{minimum} to {maximum}'
+    measured_postures = measured.trials > 0
+    parts = (trials, 'trial'), (len(measured.markers), 'marker')
+    counts = [f'{n} {name}{"" if str(n) == "1" else "s"}' for n, name in parts]
+    resting = int(at_rest(measured.inputs)[measured_postures].sum())
+    return ' x '.join([postures(int(measured_postures.sum()), resting), *counts])
+
+
+def label(model: ModelErrors) -> str:
+    """Name a model and what it is."""
+    what = kind(model.effects)
+    return what if model.name == what else f'{model.name} ({what})'
+
+
+def kind(effects: tuple[str, ...]) -> str:
+    """Say which model a list of effects makes, in the words of the paper."""
+    if not effects:
+        return 'PCCA'
+    more = [name for name in effects if name != 'tendon_friction']
+    base = 'PCCA' if len(more) == len(effects) else 'FKM'
+    if not more:
+        return base
+    return f'{base} + {more[0] if len(more) == 1 else f"{len(more)} effects"}'
+
+
+def interval(value: Estimate) -> str:
+    """Show a mean and its interval in mm."""
+    if not np.isfinite(value.half):
+        return mm(value.mean)
+    half = digits(1e3 * value.half, 2)
+    places = len(half.partition('.')[2])
+    return f'{1e3 * value.mean:.{places}f} ± {half} mm'
+
+
+def where_worst(comparison: Comparison) -> str:
+    """Describe where the best model has its largest error, and its name if there are several."""
+    best = comparison.best
+    of = '' if len(comparison.models) == 1 else f' of {best.name}'
+    return f'worst{of}: {worst(comparison, best)}'
+
+
+def worst(comparison: Comparison, model: ModelErrors) -> str:
+    """Describe where a model has its largest error, and where the error exceeds the noise."""
+    p = comparison.worst_posture(model)
+    text = f'{posture_name(comparison, p)}, rms {mm(model.per_posture_rms[p])}'
+    marker = comparison.grows_from(model)
+    if marker is None:
+        return f'{text}.'
+    if marker == 0:
+        first, last = (mm(float(model.per_marker_rms[j])) for j in (0, -1))
+        return f'{text}; the first marker is off by {first} rms, the last by {last}.'
+    what = 'cell' if comparison.measured.per_cell else 'marker'
+    return f'{text}; the error grows from {what} {comparison.measured.markers[marker]} on.'
+
+
+def verdict(comparison: Comparison) -> str:
+    """Compare the best model with the repeatability."""
+    best, floor = comparison.best, comparison.noise_floor
+    who = 'The model'
+    if len(comparison.models) > 1:  # said by what it is the best, if tip errors do not tell them
+        tests = [one for one in comparison.paired_t if one.posture is None]
+        alike = any(one.low <= 0.0 <= one.high and best.name in one.models for one in tests)
+        who = f'The best model{" by rms" if alike else ""}, {best.name},'
+    if floor is None:
+        return (
+            'Nothing tells how well you can measure: record every posture at least three times, '
+            'or write position_noise into dataset.yaml.'
+        )
+    if _drowned(comparison):
+        moved = comparison.measured.motion
+        return (
+            f'Nothing can be judged: the noise floor is {digits(100.0 * floor / moved, 2)} % of '
+            f'what the markers move from posture to posture ({mm(moved)} rms), and a model that '
+            'is off by as much would pass. See which trials of a posture differ, and measure '
+            'again.'
+        )
+    ratio = best.rms / floor
+    if is_good(comparison):
+        return (
+            f'{who} is as good as your measurements can tell: its error is {digits(ratio, 2)} '
+            'times your repeatability.'
+        )
+    return f'{who} is off by {times(ratio)} your repeatability.'
+
+
+def is_good(comparison: Comparison) -> bool:
+    """Return whether the best model is as good as the measurements can tell."""
+    floor = comparison.noise_floor
+    return floor is not None and comparison.best.rms < SAME_ERROR_RATIO * floor
+
+
+def _drowned(comparison: Comparison) -> bool:
+    """Return whether the noise floor is a large fraction of the motion."""
+    measured, floor = comparison.measured, comparison.noise_floor
+    several = int((measured.trials > 0).sum()) > 1
+    return several and floor is not None and floor > FLOOR_FRACTION_MAX * measured.motion
+
+
+def next_step(comparison: Comparison) -> str:
+    """Say what to type next; empty when nothing is to be explained."""
+    if _drowned(comparison) or is_good(comparison):
+        return ''
+    return f'Ask why: `{PROGRAM} diagnose {comparison.measured.data}`'
+
+
+def paired(test: PairedT) -> str:
+    """Describe which of two models has the smaller tip error, and the p-value."""
+    better, other = test.models if test.difference < 0.0 else test.models[::-1]
+    low, high = sorted((abs(test.low), abs(test.high)))
+    over = 'postures' if test.posture is None else f'trials of posture {test.posture}'
+    significance = probability(test.p)
+    pairs = f'paired t over {test.n} {over}, {significance}'
+    if test.low <= 0.0 <= test.high:
+        return f'tip error: {better} and {other} do not differ ({pairs})'
+    return (
+        f'tip error: {better} {mm(abs(test.difference))} less than {other} (95 %: '
+        f'{digits(1e3 * low, 3)} to {mm(high)}, {pairs})'
+    )
 
 
 def comparison_page(comparison: Comparison) -> Page:
     """Return the page: verdict and excluded readings first, then errors and shapes."""
     measured = comparison.measured
-    page = Page(f'Models against measurements: {measured.data}', say.size(comparison))
+    page = Page(f'Models against measurements: {measured.data}', size(comparison))
     add_verdict(page, comparison)
     excluded = excluded_lines({'outliers': measured.left_out})
     page.text(*(f'{capital(line)}.' for line in excluded))
-    add_errors(page, comparison)
+    page.heading('Where the models are off')
+    figures = [per_marker(comparison), per_posture(comparison), tip_boxes(comparison)]
+    figures.append(staircase(steps(comparison), 'Models and noise floor'))
+    page.figures(figures, 'two')
     add_shapes(page, comparison)
     add_angles(page, comparison)
     return page
@@ -52,33 +205,18 @@ def comparison_page(comparison: Comparison) -> Page:
 
 def add_verdict(page: Page, comparison: Comparison) -> None:
     """Add the verdict, the table of models and the tests between them."""
-    floor = comparison.noise_floor
-    good = floor is not None and comparison.best.rms < say.GOOD_WITHIN_FLOORS * floor
-    worst = capital(say.where_worst(comparison))
-    lines = [say.verdict(comparison), worst, say.next_step(comparison)]
-    page.box(filter(None, lines), 'verdict good' if good else 'verdict')
-    header = ['model', *say.error_columns(comparison)]
-    rows = [[say.label(m), *say.errors(comparison, m)] for m in comparison.models]
+    lines = [verdict(comparison), capital(where_worst(comparison)), next_step(comparison)]
+    page.box(filter(None, lines), 'verdict good' if is_good(comparison) else 'verdict')
+    header, *rows = model_rows(comparison, 'model')
     kinds = ['strong' if model is comparison.best else '' for model in comparison.models]
-    if floor is not None:
-        rows.append(['noise floor: a perfect model', mm(floor), '', ''])
-        kinds.append('faint')
-    page.table(header, rows, kinds)
+    page.table(header, rows, [*kinds, 'faint'])
     tests = [test for test in comparison.paired_t if test.posture is None]
-    page.text(*(f'{capital(say.paired(test))}.' for test in tests))
+    page.text(*(f'{capital(paired(test))}.' for test in tests))
     page.text(
         'Errors are distances between the model and the mean over the trials of a posture; rms is '
         'over postures and markers. The tip error is the distance at the last marker, trial by '
         'trial: the mean over the trials of a posture, then over the postures.'
     )
-
-
-def add_errors(page: Page, comparison: Comparison) -> None:
-    """Add the figures of errors along the arm, by posture and at the tip."""
-    page.heading('Where the models are off')
-    figures = [per_marker(comparison), per_posture(comparison), tip_boxes(comparison)]
-    figures.append(staircase(steps(comparison), 'Models and noise floor'))
-    page.figures(figures, 'two')
 
 
 def steps(comparison: Comparison) -> list[Step]:
@@ -181,7 +319,7 @@ class DrawnPosture:
         words = [f'{best.name}: rms {mm(best.per_posture_rms[p])}', *of_inputs(faults, name)]
         return cls(
             p,
-            capital(say.posture_name(comparison, p)),
+            capital(posture_name(comparison, p)),
             '; '.join(words),
             posture_traces(comparison, p) + fault_rings(best.line[p], marks(faults, name)),
             bending_azimuth(np.concatenate(lines)),
@@ -207,13 +345,14 @@ def flat_figure(drawn: DrawnPosture) -> Figure:
     for trace in drawn.traces:
         rest = {key: value for key, value in trace.items() if key != 'z'}
         data.append({**rest, 'y': trace['z']})
-    layout = {
-        'showlegend': False,
-        'margin': {'l': 46, 'r': 8, 't': 6, 'b': 40},
-        'xaxis': titled('x [mm]'),
-        'yaxis': titled('z [mm]', scaleanchor='x'),
-    }
+    layout = small_axes('x [mm]')
     return Figure(data, layout, drawn.title, drawn.caption, HEIGHTS_PX['low'])
+
+
+def small_axes(x: str | Trace, **more: Trace) -> Trace:
+    """Return the layout of a small picture, seen from the side; a key says which line is which."""
+    margin = {'l': 46, 'r': 8, 't': 6, 'b': 40}
+    return axes(x, titled('z [mm]', scaleanchor='x'), showlegend=False, margin=margin, **more)
 
 
 def side_figure(drawn: DrawnPosture) -> Figure:
@@ -225,13 +364,9 @@ def side_figure(drawn: DrawnPosture) -> Figure:
         for side, name in enumerate(('x', 'x2')):
             points = {'x': plain(views[:, side]), 'y': plain(views[:, 2])}
             data.append({**rest, **points, 'xaxis': name})
-    layout = {
-        'showlegend': False,
-        'margin': {'l': 46, 'r': 8, 't': 6, 'b': 40},
-        'xaxis': titled('in its plane [mm]', domain=[0.0, 0.64]),
-        'xaxis2': titled('across [mm]', domain=[0.7, 1.0], scaleanchor='x', nticks=4, tickangle=0),
-        'yaxis': titled('z [mm]', scaleanchor='x'),
-    }
+    x = titled('in its plane [mm]', domain=[0.0, 0.64])
+    x2 = titled('across [mm]', domain=[0.7, 1.0], scaleanchor='x', nticks=4, tickangle=0)
+    layout = small_axes(x, xaxis2=x2)
     plane = round(np.degrees(drawn.azimuth))
     caption = f'{drawn.caption}; bends in a plane {plane}° from x'
     return Figure(data, layout, drawn.title, caption, HEIGHTS_PX['normal'])
@@ -253,7 +388,7 @@ def scene_figure(comparison: Comparison, drawn: Sequence[DrawnPosture]) -> Figur
     owner = np.repeat(np.arange(len(drawn)), [len(one.traces) for one in drawn])
     buttons = []
     for i, one in enumerate(drawn):
-        name = say.posture_name(comparison, one.p)
+        name = posture_name(comparison, one.p)
         short = name if len(name) <= Shown.NAME else name[: Shown.NAME - 1] + '…'
         camera = {'scene.camera': _camera(one.azimuth)}
         shown = {'visible': (owner == i).tolist()}
@@ -290,12 +425,12 @@ def scene_box(comparison: Comparison, chosen: list[int], camera: Trace) -> Trace
     size = np.maximum(high - low, 0.15 * float((high - low).max()))
     middle = 0.5 * (low + high)
     ends = np.stack([middle - 0.53 * size, middle + 0.53 * size], axis=1).tolist()
-    axes = {
+    named = {
         f'{axis}axis': titled(f'{axis} [mm]', range=ends[i], nticks=4)
         for i, axis in enumerate('xyz')
     }
     ratio = dict(zip('xyz', (1.25 * size / size.max()).tolist(), strict=True))
-    return {'aspectmode': 'manual', 'aspectratio': ratio, 'camera': camera, **axes}
+    return {'aspectmode': 'manual', 'aspectratio': ratio, 'camera': camera, **named}
 
 
 def posture_traces(comparison: Comparison, p: int) -> list[Trace]:

@@ -1,13 +1,7 @@
 """
-Ask what is known of a robot, write its description and draw it.
+Commands about a robot description: ask for it, print it.
 
-The stiffness may be known as a number (of one cell), from a rod or a tube (diameters and modulus),
-a sag (the tip of the level arm under a weight), a bend (of a section under one tendon), or not at
-all; then the highest tension bends a section by 180°. An empty answer takes the value in brackets,
-`<` goes back to the question before; the answers may come from a file or a pipe, one per line.
-The file is short and meant to be edited: per-cell values, uneven tendons and effects go in there.
-
-example: python -m tendon_robot_ros new-robot --output arm.yaml
+new-robot, describe.
 """
 
 from __future__ import annotations
@@ -24,19 +18,18 @@ from typing import Any, TextIO
 import yaml
 
 from ..common.errors import InputError
-from ..common.files import file_to_write, new_file, write_text
-from ..common.words import STANDARD_GRAVITY
-from ..robot import Robot, dump_robot, parse_robot
+from ..common.files import new_file, write_text
+from ..common.words import STANDARD_GRAVITY, columns
+from ..report.in_words import route, rows
+from ..robot import Robot, dump_robot, load_robot, parse_robot
 from ..robot.estimates import (
     SAG_FRACTION_MAX,
+    handling,
     rod_stiffness,
     stiffness_from_bend,
     stiffness_from_sag,
 )
-from .describe import description
-from .options import refuse_existing
-
-HELP = 'ask about a robot, write its description and draw it'
+from .options import add_file, declare, refuse_existing
 
 FIRST_WORDS = 'An empty answer takes the value in brackets; < goes back to the question before.'
 BACK = ('<', 'back')  # answers that go to the question before
@@ -54,39 +47,53 @@ ANY_ROTATION = '(Where the first tendon lies does not matter then: an import tur
 FILE_HEAD = '# Written by new-robot. In m and N; +z points along the straight arm.\n'
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
-    to, what = file_to_write('--output'), 'the description (default: NAME.yaml)'
-    parser.add_argument('--output', type=to, metavar='FILE', help=what)
-    parser.add_argument('--overwrite', action='store_true', help='replace a file that is there')
+class NewRobot:
+    """
+    Ask what is known of a robot, write its description and draw it.
 
+    The stiffness may be known as a number (of one cell), from a rod or a tube (diameters and
+    modulus), a sag (the tip of the level arm under a weight), a bend (of a section under one
+    tendon), or not at all; then the highest tension bends a section by 180°. An empty answer takes
+    the value in brackets, `<` goes back to the question before; the answers may come from a file
+    or a pipe, one per line. The file is short and meant to be edited: per-cell values, uneven
+    tendons and effects go in there.
 
-def run(args: argparse.Namespace) -> int:
-    """Ask, write, draw."""
-    refuse_existing('--output', args.output, args.overwrite)
-    questions = Questions(sys.stdin, sys.stderr)
-    questions.show(FIRST_WORDS)
+    example: python -m tendon_robot_ros new-robot --output arm.yaml
+    """
 
-    def ask_all() -> tuple[Path, Robot]:
-        name = questions.text('Name of the robot', 'my_robot')
-        path = Path(args.output or f'{name.replace(" ", "_").replace("/", "_")}.yaml')
-        refuse_existing('--output', str(path), args.overwrite)
-        return path, parse_robot(yaml.safe_dump(ask(questions, name)), str(path))
+    HELP = 'ask about a robot, write its description and draw it'
 
-    path, robot = questions.until_answered(ask_all)
-    write_text(path, FILE_HEAD + dump_robot(robot))
-    print(description(robot))
-    picture = path.with_suffix('.png')
-    from ..model.model import Model
-    from ..report.pictures import draw_robot
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Declare the arguments."""
+        add_file(parser, '--output', 'the description (default: NAME.yaml)')
+        declare(parser, '--overwrite')
 
-    print('drawing (the first model ever is compiled before)', file=sys.stderr)
-    with new_file(picture) as draft:
-        draw_robot(Model(robot), draft)
-    print(f'\nwritten: {path}   picture: {picture}')
-    first = robot.inputs[0]
-    print(f'next: python -m tendon_robot_ros shape {path} --tensions {first}=1')
-    return 0
+    def run(self, args: argparse.Namespace) -> int:
+        """Ask, write, draw."""
+        refuse_existing('--output', args.output, args.overwrite)
+        questions = Questions(sys.stdin, sys.stderr)
+        questions.show(FIRST_WORDS)
+
+        def ask_all() -> tuple[Path, Robot]:
+            name = questions.text('Name of the robot', 'my_robot')
+            path = Path(args.output or f'{name.replace(" ", "_").replace("/", "_")}.yaml')
+            refuse_existing('--output', str(path), args.overwrite)
+            return path, parse_robot(yaml.safe_dump(ask(questions, name)), str(path))
+
+        path, robot = questions.until_answered(ask_all)
+        write_text(path, FILE_HEAD + dump_robot(robot))
+        print(description(robot))
+        picture = path.with_suffix('.png')
+        from ..model.model import Model
+        from ..report.pictures import draw_robot
+
+        print('drawing (the first model ever is compiled before)', file=sys.stderr)
+        with new_file(picture) as draft:
+            draw_robot(Model(robot), draft)
+        print(f'\nwritten: {path}   picture: {picture}')
+        first = robot.inputs[0]
+        print(f'next: python -m tendon_robot_ros shape {path} --tensions {first}=1')
+        return 0
 
 
 def ask(questions: Questions, name: str) -> dict[str, Any]:
@@ -280,6 +287,20 @@ def tendons_of(
     ]
 
 
+def bounded[T: (int, float)](
+    kind: type[T], low: float, high: float, above: bool = False
+) -> Callable[[str], T]:
+    """Return a reader of numbers from `low` (or above it) to `high`; ValueError elsewhere."""
+
+    def read(answer: str) -> T:
+        value = kind(answer)
+        if not low <= value <= high or (above and value == low):
+            raise ValueError
+        return value
+
+    return read
+
+
 class WentBack(Exception):
     """The user wants to answer the previous question again."""
 
@@ -331,14 +352,8 @@ class Questions:
 
     def whole(self, question: str, default: int, low: int, high: int) -> int:
         """Ask for a whole number within bounds."""
-
-        def read(answer: str) -> int:
-            value = int(answer)
-            if not low <= value <= high:
-                raise ValueError
-            return value
-
-        return self.ask(question, str(default), f'a whole number from {low} to {high}', read)
+        expected = f'a whole number from {low} to {high}'
+        return self.ask(question, str(default), expected, bounded(int, low, high))
 
     def show(self, text: str) -> None:
         """Print a text before a question, unless the question is answered already."""
@@ -356,12 +371,10 @@ class Questions:
         why: str = '',
     ) -> float:
         """Ask for a number within bounds (or above `low`), or for a word that stands for one."""
+        within = bounded(float, low, high, above)
 
         def read(answer: str) -> float:
-            value = words[answer] if answer in words else float(answer)
-            if not low <= value <= high or (above and value == low):
-                raise ValueError
-            return value
+            return words[answer] if answer in words else within(answer)
 
         bounds = f'a number {"above" if above else "from"} {low:g} to {high:g}'
         expected = ' or '.join([f'{bounds} ({why})' if why else bounds, *words])
@@ -399,3 +412,94 @@ class Questions:
             self._given.append(answer or default)
             self._before[question] = answer or default
             return value
+
+
+class Describe:
+    """
+    Print what ROBOT is, what one newton does to it, and whether that is plausible.
+
+    Sections, tendons, limits, tolerances, and the physical effects of its model. With --urdf print
+    a URDF instead, for RViz and TF: two revolute joints per cell, `<name>_x` towards x and
+    `<name>_y` towards y, and where cells twist a third, `<name>_z`, about its axis.
+
+    example: python -m tendon_robot_ros describe config/robots/kato_10_1.yaml
+    """
+
+    HELP = 'print a robot description, or a URDF of it'
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Declare the arguments."""
+        declare(parser, 'robot')
+        parser.add_argument('--urdf', action='store_true', help='print a URDF')
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Read and print."""
+        robot = load_robot(args.robot)
+        if args.urdf:
+            from ..robot.urdf import urdf
+
+            print(urdf(robot))
+        else:
+            print(description(robot))
+        return 0
+
+
+def description(robot: Robot) -> str:
+    """Return the description for a reader (mm)."""
+    low, high = robot.tension_limits
+    own = robot.own_sections
+    length = sum(section.cells * section.cell_length for section in own)
+    plate = ', on a base plate with holes' if len(own) < len(robot.sections) else ''
+    size = (
+        f'{_count(len(own), "section")}, {_count(sum(s.cells for s in own), "cell")}, '
+        f'{_count(len(robot.tendons), "tendon")}, {1e3 * length:g} mm{plate}'
+    )
+    lines = [
+        f'robot {robot.name}: {size}',
+        f'model: {model_name(robot)}',
+        f'commanded: {", ".join(robot.inputs)}, {low:g} to {high:g} N each',
+    ]
+    if robot.gravity is not None:
+        lines.append(f'gravity: {", ".join(f"{g:g}" for g in robot.gravity)} m/s²')
+    lines += ['', section_table(robot), '', columns(rows(robot)), '', *handling(robot), '']
+    lines.append('effects:' if robot.effects else 'effects: none')
+    for name, values in robot.effects.items():
+        texts = ', '.join(
+            f'{key} {", ".join(map(str, v)) if isinstance(v, tuple) else v}'
+            for key, v in values.items()
+        )
+        lines.append(f'  {name}: {texts}{" (fitted)" if name in robot.fitted else ""}')
+    if robot.tolerances:
+        shown = ', '.join(f'{name} {value:g}' for name, value in robot.tolerances.items())
+        lines.append(f'not sure (1 sd): {shown}')
+    return '\n'.join(lines)
+
+
+def model_name(robot: Robot) -> str:
+    """Name the model after the effects that it lists."""
+    names = list(robot.effects)
+    if not names:
+        return 'PCCA (no effects)'
+    if names == ['tendon_friction']:
+        friction = robot.effects['tendon_friction'].get('friction_coefficient')
+        return f'FKM (tendon_friction, friction coefficient {friction})'
+    base = 'FKM' if 'tendon_friction' in names else 'PCCA'
+    return f'{base} + {", ".join(name for name in names if name != "tendon_friction")}'
+
+
+def _count(number: int, what: str) -> str:
+    return f'{number} {what}{"" if number == 1 else "s"}'
+
+
+def section_table(robot: Robot) -> str:
+    """Return a row for every section."""
+    beside = any(section.mass_offset for section in robot.sections)
+    table = [['section', 'cells', 'cell [mm]', 'stiffness [N·m/rad]', 'bends as']]
+    table[0] += ['weight at x, y [mm]'] * beside
+    for section in robot.sections:
+        low, high = min(section.bending_stiffness), max(section.bending_stiffness)
+        stiffness = f'{low:g}' if low == high else f'{low:g} to {high:g}'
+        sizes = [str(section.cells), f'{1e3 * section.cell_length:g}', stiffness]
+        weight = [route(section.mass_offset or ((0.0, 0.0),))] * beside
+        table.append([section.name, *sizes, section.bends_as, *weight])
+    return columns(table)

@@ -1,40 +1,38 @@
 """
-Calibrate a motor: hang known weights, wind and pay out, fit two lines.
+Commands for motors: real ones, calibrated with weights; emulated ones, on a port of their own.
 
-For every weight the wire is wound up and paid out once at constant speed. The two lines, their
-standard errors and half the gap between them go to a YAML file that the driver's configuration
-names under `calibration`; a picture shows lines and currents.
-
-    calibrate dynamixel servos.yaml --robot arm.yaml --tendon left --weights 0.1 0.2 0.4
-
-For a board with load cells the weights hang still on the cell, and one line is fitted:
-
-    calibrate serial board.yaml --robot arm.yaml --tendon left --weights 0.1 0.2 0.4
-
-Every day, and after the power was off: have any tendons crept? All are brought to the same tension
-and compared with the last time; the first time makes the reference, --renew another one.
-
-    calibrate dynamixel servos.yaml --robot arm.yaml --check --tension 1
-
-In a folder with one robot description and one driver's configuration `calibrate --check` will do.
+calibrate, emulate.
 """
 
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
-from dataclasses import replace
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 
 from ..common.errors import InputError, MissingExtraError, short
-from ..common.files import file_to_write, new_file, read_text, write_text
+from ..common.files import new_file, read_text, write_text
 from ..common.words import STANDARD_GRAVITY
 from ..common.yaml_reading import parse_yaml
-from ..robot import load_robot
+from ..drivers.dynamixel.calibration import smallest_spool
+from ..drivers.dynamixel.control_table import BAUD_RATES, MODELS
+from ..emulator.board import BoardRig, EmulatedBoard
+from ..emulator.bus import EmulatedBus
+from ..emulator.port import Plug
+from ..emulator.rig import Arm, ElasticArm, HangingWeights, Rig, SpringArm, Wire
+from ..emulator.servo import Servo
+from ..robot import Robot, load_robot
+from .options import add_file
 
 if TYPE_CHECKING:
     from ..drivers.dynamixel.bus import Bus
@@ -42,7 +40,6 @@ if TYPE_CHECKING:
     from ..drivers.dynamixel.motor import Motor
     from ..drivers.serial_board.config import CountsPoint
 
-HELP = 'calibrate tension with known weights; --check: which tendon has crept'
 KINDS = {'dynamixel': 'motors', 'serial': 'tendons'}  # and what such a configuration has
 # [1] of the highest tension, of a check: taut, and so low that nothing would break
 CHECK_FRACTION = 0.2
@@ -50,56 +47,82 @@ CHECK_FRACTION = 0.2
 SECONDS_PER_WEIGHT = 2.0
 CELL_UNITS = 'tendon: tension = (counts - zero) * newtons_per_count [N]; errors are 1 sd'
 MOTOR_UNITS = 'tendon: [intercept A, slope A/N] of current over tension'
+ARMS = ('plant', 'springs', 'weights')
+# [N/m] of the spring that each motor winds against: soft, so that a millimetre of wire changes the
+# tension by less than the tension limits of a small arm are apart
+SPRING_STIFFNESS = 200.0
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
-    add = parser.add_argument
-    add('kind', nargs='?', choices=tuple(KINDS))
-    add('config', nargs='?', help="the driver's configuration (YAML)")
-    add('--robot', help='robot description (YAML)')
-    add('--tendon', help='the input whose motor is calibrated')
-    add('--weights', nargs='+', type=float, metavar='KG')
-    add('--check', action='store_true', help='only look which tendon has crept')
-    what = 'of the check (default: a fifth of the limit)'
-    add('--tension', type=float, metavar='N', help=what)
-    to, what = file_to_write('--reference'), 'what the check compares with (default %(default)s)'
-    add('--reference', type=to, metavar='FILE', default='tendons.yaml', help=what)
-    add('--renew', action='store_true', help='make this check the reference')
-    add('--travel', type=float, default=20.0, metavar='MM')
-    add('--speed', type=float, default=5.0, metavar='MM/S')
-    to = file_to_write('--output')
-    what = 'lines of other tendons in it are kept (default %(default)s)'
-    file = 'calibration.yaml'
-    add('--output', '--out', type=to, metavar='FILE', default=file, help=what)
-    to, what = file_to_write('--picture'), 'default: beside the output, as PNG'
-    add('--picture', type=to, metavar='FILE', help=what)
-    add('--yes', action='store_true', help='do not wait for Enter')
+class Calibrate:
+    """
+    Calibrate a motor: hang known weights, wind and pay out, fit two lines.
 
+    For every weight the wire is wound up and paid out once at constant speed. The two lines, their
+    standard errors and half the gap between them go to a YAML file that the driver's configuration
+    names under `calibration`; a picture shows lines and currents.
 
-def run(args: argparse.Namespace) -> int:
-    """Measure, fit, write, say what was found."""
-    if args.check:
-        find_files(args)
-        return check_tendons(args)
-    if None in (args.kind, args.config, args.robot):
-        raise InputError(
-            'calibrate: expected dynamixel or serial, a configuration, and --robot; or --check'
-        )
-    if args.tendon is None or args.weights is None:
-        raise InputError('calibrate: expected --tendon and --weights, or --check')
-    if min(args.weights) <= 0.0 or max(args.weights) > 50.0:
-        raise InputError(f'--weights: expected masses from 0 to 50 kg, got {args.weights}')
-    if Path(args.output).exists():
-        _content(args.output)  # lines of other tendons in it are kept
-    try:
-        if args.kind == 'serial':
-            _write(Path(args.output), args.tendon, measure_cell(args), CELL_UNITS)
-            print(f'written: {args.output}')
-            return 0
-        return calibrate_motor(args)
-    except ModuleNotFoundError as error:
-        raise MissingExtraError(error.name or args.kind, args.kind) from None
+        calibrate dynamixel servos.yaml --robot arm.yaml --tendon left --weights 0.1 0.2 0.4
+
+    For a board with load cells the weights hang still on the cell, and one line is fitted:
+
+        calibrate serial board.yaml --robot arm.yaml --tendon left --weights 0.1 0.2 0.4
+
+    Every day, and after the power was off: have any tendons crept? All are brought to the same
+    tension and compared with the last time; the first time makes the reference, --renew another
+    one.
+
+        calibrate dynamixel servos.yaml --robot arm.yaml --check --tension 1
+
+    In a folder with one robot description and one driver's configuration `calibrate --check` will
+    do.
+    """
+
+    HELP = 'calibrate tension with known weights; --check: which tendon has crept'
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Declare the arguments."""
+        add = parser.add_argument
+        add('kind', nargs='?', choices=tuple(KINDS))
+        add('config', nargs='?', help="the driver's configuration (YAML)")
+        add('--robot', help='robot description (YAML)')
+        add('--tendon', help='the input whose motor is calibrated')
+        add('--weights', nargs='+', type=float, metavar='KG')
+        add('--check', action='store_true', help='only look which tendon has crept')
+        what = 'of the check (default: a fifth of the limit)'
+        add('--tension', type=float, metavar='N', help=what)
+        what = 'what the check compares with (default %(default)s)'
+        add_file(parser, '--reference', what, default='tendons.yaml')
+        add('--renew', action='store_true', help='make this check the reference')
+        add('--travel', type=float, default=20.0, metavar='MM')
+        add('--speed', type=float, default=5.0, metavar='MM/S')
+        what = 'lines of other tendons in it are kept (default %(default)s)'
+        add_file(parser, '--output', what, default='calibration.yaml')
+        add_file(parser, '--picture', 'default: beside the output, as PNG')
+        add('--yes', action='store_true', help='do not wait for Enter')
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Measure, fit, write, say what was found."""
+        if args.check:
+            find_files(args)
+            return check_tendons(args)
+        if None in (args.kind, args.config, args.robot):
+            raise InputError(
+                'calibrate: expected dynamixel or serial, a configuration, and --robot; or --check'
+            )
+        if args.tendon is None or args.weights is None:
+            raise InputError('calibrate: expected --tendon and --weights, or --check')
+        if min(args.weights) <= 0.0 or max(args.weights) > 50.0:
+            raise InputError(f'--weights: expected masses from 0 to 50 kg, got {args.weights}')
+        if Path(args.output).exists():
+            _content(args.output)  # lines of other tendons in it are kept
+        try:
+            if args.kind == 'serial':
+                _write(Path(args.output), args.tendon, measure_cell(args), CELL_UNITS)
+                print(f'written: {args.output}')
+                return 0
+            return calibrate_motor(args)
+        except ModuleNotFoundError as error:
+            raise MissingExtraError(error.name or args.kind, args.kind) from None
 
 
 def find_files(args: argparse.Namespace) -> None:
@@ -332,3 +355,144 @@ def measure_cell(args: argparse.Namespace) -> dict[str, Any]:
         f'uncertainty: {cell.uncertainty(np.array(heaviest)):.2g} N (1 sd) at {heaviest:.3g} N'
     )
     return cell_mapping(cell, points)
+
+
+class Emulate:
+    """
+    Emulate the motors of a robot on a pseudo-terminal and print the port to give to the driver.
+
+    Servos or a board with load cells speak real bytes, wind an emulated arm, and misbehave on
+    request: type a command on the standard input, `help` lists them. Example:
+
+        emulate dynamixel --robot spatial_3.yaml --write-config servos.yaml
+        driver --ros-args -p robot:=spatial_3.yaml -p backend:=dynamixel -p config:=servos.yaml
+    """
+
+    HELP = 'emulate motors on a port of their own, with faults on request'
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Declare the arguments."""
+        add = parser.add_argument
+        add('kind', choices=('dynamixel', 'serial'), help='what is emulated')
+        add('--robot', required=True, help='robot description (YAML), or the name of one')
+        add('--model', default='XL330-M077', choices=tuple(MODELS))
+        what = 'default: the smallest that is not too coarse for the robot'
+        add('--spool-radius', type=float, metavar='MM', help=what)
+        add('--baudrate', type=int, default=1_000_000, choices=tuple(BAUD_RATES.values()))
+        what = 'what the wires pull: the mock arm, springs, or weights to hang'
+        add('--arm', default='plant', choices=ARMS, help=what)
+        what = 'loose wire at the start (default 2)'
+        add('--slack', type=float, default=2.0, metavar='MM', help=what)
+        add('--port', metavar='PATH', help='where the port appears (default: made up)')
+        what = 'end when the standard input ends'
+        add('--ends-with-input', action='store_true', help=what)
+        add_file(parser, '--write-config', 'write a configuration for the driver')
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Serve until the input says quit or a signal comes."""
+        robot = load_robot(args.robot)
+        emulated = (
+            emulated_servos(args, robot)
+            if args.kind == 'dynamixel'
+            else emulated_board(args, robot)
+        )
+        ending = threading.Event()
+
+        def end(number: int, frame: FrameType | None) -> None:
+            ending.set()
+
+        before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            serve(args, emulated, ending)
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+        return 0
+
+
+@dataclass(frozen=True)
+class Emulated:
+    """An emulated device: its port, a configuration for the driver, and a description."""
+
+    line: Plug
+    config: dict[str, Any]
+    words: str
+
+
+def serve(args: argparse.Namespace, emulated: Emulated, ending: threading.Event) -> None:
+    """Write the configuration and say where the port is, then wait for the end."""
+    with emulated.line as line:
+        if args.write_config:
+            text = yaml.safe_dump(emulated.config, sort_keys=False, default_flow_style=None)
+            write_text(args.write_config, f'# emulated: {emulated.words}\n{text}')
+        print(line.port, flush=True)
+        print(f'{emulated.words}; type help for faults', file=sys.stderr)
+        more = (line.obey, ending, args.ends_with_input)
+        threading.Thread(target=listen, args=more, daemon=True).start()
+        ending.wait()
+
+
+def listen(obey: Callable[[str], str], ending: threading.Event, to_the_end: bool) -> None:
+    """Execute the commands of the standard input."""
+    for text in sys.stdin:
+        if not text.strip():
+            continue
+        if text.strip() == 'quit':
+            ending.set()
+            return
+        try:
+            print(obey(text), flush=True)
+        except InputError as error:
+            print(f'error: {error}', file=sys.stderr, flush=True)
+    if to_the_end:
+        ending.set()
+
+
+def emulated_servos(args: argparse.Namespace, robot: Robot) -> Emulated:
+    """Return servos on a bus, one for every input."""
+    many = range(1, len(robot.inputs) + 1)
+    typed = None if args.spool_radius is None else args.spool_radius / 1e3
+    radius = typed or smallest_spool(MODELS[args.model], robot.tension_limits[1])
+    servos = [Servo(MODELS[args.model], i, args.baudrate) for i in many]
+    line = EmulatedBus(Rig(servos, [Wire(i, radius) for i in many], _arm(args, robot)), args.port)
+    config: dict[str, Any] = {
+        'port': line.port,
+        'baudrate': args.baudrate,
+        'model': args.model,
+        'spool_radius': radius,
+        'pull_limits': [-0.05, 0.05],
+        'watchdog': 0.2,  # [s]; what is emulated is late with the computer that it runs on
+        'motors': {name: {'id': i} for name, i in zip(robot.inputs, many, strict=True)},
+    }
+    words = f'{len(servos)} x {args.model}, ids 1 to {len(servos)}, spools of {1e3 * radius:g} mm'
+    return Emulated(line, config, words)
+
+
+def emulated_board(args: argparse.Namespace, robot: Robot) -> Emulated:
+    """Return a board with a motor and a load cell for every input."""
+    rig = BoardRig(_arm(args, robot), len(robot.inputs))
+    line = EmulatedBoard(rig, args.port)
+    words = f'a board with {rig.channels} motors and load cells, channels 0 to {rig.channels - 1}'
+    config = {'port': line.port, **rig.config(robot.inputs)}
+    return Emulated(line, config, words)
+
+
+def _arm(args: argparse.Namespace, robot: Robot) -> Arm:
+    m = len(robot.inputs)
+    if args.arm == 'springs':
+        return SpringArm(np.full(m, SPRING_STIFFNESS), np.full(m, 1e-3 * args.slack))
+    if args.arm == 'weights':
+        return HangingWeights(np.zeros(m))
+    from ..simulation.plant import make_plant
+
+    plant = make_plant(robot)
+    shown: dict[str, Any] = {}
+
+    def pulls(tensions: NDArray[np.float64]) -> NDArray[np.float64]:
+        shape = plant.respond(tensions)
+        shown['tip'] = shape.tip_position.tolist()
+        return shape.pulls
+
+    highest = 2.0 * robot.tension_limits[1]
+    stretch = 1e-3 if args.kind == 'dynamixel' else 1e-2  # [m] a spring in every wire
+    return ElasticArm(pulls, m, highest, 1e-3 * args.slack, shown=shown, stretch=stretch)

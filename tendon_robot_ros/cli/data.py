@@ -1,0 +1,518 @@
+"""
+Commands that make data sets of recordings and tables, and recordings of data sets.
+
+import-bag, import-table, export-bag; plot.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..common.errors import InputError
+from ..common.files import TABLE_ENDINGS, YAML_ENDINGS, refuse_ending
+from ..common.words import PROGRAM, read_unit
+from ..data import DataSet, load_dataset, save_dataset
+from ..data.dataset import PATHS
+from ..data.folder import read_text, refuse_dataset_in
+from ..data.path_files import Moves, Places, read_moves
+from ..data.recording.importing import Imported, draw_segments, import_bag, summary
+from ..data.recording.reader import Topics, is_base
+from ..data.recording.still_segments import Rule
+from ..data.recording.writer import STORAGES, Timing, export_bag
+from ..paths.path import PathRun
+from ..report.pictures import draw_run
+from ..robot import load_robot
+from ..tables import import_table
+from ..tables.columns import ColumnUse
+from ..tables.markers import CHOICES
+from ..tables.recipe import METHODS, UPS, FrameChoice, Recipe, load_recipe
+from . import options
+from .options import input_size, length, pairs, progress
+
+INPUT_KINDS = ('force', 'length', 'angle', 'counts', 'current')
+
+
+class ImportBag:
+    """
+    Make a data set from a rosbag2 recording: wherever the arm stands still, it was measured.
+
+    The recording holds the tendon states (sensor_msgs/JointState) and the shape: one
+    geometry_msgs/PoseArray with a pose per marker, or a geometry_msgs/PoseStamped topic or a frame
+    of /tf per marker. Markers in another frame than the base's are taken there by the transforms
+    in the recording, else their frame is found as import-table does. Still segments with the same
+    inputs are trials of one posture. Look at the picture before you trust them.
+
+    example: python -m tendon_robot_ros import-bag run.mcap --robot robot.yaml --output data/run
+    """
+
+    HELP = 'make a data set from a ROS 2 recording'
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Declare the arguments."""
+        add, rule, topics = parser.add_argument, Rule(), Topics()
+        add('bag', metavar='BAG', help='rosbag2 folder, or .mcap or .db3 file')
+        add('--output', required=True, metavar='DIR', help='folder of the data set')
+        add('--overwrite', action='store_true', help='replace a data set in DIR')
+        add('--robot', help='robot description (default: the one in the recording)')
+        what = (
+            'a dataset.yaml that says input, path, gravity, markers (default: the one in the '
+            'recording, else tensions where they were observed and one marker per cell)'
+        )
+        add('--description', metavar='YAML', help=what)
+        options.add_file(parser, '--picture', 'draw the segments (.png, .svg, .pdf)', 'PNG')
+        speed, duration = 1e3 * rule.speed, rule.duration
+        what = f'slower is still (default: {speed:g})'
+        add('--speed', type=float, default=speed, metavar='MM/S', help=what)
+        what = f'at least so long [s] (default: {duration:g})'
+        add('--duration', type=float, default=duration, help=what)
+        what = (
+            'inputs that differ by more belong to different postures, as 0.05N or 0.2mm '
+            '(default: 1 %% of the tension limit, 0.2 %% of the length)'
+        )
+        add('--change', metavar='X', help=what)
+        what = 'leave segments out whose inputs are all below this, as 0.15N or 0.5mm'
+        add('--rest', metavar='X', help=what)
+        what = f'sensor_msgs/JointState (default: {topics.states})'
+        add('--states-topic', default=topics.states, metavar='TOPIC', help=what)
+        what = f'geometry_msgs/PoseArray (default: {topics.shape})'
+        add('--shape-topic', default=topics.shape, metavar='TOPIC', help=what)
+        what = (
+            'geometry_msgs/PoseStamped, or frame of /tf, of one marker, instead of the shape; '
+            'may be repeated'
+        )
+        add('--marker', action='append', default=[], metavar='NAME=TOPIC', help=what)
+        what = 'of several programs that published the states, the one with this in its frame_id'
+        add('--sender', default=topics.sender, metavar='TEXT', help=what)
+        add('--up', choices=UPS, help='axis of the tracker that points up')
+        what = (
+            "how a tracker's frame is found, as of import-table; base: it is the base frame "
+            '(default: base where the frame is called so or transforms lead there, else level or '
+            'model)'
+        )
+        add('--frame', choices=METHODS, help=what)
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Import the recording."""
+        change, rest = input_size('--change', args.change), input_size('--rest', args.rest)
+        limits = args.speed, args.duration, 1.0 if change is None else change
+        if not all(0 < value < 1e4 for value in limits):
+            raise InputError('--speed [mm/s], --duration [s] and --change are above 0')
+        refuse_dataset_in(args.output, args.overwrite)
+        if args.picture:
+            refuse_ending('--picture', args.picture)
+        markers, description = pairs('--marker', args.marker, 'TOPIC'), None
+        if args.description:
+            description = read_text(Path(args.description), 'name a dataset.yaml')
+        with progress() as show:
+            show(f'reading {args.bag}', 0, 2)
+            imported = import_bag(
+                args.bag,
+                args.robot,
+                Rule(1e-3 * args.speed, args.duration, change),
+                Topics(args.states_topic, args.shape_topic, markers, args.sender),
+                description,
+                rest,
+                in_tracker_frame=True,
+            )
+            for line in imported.left_out:
+                print('left out:', line, file=sys.stderr)
+            print(summary(imported))
+            show('looking at the frame', 1, 2)
+            dataset, lines = placed(imported, args.frame, args.up)
+        for line in lines:
+            print(line)
+        print(f'written: {save_dataset(dataset, args.output, args.overwrite)}')
+        if args.picture:
+            print(f'picture: {draw_segments(imported, args.picture)}')
+        return 0
+
+
+def placed(imported: Imported, method: str | None, up: str | None) -> tuple[DataSet, list[str]]:
+    """Return the data set in the base frame, and lines about its registration."""
+    from ..effects import load_catalogue
+    from ..tables.imported import frame_lines, labelled_lines
+    from ..tables.registration import place
+
+    known = is_base(imported.frame)
+    choice = FrameChoice(method or ('base' if known else None))
+    try:
+        placing = place(imported.dataset, Recipe(up=up, frame=choice), load_catalogue(()))
+    except InputError as error:
+        if not known or method is not None:
+            raise
+        return imported.dataset, [f'the frame was not checked: {error}']
+    if choice.method == 'base':  # as it is; what contradicts it is said
+        return imported.dataset, labelled_lines('LOOK', placing.frame_warnings)
+    lines = labelled_lines(
+        'frame', [f'{imported.frame!r}, which no transform joins with the base']
+    )
+    lines += labelled_lines('', frame_lines(placing.frame, placing.dataset.robot))
+    return placing.dataset, lines + labelled_lines('dropped', placing.dropped) + labelled_lines(
+        'LOOK', placing.warnings
+    )
+
+
+class ImportTable:
+    """
+    Make a data set of a table as laboratories have it: time, tensions, x, y, z of every marker.
+
+    RAW is .csv, .parquet, .c3d or an export of OptiTrack, Vicon, Qualisys, NDI or Cortex; several
+    are recordings one after the other, or one of tensions and one of markers per recording. What a
+    column is, is guessed from its name and shown; units are read from names ("T1 [N]", "m3_x
+    (mm)", "time_s"). Where the arm stood still it was measured; the same inputs are trials of one
+    posture; markers are put in order along the arm, and the tracker's frame is laid onto the
+    robot's. DIR gets the data set, import.yaml with every choice (edit it, then import again with
+    --recipe) and import.png: look at it before you trust it.
+
+    example: python -m tendon_robot_ros import-table raw.csv --robot arm.yaml --up y --output
+    data/run
+    """
+
+    HELP = 'make a data set of a table of tensions and markers over time'
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Declare the arguments."""
+        add = parser.add_argument
+        add('raw', nargs='*', metavar='RAW', help='the tables (default: those of --recipe)')
+        add('--robot', metavar='YAML', help='robot description (default: that of --recipe)')
+        add('--output', metavar='DIR', required=True, help='folder of the data set')
+        add('--overwrite', action='store_true', help='replace a data set in DIR')
+        add(
+            '--recipe', metavar='YAML', help='an import.yaml; other options go before what it says'
+        )
+        options.declare(parser, '--effect-file')
+        add_columns(parser.add_argument_group('columns and units'))
+        add_arm(parser.add_argument_group('markers and frame'))
+        add_still(parser.add_argument_group('what is a measurement'))
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Import, tell, write."""
+        from ..effects import load_catalogue
+
+        refuse_swapped(args)
+        refuse_dataset_in(args.output, args.overwrite)
+        recipe = load_recipe(args.recipe) if args.recipe else Recipe()
+        if (
+            args.raw
+        ):  # another recording: its trials are others, and its clocks began at other times
+            recipe = replace(recipe, leave_out=None, delay=None, drift=None)
+        robot_path = args.robot or recipe.robot
+        if robot_path is None:
+            raise InputError('--robot: describe the arm with new-robot, then name its file')
+        robot = load_robot(robot_path)
+        recipe = with_arm(with_columns(recipe, args, robot.inputs), args)
+        recipe = with_measurements(recipe, args)
+        catalogue = load_catalogue(args.effect_file)
+        with progress() as show:
+            imported = import_table(args.raw, robot, recipe, catalogue, show)
+        print(imported.text())
+        folder = imported.save(args.output, args.overwrite)
+        print(
+            f'written: {folder}    every choice: {folder}/import.yaml    look: {folder}/import.png'
+        )
+        print(f'next:    python -m tendon_robot_ros compare {folder}')
+        return 0
+
+
+def add_columns(group: argparse._ArgumentGroup) -> None:
+    """Declare the roles of columns, and their units."""
+    add = group.add_argument
+    what = 'column of an input, or of time; may be repeated'
+    add('--column', action='append', default=[], metavar='INPUT=COLUMN', help=what)
+    what = 'where no name says it: inputs=g, positions=mm, time=ms; may be repeated'
+    add('--unit', action='append', default=[], metavar='WHAT=UNIT', help=what)
+    add('--spool', metavar='MM', help='radius at which the wire winds up, 10 or 0.4inch')
+    add('--counts-per-turn', type=float, metavar='N', help='where motors tell ticks')
+    add('--torque-constant', type=float, metavar='K', help='N·m/A at the spool, for currents')
+    what = 'inputs count from where they are when the arm first stands still (default: of motors)'
+    add('--zero', action='store_true', default=None, help=what)
+
+
+def add_arm(group: argparse._ArgumentGroup) -> None:
+    """Declare the places of the markers, and the method for the tracker's frame."""
+    add = group.add_argument
+    add('--up', choices=UPS, help='axis of the tracker that points up: gravity is known then')
+    what = (
+        'distances from the base along the arm [mm], base first (default: the last marker is at '
+        'the tip, the others as far below as the arm between them is long)'
+    )
+    add('--markers', metavar='MM,MM,...', help=what)
+    what = (
+        'markers: each by itself; rims: markers around a disk give its centre; bodies: origins of '
+        'rigid bodies (default: rims where markers are fixed around a circle, else markers)'
+    )
+    add('--points', choices=CHOICES, help=what)
+    what = 'where markers sit beside the backbone [mm] in the frame there (default: on it)'
+    add('--offset', metavar='X,Y', help=what)
+    what = (
+        'model: onto the postures of the model; level: the same, verticals together (default '
+        "where --up and the robot's gravity are known); straight: the straight posture onto +z; "
+        'base: it is the base frame'
+    )
+    add('--frame', choices=METHODS, help=what)
+
+
+def add_still(group: argparse._ArgumentGroup) -> None:
+    """Declare the thresholds of still segments and of equal postures."""
+    add = group.add_argument
+    add('--speed', type=float, metavar='MM/S', help='slower is still (default: 2, or the noise)')
+    add('--duration', type=float, metavar='S', help='at least so long (default: 1)')
+    what = 'inputs that differ by less belong to one posture, as 0.05N, or 0.2mm of pull'
+    add('--same', metavar='X', help=what)
+    what = 'where all inputs are below this the arm rests, as 0.2N or 0.5mm; 0: it never does'
+    add('--rest', metavar='X', help=what)
+    what = (
+        'sequence: every posture was reached from the one before, in rounds of the same order; '
+        'visits: the same in any order (default: from_straight, each loaded from the straight arm)'
+    )
+    add('--path', choices=PATHS, help=what)
+    what = "the tracker's file begins so much after that of the inputs (default: found)"
+    add('--delay', type=float, metavar='S', help=what)
+
+
+def refuse_swapped(args: argparse.Namespace) -> None:
+    """Raise InputError, before any work, if a path is another kind of file or a folder."""
+    for path in args.raw:
+        if path.lower().endswith(YAML_ENDINGS):
+            raise InputError(
+                f'{path}: is no table; a robot description goes behind --robot, an import.yaml '
+                'behind --recipe'
+            )
+        if os.path.isdir(path):
+            remedy = (
+                f'compare it: {PROGRAM} compare {path}'
+                if os.path.isfile(os.path.join(path, 'dataset.yaml'))
+                else 'name the tables in it; the folder to write goes behind --output'
+            )
+            raise InputError(f'{path}: is a folder, and no table; {remedy}')
+        if os.path.isfile(os.path.join(os.path.dirname(path), 'dataset.yaml')):
+            folder = os.path.dirname(path) or '.'
+            raise InputError(
+                f'{path}: belongs to the data set {folder}, which needs no import; compare it: '
+                f'{PROGRAM} compare {folder}'
+            )
+        if not os.path.splitext(path)[1] and not os.path.exists(path):
+            raise InputError(
+                f'{path}: is not there; tables stand first, the folder to write behind --output'
+            )
+    for option, path in (('--robot', args.robot), ('--recipe', args.recipe)):
+        if path and path.lower().endswith(TABLE_ENDINGS):
+            raise InputError(f'{option} {path}: is a table; tables stand alone, without an option')
+    if os.path.isfile(args.output) or args.output.lower().endswith(TABLE_ENDINGS):
+        raise InputError(
+            f'--output {args.output}: expected the folder to write; tables stand alone, without '
+            'an option'
+        )
+
+
+def with_columns(recipe: Recipe, args: argparse.Namespace, inputs: tuple[str, ...]) -> Recipe:
+    """Return a recipe with the columns and units of the arguments."""
+    columns, units = pairs('--column', args.column), pairs('--unit', args.unit)
+    for name in columns:
+        if name != 'time' and name not in inputs:
+            raise InputError(f'--column {name}=...: expected time or one of {", ".join(inputs)}')
+    for name in units:
+        if name not in ('inputs', 'positions', 'time'):
+            raise InputError(f'--unit {name}=...: expected inputs, positions or time')
+    time_unit = read_unit('--unit time', units.get('time', 's'), 'time').text
+    if 'time' in columns:
+        recipe = replace(recipe, time={columns['time']: time_unit})
+    unit = units.get('inputs')
+    if unit is not None:
+        unit = read_unit('--unit inputs', unit, *INPUT_KINDS).text
+    uses = dict(recipe.inputs or {})
+    uses |= {n: ColumnUse(c, unit or '') for n, c in columns.items() if n != 'time'}
+    if 'positions' in units:
+        unit_of_places = read_unit('--unit positions', units['positions'], 'length').text
+        recipe = replace(recipe, positions=unit_of_places)
+    spool: dict[str, float] = {}
+    for key, value in (
+        ('radius', None if args.spool is None else length('--spool', args.spool, 'mm')),
+        ('counts_per_turn', args.counts_per_turn),
+        ('torque_constant', args.torque_constant),
+    ):
+        if value is not None:
+            refuse_outside('--' + key.replace('_', '-').replace('radius', 'spool'), value, 0.0)
+            spool[key] = value
+    return replace(
+        recipe,
+        inputs=uses or None,
+        input_unit=unit,
+        time_unit=time_unit if 'time' in units else None,
+        zero=args.zero or recipe.zero,
+        spool=replace(recipe.spool, **spool),
+    )
+
+
+def with_arm(recipe: Recipe, args: argparse.Namespace) -> Recipe:
+    """Return a recipe with the markers and the frame of the arguments."""
+    if args.markers:
+        places = _lengths('--markers', args.markers)
+        if any(b <= a for a, b in pairwise(places)):
+            raise InputError('--markers: expected distances that grow, from base to tip [mm]')
+        open_ones = tuple(replace(m, arc_length=None) for m in recipe.markers or ())
+        recipe = replace(recipe, places=places, markers=open_ones or None)
+    if args.points:
+        recipe = replace(recipe, points=args.points, markers=None)
+    if args.offset:
+        aside = _lengths('--offset', args.offset)
+        if len(aside) != 2:
+            raise InputError(f'--offset: expected X,Y in mm, got {args.offset!r}')
+        recipe = replace(recipe, offset=(aside[0], aside[1], 0.0))
+    if args.frame:
+        recipe = replace(recipe, frame=FrameChoice(args.frame))
+    return replace(recipe, up=args.up or recipe.up)
+
+
+def _lengths(option: str, text: str) -> tuple[float, ...]:
+    """Read lengths with commas between them, mm unless they say otherwise, in metres."""
+    return tuple(length(option, part, 'mm') for part in text.split(','))
+
+
+def with_measurements(recipe: Recipe, args: argparse.Namespace) -> Recipe:
+    """Return a recipe with the thresholds of the arguments."""
+    given: dict[str, Any] = {}
+    for key, value in (
+        ('speed', None if args.speed is None else 1e-3 * args.speed),
+        ('duration', args.duration),
+        ('same', input_size('--same', args.same)),
+        ('rest', input_size('--rest', args.rest)),
+    ):
+        if value is not None:
+            refuse_outside(f'--{key}', value, 0.0 if key != 'rest' else -1.0)
+            given[key] = value
+    given |= {} if args.delay is None else {'delay': (args.delay,)}
+    given |= {} if args.path is None else {'path': args.path}
+    return replace(recipe, **given)
+
+
+def refuse_outside(option: str, value: float, low: float) -> None:
+    """Raise InputError if a number is not above a bound, or implausibly large."""
+    if not low < value < 1e9:
+        raise InputError(f'{option}: expected a number above {low:g}, got {value:g}')
+
+
+class ExportBag:
+    """
+    Write a data set as a rosbag2 recording that Foxglove, PlotJuggler and `ros2 bag play` open.
+
+    The arm holds still at every measurement and moves in straight lines between them. `import-bag`
+    gives the same data set back.
+
+    example: python -m tendon_robot_ros export-bag data/tentacle tentacle.mcap
+    """
+
+    HELP = 'write a data set as a ROS 2 recording'
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Declare the arguments."""
+        default = Timing()
+        parser.add_argument('data', metavar='DATA', help='folder of the data set')
+        parser.add_argument(
+            'output', metavar='OUT', help='new folder, or new file that ends in .mcap'
+        )
+        parser.add_argument(
+            '--robot', help='robot description instead of the one the data set names'
+        )
+        parser.add_argument(
+            '--storage', choices=STORAGES, default='mcap', help='of a folder (default: mcap)'
+        )
+        for name, value, text in (
+            ('hold', default.hold, 'seconds that every measurement lasts'),
+            ('move', default.move, 'seconds from one to the next'),
+            ('rate', default.rate, 'messages per second'),
+        ):
+            parser.add_argument(
+                f'--{name}', type=float, default=value, help=f'{text} (default: {value:g})'
+            )
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Write the recording."""
+        timing = Timing(args.hold, args.move, args.rate)
+        if not (0 < timing.hold < 1e4 and 0 < timing.move < 1e4 and 1 <= timing.rate <= 1e4):
+            raise InputError('--hold and --move are seconds above 0, --rate is from 1 to 10000')
+        dataset = load_dataset(args.data, args.robot)
+        with progress() as show:
+            show(f'writing {dataset.trials.sum()} measurements', 0, 0)
+            path = export_bag(dataset, args.output, args.storage, timing)
+        print(f'{dataset.trials.sum()} measurements, {len(dataset.postures)} postures')
+        print(f'written: {path}')
+        return 0
+
+
+class Plot:
+    """
+    Draw a recording: the path of the tip, how far it was from its targets, and the commands.
+
+    example: python -m tendon_robot_ros plot run1
+    """
+
+    HELP = 'draw a recording: tip, targets, commands'
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Declare the arguments."""
+        parser.add_argument('bag', metavar='BAG', help='rosbag2 folder, or .mcap or .db3 file')
+        options.add_file(parser, '--output', '(default: BAG.png)', 'PNG')
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Read and draw."""
+        bag = Path(args.bag)
+        output = Path(args.output or f'{bag.parent / bag.stem}.png')
+        refuse_ending('--output', output)
+        with progress() as show:
+            show(f'reading {bag}', 0, 0)
+            moves = read_moves(bag)
+        if not len(moves.tips):
+            raise InputError(f'{bag}: no measured_tip and no predicted_tip in it: nothing to draw')
+        path_run = as_run(moves)
+        seconds = float(path_run.tip_times[-1])
+        print(
+            f'{seconds:.1f} s, {len(moves.targets)} targets, {len(moves.tips)} tips'
+            f'{"" if moves.measured else " as the model sees them"}, '
+            f'{len(moves.commands)} commands'
+        )
+        print(f'picture: {draw_run(path_run, output, f"{bag.name}, {seconds:.1f} s")}')
+        return 0
+
+
+def as_run(moves: Moves) -> PathRun:
+    """Return a recording as a run; a target stands until the next one."""
+    targets = standing_targets(moves, float(moves.tips.times[-1]))
+    return PathRun(
+        inputs=moves.inputs,
+        target_times=targets.times,
+        targets=targets.positions,
+        target_directions=targets.directions,
+        row_times=moves.targets.times,
+        tip_times=moves.tips.times,
+        tips=moves.tips.positions,
+        tip_directions=moves.tips.directions,
+        measured=moves.measured,
+        command_times=moves.command_times,
+        commands=moves.commands,
+        pull=moves.pull,
+    )
+
+
+def standing_targets(moves: Moves, end: float) -> Places:
+    """Return targets as a curve: each from its time to its end, then NaN until the next one."""
+    targets = moves.targets
+    if not len(targets):
+        return targets
+    until = np.append(targets.times[1:], max(end, targets.times[-1]))
+    for i, time in enumerate(targets.times):
+        over = moves.trajectory_times[moves.trajectory_times > time]
+        until[i] = min([until[i], *over[:1]])
+    times = np.column_stack([targets.times, until - 2e-6, until - 1e-6]).reshape(-1)
+    positions = np.repeat(targets.positions, 3, axis=0)
+    ended = until < np.append(targets.times[1:], np.inf)
+    positions[2::3][ended] = np.nan
+    return Places(times, positions, np.repeat(targets.directions, 3, axis=0))
