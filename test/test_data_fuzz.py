@@ -68,7 +68,7 @@ NAME = st.sampled_from(['a', ' a', 'é', '"q"', '', 'nan'])
 @given(st.lists(st.tuples(NAME, CELL, CELL).filter(any), min_size=1, max_size=6))
 def test_blocks_parsed_at_once_are_what_cells_parsed_one_by_one_are(rows):
     dtype = np.dtype([('name', object), ('x', float), ('y', float)])
-    lines = [','.join(row) + '\n' for row in rows]
+    lines = [','.join(row) for row in rows]
     fast = csv_file._parse(lines, dtype)
     if fast is None:
         return

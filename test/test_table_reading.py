@@ -14,7 +14,6 @@ from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import DataSetError, InputError
 from tendon_robot_ros.common.words import find_unit, read_quantity, split_name
 from tendon_robot_ros.robot import load_robot
-from tendon_robot_ros.tables.choices import choose_columns
 from tendon_robot_ros.tables.columns import (
     RawTable,
     guess_inputs,
@@ -24,7 +23,7 @@ from tendon_robot_ros.tables.columns import (
 )
 from tendon_robot_ros.tables.markers import choose_points
 from tendon_robot_ros.tables.reading import read_c3d, read_tables
-from tendon_robot_ros.tables.recipe import Recipe
+from tendon_robot_ros.tables.recipe import Recipe, choose_columns
 
 PLAIN = 'time,T1 [N],m_x\n0,1,2\n0.5,1.5,\n'
 MOTIVE = """\

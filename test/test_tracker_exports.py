@@ -14,11 +14,10 @@ from laboratory_tables import ARM, calm_recording
 
 from tendon_robot_ros.common.errors import DataSetError
 from tendon_robot_ros.tables import import_table
-from tendon_robot_ros.tables.choices import choose_columns
 from tendon_robot_ros.tables.columns import from_frame, triples_of
 from tendon_robot_ros.tables.markers import choose_points, circle_centres
 from tendon_robot_ros.tables.reading import read_tables, widened
-from tendon_robot_ros.tables.recipe import Recipe
+from tendon_robot_ros.tables.recipe import Recipe, choose_columns
 
 PLACES = write.truth()
 RIMS = write.rim(PLACES)

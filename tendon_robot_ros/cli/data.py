@@ -33,11 +33,10 @@ from ..robot import load_robot
 from ..tables import import_table
 from ..tables.columns import ColumnUse
 from ..tables.markers import CHOICES
-from ..tables.recipe import METHODS, UPS, FrameChoice, Recipe, load_recipe
+from ..tables.recipe import INPUT_KINDS, METHODS, UPS, FrameChoice, Recipe, load_recipe
 from . import options
 from .options import input_size, length, pairs, progress
 
-INPUT_KINDS = ('force', 'length', 'angle', 'counts', 'current')
 
 
 class ImportBag:
@@ -380,6 +379,7 @@ def _lengths(option: str, text: str) -> tuple[float, ...]:
 def with_measurements(recipe: Recipe, args: argparse.Namespace) -> Recipe:
     """Return a recipe with the thresholds of the arguments."""
     given: dict[str, Any] = {}
+    still: dict[str, float] = {}
     for key, value in (
         ('speed', None if args.speed is None else 1e-3 * args.speed),
         ('duration', args.duration),
@@ -388,10 +388,10 @@ def with_measurements(recipe: Recipe, args: argparse.Namespace) -> Recipe:
     ):
         if value is not None:
             refuse_outside(f'--{key}', value, 0.0 if key != 'rest' else -1.0)
-            given[key] = value
+            (still if key in ('speed', 'duration') else given)[key] = value
     given |= {} if args.delay is None else {'delay': (args.delay,)}
     given |= {} if args.path is None else {'path': args.path}
-    return replace(recipe, **given)
+    return replace(recipe, still=replace(recipe.still, **still), **given)
 
 
 def refuse_outside(option: str, value: float, low: float) -> None:

@@ -48,10 +48,13 @@ def even_markers(robot: Robot, count: int) -> tuple[Marker, ...]:
 
 
 def place_markers(
-    arrays: FrameArrays, robot: Robot, given: Sequence[Marker | float] | None, name: str
+    robot: Robot,
+    given: Sequence[Marker | float] | Floats | None,
+    labels: Sequence[str],
+    name: str,
 ) -> tuple[Marker, ...]:
     """
-    Return the markers: as given, else by their column of arc lengths, else one per cell.
+    Return the labelled markers: as given or by their arc lengths [m], else one per cell.
 
     Raises
     ------
@@ -59,24 +62,22 @@ def place_markers(
         There are places for more or fewer markers.
 
     """
-    if given is None and arrays.arc_lengths is not None:
-        given = arrays.arc_lengths.tolist()
-    if given is None and len(arrays.markers) == robot.cells:
+    if given is None and len(labels) == robot.cells:
         return default_markers(robot)
     if given is not None and not isinstance(given, Sequence | np.ndarray):
         raise refusal(f'{name}: markers', MARKERS_EXPECTED, given)
-    if given is None or len(given) != len(arrays.markers):
+    if given is None or len(given) != len(labels):
         known = 'none' if given is None else f'{len(given)}'
         raise DataSetError(
             f'{name}: markers',
-            f'there are {len(arrays.markers)}, {known} with a place',
+            f'there are {len(labels)}, {known} with a place',
             'give the arc length [m] of each, from the base along the arm',
         )
-    return markers_of(given, arrays.markers, name)
+    return markers_of(given, labels, name)
 
 
 def markers_of(
-    given: Sequence[Marker | float], labels: Sequence[str], name: str
+    given: Sequence[Marker | float] | Floats, labels: Sequence[str], name: str
 ) -> tuple[Marker, ...]:
     """Return markers that are given as such or by their arc lengths [m]."""
     try:
@@ -94,23 +95,11 @@ QUATERNION = ('qx', 'qy', 'qz', 'qw')
 HINT = 'a table over time goes through import_table'
 
 
-@dataclass(frozen=True)
-class FrameArrays:
-    """A tidy table as arrays: P postures, Q trials, J markers, m inputs."""
-
-    postures: tuple[str, ...]
-    trials: tuple[str, ...]
-    markers: tuple[str, ...]
-    arc_lengths: Floats | None  # (J,) [m], None where there is no such column
-    inputs: Floats  # (P, m) [N] or [m]
-    trial_inputs: Floats | None  # (P, Q, m), None where all trials of a posture have the same
-    positions: Floats  # (P, Q, J, 3) [m]
-    orientations: Floats | None  # (P, Q, J, 4)
-
-
-def read_frame(frame: Any, inputs: Sequence[str], name: str) -> FrameArrays:
+def read_frame(
+    frame: Any, inputs: Sequence[str], name: str
+) -> tuple[dict[str, Any], tuple[str, ...], Floats | None]:
     """
-    Convert a tidy table to arrays.
+    Convert a tidy table to the arrays of a data set.
 
     Parameters
     ----------
@@ -121,6 +110,15 @@ def read_frame(frame: Any, inputs: Sequence[str], name: str) -> FrameArrays:
         Names of the inputs.
     name : str
         For messages.
+
+    Returns
+    -------
+    arrays : dict
+        The postures, trials, inputs, positions and orientations of a `DataSet`.
+    markers : tuple of str
+        Their names.
+    arc_lengths : (J,) [m]
+        None where there is no such column.
 
     Raises
     ------
@@ -152,12 +150,11 @@ def read_frame(frame: Any, inputs: Sequence[str], name: str) -> FrameArrays:
             f'posture {postures[p]!r}, trial {trials[q]!r}, marker {markers[j]!r} stands twice',
             f'number the trials; {HINT}',
         )
-    positions = np.full((*sizes, 3), np.nan)
-    positions[posture, trial, marker] = _numbers(frame, POSITION, name)
-    orientations = None
-    if all(column in frame.columns for column in QUATERNION):
-        orientations = np.full((*sizes, 4), np.nan)
-        orientations[posture, trial, marker] = _numbers(frame, QUATERNION, name)
+    arrays: dict[str, Any] = {'postures': postures, 'trial_names': trials}
+    for key, columns in (('positions', POSITION), ('orientations', QUATERNION)):
+        if all(column in frame.columns for column in columns):
+            arrays[key] = np.full((*sizes, len(columns)), np.nan)
+            arrays[key][posture, trial, marker] = _numbers(frame, columns, name)
     arc_lengths = None
     if 'arc_length' in frame.columns:
         arc_lengths = np.full(len(markers), np.nan)
@@ -178,17 +175,9 @@ def read_frame(frame: Any, inputs: Sequence[str], name: str) -> FrameArrays:
     measured = ~np.isinf(each)
     mean = np.where(measured, each, 0.0).sum(axis=1) / measured.sum(axis=1)
     spread = np.where(measured, np.abs(each - mean[:, None]), 0.0)
-    differ = np.nan_to_num(spread).max() >= RESOLUTION
-    return FrameArrays(
-        postures=postures,
-        trials=trials,
-        markers=markers,
-        arc_lengths=arc_lengths,
-        inputs=mean,
-        trial_inputs=np.where(measured, each, np.nan) if differ else None,
-        positions=positions,
-        orientations=orientations,
-    )
+    if np.nan_to_num(spread).max() >= RESOLUTION:
+        arrays['trial_inputs'] = np.where(measured, each, np.nan)
+    return arrays | {'inputs': mean}, markers, arc_lengths
 
 
 def _codes(column: Any) -> tuple[tuple[str, ...], Codes]:
@@ -217,81 +206,6 @@ def _numbers(frame: Any, columns: Sequence[str], name: str) -> Floats:
                     f'{name}, row {row}', f'{column} is {short(value)}', 'expected a number or nan'
                 ) from None
     return values
-
-
-def frame_columns(arrays: FrameArrays, names: Sequence[str]) -> dict[str, Any]:
-    """
-    Return the columns of a tidy table; an unmeasured posture has one row of each marker.
-
-    Parameters
-    ----------
-    arrays : FrameArrays
-        What goes into the table.
-    names : sequence of str
-        Names of the inputs.
-
-    """
-    measured = np.isfinite(arrays.positions).all(axis=3).any(axis=2)  # (P, Q)
-    measured[~measured.any(axis=1), 0] = True
-    posture, trial = np.nonzero(measured)
-    count = len(arrays.markers)
-    p, q, j = np.repeat(posture, count), np.repeat(trial, count), np.tile(range(count), len(trial))
-    columns: dict[str, Any] = {
-        'posture': np.array(arrays.postures, dtype=object)[p],
-        'trial': np.array(arrays.trials, dtype=object)[q],
-        'marker': np.array(arrays.markers, dtype=object)[j],
-    }
-    if arrays.arc_lengths is not None:
-        columns['arc_length'] = arrays.arc_lengths[j]
-    columns |= dict(zip(POSITION, arrays.positions[p, q, j].T, strict=True))
-    if arrays.orientations is not None:
-        columns |= dict(zip(QUATERNION, arrays.orientations[p, q, j].T, strict=True))
-    each = arrays.inputs[p] if arrays.trial_inputs is None else arrays.trial_inputs[p, q]
-    return columns | dict(zip(names, each.T, strict=True))
-
-
-def check_units(
-    name: str, robot: Robot, arc_lengths: Floats, command: str, arrays: FrameArrays
-) -> None:
-    """
-    Refuse measurements in other units.
-
-    Parameters
-    ----------
-    name : str
-        Of the data set, for the message.
-    robot : Robot
-        Says how long the arm is, and which tensions it has.
-    arc_lengths : (J,) [m]
-        Of the markers.
-    command : str
-        'tension' or 'displacement'.
-    arrays : FrameArrays
-        Inputs and positions.
-
-    Raises
-    ------
-    DataSetError
-        A value is too large, or a tension pushes.
-
-    """
-    length, limit = robot.length, robot.tension_limits[1]
-    remedy = 'give metres and newtons, in the base frame'
-    far = float(np.nan_to_num(np.abs(arrays.positions)).max(initial=0.0))
-    inputs = np.nan_to_num(arrays.inputs)
-    if not (arc_lengths >= 0.0).all() or not (arc_lengths <= length + 1e-9).all():
-        problem = f'a marker is at {np.nanmax(arc_lengths):g} m of an arm of {length:g} m'
-    elif far > PLAUSIBLE_FACTOR * length:
-        problem = f'a marker is {far:g} m away, but the robot is only {length:g} m long'
-    elif command == 'displacement' and np.abs(inputs).max(initial=0.0) > length:
-        problem = f'a wire is pulled by {np.abs(inputs).max():g} m on an arm of {length:g} m'
-    elif command == 'tension' and inputs.max(initial=0.0) > PLAUSIBLE_FACTOR * limit:
-        problem, remedy = too_tense('a tendon', float(inputs.max()), limit)
-    elif command == 'tension' and inputs.min(initial=0.0) < 0.0:
-        problem = f'a tension is {inputs.min():g} N, but a tendon cannot push'
-    else:
-        return
-    raise DataSetError(name, problem, remedy)
 
 
 def too_tense(name: str, tension: float, limit: float) -> tuple[str, str]:

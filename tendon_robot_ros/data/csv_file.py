@@ -9,70 +9,22 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+import re
+from collections.abc import Iterable, Sequence
+from itertools import batched
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import DataSetError, short
 from ..common.words import listing
-from .dataset import FloatArray
-
-IntArray = NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class Table:
-    """Columns of n rows; row i stands in line i + 2 of the file."""
-
-    codes: dict[str, IntArray]  # (n,) index into labels, per name column
-    labels: dict[str, tuple[str, ...]]  # in the order in which they appear
-    numbers: dict[str, FloatArray]  # (n,), NaN where the cell is empty
-
-    def name(self, row: int, *keys: str) -> str:
-        """Name a row for a message by its names (in all name columns by default)."""
-        return ', '.join(
-            f'{key} {self.labels[key][self.codes[key][row]]!r}' for key in keys or self.labels
-        )
-
-    def repeated(self, keys: Sequence[str]) -> tuple[int, int] | None:
-        """Return the first row whose names repeat those of an earlier row, and that row."""
-        if not keys:
-            return None
-        index = np.zeros(len(self.codes[keys[0]]), dtype=np.int64)
-        for key in keys:
-            index = index * len(self.labels[key]) + self.codes[key]
-        order = np.argsort(index, kind='stable')
-        same = np.flatnonzero(index[order][1:] == index[order][:-1])
-        if not len(same):
-            return None
-        row = int(order[same + 1].min())
-        return row, int(np.flatnonzero(index == index[row])[0])
-
-    def translate(self, key: str, known: tuple[str, ...]) -> IntArray:
-        """Return the index of each row's name among the known ones, (n,), -1 for others."""
-        places = {name: place for place, name in enumerate(known)}
-        table = np.array([places.get(label, -1) for label in self.labels[key]], dtype=np.int64)
-        return table[self.codes[key]]
-
-
-class Labels(dict[str, int]):
-    """Cell text to code; a new text gets the next code, spaces around it do not count."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.index: dict[str, int] = {}
-
-    def __missing__(self, cell: str) -> int:
-        code = self[cell] = self.index.setdefault(cell.strip(), len(self.index))
-        return code
-
+from .dataset import BoolArray, FloatArray, IntArray
 
 NEEDED = 'every data set needs this file'
-BLOCK_CHARACTERS = 1 << 19  # [1] that are parsed at once, so that they stay in the cache
+BLOCK_ROWS = 1 << 13  # [1] that are parsed at once, so that they stay in the cache
+EMPTY_CELL = re.compile(r',(?=[,\n]|\Z)')
 Block = NDArray[np.void]  # rows of a CSV file: names as text, numbers as floats
 
 
@@ -113,7 +65,21 @@ def _no_text(path: Path) -> DataSetError:
 
 
 class CsvFile:
-    """A CSV file with a header; remembers its path for messages."""
+    """
+    A CSV file with a header; once it is read, its columns of n rows, row i in line i + 2.
+
+    Attributes
+    ----------
+    header : list of str
+        Names of the columns.
+    codes : dict of (n,)
+        Indices into `labels`, per column of names.
+    labels : dict of tuple of str
+        In the order in which they appear.
+    numbers : dict of (n,)
+        NaN where the cell is empty.
+
+    """
 
     def __init__(
         self,
@@ -150,16 +116,42 @@ class CsvFile:
                 str(path), 'is empty', f'start it with the line {",".join(required)}'
             )
         self.header = self._header(line, required, known)
+        self.codes: dict[str, IntArray] = {}
+        self.labels: dict[str, tuple[str, ...]] = {}
+        self.numbers: dict[str, FloatArray] = {}
 
     def error(self, row: int, problem: str, remedy: str) -> DataSetError:
         """Build the error for a row, counted from 1 for the header."""
         return DataSetError(f'{self.path}, row {row}', problem, remedy)
 
+    def refuse(self, where: BoolArray, problem: str, remedy: str) -> None:
+        """Raise the error for the first row (n,) where something holds."""
+        if where.any():
+            raise self.error(int(where.argmax()) + 2, problem, remedy)
+
+    def columns(self, names: Iterable[str]) -> FloatArray:
+        """Return columns of numbers, (n, c)."""
+        return np.stack([self.numbers[name] for name in names], axis=1)
+
+    def name(self, row: int, *keys: str) -> str:
+        """Name a row for a message by its names (in all name columns by default)."""
+        return ', '.join(f'{key} {self.label(row, key)!r}' for key in keys or self.labels)
+
+    def label(self, row: int, key: str) -> str:
+        """Return the name in a cell."""
+        return self.labels[key][self.codes[key][row]]
+
+    def translate(self, key: str, known: tuple[str, ...]) -> IntArray:
+        """Return the index of each row's name among the known ones, (n,), -1 for others."""
+        places = {name: place for place, name in enumerate(known)}
+        table = np.array([places.get(label, -1) for label in self.labels[key]], dtype=np.int64)
+        return table[self.codes[key]]
+
     def read(
         self, names: Sequence[str], numbers: Sequence[str], remarks: Sequence[str] = ()
-    ) -> Table:
+    ) -> CsvFile:
         """
-        Read the rows below the header.
+        Read the rows below the header, and return the file.
 
         Parameters
         ----------
@@ -174,46 +166,52 @@ class CsvFile:
             names stand in two rows.
 
         """
-        texts = (*names, *remarks)
-        labels = {key: Labels() for key in texts}
-        codes: dict[str, list[IntArray]] = {key: [] for key in texts}
-        values: dict[str, list[FloatArray]] = {key: [] for key in numbers}
-        dtype = np.dtype([(key, float if key in numbers else object) for key in self.header])
-        row = 2
         try:
             with self.path.open(encoding='utf-8-sig') as file:
                 file.readline()
-                for lines in _blocks(file):
-                    block = _parse(lines, dtype)
-                    if block is None:
-                        block = self._parse_exactly(lines, row, dtype)
-                    for key in texts:
-                        cells = block[key].tolist()
-                        codes[key].append(np.array([*map(labels[key].__getitem__, cells)]))
-                    for key in numbers:
-                        values[key].append(block[key].copy())  # contiguous, and frees the block
-                    row += len(lines)
+                text = file.read().rstrip()
         except UnicodeDecodeError:
             raise _no_text(self.path) from None
-        if row == 2:
+        if not text:
             raise self.error(2, 'there is no row below the header', 'write one row per value')
-        table = Table(
-            {key: np.concatenate(parts) for key, parts in codes.items()},
-            {key: tuple(label.index) for key, label in labels.items()},
-            {key: np.concatenate(parts) for key, parts in values.items()},
-        )
+        texts = (*names, *remarks)
+        labels: dict[str, dict[str, int]] = {key: {} for key in texts}
+        parts: dict[str, list[Any]] = {key: [] for key in (*texts, *numbers)}
+        dtype = np.dtype([(key, float if key in numbers else object) for key in self.header])
+        row = 2
+        for lines in batched(text.split('\n'), BLOCK_ROWS):
+            block = _parse(lines, dtype)
+            if block is None:
+                block = self._parse_exactly(lines, row, dtype)
+            for key, known in labels.items():
+                cells = block[key].tolist()
+                codes = [known.setdefault(cell.strip(), len(known)) for cell in cells]
+                parts[key].append(np.array(codes))
+            for key in numbers:
+                parts[key].append(block[key].copy())  # contiguous, and frees the block
+            row += len(lines)
+        self.codes = {key: np.concatenate(parts[key]) for key in texts}
+        self.labels = {key: tuple(known) for key, known in labels.items()}
+        self.numbers = {key: np.concatenate(parts[key]) for key in numbers}
         for key in names:
-            if '' in table.labels[key]:
-                empty = table.codes[key] == table.labels[key].index('')
-                raise self.error(int(empty.argmax()) + 2, f'{key} is empty', f'write a {key}')
-        if repeated := table.repeated(names):
-            row, first = repeated
-            raise self.error(
-                row + 2,
-                f'{table.name(row, *names)} stands in row {first + 2} too',
-                'remove one of them',
-            )
-        return table
+            if '' in labels[key]:
+                self.refuse(
+                    self.codes[key] == labels[key][''], f'{key} is empty', f'write a {key}'
+                )
+        if names:
+            self._refuse_repeated(names)
+        return self
+
+    def _refuse_repeated(self, names: Sequence[str]) -> None:
+        """Refuse rows of the same names."""
+        sizes = [len(self.labels[key]) for key in names]
+        index = np.ravel_multi_index([self.codes[key] for key in names], sizes)
+        first = np.unique(index, return_index=True)[1]
+        if len(first) < len(index):
+            row = int(np.setdiff1d(np.arange(len(index)), first)[0])
+            before = int(np.flatnonzero(index == index[row])[0])
+            problem = f'{self.name(row, *names)} stands in row {before + 2} too'
+            raise self.error(row + 2, problem, 'remove one of them')
 
     def _header(self, line: str, required: Sequence[str], known: Sequence[str]) -> list[str]:
         for mark, name in ((';', 'semicolons'), ('\t', 'tabs')):
@@ -240,7 +238,7 @@ class CsvFile:
                 raise self.error(1, f'column {name!r} is missing', 'add it to the header')
         return header
 
-    def _parse_exactly(self, lines: list[str], row: int, dtype: np.dtype[Any]) -> Block:
+    def _parse_exactly(self, lines: Sequence[str], row: int, dtype: np.dtype[Any]) -> Block:
         """Parse lines cell by cell; the error names the row and column of a bad cell."""
         if any('\0' in line for line in lines):
             raise _no_text(self.path)
@@ -285,35 +283,20 @@ class CsvFile:
         return value
 
 
-def _parse(lines: list[str], dtype: np.dtype[Any]) -> Block | None:
+def _parse(lines: Sequence[str], dtype: np.dtype[Any]) -> Block | None:
     """Parse lines of valid numbers; empty cells become NaN. None: use `_parse_exactly`."""
-    text = ''.join(lines)
-    filled = text
-    if ',,' in text or ',\n' in text or not text.endswith('\n'):
+    text, missing = '\n'.join(lines), 0
+    if ',,' in text or ',\n' in text or text.endswith(','):
         if '"' in text or 'nan' in text.lower():
             return None
-        for empty in (',,', ',,', ',\n'):
-            filled = filled.replace(empty, f',nan{empty[1]}')
-        filled += 'nan' * filled.endswith(',')
-        lines = filled.removesuffix('\n').split('\n')
+        text, missing = EMPTY_CELL.subn(',nan', text)
+        lines = text.split('\n')
     try:
         block = np.loadtxt(lines, dtype, delimiter=',', comments=None, quotechar='"', ndmin=1)
     except ValueError:
         return None
     keys = [key for key in dtype.names or () if dtype[key].kind == 'f']
     finite = sum(np.count_nonzero(np.isfinite(block[key])) for key in keys)
-    missing = (len(filled) - len(text)) // len('nan')
     if len(block) != len(lines) or finite + missing != len(keys) * len(block):
         return None  # a line is blank, a name is missing, or a number is not finite
     return block
-
-
-def _blocks(file: TextIO) -> Iterator[list[str]]:
-    """Yield blocks of lines, without the blank lines at the end of the file."""
-    blank: list[str] = []
-    while more := file.readlines(BLOCK_CHARACTERS):
-        lines, blank = blank + more, []
-        while lines and not lines[-1].strip():
-            blank.append(lines.pop())
-        if lines:
-            yield lines

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,13 +16,14 @@ from ..common.words import listing
 from ..robot import Robot, RobotLike, load_robot
 from ..robot.inputs import finite, input_rows
 from .arrays import (
-    FrameArrays,
+    PLAUSIBLE_FACTOR,
+    POSITION,
+    QUATERNION,
     Marker,
     Vector,
-    check_units,
-    frame_columns,
     place_markers,
     read_frame,
+    too_tense,
 )
 from .visits import Split, Visits
 
@@ -36,8 +37,16 @@ FRAME = ' (DataSet.from_frame makes one of a tidy table, import_table of one ove
 INPUTS = ('tension', 'displacement')
 # [1] of the largest input, below which an arm is at rest, because pretension holds its wires taut
 REST_FRACTION = 0.05
+# [m] and [1] largest noise and accuracy, because what is larger is in another unit
+LIMITS = {
+    'position_noise': (0.1, 'm'),
+    'accuracy': (0.1, 'm'),
+    'setting_noise': (0.5, '1'),
+    'trial_noise': (0.5, '1'),
+}
 LOADINGS = ('from_straight', 'sequence')  # every trial of a posture has the same history
 PATHS = (*LOADINGS, 'visits')
+READINGS = ('positions', 'orientations')  # arrays (P, Q, J, n)
 
 
 def at_rest(inputs: FloatArray) -> BoolArray:
@@ -177,10 +186,20 @@ class DataSet(TextResult):
         robot = load_robot(robot)
         if not hasattr(frame, 'columns'):
             raise refusal(name, 'a DataFrame (of arrays: DataSet.from_arrays)', frame)
-        arrays = read_frame(frame, robot.inputs, name)
-        noises = position_noise, setting_noise, trial_noise, accuracy
-        return _checked(
-            cls, arrays, robot, markers, _Metadata(name, input, path, gravity, *noises)
+        arrays, labels, places = read_frame(frame, robot.inputs, name)
+        return cls._checked(
+            robot,
+            places if markers is None else markers,
+            labels,
+            **arrays,
+            name=name,
+            input=input,
+            path=path,
+            gravity=gravity,
+            position_noise=position_noise,
+            setting_noise=setting_noise,
+            trial_noise=trial_noise,
+            accuracy=accuracy,
         )
 
     @classmethod
@@ -251,21 +270,66 @@ class DataSet(TextResult):
                 f'has shape {np.shape(positions)}',
                 'expected (postures, markers, 3) or (postures, trials, markers, 3)',
             )
-        P, Q, J = places.shape[:3]
-        arrays = FrameArrays(
-            names('postures', postures, P),
-            tuple(map(str, range(Q))),
+        P, _, J = places.shape[:3]
+        return cls._checked(
+            robot,
+            markers,
             tuple(str(j + 1) for j in range(J)),
-            None,
-            rows,
-            None,
-            places,
-            None,
+            postures=names('postures', postures, P),
+            inputs=rows,
+            positions=places,
+            name=name,
+            input=input,
+            path=path,
+            gravity=gravity,
+            position_noise=position_noise,
+            setting_noise=setting_noise,
+            trial_noise=trial_noise,
+            accuracy=accuracy,
         )
-        noises = position_noise, setting_noise, trial_noise, accuracy
-        return _checked(
-            cls, arrays, robot, markers, _Metadata(name, input, path, gravity, *noises)
-        )
+
+    @classmethod
+    def _checked(
+        cls,
+        robot: Robot,
+        markers: Sequence[Marker | float] | FloatArray | None,
+        labels: tuple[str, ...],
+        **values: Any,
+    ) -> DataSet:
+        """Return the data set of these values if they are in plausible units."""
+        choice('input', values['input'], INPUTS)
+        choice('path', values['path'], LOADINGS)
+        for key, (maximum, unit) in LIMITS.items():
+            if values[key] is not None:
+                number(key, values[key], 0.0, maximum, unit)
+        if values['gravity'] is not None:
+            values['gravity'] = tuple(finite('gravity', values['gravity'], 3).tolist())
+        placed = place_markers(robot, markers, labels, values['name'])
+        dataset = cls(robot=robot, markers=placed, **values)
+        dataset._check_units()
+        return dataset
+
+    def _check_units(self) -> None:
+        """Raise DataSetError where a value is too large for this robot, or a tension pushes."""
+        length, limit = self.robot.length, self.robot.tension_limits[1]
+        remedy = 'give metres and newtons, in the base frame'
+        far = float(np.nan_to_num(np.abs(self.positions)).max(initial=0.0))
+        inputs = np.nan_to_num(self.inputs)
+        low, high = float(inputs.min(initial=0.0)), float(inputs.max(initial=0.0))
+        if not ((self.arc_lengths >= 0.0) & (self.arc_lengths <= length + 1e-9)).all():
+            place = np.nanmax(self.arc_lengths)
+            problem = f'a marker is at {place:g} m of an arm of {length:g} m'
+        elif far > PLAUSIBLE_FACTOR * length:
+            problem = f'a marker is {far:g} m away, but the robot is only {length:g} m long'
+        elif self.input == 'displacement' and max(-low, high) > length:
+            problem = f'a wire is pulled by {max(-low, high):g} m on an arm of {length:g} m'
+        elif self.input == 'tension' and high > PLAUSIBLE_FACTOR * limit:
+            problem, remedy = too_tense('a tendon', high, limit)
+        elif self.input == 'tension' and low < 0.0:
+            problem = f'a tension is {low:g} N, but a tendon cannot push'
+        else:
+            return
+        raise DataSetError(self.name, problem, remedy)
 
     def frame(self) -> Any:
         """
@@ -275,25 +339,29 @@ class DataSet(TextResult):
         quaternion where there is one; postures, trials and markers are categories in their order,
         markers from the base to the tip. `from_frame` makes the same measurements of it.
         """
-        arrays = FrameArrays(
-            self.postures,
-            self.trial_names,
-            tuple(marker.name for marker in self.markers),
-            self.arc_lengths,
-            self.inputs,
-            self.trial_inputs,
-            self.positions,
-            self.orientations,
-        )
-        unit = 'N' if self.input == 'tension' else 'm'
-        units = dict.fromkeys(('arc_length', 'x', 'y', 'z'), 'm')
-        units |= dict.fromkeys(self.input_names, unit)
+        measured = self.trial_mask.copy()  # (P, Q)
+        measured[~measured.any(axis=1), 0] = True  # an unmeasured posture has a row per marker
+        posture, trial = np.nonzero(measured)
+        count = len(self.markers)
+        p, q = np.repeat(posture, count), np.repeat(trial, count)
+        j = np.tile(range(count), len(trial))
         ordered = {
-            'posture': arrays.postures,
-            'trial': arrays.trials,
-            'marker': arrays.markers,
+            'posture': self.postures,
+            'trial': self.trial_names,
+            'marker': tuple(marker.name for marker in self.markers),
         }
-        return make_frame(frame_columns(arrays, self.input_names), units, ordered)
+        columns: dict[str, Any] = {
+            key: np.array(texts, dtype=object)[row]
+            for (key, texts), row in zip(ordered.items(), (p, q, j), strict=True)
+        }
+        columns['arc_length'] = self.arc_lengths[j]
+        columns |= dict(zip(POSITION, self.positions[p, q, j].T, strict=True))
+        if self.orientations is not None:
+            columns |= dict(zip(QUATERNION, self.orientations[p, q, j].T, strict=True))
+        columns |= dict(zip(self.input_names, self.inputs_by_trial[p, q].T, strict=True))
+        units = dict.fromkeys(('arc_length', *POSITION), 'm')
+        units |= dict.fromkeys(self.input_names, 'N' if self.input == 'tension' else 'm')
+        return make_frame(columns, units, ordered)
 
     @property
     def input_names(self) -> tuple[str, ...]:
@@ -393,12 +461,18 @@ class DataSet(TextResult):
         end = len(chosen) if self.visits else int(np.flatnonzero(chosen)[-1]) + 1
         part = self._rows(np.arange(end))
         hidden = ~chosen[: len(part.postures), None, None, None]
-        orientations = part.orientations
-        return replace(
-            part,
-            positions=np.where(hidden, np.nan, part.positions),
-            orientations=None if orientations is None else np.where(hidden, np.nan, orientations),
-        )
+        return part.changed(lambda array: np.where(hidden, np.nan, array), *READINGS)
+
+    def changed(self, change: Callable[[Any], Any], *names: str, **values: Any) -> DataSet:
+        """Return the data set with these arrays changed, as far as it has them, and values."""
+        arrays = {n: change(array) for n in names if (array := getattr(self, n)) is not None}
+        return replace(self, **arrays, **values)
+
+    def without_unseen_markers(self) -> DataSet:
+        """Return the data set of the markers that were visible in any trial."""
+        visible = self.mask.any(axis=(0, 1))
+        markers = tuple(m for m, one in zip(self.markers, visible, strict=True) if one)
+        return self.changed(lambda array: array[:, :, visible], *READINGS, markers=markers)
 
     def hold_out(self, share: float = 0.25, seed: int = 0) -> tuple[DataSet, DataSet]:
         """
@@ -441,23 +515,21 @@ class DataSet(TextResult):
             wide = own.reshape(*own.shape, *(1,) * (array.ndim - 2))
             return np.where(wide, array[split.command], other)
 
-        turned, each = self.orientations, self.trial_inputs
-        return replace(
-            self,
+        each = self.trial_inputs
+        return self.changed(
+            part,
+            *READINGS,
             postures=split.postures,
             inputs=inputs,
-            positions=part(self.positions),
-            orientations=None if turned is None else part(turned),
             trial_inputs=None if each is None else part(each, inputs[:, None]),
             path='visits',
             visits=split.visits,
         )
 
     def _rows(self, rows: NDArray[np.intp]) -> DataSet:
-        names = 'inputs', 'part', 'positions', 'orientations', 'trial_inputs'
-        arrays = {name: getattr(self, name) for name in names}
-        kept: dict[str, Any] = {n: a[rows] for n, a in arrays.items() if a is not None}
-        return replace(self, postures=tuple(self.postures[i] for i in rows), **kept)
+        postures = tuple(self.postures[i] for i in rows)
+        arrays = ('inputs', 'part', 'trial_inputs', *READINGS)
+        return self.changed(lambda array: array[rows], *arrays, postures=postures)
 
 
 class HasDataSet(Protocol):
@@ -474,57 +546,4 @@ def as_dataset(data: object) -> DataSet:
     if not isinstance(dataset, DataSet):
         frame = FRAME if hasattr(data, 'columns') else ''
         raise refusal('data', f'{EXPECTED}{frame}', data)
-    return dataset
-
-
-class _Metadata(NamedTuple):
-    """How arrays were measured."""
-
-    name: str
-    input: str
-    path: str
-    gravity: Vector | None
-    position_noise: float | None
-    setting_noise: float
-    trial_noise: float
-    accuracy: float | None
-
-
-# [m] and [1] largest noise and accuracy, because what is larger is in another unit
-LIMITS = {
-    'position_noise': (0.1, 'm'),
-    'accuracy': (0.1, 'm'),
-    'setting_noise': (0.5, '1'),
-    'trial_noise': (0.5, '1'),
-}
-
-
-def _checked(
-    cls: type[DataSet],
-    arrays: FrameArrays,
-    robot: Robot,
-    markers: Sequence[Marker | float] | None,
-    metadata: _Metadata,
-) -> DataSet:
-    """Return a data set of arrays whose values are in plausible units."""
-    choice('input', metadata.input, INPUTS)
-    choice('path', metadata.path, LOADINGS)
-    for key, (maximum, unit) in LIMITS.items():
-        if getattr(metadata, key) is not None:
-            number(key, getattr(metadata, key), 0.0, maximum, unit)
-    if metadata.gravity is not None:
-        down = finite('gravity', metadata.gravity, 3)
-        metadata = metadata._replace(gravity=(float(down[0]), float(down[1]), float(down[2])))
-    dataset = cls(
-        robot=robot,
-        markers=place_markers(arrays, robot, markers, metadata.name),
-        postures=arrays.postures,
-        inputs=arrays.inputs,
-        positions=arrays.positions,
-        orientations=arrays.orientations,
-        trial_inputs=arrays.trial_inputs,
-        trial_names=arrays.trials,
-        **metadata._asdict(),
-    )
-    check_units(dataset.name, robot, dataset.arc_lengths, dataset.input, arrays)
     return dataset

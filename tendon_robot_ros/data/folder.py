@@ -6,7 +6,7 @@ import csv
 import math
 import os
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +79,10 @@ class Description:
     accuracy: float | None
     known: Known
     markers: tuple[Marker, ...] | None  # None = one per cell
+
+    def values(self) -> dict[str, Any]:
+        """Return them by the names that they have in a data set, without the markers."""
+        return {key: value for key, value in vars(self).items() if key != 'markers'}
 
 
 NO_FOLDER = (
@@ -222,9 +226,6 @@ def dump_description(dataset: DataSet) -> str:
     )
 
 
-OWN_FIELDS = ('markers', 'path')  # fields of a description that are taken one by one
-
-
 def read_folder(folder: Path, robot: Robot | None = None) -> DataSet:
     """
     Read and check a data set; nothing in its files is ever executed.
@@ -274,20 +275,18 @@ def read_folder(folder: Path, robot: Robot | None = None) -> DataSet:
     if description.markers and not visible.all():
         problem = f'{names[int(visible.argmin())]!r} was never seen in shapes.csv'
         raise DataSetError(f'{path}: markers', problem, 'correct the name or remove the marker')
-    orientations = shapes.orientations
     dataset = DataSet(
         name=str(folder),
         robot=robot,
-        markers=tuple(marker for marker, one in zip(markers, visible, strict=True) if one),
+        markers=markers,
         postures=commands.postures,
         inputs=commands.by_posture(),
         trial_names=shapes.trials,
         trial_inputs=commands.by_trial(shapes.trials),
-        positions=shapes.positions[:, :, visible],
-        orientations=None if orientations is None else orientations[:, :, visible],
-        path='sequence' if visits else description.path,
-        **{key: value for key, value in vars(description).items() if key not in OWN_FIELDS},
-    )
+        positions=shapes.positions,
+        orientations=shapes.orientations,
+        **description.values() | {'path': 'sequence' if visits else description.path},
+    ).without_unseen_markers()
     return _by_history(dataset, commands) if visits else dataset
 
 
@@ -325,8 +324,8 @@ def described_robot(folder: str | Path) -> Robot:
 
 def _by_history(dataset: DataSet, commands: Commands) -> DataSet:
     """Split the trials of each posture by the command before."""
-    code, known = commands.table.codes['posture'], commands.trials is not None
-    trial = commands.table.translate('trial', dataset.trial_names) if known else None
+    code, known = commands.file.codes['posture'], commands.trials is not None
+    trial = commands.file.translate('trial', dataset.trial_names) if known else None
     trial_mask = dataset.trial_mask
     measured = trial_mask.any(axis=1)[code] if trial is None else trial_mask[code, trial]
     if commands.origin is not None:
@@ -391,14 +390,7 @@ def save_dataset(
             'select the measured postures',
         )
     refuse_dataset_in(folder, overwrite)
-    visible, orientations = dataset.mask.any(axis=(0, 1)), dataset.orientations
-    if not visible.all():
-        dataset = replace(
-            dataset,
-            markers=tuple(m for m, one in zip(dataset.markers, visible, strict=True) if one),
-            positions=dataset.positions[:, :, visible],
-            orientations=None if orientations is None else orientations[:, :, visible],
-        )
+    dataset = dataset.without_unseen_markers()
     with new_folder(Path(folder), (*FILES, *BESIDE) if overwrite else ()) as new:
         (new / 'dataset.yaml').write_text(dump_description(dataset), encoding='utf-8')
         (new / 'robot.yaml').write_text(dump_robot(dataset.robot), encoding='utf-8')

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..common.errors import DataSetError
 from ..common.words import listing
 from ..robot import Robot
 from .arrays import PLAUSIBLE_FACTOR, POSITION, QUATERNION, VALUES_MAX, too_tense
-from .csv_file import NEEDED, CsvFile, IntArray, Table
-from .dataset import FloatArray
+from .csv_file import NEEDED, CsvFile
+from .dataset import BoolArray, FloatArray, IntArray
 from .visits import STRAIGHT
 
 VISIT, ORIGIN = HISTORY = ('visit', 'previous')  # columns of the history of a posture
@@ -24,20 +23,19 @@ class Commands:
     """The R rows of inputs.csv."""
 
     file: CsvFile
-    table: Table
     values: FloatArray  # (R, m) [N] or [m], NaN = slack
-    visit: IntArray | None = None  # (R,) order of the visits; None: not in the file
-    origin: IntArray | None = None  # (R,) index of the posture before, `STRAIGHT` for none
+    visit: IntArray | None  # (R,) order of the visits; None: not in the file
+    origin: IntArray | None  # (R,) index of the posture before, `STRAIGHT` for none
 
     @property
     def postures(self) -> tuple[str, ...]:
         """Names of the postures (P,), in the order of the file."""
-        return self.table.labels['posture']
+        return self.file.labels['posture']
 
     @property
     def trials(self) -> tuple[str, ...] | None:
         """Names of the trials, None where the values hold for all trials of a posture."""
-        return self.table.labels.get('trial')
+        return self.file.labels.get('trial')
 
     def by_posture(self) -> FloatArray:
         """
@@ -49,22 +47,19 @@ class Commands:
             A tendon is slack in some trials of a posture and pulled in others.
 
         """
-        posture = self.table.codes['posture']
-        shape = (len(self.postures), self.values.shape[1])
-        total, pulled, rows = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+        posture = self.file.codes['posture']
         slack = np.isnan(self.values)
+        total, pulled = np.zeros((2, len(self.postures), self.values.shape[1]))
         np.add.at(total, posture, np.where(slack, 0.0, self.values))
         np.add.at(pulled, posture, ~slack)
-        np.add.at(rows, posture, 1.0)
-        mixed = (pulled > 0) & (pulled < rows)
-        if mixed.any():
-            row = int(np.argmax((slack & mixed[posture]).any(axis=1)))
-            raise self.file.error(
-                row + 2,
-                'a tendon is slack here and pulled in other trials of '
-                f'posture {self.postures[posture[row]]!r}',
-                'give postures of different inputs different names',
-            )
+        mixed = (pulled > 0) & (pulled < np.bincount(posture)[:, None])
+        where = (slack & mixed[posture]).any(axis=1)
+        self.file.refuse(
+            where,
+            'a tendon is slack here and pulled in other trials of '
+            f'posture {self.file.label(int(where.argmax()), "posture")!r}',
+            'give postures of different inputs different names',
+        )
         return np.where(pulled > 0, total / np.maximum(pulled, 1), np.nan)
 
     def by_trial(self, trials: tuple[str, ...]) -> FloatArray | None:
@@ -75,12 +70,13 @@ class Commands:
         """
         if self.trials is None:
             return None
+        posture = self.file.codes['posture']
         if self.visit is not None or self.origin is not None:
-            first = self.values[np.unique(self.table.codes['posture'], return_index=True)[1]]
-            if np.array_equal(first[self.table.codes['posture']], self.values, equal_nan=True):
+            first = self.values[np.unique(posture, return_index=True)[1]]
+            if np.array_equal(first[posture], self.values, equal_nan=True):
                 return None
         values = np.full((len(self.postures), len(trials), self.values.shape[1]), np.nan)
-        values[self.table.codes['posture'], self.table.translate('trial', trials)] = self.values
+        values[posture, self.file.translate('trial', trials)] = self.values
         return values
 
 
@@ -118,10 +114,10 @@ def read_inputs(
     check_drums(file, robot)
     names = ('posture', 'trial') if 'trial' in file.header else ('posture',)
     numbers = [name for name in (*robot.inputs, *drums, VISIT) if name in file.header]
-    table = file.read(names, numbers, [ORIGIN] if ORIGIN in file.header else [])
-    values = wound(file, table, robot)
+    file.read(names, numbers, [ORIGIN] if ORIGIN in file.header else [])
+    values = wound(file, robot)
     _check(file, values, robot, kind)
-    return Commands(file, table, values, visits_of(file, table), origins(file, table))
+    return Commands(file, values, visits_of(file), origins(file))
 
 
 def check_drums(file: CsvFile, robot: Robot) -> None:
@@ -137,16 +133,14 @@ def check_drums(file: CsvFile, robot: Robot) -> None:
             raise file.error(1, f'column {missing!r} is missing', remedy)
 
 
-def wound(file: CsvFile, table: Table, robot: Robot) -> FloatArray:
+def wound(file: CsvFile, robot: Robot) -> FloatArray:
     """Return the values of the inputs (R, m); a drum winds each of its wires."""
-    columns = {name: table.numbers[name] for name in robot.inputs if name in table.numbers}
-    for drum, wound in robot.drums.items():
-        if drum in table.numbers:
-            turned = table.numbers[drum]
-            if np.isnan(turned).any():
-                row = int(np.isnan(turned).argmax()) + 2
-                raise file.error(row, f'{drum} is empty', 'a drum is never slack: write its pull')
-            columns |= {wire: winding * turned for wire, winding in wound.items()}
+    columns = dict(file.numbers)
+    for drum, wires in robot.drums.items():
+        if drum in columns:
+            remedy = 'a drum is never slack: write its pull'
+            file.refuse(np.isnan(columns[drum]), f'{drum} is empty', remedy)
+            columns |= {wire: winding * columns[drum] for wire, winding in wires.items()}
     return np.stack([columns[name] for name in robot.inputs], axis=1)
 
 
@@ -164,41 +158,37 @@ def check_history(file: CsvFile, visits: bool) -> None:
         raise file.error(1, "visits are counted, but column 'trial' is missing", 'add it')
 
 
-def visits_of(file: CsvFile, table: Table) -> IntArray | None:
+def visits_of(file: CsvFile) -> IntArray | None:
     """Return the numbers of the visits (R,), None where the file has none."""
-    if VISIT not in table.numbers:
+    if VISIT not in file.numbers:
         return None
-    visit = table.numbers[VISIT]
+    visit = file.numbers[VISIT]
     whole = np.isfinite(visit) & (visit == np.round(visit)) & (np.abs(visit) < 2**53)
-    if not whole.all():
-        raise file.error(int(whole.argmin()) + 2, 'visit is no whole number', 'count the visits')
-    first = np.unique(visit, return_index=True)[1]
-    if len(first) < len(visit):
-        row = int(np.setdiff1d(np.arange(len(visit)), first)[0])
-        remedy = 'give every visit its own number'
-        raise file.error(row + 2, f'visit {visit[row]:.0f} stands twice', remedy)
+    file.refuse(~whole, 'visit is no whole number', 'count the visits')
+    again = np.ones(len(visit), dtype=bool)
+    again[np.unique(visit, return_index=True)[1]] = False
+    problem = f'visit {visit[again.argmax()]:.0f} stands twice'
+    file.refuse(again, problem, 'give every visit its own number')
     return np.asarray(visit, dtype=np.int64)
 
 
-def origins(file: CsvFile, table: Table) -> IntArray | None:
+def origins(file: CsvFile) -> IntArray | None:
     """Return the index of the posture before (R,), None if the file has no such column."""
-    if ORIGIN not in table.labels:
+    if ORIGIN not in file.labels:
         return None
-    postures, names = table.labels['posture'], table.labels[ORIGIN]
-    origin = table.translate(ORIGIN, postures)
-    unknown = (origin < 0) & np.array([name != '' for name in names])[table.codes[ORIGIN]]
-    if unknown.any():
-        row = int(unknown.argmax())
-        raise file.error(
-            row + 2,
-            f'previous is {names[table.codes[ORIGIN][row]]!r}, which no row describes',
-            f'use one of {listing(postures)}, or leave it empty: from the straight arm',
-        )
+    postures, names = file.labels['posture'], file.labels[ORIGIN]
+    origin = file.translate(ORIGIN, postures)
+    unknown = (origin < 0) & np.array([name != '' for name in names])[file.codes[ORIGIN]]
+    file.refuse(
+        unknown,
+        f'previous is {file.label(int(unknown.argmax()), ORIGIN)!r}, which no row describes',
+        f'use one of {listing(postures)}, or leave it empty: from the straight arm',
+    )
     return np.where(origin < 0, STRAIGHT, origin)
 
 
 def _check(file: CsvFile, values: FloatArray, robot: Robot, kind: str) -> None:
-    def refuse(where: NDArray[np.bool_], problem: str, remedy: str) -> None:
+    def refuse(where: BoolArray, problem: str, remedy: str) -> None:
         if where.any():
             row, column = np.argwhere(where)[0]
             text = problem.format(name=robot.inputs[column], value=values[row, column])
@@ -224,7 +214,7 @@ def _check(file: CsvFile, values: FloatArray, robot: Robot, kind: str) -> None:
 
 
 KEYS = ('posture', 'trial', 'marker')
-Places = tuple[IntArray, IntArray, NDArray[np.bool_], tuple[str, ...]]
+Places = tuple[IntArray, IntArray, BoolArray, tuple[str, ...]]
 
 
 @dataclass(frozen=True)
@@ -271,13 +261,13 @@ def read_shapes(
             f'{", ".join(turned)} alone are no quaternion',
             f'write {", ".join(QUATERNION)}, or none of them',
         )
-    table = file.read(KEYS, (*POSITION, *turned))
-    xyz = np.stack([table.numbers[name] for name in POSITION], axis=1)
+    file.read(KEYS, (*POSITION, *turned))
+    xyz = file.columns(POSITION)
     _check_positions(file, xyz, robot)
-    trials = sort_trials((*table.labels['trial'], *(commands.trials or ())))
-    posture = _known(file, table, 'posture', commands.postures, 'inputs.csv has no such posture')
-    marker = _known(file, table, 'marker', markers, 'dataset.yaml has no such marker')
-    trial = table.translate('trial', trials)
+    trials = sort_trials((*file.labels['trial'], *(commands.trials or ())))
+    posture = _known(file, 'posture', commands.postures, 'inputs.csv has no such posture')
+    marker = _known(file, 'marker', markers, 'dataset.yaml has no such marker')
+    trial = file.translate('trial', trials)
     sizes = len(commands.postures), len(trials), len(markers)
     if np.prod(sizes, dtype=float) > VALUES_MAX:
         raise DataSetError(
@@ -286,45 +276,33 @@ def read_shapes(
             'count the trials of every posture from 0',
         )
     visible = ~np.isnan(xyz[:, 0])
-    _check_trials(file, table, commands, (posture, trial, visible, trials), sequence)
+    _check_trials(file, commands, (posture, trial, visible, trials), sequence)
     positions = np.full((*sizes, 3), np.nan)
     positions[posture, trial, marker] = xyz
     orientations = None
     if turned:
         orientations = np.full((*sizes, 4), np.nan)
-        orientations[posture, trial, marker] = _quaternions(file, table, visible)
+        orientations[posture, trial, marker] = _quaternions(file, visible)
     return Shapes(trials, positions, orientations)
 
 
-def _refuse(file: CsvFile, where: NDArray[np.bool_], problem: str, remedy: str) -> None:
-    """Raise the error for the first row where something holds."""
-    if where.any():
-        raise file.error(int(where.argmax()) + 2, problem, remedy)
-
-
-def _known(
-    file: CsvFile, table: Table, key: str, known: tuple[str, ...], problem: str
-) -> IntArray:
-    places = table.translate(key, known)
-    if (places < 0).any():
-        row = int((places < 0).argmax())
-        name = table.labels[key][table.codes[key][row]]
-        raise file.error(row + 2, f'{key} {name!r}: {problem}', f'use one of {listing(known)}')
+def _known(file: CsvFile, key: str, known: tuple[str, ...], problem: str) -> IntArray:
+    places = file.translate(key, known)
+    name = file.label(int((places < 0).argmax()), key)
+    file.refuse(places < 0, f'{key} {name!r}: {problem}', f'use one of {listing(known)}')
     return places
 
 
 def _check_positions(file: CsvFile, xyz: FloatArray, robot: Robot) -> None:
     missing = np.isnan(xyz)
-    _refuse(
-        file,
+    file.refuse(
         missing.any(axis=1) & ~missing.all(axis=1),
         'only part of x, y, z is there',
         'write all three, or leave all three empty where the marker was not seen',
     )
     beyond = (np.abs(xyz) > PLAUSIBLE_FACTOR * robot.length).any(axis=1)
     far = np.abs(xyz[int(beyond.argmax())]).max()
-    _refuse(
-        file,
+    file.refuse(
         beyond,
         f'the marker is {far:g} m away, but the robot is only {robot.length:g} m long',
         'write metres in the base frame (are these mm?)',
@@ -339,64 +317,55 @@ def sort_trials(names: tuple[str, ...]) -> tuple[str, ...]:
     return unique
 
 
-def _check_trials(
-    file: CsvFile, table: Table, commands: Commands, places: Places, sequence: bool
-) -> None:
+def _check_trials(file: CsvFile, commands: Commands, places: Places, sequence: bool) -> None:
     """Refuse trials without a measurement, measurements without inputs and the reverse."""
     posture, trial, visible, trials = places
     measured = np.zeros((len(commands.postures), len(trials)), dtype=bool)
     measured[posture[visible], trial[visible]] = True
-    empty = ~measured[posture, trial]
-    _refuse(
-        file,
-        empty,
-        f'{table.name(int(empty.argmax()), *KEYS[:2])}: no marker was seen in this trial',
-        'remove its rows',
-    )
-    codes = commands.table.codes
+
+    def refuse(where: BoolArray, problem: str, remedy: str) -> None:
+        file.refuse(where, f'{file.name(int(where.argmax()), *KEYS[:2])}: {problem}', remedy)
+
+    refuse(~measured[posture, trial], 'no marker was seen in this trial', 'remove its rows')
+    rows = commands.file.codes['posture']
     if commands.trials is None:
-        is_measured = measured.any(axis=1)[codes['posture']]
+        is_measured = measured.any(axis=1)[rows]
     else:
-        rows = codes['posture'], commands.table.translate('trial', trials)
+        trial_rows = commands.file.translate('trial', trials)
         commanded = np.zeros_like(measured)
-        commanded[rows] = True
-        alone = ~commanded[posture, trial]
-        _refuse(
-            file,
-            alone,
-            f'{table.name(int(alone.argmax()), *KEYS[:2])}: inputs.csv has no row for this trial',
+        commanded[rows, trial_rows] = True
+        refuse(
+            ~commanded[posture, trial],
+            'inputs.csv has no row for this trial',
             'add its inputs there or remove its rows here',
         )
-        is_measured = measured[rows]
-    if not sequence and not is_measured.all():
+        is_measured = measured[rows, trial_rows]
+    if not sequence:
         row = int(is_measured.argmin())
-        raise commands.file.error(
-            row + 2,
-            f'{commands.table.name(row)}: {file.path.name} has no such measurement',
+        commands.file.refuse(
+            ~is_measured,
+            f'{commands.file.name(row)}: {file.path.name} has no such measurement',
             'add it there or remove this row',
         )
 
 
-def _quaternions(file: CsvFile, table: Table, visible: NDArray[np.bool_]) -> FloatArray:
+def _quaternions(file: CsvFile, visible: BoolArray) -> FloatArray:
     """Return unit quaternions, (n, 4)."""
-    q = np.stack([table.numbers[name] for name in QUATERNION], axis=1)
+    q = file.columns(QUATERNION)
     missing = np.isnan(q)
-    _refuse(
-        file,
+    file.refuse(
         missing.any(axis=1) & ~missing.all(axis=1),
         'only part of the quaternion is there',
         'write qx, qy, qz and qw, or leave all four empty',
     )
-    _refuse(
-        file,
+    file.refuse(
         ~missing.all(axis=1) & ~visible,
         'an orientation without a position',
         'write x, y, z too, or leave the quaternion empty',
     )
     norm = np.linalg.norm(q, axis=1)
-    _refuse(file, norm < 1e-6, 'the quaternion is zero', 'leave it empty where it is unknown')
-    _refuse(
-        file,
+    file.refuse(norm < 1e-6, 'the quaternion is zero', 'leave it empty where it is unknown')
+    file.refuse(
         np.abs(norm - 1.0) > 0.05,
         'the quaternion is not of length 1',
         'write qx, qy, qz, qw of a unit quaternion, in this order',

@@ -65,47 +65,35 @@ def read_path(path: str | Path, inputs: tuple[str, ...]) -> TipRows | TendonRows
         header = set()
     if header & set(inputs):
         columns = ('time', *inputs)
-        file = CsvFile(path, columns, columns, 'write a number', NO_PATH)
-        table = file.read((), file.header).numbers
-        values = np.column_stack([table[name] for name in inputs])
-        _no_gaps(file, np.column_stack([table['time'], values]))
-        return TendonRows(_times(file, table['time']), values)
+        file = CsvFile(path, columns, columns, 'write a number', NO_PATH).read((), columns)
+        values = file.columns(inputs)
+        return TendonRows(_times(file, values), values)
     file = CsvFile(path, PLACE, ('time', *PLACE, *VIEW), missing, NO_PATH)
-    table = file.read((), file.header).numbers
-    positions = np.column_stack([table[name] for name in PLACE])
-    times = table.get('time')
-    _no_gaps(file, positions if times is None else np.column_stack([times, positions]))
+    file.read((), file.header)
+    positions = file.columns(PLACE)
+    times = _times(file, positions)
     directions = np.full((len(positions), 3), np.nan)
-    if present := [table[name] for name in VIEW if name in table]:
+    if present := [name for name in VIEW if name in file.numbers]:
         if len(present) < 3:
             raise DataSetError(str(path), 'a direction needs dx, dy and dz', 'add the columns')
-        values = np.column_stack(present)
+        values = file.columns(VIEW)
         empty = np.isnan(values)
-        half = np.flatnonzero(empty.any(axis=1) & ~empty.all(axis=1))
-        if len(half):
-            raise file.error(int(half[0]) + 2, 'half a direction', 'write dx, dy and dz, or none')
+        half = empty.any(axis=1) & ~empty.all(axis=1)
+        file.refuse(half, 'half a direction', 'write dx, dy and dz, or none')
         sizes = np.linalg.norm(values, axis=1)
-        if np.any(sizes < 1e-6):
-            row = int(np.flatnonzero(sizes < 1e-6)[0])
-            raise file.error(row + 2, 'the direction is zero', 'write where the tip looks')
+        file.refuse(sizes < 1e-6, 'the direction is zero', 'write where the tip looks')
         directions = values / sizes[:, None]
-    return TipRows(None if times is None else _times(file, times), positions, directions)
+    return TipRows(times if 'time' in file.numbers else None, positions, directions)
 
 
-def _no_gaps(file: CsvFile, values: FloatArray) -> None:
-    empty = np.flatnonzero(np.isnan(values).any(axis=1))
-    if len(empty):
-        raise file.error(int(empty[0]) + 2, 'a cell is empty', 'write a number')
-
-
-def _times(file: CsvFile, times: FloatArray) -> FloatArray:
-    back = np.flatnonzero(np.diff(times) <= 0.0)
-    if len(back):
-        raise file.error(
-            int(back[0]) + 3, 'time does not grow', 'write the time of every row after the last'
-        )
-    shifted: FloatArray = times - times[0]
-    return shifted
+def _times(file: CsvFile, values: FloatArray) -> FloatArray:
+    """Return the times (n,) [s] of values (n, c) from 0, else their rows; refuse gaps."""
+    times = file.numbers.get('time', np.arange(len(values), dtype=float))
+    empty = np.isnan(np.column_stack([times, values])).any(axis=1)
+    file.refuse(empty, 'a cell is empty', 'write a number')
+    back = np.diff(times, prepend=-np.inf) <= 0.0
+    file.refuse(back, 'time does not grow', 'write the time of every row after the last')
+    return np.asarray(times - times[0])
 
 
 def write_path(path: Path, rows: TipRows | TendonRows, inputs: tuple[str, ...]) -> None:

@@ -115,8 +115,7 @@ def read_slip_angles(path: str | Path) -> tuple[tuple[str, ...], npt.NDArray[np.
     """
     remedy = f'name a CSV file with the columns {", ".join(COLUMNS)}'
     file = CsvFile(Path(path), COLUMNS, COLUMNS, 'leave the row out', remedy)
-    table = file.read(COLUMNS[:1], COLUMNS[1:])
-    degrees = table.numbers['angle_deg']
+    degrees = file.read(COLUMNS[:1], COLUMNS[1:]).numbers['angle_deg']
     for i in np.flatnonzero(~((degrees > 0.0) & (degrees < 90.0))):
         raise file.error(
             int(i) + 2,
@@ -126,8 +125,8 @@ def read_slip_angles(path: str | Path) -> tuple[tuple[str, ...], npt.NDArray[np.
     if degrees.max() < RADIANS_BELOW_DEG:
         problem = f'no angle exceeds {RADIANS_BELOW_DEG}°'
         raise DataSetError(str(path), problem, 'write degrees, not radians')
-    labels = table.labels['measurement']
-    return tuple(labels[code] for code in table.codes['measurement']), np.radians(degrees)
+    labels = file.labels['measurement']
+    return tuple(labels[code] for code in file.codes['measurement']), np.radians(degrees)
 
 
 def slip_friction(names: tuple[str, ...], angles: npt.ArrayLike) -> SlipFriction:

@@ -9,8 +9,7 @@ columns.py        named columns of numbers, as they were found (a DataFrame as w
                   column is, by its name
 markers.py        which columns are markers (points, centres of rims, bodies), whether they were
                   seen, and where on the arm each marker is
-recipe.py         import.yaml: every choice written out
-choices.py        the columns and units that a recipe leaves open
+recipe.py         import.yaml: every choice written out; the columns and units that it leaves open
 traces.py         columns to inputs and markers over time, in SI units; the tracker's clock
 measuring.py      where the arm stood still: cleaned, named by posture and trial; whether it was
                   loaded from straight

@@ -16,11 +16,10 @@ from ..common.words import mm, postures
 from ..data import DataSet, save_dataset
 from ..data.dataset import at_rest
 from ..robot import Robot
-from .choices import Selection
 from .columns import FloatArray, marker_label
 from .markers import MarkerOrder
 from .measuring import Piece, StillMeasurements
-from .recipe import Recipe, dump_recipe
+from .recipe import Recipe, Selection, dump_recipe
 from .registration import TrackerFrame, angle_of
 
 if TYPE_CHECKING:

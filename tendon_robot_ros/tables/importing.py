@@ -15,18 +15,24 @@ from ..comparison.noise import input_effect, input_slopes
 from ..comparison.predict import Predictor
 from ..data import DataSet, Marker
 from ..data.folder import Description
-from ..data.recording.importing import segments_dataset
-from ..data.recording.still_segments import Segment
+from ..data.recording.still_segments import Segment, segments_dataset
 from ..data.visits import split_by_order
 from ..effects import Catalogue, CatalogueLike, load_catalogue
 from ..robot import Robot, RobotLike, load_robot
-from .choices import Selection, choose_columns
 from .columns import TRACKER_NOISE_M, FloatArray, RawTable, from_frame, marker_label
 from .imported import ImportedTable
 from .markers import AS_GIVEN, MarkerOrder, flag_columns, order_markers, places_contradicted
 from .measuring import FROM_STRAIGHT, SEQUENCE, VISITS, StillMeasurements, measure
 from .reading import read_tables, widened
-from .recipe import FrameChoice, MarkerColumns, Recipe, as_recipe
+from .recipe import (
+    FrameChoice,
+    MarkerColumns,
+    Recipe,
+    Selection,
+    Stillness,
+    as_recipe,
+    choose_columns,
+)
 from .registration import TrackerFrame, place, rotation_vector, side_offset, up_that_fits
 from .traces import follow_renumbered, make_traces
 
@@ -99,7 +105,7 @@ def import_table(
     places = [marker.arc_length for marker in chosen.recipe.markers or ()]
     if None in places or not places:
         positions = np.array([one.positions for one in measured.segments])
-        order = order_markers(positions, robot, chosen.recipe.places, name)
+        order = order_markers(positions, robot, chosen.recipe.places or (), name)
     else:  # the recipe gives their arc lengths
         arc_lengths = tuple(place for place in places if place is not None)
         order = MarkerOrder(tuple(range(len(places))), arc_lengths, AS_GIVEN)
@@ -152,12 +158,15 @@ def _written_out(
 ) -> Recipe:
     """Return the recipe with every choice, so that it reproduces this import without guesses."""
     x, y, z = frame.shift.tolist()
+    rule = measured.rule
     return replace(
         recipe,
         sources=tuple(t.name for t in tables),
         markers=markers,
-        change=measured.rule.change,
-        speed=measured.rule.speed,
+        points=None,
+        places=None,
+        offset=None,
+        still=Stillness(rule.speed, rule.duration, rule.change) if recipe.time else Stillness(),
         same=measured.same,
         rest=measured.rest,
         delay=measured.delays or None,
@@ -197,7 +206,9 @@ def _in_tracker_frame(
         )
         for i, (j, arc_length) in enumerate(zip(order.members, order.arc_lengths, strict=True))
     )
-    placed = tuple(Marker(m.name or '', m.arc_length or 0.0, m.offset) for m in markers)
+    placed = tuple(
+        Marker(m.name or '', m.arc_length or 0.0, m.offset or (0.0, 0.0, 0.0)) for m in markers
+    )
     members = list(order.members)
     segments = [
         replace(one, positions=one.positions[members], orientations=one.orientations[members])
@@ -212,7 +223,7 @@ def _in_tracker_frame(
 
 
 def _columns_dropped(chosen: Selection, tables: Sequence[RawTable]) -> list[str]:
-    markers = [point for marker in chosen.recipe.markers or () for point in marker.points]
+    markers = [point for marker in chosen.recipe.markers or () for point in marker.parts[0]]
     flags = {name.column for t in tables for name, _, _ in flag_columns(t, markers)}
     names = [column for column in chosen.unused if column not in flags]
     lines = [f'no markers: {line}' for line in chosen.unused_points]

@@ -25,9 +25,8 @@ from ..data.recording.still_segments import (
 )
 from ..data.tracker_faults import unseen_lines
 from ..robot import Robot
-from .choices import Selection
 from .columns import TRACKER_NOISE_M, FloatArray, marker_label
-from .recipe import Recipe
+from .recipe import Recipe, Selection
 from .traces import CutReadings, Traces, cut_out
 
 FROM_STRAIGHT, SEQUENCE, VISITS = 'from_straight', 'sequence', 'visits'
@@ -196,7 +195,8 @@ def measure(traces: Sequence[Traces], chosen: Selection, robot: Robot) -> StillM
     """
     recipe, kind = chosen.recipe, chosen.kind
     unit = 'N' if kind == 'tension' else 'm'
-    rule = Rule(recipe.speed or SPEED_LIMITS_M_S[0], recipe.duration, recipe.change)
+    still = recipe.still
+    rule = Rule(still.speed or Rule.speed, still.duration or Rule.duration, still.change)
     rule = rule.fill(robot, kind)
     motions: list[ArmMotion | None] = [None] * len(traces)
     unseen: dict[str, npt.NDArray[np.int64]] = {}  # readings (J,) that are none, by why
@@ -308,10 +308,10 @@ def _still_rule(
     """Return the thresholds of stillness for the noise of this tracker and these load cells."""
     speeds = np.concatenate([m.speed[np.isfinite(m.speed)] for m in motions])
     changes = np.concatenate([m.change[np.isfinite(m.change)] for m in motions])
-    if recipe.speed is None and len(speeds):
+    if recipe.still.speed is None and len(speeds):
         quiet = NOISE_MARGIN * float(np.quantile(speeds, QUIET_FRACTION))
         rule = replace(rule, speed=float(np.clip(round(quiet, 5), *SPEED_LIMITS_M_S)))
-    if recipe.change is None and len(changes):
+    if recipe.still.change is None and len(changes):
         size = max(float(np.nanquantile(np.abs(one.inputs), 0.995)) for one in traces)
         quiet = NOISE_MARGIN * float(np.quantile(changes, QUIET_FRACTION))
         low, high = (fraction * max(size, 1e-9) for fraction in CHANGE_FRACTIONS)

@@ -1,195 +1,257 @@
-"""import.yaml: how tables became a data set, every choice written out; gaps are guessed."""
+"""
+import.yaml: how tables became a data set, every choice written out.
+
+A recipe is read from a file, a mapping or options; the columns and units that it leaves open are
+chosen from the tables.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, TypeVar, get_origin, get_type_hints
 
+import numpy as np
 import yaml
 
-from ..common.errors import DataSetError, refusal
+from ..common.errors import DataSetError, InputError, refusal
 from ..common.files import read_text
-from ..common.words import UNITS, find_unit
+from ..common.words import TYPED_LENGTHS, UNITS, digits, find_unit, listing
 from ..common.yaml_reading import parse_yaml
 from ..data.arrays import Vector
 from ..data.dataset import PATHS
 from ..data.folder import DatasetFields
-from .columns import ColumnUse
-from .markers import CHOICES
-
-KEYS = (
-    *('sources', 'robot', 'time', 'inputs', 'zero', 'spool', 'positions', 'points', 'markers'),
-    *('offset', 'places', 'up', 'delay', 'drift', 'still', 'same', 'rest', 'path', 'frame'),
-    'leave_out',
+from ..data.tracker_faults import FAR_M, without_unseen
+from ..robot import Robot
+from .columns import (
+    FRAMES,
+    ColumnUse,
+    RawTable,
+    guess_inputs,
+    guess_time,
+    names_of,
+    need_column,
+    triples_of,
 )
-STILL = ('speed', 'duration', 'change')
+from .markers import CHOICES, FRAMES_MAX, Points, choose_points
+
 UPS = ('x', 'y', 'z', '-x', '-y', '-z')
 METHODS = ('model', 'level', 'straight', 'base')
+INPUT_KINDS = ('force', 'length', 'angle', 'counts', 'current')
 HEAD = """\
 # How the tables named under sources became the data set beside this file. SI units but for the
 # units of columns. Change a line, or take one out to have it guessed again, and run
 #   python -m tendon_robot_ros import-table --recipe THIS_FILE --output NEW_FOLDER
 """
+Part = TypeVar('Part')
+Read = Callable[['RecipeFields', str], Any]
+
+
+class RecipeFields(DatasetFields):
+    """Checked reading of import.yaml."""
+
+    def read(self, kind: type[Part]) -> Part:
+        """Read a dataclass by the annotations of its fields; a missing key is the default."""
+        hints = get_type_hints(kind, include_extras=True)
+        known = {name: hint.__metadata__[0] for name, hint in hints.items() if _is_key(hint)}
+        self.only(*known)
+        present = (name for name in known if self.has(name) or not hasattr(kind, name))
+        return kind(**{name: known[name](self, name) for name in present})
+
+    def text(self, name: str) -> str:
+        """Return a text such as the name of a column."""
+        value = self.content[name]
+        if isinstance(value, bool | list | dict):
+            raise self.error(name, 'a text (put it in quotes: YAML reads it otherwise)', value)
+        return str(value)
+
+    def texts(self, name: str) -> tuple[str, ...]:
+        """Return the names of files."""
+        if not isinstance(self.content[name], list):
+            raise self.error(name, 'a list of files', self.content[name])
+        return tuple(map(str, self.content[name]))
+
+    def list_of_numbers(self, name: str) -> tuple[float, ...]:
+        """Return one number or a list of them as a tuple."""
+        values = self.numbers(name)
+        return values if isinstance(values, tuple) else (values,)
+
+    def xyz(self, name: str) -> Vector:
+        """Return three numbers."""
+        x, y, z = self.vector(name, 3)
+        return x, y, z
+
+    def unit(self, name: str, *kinds: str) -> str:
+        """Return a unit of these kinds."""
+        text = self.text(name)
+        unit = find_unit(text)
+        if unit is None or unit.kind not in kinds:
+            known = ', '.join(unit for kind in kinds for unit in UNITS[kind])
+            raise self.error(name, f'one of {known}', text)
+        return text
+
+    def length_unit(self, name: str) -> str:
+        """Return a unit of lengths."""
+        return self.unit(name, 'length')
+
+    def markers(self, name: str) -> tuple[MarkerColumns, ...]:
+        """Return the columns of each marker."""
+        return tuple(item.read(MarkerColumns) for item in self.items(name))
+
+    def points(self, name: str, columns: Any = None) -> tuple[str, ...]:
+        """Return the columns of x, y and z of one point, or of three and more on a rim."""
+        columns = self.content.get(name) if columns is None else columns
+        if not isinstance(columns, list) or len(columns) not in (3, *range(9, 100, 3)):
+            expected = 'the columns of x, y and z, of one point or of three and more around a disk'
+            raise self.error(name, expected, columns)
+        return tuple(map(str, columns))
+
+    def later(self, name: str) -> tuple[tuple[str, ...], ...]:
+        """Return columns in which a marker goes on."""
+        if not isinstance(self.content[name], list):
+            raise self.error(name, 'a list of the columns of x, y and z', self.content[name])
+        return tuple(self.points(name, columns) for columns in self.content[name])
+
+    def times(self, name: str) -> dict[str, str]:
+        """Return the unit of each column of times."""
+        times = self.child(name)
+        return {str(c): times.unit(c, 'time') if times.has(c) else 's' for c in times.content}
+
+    def uses(self, name: str) -> dict[str, ColumnUse]:
+        """Return the column of each input."""
+        uses = {}
+        for wire in map(str, self.child(name).content):
+            one = self.child(name).child(wire)
+            one.only('column', 'unit')
+            unit = one.unit('unit', *INPUT_KINDS) if one.has('unit') else ''
+            uses[wire] = ColumnUse(one.text('column') if one.has('column') else '', unit)
+        return uses
+
+    def trials(self, name: str) -> tuple[tuple[str, str], ...]:
+        """Return postures and trials."""
+        rows = self.content[name]
+        if not isinstance(rows, list) or any(not isinstance(r, list) or len(r) != 2 for r in rows):
+            raise self.error(name, 'a list of [posture, trial]', rows)
+        return tuple((str(posture), str(trial)) for posture, trial in rows)
+
+    def frame(self, name: str) -> FrameChoice:
+        """Return the pose of a frame: a result has both rotation and shift."""
+        frame = self.child(name)
+        for one in ('rotation', 'shift'):
+            if frame.has('rotation') or frame.has('shift'):
+                frame.vector(one, 3)
+        return frame.read(FrameChoice)
+
+
+def _is_key(hint: object) -> bool:
+    return get_origin(hint) is Annotated
+
+
+def number(low: float, high: float, unit: str) -> Read:
+    """Return how a number within bounds is read."""
+    return lambda one, name: one.number(name, low, high, unit)
+
+
+def word(known: tuple[str, ...]) -> Read:
+    """Return how one of the known words is read."""
+    return lambda one, name: one.choice(name, known)
+
+
+def part(kind: type) -> Read:
+    """Return how the keys of a dataclass are read."""
+    return lambda one, name: one.child(name).read(kind)
+
+
+# fields of the dataclasses below: their type, and how the key of the same name is read
+Text = Annotated[str | None, RecipeFields.text]
+Numbers = Annotated[tuple[float, ...] | None, RecipeFields.list_of_numbers]
+XYZ = Annotated[Vector | None, RecipeFields.xyz]
 
 
 @dataclass(frozen=True)
 class MarkerColumns:
     """Columns of a marker, and where on the arm it is."""
 
-    columns: tuple[str, ...]  # of x, y and z; of three or more points on a rim all of theirs
-    name: str | None = None  # of the marker in the data set
-    arc_length: float | None = None  # [m]; None: found by its place along the straight arm
-    offset: Vector = (0.0, 0.0, 0.0)  # [m] in the frame there
-    later: tuple[tuple[str, ...], ...] = ()  # columns in which it goes on, numbered anew
+    # of x, y and z; of three or more points on a rim all of theirs
+    columns: Annotated[tuple[str, ...], RecipeFields.points]
+    name: Text = None  # of the marker in the data set
+    # [m]; None: found by its place along the straight arm
+    arc_length: Annotated[float | None, number(0.0, 100.0, 'm')] = None
+    offset: XYZ = None  # [m] in the frame there
+    # columns in which it goes on, numbered anew
+    later: Annotated[tuple[tuple[str, ...], ...] | None, RecipeFields.later] = None
 
     @property
-    def points(self) -> list[tuple[str, ...]]:
-        """Columns of x, y and z of each point."""
-        return points_of(self.columns)
-
-    @classmethod
-    def read(cls, item: RecipeFields) -> MarkerColumns:
-        """Read an entry of the markers of an import.yaml."""
-        item.only('columns', 'name', 'arc_length', 'offset', 'later')
-        later = item.content.get('later') or []
-        if not isinstance(later, list):
-            raise item.error('later', 'a list of the columns of x, y and z', later)
-        return cls(
-            item.points('columns', item.content.get('columns')),
-            item.text('name'),
-            item.some('arc_length', 0.0, 100.0, 'm'),
-            item.xyz('offset') or (0.0, 0.0, 0.0),
-            tuple(item.points('later', columns) for columns in later),
-        )
-
-    def plain(self) -> dict[str, Any]:
-        """Return the keys of its entry in an import.yaml."""
-        keys: dict[str, Any] = {'name': self.name, 'columns': list(self.columns)}
-        keys['arc_length'] = self.arc_length
-        keys |= {'offset': list(self.offset)} if any(self.offset) else {}
-        return keys | ({'later': [list(one) for one in self.later]} if self.later else {})
-
-
-def points_of(columns: tuple[str, ...]) -> list[tuple[str, ...]]:
-    """Return the columns of x, y and z of each point."""
-    return [columns[i : i + 3] for i in range(0, len(columns), 3)]
+    def parts(self) -> list[list[tuple[str, ...]]]:
+        """Columns of x, y and z of each point, first and where it goes on."""
+        return [
+            [columns[i : i + 3] for i in range(0, len(columns), 3)]
+            for columns in (self.columns, *(self.later or ()))
+        ]
 
 
 @dataclass(frozen=True)
 class WireSpool:
     """The spool by which angles or currents of a motor become wire pulls or tensions."""
 
-    radius: float | None = None  # [m]
-    counts_per_turn: float | None = None
-    torque_constant: float | None = None  # [N·m/A], at the spool
+    radius: Annotated[float | None, number(1e-5, 1.0, 'm')] = None  # [m]
+    counts_per_turn: Annotated[float | None, number(1e-3, 1e9, '1')] = None
+    # [N·m/A], at the spool
+    torque_constant: Annotated[float | None, number(1e-9, 1e6, 'N·m/A')] = None
 
-    @classmethod
-    def read(cls, spool: RecipeFields) -> WireSpool:
-        """Read the key `spool` of an import.yaml."""
-        spool.only('radius', 'counts_per_turn', 'torque_constant')
-        return cls(
-            spool.some('radius', 1e-5, 1.0, 'm'),
-            spool.some('counts_per_turn', 1e-3, 1e9, '1'),
-            spool.some('torque_constant', 1e-9, 1e6, 'N·m/A'),
-        )
+
+@dataclass(frozen=True)
+class Stillness:
+    """When the arm counts as still; None is guessed."""
+
+    speed: Annotated[float | None, number(1e-6, 10.0, 'm/s')] = None  # [m/s] slower is still
+    duration: Annotated[float | None, number(1e-3, 1e4, 's')] = None  # [s] at least so long
+    # [N] or [m] of an input meanwhile
+    change: Annotated[float | None, number(1e-9, 1e4, 'N or m')] = None
 
 
 @dataclass(frozen=True)
 class FrameChoice:
     """Where the tracker's frame lies: how it is found, or the result."""
 
-    method: str | None = None  # one of METHODS
-    rotation: Vector | None = None  # [rad] rotation vector, tracker to base
-    shift: Vector | None = None  # [m] of the tracker's origin, in the base frame
-
-    @classmethod
-    def read(cls, frame: RecipeFields) -> FrameChoice:
-        """Read the key `frame` of an import.yaml: a result has both rotation and shift."""
-        frame.only('method', 'rotation', 'shift')
-        method = frame.choice('method', METHODS) if frame.has('method') else None
-        if not frame.has('rotation') and not frame.has('shift'):
-            return cls(method)
-        a, b, c = frame.vector('rotation', 3)
-        x, y, z = frame.vector('shift', 3)
-        return cls(method, (a, b, c), (x, y, z))
+    method: Annotated[str | None, word(METHODS)] = None
+    rotation: XYZ = None  # [rad] rotation vector, tracker to base
+    shift: XYZ = None  # [m] of the tracker's origin, in the base frame
 
 
 @dataclass(frozen=True)
 class Recipe:
     """Every choice of an import; None is guessed from the tables."""
 
-    sources: tuple[str, ...] = ()
-    robot: str | None = None
-    time: Mapping[str, str] | None = None  # column -> unit; each table has one of them
-    inputs: Mapping[str, ColumnUse] | None = None  # input -> its column
+    sources: Annotated[tuple[str, ...], RecipeFields.texts] = ()
+    robot: Text = None
+    # column -> unit; each table has one of them
+    time: Annotated[Mapping[str, str] | None, RecipeFields.times] = None
+    inputs: Annotated[Mapping[str, ColumnUse] | None, RecipeFields.uses] = None  # by input
+    # inputs count from their value when the arm first stands still
+    zero: Annotated[bool | None, RecipeFields.flag] = None
+    spool: Annotated[WireSpool, part(WireSpool)] = WireSpool()
+    positions: Annotated[str | None, RecipeFields.length_unit] = None  # of the markers
+    points: Annotated[str | None, word(CHOICES)] = None  # where columns are guessed
+    markers: Annotated[tuple[MarkerColumns, ...] | None, RecipeFields.markers] = None
+    offset: XYZ = None  # [m] of all markers, where columns are guessed
+    places: Numbers = None  # [m] arc lengths from base to tip, where columns are guessed
+    up: Annotated[str | None, word(UPS)] = None  # axis of the tracker
+    delay: Numbers = None  # [s] that the tracker's file begins later, of each recording
+    drift: Numbers = None  # [s/s] that its clock loses, of each recording
+    still: Annotated[Stillness, part(Stillness)] = Stillness()
+    # [N] or [m] inputs that differ by less are those of one posture
+    same: Annotated[float | None, number(1e-12, 1e4, 'N or m')] = None
+    # [N] or [m] below, the arm rests between; 0: it never does
+    rest: Annotated[float | None, number(0.0, 1e4, 'N or m')] = None
+    path: Annotated[str, word(PATHS)] = 'from_straight'
+    frame: Annotated[FrameChoice, RecipeFields.frame] = FrameChoice()
+    # posture, trial
+    leave_out: Annotated[tuple[tuple[str, str], ...] | None, RecipeFields.trials] = None
     input_unit: str | None = None  # of guessed columns; precedes units in their names
     time_unit: str | None = None
-    zero: bool | None = None  # inputs count from their value when the arm first stands still
-    spool: WireSpool = WireSpool()
-    positions: str | None = None  # unit of the markers
-    points: str | None = None  # one of CHOICES, where columns are guessed
-    markers: tuple[MarkerColumns, ...] | None = None
-    offset: Vector | None = None  # [m] of all markers, where columns are guessed
-    places: tuple[float, ...] = ()  # [m] arc lengths from base to tip, where columns are guessed
-    up: str | None = None  # axis of the tracker
-    delay: tuple[float, ...] | None = None  # [s] that the tracker's file begins later, of each
-    drift: tuple[float, ...] | None = None  # [s/s] that its clock loses, of each
-    speed: float | None = None  # [m/s] slower is still
-    duration: float = 1.0  # [s] at least so long
-    change: float | None = None  # [N] or [m] of an input, while the arm stands still
-    same: float | None = None  # [N] or [m] inputs that differ by less are those of one posture
-    rest: float | None = None  # [N] or [m] below, the arm rests between; 0: it never does
-    path: str = 'from_straight'
-    frame: FrameChoice = FrameChoice()
-    leave_out: tuple[tuple[str, str], ...] | None = None  # posture, trial
-
-
-class RecipeFields(DatasetFields):
-    """Checked reading of import.yaml."""
-
-    def text(self, key: str) -> str | None:
-        """Return a text such as the name of a column, None when absent."""
-        value = self.content.get(key)
-        if value is None:
-            return None
-        if isinstance(value, bool | list | dict):
-            raise self.error(key, 'a text (put it in quotes: YAML reads it otherwise)', value)
-        return str(value)
-
-    def some(self, key: str, low: float, high: float, unit: str) -> float | None:
-        """Return a number within bounds, None when absent."""
-        return self.number(key, low, high, unit) if self.has(key) else None
-
-    def xyz(self, key: str) -> Vector | None:
-        """Return three numbers, None when absent."""
-        if not self.has(key):
-            return None
-        x, y, z = self.vector(key, 3)
-        return x, y, z
-
-    def list_of_numbers(self, key: str) -> tuple[float, ...]:
-        """Return one number or a list of them as a tuple, empty when absent."""
-        values = self.numbers(key) if self.has(key) else ()
-        return values if isinstance(values, tuple) else (values,)
-
-    def points(self, key: str, columns: Any) -> tuple[str, ...]:
-        """Return the columns of x, y and z of one point, or of three and more on a rim."""
-        if not isinstance(columns, list) or len(columns) not in (3, *range(9, 100, 3)):
-            expected = 'the columns of x, y and z, of one point or of three and more around a disk'
-            raise self.error(key, expected, columns)
-        return tuple(map(str, columns))
-
-    def unit(self, key: str, *kinds: str) -> str | None:
-        """Return a unit of these kinds, None when absent."""
-        text = self.text(key)
-        unit = None if text is None else find_unit(text)
-        if text is not None and (unit is None or unit.kind not in kinds):
-            known = ', '.join(name for kind in kinds for name in UNITS[kind])
-            raise self.error(key, f'one of {known}', text)
-        return text
 
 
 def load_recipe(path: str | Path) -> Recipe:
@@ -214,7 +276,10 @@ def load_recipe(path: str | Path) -> Recipe:
         content = parse_yaml(text)
     except ValueError as error:
         raise DataSetError(str(path), f'is no valid YAML ({error})', 'correct that line') from None
-    return read_recipe(content, str(path), path.parent)
+    recipe = read_recipe(content, str(path))
+    sources = [os.path.normpath(path.parent / name) for name in recipe.sources]
+    robot = None if recipe.robot is None else os.path.normpath(path.parent / recipe.robot)
+    return replace(recipe, sources=tuple(sources), robot=robot)
 
 
 def as_recipe(given: Recipe | Mapping[str, Any] | str | Path | None) -> Recipe:
@@ -228,97 +293,330 @@ def as_recipe(given: Recipe | Mapping[str, Any] | str | Path | None) -> Recipe:
     return read_recipe(dict(given))
 
 
-def read_recipe(content: Any, source: str = 'recipe', folder: Path | None = None) -> Recipe:
+def read_recipe(content: Any, source: str = 'recipe') -> Recipe:
     """Check the content of an import.yaml."""
     top = RecipeFields(source, '', content)
-    top.only(*KEYS)
-    still = top.child('still', optional=True)
-    still.only(*STILL)
-    files = top.content.get('sources') or []
-    if not isinstance(files, list):
-        raise top.error('sources', 'a list of files', files)
-    robot = top.text('robot')
-    times = top.child('time', optional=True)
-    inputs = {}
-    for name in top.child('inputs', optional=True).content:
-        one = top.child('inputs').child(str(name))
-        one.only('column', 'unit')
-        unit = one.unit('unit', 'force', 'length', 'angle', 'counts', 'current')
-        inputs[str(name)] = ColumnUse(one.text('column') or '', unit or '')
-    drifts = top.list_of_numbers('drift') or None
-    if drifts and not top.has('delay'):
-        raise top.error('drift', 'delay beside it: clocks are known by both, or found', drifts)
-    if drifts and max(map(abs, drifts)) > 0.1:
-        raise top.error('drift', 'seconds that the clock loses per second, within 0.1', drifts)
-    rows = top.content.get('leave_out')
-    if rows is not None and (
-        not isinstance(rows, list) or any(not isinstance(r, list) or len(r) != 2 for r in rows)
-    ):
-        raise top.error('leave_out', 'a list of [posture, trial]', rows)
-    return Recipe(
-        sources=tuple(_place(str(name), folder) for name in files),
-        robot=None if robot is None else _place(robot, folder),
-        time={str(c): times.unit(c, 'time') or 's' for c in times.content}
-        if top.has('time')
-        else None,
-        inputs=inputs if top.has('inputs') else None,
-        zero=top.flag('zero') if top.has('zero') else None,
-        spool=WireSpool.read(top.child('spool', optional=True)),
-        positions=top.unit('positions', 'length'),
-        points=top.choice('points', CHOICES) if top.has('points') else None,
-        markers=tuple(map(MarkerColumns.read, top.items('markers')))
-        if top.has('markers')
-        else None,
-        offset=top.xyz('offset'),
-        places=top.list_of_numbers('places'),
-        up=top.choice('up', UPS) if top.has('up') else None,
-        delay=top.list_of_numbers('delay') or None,
-        drift=drifts,
-        speed=still.some('speed', 1e-6, 10.0, 'm/s'),
-        duration=still.some('duration', 1e-3, 1e4, 's') or 1.0,
-        change=still.some('change', 1e-9, 1e4, 'N or m'),
-        same=top.some('same', 1e-12, 1e4, 'N or m'),
-        rest=top.some('rest', 0.0, 1e4, 'N or m'),
-        path=top.choice('path', PATHS, default='from_straight'),
-        frame=FrameChoice.read(top.child('frame', optional=True)),
-        leave_out=None if rows is None else tuple((str(p), str(q)) for p, q in rows),
-    )
-
-
-def _place(name: str, folder: Path | None) -> str:
-    return name if folder is None else os.path.normpath(folder / name)
+    recipe = top.read(Recipe)
+    if recipe.drift and recipe.delay is None:
+        expected = 'delay beside it: clocks are known by both, or found'
+        raise top.error('drift', expected, recipe.drift)
+    if max(map(abs, recipe.drift or (0.0,))) > 0.1:
+        expected = 'seconds that the clock loses per second, within 0.1'
+        raise top.error('drift', expected, recipe.drift)
+    return recipe
 
 
 def dump_recipe(recipe: Recipe, folder: Path) -> str:
     """Write an import.yaml that lies in a folder; `load_recipe` gives the same recipe."""
     base = os.path.abspath(folder)
-    plain: dict[str, Any] = {
-        'sources': [os.path.relpath(os.path.abspath(s), base) for s in recipe.sources],
-        'robot': 'robot.yaml',
-        'time': dict(recipe.time) if recipe.time else None,
-        'inputs': {
-            name: {'column': use.column, 'unit': use.unit}
-            for name, use in (recipe.inputs or {}).items()
-        },
-        'zero': recipe.zero or None,
-        'spool': {k: v for k, v in vars(recipe.spool).items() if v is not None} or None,
-        'positions': recipe.positions,
-        'markers': [marker.plain() for marker in recipe.markers or ()],
-        'up': recipe.up,
-        'delay': list(recipe.delay) if recipe.delay else None,
-        'drift': list(recipe.drift) if recipe.drift else None,
-        'still': {key: getattr(recipe, key) for key in STILL} if recipe.time else None,
-        'same': recipe.same,
-        'rest': recipe.rest,
-        'path': recipe.path,
-        'frame': {
-            'method': recipe.frame.method,
-            'rotation': list(recipe.frame.rotation or ()),
-            'shift': list(recipe.frame.shift or ()),
-        },
-        'leave_out': [list(pair) for pair in recipe.leave_out or ()],
-    }
-    kept = {key: value for key, value in plain.items() if value is not None}
-    return HEAD + str(
-        yaml.safe_dump(kept, sort_keys=False, default_flow_style=None, allow_unicode=True)
+    sources = tuple(os.path.relpath(os.path.abspath(s), base) for s in recipe.sources)
+    keys = plain(
+        replace(
+            recipe,
+            sources=sources,
+            robot='robot.yaml',
+            zero=recipe.zero or None,
+            input_unit=None,
+            time_unit=None,
+        )
     )
+    keys['leave_out'] = plain(recipe.leave_out or ())  # none is a choice, too
+    return HEAD + str(
+        yaml.safe_dump(keys, sort_keys=False, default_flow_style=None, allow_unicode=True)
+    )
+
+
+def plain(value: Any) -> Any:
+    """Return the keys and lists of a file; a dataclass gives those of its fields that hold."""
+    if is_dataclass(value):
+        pairs = {one.name: plain(getattr(value, one.name)) for one in fields(value)}
+        return {name: own for name, own in pairs.items() if own not in (None, {})}
+    if isinstance(value, Mapping):
+        return {name: plain(own) for name, own in value.items()}
+    return [plain(own) for own in value] if isinstance(value, tuple) else value
+
+
+# [s] a median step above is in another unit, because nobody records an arm so slowly
+STEP_MAX_S = 2.0
+LENGTH_UNITS = ('m', 'mm')  # a factor of 1000, so that the size of the arm decides
+FAR = FAR_M / UNITS['length']['mm']  # in the smallest unit that is tried
+# [1] lengths of the arm that its markers may be apart, because a bent arm shows less, and one with
+# a long tool more
+EXTENT = (0.25, 1.3)
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The selected columns, their use, and how they were recognised, in table order."""
+
+    recipe: Recipe
+    reasons: Mapping[str, str]  # column -> how it was recognised
+    unused: tuple[str, ...]
+    assumed: tuple[str, ...]
+    kind: str  # 'tension' or 'displacement'
+    warnings: tuple[str, ...] = ()  # contradictions between a table and the recipe
+    aside: tuple[str, ...] = ()  # excluded triples, by quantity
+    nameless: tuple[tuple[str, str, str], ...] = ()  # columns of markers that have no name
+
+    @property
+    def unused_points(self) -> tuple[str, ...]:
+        """The excluded points by quantity, and the number of points without a name."""
+        count = len(self.nameless)
+        return self.aside + ((f'{count} points without a name (unlabeled)',) if count else ())
+
+
+def choose_columns(tables: Sequence[RawTable], robot: Robot, recipe: Recipe) -> Selection:
+    """
+    Fill in the columns and units that a recipe leaves open.
+
+    Raises
+    ------
+    DataSetError, InputError
+        Columns for the inputs or the markers are missing, or a unit.
+
+    """
+    assumed = [f'{t.name}: {note}' for t in tables for note in t.notes]
+    reasons: dict[str, str] = {}
+    recipe = _choose_times(tables, recipe, reasons, assumed)
+    recipe = _choose_inputs(tables, robot, recipe, reasons)
+    recipe, points = _choose_markers(tables, recipe, reasons, assumed)
+    recipe = _choose_position_unit(tables, robot, recipe, assumed)
+    used = set(reasons)
+    unused = [c for t in tables for c in t.names if c not in used]
+    units = {find_unit(use.unit) for use in (recipe.inputs or {}).values()}
+    kinds = {unit.kind for unit in units if unit is not None}
+    kind = 'tension' if kinds <= {'force', 'current'} else 'displacement'
+    if kind == 'displacement' and not kinds <= {'length', 'angle', 'counts'}:
+        raise InputError(
+            'inputs: all are tensions or all are wire pulls; give columns of one kind'
+        )
+    if recipe.zero is None:
+        turned = bool(kinds & {'angle', 'counts'})
+        recipe = replace(recipe, zero=turned)
+        if turned:
+            assumed.append('motors count from where they are when the arm first stands still')
+    warnings = tuple(_units_contradicted(tables, recipe))
+    triples = {c for table in tables for triple in triples_of(table) for c in triple.columns}
+    unused = [column for column in dict.fromkeys(unused) if column not in triples]
+    chosen = Selection(recipe, reasons, tuple(unused), tuple(assumed), kind, warnings)
+    if points is None:
+        return chosen
+    chosen = replace(chosen, aside=points.aside, nameless=points.nameless)
+    if points.unused_fraction > 0.5:  # most of them
+        question = (
+            f'{100 * points.unused_fraction:.0f} % of all x, y, z are left out, '
+            f'{listing(chosen.unused_points)}: are the markers those that are taken?'
+        )
+        chosen = replace(chosen, warnings=(*warnings, question))
+    return chosen
+
+
+def _units_contradicted(tables: Sequence[RawTable], recipe: Recipe) -> list[str]:
+    """
+    Return a line for each unit in a table that contradicts the unit in use.
+
+    This is a warning and no error, because the header of a logger may be wrong, and then the unit
+    given by the user must hold.
+    """
+    inputs = (recipe.inputs or {}).values()
+    used_as = {use.column: ('inputs', use.unit) for use in inputs}
+    columns = [column for marker in recipe.markers or () for column in marker.columns]
+    used_as |= dict.fromkeys(columns, ('positions', recipe.positions or ''))
+    used_as |= {column: ('time', unit) for column, unit in (recipe.time or {}).items()}
+    contradictions: dict[tuple[str, str, str], list[str]] = {}
+    for name in (name for table in tables for name in names_of(table)):
+        what, text = used_as.get(name.column, ('', ''))
+        unit = find_unit(text)
+        if name.unit is None or unit is None or unit.kind == name.unit.kind == 'counts':
+            continue
+        if (name.unit.kind, name.unit.factor) != (unit.kind, unit.factor):
+            contradictions.setdefault((what, name.unit.text, unit.text), []).append(name.column)
+    lines = []
+    for (what, written, text), own in contradictions.items():
+        one, other = find_unit(text), find_unit(written)
+        size = ', another kind of quantity'
+        if one is not None and other is not None and one.kind == other.kind:
+            ratio = one.factor / other.factor
+            times = digits(max(ratio, 1.0 / ratio), 3)
+            size = f', {times} times as {"much" if ratio > 1.0 else "little"}'
+        lines.append(
+            f'the table says {written} of {listing(own)}, and {text} was taken{size}: if the '
+            f'table is right, leave out --unit {what}={text} (or take the unit out of import.yaml)'
+        )
+    return lines
+
+
+def _choose_times(
+    tables: Sequence[RawTable], recipe: Recipe, reasons: dict[str, str], assumed: list[str]
+) -> Recipe:
+    times = dict(recipe.time or {})
+    for column in times:
+        need_column(tables, column, 'time')
+    for table in tables:
+        mine = [column for column in times if table.holds(column)]
+        if mine:
+            reasons[mine[0]] = 'as given'
+            continue
+        if (use := guess_time(names_of(table))) is None:
+            continue
+        reasons[use.column] = 'its name'
+        unit = recipe.time_unit or use.unit
+        if not unit and table.units.get(use.column) == FRAMES:
+            raise DataSetError(
+                table.name,
+                'counts frames, and nothing says how many a second',
+                'say --unit time=60Hz, or how many it has',
+            )
+        if not unit:
+            unit, note = _time_unit(table, use.column)
+            assumed += [f'{table.name}: {note}'] if note else []
+        times[use.column] = unit
+    if times and not all(time_column(table, times) for table in tables):
+        lacking = next(table for table in tables if not time_column(table, times))
+        raise DataSetError(lacking.name, 'has no column of times', 'say --column time=COLUMN')
+    if not times and recipe.time_unit is not None:  # a unit was given, so a column must exist
+        raise DataSetError(tables[0].name, 'has no column of times', 'say --column time=COLUMN')
+    if not times:
+        assumed.append(
+            'no column of times: every row is a measurement of the arm at rest '
+            '(a recording? name its column: --column time=COLUMN)'
+        )
+    return replace(recipe, time=times or None)
+
+
+def _time_unit(table: RawTable, column: str) -> tuple[str, str]:
+    if column in table.texts:
+        return 's', ''
+    step = float(np.nanmedian(np.abs(np.diff(table.columns[column])))) if len(table) > 1 else 0.0
+    for unit, factor in (('s', 1.0), ('ms', 1e-3), ('us', 1e-6), ('ns', 1e-9)):
+        if step * factor <= STEP_MAX_S:
+            rate = (
+                '' if step == 0.0 else f', then there are {1 / (step * factor):.3g} rows a second'
+            )
+            return unit, f'{column} is in {unit}{rate}'
+    return 's', ''
+
+
+def time_column(table: RawTable, times: Mapping[str, str] | None) -> str | None:
+    """Return the column of times that a table has."""
+    known = (c for c in times or {} if table.holds(c))
+    return next(known, None)
+
+
+def _choose_inputs(
+    tables: Sequence[RawTable], robot: Robot, recipe: Recipe, reasons: dict[str, str]
+) -> Recipe:
+    inputs = dict(recipe.inputs or {})
+    for name, use in inputs.items():
+        if name not in robot.inputs:
+            raise InputError(f'inputs: expected {", ".join(robot.inputs)}, got {name!r}')
+        need_column(tables, use.column, f'input {name}')
+        reasons[use.column] = 'as given'
+    missing = [name for name in robot.inputs if name not in inputs]
+    if missing:
+        guesses = ((t, guess_inputs(names_of(t), missing)) for t in tables)
+        _, guess = next(((t, g) for t, g in guesses if g is not None), (None, None))
+        if guess is None:
+            raise DataSetError(
+                tables[0].name,
+                f'no columns for the inputs {listing(missing)} are recognised among '
+                f'{listing(n.column for t in tables for n in names_of(t) if not n.axis)}',
+                'name each by --column INPUT=COLUMN',
+            )
+        inputs |= guess.columns
+        reasons |= {use.column: guess.reason for use in guess.columns.values()}
+    units = ((n.column, n.unit) for t in tables for n in names_of(t) if n.unit is not None)
+    written: dict[str, str] = {}
+    for column, unit in units:
+        written.setdefault(column, unit.text)
+    for name, use in inputs.items():  # the unit of an option, of the recipe, or of the file
+        text = recipe.input_unit or use.unit or written.get(use.column, '')
+        inputs[name] = replace(use, unit=text)
+    lacking = [use.column for use in inputs.values() if not use.unit]
+    if lacking:
+        raise DataSetError(
+            tables[0].name,
+            f'nothing says the unit of {listing(lacking)}',
+            'write it into the header, as in "T1 [N]", or say --unit inputs=N (mN, g, kgf, lbf, '
+            'mm, deg, ticks, mA ...)',
+        )
+    return replace(recipe, inputs={name: inputs[name] for name in robot.inputs})
+
+
+def _choose_markers(
+    tables: Sequence[RawTable], recipe: Recipe, reasons: dict[str, str], assumed: list[str]
+) -> tuple[Recipe, Points | None]:
+    """Return the recipe, and the selected points if it names no markers."""
+    if recipe.markers is not None:
+        for marker in recipe.markers:
+            for column in marker.columns:
+                need_column(tables, column, 'markers')
+                reasons[column] = 'as given'
+        return recipe, None
+    points = choose_points(tables, recipe.points)
+    for columns in points.columns:
+        reasons |= dict.fromkeys(columns, 'its name')
+    assumed += [points.note] if points.note else []
+    markers = tuple(map(MarkerColumns, points.columns))
+    return replace(recipe, markers=markers), points
+
+
+def _choose_position_unit(
+    tables: Sequence[RawTable], robot: Robot, recipe: Recipe, assumed: list[str]
+) -> Recipe:
+    if recipe.positions is not None:
+        return recipe
+    columns = [column for marker in recipe.markers or () for column in marker.columns]
+    written = set()
+    for table in tables:
+        for name in names_of(table):
+            if name.column in columns:
+                written.add(None if name.unit is None else name.unit.text)
+    if len(written) == 1 and (unit := written.pop()) is not None:
+        return replace(recipe, positions=unit)
+    if len(written - {None}) > 1:
+        raise DataSetError(
+            tables[0].name,
+            f'markers are in several units: {listing(sorted(str(u) for u in written))}',
+            'export all in one; where only the header is wrong, say --unit positions=mm',
+        )
+    apart = _extent(tables, recipe)
+    low, high = (fraction * robot.length for fraction in EXTENT)
+    fitting = [u for u in LENGTH_UNITS if low <= apart * UNITS['length'][u] <= high]
+    if not fitting:
+        others = [u for u in TYPED_LENGTHS if low <= apart * UNITS['length'][u] <= high]
+        raise DataSetError(
+            tables[0].name,
+            f'nothing says the unit of the markers, and neither m nor mm fits: they are '
+            f'{apart:.4g} apart, the arm is {1e3 * robot.length:.4g} mm long',
+            ' or '.join(f'say --unit positions={unit}' for unit in others)
+            or 'correct cell_length and cells of the robot, or say --unit positions=UNIT',
+        )
+    assumed.append(
+        f'markers are in {fitting[0]}: they are up to {apart:.4g} apart on an arm of '
+        f'{1e3 * robot.length:.4g} mm'
+    )
+    return replace(recipe, positions=fitting[0])
+
+
+def _extent(tables: Sequence[RawTable], recipe: Recipe) -> float:
+    """Return the largest distance of two markers, or the path of a single one, in their unit."""
+    largest = 0.0
+    for table in tables:
+        places = [
+            np.column_stack([table.numbers(c) for c in m.columns[:3]])
+            for m in recipe.markers or ()
+            if table.holds(*m.columns)
+        ]
+        if places:
+            stacked = np.stack(places, axis=1)[:: max(len(table) // FRAMES_MAX, 1)]
+            places = list(without_unseen(stacked, None, FAR)[0].swapaxes(0, 1))
+        for i, one in enumerate(places):
+            for other in places[i + 1 :]:
+                apart = np.linalg.norm(one - other, axis=1)
+                if np.isfinite(apart).any():
+                    largest = max(largest, float(np.nanpercentile(apart, 95)))
+        if len(places) == 1:
+            low, high = np.nanpercentile(places[0], [2, 98], axis=0)
+            largest = float((high - low).max())
+    return largest

@@ -22,10 +22,9 @@ from ..data.tracker_faults import (
     renumbered,
     without_unseen,
 )
-from .choices import Selection, time_column
 from .columns import TRACKER_NOISE_M, FloatArray, RawTable, marker_label
 from .markers import circle_centres, not_visible
-from .recipe import MarkerColumns, Recipe, WireSpool, points_of
+from .recipe import MarkerColumns, Recipe, Selection, WireSpool, time_column
 
 STEP_S = 0.02  # [s] of the grid on which motions are compared, because cameras have 30 to 100 Hz
 # [1] of the grid, so that a long recording fits into memory, on a coarser one
@@ -266,8 +265,8 @@ def make_traces(tables: Sequence[RawTable], chosen: Selection, length: float) ->
     """
     recipe = chosen.recipe
     inputs = [u.column for u in (recipe.inputs or {}).values()]
-    triples = [t for marker in recipe.markers or () for t in (marker.columns, *marker.later)]
-    places = [column for triple in triples for column in triple]
+    markers = recipe.markers or ()
+    places = [c for m in markers for part in m.parts for point in part for c in point]
     with_inputs = [t for t in tables if t.holds(*inputs)]
     with_markers = [t for t in tables if t.holds(*places)]
     for table in tables:
@@ -365,8 +364,8 @@ def marker_places(
 ) -> tuple[FloatArray, dict[str, IntArray]]:
     """Return places (T, J, 3) [m], NaN where not seen, and the readings (J,) left out, by why."""
     factor = UNITS['length'][find_unit(recipe.positions or 'm').text]  # type: ignore[union-attr]
-    markers = [(marker.columns, *marker.later) for marker in recipe.markers or ()]
-    rims = [points_of(columns) for parts in markers for columns in parts]
+    markers = [marker.parts for marker in recipe.markers or ()]
+    rims = [points for parts in markers for points in parts]
     points = [point for rim in rims for point in rim]
     positions = np.array([[table.numbers(column) for column in point] for point in points])
     positions, unseen = without_unseen(
@@ -383,7 +382,7 @@ def marker_places(
     centres = np.stack([circle_centres(one) for one in of_rims], axis=1)
     counts = np.cumsum([0, *map(len, markers)])
     own = [range(a, b) for a, b in pairwise(counts.tolist())]
-    first = np.cumsum([0, *(sum(len(c) // 3 for c in parts) for parts in markers)])[:-1]
+    first = np.cumsum([0, *(sum(map(len, parts)) for parts in markers)])[:-1]
     summed = {why: np.add.reduceat(count, first) for why, count in unseen.items()}
     return joined(centres, own) * factor, summed
 
@@ -414,10 +413,10 @@ def follow_renumbered(tables: Sequence[RawTable], chosen: Selection, length: flo
         for j in chain[1:]
     ]
     followed = tuple(
-        replace(markers[first], later=tuple(every[j].columns for j in later))
+        replace(markers[first], later=tuple(every[j].columns for j in later) or None)
         for first, *later in chains
     )
-    joined_up = {columns for marker in followed for columns in marker.later}
+    joined_up = {columns for marker in followed for columns in marker.later or ()}
     return replace(
         chosen,
         recipe=replace(chosen.recipe, markers=followed),

@@ -39,15 +39,12 @@ from .still_segments import (
     ArmMotion,
     Rule,
     Segment,
-    assemble,
     find_segments,
     motion,
     never_still,
+    segments_dataset,
 )
 from .writer import DESCRIPTION, ROBOT
-
-# [m] noise where the frames do not differ, else the measurement would count as exact
-NOISE_MIN_M = 1e-7
 
 
 @dataclass(frozen=True)
@@ -218,40 +215,6 @@ def _without_unseen(
         lines += unseen_lines(counts, names if len(recording.tracks) == 1 else [names[k]])
         tracks.append(replace(track, positions=positions))
     return replace(recording, tracks=tuple(tracks)), lines
-
-
-def segments_dataset(
-    bag: str,
-    segments: list[Segment],
-    robot: Robot,
-    description: Description,
-    markers: tuple[Marker, ...],
-) -> DataSet:
-    """Return the data set of named segments; without trials, the noise is that of the frames."""
-    arrays = assemble(bag, segments)
-    noise = description.position_noise
-    if noise is None and len(arrays.trials) == 1:  # no trials are repeated: the noise of frames
-        squares = np.array([one.noise**2 for one in segments])
-        if np.isfinite(squares).any():
-            noise = max(float(np.sqrt(np.nanmean(squares))), NOISE_MIN_M)
-    return DataSet(
-        name=bag,
-        robot=robot,
-        markers=markers,
-        postures=arrays.postures,
-        inputs=arrays.inputs,
-        trial_inputs=arrays.trial_inputs,
-        trial_names=arrays.trials,
-        positions=arrays.positions,
-        orientations=arrays.orientations,
-        input=description.input,
-        path=description.path,
-        gravity=description.gravity,
-        position_noise=noise,
-        setting_noise=description.setting_noise,
-        trial_noise=description.trial_noise,
-        accuracy=description.accuracy,
-    )
 
 
 def _describe(recording: Recording, robot: Robot, text: str | None) -> Description:

@@ -5,16 +5,20 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from ...common.errors import DataSetError, short
 from ...robot import Robot
-from ..arrays import DIGITS, NO_ROTATION, RESOLUTION, VALUES_MAX
-from ..dataset import FloatArray
+from ..arrays import DIGITS, NO_ROTATION, RESOLUTION, VALUES_MAX, Marker
+from ..dataset import READINGS, DataSet, FloatArray
+from ..folder import Description
 from ..measurement_files import sort_trials
 from .reader import Recording
 
+# [m] noise where the frames do not differ, else the measurement would count as exact
+NOISE_MIN_M = 1e-7
 STEPS_PER_WINDOW = 10  # [1] of the time grid, so that a stretch is found to a tenth of the window
 
 
@@ -230,18 +234,6 @@ class Segment:
     trial: str = ''
 
 
-@dataclass(frozen=True)
-class SegmentArrays:
-    """Segments as the arrays of a data set."""
-
-    postures: tuple[str, ...]
-    trials: tuple[str, ...]
-    inputs: FloatArray  # (P, m)
-    trial_inputs: FloatArray | None  # (P, Q, m) where they differ between the trials
-    positions: FloatArray  # (P, Q, J, 3)
-    orientations: FloatArray | None  # (P, Q, J, 4)
-
-
 def find_segments(
     recording: Recording, inputs: FloatArray, moved: ArmMotion, rule: Rule, sequence: bool
 ) -> tuple[list[Segment], list[str]]:
@@ -365,9 +357,15 @@ def name_segments(segments: list[Segment], rule: Rule, sequence: bool) -> list[S
     return named
 
 
-def assemble(bag: str, segments: list[Segment]) -> SegmentArrays:
+def segments_dataset(
+    bag: str,
+    segments: Sequence[Segment],
+    robot: Robot,
+    description: Description,
+    markers: tuple[Marker, ...],
+) -> DataSet:
     """
-    Put named segments together.
+    Return the data set of named segments; without trials, the noise is that of the frames.
 
     Raises
     ------
@@ -377,36 +375,43 @@ def assemble(bag: str, segments: list[Segment]) -> SegmentArrays:
     """
     postures = tuple(dict.fromkeys(one.posture for one in segments))
     trials = sort_trials(tuple(one.trial for one in segments))
-    places = {name: i for i, name in enumerate(postures)}, {n: i for i, n in enumerate(trials)}
     size = len(postures), len(trials)
-    J, m = len(segments[0].positions), len(segments[0].inputs)
-    inputs = np.full((*size, m), np.nan)
-    positions, turned = np.full((*size, J, 3), np.nan), np.full((*size, J, 4), np.nan)
-    filled = np.zeros(size, dtype=bool)
-    for one in segments:
-        place = places[0][one.posture], places[1][one.trial]
-        if filled[place]:
-            raise DataSetError(
-                bag,
-                f'posture {one.posture!r}, trial {one.trial!r} is labelled twice',
-                'record it again with labels that differ',
-            )
-        filled[place] = True
-        inputs[place], positions[place], turned[place] = (
-            one.inputs,
-            one.positions,
-            one.orientations,
+    rows = [(postures.index(one.posture), trials.index(one.trial)) for one in segments]
+    twice = next((i for i, place in enumerate(rows) if place in rows[:i]), None)
+    if twice is not None:
+        raise DataSetError(
+            bag,
+            f'posture {segments[twice].posture!r}, trial {segments[twice].trial!r} is labelled '
+            'twice',
+            'record it again with labels that differ',
         )
+    at = tuple(np.array(rows).T)
+    arrays: dict[str, Any] = {}
+    for key in ('inputs', *READINGS):
+        values = np.array([getattr(one, key) for one in segments])
+        arrays[key] = np.full((*size, *values.shape[1:]), np.nan)
+        arrays[key][at] = values
+    filled = np.zeros(size, dtype=bool)
+    filled[at] = True
+    inputs, turned = arrays.pop('inputs'), arrays['orientations']
+    total = np.where(filled[..., None], inputs, 0.0).sum(axis=1)
+    mean = (total / filled.sum(axis=1)[:, None]).round(DIGITS)
+    if np.nan_to_num(np.abs(inputs - mean[:, None]))[filled].max() > RESOLUTION:
+        arrays['trial_inputs'] = inputs
     known = np.isfinite(turned)
-    plain = not known.any() or np.all(turned[known].reshape(-1, 4) == NO_ROTATION)
-    counts = filled.sum(axis=1)[:, None]
-    mean = (np.where(filled[..., None], inputs, 0.0).sum(axis=1) / counts).round(DIGITS)
-    spread = np.nan_to_num(np.abs(inputs - mean[:, None]))[filled]
-    return SegmentArrays(
-        postures,
-        trials,
-        mean,
-        inputs if spread.max() > RESOLUTION else None,
-        positions,
-        None if plain else turned,
+    if np.all(turned[known].reshape(-1, 4) == NO_ROTATION):
+        del arrays['orientations']
+    values = description.values()
+    squares = np.array([one.noise**2 for one in segments])
+    if description.position_noise is None and len(trials) == 1 and np.isfinite(squares).any():
+        values['position_noise'] = max(float(np.sqrt(np.nanmean(squares))), NOISE_MIN_M)
+    return DataSet(
+        name=bag,
+        robot=robot,
+        markers=markers,
+        postures=postures,
+        trial_names=trials,
+        inputs=mean,
+        **arrays,
+        **values,
     )
