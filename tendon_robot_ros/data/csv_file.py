@@ -139,7 +139,7 @@ class CsvFile:
 
     def label(self, row: int, key: str) -> str:
         """Return the name in a cell."""
-        return self.labels[key][self.codes[key][row]]
+        return self.labels[key][int(self.codes[key][row])]
 
     def translate(self, key: str, known: tuple[str, ...]) -> IntArray:
         """Return the index of each row's name among the known ones, (n,), -1 for others."""

@@ -8,7 +8,7 @@ import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import yaml
@@ -47,6 +47,15 @@ GRAVITY_MAX = 30.0  # [m/s²] a larger one is in another unit, because Jupiter h
 
 class DatasetFields(Reader):
     """Checked reading of dataset.yaml."""
+
+    @classmethod
+    def parse(cls, text: str, source: str) -> Self:
+        """Read YAML text; DataSetError where it is none."""
+        try:
+            return cls(source, '', parse_yaml(text))
+        except ValueError as error:
+            problem = f'is no valid YAML ({error})'
+            raise DataSetError(source, problem, 'correct that line') from None
 
     def error(self, key: str, expected: str, got: object) -> DataSetError:
         """Build the error for a key."""
@@ -106,20 +115,8 @@ def read_text(path: Path, remedy: str = NO_FOLDER) -> str:
 
 
 def read_fields(text: str, source: str) -> DatasetFields:
-    """
-    Read the text of a dataset.yaml.
-
-    Raises
-    ------
-    DataSetError
-        It is no YAML, or has unknown keys.
-
-    """
-    try:
-        content = parse_yaml(text)
-    except ValueError as error:
-        raise DataSetError(source, f'is no valid YAML ({error})', 'correct that line') from None
-    fields = DatasetFields(source, '', content)
+    """Read the text of a dataset.yaml; DataSetError where it is no YAML, or has unknown keys."""
+    fields = DatasetFields.parse(text, source)
     fields.only(*DESCRIPTION_KEYS)
     return fields
 

@@ -17,12 +17,10 @@ import numpy as np
 import yaml
 
 from ..common.errors import DataSetError, InputError, refusal
-from ..common.files import read_text
 from ..common.words import TYPED_LENGTHS, UNITS, digits, find_unit, listing
-from ..common.yaml_reading import parse_yaml
 from ..data.arrays import Vector
 from ..data.dataset import PATHS
-from ..data.folder import DatasetFields
+from ..data.folder import DatasetFields, read_text
 from ..data.tracker_faults import FAR_M, without_unseen
 from ..robot import Robot
 from .columns import (
@@ -264,19 +262,11 @@ def load_recipe(path: str | Path) -> Recipe:
         With file, key, what was expected and what came.
 
     """
-    path = Path(path)
-
-    def refuse(reason: str) -> DataSetError:
-        return DataSetError(str(path), f'cannot be read ({reason})', 'name an import.yaml')
-
-    text = read_text(path, refuse)
+    path, remedy = Path(path), 'name an import.yaml'
+    text = read_text(path, remedy)
     if not text.strip():
-        raise refuse('it is empty')
-    try:
-        content = parse_yaml(text)
-    except ValueError as error:
-        raise DataSetError(str(path), f'is no valid YAML ({error})', 'correct that line') from None
-    recipe = read_recipe(content, str(path))
+        raise DataSetError(str(path), 'cannot be read (it is empty)', remedy)
+    recipe = _checked(RecipeFields.parse(text, str(path)))
     sources = [os.path.normpath(path.parent / name) for name in recipe.sources]
     robot = None if recipe.robot is None else os.path.normpath(path.parent / recipe.robot)
     return replace(recipe, sources=tuple(sources), robot=robot)
@@ -293,9 +283,12 @@ def as_recipe(given: Recipe | Mapping[str, Any] | str | Path | None) -> Recipe:
     return read_recipe(dict(given))
 
 
-def read_recipe(content: Any, source: str = 'recipe') -> Recipe:
+def read_recipe(content: Any) -> Recipe:
     """Check the content of an import.yaml."""
-    top = RecipeFields(source, '', content)
+    return _checked(RecipeFields('recipe', '', content))
+
+
+def _checked(top: RecipeFields) -> Recipe:
     recipe = top.read(Recipe)
     if recipe.drift and recipe.delay is None:
         expected = 'delay beside it: clocks are known by both, or found'

@@ -401,10 +401,10 @@ def segments_dataset(
     known = np.isfinite(turned)
     if np.all(turned[known].reshape(-1, 4) == NO_ROTATION):
         del arrays['orientations']
-    values = description.values()
+    described = description.values()
     squares = np.array([one.noise**2 for one in segments])
     if description.position_noise is None and len(trials) == 1 and np.isfinite(squares).any():
-        values['position_noise'] = max(float(np.sqrt(np.nanmean(squares))), NOISE_MIN_M)
+        described['position_noise'] = max(float(np.sqrt(np.nanmean(squares))), NOISE_MIN_M)
     return DataSet(
         name=bag,
         robot=robot,
@@ -413,5 +413,5 @@ def segments_dataset(
         trial_names=trials,
         inputs=mean,
         **arrays,
-        **values,
+        **described,
     )

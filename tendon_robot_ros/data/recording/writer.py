@@ -305,60 +305,49 @@ def _write(dataset: DataSet, writer: BagWriter, timing: Timing) -> None:
         writer.write(DESCRIPTION, START, build.string(description))
         writer.write(ROBOT, START, build.string(dump_robot(dataset.robot)))
         time, step = START, round(1e9 / timing.rate)
+        m, J = len(dataset.input_names), len(dataset.markers)
+        unknown = np.full(m, np.nan)
         for label, states in _stages(dataset, timing):
             writer.write(LABEL, time, build.string(label))
-            for state in states:
-                pull, tension = state.inputs, np.full(len(state.inputs), np.nan)
-                if dataset.input == 'tension':
-                    pull, tension = tension, pull
-                names = dataset.input_names
-                writer.write(STATES, time, build.joint_state(time, names, pull, tension))
-                shape = build.pose_array(time, state.positions, state.turned)
+            for inputs, places, turned in (np.split(one, [m, m + 3 * J]) for one in states):
+                tension = dataset.input == 'tension'
+                pull, pulled = (unknown, inputs) if tension else (inputs, unknown)
+                joints = build.joint_state(time, dataset.input_names, pull, pulled)
+                writer.write(STATES, time, joints)
+                shape = build.pose_array(time, places.reshape(J, 3), turned.reshape(J, 4))
                 writer.write(SHAPE, time, shape)
                 time += step
 
 
-@dataclass(frozen=True)
-class _State:
-    """One instant: inputs (m,), positions (J, 3), quaternions (J, 4)."""
+def _stages(dataset: DataSet, timing: Timing) -> Iterator[tuple[str, FloatArray]]:
+    """
+    Yield every hold and every move between two: its label, and its instants.
 
-    inputs: FloatArray
-    positions: FloatArray
-    turned: FloatArray
-
-
-def _stages(dataset: DataSet, timing: Timing) -> Iterator[tuple[str, list[_State]]]:
-    """Yield the label and the instants of every hold and of every move between two."""
-    count = max(round(timing.hold * timing.rate), 2)
+    An instant is a row of inputs (m,), positions (J, 3) and quaternions (J, 4), one after the
+    other.
+    """
+    hold = max(round(timing.hold * timing.rate), 2)
+    move = max(round(timing.move * timing.rate), 2)
     P, Q, J = dataset.positions.shape[:3]
     lying = dataset.offsets + np.outer(dataset.arc_lengths, [0.0, 0.0, 1.0])
-    straight = _State(np.zeros(dataset.inputs.shape[1]), lying, np.tile(NO_ROTATION, (J, 1)))
+    inputs, turned = dataset.inputs_by_trial, np.tile(NO_ROTATION, (J, 1))
+    straight = np.concatenate([np.zeros(inputs.shape[2]), lying.ravel(), turned.ravel()])
     order = [(p, q) for p in range(P) for q in range(Q) if dataset.trial_mask[p, q]]
     if dataset.path == 'sequence':
         order = [(p, q) for q in range(Q) for p in range(P)]
-    turned, last = dataset.orientations, straight
+    last = straight
     for p, q in order:
-        quaternions = np.full((J, 4), np.nan) if turned is None else turned[p, q]
-        state = _State(dataset.inputs_by_trial[p, q], dataset.positions[p, q], quaternions)
-        waypoints = [last, straight, state] if dataset.path == 'from_straight' else [last, state]
-        yield '', _move(waypoints, max(round(timing.move * timing.rate), 2))
+        known = dataset.orientations
+        turned = np.full((J, 4), np.nan) if known is None else known[p, q]
+        places = dataset.positions[p, q]
+        state = np.concatenate([inputs[p, q], places.ravel(), turned.ravel()])
+        between = [straight] if dataset.path == 'from_straight' else []
+        waypoints = np.array([last, *between, state])
+        progress = np.linspace(0.0, len(waypoints) - 1, move + 2)[1:-1]
+        leg = np.minimum(progress.astype(int), len(waypoints) - 2)
+        part = (progress - leg)[:, None]
+        yield '', (1.0 - part) * waypoints[leg] + part * waypoints[leg + 1]
         label = {'posture': dataset.postures[p], 'trial': dataset.trial_names[q]}
-        yield json.dumps(label, ensure_ascii=False), [state] * count
+        yield json.dumps(label, ensure_ascii=False), np.tile(state, (hold, 1))
         last = state
-    yield '', [last]
-
-
-def _move(waypoints: list[_State], count: int) -> list[_State]:
-    """Interpolate linearly along waypoints; return `count` instants between the ends."""
-    states = []
-    for progress in np.linspace(0.0, len(waypoints) - 1, count + 2)[1:-1]:
-        leg = min(int(progress), len(waypoints) - 2)
-        a, b, t = waypoints[leg], waypoints[leg + 1], progress - leg
-        states.append(
-            _State(
-                (1 - t) * a.inputs + t * b.inputs,
-                (1 - t) * a.positions + t * b.positions,
-                (1 - t) * a.turned + t * b.turned,
-            )
-        )
-    return states
+    yield '', last[None]
