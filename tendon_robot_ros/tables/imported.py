@@ -241,7 +241,7 @@ def draw(
             if axis == 0:
                 axes.set_ylabel('z [mm]')
             axes.grid(alpha=0.3)
-        has_cut = any(len(piece.cut.times) for piece in measured.pieces)
+        has_cut = any(len(piece.cut) for piece in measured.pieces)
         colours = colormaps['plasma']
         handles = [
             Patch(color=GOOD, alpha=0.3, label='taken'),
@@ -338,9 +338,9 @@ def _markers(
             distance = 1e3 * np.linalg.norm(path - path[visible[0]], axis=1)
             shade = colours(TIP_SHADE * place / max(len(members) - 1, 1))
             axes.plot(begin + track.times[part], distance, color=shade, linewidth=1.0)
-            mine = piece.cut.markers == j
-            far = 1e3 * np.linalg.norm(piece.cut.places[mine] - path[visible[0]], axis=1)
-            cut.append(np.column_stack([begin + piece.cut.times[mine], far]))
+            mine = piece.cut[piece.cut[:, 1] == j]
+            far = 1e3 * np.linalg.norm(mine[:, 2:] - path[visible[0]], axis=1)
+            cut.append(np.column_stack([begin + mine[:, 0], far]))
     if sum(map(len, cut)):
         when, far = np.concatenate(cut).T
         top = axes.get_ylim()[1]  # distant readings are drawn at the upper edge

@@ -27,7 +27,7 @@ from ..data.tracker_faults import unseen_lines
 from ..robot import Robot
 from .columns import TRACKER_NOISE_M, FloatArray, marker_label
 from .recipe import Recipe, Selection
-from .traces import CutReadings, Traces, cut_out
+from .traces import Traces, cut_out
 
 FROM_STRAIGHT, SEQUENCE, VISITS = 'from_straight', 'sequence', 'visits'
 # [1] of the range from the lowest input to the smallest load, below which inputs are let go,
@@ -158,7 +158,7 @@ class Piece:
     motion: ArmMotion | None  # None: every row is a measurement
     segments: tuple[Segment, ...]
     resting: tuple[Segment, ...]
-    cut: CutReadings  # of the markers
+    cut: FloatArray  # (K, 5) of the markers, as of `Traces`
 
 
 @dataclass(frozen=True)
@@ -329,20 +329,21 @@ def _piece(traces: Traces, moved: ArmMotion | None, rule: Rule) -> Piece:
             for i in range(len(positions))
             if np.isfinite(positions[i]).any()
         )
-        return Piece(recording, inputs, None, rows, (), CutReadings.none())
+        return Piece(recording, inputs, None, rows, (), traces.cut)
     cleaned, cut = _without_jumps(recording, still_stretches(moved, rule))
     segments, _ = find_segments(cleaned, inputs, moved, rule, sequence=True)
     visible = [one for one in segments if np.isfinite(one.positions).any()]
-    return Piece(recording, inputs, moved, tuple(visible), (), cut + traces.cut)
+    cut = np.concatenate([traces.cut, cut])
+    return Piece(recording, inputs, moved, tuple(visible), (), cut)
 
 
 def _without_jumps(
     recording: Recording, stretches: Sequence[tuple[float, float]]
-) -> tuple[Recording, CutReadings]:
+) -> tuple[Recording, FloatArray]:
     """Exclude frames in which a marker is far from its median in a still stretch."""
     track = recording.tracks[0]
     positions = track.positions.copy()
-    cut = CutReadings.none()
+    cut = [np.zeros((0, 5))]
     for begin, end in stretches:
         inside = slice(*np.searchsorted(track.times, [begin - 1e-9, end + 1e-9]))
         times, frames = track.times[inside], positions[inside]  # views: positions change
@@ -355,8 +356,9 @@ def _without_jumps(
             off = np.linalg.norm(frames[known, j] - np.median(frames[known, j], axis=0), axis=1)
             far = off > max(JUMP_DEVIATIONS * float(np.median(off)) / 1.54, TRACKER_NOISE_M)
             if far.any():
-                cut += cut_out(frames, times, j, known[far])
-    return replace(recording, tracks=(replace(track, positions=positions),)), cut
+                cut.append(cut_out(frames, times, j, known[far]))
+    cleaned = replace(recording, tracks=(replace(track, positions=positions),))
+    return cleaned, np.concatenate(cut)
 
 
 def _sizes(segments: Sequence[Segment]) -> FloatArray:
@@ -426,7 +428,7 @@ def _dropped_lines(pieces: Sequence[Piece], labels: Sequence[str]) -> list[str]:
     resting = sum(len(piece.resting) for piece in pieces)
     if resting:
         lines.append(f'{resting} still segments at rest between the others')
-    cut = np.concatenate([piece.cut.markers for piece in pieces])
+    cut = np.concatenate([piece.cut[:, 1] for piece in pieces]).astype(int)
     jumps = np.bincount(cut, minlength=len(labels))
     if jumps.any():
         places = ', '.join(f'{labels[j]} {jumps[j]}' for j in np.flatnonzero(jumps).tolist())

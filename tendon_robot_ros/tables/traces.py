@@ -215,28 +215,6 @@ def input_factor(unit_text: str, spool: WireSpool) -> float:
     return 2.0 * np.pi * spool.radius / spool.counts_per_turn
 
 
-@dataclass(frozen=True, eq=False)
-class CutReadings:
-    """Readings of markers that were cut out: for a moment another marker was taken for them."""
-
-    times: FloatArray  # (K,) [s]
-    markers: IntArray  # (K,) as in the table
-    places: FloatArray  # (K, 3) [m] in the tracker's frame
-
-    @classmethod
-    def none(cls) -> CutReadings:
-        """Return no readings."""
-        return cls(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
-
-    def __add__(self, other: CutReadings) -> CutReadings:
-        """Put two together."""
-        return CutReadings(
-            np.append(self.times, other.times),
-            np.append(self.markers, other.markers),
-            np.concatenate([self.places, other.places]),
-        )
-
-
 @dataclass(frozen=True)
 class Traces:
     """What one recording holds; inputs have times of their own where they have their own file."""
@@ -244,7 +222,9 @@ class Traces:
     recording: Recording
     inputs: FloatArray  # (T, m) [N] or [m] at `recording.state_times`
     unseen: dict[str, IntArray]  # readings (J,) of each marker that are none, by why
-    cut: CutReadings  # a marker was elsewhere for a moment
+    # (K, 5) readings that were cut out, because a marker was elsewhere for a moment: time [s],
+    # index of the marker, place [m]
+    cut: FloatArray
     delay: float | None = None  # [s] that the tracker's file begins later; None: there is one file
     drift: float = 0.0  # [s/s] that the tracker's clock loses
     clocks: str = ''  # how these are known, where there are two clocks
@@ -281,32 +261,26 @@ def make_traces(tables: Sequence[RawTable], chosen: Selection, length: float) ->
             f'{len(with_inputs)} tables hold inputs and {len(with_markers)} markers',
             'name one of each per recording',
         )
-    delays = _for_each('delay', recipe.delay, with_inputs)
-    drifts = _for_each('drift', recipe.drift, with_inputs)
-    pairs = zip(with_inputs, with_markers, zip(delays, drifts, strict=True), strict=True)
-    return [_trace(a, b, recipe, clock, length) for a, b, clock in pairs]
-
-
-def _for_each(
-    what: str, given: Sequence[float] | None, tables: Sequence[RawTable]
-) -> Sequence[float | None]:
-    """Return the delay or drift of each recording as given, None where it is to be estimated."""
-    if not given:
-        return (None,) * len(tables)
-    if len(given) not in (1, len(tables)):
-        raise DataSetError(
-            tables[0].name,
-            f'{len(given)} {what}s are given for {len(tables)} recordings',
-            f'give one {what}, or one for each',
-        )
-    return tuple(given) * (len(tables) if len(given) == 1 else 1)
+    clocks = []
+    for what, given in (('delay', recipe.delay), ('drift', recipe.drift)):
+        known = given or (None,)
+        if len(known) not in (1, len(with_inputs)):
+            raise DataSetError(
+                tables[0].name,
+                f'{len(known)} {what}s are given for {len(with_inputs)} recordings',
+                f'give one {what}, or one for each',
+            )
+        clocks.append(known if len(known) > 1 else known * len(with_inputs))
+    pairs = zip(with_inputs, with_markers, *clocks, strict=True)
+    return [_trace(a, b, recipe, delay, drift, length) for a, b, delay, drift in pairs]
 
 
 def _trace(
     input_table: RawTable,
     marker_table: RawTable,
     recipe: Recipe,
-    clock: tuple[float | None, float | None],
+    delay: float | None,
+    drift: float | None,
     length: float,
 ) -> Traces:
     uses = (recipe.inputs or {}).values()
@@ -324,7 +298,7 @@ def _trace(
         raise DataSetError(
             marker_table.name, 'no marker was ever seen', 'export the markers again'
         )
-    clocks, delay, drift = '', clock[0], clock[1] or 0.0
+    clocks, drift = '', drift or 0.0
     if recipe.time is None:
         steps = np.linalg.norm(np.diff(positions, axis=0), axis=2)
         moved = np.linalg.norm(np.nanmax(positions, axis=0) - np.nanmin(positions, axis=0), axis=1)
@@ -347,7 +321,7 @@ def _trace(
             times = delay + (1.0 + drift) * times
         else:
             delay = None
-    cut, exchanges = CutReadings.none(), list[tuple[int, int, int]]()
+    cut, exchanges = np.zeros((0, 5)), list[tuple[int, int, int]]()
     if recipe.time:
         cut = _cut_jumps(positions, times)
         positions, exchanges = put_back(positions)
@@ -450,20 +424,18 @@ def _clock(
     return delay, drift, how
 
 
-def cut_out(
-    positions: FloatArray, times: FloatArray, marker: int, frames: IntArray
-) -> CutReadings:
-    """Take readings of a marker out of positions (T, J, 3) in place; return what they were."""
-    cut = CutReadings(times[frames], np.full(len(frames), marker), positions[frames, marker])
+def cut_out(positions: FloatArray, times: FloatArray, marker: int, frames: IntArray) -> FloatArray:
+    """Take readings of a marker out of positions (T, J, 3) in place; return them, (K, 5)."""
+    cut = np.column_stack([times[frames], np.full(len(frames), marker), positions[frames, marker]])
     positions[frames, marker] = np.nan
     return cut
 
 
-def _cut_jumps(positions: FloatArray, times: FloatArray) -> CutReadings:
+def _cut_jumps(positions: FloatArray, times: FloatArray) -> FloatArray:
     """Take out frames in which a marker leaps away and, a moment later, is back."""
     step_s = float(np.median(np.diff(times))) if len(times) > 2 else 1.0
     frames_max = int(np.clip(JUMP_MAX_S / max(step_s, 1e-9), 1, 50))
-    cut, leap_min = CutReadings.none(), 4.0 * TRACKER_NOISE_M  # [m] of a leap
+    cut, leap_min = [np.zeros((0, 5))], 4.0 * TRACKER_NOISE_M  # [m] of a leap
     for j in range(positions.shape[1]):
         visible = np.flatnonzero(np.isfinite(positions[:, j, 0]))
         path = positions[visible, j]
@@ -482,8 +454,8 @@ def _cut_jumps(positions: FloatArray, times: FloatArray) -> CutReadings:
             back = np.linalg.norm(path[frame : frame + frames_max] - path[before], axis=1)
             near = np.flatnonzero(back < 0.25 * leap)
             out |= set(range(frame, frame + int(near[0]))) if len(near) else set()
-        cut += cut_out(positions, times, j, visible[sorted(out)])
-    return cut
+        cut.append(cut_out(positions, times, j, visible[sorted(out)]))
+    return np.concatenate(cut)
 
 
 def _times(table: RawTable, recipe: Recipe) -> FloatArray:

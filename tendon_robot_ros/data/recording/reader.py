@@ -16,6 +16,7 @@ from ...common.rotations import from_quaternion
 from ...common.words import PROGRAM, listing
 from ..arrays import NO_ROTATION
 from ..dataset import FloatArray
+from ..tracker_faults import BY_CHANCE
 from .writer import (
     DESCRIPTION,
     JOINT_STATE,
@@ -32,7 +33,6 @@ from .writer import (
 
 STORED = ('.mcap', '.db3')  # endings of recordings in one file
 TF = 'tf2_msgs/msg/TFMessage'
-Message = tuple[str, int, Any]  # topic, time [ns], message or (frame, poses)
 
 
 @dataclass(frozen=True)
@@ -87,19 +87,60 @@ def read_bag(path: str | Path, topics: Topics | None = None) -> Recording:
         The package rosbags is not installed.
 
     """
-    topics = topics or Topics()
+    topics, bag = topics or Topics(), str(path)
+    received: dict[str, list[tuple[int, Any]]] = {}
+    begins: list[int] = []
+    frames = set[str]()
     with opened(path) as reader:
         types = {c.topic: c.msgtype for c in reader.connections}
-        roles = _roles(str(path), types, topics)
-        messages = list[Message]()
+        roles = _roles(bag, types, topics)
         for connection, time, data in stored(reader, roles):
+            role = roles[connection.topic]
+            message: Any
+            begins = begins or [time]
             if connection.msgtype == POSE_ARRAY:
-                messages.append((connection.topic, time, parse_pose_array(data)))
-                continue
-            message = reader.deserialize(data, connection.msgtype)
-            shown = poses_of(message) if connection.msgtype == POSE_STAMPED else message
-            messages.append((connection.topic, time, shown))
-    return _sorted(str(path), messages, roles, topics, bool(other_sources(types)))
+                frame, message = parse_pose_array(data)
+                frames.add(frame)
+            else:
+                message = reader.deserialize(data, connection.msgtype)
+            if connection.msgtype == POSE_STAMPED:
+                frame, message = poses_of(message)
+                frames.add(frame)
+            if role != 'states' or topics.sender in message.header.frame_id:
+                received.setdefault(role, []).append((time, message))
+    if len(frames) > 1:
+        raise DataSetError(
+            bag,
+            f'shapes are given in the frames {listing(sorted(map(repr, frames)))}',
+            'record all markers in the frame of the base',
+        )
+    shapes = [f'marker {name}' for name in topics.markers] or ['shape']
+    silent = shapes == ['shape'] and 'shape' not in received and other_sources(types)
+    if silent or not set(shapes) <= set(roles.values()):
+        shapes = []  # `with_markers` reads them from other topics
+    for role in ('states', *shapes):
+        if role not in received:
+            raise DataSetError(bag, f'there is no message about {role}', 'record it again')
+    start = min(begins, default=0)
+
+    def last(role: str) -> str | None:
+        return str(received[role][-1][1].data) if role in received else None
+
+    def times(role: str) -> FloatArray:
+        return 1e-9 * np.array([time - start for time, _ in received[role]])
+
+    return Recording(
+        name=bag,
+        state_times=times('states'),
+        states=[message for _, message in received['states']],
+        tracks=tuple(_track(bag, times(role), received[role]) for role in shapes),
+        marker_names=tuple(topics.markers) if shapes else (),
+        labels=[(1e-9 * (time - start), m.data) for time, m in received.get(LABEL, [])],
+        description=last(DESCRIPTION),
+        robot=last(ROBOT),
+        frame=next(iter(frames), ''),
+        start=start,
+    )
 
 
 @contextmanager
@@ -204,64 +245,16 @@ def stored(reader: Any, topics: Iterable[str]) -> Iterator[tuple[Any, int, bytes
         yield from reader.messages(connections=connections)
 
 
-def _sorted(
-    bag: str,
-    messages: list[Message],
-    roles: Mapping[str, str],
-    topics: Topics,
-    elsewhere: bool,
-) -> Recording:
-    """Sort messages by topic; markers may be `elsewhere`, in topics that are read later."""
-    by_role: dict[str, list[tuple[float, Any]]] = {role: [] for role in roles.values()}
-    start = min((time for _, time, _ in messages), default=0)
-    frames = set()
-    for topic, time, message in messages:
-        if isinstance(message, tuple):
-            frames.add(message[0])
-        elif roles[topic] == 'states' and topics.sender not in message.header.frame_id:
-            continue
-        by_role[roles[topic]].append((1e-9 * (time - start), message))
-    if len(frames) > 1:
-        raise DataSetError(
-            bag,
-            f'shapes are given in the frames {listing(sorted(map(repr, frames)))}',
-            'record all markers in the frame of the base',
-        )
-    shapes = [f'marker {name}' for name in topics.markers] or ['shape']
-    silent = shapes == ['shape'] and not by_role.get('shape') and elsewhere
-    if silent or not all(role in by_role for role in shapes):
-        shapes = []
-    for role in ('states', *shapes):
-        if not by_role[role]:
-            raise DataSetError(bag, f'there is no message about {role}', 'record it again')
-    texts = {key: [m.data for _, m in by_role.get(key, [])] for key in (DESCRIPTION, ROBOT)}
-    return Recording(
-        name=bag,
-        state_times=np.array([time for time, _ in by_role['states']]),
-        states=[message for _, message in by_role['states']],
-        tracks=tuple(_track(bag, by_role[role]) for role in shapes),
-        marker_names=tuple(topics.markers) if shapes else (),
-        labels=[(time, message.data) for time, message in by_role.get(LABEL, [])],
-        description=texts[DESCRIPTION][-1] if texts[DESCRIPTION] else None,
-        robot=texts[ROBOT][-1] if texts[ROBOT] else None,
-        frame=next(iter(frames), ''),
-        start=start,
-    )
-
-
-def _track(bag: str, samples: list[tuple[float, Any]]) -> Track:
-    poses = [values for _, (_, values) in samples]
-    counts = {len(row) for row in poses}
+def _track(bag: str, times: FloatArray, samples: Sequence[tuple[int, FloatArray]]) -> Track:
+    counts = {len(poses) for _, poses in samples}
     if len(counts) > 1:
         raise DataSetError(
             bag,
             f'the shape has {min(counts)} poses in one message and {max(counts)} in another',
             'publish every marker always, NaN where it is not seen',
         )
-    values = np.stack(poses)
-    missing = ~np.isfinite(values[..., :3]).all(axis=-1)
-    values[missing] = np.nan
-    times = np.array([time for time, _ in samples])
+    values = np.stack([poses for _, poses in samples])
+    values[~np.isfinite(values[..., :3]).all(axis=-1)] = np.nan
     return Track(times, values[..., :3], _sane(values[..., 3:]))
 
 
@@ -450,14 +443,13 @@ def _moved(track: Track, matrix: FloatArray, shift: FloatArray) -> Track:
 # Messages are looked at in groups. In a group of two senders values are of two kinds, apart by
 # more than they vary within a kind, and the kinds alternate; values of one sender step once.
 GROUP = 12  # [1] messages in a group, because few of noise alone then look so, see CHANCE
-ALTERNATIONS_MIN = 4  # [1] from one kind to the other in a group, because a step has one
-FEWEST = 3  # [1] messages of a kind in a group, and groups, because one or two are failed readings
+ALTERNATIONS_MIN = GROUP // 3  # [1] from one kind to the other, because a step has one
+KIND_MIN = GROUP // 4  # [1] messages of a kind, and groups, because one or two are failed readings
 # [1] of what a value goes through in the recording, because less is noise and resolution
 APART_FRACTION = 0.1
 # [1] of the groups of values that are noise alone look so by chance: of values that are drawn
 # evenly 0.006, of normal ones 0.0008 (counted in 400,000 groups)
 CHANCE = 0.006
-DEVIATIONS = 6.0  # [1] standard deviations above CHANCE, so that a still arm is never refused
 
 
 def refuse_two_senders(recording: Recording, inputs: FloatArray) -> None:
@@ -512,6 +504,8 @@ def refuse_two_senders(recording: Recording, inputs: FloatArray) -> None:
 
 def alternating(times: FloatArray, values: FloatArray) -> tuple[float, float, float] | None:
     """Return begin, end [s] and difference where values (S, n) of two kinds alternate."""
+    from scipy.special import bdtrik  # the quantile of a binomial distribution
+
     count = len(times) // GROUP
     if not count:
         return None
@@ -532,9 +526,9 @@ def alternating(times: FloatArray, values: FloatArray) -> tuple[float, float, fl
     mixed = (
         (flips >= ALTERNATIONS_MIN) & (gap[:, 0] > within) & (gap[:, 0] > APART_FRACTION * spread)
     )
-    mixed &= (many >= FEWEST) & (many <= GROUP - FEWEST) & (spread > 0.0)
-    chance = CHANCE * count
-    mixed &= mixed.sum(axis=0) >= max(FEWEST, chance + DEVIATIONS * np.sqrt(chance))
+    mixed &= (many >= KIND_MIN) & (many <= GROUP - KIND_MIN) & (spread > 0.0)
+    usual = bdtrik(1.0 - BY_CHANCE, count, CHANCE)  # groups that look so in noise, at most
+    mixed &= mixed.sum(axis=0) >= max(KIND_MIN, usual)
     where = np.flatnonzero(mixed.any(axis=1))
     if not len(where):
         return None
