@@ -38,7 +38,6 @@ from . import options
 from .options import input_size, length, pairs, progress
 
 
-
 class ImportBag:
     """
     Make a data set from a rosbag2 recording: wherever the arm stands still, it was measured.
