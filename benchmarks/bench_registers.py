@@ -27,7 +27,7 @@ from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.drivers import make_driver
 from tendon_robot_ros.drivers.dynamixel.bus import Port
 from tendon_robot_ros.drivers.dynamixel.control_table import GAINS, MODELS, REGISTERS
-from tendon_robot_ros.drivers.dynamixel.settings import SETTINGS
+from tendon_robot_ros.drivers.dynamixel.servos import SETTINGS
 from tendon_robot_ros.emulator.bus import EmulatedBus, status
 from tendon_robot_ros.emulator.rig import Rig, SpringArm, Wire
 from tendon_robot_ros.emulator.servo import Servo

@@ -203,7 +203,7 @@ class Scale:
 
     def __init__(self, chain):
         driver = driver_for(chain.servos, chain.mode, chain.robot)
-        wires = driver.config.wires
+        wires = driver.config.motors
         self.lines = [(wire.calibration.mean, wire.spool.direction) for wire in wires]
         self.rest = driver.robot.tension_limits[0]
 

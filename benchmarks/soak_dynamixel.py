@@ -28,8 +28,8 @@ from bench_dynamixel import rules
 from emulated_bus import ROBOT, Passings, driver_for, emulator, strongest
 
 from tendon_robot_ros.common.errors import DriverError
-from tendon_robot_ros.drivers.dynamixel.bus import open_port
 from tendon_robot_ros.drivers.safety import FOLLOWING, Supervisor
+from tendon_robot_ros.drivers.serial_port import PortLink
 from tendon_robot_ros.emulator.rig import BALANCED_N
 from tendon_robot_ros.ros.driver.motor_loop import MotorLoop
 
@@ -78,10 +78,12 @@ class Breaker:
         self.gone = time.monotonic() + BACK if unplugs else self.gone
 
     def second(self, _):
+        link = PortLink(self.servos.port, 1_000_000)
         try:
-            open_port(self.servos.port, 1_000_000, 0.01).closePort()
+            link.open()
         except DriverError:
             return
+        link.close()
         if time.monotonic() > self.gone:
             raise AssertionError('a second user got the port')
 

@@ -10,7 +10,7 @@ from ros_station import Station, last, stamp, start, values
 from sensor_msgs.msg import JointState
 
 from tendon_robot_ros.common.files import shared_file
-from tendon_robot_ros.drivers.dynamixel.calibration import from_data_sheet
+from tendon_robot_ros.drivers.dynamixel.config import from_data_sheet
 from tendon_robot_ros.drivers.dynamixel.control_table import MODELS, TICKS_PER_TURN
 from tendon_robot_ros.emulator.process import EmulatorProcess
 from tendon_robot_ros.ros.shared.messages import COMMAND

@@ -219,7 +219,7 @@ def goals(line, name, since):
 def steps_are_small(line, driver, since):
     """Whether no goal jumped up further than the rates allow in 0.1 s, also across a fault."""
     name = 'goal_current' if driver.mode == 'tension' else 'goal_position'
-    spool = driver.config.wires[0]
+    spool = driver.config.motors[0]
     if driver.mode == 'tension':
         most = 0.1 * driver.rates[0] * spool.calibration.mean.slope / spool.model.current_unit
     else:

@@ -19,8 +19,7 @@ from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import DriverError, InputError
 from tendon_robot_ros.drivers import make_driver
 from tendon_robot_ros.drivers.dynamixel import motions
-from tendon_robot_ros.drivers.dynamixel.calibration import CurrentPoint, fit_current
-from tendon_robot_ros.drivers.dynamixel.config import read_config
+from tendon_robot_ros.drivers.dynamixel.config import CurrentPoint, fit_current, read_config
 from tendon_robot_ros.emulator.bus import HELP
 from tendon_robot_ros.emulator.process import EmulatorProcess
 from tendon_robot_ros.emulator.rig import HangingWeights
@@ -178,7 +177,7 @@ def test_calibrations_are_collected_in_one_file_that_the_driver_reads(scales, tm
     assert calibrate('north', FEW) == 0  # which winds the other way round
     content = {**yaml.safe_load(config.read_text()), 'calibration': 'lines.yaml'}
     content['allow_coarse'] = True
-    wires = read_config(emulated.robot(), content, 'tension', str(config)).wires
+    wires = read_config(emulated.robot(), content, 'tension', str(config)).motors
     assert [wire.calibration.measured for wire in wires] == [True, True, False, False]
     other = {**content, 'spool_radius': 0.02}
     with pytest.raises(DriverError, match=r'spool_radius: expected 0\.02 m: calibrate again'):
@@ -221,12 +220,11 @@ def test_a_port_lost_while_calibrating_is_one_line(scales, capsys):
 
 def test_two_lines_are_fitted_with_their_standard_errors():
     points = [CurrentPoint(t, 0.1 + 0.05 * t, -0.08 + 0.04 * t) for t in (1.0, 2.0, 4.0, 8.0)]
-    found = fit_current(points)
-    lines = found.calibration
+    lines = fit_current(points)
     assert (lines.wind.intercept, lines.wind.slope) == pytest.approx((0.1, 0.05))
     assert (lines.pay_out.intercept, lines.pay_out.slope) == pytest.approx((-0.08, 0.04))
-    assert found.half_gap == pytest.approx(0.5 * (0.18 + 0.01 * 8.0) / 0.045)
-    assert found.errors['wind'] == pytest.approx((0.0, 0.0), abs=1e-12)
+    assert lines.uncertainty(8.0) == pytest.approx(0.5 * (0.18 + 0.01 * 8.0) / 0.045)
+    assert lines.wind[2:4] == pytest.approx((0.0, 0.0), abs=1e-12)
 
 
 def test_the_standard_errors_are_those_of_a_linear_regression():
@@ -241,8 +239,8 @@ def test_the_standard_errors_are_those_of_a_linear_regression():
                 for t, n in zip(tensions, noise, strict=True)
             ]
         )
-        slopes.append(found.calibration.wind.slope)
-        stated.append(found.errors['wind'][1])
+        slopes.append(found.wind.slope)
+        stated.append(found.wind.slope_error)
     assert np.std(slopes) == pytest.approx(np.mean(stated), rel=0.1)
 
 

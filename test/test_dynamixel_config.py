@@ -11,16 +11,22 @@ from hypothesis import strategies as st
 
 from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.drivers import make_driver
-from tendon_robot_ros.drivers.dynamixel.calibration import (
+from tendon_robot_ros.drivers.dynamixel.config import (
     Calibration,
     CurrentLine,
-    Spool,
+    Resolution,
     from_data_sheet,
-    resolution,
+    read_config,
 )
-from tendon_robot_ros.drivers.dynamixel.config import limits, read_config
-from tendon_robot_ros.drivers.dynamixel.control_table import MODELS, REGISTERS, decode, encode
+from tendon_robot_ros.drivers.dynamixel.control_table import (
+    MODELS,
+    REGISTERS,
+    TICKS_PER_TURN,
+    decode,
+    encode,
+)
 from tendon_robot_ros.drivers.dynamixel.motor import make_motors
+from tendon_robot_ros.drivers.hardware import Spool
 
 pytest.importorskip('dynamixel_sdk')
 from tendon_robot_ros.drivers.dynamixel.bus import UDEV_RULE, check_latency, without_header
@@ -44,7 +50,7 @@ def parsed(mode='tension', **changes):
 
 def test_a_geared_xm430_on_a_10_mm_spool_has_half_a_newton_per_count_and_a_23_n_band():
     model = MODELS['XM430-W350']
-    found = resolution(from_data_sheet(model, 0.010), model, 5.0)
+    found = Resolution(from_data_sheet(model, 0.010), model, 5.0)
     assert found.newtons_per_count == pytest.approx(0.48, abs=0.005)
     assert found.band == pytest.approx(23.2, abs=0.1)
     assert found.coarse
@@ -61,14 +67,14 @@ def test_tension_by_a_coarse_current_is_refused_with_the_numbers():
 
 @pytest.mark.parametrize('change', [{'allow_coarse': True}, {'mode': 'pull'}])
 def test_a_coarse_current_is_taken_when_allowed_or_when_not_commanded(change):
-    assert parsed(model='XM430-W350', spool_radius=0.010, **change).wires
+    assert parsed(model='XM430-W350', spool_radius=0.010, **change).motors
 
 
 def test_a_calibration_replaces_the_assumed_friction():
     fine = {'wind': [0.4, 1.0], 'pay_out': [-0.4, 1.0], 'scatter': 0.0}
     motors = emulated.config('')['motors']
     motors['east'] |= {'model': 'XM430-W350', 'calibration': fine}
-    wire = parsed(motors=motors).wires[0]
+    wire = parsed(motors=motors).motors[0]
     assert wire.resolution.band == pytest.approx(0.4)
     assert wire.calibration.measured
 
@@ -112,15 +118,15 @@ def test_a_calibration_file_is_found_beside_the_configuration(tmp_path):
     (tmp_path / 'lines.yaml').write_text('west: {wind: [0.1, 0.02], pay_out: [-0.1, 0.02]}')
     content = emulated.config('/dev/x', calibration='lines.yaml', allow_coarse=True)
     config = read_config(emulated.robot(), content, 'tension', str(tmp_path / 'arm.yaml'))
-    measured = [wire.name for wire in config.wires if wire.calibration.measured]
+    measured = [wire.name for wire in config.motors if wire.calibration.measured]
     assert measured == ['west']
 
 
 @given(st.floats(1e-3, 0.1), st.sampled_from([1, -1]), st.floats(-0.1, 0.1))
 def test_ticks_and_pull_undo_each_other(radius, direction, pull):
-    spool = Spool(radius, direction)
+    spool = Spool(radius, direction, TICKS_PER_TURN)
     assert spool.pull(spool.ticks(pull)) == pytest.approx(pull, abs=1e-12)
-    assert spool.pull(direction * 4096) == pytest.approx(2.0 * math.pi * radius)
+    assert spool.pull(direction * TICKS_PER_TURN) == pytest.approx(2.0 * math.pi * radius)
 
 
 @given(st.sampled_from(list(REGISTERS.values())), st.data())
@@ -221,11 +227,11 @@ def test_a_shared_motor_is_refused_in_tension_mode():
 def test_limits_and_rates_may_differ_from_tendon_to_tendon(mode, key, default):
     motors = emulated.config('')['motors']
     motors['north'] |= {key: 0.5 * default, 'tension_limit': 2.0, 'pull_limits': [0.0, 0.02]}
-    config = parsed(mode, motors=motors, allow_coarse=True, **{key: default})
-    found, rates = limits(config, emulated.robot(), mode)
-    assert rates.tolist() == [default, 0.5 * default, default, default]
+    content = emulated.config('/dev/x', motors=motors, allow_coarse=True, **{key: default})
+    driver = make_driver('dynamixel', emulated.robot(), content, mode=mode)
+    assert driver.rates.tolist() == [default, 0.5 * default, default, default]
     own, common = ([0.2, 2.0], [0.2, 5.0]) if mode == 'tension' else ([0.0, 0.02], [-0.01, 0.03])
-    assert found.tolist() == [common, own, common, common]
+    assert driver.limits.tolist() == [common, own, common, common]
 
 
 def test_pull_mode_needs_pull_limits():

@@ -10,14 +10,14 @@ pytest.importorskip('dynamixel_sdk')
 from tendon_robot_ros.common.yaml_reading import parse_yaml
 from tendon_robot_ros.drivers import make_driver
 from tendon_robot_ros.drivers.dynamixel.bus import UDEV_FILE, UDEV_RULE
-from tendon_robot_ros.drivers.dynamixel.calibration import (
+from tendon_robot_ros.drivers.dynamixel.config import (
+    KEYS,
+    Resolution,
     from_data_sheet,
-    resolution,
     smallest_spool,
 )
-from tendon_robot_ros.drivers.dynamixel.config import KEYS
 from tendon_robot_ros.drivers.dynamixel.control_table import MODELS, REGISTERS
-from tendon_robot_ros.drivers.dynamixel.settings import SETTINGS
+from tendon_robot_ros.drivers.dynamixel.servos import SETTINGS
 from tendon_robot_ros.robot import load_robot
 
 PAGE = (ROOT / 'docs' / 'dynamixel.md').read_text(encoding='utf-8')
@@ -25,7 +25,7 @@ PAGE = (ROOT / 'docs' / 'dynamixel.md').read_text(encoding='utf-8')
 
 @pytest.mark.parametrize('model', MODELS.values(), ids=lambda model: model.name)
 def test_the_table_of_motors_is_computed(model):
-    found = resolution(from_data_sheet(model, 0.010), model, 5.0)
+    found = Resolution(from_data_sheet(model, 0.010), model, 5.0)
     row = (
         f'| {model.name} | {model.torque_per_ampere:.3g} | {1e3 * model.current_unit:g} | '
         f'{found.newtons_per_count:.3g} | ±{found.band:.2g} N | '
@@ -38,8 +38,8 @@ def test_the_table_of_motors_is_computed(model):
 @pytest.mark.parametrize('limit', [1.0, 5.0, 20.0])
 def test_the_smallest_spool_is_fine_and_a_smaller_one_is_not(model, limit):
     radius = smallest_spool(model, limit)
-    assert not resolution(from_data_sheet(model, radius), model, limit).coarse
-    assert resolution(from_data_sheet(model, 0.9 * radius - 1e-3), model, limit).coarse
+    assert not Resolution(from_data_sheet(model, radius), model, limit).coarse
+    assert Resolution(from_data_sheet(model, 0.9 * radius - 1e-3), model, limit).coarse
 
 
 def test_the_udev_rule_is_the_one_that_the_driver_prints():

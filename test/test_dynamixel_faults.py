@@ -252,7 +252,7 @@ def test_in_pull_mode_no_wire_pulls_more_than_its_limit_however_the_arm_pulls_ba
     ):
         driver.enable()
         command = np.array([0.03, 0.0, 0.0, 0.0])  # 12 N of the spring
-        limit, band = 5.0, driver.config.wires[0].resolution.band
+        limit, band = 5.0, driver.config.motors[0].resolution.band
         winds = (limit - 2.0 * band) / emulated.STIFFNESS  # [m]
         emulated.until(driver, command, lambda r: r.pulls[0] > winds - 1e-4)
         line.rig.arm.slack[0] = -0.01  # the arm pulls out what it can

@@ -20,8 +20,8 @@ pytest.importorskip('dynamixel_sdk')
 
 from tendon_robot_ros.drivers.dynamixel import motions
 from tendon_robot_ros.drivers.dynamixel.bus import Bus
-from tendon_robot_ros.drivers.dynamixel.settings import SETTINGS
-from tendon_robot_ros.drivers.hardware import ANSWER_TIMEOUT_S
+from tendon_robot_ros.drivers.dynamixel.servos import SETTINGS
+from tendon_robot_ros.drivers.serial_port import ANSWER_TIMEOUT_S
 from tendon_robot_ros.emulator.bus import status
 
 # what another program may leave; nothing of it may steer the arm

@@ -13,12 +13,13 @@ import pytest
 from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.drivers import make_driver
 from tendon_robot_ros.drivers.dynamixel.control_table import FRICTION_CURRENT
-from tendon_robot_ros.drivers.hardware import write_all
+from tendon_robot_ros.drivers.serial_port import write_all
 from tendon_robot_ros.emulator.rig import SpringArm
 
 pytest.importorskip('dynamixel_sdk')
 
-from tendon_robot_ros.drivers.dynamixel import motions, torque
+from tendon_robot_ros.drivers.dynamixel import motions
+from tendon_robot_ros.drivers.dynamixel import servos as module
 from tendon_robot_ros.drivers.dynamixel.bus import Bus
 
 
@@ -162,7 +163,7 @@ def test_torque_comes_on_without_a_jump(mode):
 def test_the_watchdog_is_short_in_real_time_and_what_is_configured_always_counts(
     realtime, given, counts, words, monkeypatch
 ):
-    monkeypatch.setattr(torque, 'in_realtime', lambda: realtime)
+    monkeypatch.setattr(module, 'in_realtime', lambda: realtime)
     with emulated.line(slack=0.0) as line:
         config = emulated.config(line.port)
         del config['watchdog']
@@ -223,7 +224,7 @@ def test_a_motor_that_does_not_turn_is_refused_and_the_torque_is_off():
 
 
 def test_a_motor_that_winds_too_slowly_is_named(monkeypatch):
-    monkeypatch.setattr(motions, 'EXTRA_TIME_S', 0.5)
+    monkeypatch.setattr(motions, 'TURNING_TIMEOUT_S', 0.25)
     arm = SpringArm(np.full(4, emulated.STIFFNESS), np.array([0.004, 0.004, 0.5, 0.004]))
     changes = {'home_speed': 0.1, 'home_travel': 0.02}
     with emulated.line(arm=arm) as line, driver_for(line, 'pull', **changes) as driver:
@@ -260,7 +261,7 @@ def test_a_computer_that_is_late_while_it_looks_for_slack_goes_on_from_where_the
 
 
 def test_a_computer_that_is_always_late_does_not_find_the_slack(monkeypatch):
-    monkeypatch.setattr(motions, 'TRIPS_MAX', 1)
+    monkeypatch.setattr(motions, 'HICCUPS_MAX', 1)
     with emulated.line(slack=0.02) as line, driver_for(line, 'pull') as driver:
         driver.cancelled = lambda: time.sleep(0.25)
         with pytest.raises(DriverError, match='late again and again; torque is off'):

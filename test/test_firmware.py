@@ -87,7 +87,7 @@ class Board:
 
     def state(self):
         self.rig.firmware.receive(encode(Message.HEARTBEAT, 1))
-        return messages.read_telemetry(self.wait(0.05)[-1])
+        return messages.read_telemetry(self.wait(0.05)[-1], 4)
 
     def configure(self, release_to='pretension'):
         for i, cell in enumerate(self.rig.cells):

@@ -146,9 +146,9 @@ def test_an_arm_that_cannot_respond_stays_where_it_is_and_says_why():
 @pytest.mark.parametrize(
     ('config', 'message'),
     [
-        ({'lags': 1}, "mock.yaml: expected one of lag, .*, got 'lags'"),
-        ({'lag': -1}, 'mock.yaml: lag: expected a number from 0 to 10, got -1'),
-        ({'tension_source': 'guess'}, 'expected load_cell or command'),
+        ({'lags': 1}, "mock.yaml: lags: expected one of lag, .*, got 'lags'"),
+        ({'lag': -1}, 'mock.yaml: lag: expected a finite number from 0 to 10 .s., got -1'),
+        ({'tension_source': 'guess'}, 'tension_source: expected one of load_cell, command'),
     ],
 )
 def test_a_wrong_configuration_is_refused(config, message):

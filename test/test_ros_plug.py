@@ -10,9 +10,9 @@ import pytest
 from scipy.optimize import least_squares
 from source_tree import ROOT
 
-from tendon_robot_ros.drivers.dynamixel.calibration import (
+from tendon_robot_ros.drivers.dynamixel.config import (
+    Resolution,
     from_data_sheet,
-    resolution,
     smallest_spool,
 )
 from tendon_robot_ros.drivers.dynamixel.control_table import MODELS
@@ -42,7 +42,7 @@ def beyond_friction(model, tensions, tip):
 
     """
     motor, limit = MODELS['XL330-M077'], model.robot.tension_limits[1]
-    known = resolution(from_data_sheet(motor, smallest_spool(motor, limit)), motor, limit)
+    known = Resolution(from_data_sheet(motor, smallest_spool(motor, limit)), motor, limit)
     band = known.band + known.newtons_per_count
     low, high = np.maximum(0.0, tensions - band), tensions + band
 

@@ -13,7 +13,7 @@ from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import DriverError, InputError
 from tendon_robot_ros.drivers import make_driver
 from tendon_robot_ros.drivers.serial_board.config import CountsPoint, fit_counts, read_config
-from tendon_robot_ros.drivers.serial_board.link import connect, measure_counts
+from tendon_robot_ros.drivers.serial_board.link import connect
 from tendon_robot_ros.emulator.board import HELP
 from tendon_robot_ros.emulator.process import EmulatorProcess
 from tendon_robot_ros.robot import load_robot
@@ -96,11 +96,11 @@ def test_a_weight_that_swings_is_refused(robot_file):
     with emulated_board.board() as line:
         content = emulated_board.config(line)
         config = read_config(emulated.robot(), content, 'tension', 'board.yaml')
-        link, channels = connect(config)
+        link = connect(config)
         timer = threading.Timer(0.4, lambda: line.obey('weight 0 0.2'))
         timer.start()
         with pytest.raises(DriverError, match='channel 0: the weight does not hang still'):
-            measure_counts(link, channels, 0, 0.0, 0.6)
+            link.measure_counts(0, 0.0, 0.6)
         timer.join()
         link.close()
 
@@ -158,4 +158,4 @@ def test_the_example_configuration_is_read():
     robot = load_robot(root / 'config/robots/kato_10_1.yaml')
     for mode in ('tension', 'pull'):
         config = read_config(robot, content, mode, 'serial_board.yaml', calibrated=False)
-        assert np.array([t.metres_per_tick for t in config.tendons])[1] < 0.0
+        assert np.array([t.spool.metres_per_tick for t in config.tendons])[1] < 0.0

@@ -236,7 +236,7 @@ def test_no_tension_ever_passed_its_limit(arm):
 
 
 def test_a_port_without_a_board_is_refused_with_a_reason(monkeypatch):
-    monkeypatch.setattr('tendon_robot_ros.drivers.serial_board.link.BOOT_TIME_S', 0.2)
+    monkeypatch.setattr('tendon_robot_ros.drivers.serial_board.link.RESTART_TIMEOUT_S', 0.2)
     with emulated_board.board() as line:
         line.deaf = True
         driver = emulated_board.driver_for(line)

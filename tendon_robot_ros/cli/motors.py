@@ -21,10 +21,10 @@ import yaml
 from numpy.typing import NDArray
 
 from ..common.errors import InputError, MissingExtraError, short
-from ..common.files import new_file, read_text, write_text
+from ..common.files import new_file, write_text
 from ..common.words import STANDARD_GRAVITY
-from ..common.yaml_reading import parse_yaml
-from ..drivers.dynamixel.calibration import smallest_spool
+from ..common.yaml_reading import read_yaml
+from ..drivers.dynamixel.config import smallest_spool
 from ..drivers.dynamixel.control_table import BAUD_RATES, MODELS
 from ..emulator.board import BoardRig, EmulatedBoard
 from ..emulator.bus import EmulatedBus
@@ -36,7 +36,7 @@ from .options import add_file
 
 if TYPE_CHECKING:
     from ..drivers.dynamixel.bus import Bus
-    from ..drivers.dynamixel.calibration import CurrentFit
+    from ..drivers.dynamixel.config import Calibration, CurrentPoint
     from ..drivers.dynamixel.motor import Motor
     from ..drivers.serial_board.config import CountsPoint
 
@@ -198,11 +198,7 @@ def _content(path: str) -> dict[str, Any]:
     def refuse(reason: object) -> InputError:
         return InputError(f'{path}: expected keys with values (YAML), got {reason}')
 
-    text = read_text(path, refuse)
-    try:
-        content = parse_yaml(text)
-    except ValueError as error:
-        raise refuse(error) from None
+    content = read_yaml(Path(path), refuse)
     if not isinstance(content, dict):
         raise refuse(short(content))
     return content
@@ -210,7 +206,7 @@ def _content(path: str) -> dict[str, Any]:
 
 def calibrate_motor(args: argparse.Namespace) -> int:
     """Measure currents under weights, fit two lines, write and draw them."""
-    from ..drivers.dynamixel.calibration import fit_current, to_mapping
+    from ..drivers.dynamixel.config import fit_current, to_mapping
     from ..drivers.dynamixel.motions import wind_weight
 
     if not (1.0 <= args.travel <= 1000.0 and 0.1 <= args.speed <= 200.0):
@@ -236,17 +232,15 @@ def calibrate_motor(args: argparse.Namespace) -> int:
             points.append(point)
     finally:
         bus.close()
-    result = fit_current(points)
-    lines = to_mapping(result, wire.model.name, wire.spool.radius)
+    fitted = fit_current(points)
+    half_gap = fitted.uncertainty(max(point.tension for point in points))
+    lines = to_mapping(fitted, points, wire.model.name, wire.spool.radius)
     _write(Path(args.output), args.tendon, lines, MOTOR_UNITS)
     picture = Path(args.picture or f'{Path(args.output).with_suffix("")}_{args.tendon}.png')
-    draw(result, args.tendon, picture)
-    for what, line in (
-        ('winding', result.calibration.wind),
-        ('paying out', result.calibration.pay_out),
-    ):
+    draw(fitted, points, args.tendon, picture)
+    for what, line in (('winding', fitted.wind), ('paying out', fitted.pay_out)):
         print(f'{args.tendon}: {what} I = {line.intercept:.4f} A + {line.slope:.4f} A/N T')
-    print(f'half the gap: {result.half_gap:.3f} N: that is how well the current tells the tension')
+    print(f'half the gap: {half_gap:.3f} N: that is how well the current tells the tension')
     print(f'written: {args.output}, {picture}')
     return 0
 
@@ -256,20 +250,20 @@ def open_motor(args: argparse.Namespace, gravity: float) -> tuple[Bus, Motor, An
     from ..drivers.dynamixel.bus import Bus
     from ..drivers.dynamixel.config import read_config
     from ..drivers.dynamixel.motor import Motor
-    from ..drivers.dynamixel.settings import shake_hands
+    from ..drivers.dynamixel.servos import shake_hands
 
     robot = load_robot(args.robot)
     content = _content(args.config)
     content = {**content, 'allow_coarse': True}
     config = read_config(robot, content, 'tension', args.config)
-    wires = [wire for wire in config.wires if wire.name == args.tendon]
+    wires = [wire for wire in config.motors if wire.name == args.tendon]
     if not wires:
         raise InputError(
             f'--tendon: expected one of {", ".join(robot.inputs)}, got {args.tendon!r}'
         )
     wire = replace(wires[0], tension_limit=2.0 * gravity * max(args.weights))
     motor = Motor(wire.motor, (wire,), 'pull')
-    bus = Bus(config.port, config.baud, config.answer_time)
+    bus = Bus(config.port, config.baudrate, config.answer_time)
     bus.open()
     shake_hands(bus, config, {wire.motor: motor})
     return bus, motor, wire
@@ -282,7 +276,7 @@ def _write(path: Path, tendon: str, lines: dict[str, Any], units: str) -> None:
     write_text(path, f'# {units}; written by calibrate\n{text}')
 
 
-def draw(result: CurrentFit, tendon: str, path: Path) -> None:
+def draw(fitted: Calibration, points: list[CurrentPoint], tendon: str, path: Path) -> None:
     """Draw currents and lines over tension."""
     from matplotlib.figure import Figure
 
@@ -292,23 +286,23 @@ def draw(result: CurrentFit, tendon: str, path: Path) -> None:
     size, dots, _ = STYLES['lines']
     figure = Figure(figsize=size, layout='constrained')
     axes = figure.add_subplot()
-    tensions = [point.tension for point in result.points]
+    tensions = [point.tension for point in points]
     ends = [0.0, 1.05 * max(tensions)]
     for name, words, colour in (
         ('wind', 'winding', MEASURED),
         ('pay_out', 'paying out', PREDICTED),
     ):
-        line = getattr(result.calibration, name)
-        currents = [getattr(point, name) for point in result.points]
+        line = getattr(fitted, name)
+        currents = [getattr(point, name) for point in points]
         axes.plot(tensions, currents, 'o', color=colour, label=words)
         axes.plot(ends, [line.current(t) for t in ends], color=colour)
-    mean = result.calibration.mean
+    mean, half_gap = fitted.mean, fitted.uncertainty(max(tensions))
     axes.plot(
         ends,
         [mean.current(t) for t in ends],
         '--',
         color=ERROR,
-        label=f'mean, ±{result.half_gap:.2g} N',
+        label=f'mean, ±{half_gap:.2g} N',
     )
     axes.set(xlabel='tension [N]', ylabel='current [A]', title=f'{tendon}: calibration')
     axes.legend()
@@ -320,7 +314,7 @@ def draw(result: CurrentFit, tendon: str, path: Path) -> None:
 def measure_cell(args: argparse.Namespace) -> dict[str, Any]:
     """Measure and fit; print what was found; return what is written for the tendon."""
     from ..drivers.serial_board.config import cell_mapping, fit_counts, read_config
-    from ..drivers.serial_board.link import connect, measure_counts
+    from ..drivers.serial_board.link import connect
 
     robot = load_robot(args.robot)
     content = _content(args.config)
@@ -330,7 +324,7 @@ def measure_cell(args: argparse.Namespace) -> dict[str, Any]:
         raise InputError(
             f'--tendon: expected one of {", ".join(robot.inputs)}, got {args.tendon!r}'
         )
-    link, channels = connect(config)
+    link = connect(config)
     points: list[CountsPoint] = []
     try:
         for mass in (0.0, *args.weights):
@@ -339,9 +333,7 @@ def measure_cell(args: argparse.Namespace) -> dict[str, Any]:
             if not args.yes:
                 input('press Enter when it hangs still ')
             force = mass * STANDARD_GRAVITY
-            points.append(
-                measure_counts(link, channels, tendon.channel, force, SECONDS_PER_WEIGHT)
-            )
+            points.append(link.measure_counts(tendon.channel, force, SECONDS_PER_WEIGHT))
             print(
                 f'  {force:.3f} N: {points[-1].mean:.0f} ± {points[-1].spread:.0f} counts',
                 file=sys.stderr,

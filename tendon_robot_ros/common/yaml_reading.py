@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any, Self
 
 import yaml
 
 from .errors import DriverError, RobotDescriptionError, TendonRobotError
+from .files import read_text
 
 NESTING_MAX = 100  # [1] brackets within brackets, else compiled code would run out of memory
 # [1] characters that are read once more for a better message, because that takes ten times as long
@@ -63,6 +65,15 @@ def parse_yaml(text: str) -> Any:
         raise ValueError(f'line {line}: {error.problem}') from None
     except (yaml.YAMLError, ValueError) as error:  # a date such as 2000-99-99 is a ValueError
         raise ValueError(' '.join(str(error).split())) from None
+
+
+def read_yaml(path: Path, refuse: Callable[[object], TendonRobotError]) -> Any:
+    """Read a YAML file into plain values; `refuse` makes the error from a reason."""
+    text = read_text(path, refuse)
+    try:
+        return parse_yaml(text)
+    except ValueError as error:
+        raise refuse(error) from None
 
 
 class Reader:

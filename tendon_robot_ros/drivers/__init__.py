@@ -2,7 +2,8 @@
 Drivers that put commands on motors; they know neither the target nor the controller's model.
 
 interface.py      `Driver`, `Reading`, `Fault`; the list of backends
-hardware.py       what all drivers of real motors share: ports, limits, configuration
+hardware.py       what all drivers of real motors share: limits, configuration, calibration lines
+serial_port.py    a port for one process alone, and the driver of motors on it
 safety.py         rules, a stop that latches, the supervisor: what may reach the motors
 tendon_check.py   which tendon has crept since the last time
 mock.py           a driver without hardware

@@ -1,143 +1,31 @@
 """
 Common parts of drivers of real motors.
 
-Serial ports, commands within limits and rates, opening and enabling of a driver on a port,
-configuration files and the straight lines of calibrations.
+Commands within limits and rates, the configuration of every input, and the straight lines of
+calibrations.
 """
 
 from __future__ import annotations
 
-import contextlib
-import errno
-import fcntl
-import os
-import select
-import termios
+import math
 import time
-from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, Protocol, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.errors import DriverError, MovedError, TendonRobotError
-from ..common.files import read_text
-from ..common.yaml_reading import ConfigFields, parse_yaml
+from ..common.errors import DriverError, TendonRobotError
+from ..common.yaml_reading import ConfigFields, read_yaml
 from ..robot import Robot
 from .interface import Array, Driver
 from .safety import CYCLE_MAX_S, STOP_TIME_MIN_S, approach, bounded
 
-# exceptions of an unplugged port: serial's error is an OSError, termios.error is none
-PORT_ERRORS = (OSError, termios.error)
-# [s] the longest for a motor or board to answer or send, and for a port to take bytes, so that a
-# busy computer is no lost port; whoever waits in a cycle waits less (`answer_time`)
-ANSWER_TIMEOUT_S = 0.1
-COMMAND_SHOWN = 60  # [characters] of another process's command, so that a message is a line
-# [s] after a longer pause the command does not catch up, so that no wire moves in one step
-WRITE_STEP_MAX_S = 2.0 * CYCLE_MAX_S
-# [s] between two attempts to get a port or a motor back, so that those that fail, with their
-# time-outs, leave most cycles to the motors that are there
-RETRY_PERIOD_S = 0.2
 PULL_MAX_M = 1.0  # [m] of wire either way: more would be a mistake in a unit
 WEIGHTS_MIN = 3  # [1] different ones in a calibration, else a line fits them without a residual
 READINGS_MIN = 5  # [1] with one weight, else a mean and its noise would mean little
-
-
-class PortLostError(Exception):
-    """The port is gone; `reopen` may bring it back."""
-
-
-def take_alone(file: int) -> None:
-    """Let no other process open the port; a lock that pyserial takes binds its users only."""
-    fcntl.ioctl(file, termios.TIOCEXCL)
-
-
-def refuse_held(path: str) -> None:
-    """
-    Refuse a port that is open already: a program without a lock would share its answers.
-
-    Raises
-    ------
-    OSError
-        A process has it open; `why_not` names it.
-
-    """
-    if held_by(path):
-        raise OSError(errno.EBUSY, 'open already')
-
-
-def write_all(file: int, data: bytes) -> None:
-    """
-    Write to a port that does not block.
-
-    pyserial's own write, with a time-out, fails also where the port accepted all data at once and
-    this process was late to notice.
-
-    Raises
-    ------
-    OSError
-        The port is gone, or has taken nothing for `ANSWER_TIMEOUT_S`.
-
-    """
-    while data:
-        with contextlib.suppress(BlockingIOError):
-            data = data[os.write(file, data) :]
-        if data and not select.select([], [file], [], ANSWER_TIMEOUT_S)[1]:
-            raise TimeoutError(f'the port took nothing for {ANSWER_TIMEOUT_S:g} s')
-
-
-def why_not(path: str, error: BaseException) -> str:
-    """Return a message why a port cannot be opened, and the remedy."""
-    code = getattr(error, 'errno', None)
-    if not os.path.exists(path):
-        return (
-            f'{path}: no such port; is the adapter plugged in? '
-            f'found: {", ".join(present_ports()) or "no USB serial port"}'
-        )
-    if code == errno.EACCES:
-        return (
-            f'{path}: not allowed; type: sudo usermod -aG dialout $USER, then log out and in again'
-        )
-    if code in (errno.EAGAIN, errno.EBUSY) or 'lock' in str(error):
-        return f'{path}: {held_by(path) or "another process has the port"}; stop it first'
-    return f'{path}: cannot open: {error}'
-
-
-def held_by(path: str, others: bool = False) -> str:
-    """
-    Return which process has a port open, '' if none is visible.
-
-    Parameters
-    ----------
-    path : str
-    others : bool
-        Only other processes than this one.
-
-    """
-    device = os.path.realpath(path)
-    for link in Path('/proc').glob('[0-9]*/fd/*'):
-        try:
-            if os.readlink(link) != device:
-                continue
-            if int(link.parts[2]) == os.getpid():
-                if others:
-                    continue
-                return 'this process has the port already'
-            command = Path('/proc', link.parts[2], 'cmdline').read_bytes()
-            name = ' '.join(command.decode(errors='replace').replace('\0', ' ').split())
-            name = f'{link.parts[2]}: {name[:COMMAND_SHOWN]}'
-            return f'another process has the port (process {name})'
-        except OSError:  # it has ended, or belongs to somebody else
-            continue
-    return ''
-
-
-def present_ports() -> list[str]:
-    """List the USB serial ports, by the name that stays when they are plugged in again."""
-    by_id = sorted(str(path) for path in Path('/dev/serial/by-id').glob('*'))
-    return by_id or sorted(str(path) for path in Path('/dev').glob('ttyUSB*'))
 
 
 class HardwareDriver(Driver):
@@ -164,11 +52,11 @@ class HardwareDriver(Driver):
         self.limits, self.rates = limits, rates
         self._is_open = False
         self._goal: Array = np.zeros(len(self.inputs))  # (m,) what was commanded last
-        self._written = self._retried = -np.inf  # monotonic [s]
+        self._written = -np.inf  # monotonic [s]
 
     def _require_open(self, what: str) -> None:
         if not self._is_open:
-            raise DriverError(f'{self.place}: {what}: the driver is not open')
+            raise DriverError(f'{self.place}: {what}: the driver is not open; call open() first')
 
     def _chosen(self, inputs: Sequence[str]) -> NDArray[np.bool_]:
         """Return a mask (m,) of the named inputs; none named means all."""
@@ -192,122 +80,59 @@ class HardwareDriver(Driver):
         if self.mode == 'tension':
             falling = np.maximum(rates, limits[:, 1] / STOP_TIME_MIN_S)
             rates = np.where(goal < self._goal, falling, rates)
-        return approach(self._goal, goal, rates * min(passed, WRITE_STEP_MAX_S))
-
-    def _may_retry(self, now: float) -> bool:
-        """Return whether it is time for another attempt to reconnect."""
-        if now - self._retried < RETRY_PERIOD_S:
-            return False
-        self._retried = now
-        return True
+        # no wire moves in one step after a pause
+        return approach(self._goal, goal, rates * min(passed, 2.0 * CYCLE_MAX_S))
 
 
-class PortConfig(Protocol):
-    """The keys that every configuration of such a driver has."""
+@dataclass(frozen=True)
+class Spool:
+    """A spool: radius [m], direction of turning that winds (+1 or -1), ticks of the encoder."""
 
-    @property
-    def port(self) -> str:
-        """Path of the port."""
+    radius: float
+    direction: int
+    ticks_per_turn: float
 
     @property
-    def zero(self) -> str:
-        """`find` slack at enabling, or `here`: pull 0 is where the wires are."""
+    def metres_per_tick(self) -> float:
+        """Wire wound by a tick [m], negative where growing ticks pay out."""
+        return self.direction * 2.0 * math.pi * self.radius / self.ticks_per_turn
+
+    def pull(self, ticks: float) -> float:
+        """Return the wire [m] wound by so many ticks."""
+        return self.metres_per_tick * ticks
+
+    def ticks(self, pull: float) -> float:
+        """Return the ticks that wind so much wire [m]."""
+        return pull / self.metres_per_tick
 
 
-class PortLink(Protocol):
-    """The port itself."""
-
-    def open(self) -> None:
-        """Open it for this process alone."""
-
-    def close(self) -> None:
-        """Close it."""
-
-
-class PortDriver(HardwareDriver):
+@dataclass(frozen=True)
+class WireConfig:
     """
-    Opens a port, identifies the motors and finds the slack of the wires before the first torque.
+    One input: its spool and limits.
 
-    Attributes
+    Parameters
     ----------
-    cancelled : callable
-        Called while `enable` searches for slack; a true result ends it.
+    name : str
+    spool : Spool
+    tension_limit : float
+        [N]
+    pull_limits : tuple of float
+        [m]
+    rate : float
+        Fastest change of the command, [N/s] or [m/s] by the mode.
 
     """
 
-    config: PortConfig
-    read_config: ClassVar[Callable[..., Any]]
+    name: str
+    spool: Spool
+    tension_limit: float
+    pull_limits: tuple[float, float]
+    rate: float
 
-    def __init__(
-        self, robot: Robot, mode: str, config: PortConfig, link: PortLink, *bounds: Array
-    ) -> None:
-        """Take limits (m, 2) and rates (m,) last, in the unit of the mode."""
-        super().__init__(robot, mode, config.port, *bounds)
-        self.config, self.port, self.link = config, config.port, link
-        self.cancelled: Callable[[], bool] = lambda: False
-
-    @classmethod
-    def from_config(
-        cls, robot: Robot, config: Mapping[str, Any], *, mode: str, source: str
-    ) -> Self:
-        """Make the driver from the content of its configuration file."""
-        return cls(robot, cls.read_config(robot, config, mode, source), mode)  # type: ignore
-
-    def open(self) -> None:
-        """Open the port for this process alone and identify the motors."""
-        self.link.open()
-        try:
-            self._shake_hands()
-        except (DriverError, PortLostError) as error:
-            self.link.close()
-            raise DriverError(str(error)) from None
-        self._is_open = True
-
-    def close(self) -> None:
-        """Close the port; the watchdogs of the motors then stop them."""
-        self._is_open = False
-        self.link.close()
-
-    def enable(self) -> None:
-        """Torque on where the arm is; with `zero: find`, wind up the slack first."""
-        self._require_open('enable')
-        failed: type[DriverError] = DriverError
-        try:
-            self._check_motors()
-            if self.config.zero == 'find' and self._slack_unknown():
-                self._find_slack()
-                failed = MovedError
-            self._torque_on()
-        except MovedError:
-            self.disable()
-            raise
-        except (DriverError, PortLostError) as error:
-            self.disable()
-            raise failed(str(error)) from None
-        self._start_from_measured()
-
-    @abstractmethod
-    def _shake_hands(self) -> None:
-        """Check the motors behind the open port, and read the positions of the wires."""
-
-    def _check_motors(self) -> None:
-        """Refuse motors that latched a fault."""
-
-    @abstractmethod
-    def _slack_unknown(self) -> bool:
-        """Return whether the zero of a pull is unknown."""
-
-    @abstractmethod
-    def _find_slack(self) -> None:
-        """Wind every wire until it is taut; MovedError where that fails after a motor moved."""
-
-    @abstractmethod
-    def _torque_on(self) -> None:
-        """Switch all motors on, where they are."""
-
-    @abstractmethod
-    def _start_from_measured(self) -> None:
-        """Let the next command begin at what is measured."""
+    def limits(self, mode: str, lowest: float) -> tuple[float, float]:
+        """Return the limits of a command; `lowest` is the robot's lowest tension [N]."""
+        return (lowest, self.tension_limit) if mode == 'tension' else self.pull_limits
 
 
 def fields_of_inputs(
@@ -343,6 +168,14 @@ def fields_of_inputs(
 def nearest(item: ConfigFields, top: ConfigFields, key: str) -> ConfigFields:
     """Return the fields of an input where it has a key of its own, else those of the file."""
     return item if item.has(key) else top
+
+
+def read_baudrate(top: ConfigFields, known: tuple[int, ...]) -> int:
+    """Return one of the known baud rates [1/s], 1 Mbit/s where the file names none."""
+    value = top.content.get('baudrate', 1_000_000)
+    if value not in known:
+        raise top.error('baudrate', f'one of {", ".join(map(str, known))}', value)
+    return int(value)
 
 
 def read_spool_radius(item: ConfigFields, top: ConfigFields) -> float:
@@ -386,11 +219,20 @@ def read_calibrations(top: ConfigFields, required: bool) -> ConfigFields:
     def refuse(reason: object) -> TendonRobotError:
         return top.error('calibration', 'a readable YAML file', f'{file}: {reason}')
 
-    text = read_text(file, refuse)
-    try:
-        return ConfigFields(str(file), '', parse_yaml(text))
-    except ValueError as error:
-        raise refuse(error) from None
+    return ConfigFields(str(file), '', read_yaml(file, refuse))
+
+
+def read_wire_limits(
+    item: ConfigFields, top: ConfigFields, robot: Robot, mode: str
+) -> dict[str, Any]:
+    """Return the limits of `WireConfig`; only pull mode needs limits of the pull."""
+    low, high = robot.tension_limits
+    limited = nearest(item, top, 'pull_limits')
+    pull_limits = -PULL_MAX_M, PULL_MAX_M
+    if limited.has('pull_limits') or mode == 'pull':
+        pull_limits = read_pull_limits(limited)
+    tension_limit = item.value('tension_limit', high, low + 1e-6, high, 'N')
+    return {'tension_limit': tension_limit, 'pull_limits': pull_limits}
 
 
 class LineFit(NamedTuple):
@@ -398,9 +240,9 @@ class LineFit(NamedTuple):
 
     intercept: float
     slope: float
-    intercept_error: float
-    slope_error: float
-    scatter: float
+    intercept_error: float = 0.0
+    slope_error: float = 0.0
+    scatter: float = 0.0
 
 
 def fit_line(x: Array, y: Array, noise: float = 0.0) -> LineFit:

@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import DriverError, TendonRobotError
+from ..common.yaml_reading import ConfigFields
 from ..robot import Robot
-from .interface import MODES, Driver, Fault, Reading
+from .hardware import HardwareDriver
+from .interface import Array, Fault, Reading
 
-Array = NDArray[np.float64]
 # what can be injected -> (message, reported by the motor itself, readings are lost)
 FAULTS = {
     'silent': ('{who}: no answer; check cable and supply', False, True),
@@ -55,26 +56,20 @@ class MockConfig:
     @classmethod
     def checked(cls, config: Mapping[str, Any], source: str) -> Self:
         """Read a mapping; unknown keys and impossible values are refused."""
-        known = [field.name for field in fields(cls)]
-        for key in config:
-            if key not in known:
-                raise DriverError(f'{source}: expected one of {", ".join(known)}, got {key!r}')
-        parsed = cls(**config)
-        for key in ('lag', 'tension_noise', 'pull_noise'):
-            value = getattr(parsed, key)
-            if not (isinstance(value, (int, float)) and 0.0 <= value < 10.0):
-                raise DriverError(
-                    f'{source}: {key}: expected a number from 0 to 10, got {value!r}'
-                )
-        if parsed.tension_source not in ('load_cell', 'command'):
-            raise DriverError(
-                f'{source}: tension_source: expected load_cell or command, '
-                f'got {parsed.tension_source!r}'
-            )
-        return parsed
+        top = ConfigFields(source, '', dict(config))
+        top.only(*(field.name for field in fields(cls)))
+        units = {'lag': 's', 'tension_noise': 'N', 'pull_noise': 'm'}
+        return cls(
+            **{
+                key: top.value(key, getattr(cls, key), 0.0, 10.0, unit)
+                for key, unit in units.items()
+            },
+            tension_source=top.choice('tension_source', ('load_cell', 'command'), 'load_cell'),
+            seed=top.content.get('seed', cls.seed),
+        )
 
 
-class MockDriver(Driver):
+class MockDriver(HardwareDriver):
     """Moves a plant instead of motors."""
 
     def __init__(
@@ -86,19 +81,13 @@ class MockDriver(Driver):
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Take the plant; it starts straight and slack."""
-        if mode not in MODES:
-            raise DriverError(f'mode: expected one of {", ".join(MODES)}, got {mode!r}')
-        self.robot, self.inputs, self.mode = robot, robot.inputs, mode
-        m = len(self.inputs)
-        self.config = config or MockConfig()
+        m = len(robot.inputs)
         pull_max = 2.0 * math.pi * max(max(map(abs, (*t.base, *t.end))) for t in robot.tendons)
         limits = robot.tension_limits if mode == 'tension' else (-pull_max, pull_max)
-        self.limits = np.tile(np.array(limits, dtype=float), (m, 1))
-        self.rates = np.full(m, np.inf)
-        self.plant, self._clock = plant, clock
+        super().__init__(robot, mode, 'MockDriver', np.tile(limits, (m, 1)), np.full(m, np.inf))
+        self.config, self.plant, self._clock = config or MockConfig(), plant, clock
         self._random = np.random.default_rng(self.config.seed)
-        self._is_open, self._on = False, np.zeros(m, dtype=bool)
-        self._command, self._actual = np.zeros(m), np.zeros(m)
+        self._on, self._actual = np.zeros(m, dtype=bool), np.zeros(m)
         self._updated = clock()
         self._injected: dict[str, Fault] = {}
         self._state: PlantState | None = None
@@ -137,23 +126,21 @@ class MockDriver(Driver):
         self._advance()
         if self.mode == 'pull' and self._state is not None:
             self._actual = np.where(self._on, self._actual, self._state.pulls)
-        self._command = self._actual.copy()
+        self._goal = self._actual.copy()
         self._on[:] = True
 
     def disable(self, inputs: Sequence[str] = ()) -> None:
         """Torque off: the wire goes slack."""
         self._advance()
-        for name in inputs or self.inputs:
-            self._on[self.inputs.index(name)] = False
+        self._on &= ~self._chosen(inputs)
 
     def write(self, command: Array) -> None:
         """Command every input; what is off stays off."""
         self._require_open('write')
         values = self.checked(command)
         self._advance()
-        lowest = np.minimum(self._command, self.limits[:, 0])
-        received = np.clip(values, lowest, self.limits[:, 1])
-        self._command = np.where(self._lost(), self._command, received)
+        received = np.clip(values, np.minimum(self._goal, self.limits[:, 0]), self.limits[:, 1])
+        self._goal = np.where(self._lost(), self._goal, received)
 
     def read(self) -> Reading:
         """Return the plant's state with noise."""
@@ -165,7 +152,7 @@ class MockDriver(Driver):
             pulls = np.array(state.pulls) + self._noise(self.config.pull_noise)
             tensions = np.array(state.inputs) + self._noise(self.config.tension_noise)
         if self.config.tension_source == 'command':
-            command = np.where(self._on, self._command, 0.0)
+            command = np.where(self._on, self._goal, 0.0)
             tensions = command if self.mode == 'tension' else np.full_like(pulls, np.nan)
         problem = [Fault('plant', self._problem)] if self._problem else []
         sd = self.config.tension_noise if self.config.tension_source == 'load_cell' else None
@@ -187,11 +174,7 @@ class MockDriver(Driver):
         """Inject a fault: a key of `FAULTS`, for some inputs or all."""
         if code not in FAULTS:
             raise DriverError(f'fault: expected one of {", ".join(FAULTS)}, got {code!r}')
-        for name in inputs:
-            if name not in self.inputs:
-                raise DriverError(
-                    f'fault: expected inputs of {", ".join(self.inputs)}, got {name!r}'
-                )
+        self._chosen(inputs)  # refuses unknown ones
         message, hardware, _ = FAULTS[code]
         who = ', '.join(inputs) or 'all motors'
         self._injected[code] = Fault(code, message.format(who=who), hardware, tuple(inputs))
@@ -209,39 +192,27 @@ class MockDriver(Driver):
         }
 
     def _lost(self) -> NDArray[np.bool_]:
-        lost = np.zeros(len(self.inputs), dtype=bool)
-        for code, fault in self._injected.items():
-            if FAULTS[code][2]:
-                names = fault.inputs or self.inputs
-                lost |= np.isin(self.inputs, names)
-        return lost
+        lost = [fault for code, fault in self._injected.items() if FAULTS[code][2]]
+        names = [name for fault in lost for name in fault.inputs or self.inputs]
+        return np.isin(self.inputs, names)
 
     def _noise(self, sd: float) -> Array:
-        if sd > 0.0:
-            return self._random.normal(0.0, sd, len(self.inputs))
-        return np.zeros(len(self.inputs))
-
-    def _require_open(self, what: str) -> None:
-        if not self._is_open:
-            raise DriverError(f'MockDriver: {what}: the driver is not open; call open() first')
+        m = len(self.inputs)
+        return self._random.normal(0.0, sd, m) if sd > 0.0 else np.zeros(m)
 
     def _advance(self) -> None:
         """Let the motors follow their command since the last call, and the arm the motors."""
         now = self._clock()
         passed, self._updated = max(now - self._updated, 0.0), now
         part = 1.0 if self.config.lag <= 0.0 else -math.expm1(-passed / self.config.lag)
-        goal = np.where(self._on, self._command, 0.0)
-        before = self._actual
-        self._actual = before + part * (goal - before)
-        near = np.abs(self._actual - goal) < 1e-9
-        self._actual = np.where(near, goal, self._actual)
+        goal = np.where(self._on, self._goal, 0.0)
+        self._actual = self._actual + part * (goal - self._actual)
+        self._actual = np.where(np.abs(self._actual - goal) < 1e-9, goal, self._actual)
         inputs = self._actual.copy()
         if self.mode == 'pull':
             inputs[~self._on] = np.nan  # slack
-        if self._given is not None:
-            same = inputs == self._given
-            if same.all() or (same | (np.isnan(inputs) & np.isnan(self._given))).all():
-                return
+        if self._given is not None and np.array_equal(inputs, self._given, equal_nan=True):
+            return
         self._given = inputs
         respond = self.plant.respond if self.mode == 'tension' else self.plant.respond_to_pulls
         try:

@@ -10,21 +10,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from ..common.errors import DriverError, InputError
-from ..common.files import read_text, write_text
+from ..common.files import write_text
 from ..common.processes import ends_between
-from ..common.yaml_reading import ConfigFields, parse_yaml
-from .interface import CYCLE_S, Driver
+from ..common.yaml_reading import ConfigFields, read_yaml
+from .interface import CYCLE_S, Array, Driver
 
-Array = NDArray[np.float64]
 RAMP_S = 4.0  # [s] to the reference tension, so that the arm follows without swinging
 STOP_S = 0.2  # [s] in which tendons let go when a signal asks for the end, else it would be a jerk
 STILL_S = 1.0  # [s] in which pulls have to stand, so that a mean has a hundred readings
@@ -48,14 +46,8 @@ class TendonReference:
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the content of the file."""
-        return {
-            'inputs': list(self.inputs),
-            'tension': self.tension,
-            'pulls': [round(float(value), 7) for value in self.pulls],
-            'tensions': [round(float(value), 5) for value in self.tensions],
-            'date': self.date,
-            'boot': self.boot,
-        }
+        pulls, tensions = self.pulls.round(7).tolist(), self.tensions.round(5).tolist()
+        return {**asdict(self), 'inputs': [*self.inputs], 'pulls': pulls, 'tensions': tensions}
 
 
 @dataclass(frozen=True)
@@ -144,23 +136,29 @@ def read_reference(path: Path) -> TendonReference:
     def refuse(reason: object) -> InputError:
         return InputError(f'{path}: cannot be read: {reason}')
 
-    text = read_text(path, refuse)
-    try:
-        content = parse_yaml(text)
-    except ValueError as error:
-        raise refuse(error) from None
-    fields = ConfigFields(str(path), '', content)
-    fields.only('inputs', 'tension', 'pulls', 'tensions', 'date', 'boot')
-    names = fields.content.get('inputs')
+    top = ConfigFields(str(path), '', read_yaml(path, refuse))
+    top.only(*(field.name for field in fields(TendonReference)))
+    names = top.content.get('inputs')
     if not isinstance(names, list) or not names:
-        raise fields.error('inputs', 'a list of names', names)
+        raise top.error('inputs', 'a list of names', names)
+
+    def numbers(key: str) -> Array:  # that may be missing (nan)
+        values = top.content.get(key)
+        if (
+            not isinstance(values, list)
+            or len(values) != len(names)
+            or not all(isinstance(value, (int, float)) for value in values)
+        ):
+            raise top.error(key, f'a list of {len(names)} numbers', values)
+        return np.array(values, dtype=float)
+
     return TendonReference(
-        tuple(str(name) for name in names),
-        fields.number('tension', 0.0, 1e4, 'N'),
-        np.array(_numbers(fields, 'pulls', len(names))),
-        np.array(_numbers(fields, 'tensions', len(names))),
-        str(fields.content.get('date', '')),
-        str(fields.content.get('boot', '')),
+        tuple(map(str, names)),
+        top.number('tension', 0.0, 1e4, 'N'),
+        numbers('pulls'),
+        numbers('tensions'),
+        str(top.content.get('date', '')),
+        str(top.content.get('boot', '')),
     )
 
 
@@ -190,16 +188,6 @@ def boot_id() -> str:
         return BOOT.read_text(encoding='utf-8').strip()
     except OSError:
         return ''
-
-
-def _numbers(fields: ConfigFields, key: str, count: int) -> list[float]:
-    """Return numbers that may be missing (nan)."""
-    values = fields.content.get(key)
-    if not isinstance(values, list) or len(values) != count:
-        raise fields.error(key, f'a list of {count} numbers', values)
-    if not all(isinstance(value, (int, float)) for value in values):
-        raise fields.error(key, f'a list of {count} numbers', values)
-    return [float(value) for value in values]
 
 
 @dataclass

@@ -1,7 +1,7 @@
 """
 The bus: every conversation with the servos, through the SDK, with its traps closed.
 
-Of the SDK's port handler four functions are replaced: opening the port (exclusively), waiting for
+Of the SDK's port handler four functions are replaced: writing (until all is taken), waiting for
 bytes (asleep instead of spinning), the clock (monotonic) and the time-out of an answer (the SDK
 waits 34 ms whatever the adapter's latency is).
 
@@ -23,7 +23,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import re
 import select
 import struct
 import time
@@ -43,16 +42,7 @@ from dynamixel_sdk import (
 )
 
 from ...common.errors import DriverError
-from ..hardware import (
-    ANSWER_TIMEOUT_S,
-    PORT_ERRORS,
-    PortLostError,
-    held_by,
-    refuse_held,
-    take_alone,
-    why_not,
-    write_all,
-)
+from ..serial_port import ANSWER_TIMEOUT_S, PortLink, PortLostError, held_by, write_all
 from .control_table import REGISTERS, TABLE_BYTES, decode, encode
 
 T = TypeVar('T')
@@ -77,40 +67,16 @@ class StatusByte(IntEnum):
 
 
 class Port(PortHandler):  # type: ignore[misc]
-    """The SDK's port handler for one process; `clock` tells how long it waits for answers [s]."""
+    """The SDK's port handler on an open port; `clock` tells how long it waits for answers [s]."""
 
     clock = staticmethod(time.monotonic)
 
-    def __init__(self, path: str, baud: int, answer_time: float) -> None:
-        """Take path, baud rate and the time to wait for an answer besides its bytes [s]."""
-        super().__init__(path)
-        self.is_open: bool = False
-        self.baudrate = baud
+    def __init__(self, device: serial.Serial, answer_time: float) -> None:
+        """Take the open port and the time to wait for an answer besides its bytes [s]."""
+        super().__init__(device.port)
+        self.ser, self.baudrate = device, device.baudrate
         self.answer_time = 1000.0 * answer_time  # [ms]
-
-    def setupPort(self, cflag_baud: int) -> bool:  # noqa: N802
-        """Open the port so that no other process can."""
-        if self.is_open:
-            self.closePort()
-        refuse_held(self.port_name)
-        self.ser = serial.Serial(
-            port=self.port_name, baudrate=cflag_baud, timeout=0, exclusive=True
-        )
-        take_alone(self.ser.fileno())
-        self.is_open = True
-        self.ser.reset_input_buffer()
-        self.tx_time_per_byte = 10_000.0 / self.baudrate
-        return True
-
-    def closePort(self) -> None:  # noqa: N802
-        """Close for good; an unplugged port only becomes free again when it is closed."""
-        self.is_open = False
-        self.is_using = False
-        if self.ser is not None:
-            with contextlib.suppress(*PORT_ERRORS):
-                self.ser.reset_output_buffer()  # goals that are still waiting are old
-            with contextlib.suppress(*PORT_ERRORS):
-                self.ser.close()
+        self.tx_time_per_byte = 10_000.0 / device.baudrate  # [ms]
 
     def getCurrentTime(self) -> float:  # noqa: N802
         """Return a time that no clock adjustment moves [ms]."""
@@ -139,41 +105,9 @@ class Port(PortHandler):  # type: ignore[misc]
         return bytes(self.ser.read(length))
 
 
-def open_port(path: str, baud: int, answer_time: float) -> Port:
-    """
-    Open a port for this process alone.
-
-    Raises
-    ------
-    DriverError
-        It does not exist, is not allowed, or another process has it.
-
-    """
-    port = Port(path, baud, answer_time)
-    try:
-        if port.openPort():
-            return port
-        raise DriverError(f'{path}: baudrate: the SDK does not know {baud}')
-    except PORT_ERRORS as error:
-        port.closePort()
-        raise DriverError(why_not(path, error)) from None
-
-
-def latency(path: str, sysfs: str = '/sys') -> int | None:
-    """Read the adapter's latency timer [ms]; None where the port has none."""
-    name = os.path.basename(os.path.realpath(path))
-    if not re.fullmatch(r'tty\w+', name):
-        return None
-    file = Path(sysfs, 'class', 'tty', name, 'device', 'latency_timer')
-    try:
-        return int(file.read_text())
-    except (OSError, ValueError):
-        return None
-
-
 def check_latency(path: str, allow: bool, sysfs: str = '/sys') -> int | None:
     """
-    Return the latency timer [ms], None where there is none.
+    Return the latency timer of the adapter [ms], None where there is none.
 
     Raises
     ------
@@ -181,8 +115,12 @@ def check_latency(path: str, allow: bool, sysfs: str = '/sys') -> int | None:
         The adapter holds answers back for longer than 2 ms and that is not allowed.
 
     """
-    milliseconds = latency(path, sysfs)
-    if milliseconds is not None and milliseconds > LATENCY_MAX_MS and not allow:
+    device = Path(sysfs, 'class', 'tty', os.path.basename(os.path.realpath(path)), 'device')
+    try:
+        milliseconds = int((device / 'latency_timer').read_text())
+    except (OSError, ValueError):
+        return None
+    if milliseconds > LATENCY_MAX_MS and not allow:
         raise DriverError(
             f'{path}: latency_timer: expected at most {LATENCY_MAX_MS} ms, '
             f'got {milliseconds} ms: every '
@@ -193,26 +131,24 @@ def check_latency(path: str, allow: bool, sysfs: str = '/sys') -> int | None:
     return milliseconds
 
 
-class Bus:
+class Bus(PortLink):
     """
     One serial bus with servos.
 
     Attributes
     ----------
-    path : str
-        The port.
+    answer_time : float
+        Time to wait for an answer [s].
     fast : bool
         Whether group reads use the fast sync read.
-    failures : dict of str to int
-        Number of failures of each kind since the start.
 
     """
 
     def __init__(self, path: str, baud: int, answer_time: float) -> None:
         """Take the path of the port, the baud rate and the time to wait for an answer [s]."""
-        self.path, self.baud, self.answer_time = path, baud, answer_time
-        self.fast = False
+        super().__init__(path, baud)
         self.failures = {'no or broken answer': 0, 'port lost': 0}
+        self.answer_time, self.fast = answer_time, False
         self._packets = Protocol2PacketHandler()
         self._port: Port | None = None
         self._readers: dict[tuple[int, int, tuple[int, ...]], Any] = {}
@@ -222,42 +158,20 @@ class Bus:
         self._stray: deque[float] = deque(maxlen=STRAY_MAX)  # [s] times of unrequested bytes
         self._talker = ''
 
-    @property
-    def connected(self) -> bool:
-        """Whether the port is open; a lost port counts as open until a conversation fails."""
-        return self._port is not None
-
-    def open(self) -> None:
-        """Open the port with a new port handler; raise DriverError when it cannot be."""
-        self.close()
-        self._port = open_port(self.path, self.baud, self.answer_time)
-
-    def reopen(self) -> bool:
-        """Try to reopen a lost port; return whether it worked. Quick either way."""
-        self.close()
-        port = Port(self.path, self.baud, self.answer_time)
-        try:
-            opened = os.path.exists(self.path) and port.openPort()
-        except PORT_ERRORS:
-            opened = False
-        if not opened:
-            port.closePort()
-            return False
-        self._port = port
-        return True
+    def _open(self) -> None:
+        super()._open()
+        self._port = Port(self._device, self.answer_time)
 
     def close(self) -> None:
         """Close the port; never raises."""
-        port, self._port = self._port, None
+        super().close()
+        self._port = None
         self._readers.clear()
-        if port is not None:
-            port.closePort()
 
     def _talk(self, what: Callable[[Port], T]) -> T:
         """Run one conversation; a failing port is closed at once and reported as lost."""
-        if self._port is None:
-            raise PortLostError(self.path)
-        try:
+        with self.conversation():
+            assert self._port is not None
             if not self._behind and self._port.waiting():
                 self._stray.append(time.monotonic())
             if self._behind and self._responding:  # read past late answers
@@ -267,23 +181,18 @@ class Bus:
                 if self._behind:
                     self._responding.append(self._responding.pop(0))  # another servo next time
             return what(self._port)
-        except PORT_ERRORS as error:
-            self.failures['port lost'] += 1
-            self.close()
-            raise PortLostError(f'{self.path}: {error}') from None
 
     def second_talker(self) -> str:
         """Listen for a moment; return the name of another program on this bus, '' for none."""
         who = held_by(self.path, others=True)
-        if who or self._port is None:
+        if who:
             return who
-        try:
+        with contextlib.suppress(PortLostError), self.conversation():
+            assert self._port is not None
             time.sleep(ANSWER_TIMEOUT_S)  # what comes later is no late answer
             self._port.clearPort()
             if self._port.waiting(2.0 * ANSWER_TIMEOUT_S):
                 return self._other_talker()
-        except PORT_ERRORS:
-            self.close()
         return ''
 
     def disturbed(self) -> str:

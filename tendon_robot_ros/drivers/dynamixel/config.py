@@ -1,149 +1,300 @@
-"""The driver's configuration: motors, spools, limits, calibration (docs/dynamixel.md)."""
+"""
+The driver's configuration: motors, spools, limits (docs/dynamixel.md); calibration of a motor.
+
+A geared motor shows its friction with both signs: winding needs I = a_wind + b_wind T, paying out
+I = a_out + b_out T. Each line is fitted by least squares over known weights; the standard errors
+are those of the usual linear regression.
+"""
 
 from __future__ import annotations
 
+import datetime
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
-from ...common.errors import DriverError
+from ...common.errors import DriverError, InputError
 from ...common.yaml_reading import ConfigFields
 from ...robot import Robot
 from ..hardware import (
+    WEIGHTS_MIN,
+    LineFit,
+    Spool,
+    WireConfig,
     fields_of_inputs,
+    fit_line,
     nearest,
+    read_baudrate,
     read_calibrations,
     read_direction,
-    read_pull_limits,
     read_spool_radius,
+    read_wire_limits,
 )
-from ..interface import Array
-from .calibration import (
-    CURRENT_COUNTS_MIN,
-    FRICTION_BAND_MAX,
-    Calibration,
-    CurrentLine,
-    Resolution,
-    Spool,
-    from_data_sheet,
-    resolution,
+from .control_table import (
+    BAUD_RATES,
+    INSTEAD,
+    MODELS,
+    TICKS_PER_TURN,
+    WITHOUT_CURRENT,
+    ServoModel,
+    plain_model,
 )
-from .control_table import BAUD_RATES, INSTEAD, MODELS, WITHOUT_CURRENT, ServoModel, plain_model
 
-MOTOR_KEYS = (
-    'id',
+# [counts] of current from no tension to the limit; else one count would be more than 5 % of it
+CURRENT_COUNTS_MIN = 20
+# [1] of the tension limit; docs/dynamixel.md: else friction would hide too much of a command
+FRICTION_BAND_MAX = 0.20
+
+
+class CurrentLine(LineFit):
+    """Current over tension: intercept [A] and slope [A/N], with their standard errors."""
+
+    def current(self, tension: float) -> float:
+        """Return the current [A] at a tension [N]."""
+        return self.intercept + self.slope * tension
+
+    def tension(self, current: float) -> float:
+        """Return the tension [N] at a current [A]: never negative."""
+        return max(0.0, (current - self.intercept) / self.slope)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """
+    Current over tension: one line for winding and one for paying out.
+
+    A geared motor needs more current to wind than to hold, and less to pay out. The mean of both
+    lines converts; half the gap between them is the uncertainty.
+
+    Parameters
+    ----------
+    wind, pay_out : CurrentLine
+    measured : bool
+        False for the data sheet's torque per ampere and an assumed friction.
+    scatter : float
+        Standard deviation of the currents about their lines [A].
+
+    """
+
+    wind: CurrentLine
+    pay_out: CurrentLine
+    measured: bool = False
+    scatter: float = 0.0
+
+    @property
+    def mean(self) -> CurrentLine:
+        """The line between the two."""
+        return CurrentLine(
+            0.5 * (self.wind.intercept + self.pay_out.intercept),
+            0.5 * (self.wind.slope + self.pay_out.slope),
+        )
+
+    def current(self, tension: float) -> float:
+        """Return the mean current [A] of winding and paying out at a tension [N]."""
+        return self.mean.current(tension)
+
+    def tension(self, current: float) -> float:
+        """Return the mean tension [N] of winding and paying out at a current [A]."""
+        return self.mean.tension(current)
+
+    def uncertainty(self, tension: float) -> float:
+        """Return half the gap between the two lines at a tension, with their scatter [N]."""
+        half = 0.5 * abs(self.wind.current(tension) - self.pay_out.current(tension))
+        return math.hypot(half, self.scatter) / self.mean.slope
+
+
+def from_data_sheet(model: ServoModel, radius: float) -> Calibration:
+    """Make the lines of an uncalibrated motor with a spool of the given radius [m]."""
+    slope = radius / model.torque_per_ampere
+    friction = model.friction_current
+    return Calibration(CurrentLine(friction, slope), CurrentLine(-friction, slope))
+
+
+class Resolution:
+    """
+    Resolution and friction band of a tension that a motor sets by current.
+
+    Attributes
+    ----------
+    newtons_per_count : float
+    counts : int
+        From no tension to the limit.
+    band : float
+        Friction: largest error of the tension, up or down [N].
+    limit : float
+        The tension limit [N].
+
+    """
+
+    def __init__(self, calibration: Calibration, model: ServoModel, limit: float) -> None:
+        """Take the calibration of a motor and the tension limit [N]."""
+        self.newtons_per_count = model.current_unit / calibration.mean.slope
+        self.counts = math.floor(limit / self.newtons_per_count + 1e-9)
+        self.band, self.limit = calibration.uncertainty(limit), limit
+
+    @property
+    def coarse(self) -> bool:
+        """Whether it is too coarse to command tensions by current."""
+        return self.counts < CURRENT_COUNTS_MIN or self.band > FRICTION_BAND_MAX * self.limit
+
+    def __str__(self) -> str:
+        """Return the numbers as text."""
+        return (
+            f'one count of current is {self.newtons_per_count:.3g} N ({self.counts} counts '
+            f'up to {self.limit:g} N), the friction band is ±{self.band:.3g} N '
+            f'({100 * self.band / self.limit:.0f} % of the limit)'
+        )
+
+
+def smallest_spool(model: ServoModel, limit: float) -> float:
+    """Return the smallest spool radius [m], in whole mm, with enough resolution by data sheet."""
+    friction = model.friction_current * model.torque_per_ampere  # [N·m]
+    count = model.current_unit * model.torque_per_ampere  # [N·m]
+    smallest = max(friction / (FRICTION_BAND_MAX * limit), CURRENT_COUNTS_MIN * count / limit)
+    return math.ceil(1e3 * smallest + 0.5) / 1e3
+
+
+@dataclass(frozen=True)
+class CurrentPoint:
+    """Currents with one weight on the wire: mean while winding and while paying out [A]."""
+
+    tension: float  # [N]
+    wind: float
+    pay_out: float
+
+
+def fit_current(points: Sequence[CurrentPoint]) -> Calibration:
+    """
+    Fit the two lines.
+
+    Raises
+    ------
+    InputError
+        Fewer than three weights, or currents that do not grow with the weight.
+
+    """
+    tensions = np.array([point.tension for point in points])
+    different = len(np.unique(tensions))
+    if different < WEIGHTS_MIN:
+        raise InputError(
+            f'calibration: expected at least {WEIGHTS_MIN} different weights, got {different}'
+        )
+    lines: dict[str, CurrentLine] = {}
+    for name in ('wind', 'pay_out'):
+        lines[name] = line = CurrentLine(
+            *fit_line(tensions, np.array([getattr(p, name) for p in points]))
+        )
+        if line.slope <= 0.0:
+            raise InputError(
+                f'calibration: {name}: the current does not grow with the weight '
+                f'({line.slope:.3g} A/N); does the weight hang free?'
+            )
+    scatter = max(line.scatter for line in lines.values())
+    return Calibration(**lines, measured=True, scatter=scatter)
+
+
+def to_mapping(
+    lines: Calibration, points: Sequence[CurrentPoint], model: str, radius: float
+) -> dict[str, Any]:
+    """Return the calibration file's content for one tendon, with its motor and spool [m]."""
+    wind, pay_out = ([round(v, 7) for v in line] for line in (lines.wind, lines.pay_out))
+    tensions = [point.tension for point in points]
+    return {
+        'wind': wind[:2],
+        'wind_errors': wind[2:4],
+        'pay_out': pay_out[:2],
+        'pay_out_errors': pay_out[2:4],
+        'scatter': round(lines.scatter, 7),
+        'half_gap': round(lines.uncertainty(max(tensions)), 4),
+        'model': model,
+        'spool_radius': radius,
+        'tensions': [round(tension, 4) for tension in tensions],
+        'date': datetime.date.today().isoformat(),
+    }
+
+
+# keys of a motor that hold for all motors where they stand at the top of the file
+COMMON_KEYS = (
     'model',
     'spool_radius',
-    'direction',
-    'share',
-    'tension_limit',
     'current_limit',
     'pull_limits',
     'tension_rate',
     'pull_rate',
     'calibration',
 )
+MOTOR_KEYS = ('id', 'direction', 'share', 'tension_limit', *COMMON_KEYS)
 
 
 @dataclass(frozen=True)
-class WireConfig:
+class MotorWire(WireConfig):
     """
-    One input: its motor, spool and limits.
+    One input and its motor.
 
     Parameters
     ----------
-    name : str
     motor : int
         Servo id.
     model : ServoModel
-    spool : Spool
     share : float
         Weight of this input in the position of a motor that several inputs share.
-    tension_limit : float
-        [N]
     current_limit : float
         [A]
-    pull_limits : tuple of float
-        [m]
-    rate : float
-        Fastest change of the command, [N/s] or [m/s] by the mode.
     calibration : Calibration
     """
 
-    name: str
     motor: int
     model: ServoModel
-    spool: Spool
     share: float
-    tension_limit: float
     current_limit: float
-    pull_limits: tuple[float, float]
-    rate: float
     calibration: Calibration
 
     @property
     def resolution(self) -> Resolution:
         """Resolution of this wire's tension by the motor's current."""
-        return resolution(self.calibration, self.model, self.tension_limit)
+        return Resolution(self.calibration, self.model, self.tension_limit)
 
 
-def read_wires(top: ConfigFields, robot: Robot, mode: str) -> tuple[WireConfig, ...]:
+def read_wires(top: ConfigFields, robot: Robot, mode: str) -> tuple[MotorWire, ...]:
     """Read the motor of every input of the robot."""
-    fields = fields_of_inputs(top, 'motors', 'a motor', robot)
+    items = fields_of_inputs(top, 'motors', 'a motor', robot)
     lines = read_calibrations(top, required=True)
-    sharing = [item.content.get('id') for item in fields.values()]
-    return tuple(
-        read_wire(top, name, item, lines, robot, mode, sharing) for name, item in fields.items()
-    )
-
-
-def read_wire(
-    top: ConfigFields,
-    name: str,
-    item: ConfigFields,
-    lines: ConfigFields,
-    robot: Robot,
-    mode: str,
-    sharing: list[Any],
-) -> WireConfig:
-    """Read one input; `sharing` lists the ids of all motors, as often as they have inputs."""
-    item.only(*MOTOR_KEYS)
-    identity = item.whole('id', 0, 252)
-    model = read_model(nearest(item, top, 'model'))
-    direction = read_direction(item, 'counter-clockwise winds')
-    spool = Spool(read_spool_radius(item, top), direction)
-    calibration = from_data_sheet(model, spool.radius)
-    if lines.has(name) or item.has('calibration'):
-        source = lines.child(name) if lines.has(name) else item.child('calibration')
-        calibration = read_calibration(source, model, spool.radius)
-    largest = model.current_limit * model.current_unit
-    lowest, highest = robot.tension_limits
-    limited = nearest(item, top, 'pull_limits')
-    pull_limits = -math.inf, math.inf
-    if limited.has('pull_limits') or mode == 'pull':
-        pull_limits = read_pull_limits(limited)
-    if mode == 'tension':
-        fields, default = nearest(item, top, 'tension_rate'), 2.0 * highest
-        rate = fields.value('tension_rate', default, 1e-6, 1e4, 'N/s')
-    else:
-        rate = nearest(item, top, 'pull_rate').value('pull_rate', 0.02, 1e-6, 1.0, 'm/s')
-    return WireConfig(
-        name=name,
-        motor=identity,
-        model=model,
-        spool=spool,
-        share=item.value('share', 1.0 / sharing.count(identity), 0.0, 1.0, '1'),
-        tension_limit=item.value('tension_limit', highest, lowest + 1e-6, highest, 'N'),
-        current_limit=nearest(item, top, 'current_limit').value(
-            'current_limit', largest, model.current_unit, largest, 'A'
-        ),
-        pull_limits=pull_limits,
-        rate=rate,
-        calibration=calibration,
-    )
+    shared = [item.content.get('id') for item in items.values()]
+    wires = []
+    for name, item in items.items():
+        item.only(*MOTOR_KEYS)
+        identity = item.whole('id', 0, 252)
+        model = read_model(nearest(item, top, 'model'))
+        radius = read_spool_radius(item, top)
+        calibration = from_data_sheet(model, radius)
+        if lines.has(name) or item.has('calibration'):
+            source = lines.child(name) if lines.has(name) else item.child('calibration')
+            calibration = read_calibration(source, model, radius)
+        key, default, low, high, unit = ('pull_rate', 0.02, 1e-6, 1.0, 'm/s')
+        if mode == 'tension':
+            default = 2.0 * robot.tension_limits[1]
+            key, low, high, unit = ('tension_rate', 1e-6, 1e4, 'N/s')
+        largest = model.current_limit * model.current_unit
+        limited = nearest(item, top, 'current_limit')
+        wires.append(
+            MotorWire(
+                name,
+                Spool(radius, read_direction(item, 'counter-clockwise winds'), TICKS_PER_TURN),
+                **read_wire_limits(item, top, robot, mode),
+                rate=nearest(item, top, key).value(key, default, low, high, unit),
+                motor=identity,
+                model=model,
+                share=item.value('share', 1.0 / shared.count(identity), 0.0, 1.0, '1'),
+                current_limit=limited.value(
+                    'current_limit', largest, model.current_unit, largest, 'A'
+                ),
+                calibration=calibration,
+            )
+        )
+    return tuple(wires)
 
 
 def read_model(fields: ConfigFields) -> ServoModel:
@@ -170,59 +321,32 @@ def read_calibration(item: ConfigFields, model: ServoModel, radius: float) -> Ca
     return Calibration(wind, pay_out, measured=True, scatter=scatter)
 
 
-KEYS = (
-    'port',
-    'baudrate',
-    'model',
-    'spool_radius',
-    'watchdog',
-    'answer_time',
-    'tension_rate',
-    'pull_rate',
-    'pull_limits',
-    'current_limit',
-    'pull_operation',
-    'zero',
-    'home_tension',
-    'home_speed',
-    'home_travel',
-    'temperature_margin',
-    'allow_coarse',
-    'allow_latency',
-    'calibration',
-    'motors',
-)
-OPERATIONS = ('current_based', 'extended')
-ZEROS = ('find', 'here')
-
-
 @dataclass(frozen=True)
 class DynamixelConfig:
-    """Checked configuration of the driver; SI units."""
+    """Checked configuration of the driver, by the keys of its file; SI units."""
 
-    source: str
     port: str
-    baud: int
+    baudrate: int
     watchdog: float | None  # [s], 0 = off, None = by the scheduling of the caller
     answer_time: float  # [s]
-    operation: str  # in pull mode: 'current_based' or 'extended'
+    pull_operation: str  # in pull mode: 'current_based' or 'extended'
     zero: str  # 'find' slack at enabling, or 'here': pull 0 is where it is enabled
     home_tension: float  # [N]
     home_speed: float  # [m/s]
     home_travel: float  # [m]
-    margin: float  # [°C] below the motor's own limit at which the arm is released
+    temperature_margin: float  # [°C] below the motor's own limit at which the arm is released
     allow_coarse: bool
     allow_latency: bool
-    wires: tuple[WireConfig, ...]
+    motors: tuple[MotorWire, ...]  # of every input
 
     @property
-    def ids(self) -> tuple[int, ...]:
-        """Ids of the servos, each once."""
-        return tuple(dict.fromkeys(wire.motor for wire in self.wires))
+    def by_id(self) -> dict[int, tuple[MotorWire, ...]]:
+        """The wires of every servo, by its id."""
+        ids = dict.fromkeys(wire.motor for wire in self.motors)
+        return {i: tuple(wire for wire in self.motors if wire.motor == i) for i in ids}
 
-    def on(self, identity: int) -> tuple[WireConfig, ...]:
-        """Return the wires of one servo."""
-        return tuple(wire for wire in self.wires if wire.motor == identity)
+
+KEYS = (*(field.name for field in fields(DynamixelConfig)), *COMMON_KEYS)
 
 
 def read_config(
@@ -239,52 +363,25 @@ def read_config(
     """
     top = ConfigFields(source, '', dict(content))
     top.only(*KEYS)
-    baud = top.content.get('baudrate', 1_000_000)
-    if baud not in BAUD_RATES.values():
-        raise top.error('baudrate', f'one of {", ".join(map(str, BAUD_RATES.values()))}', baud)
-    zero = top.choice('zero', ZEROS, 'find' if mode == 'pull' else 'here')
-    lowest = max(robot.tension_limits[0], 0.02 * robot.tension_limits[1])
+    low, high = robot.tension_limits
     config = DynamixelConfig(
-        source=source,
         port=top.port(),
-        baud=int(baud),
+        baudrate=read_baudrate(top, tuple(BAUD_RATES.values())),
         watchdog=top.value('watchdog', 0.0, 0.0, 2.54, 's') if top.has('watchdog') else None,
         answer_time=top.value('answer_time', 0.012, 0.001, 0.1, 's'),
-        operation=top.choice('pull_operation', OPERATIONS, OPERATIONS[0]),
-        zero=zero,
-        home_tension=top.value('home_tension', lowest, 1e-6, robot.tension_limits[1], 'N'),
+        pull_operation=top.choice(
+            'pull_operation', ('current_based', 'extended'), 'current_based'
+        ),
+        zero=top.choice('zero', ('find', 'here'), 'find' if mode == 'pull' else 'here'),
+        home_tension=top.value('home_tension', max(low, 0.02 * high), 1e-6, high, 'N'),
         home_speed=top.value('home_speed', 0.005, 1e-5, 0.1, 'm/s'),
         home_travel=top.value('home_travel', 0.05, 1e-4, 1.0, 'm'),
-        margin=top.value('temperature_margin', 5.0, 0.0, 50.0, '°C'),
+        temperature_margin=top.value('temperature_margin', 5.0, 0.0, 50.0, '°C'),
         allow_coarse=top.flag('allow_coarse'),
         allow_latency=top.flag('allow_latency'),
-        wires=read_wires(top, robot, mode),
+        motors=read_wires(top, robot, mode),
     )
-    check_sharing(top, config, mode)
-    if mode == 'tension':
-        refuse_coarse(config)
-    return config
-
-
-def refuse_coarse(config: DynamixelConfig) -> None:
-    """Refuse tensions by current where a count or the friction band is too large."""
-    if config.allow_coarse:
-        return
-    for wire in config.wires:
-        if wire.resolution.coarse:
-            raise DriverError(
-                f'{config.source}: motors.{wire.name}: tension by current is too coarse: '
-                f'{wire.resolution}; wanted: at least {CURRENT_COUNTS_MIN} counts and at most '
-                f'{100 * FRICTION_BAND_MAX:.0f} %; use '
-                'command_mode: pull, a larger spool or a lighter motor, calibrate it, or set '
-                'allow_coarse: true'
-            )
-
-
-def check_sharing(top: ConfigFields, config: DynamixelConfig, mode: str) -> None:
-    """Refuse motors that inputs cannot share."""
-    for identity in config.ids:
-        wires = config.on(identity)
+    for identity, wires in config.by_id.items():
         names = ' and '.join(wire.name for wire in wires)
         if len(wires) > 1 and mode == 'tension':
             raise top.error(
@@ -294,19 +391,16 @@ def check_sharing(top: ConfigFields, config: DynamixelConfig, mode: str) -> None
             )
         if len({wire.model.name for wire in wires}) > 1:
             raise top.error('motors', f'one model for id {identity}', names)
-        if abs(sum(wire.share for wire in wires) - 1.0) > 1e-6:
-            raise top.error(
-                'motors',
-                f'shares of id {identity} that add up to 1',
-                [wire.share for wire in wires],
+        shares = [wire.share for wire in wires]
+        if abs(sum(shares) - 1.0) > 1e-6:
+            raise top.error('motors', f'shares of id {identity} that add up to 1', shares)
+    for wire in config.motors:
+        if mode == 'tension' and wire.resolution.coarse and not config.allow_coarse:
+            raise DriverError(
+                f'{source}: motors.{wire.name}: tension by current is too coarse: '
+                f'{wire.resolution}; wanted: at least {CURRENT_COUNTS_MIN} counts and at most '
+                f'{100 * FRICTION_BAND_MAX:.0f} %; use '
+                'command_mode: pull, a larger spool or a lighter motor, calibrate it, or set '
+                'allow_coarse: true'
             )
-
-
-def limits(config: DynamixelConfig, robot: Robot, mode: str) -> tuple[Array, Array]:
-    """Return command limits, shape (m, 2), and rates, shape (m,), in the unit of the mode."""
-    low = robot.tension_limits[0]
-    rows = [
-        (low, wire.tension_limit) if mode == 'tension' else wire.pull_limits
-        for wire in config.wires
-    ]
-    return np.array(rows), np.array([wire.rate for wire in config.wires])
+    return config

@@ -3,32 +3,32 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from ...common.errors import DriverError
 from ...robot import Robot
-from ..hardware import PortDriver, PortLostError
-from ..interface import Array, Fault, Reading
+from ..interface import Array, Fault
+from ..serial_port import RESTART_TIMEOUT_S, PortDriver, PortLostError
 from .bus import Bus, check_latency
-from .config import DynamixelConfig, limits, read_config
+from .config import DynamixelConfig, read_config
 from .control_table import OperatingMode
 from .motions import find_slack
 from .motor import Motor, make_motors
-from .settings import naming_second_talker, shake_hands
-from .torque import (
+from .servos import (
     Watch,
     come_back,
+    naming_second_talker,
     operating_mode,
     read_state,
+    shake_hands,
     torque_off,
     torque_on,
     watchdog_counts,
     watchdog_time,
 )
 
-REBOOT_TIMEOUT_S = 2.0  # [s] one servo takes some tenths, so that a longer silence is a fault
 # [1] times that an increased current limit is sent, because nobody acknowledges a goal
 LIMIT_REPEATED = 20
 
@@ -39,11 +39,12 @@ class DynamixelDriver(PortDriver):
     config: DynamixelConfig
     link: Bus
     read_config = staticmethod(read_config)
+    device, source = 'adapter', 'current'
 
     def __init__(self, robot: Robot, config: DynamixelConfig, mode: str) -> None:
         """Take robot, checked configuration, and `tension` or `pull`."""
-        self.bus = Bus(config.port, config.baud, config.answer_time)
-        super().__init__(robot, mode, config, self.bus, *limits(config, robot, mode))
+        self.bus = Bus(config.port, config.baudrate, config.answer_time)
+        super().__init__(robot, mode, config, self.bus, config.motors)
         self.motors = make_motors(config, mode)
         self._operating = operating_mode(config, mode)
         self._watch = Watch(self.bus, self._operating)
@@ -51,10 +52,14 @@ class DynamixelDriver(PortDriver):
         self._latency: int | None = None
         self._lost: list[Motor] = []
         self._next_ping = 0
-        observable = config.allow_coarse or mode == 'tension'
         self.limits_current = self._operating == OperatingMode.CURRENT_BASED_POSITION
         self._limit_due = 0  # times that the current limit is still to be sent
-        self._observable = np.array([observable or not w.resolution.coarse for w in config.wires])
+        observable = config.allow_coarse or mode == 'tension'
+        # (motor, wire, whether its tension can be told by the current) of every input
+        self._wires = [
+            (self.motors[wire.motor], wire, observable or not wire.resolution.coarse)
+            for wire in config.motors
+        ]
 
     def open(self) -> None:
         """Open the port for this process alone and check every servo."""
@@ -107,7 +112,7 @@ class DynamixelDriver(PortDriver):
             for motor in chosen:
                 self.bus.reboot(motor.identity)
                 motor.zero = None
-            deadline = time.monotonic() + REBOOT_TIMEOUT_S
+            deadline = time.monotonic() + RESTART_TIMEOUT_S
             waiting = list(chosen)
             while waiting and time.monotonic() < deadline:
                 waiting = [m for m in waiting if self.bus.ping(m.identity) is None]
@@ -127,10 +132,10 @@ class DynamixelDriver(PortDriver):
         latency = self._latency
         facts = {
             'port': self.config.port,
-            'baud_rate (1/s)': str(self.config.baud),
+            'baud_rate (1/s)': str(self.config.baudrate),
             'latency_timer (s)': '' if latency is None else f'{1e-3 * latency:g}',
             'group read': 'fast sync read' if self.bus.fast else 'sync read',
-            'tension_uncertainty (N)': f'{max(w.resolution.band for w in self.config.wires):.3g}',
+            'tension_uncertainty (N)': f'{max(w.resolution.band for w in self.config.motors):.3g}',
         }
         facts |= {what: str(count) for what, count in self.bus.failures.items()}
         for motor in self.motors.values():
@@ -177,28 +182,27 @@ class DynamixelDriver(PortDriver):
         """Return the time-out of the bus watchdog (address 98) as text."""
         return self._silence
 
-    def write(self, command: Array) -> None:
-        """Command tensions [N] or pulls [m], shape (m,), kept within limits and rates."""
-        self._require_open('write')
-        self._goal = self._towards(self.checked(command), self.limits, self._since_write())
-        goals, bounds = {}, {}
-        for identity, motor in self.motors.items():
-            # a silent servo may have lost its power and its count of turns: a position goal
-            # would wind it on
-            if motor.torque_requested and (motor.answers or self.mode == 'tension'):
-                goals[identity] = motor.goal(
-                    [self._goal[self.inputs.index(n)] for n in motor.names]
-                )
-                bounds[identity] = (
-                    motor.current_bounds if self.mode == 'tension' else motor.position_bounds
-                )
-        name = 'goal_current' if self.mode == 'tension' else 'goal_position'
-        try:
-            if self.bus.connected:
-                self._send_current_limit()
-                self.bus.send_goals(name, goals, bounds)
-        except PortLostError:
-            pass  # read() reports the fault and reopens the port
+    def _send(self) -> None:
+        """Send the goals, and the current limit while it is reduced and for a while after."""
+        on = [motor for motor in self.motors.values() if motor.torque_requested]
+        current_bounds = {motor.identity: motor.current_bounds for motor in on}
+        if self._limits_reduced() or self._limit_due > 0:
+            largest = {identity: high for identity, (_, high) in current_bounds.items()}
+            self.bus.send_goals('goal_current', largest, current_bounds)
+            self._limit_due -= 1
+        tension = self.mode == 'tension'
+        # a silent servo may have lost its power and its count of turns: a position goal would
+        # wind it on
+        goals = {
+            motor.identity: motor.goal([self._goal[self.inputs.index(n)] for n in motor.names])
+            for motor in on
+            if motor.answers or tension
+        }
+        if tension:
+            self.bus.send_goals('goal_current', goals, current_bounds)
+        else:
+            bounds = {motor.identity: motor.position_bounds for motor in on}
+            self.bus.send_goals('goal_position', goals, bounds)
 
     def limit_current(self, reduction: float, tension: float) -> None:
         """Reduce the current from what motors carry (0: their limit) to `tension` [N] (1)."""
@@ -212,52 +216,38 @@ class DynamixelDriver(PortDriver):
     def _limits_reduced(self) -> bool:
         return any(motor.reduced_limit is not None for motor in self.motors.values())
 
-    def _send_current_limit(self) -> None:
-        """Send the current limit while it is reduced, and for a while after."""
-        if self._limits_reduced() or self._limit_due > 0:
-            motors = [motor for motor in self.motors.values() if motor.torque_requested]
-            bounds = {motor.identity: motor.current_bounds for motor in motors}
-            largest = {identity: high for identity, (_, high) in bounds.items()}
-            self.bus.send_goals('goal_current', largest, bounds)
-            self._limit_due -= 1
+    def _reopen(self) -> bool:
+        reopened = super()._reopen()
+        if reopened:  # all motors were lost with the port, and are pinged at once
+            self._retried, self._lost = -np.inf, list(self.motors.values())
+        return reopened
 
-    def read(self) -> Reading:
-        """Read every motor; poll errors and watchdogs; try to recover what was lost."""
-        self._require_open('read')
-        now = time.monotonic()
-        try:
-            if not self.bus.connected and self._may_retry(now) and self.bus.reopen():
-                # all motors were lost with the port, and are pinged at once
-                self._retried, self._lost = -np.inf, list(self.motors.values())
-            if self.bus.connected:
-                self._converse(now)
-        except PortLostError:
-            pass
-        if self.bus.connected:
-            talker = self.bus.disturbed() if self._lost else ''
-            every = (motor.faults(self.config.port, talker) for motor in self.motors.values())
-            faults = tuple(fault for some in every for fault in some)
-        else:
-            for motor in self.motors.values():
-                motor.answers = False
-            message = f'{self.config.port}: the port is gone; plug the adapter in again'
-            faults = (Fault('port', message),)
-        pairs = [(self.motors[wire.motor], wire) for wire in self.config.wires]
-        tensions = np.array([motor.tension(wire) for motor, wire in pairs])
-        tensions = np.where(self._observable, tensions, np.nan)
+    def _forget_readings(self) -> None:
+        for motor in self.motors.values():
+            motor.answers = False
+
+    def _faults(self) -> tuple[Fault, ...]:
+        talker = self.bus.disturbed() if self._lost else ''
+        every = (motor.faults(self.port, talker) for motor in self.motors.values())
+        return tuple(fault for some in every for fault in some)
+
+    def _tensions(self) -> tuple[Array, Array]:
+        tensions = [motor.tension(wire) if known else np.nan for motor, wire, known in self._wires]
         doubt = [
             wire.calibration.uncertainty(tension)
-            for (_, wire), tension in zip(pairs, tensions, strict=True)
+            for (_, wire, _), tension in zip(self._wires, tensions, strict=True)
         ]
-        pulls = np.array([motor.pull(wire) for motor, wire in pairs])
-        return Reading(time.monotonic(), pulls, tensions, 'current', np.array(doubt), faults)
+        return np.array(tensions), np.array(doubt)
+
+    def _pulls(self) -> Array:
+        return np.array([motor.pull(wire) for motor, wire, _ in self._wires])
 
     def _converse(self, now: float) -> None:
         """Read the state of the motors that answer, poll them, and ping one that is lost."""
         responding = [motor for motor in self.motors.values() if motor.answers]
         read_state(self.bus, responding)
         self._watch.poll([motor for motor in responding if motor.answers], now)
-        self._start_from_measured(self._watch.tripped)
+        self._resume_from_measured(self._watch.tripped)
         before, self._lost = self._lost, [m for m in self.motors.values() if not m.answers]
         if len(self._lost) > len(before):
             self._retried = now  # report it first; a ping without an answer takes time
@@ -267,16 +257,11 @@ class DynamixelDriver(PortDriver):
             for motor in self._lost[start:] + self._lost[:start]:
                 if not come_back(self.bus, motor, self._operating, self._watch.watchdog):
                     return
-                self._start_from_measured([motor])
+                self._resume_from_measured([motor])
 
-    def _start_from_measured(self, motors: Iterable[Motor] | None = None) -> None:
-        """Let the next command begin at what these motors, or all, measure."""
-        for motor in self.motors.values() if motors is None else motors:
-            for wire in motor.wires:
-                value = motor.tension(wire) if self.mode == 'tension' else motor.pull(wire)
-                self._goal[self.inputs.index(wire.name)] = value if np.isfinite(value) else 0.0
-        if motors is None:  # else the ramps of the other motors continue: a stop must not wait
-            self._written = time.monotonic()
+    def _resume_from_measured(self, motors: Sequence[Motor]) -> None:
+        """Let the next command of these motors begin at what they measure."""
+        self._start_from_measured(np.array([motor in motors for motor, *_ in self._wires]))
 
     def _zero_in_place(self) -> None:
         if self.config.zero == 'here':
@@ -285,7 +270,6 @@ class DynamixelDriver(PortDriver):
                     motor.zero = float(motor.ticks)
 
     def _motors_of(self, inputs: Sequence[str]) -> list[Motor]:
-        names = {
-            name for name, named in zip(self.inputs, self._chosen(inputs), strict=True) if named
-        }
-        return [motor for motor in self.motors.values() if names & set(motor.names)]
+        chosen = self._chosen(inputs)
+        named = [m for (m, *_), named in zip(self._wires, chosen, strict=True) if named]
+        return [motor for motor in self.motors.values() if motor in named]

@@ -21,14 +21,14 @@ import numpy as np
 
 from ...common.errors import DriverError, MovedError
 from ...common.processes import ends_between
-from ..hardware import READINGS_MIN, PortLostError
+from ..hardware import READINGS_MIN
 from ..interface import CYCLE_S, travelled
+from ..serial_port import PortLostError
 from .bus import Bus
-from .calibration import CurrentPoint
-from .config import DynamixelConfig
+from .config import CurrentPoint, DynamixelConfig
 from .control_table import RADIANS_PER_TICK, REGISTERS, WATCHDOG_TRIPPED, OperatingMode
 from .motor import Motor
-from .torque import (
+from .servos import (
     WATCHDOG_S,
     read_state,
     recover_watchdog,
@@ -39,30 +39,31 @@ from .torque import (
 
 MODE = OperatingMode.CURRENT_BASED_POSITION
 WATCHDOG_COUNTS = watchdog_counts(WATCHDOG_S)
-MISSED_ANSWERS_MAX = 5  # [1] in a row, so that one broken answer ends no motion
+# [1] answers that a motor misses in a row, or trips of its watchdog, so that a hiccup ends no
+# motion; a bus or computer that is late more often is too late
+HICCUPS_MAX = 5
 BACK_OFF_M = 0.002  # [m] paid out first, else a blocked motor would seem to have found its wire
-LAG_MAX_M = 0.5 * BACK_OFF_M  # [m] behind the goal, so that a motor that follows has no such lag
 STALLED_S = 0.15  # [s] of standing still against the wire, so that a busy cycle is no stall
 TURNING_TIMEOUT_S = 2.0  # [s] without turning, or with too little current, else it would never end
-EXTRA_TIME_S = 5.0  # [s] beside three times the distance at `home_speed`, because stalls take time
-TRIPS_MAX = 5  # [1] of one motor's watchdog, because a computer so often late is too late
-ARRIVAL_TOLERANCE = 0.2  # [1] of the distance, because friction may hold a motor short of its end
+# [1] of the distance at either end that does not count, because there the motor starts, a weight
+# lands, and friction may hold the motor short of its goal
+END_FRACTION = 0.2
 # [1] of the speed within which a reading counts, because a motor that stands holds with anything
 # up to its friction
 SPEED_TOLERANCE = 0.5
-STEADY_BEGIN = 0.35  # [1] of the distance from which a reading counts, so that the start is over
-STEADY_END = 0.9  # [1] of the distance up to which it counts, because a weight lands at the end
 
 
 @dataclass
 class SlackSearch:
     """The search of one motor: its direction, its goal, and the time that it stands still."""
 
+    bus: Bus
+    config: DynamixelConfig
     motor: Motor
     start: int  # ticks
     origin: float  # ticks; where the first attempt began
-    goal: float  # ticks
     direction: int  # +1 or -1, of the ticks
+    goal: float  # ticks
     backing: bool
     still: float = 0.0  # [s] for which it has not followed its goal
     stalls: tuple[int, ...] = ()
@@ -71,6 +72,22 @@ class SlackSearch:
     checked: float = 0.0  # [s] of `still` at which its watchdog was read
     finished: bool = False
 
+    @classmethod
+    def begin(cls, bus: Bus, config: DynamixelConfig, motor: Motor) -> SlackSearch:
+        """Begin where the motor is; give it only the current of the homing tension."""
+        if motor.ticks is None or not motor.answers:
+            raise DriverError(f'{bus.path}: {motor}: no answer; check the cable')
+        ticks, direction = motor.ticks, motor.wires[0].spool.direction
+        origin = ticks - travelled(bus.path).get(motor.identity, 0.0)
+        alone = len(motor.wires) == 1
+        search = cls(bus, config, motor, ticks, origin, direction, ticks, backing=alone)
+        search.stay_near()
+        reach = search.ticks(config.home_travel + 2.0 * BACK_OFF_M)
+        amperes = max(w.calibration.wind.current(config.home_tension) for w in motor.wires)
+        counts = max(1, math.ceil(amperes / motor.model.current_unit))
+        motor.guided = (counts, (math.ceil(origin - reach), math.floor(origin + reach)))
+        return search
+
     @property
     def middle(self) -> float | None:
         """Ticks of the zero, once all wires have been found."""
@@ -78,9 +95,112 @@ class SlackSearch:
             return None
         return sum(self.stalls) / len(self.stalls)
 
+    @property
+    def lag(self) -> float:
+        """Ticks behind its goal that show a stall: a motor that follows has no such lag."""
+        return self.ticks(0.5 * BACK_OFF_M)
+
     def ticks(self, length: float) -> float:
         """Turn a length of wire [m] into ticks."""
         return abs(self.motor.wires[0].spool.ticks(length))
+
+    def cycle(self, passed: float) -> None:
+        """Move the goal a little, by what was just read; time [s] has passed."""
+        self.missed = 0 if self.motor.answers else self.missed + 1
+        if self.missed > HICCUPS_MAX:
+            raise DriverError(f'{self.bus.path}: {self.motor}: no answer while looking for slack')
+        if self.missed:
+            return
+        ticks = self.motor.ticks or 0
+        if self.backing:
+            self.back_off(ticks, passed)
+        elif self.middle is not None:  # a motor with two wires comes back half-way
+            step = self.ticks(self.config.home_speed * CYCLE_S)
+            self.goal += max(-step, min(step, self.middle - self.goal))
+            self.finished = abs(ticks - self.middle) < self.lag
+        elif self.wind(ticks, passed) and not self.resumed() and self.is_taut():
+            self.stalls += (ticks,)
+            self.goal, self.still = float(ticks), 0.0
+            self.direction = -self.direction
+
+    def back_off(self, ticks: int, passed: float) -> None:
+        """Pay out a little; refuse a motor that does not turn."""
+        self.goal = self.start - self.direction * self.ticks(BACK_OFF_M)
+        if abs(ticks - self.start) >= self.lag:
+            self.backing, self.goal, self.still = False, float(ticks), 0.0
+            return
+        self.still += passed
+        if self.still > self.checked + STALLED_S:
+            self.checked = self.still
+            if self.resumed():
+                return
+        if self.still > TURNING_TIMEOUT_S:
+            amperes = self.motor.current_bounds[1] * self.motor.model.current_unit
+            raise DriverError(
+                f'{self.bus.path}: {self.motor}: does not turn with {amperes:.3f} A; calibrate '
+                f'it, or raise home_tension (now {self.config.home_tension:g} N); torque is off'
+            )
+
+    def wind(self, ticks: int, passed: float) -> bool:
+        """Move the goal ahead; return whether the motor stays behind it and stands still."""
+        step = self.ticks(self.config.home_speed * CYCLE_S)
+        ahead = abs(self.goal - ticks)
+        self.goal += self.direction * min(step, max(0.0, 2.0 * self.lag - ahead))
+        unit = REGISTERS['present_velocity'].unit / RADIANS_PER_TICK
+        slow = abs(self.motor.velocity) * unit < 0.1 * step / CYCLE_S + 30.0
+        behind = slow and abs(self.goal - ticks) >= self.lag
+        self.still = self.still + passed if behind else 0.0
+        if self.still > STALLED_S:
+            return True
+        self.stay_near()
+        return False
+
+    def resumed(self) -> bool:
+        """
+        Return whether a motor stands because its watchdog tripped, and if so let it continue.
+
+        Such a motor has neither found its wire nor is it blocked: this computer was late. Its
+        position is known.
+        """
+        motor = self.motor
+        if self.bus.read(motor.identity, 'bus_watchdog') != WATCHDOG_TRIPPED:
+            return False
+        self.trips += 1
+        if self.trips > HICCUPS_MAX:
+            raise MovedError(
+                f'{self.bus.path}: {motor}: its bus watchdog stopped it {self.trips} times while '
+                'it looked for slack: this computer is late again and again; torque is off'
+            )
+        recover_watchdog(self.bus, motor, MODE, WATCHDOG_COUNTS, tripped=True)
+        self.goal, self.still, self.checked = float(motor.ticks or 0), 0.0, 0.0
+        return True
+
+    def stay_near(self) -> None:
+        """Refuse to go further than `home_travel`, over all attempts."""
+        if abs((self.motor.ticks or 0) - self.origin) > self.ticks(self.config.home_travel):
+            raise MovedError(
+                f'{self.bus.path}: {self.motor}: no resistance within home_travel = '
+                f'{self.config.home_travel:g} m; is the wire on its spool, is direction right? '
+                'torque is off'
+            )
+
+    def is_taut(self) -> bool:
+        """
+        Return whether a motor that stands has the current of a taut wire.
+
+        Against a taut wire it draws its current limit, without one only the current of its
+        friction. One that stands still with less is held by something else: MovedError.
+        """
+        motor, half = self.motor, 0.5 * self.config.home_tension
+        drawn = self.direction * (motor.current or 0) * motor.model.current_unit
+        taut = max(w.calibration.wind.current(half) for w in motor.wires)
+        if drawn < taut and self.still > TURNING_TIMEOUT_S:
+            raise MovedError(
+                f'{self.bus.path}: {motor}: stands still with {drawn:.3f} A, expected more than '
+                f'{taut:.3f} A against a taut wire: something else holds it back; does the spool '
+                'turn freely, is the supply strong enough? torque is off'
+            )
+        return drawn >= taut
 
 
 def find_slack(
@@ -99,27 +219,13 @@ def find_slack(
 
     """
     read_state(bus, motors)
-    searches = []
-    for motor in motors:
-        if motor.ticks is None or not motor.answers:
-            raise DriverError(f'{bus.path}: {motor}: no answer; check the cable')
-        origin = motor.ticks - travelled(bus.path).get(motor.identity, 0.0)
-        alone, spool = len(motor.wires) == 1, motor.wires[0].spool
-        search = SlackSearch(motor, motor.ticks, origin, motor.ticks, spool.direction, alone)
-        _stay_near(config, search)
-        reach = search.ticks(config.home_travel + 2.0 * BACK_OFF_M)
-        amperes = max(w.calibration.wind.current(config.home_tension) for w in motor.wires)
-        counts = max(1, math.ceil(amperes / motor.model.current_unit))
-        motor.guided = (counts, (math.ceil(origin - reach), math.floor(origin + reach)))
-        searches.append(search)
+    searches = [SlackSearch.begin(bus, config, motor) for motor in motors]
     try:
         torque_on(bus, motors, MODE, WATCHDOG_COUNTS)
         try:
             wind_until_taut(bus, config, searches, cancelled)
-        except MovedError:
-            raise
         except (DriverError, PortLostError) as error:
-            raise MovedError(str(error)) from None
+            raise error if isinstance(error, MovedError) else MovedError(str(error)) from None
     finally:
         end_search(bus, searches)
 
@@ -132,7 +238,8 @@ def wind_until_taut(
 
     A pause of this process counts as one cycle: whether a motor turned meanwhile is not known.
     """
-    remaining = 3.0 * config.home_travel / config.home_speed + EXTRA_TIME_S
+    # a motor with two wires goes to and fro and stalls twice
+    remaining = 3.0 * config.home_travel / config.home_speed + 2.0 * TURNING_TIMEOUT_S
     before = time.monotonic()
     while not all(search.finished for search in searches):
         if cancelled():
@@ -145,7 +252,12 @@ def wind_until_taut(
             raise DriverError(
                 f'{bus.path}: {late}: looking for slack took too long; torque is off'
             )
-        search_cycle(bus, config, searches, passed)
+        read_state(bus, [search.motor for search in searches])
+        for search in searches:
+            search.cycle(passed)
+        goals = {s.motor.identity: round(s.goal) for s in searches}
+        bounds = {s.motor.identity: s.motor.position_bounds for s in searches}
+        bus.send_goals('goal_position', goals, bounds)
         time.sleep(CYCLE_S)
     for search in searches:
         search.motor.zero = search.middle
@@ -168,121 +280,6 @@ def end_search(bus: Bus, searches: list[SlackSearch]) -> None:
         distances[motor.identity] = end - search.origin
     if all(motor.zero is not None for motor in motors):
         distances.clear()
-
-
-def search_cycle(
-    bus: Bus, config: DynamixelConfig, searches: list[SlackSearch], passed: float
-) -> None:
-    """Read every motor and move every goal a little."""
-    read_state(bus, [search.motor for search in searches])
-    for search in searches:
-        search.missed = 0 if search.motor.answers else search.missed + 1
-        if search.missed > MISSED_ANSWERS_MAX:
-            raise DriverError(f'{bus.path}: {search.motor}: no answer while looking for slack')
-        if search.missed:
-            continue
-        ticks = search.motor.ticks or 0
-        if search.backing:
-            back_off(bus, config, search, passed)
-        elif search.middle is not None:  # a motor with two wires comes back half-way
-            step = search.ticks(config.home_speed * CYCLE_S)
-            search.goal += max(-step, min(step, search.middle - search.goal))
-            search.finished = abs(ticks - search.middle) < search.ticks(LAG_MAX_M)
-        elif wind(config, search, passed) and not resumed(bus, search) and is_taut(config, search):
-            search.stalls += (ticks,)
-            search.goal, search.still = float(ticks), 0.0
-            search.direction = -search.direction
-    goals = {s.motor.identity: round(s.goal) for s in searches}
-    bounds = {s.motor.identity: s.motor.position_bounds for s in searches}
-    bus.send_goals('goal_position', goals, bounds)
-
-
-def back_off(bus: Bus, config: DynamixelConfig, search: SlackSearch, passed: float) -> None:
-    """Pay out a little; refuse a motor that does not turn."""
-    ticks = search.motor.ticks or 0
-    search.goal = search.start - search.direction * search.ticks(BACK_OFF_M)
-    moved = abs(ticks - search.start)
-    if moved >= 0.5 * search.ticks(BACK_OFF_M):
-        search.backing, search.goal, search.still = False, float(ticks), 0.0
-        return
-    search.still += passed
-    if search.still > search.checked + STALLED_S:
-        search.checked = search.still
-        if resumed(bus, search):
-            return
-    if search.still > TURNING_TIMEOUT_S:
-        amperes = (search.motor.guided or (0, (0, 0)))[0] * search.motor.model.current_unit
-        raise DriverError(
-            f'{config.port}: {search.motor}: does not turn with {amperes:.3f} A; calibrate it, '
-            f'or raise home_tension (now {config.home_tension:g} N); torque is off'
-        )
-
-
-def wind(config: DynamixelConfig, search: SlackSearch, passed: float) -> bool:
-    """Move the goal ahead; return whether the motor stays behind it and stands still."""
-    motor, ticks = search.motor, search.motor.ticks or 0
-    lag, step = search.ticks(LAG_MAX_M), search.ticks(config.home_speed * CYCLE_S)
-    search.goal += search.direction * min(step, max(0.0, 2.0 * lag - abs(search.goal - ticks)))
-    slow = (
-        abs(motor.velocity) * REGISTERS['present_velocity'].unit / RADIANS_PER_TICK
-        < 0.1 * step / CYCLE_S + 30.0
-    )
-    behind = slow and abs(search.goal - ticks) >= lag
-    search.still = search.still + passed if behind else 0.0
-    if search.still > STALLED_S:
-        return True
-    _stay_near(config, search)
-    return False
-
-
-def resumed(bus: Bus, search: SlackSearch) -> bool:
-    """
-    Return whether a motor stands because its watchdog tripped, and if so let it continue.
-
-    Such a motor has neither found its wire nor is it blocked: this computer was late. Its
-    position is known.
-    """
-    motor = search.motor
-    if bus.read(motor.identity, 'bus_watchdog') != WATCHDOG_TRIPPED:
-        return False
-    search.trips += 1
-    if search.trips > TRIPS_MAX:
-        raise MovedError(
-            f'{bus.path}: {motor}: its bus watchdog stopped it {search.trips} times while it '
-            'looked for slack: this computer is late again and again; torque is off'
-        )
-    recover_watchdog(bus, motor, MODE, WATCHDOG_COUNTS, tripped=True)
-    search.goal, search.still, search.checked = float(motor.ticks or 0), 0.0, 0.0
-    return True
-
-
-def _stay_near(config: DynamixelConfig, search: SlackSearch) -> None:
-    """Refuse to go further than `home_travel`, over all attempts."""
-    if abs((search.motor.ticks or 0) - search.origin) > search.ticks(config.home_travel):
-        raise MovedError(
-            f'{config.port}: {search.motor}: no resistance within home_travel = '
-            f'{config.home_travel:g} m; is the wire on its spool, is direction right? torque is '
-            'off'
-        )
-
-
-def is_taut(config: DynamixelConfig, search: SlackSearch) -> bool:
-    """
-    Return whether a motor that stands has the current of a taut wire.
-
-    Against a taut wire it draws its current limit, without one only the current of its friction.
-    One that stands still with less is held by something else: MovedError.
-    """
-    motor = search.motor
-    drawn = search.direction * (motor.current or 0) * motor.model.current_unit
-    taut = max(w.calibration.wind.current(0.5 * config.home_tension) for w in motor.wires)
-    if drawn < taut and search.still > TURNING_TIMEOUT_S:
-        raise MovedError(
-            f'{config.port}: {motor}: stands still with {drawn:.3f} A, expected more than '
-            f'{taut:.3f} A against a taut wire: something else holds it back; does the spool '
-            'turn freely, is the supply strong enough? torque is off'
-        )
-    return drawn >= taut
 
 
 def wind_weight(
@@ -336,7 +333,7 @@ def turn_to(bus: Bus, motor: Motor, ticks: int) -> None:
         'goal_position', {motor.identity: ticks}, {motor.identity: motor.position_bounds}
     )
     time.sleep(CYCLE_S)
-    for _ in range(MISSED_ANSWERS_MAX):
+    for _ in range(HICCUPS_MAX):
         read_state(bus, [motor])
         if motor.answers:
             return
@@ -362,12 +359,13 @@ def turn_steadily(
         check()
         turn_to(bus, motor, round(start + part * (end - start)))
         at_speed = abs(motor.velocity / speed - 1.0) < SPEED_TOLERANCE
-        if STEADY_BEGIN < part < STEADY_END and at_speed and motor.current is not None:
+        steady = at_speed and END_FRACTION < part < 1.0 - END_FRACTION
+        if steady and motor.current is not None:
             currents.append(wire.spool.direction * motor.current * motor.model.current_unit)
         now = time.monotonic()
         part, before = part + min(now - before, 2.0 * CYCLE_S) / duration, now
     nearest, progress_at = math.inf, time.monotonic()
-    while (distance := abs((motor.ticks or 0) - end)) > ARRIVAL_TOLERANCE * abs(end - start):
+    while (distance := abs((motor.ticks or 0) - end)) > END_FRACTION * abs(end - start):
         if distance < nearest:
             nearest, progress_at = distance, time.monotonic()
         if time.monotonic() - progress_at < TURNING_TIMEOUT_S:

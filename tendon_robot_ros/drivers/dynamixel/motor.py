@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from ..interface import Fault
-from .config import DynamixelConfig, WireConfig
+from .config import DynamixelConfig, MotorWire
 from .control_table import POSITION_MAX_TICKS, REGISTERS, ServoModel, decode, hardware_errors
 
 # [1] readings, of which a motor carries the largest current, so that ripple does not lower it
@@ -28,7 +28,7 @@ STATE = span('present_current', 'present_position')
 HEALTH = span('present_input_voltage', 'present_temperature')
 
 
-@dataclass
+@dataclass(eq=False)
 class Motor:
     """
     State of one servo.
@@ -36,7 +36,7 @@ class Motor:
     Parameters
     ----------
     identity : int
-    wires : tuple of WireConfig
+    wires : tuple of MotorWire
         The inputs it winds.
     mode : str
         `tension` or `pull`.
@@ -63,7 +63,7 @@ class Motor:
     """
 
     identity: int
-    wires: tuple[WireConfig, ...]
+    wires: tuple[MotorWire, ...]
     mode: str
     firmware: int = 0
     torque_requested: bool = False
@@ -119,14 +119,13 @@ class Motor:
         """
         amperes = []
         for wire in self.wires:
-            line = wire.calibration.mean
-            if self.mode == 'pull':
-                coarse = wire.resolution.coarse
-                line = wire.calibration.wind if coarse else wire.calibration.pay_out
+            lines = wire.calibration
+            line = lines.wind if wire.resolution.coarse else lines.pay_out
+            line = line if self.mode == 'pull' else lines.mean
             amperes.append(min(wire.current_limit, line.current(wire.tension_limit)))
         return max(1, math.floor(min(amperes) / self.model.current_unit + 1e-9))
 
-    def strength(self, wire: WireConfig) -> tuple[float, float]:
+    def strength(self, wire: MotorWire) -> tuple[float, float]:
         """
         Return the tensions [N] of one of its wires at its largest current.
 
@@ -160,22 +159,17 @@ class Motor:
             return present, present
         low, high = -float(POSITION_MAX_TICKS), float(POSITION_MAX_TICKS)
         for wire in self.wires:
-            ends = [
-                self.zero + wire.spool.ticks(pull)
-                if math.isfinite(pull)
-                else math.copysign(POSITION_MAX_TICKS, pull)
-                for pull in wire.pull_limits
-            ]
+            ends = [self.zero + wire.spool.ticks(pull) for pull in wire.pull_limits]
             low, high = max(low, min(ends)), min(high, max(ends))
         return math.ceil(low), math.floor(high)
 
-    def pull(self, wire: WireConfig) -> float:
+    def pull(self, wire: MotorWire) -> float:
         """Return the pull of one of its wires [m], nan while unknown."""
         if not self.answers or self.ticks is None or self.zero is None:
             return math.nan
         return wire.spool.pull(self.ticks - self.zero)
 
-    def tension(self, wire: WireConfig) -> float:
+    def tension(self, wire: MotorWire) -> float:
         """Return the tension by current of its one wire [N], nan where not observable."""
         if not self.answers or self.current is None or len(self.wires) > 1:
             return math.nan
@@ -223,28 +217,27 @@ class Motor:
 
     def faults(self, port: str, talker: str = '') -> Iterator[Fault]:
         """List its faults; `talker` names another program on the bus, '' for none."""
-        who = f'{port}: {self}'
+
+        def fault(code: str, words: str, hardware: bool = False) -> Fault:
+            return Fault(code, f'{port}: {self}: {words}', hardware, self.names)
+
         advice = 'torque is off; remove the cause, then reboot it'
         for code, words in hardware_errors(self.errors):
-            yield Fault(code, f'{who}: {words}; {advice}', True, self.names)
+            yield fault(code, f'{words}; {advice}', True)
         if self.restarted:
             words = 'it lost its power or its torque was switched off'
-            advice = 'stays off until it is enabled again'
-            yield Fault('restarted', f'{who}: {words}; {advice}', True, self.names)
+            yield fault('restarted', f'{words}; stays off until it is enabled again', True)
         if not self.answers:
-            words = 'no answer; check its cable and the motor supply'
-            words = f'no answer; {talker}' if talker else words
-            yield Fault('silent', f'{who}: {words}', False, self.names)
+            yield fault('silent', f'no answer; {talker or "check its cable and the motor supply"}')
         if self.tripped:
-            words = 'its bus watchdog stopped it: no instruction came in time'
-            yield Fault('watchdog', f'{who}: {words}', False, self.names)
+            yield fault('watchdog', 'its bus watchdog stopped it: no instruction came in time')
         if self.temperature is not None and self.temperature >= self.hottest:
-            words = f'{self.temperature:.0f} °C, released from {self.hottest:.0f} °C; let it cool'
-            yield Fault('temperature', f'{who}: {words}', False, self.names)
+            limit = f'released from {self.hottest:.0f} °C; let it cool'
+            yield fault('temperature', f'{self.temperature:.0f} °C, {limit}')
         low, high = self.voltage_limits
         if self.voltage is not None and not low <= self.voltage <= high:
-            words = f'supply {self.voltage:.1f} V, expected {low:.1f} to {high:.1f} V'
-            yield Fault('supply', f'{who}: {words}', False, self.names)
+            limits = f'expected {low:.1f} to {high:.1f} V'
+            yield fault('supply', f'supply {self.voltage:.1f} V, {limits}')
 
     def take_health(self, data: bytes) -> None:
         """Decode the three bytes of voltage and temperature."""
@@ -254,4 +247,4 @@ class Motor:
 
 def make_motors(config: DynamixelConfig, mode: str) -> dict[int, Motor]:
     """Make the motors of a configuration: id to motor."""
-    return {i: Motor(i, config.on(i), mode) for i in config.ids}
+    return {i: Motor(i, wires, mode) for i, wires in config.by_id.items()}

@@ -10,7 +10,7 @@ from __future__ import annotations
 import datetime
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
 
@@ -21,27 +21,20 @@ from ...common.errors import InputError
 from ...common.yaml_reading import ConfigFields
 from ...robot import Robot
 from ..hardware import (
-    PULL_MAX_M,
     WEIGHTS_MIN,
+    Spool,
+    WireConfig,
     fields_of_inputs,
     fit_line,
     nearest,
+    read_baudrate,
     read_calibrations,
     read_direction,
-    read_pull_limits,
     read_spool_radius,
+    read_wire_limits,
 )
 from ..interface import Array
-from .messages import CHANNELS_MAX
-
-TENDON_KEYS = (
-    'channel',
-    'direction',
-    'spool_radius',
-    'ticks_per_turn',
-    'tension_limit',
-    'pull_limits',
-)
+from .messages import CHANNELS_MAX, RELEASES
 
 
 @dataclass(frozen=True)
@@ -96,7 +89,7 @@ def fit_counts(points: Sequence[CountsPoint]) -> Cell:
     """
     tensions = np.array([point.tension for point in points])
     counts = np.array([point.mean for point in points])
-    different = len(set(tensions.tolist()))
+    different = len(np.unique(tensions))
     if different < WEIGHTS_MIN:
         raise InputError(
             f'calibration: expected at least {WEIGHTS_MIN - 1} different weights besides '
@@ -133,15 +126,16 @@ def cell_mapping(cell: Cell, points: Sequence[CountsPoint]) -> dict[str, Any]:
     }
 
 
-@dataclass(frozen=True)
-class TendonConfig:
-    """One input: its channel, spool [m per tick, > 0 winds] and limits [N], [m]."""
+# keys of a channel that hold for all channels where they stand at the top of the file
+COMMON_KEYS = ('spool_radius', 'ticks_per_turn', 'pull_limits')
+TENDON_KEYS = ('channel', 'direction', 'tension_limit', *COMMON_KEYS)
 
-    name: str
+
+@dataclass(frozen=True)
+class ChannelWire(WireConfig):
+    """One input, its channel and load cell."""
+
     channel: int
-    metres_per_tick: float
-    tension_limit: float
-    pull_limits: tuple[float, float]
     cell: Cell | None
 
     def __str__(self) -> str:
@@ -149,58 +143,35 @@ class TendonConfig:
         return f'{self.name} (channel {self.channel})'
 
 
-def read_tendons(
-    top: ConfigFields, robot: Robot, mode: str, calibrated: bool
-) -> tuple[TendonConfig, ...]:
+def read_wires(
+    top: ConfigFields, robot: Robot, mode: str, rate: float, calibrated: bool
+) -> tuple[ChannelWire, ...]:
     """Read the channel of every input; `calibrated`: load cells must be calibrated."""
-    fields = fields_of_inputs(top, 'tendons', 'a channel', robot)
     cells = read_calibrations(top, required=False)
-    tendons = tuple(
-        read_tendon(top, name, item, cells, robot, mode, calibrated)
-        for name, item in fields.items()
-    )
-    numbers = [tendon.channel for tendon in tendons]
-    for tendon in tendons:
-        if numbers.count(tendon.channel) > 1:
-            raise top.error('tendons', 'a channel of its own for every input', str(tendon))
-    return tendons
-
-
-def read_tendon(
-    top: ConfigFields,
-    name: str,
-    item: ConfigFields,
-    cells: ConfigFields,
-    robot: Robot,
-    mode: str,
-    calibrated: bool,
-) -> TendonConfig:
-    """Read the channel of one input."""
-    item.only(*TENDON_KEYS)
-    channel = item.whole('channel', 0, CHANNELS_MAX - 1)
-    direction = read_direction(item, 'growing encoder ticks wind')
-    radius = read_spool_radius(item, top)
-    ticks = nearest(item, top, 'ticks_per_turn').number('ticks_per_turn', 1.0, 1e7, 'ticks')
-    limited = nearest(item, top, 'pull_limits')
-    pull_limits = -PULL_MAX_M, PULL_MAX_M
-    if limited.has('pull_limits') or mode == 'pull':
-        pull_limits = read_pull_limits(limited)
-    low, high = robot.tension_limits
-    if calibrated and not cells.has(name):
-        raise top.error(
-            'calibration',
-            f'the load cell of every input; none for {name}: type '
-            f'calibrate serial CONFIG --robot ROBOT --tendon {name} --weights KG KG KG',
-            list(cells.content),
-        )
-    return TendonConfig(
-        name=name,
-        channel=channel,
-        metres_per_tick=direction * 2.0 * math.pi * radius / ticks,
-        tension_limit=item.value('tension_limit', high, low + 1e-6, high, 'N'),
-        pull_limits=pull_limits,
-        cell=read_cell(cells.child(name)) if cells.has(name) else None,
-    )
+    wires = []
+    for name, item in fields_of_inputs(top, 'tendons', 'a channel', robot).items():
+        item.only(*TENDON_KEYS)
+        channel = item.whole('channel', 0, CHANNELS_MAX - 1)
+        direction = read_direction(item, 'growing encoder ticks wind')
+        radius = read_spool_radius(item, top)
+        counted = nearest(item, top, 'ticks_per_turn')
+        ticks_per_turn = counted.number('ticks_per_turn', 1.0, 1e7, 'ticks')
+        limits = read_wire_limits(item, top, robot, mode)
+        if calibrated and not cells.has(name):
+            raise top.error(
+                'calibration',
+                f'the load cell of every input; none for {name}: type '
+                f'calibrate serial CONFIG --robot ROBOT --tendon {name} --weights KG KG KG',
+                list(cells.content),
+            )
+        cell = read_cell(cells.child(name)) if cells.has(name) else None
+        spool = Spool(radius, direction, ticks_per_turn)
+        wires.append(ChannelWire(name, spool, **limits, rate=rate, channel=channel, cell=cell))
+    channels = [wire.channel for wire in wires]
+    for wire in wires:
+        if channels.count(wire.channel) > 1:
+            raise top.error('tendons', 'a channel of its own for every input', str(wire))
+    return tuple(wires)
 
 
 def read_cell(item: ConfigFields) -> Cell:
@@ -208,70 +179,49 @@ def read_cell(item: ConfigFields) -> Cell:
     slope = item.number('newtons_per_count', -1e-3, 1e-3, 'N/count')
     if abs(slope) < 1e-9:
         raise item.error('newtons_per_count', 'a slope of at least 1e-9 N/count', slope)
-    return Cell(
-        item.number('zero', -8e6, 8e6, 'counts'),
-        slope,
-        *(
-            item.value(key, 0.0, 0.0, 1e6, unit)
-            for key, unit in (
-                ('zero_error', 'counts'),
-                ('slope_error', 'N/count'),
-                ('scatter', 'counts'),
-            )
-        ),
-    )
+    units = {'zero_error': 'counts', 'slope_error': 'N/count', 'scatter': 'counts'}
+    errors = {key: item.value(key, 0.0, 0.0, 1e6, unit) for key, unit in units.items()}
+    return Cell(item.number('zero', -8e6, 8e6, 'counts'), slope, **errors)
 
 
-KEYS = (
-    'port',
-    'baudrate',
-    'telemetry_rate',
-    'command_timeout',
-    'release_rate',
-    'release_to',
-    'pretension',
-    'tension_gain',
-    'tension_rate',
-    'pull_rate',
-    'pull_limits',
-    'spool_radius',
-    'ticks_per_turn',
-    'zero',
-    'home_tension',
-    'home_time',
-    'home_travel',
-    'calibration',
-    'tendons',
-)
 # [1/s] that common boards divide from their clock: datasheet of the ATmega2560 (U2X at 16 MHz)
 BAUD_RATES = (115_200, 230_400, 250_000, 500_000, 1_000_000, 2_000_000)
 
 
 @dataclass(frozen=True)
 class BoardConfig:
-    """Checked configuration of the driver; SI units."""
+    """Checked configuration of the driver, by the keys of its file; SI units."""
 
-    source: str
+    source: str  # the file
     port: str
-    baud: int
-    period: float  # [s] of the telemetry
-    timeout: float  # [s] of silence after which the board releases
+    baudrate: int
+    telemetry_rate: float  # [Hz]
+    command_timeout: float  # [s] of silence after which the board releases
     release_rate: float  # [N/s]
     release_to: str
-    rest: float  # [N] after a release
-    gain: float  # [m/(N·s)] of the tension loop
+    pretension: float  # [N] after a release
+    tension_gain: float  # [m/(N·s)] of the tension loop
     tension_rate: float  # [N/s]
     pull_rate: float  # [m/s]
     zero: str  # 'find' slack at enabling, or 'here': pull 0 is where it is opened
     home_tension: float  # [N]
     home_time: float  # [s]
     home_travel: float  # [m]
-    tendons: tuple[TendonConfig, ...]
+    tendons: tuple[ChannelWire, ...]  # of every input
+
+    @property
+    def period(self) -> float:
+        """Time between two telemetries [s]."""
+        return 1.0 / self.telemetry_rate
 
     @cached_property
     def places(self) -> npt.NDArray[np.int64]:
         """Channel (m,) of every input."""
         return np.array([tendon.channel for tendon in self.tendons])
+
+
+FIELDS = (field.name for field in fields(BoardConfig) if field.name != 'source')
+KEYS = (*FIELDS, 'calibration', *COMMON_KEYS)
 
 
 def read_config(
@@ -289,34 +239,24 @@ def read_config(
     top = ConfigFields(source, '', dict(content))
     top.only(*KEYS)
     low, high = robot.tension_limits
-    baud = top.content.get('baudrate', 1_000_000)
-    if baud not in BAUD_RATES:
-        raise top.error('baudrate', f'one of {", ".join(map(str, BAUD_RATES))}', baud)
-    lowest = max(low, 0.05 * high)
+    tension_rate = top.value('tension_rate', 2.0 * high, 1e-3, 1e3, 'N/s')
+    pull_rate = top.value('pull_rate', 0.05, 1e-5, 1.0, 'm/s')
+    rate = tension_rate if mode == 'tension' else pull_rate
     return BoardConfig(
         source=source,
         port=top.port(),
-        baud=int(baud),
-        period=1.0 / top.value('telemetry_rate', 250.0, 20.0, 1000.0, 'Hz'),
-        timeout=top.value('command_timeout', 0.2, 0.02, 10.0, 's'),
+        baudrate=read_baudrate(top, BAUD_RATES),
+        telemetry_rate=top.value('telemetry_rate', 250.0, 20.0, 1000.0, 'Hz'),
+        command_timeout=top.value('command_timeout', 0.2, 0.02, 10.0, 's'),
         release_rate=top.value('release_rate', 2.0 * high, 1e-3, 1e3, 'N/s'),
-        release_to=top.choice('release_to', ('pretension', 'limp'), 'pretension'),
-        rest=top.value('pretension', low, 0.0, high, 'N'),
-        gain=top.value('tension_gain', 0.015, 1e-6, 1.0, 'm/(N·s)'),
-        tension_rate=top.value('tension_rate', 2.0 * high, 1e-3, 1e3, 'N/s'),
-        pull_rate=top.value('pull_rate', 0.05, 1e-5, 1.0, 'm/s'),
+        release_to=top.choice('release_to', RELEASES, 'pretension'),
+        pretension=top.value('pretension', low, 0.0, high, 'N'),
+        tension_gain=top.value('tension_gain', 0.015, 1e-6, 1.0, 'm/(N·s)'),
+        tension_rate=tension_rate,
+        pull_rate=pull_rate,
         zero=top.choice('zero', ('find', 'here'), 'find' if mode == 'pull' else 'here'),
-        home_tension=top.value('home_tension', lowest, 1e-6, high, 'N'),
+        home_tension=top.value('home_tension', max(low, 0.05 * high), 1e-6, high, 'N'),
         home_time=top.value('home_time', 10.0, 0.5, 120.0, 's'),
         home_travel=top.value('home_travel', 0.05, 1e-4, 1.0, 'm'),
-        tendons=read_tendons(top, robot, mode, calibrated),
+        tendons=read_wires(top, robot, mode, rate, calibrated),
     )
-
-
-def limits(config: BoardConfig, robot: Robot, mode: str) -> tuple[Array, Array]:
-    """Return command limits, shape (m, 2), and rates, shape (m,), in the unit of the mode."""
-    if mode == 'tension':
-        rows = [(robot.tension_limits[0], tendon.tension_limit) for tendon in config.tendons]
-        return np.array(rows), np.full(len(rows), config.tension_rate)
-    rows = [tendon.pull_limits for tendon in config.tendons]
-    return np.array(rows), np.full(len(rows), config.pull_rate)

@@ -15,26 +15,14 @@ from numpy.typing import NDArray
 
 from ...common.errors import DriverError, MovedError
 from ...robot import Robot
-from ..hardware import ANSWER_TIMEOUT_S, PortDriver, PortLostError
-from ..interface import CYCLE_S, Array, Fault, Reading, travelled
+from ..interface import CYCLE_S, Array, Fault, travelled
+from ..safety import CYCLE_MAX_S
+from ..serial_port import ANSWER_TIMEOUT_S, PortDriver, PortLostError
 from . import messages
-from .config import BoardConfig, limits, read_config
-from .link import (
-    SETTLE_S,
-    BoardLink,
-    ask,
-    configure,
-    give_limits,
-    identify,
-    let_go,
-    telemetry,
-)
-from .messages import CHANNEL_FAULTS, BoardFlag, ChannelFault, Identity, Message, Telemetry
+from .config import BoardConfig, read_config
+from .link import SETTLE_S, BoardLink
+from .messages import CHANNEL_FAULTS, BoardFlag, ChannelFault, Message, Telemetry
 
-# [s] so that a board that releases after the shortest usual silence (0.2 s) hears two of them
-HEARTBEAT_PERIOD_S = 0.1
-# [s] after a longer pause what waits in the port is thrown away, else it would count as new
-PORT_FLUSH_S = 0.05
 TENSION_TOLERANCE = 0.3  # [1] of the homing tension, because friction and noise are large there
 TRAVEL_TOLERANCE_M = 5e-4  # [m] to the end of `home_travel`, because the board goes no further
 
@@ -53,13 +41,14 @@ class SerialDriver(PortDriver):
     config: BoardConfig
     link: BoardLink
     read_config = staticmethod(read_config)
+    device, source = 'board', 'load_cell'
 
     def __init__(self, robot: Robot, config: BoardConfig, mode: str) -> None:
         """Take robot, checked configuration, and `tension` or `pull`."""
-        link = BoardLink(config.port, config.baud)
-        super().__init__(robot, mode, config, link, *limits(config, robot, mode))
+        link = BoardLink(config.port, config.baudrate)
+        super().__init__(robot, mode, config, link, config.tendons)
+        self.released_after = config.command_timeout
         self.telemetry: Telemetry | None = None
-        self.identity: Identity | None = None
         self.zero = np.full(len(self.inputs), np.nan)  # [m] on the board where pull is 0
         # (m,) each: the driver has switched the torque on; the board has switched it off
         self.torque_requested, self.restarted = np.zeros((2, len(self.inputs)), dtype=bool)
@@ -68,10 +57,10 @@ class SerialDriver(PortDriver):
 
     def _shake_hands(self) -> None:
         """Identify the board and send its configuration."""
-        self.identity = identify(self.link, self.config)
-        let_go(self.link, self.identity.channels)
-        ask(self.link, Message.CLEAR, b'\xff')
-        configure(self.link, self.config, np.nan_to_num(self.zero))
+        self.link.identify(self.config)
+        self.link.let_go()
+        self.link.ask(Message.CLEAR, b'\xff')
+        self.link.configure(self.config, np.nan_to_num(self.zero))
         if self._receive(1.0) is None:
             raise DriverError(f'{self.config.port}: no telemetry; check the baud rate')
         self._zero_in_place()
@@ -92,7 +81,7 @@ class SerialDriver(PortDriver):
     def switch_on(self, mode: str) -> None:
         """Torque on in a mode, where the wires are."""
         every = np.ones(len(self.inputs), dtype=bool)
-        ask(self.link, Message.ENABLE, bytes((messages.MODES.index(mode),)) + self._mask(every))
+        self.link.ask(Message.ENABLE, bytes((messages.MODES.index(mode),)) + self._mask(every))
         self.read_fresh()
 
     def disable(self, inputs: Sequence[str] = ()) -> None:
@@ -101,7 +90,7 @@ class SerialDriver(PortDriver):
         self.torque_requested[chosen] = self.restarted[chosen] = False
         try:
             if self.link.connected:
-                ask(self.link, Message.DISABLE, self._mask(chosen), attempts=2)
+                self.link.ask(Message.DISABLE, self._mask(chosen), attempts=2)
         except (DriverError, PortLostError):
             pass  # read() reports it, and switches motors off that are on without a request
 
@@ -111,7 +100,7 @@ class SerialDriver(PortDriver):
         chosen = self._chosen(inputs)
         self.disable(inputs)
         try:
-            ask(self.link, Message.CLEAR, self._mask(chosen))
+            self.link.ask(Message.CLEAR, self._mask(chosen))
             self.read_fresh()
         except PortLostError as error:
             raise DriverError(f'{error}: lost while clearing faults') from None
@@ -125,15 +114,15 @@ class SerialDriver(PortDriver):
         config, telemetry = self.config, self.telemetry
         facts = {
             'port': config.port,
-            'baud_rate (1/s)': str(config.baud),
+            'baud_rate (1/s)': str(config.baudrate),
             'frames_missed': str(self.link.missed),
             'frames_bad': str(self.link.bad),
-            'silence_until_release (s)': f'{config.timeout:g}',
+            'silence_until_release (s)': f'{config.command_timeout:g}',
             'release_to': config.release_to,
         }
-        if self.identity is not None:
-            facts['channels'] = str(self.identity.channels)
-            facts['firmware'] = str(self.identity.firmware)
+        if (identity := self.link.identity) is not None:
+            facts['channels'] = str(identity.channels)
+            facts['firmware'] = str(identity.firmware)
         if telemetry is not None:
             facts['frames_bad_at_board'] = str(telemetry.bad)
         for tendon in config.tendons:
@@ -146,54 +135,40 @@ class SerialDriver(PortDriver):
 
     def silence(self) -> str:
         """Return the time-out that the board was configured with."""
-        return f'{self.config.timeout:g} s (command_timeout of the board)'
+        return f'{self.config.command_timeout:g} s (command_timeout of the board)'
 
-    def write(self, command: Array) -> None:
-        """Command tensions [N] or pulls [m], shape (m,), kept within limits and rates."""
-        self._require_open('write')
-        requested, passed = self.checked(command), self._since_write()
-        if passed > self.config.timeout:
-            return  # the board may have released meanwhile: read() comes first
-        self._goal = self._towards(requested, self.limits, passed)
-        try:
-            if self.link.connected and self.torque_requested.any():
-                self.command(self.mode, self._goal)
-        except PortLostError:
-            pass  # read() reports the fault and reopens the port
+    def _send(self) -> None:
+        if self.torque_requested.any():
+            self.command(self.mode, self._goal)
 
     def command(self, mode: str, goal: Array) -> None:
         """Send one command, shape (m,) [N] or [m], to all channels in one frame."""
-        assert self.identity is not None
-        values = np.zeros(self.identity.channels)
+        values = np.zeros(self.link.channels)
         values[self.config.places] = goal if mode == 'tension' else goal + self.zero
         self.link.send(Message.COMMAND, messages.command(mode, values))
 
-    def read(self) -> Reading:
-        """Take the newest telemetry; act on silence, restarts and lost ports."""
-        self._require_open('read')
-        now = time.monotonic()
-        try:
-            if not self.link.connected and self._may_retry(now):
-                self.telemetry = None
-                if self.link.reopen():
-                    self.link.send(Message.HEARTBEAT)
-                    self._received_at = self.link.clock()
-            if self.link.connected:
-                self._converse(now)
-        except (PortLostError, DriverError):  # DriverError: it answered and was lost again
-            self.telemetry = None
+    def _reopen(self) -> bool:
+        reopened = super()._reopen()
+        if reopened:
+            self.link.send(Message.HEARTBEAT)
+            self._received_at = self.link.clock()
+        return reopened
+
+    def _forget_readings(self) -> None:
+        self.telemetry = None
+
+    def _tensions(self) -> tuple[Array, Array]:
         tensions, doubt = self.measured_tensions(), np.zeros(len(self.inputs))
         for k, tendon in enumerate(self.config.tendons):
             if tendon.cell is not None and np.isfinite(tensions[k]):
                 doubt[k] = tendon.cell.uncertainty(tensions[k])
-        now, faults = time.monotonic(), self._faults()
-        return Reading(now, self.measured_pulls(), tensions, 'load_cell', doubt, faults)
+        return tensions, doubt
 
     def measured_tensions(self) -> Array:
         """Return measured tensions, shape (m,) [N]; nan where the load cell has a fault."""
         return self._channels('tensions', ChannelFault.LOAD_CELL)
 
-    def measured_pulls(self) -> Array:
+    def _pulls(self) -> Array:
         """Return wire pulls from the zero, shape (m,) [m]; nan where the encoder has a fault."""
         pulls: Array = self._channels('pulls', ChannelFault.ENCODER) - np.nan_to_num(self.zero)
         return pulls
@@ -214,8 +189,6 @@ class SerialDriver(PortDriver):
     def _faults(self) -> tuple[Fault, ...]:
         """Return the present faults."""
         port = self.config.port
-        if not self.link.connected:
-            return (Fault('port', f'{port}: the port is gone; plug the board in again'),)
         if self.telemetry is None:
             message = f'{port}: no telemetry from the board; check its cable and supply'
             return (Fault('silent', message),)
@@ -225,7 +198,7 @@ class SerialDriver(PortDriver):
                 message = f'{port}: {tendon}: the board restarted or switched it off; reset'
                 faults.append(Fault('restarted', message, True, (tendon.name,)))
         if self._tripped:
-            silence = f'the board heard no command for {self.config.timeout:g} s, released'
+            silence = f'the board heard no command for {self.config.command_timeout:g} s, released'
             faults.append(Fault('watchdog', f'{port}: {silence}'))
         return tuple(faults)
 
@@ -249,9 +222,9 @@ class SerialDriver(PortDriver):
 
     def _converse(self, now: float) -> None:
         """Take the newest telemetry; act on what the board did by itself."""
-        if now - self.link.sent_at > HEARTBEAT_PERIOD_S:
+        if now - self.link.sent_at > ANSWER_TIMEOUT_S:
             self.link.send(Message.HEARTBEAT)
-        if now - self._read_at > PORT_FLUSH_S:
+        if now - self._read_at > CYCLE_MAX_S:
             self.link.flush()
         lost = self.telemetry is None
         newest = self._receive(min(3.0 * self.config.period, 0.03))
@@ -266,7 +239,7 @@ class SerialDriver(PortDriver):
             self.restarted |= self.torque_requested
             if self.config.zero == 'find':
                 self.zero[:] = np.nan
-            configure(self.link, self.config, np.nan_to_num(self.zero))
+            self.link.configure(self.config, np.nan_to_num(self.zero))
             newest = self._receive(ANSWER_TIMEOUT_S) or newest
         enabled = np.array([newest.enabled >> i & 1 for i in self.config.places], dtype=bool)
         healthy = newest.faults[self.config.places] == 0
@@ -280,8 +253,7 @@ class SerialDriver(PortDriver):
 
     def _receive(self, wait: float) -> Telemetry | None:
         """Take the newest telemetry, None when none came."""
-        assert self.identity is not None
-        newest = telemetry(self.link, self.identity.channels, wait)
+        newest = self.link.telemetry(wait)
         if newest is not None:
             self.telemetry, self._received_at = newest, self.link.clock()
         return newest
@@ -293,18 +265,11 @@ class SerialDriver(PortDriver):
             raise DriverError(f'{self.config.port}: no telemetry; check cable and supply')
         self._read_at = time.monotonic()
 
-    def _start_from_measured(self) -> None:
-        """Let the next command begin at what is measured."""
-        tension = self.mode == 'tension'
-        value = self.measured_tensions() if tension else self.measured_pulls()
-        self._goal = np.where(np.isfinite(value), value, self._goal)
-        self._written = time.monotonic()
-
     def _zero_in_place(self) -> None:
         if self.config.zero == 'here' and self.telemetry is not None:
             measured = self.telemetry.pulls[self.config.places]
             self.zero = np.where(np.isfinite(self.zero), self.zero, measured)
-            give_limits(self.link, self.config, self.zero)
+            self.link.give_limits(self.config, self.zero)
 
     def _find_slack(self) -> None:
         """
@@ -324,12 +289,12 @@ class SerialDriver(PortDriver):
             self._refuse_too_far(np.abs(start - origin) > travel)
         except DriverError as error:
             raise MovedError(f'no pull zero found: {error}') from None
-        give_limits(self.link, self.config, origin, (-travel, travel))
+        self.link.give_limits(self.config, origin, (-travel, travel))
         self.switch_on('tension')
         try:
             self.zero = self._wind_until_taut(origin)
             distances.clear()
-            give_limits(self.link, self.config, self.zero)
+            self.link.give_limits(self.config, self.zero)
         except MovedError:
             raise
         except (DriverError, PortLostError) as error:

@@ -166,10 +166,9 @@ class FrameReceiver:
 
     """
 
-    def __init__(self) -> None:
+    def __init__(self, bad: int = 0) -> None:
         """Begin between two frames."""
-        self.bad = 0
-        self._rest = b''
+        self.bad, self._rest = bad, b''
 
     def feed(self, data: bytes) -> list[Frame]:
         """Take bytes as they come; return the good frames that they complete."""
@@ -233,15 +232,11 @@ class Telemetry:
     faults: NDArray[np.uint16]
 
 
-def is_telemetry(frame: Frame, channels: int) -> bool:
-    """Whether a frame is telemetry of a board with so many channels."""
-    size = _TELEMETRY.size + channels * _CHANNEL.itemsize
+def read_telemetry(frame: Frame, channels: int) -> Telemetry | None:
+    """Read telemetry of a board with so many channels; None when it is something else."""
     known = frame.type == Message.TELEMETRY and frame.version == VERSION
-    return known and len(frame.payload) == size
-
-
-def read_telemetry(frame: Frame) -> Telemetry:
-    """Read telemetry; the frame is one that `is_telemetry`."""
+    if not known or len(frame.payload) != _TELEMETRY.size + channels * _CHANNEL.itemsize:
+        return None
     values = np.frombuffer(frame.payload, _CHANNEL, offset=_TELEMETRY.size)
     header: tuple[int, int, int, int, int, int] = _TELEMETRY.unpack_from(frame.payload)
     return Telemetry(
