@@ -6,13 +6,13 @@ import time
 import numpy as np
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
+from emulated import ForkedEmulator
 from ros_station import Station, last, stamp, start, values
 from sensor_msgs.msg import JointState
 
 from tendon_robot_ros.common.files import shared_file
 from tendon_robot_ros.drivers.dynamixel.config import from_data_sheet
 from tendon_robot_ros.drivers.dynamixel.control_table import MODELS, TICKS_PER_TURN
-from tendon_robot_ros.emulator.process import EmulatorProcess
 from tendon_robot_ros.ros.shared.messages import COMMAND
 
 ROBOT = 'kato_10_1'
@@ -29,7 +29,7 @@ class Rig:
 
     def __init__(self, mode, folder):
         self.mode = mode
-        self.servos = EmulatorProcess(shared_file(f'config/robots/{ROBOT}.yaml'), kind=self.kind)
+        self.servos = ForkedEmulator(shared_file(f'config/robots/{ROBOT}.yaml'), kind=self.kind)
         if self.kind == 'dynamixel':
             patient = {**self.servos.content(), 'answer_time': ANSWER}
             self.servos.config.write_text(yaml.safe_dump(patient))

@@ -7,11 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import processes
+from forked import Forked
 
 from tendon_robot_ros.drivers import make_driver
 from tendon_robot_ros.drivers.dynamixel.control_table import MODELS
 from tendon_robot_ros.drivers.serial_board.link import BoardLink
 from tendon_robot_ros.emulator.bus import EmulatedBus
+from tendon_robot_ros.emulator.process import EmulatorProcess
 from tendon_robot_ros.emulator.rig import Rig, SpringArm, Wire
 from tendon_robot_ros.emulator.servo import Servo
 from tendon_robot_ros.robot import parse_robot
@@ -132,6 +134,15 @@ def cycle(driver, command, seconds, period=0.01, until=None):
             break
         time.sleep(period)
     return readings
+
+
+class ForkedEmulator(EmulatorProcess):
+    """Emulated motors in a process that starts without the cost of its imports."""
+
+    def start(self, command):
+        process = Forked(command, stdin=processes.PIPE, stdout=processes.PIPE)
+        processes.started.remove(process)  # it may outlive the test that starts it
+        return process
 
 
 def codes(reading):

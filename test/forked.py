@@ -4,10 +4,13 @@ Commands of the package, forked from a process that has loaded what they need.
 A node needs most of a second of processor time to import its modules and to read the compiled
 model, and the tests start two hundred. One server in every process of tests loads all that once.
 What it forks has arguments, environment, folder and files of its own, is a child of the process of
-the tests (see `processes.adopt`), dies with it, and ends as `python -m tendon_robot_ros` does.
-That commands start as a person types them, the tests of live, demo, launch and the pages show.
+the tests (see `processes.adopt`), dies with it, and ends as `python -m tendon_robot_ros` does, but
+leaves its memory to the kernel. That commands start and end as a person types them, the tests of
+live and demo and the pages show.
 """
 
+import atexit
+import contextlib
 import ctypes
 import gc
 import importlib
@@ -20,7 +23,9 @@ import signal
 import socket
 import sys
 import tempfile
+import threading
 import time
+import warnings
 from pathlib import Path
 
 import processes
@@ -103,26 +108,39 @@ def _start():
 
 
 def load():
-    """Import what commands import, and read the compiled model; not rclpy, which has threads."""
+    """
+    Import what commands import, and read the compiled model.
+
+    rclpy's tracing (LTTng) has two threads, which wait for a daemon and hold no lock: what is
+    forked does without them. There must be no other.
+    """
     from tendon_robot_ros.control.loading import load as load_model
     from tendon_robot_ros.effects import load_catalogue
     from tendon_robot_ros.robot import load_robot
 
+    ros = importlib.util.find_spec('rclpy') is not None
     for name in WANTED:
         importlib.import_module(f'tendon_robot_ros.{name}')
     for command in importlib.import_module('tendon_robot_ros.cli.main').COMMANDS.values():
-        if '.ros.' not in command:
+        if ros or '.ros.' not in command:
             importlib.import_module(command.partition(':')[0])
     importlib.import_module('matplotlib.figure')
-    if importlib.util.find_spec('rclpy') is not None:
-        for name in MESSAGES:
-            importlib.import_module(name)
     load_model(load_robot(ROBOT), load_catalogue())
-    importlib.import_module('rosidl_generator_py')
+    threads = 1
+    if ros:
+        importlib.import_module('rclpy.lifecycle')
+        for name in MESSAGES:
+            for kind in vars(importlib.import_module(name)).values():
+                if hasattr(type(kind), '__import_type_support__'):
+                    type(kind).__import_type_support__()
+        importlib.import_module('rosidl_generator_py')
+        threads += 2
     # rclpy looks for the caller of its first log message in the files of all modules
     inspect.getmodule(inspect.currentframe())
+    gc.collect()
     gc.freeze()
-    assert len(os.listdir('/proc/self/task')) == 1, 'a fork takes no threads along'
+    assert len(os.listdir('/proc/self/task')) <= threads, 'a fork takes no threads along'
+    warnings.filterwarnings('ignore', '.*multi-threaded, use of fork', DeprecationWarning)
 
 
 def serve(connection, tests):
@@ -159,12 +177,34 @@ def become(asked, files, tests):
     os.environ.update(asked['environment'])
     os.chdir(asked['folder'])
     tempfile.tempdir = None
+    # nodes collect what they loaded before they begin: here that is what all of them share, and
+    # each would copy it, which is most of what its start would cost
+    gc.unfreeze = lambda: None
     sys.argv = ['tendon_robot_ros', *asked['arguments']]
     size = 0 if os.environ.get('PYTHONUNBUFFERED') else -1
     own = [os.fdopen(0, 'rb', closefd=False), os.fdopen(1, 'wb', size, closefd=False)]
     sys.stdin = io.TextIOWrapper(own[0])
     sys.stdout = io.TextIOWrapper(own[1], write_through=not size)
     sys.stderr = io.TextIOWrapper(os.fdopen(2, 'wb', 0, closefd=False), write_through=True)
+
+
+def run(arguments):
+    """Run a command, or lines of Python; return the exit code."""
+    if arguments[0] == '-c':
+        exec(compile(arguments[1], '<string>', 'exec'), {'__name__': '__main__'})
+        return 0
+    from tendon_robot_ros.cli.main import main as command_line
+
+    return command_line()
+
+
+def end(code):
+    """End as the interpreter does, but free no memory: all that is loaded would be copied."""
+    threading._shutdown()  # waits for threads
+    atexit._run_exitfuncs()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
 
 
 def main():
@@ -176,12 +216,14 @@ def main():
     if asked is None:
         return 0
     become(*asked, tests)
-    if asked[0]['arguments'][0] == '-c':
-        exec(compile(asked[0]['arguments'][1], '<string>', 'exec'), {'__name__': '__main__'})
-        return 0
-    from tendon_robot_ros.cli.main import main as command_line
-
-    return command_line()
+    try:
+        code = run(asked[0]['arguments'])
+    except SystemExit as ending:
+        code = ending.code
+    if isinstance(code, int | None):
+        with contextlib.suppress(OSError):  # a pipe that is closed: Python knows what to say
+            end(code or 0)
+    return code
 
 
 if __name__ == '__main__':

@@ -13,13 +13,12 @@ from source_tree import ROOT
 
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.cli.robot import description
-from tendon_robot_ros.data import default_markers
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.report import pictures
 from tendon_robot_ros.robot import load_robot, parse_robot
 from tendon_robot_ros.robot.estimates import handling, sag
 from tendon_robot_ros.robot.urdf import joint_angles, joint_names, transforms, urdf
-from tendon_robot_ros.tables.markers import _snapped
+from tendon_robot_ros.tables.markers import order_markers
 
 SHIPPED = ('kato_10_1', 'spatial_3', 'spatial_6')
 ROBOTS = ROOT / 'config' / 'robots'
@@ -143,8 +142,9 @@ def test_new_robot_takes_answers_from_a_pipe_and_draws(monkeypatch, tmp_path, ca
     assert plate.length == pytest.approx(robot.length, abs=2e-5)
     size = description(robot).splitlines()[0]  # a plate is no section and no cell
     assert description(plate).splitlines()[0] == f'{size}, on a base plate with holes'
-    ends = np.array([marker.arc_length for marker in default_markers(plate)[2:4]])
-    assert _snapped(ends, plate)[1].endswith('the ends of cells 2 and 3')
+    postures = [Model(plate).shape([x] + 8 * [0.1]).positions for x in (0.1, 1.0, 2.0)]
+    order = order_markers(np.array(postures)[:, 2::2], plate)
+    assert order.reason.endswith('all at the ends of cells 2, 4, 6, 8, 10 and 12')
     tips = [Model(one).shape([3.0] + 8 * [0.1]).tip_position for one in (robot, plate)]
     assert np.hypot(*tips[1][:2]) != pytest.approx(np.hypot(*tips[0][:2]), rel=1e-3)
 

@@ -1,5 +1,6 @@
 """Whatever a file holds: it is read, or refused in one line; what is written is read back."""
 
+import csv
 import tempfile
 from pathlib import Path
 
@@ -11,8 +12,9 @@ from hypothesis.extra.numpy import arrays
 from numpy.testing import assert_array_equal
 from small_dataset import ROBOT, TEXTS, write
 
-from tendon_robot_ros.common.errors import TendonRobotError
-from tendon_robot_ros.data import DataSet, Marker, csv_file, load_dataset, save_dataset
+from tendon_robot_ros.common.errors import DataSetError, TendonRobotError
+from tendon_robot_ros.data import DataSet, Marker, load_dataset, save_dataset
+from tendon_robot_ros.data.csv_file import CsvFile
 from tendon_robot_ros.robot import parse_robot
 
 PIECES = [b',', b'\n', b'"', b';', b'nan', b'inf', b'-', b'e9', b'\0', b'\xff', b'\r', b'', b' ',
@@ -59,27 +61,32 @@ def test_a_damaged_file_is_read_or_refused_in_one_line(file):
         assert sorted(path.name for path in Path(folder).iterdir()) == sorted(TEXTS)
 
 
-CELL = st.sampled_from(['1', ' 2 ', '', 'nan', '"3"', '-1e-3', 'x', '0x1', '1_0', ' ', '+4', '.5'])
-
+NUMBERS = ['1', ' 2 ', '', '"3"', '-1e-3', ' ', '+4', '.5']
+CELL = st.sampled_from([*NUMBERS, 'nan', 'x', '0x1', '1_0'])
 NAME = st.sampled_from(['a', ' a', 'é', '"q"', '', 'nan'])
 
 
 @settings(max_examples=300)
-@given(st.lists(st.tuples(NAME, CELL, CELL).filter(any), min_size=1, max_size=6))
-def test_blocks_parsed_at_once_are_what_cells_parsed_one_by_one_are(rows):
-    dtype = np.dtype([('name', object), ('x', float), ('y', float)])
-    lines = [','.join(row) for row in rows]
-    fast = csv_file._parse(lines, dtype)
-    if fast is None:
-        return
+@given(st.lists(st.tuples(NAME, CELL, CELL), min_size=1, max_size=6))
+def test_a_table_holds_what_its_cells_say_one_by_one(rows):
+    """However it is parsed: whole blocks at once, or cell by cell where something is odd."""
+    text = 'name,x,y\n' + ''.join(','.join(row) + '\n' for row in rows)
+    blank = any(not ''.join(row).strip() for row in rows)
+    refused = blank or any(cell not in NUMBERS for _, *cells in rows for cell in cells)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / 'f.csv'
-        path.write_text('name,x,y\n', encoding='utf-8')
-        file = csv_file.CsvFile(path, ('name',), ('name', 'x', 'y'), '')
-        exact = file._parse_exactly(lines, 2, dtype)
-    assert [name.strip() for name in fast['name']] == [name.strip() for name in exact['name']]
-    assert_array_equal(fast['x'], exact['x'])
-    assert_array_equal(fast['y'], exact['y'])
+        path.write_text(text, encoding='utf-8')
+        file = CsvFile(path, ('name',), ('name', 'x', 'y'), '')
+        if refused:
+            with pytest.raises(DataSetError, match=r'f\.csv, row \d+: '):
+                file.read((), ('x', 'y'), ('name',))
+            return
+        table = file.read((), ('x', 'y'), ('name',))
+    names, *numbers = zip(*csv.reader(text.splitlines()[1:]), strict=True)
+    labels = table.labels['name']
+    assert [labels[code] for code in table.codes['name']] == [name.strip() for name in names]
+    for key, cells in zip('xy', numbers, strict=True):
+        assert_array_equal(table.numbers[key], [float(cell.strip() or 'nan') for cell in cells])
 
 
 NAMES = st.text(st.characters(codec='utf-8', exclude_categories=['C', 'Z']), min_size=1,

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import simulated
 from browser import assert_fine, open_page
 from measurements import blind
 from source_tree import ROOT
@@ -13,7 +14,7 @@ from source_tree import ROOT
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.comparison.compare import compare
 from tendon_robot_ros.comparison.predict import free_parameters
-from tendon_robot_ros.data import load_dataset
+from tendon_robot_ros.data import load_dataset, save_dataset
 from tendon_robot_ros.diagnosis.add import Addition
 from tendon_robot_ros.diagnosis.crossval import Errors
 from tendon_robot_ros.diagnosis.description import with_values
@@ -152,7 +153,9 @@ def test_what_became_of_the_file_stands_where_it_was_asked_for(
     commanded, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
-    assert main(['diagnose', str(blind('b') / 'fit'), '--report', 'page.html']) == 0
+    robot = simulated.robot(cells=8, exact=True)  # diagnosed at once
+    save_dataset(simulated.measured(robot, {'hinge_friction': {'lever': 3e-4}}), 'small')
+    assert main(['diagnose', 'small', '--report', 'page.html']) == 0
     assert 'report: page.html' in capsys.readouterr().out
     for page, told in ((tmp_path / 'page.html', '--add better.yaml'),
                        (commanded, 'written: new.yaml')):  # fmt: skip

@@ -21,7 +21,6 @@ from tendon_robot_ros.drivers import make_driver
 from tendon_robot_ros.drivers.dynamixel import motions
 from tendon_robot_ros.drivers.dynamixel.config import CurrentPoint, fit_current, read_config
 from tendon_robot_ros.emulator.bus import HELP
-from tendon_robot_ros.emulator.process import EmulatorProcess
 from tendon_robot_ros.emulator.rig import HangingWeights
 
 pytest.importorskip('dynamixel_sdk')
@@ -35,7 +34,7 @@ def robot_file(tmp_path):
 
 
 def test_emulate_prints_a_port_that_the_driver_opens_and_obeys_its_input(robot_file):
-    with EmulatorProcess(robot_file, '--arm', 'springs') as emulator:
+    with emulated.ForkedEmulator(robot_file, '--arm', 'springs') as emulator:
         content = emulator.content()
         assert content['port'] == emulator.port
         patient = {**content, 'answer_time': 0.03}  # [s]; the machine that tests is busy
@@ -56,7 +55,7 @@ def test_emulate_prints_a_port_that_the_driver_opens_and_obeys_its_input(robot_f
 
 def test_of_several_threads_each_gets_the_answer_to_its_own_question(robot_file):
     kinds = {'state': dict, 'trace 5': list, 'log 5': list}
-    emulating = EmulatorProcess(robot_file, '--arm', 'springs')
+    emulating = emulated.ForkedEmulator(robot_file, '--arm', 'springs')
     with ThreadPoolExecutor() as threads, emulating as emulator:
 
         def ask(question):
@@ -77,7 +76,7 @@ def test_of_several_threads_each_gets_the_answer_to_its_own_question(robot_file)
 def test_emulate_ends_on_a_signal_and_takes_its_port_away(tmp_path, robot_file, named):
     path = str(tmp_path / 'port')
     robot = 'kato_10_1' if named else robot_file
-    with EmulatorProcess(robot, '--arm', 'springs', '--port', path) as emulator:
+    with emulated.ForkedEmulator(robot, '--arm', 'springs', '--port', path) as emulator:
         assert emulator.port == path
         emulator.process.terminate()
         assert emulator.process.wait(60) == 0

@@ -15,13 +15,13 @@ from source_tree import ROOT
 pytest.importorskip('rclpy')
 pytest.importorskip('serial')
 
+from emulated import ForkedEmulator
 from forked import Forked
 from geometry_msgs.msg import Point, Pose, PoseArray
 from ros_station import PATIENT, ForkedNode, Station
 
 from tendon_robot_ros.common.errors import TendonRobotError
 from tendon_robot_ros.data import default_markers, load_dataset
-from tendon_robot_ros.emulator.process import EmulatorProcess
 from tendon_robot_ros.investigation.record import BrokenMeasurementError
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.monitoring import StillMeasurement
@@ -50,7 +50,7 @@ class Tracked(Station):
         self.markers = default_markers(self.robot)
         described = folder / 'loaded.yaml'
         described.write_text(dump_robot(loaded))
-        self.motors = stack.enter_context(EmulatorProcess(described, kind=kind))
+        self.motors = stack.enter_context(ForkedEmulator(described, kind=kind))
         if kind == 'dynamixel':
             patient = {**self.motors.content(), 'answer_time': ANSWER}
             self.motors.config.write_text(yaml.safe_dump(patient))

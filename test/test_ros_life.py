@@ -5,9 +5,9 @@ import os
 import signal
 from itertools import pairwise
 
-import processes
 import pytest
 import yaml
+from forked import Forked
 from launch_stand_in import launch
 
 pytest.importorskip('rclpy')
@@ -252,7 +252,7 @@ def test_what_the_launch_file_starts_holds_the_arm(space, tmp_path):
     said['namespace'] = space.namespace
     path, shares = ROOT / 'launch' / 'robot.launch.py', {'tendon_robot_ros': ROOT}
     for one in launch(path, tmp_path, shares, **said):
-        processes.Process(processes.package(one.executable, *one.arguments))
+        Forked([one.executable, *one.arguments])
     space.until_code(space.controller, 'holding', timeout=120.0)
     space.until_code(space.driver, 'following')
     assert values(last(space.driver))['mode'] == 'pull'

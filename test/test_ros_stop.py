@@ -8,6 +8,7 @@ import pytest
 
 pytest.importorskip('rclpy')
 
+from forked import Forked
 from geometry_msgs.msg import PointStamped
 from rclpy.duration import Infinite
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -254,8 +255,8 @@ def test_the_stop_command_stops_all_while_others_listen_and_a_reset_each_goes_on
     """No `false` is needed after it: the services have latched the stop."""
     foreign = running.hear(Bool, 'stop', COMMAND_ALL)
     bent(running)
-    process = processes.Process(
-        processes.package('stop', '--namespace', SPACE),
+    process = Forked(
+        ['stop', '--namespace', SPACE],
         stdin=processes.DEVNULL,
         stdout=processes.PIPE,
         stderr=processes.STDOUT,

@@ -9,13 +9,13 @@ import yaml
 pytest.importorskip('rclpy')
 pytest.importorskip('dynamixel_sdk')
 
+from emulated import ForkedEmulator
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from ros_station import Station, last, start, values
 from std_msgs.msg import Bool
 
 from tendon_robot_ros.common.files import shared_file
-from tendon_robot_ros.emulator.process import EmulatorProcess
 from tendon_robot_ros.ros.shared.timing import RETRY_PERIOD_S
 
 pytestmark = pytest.mark.ros
@@ -28,7 +28,7 @@ RETRIED = 1.5 * RETRY_PERIOD_S  # [s]; the autostart would have begun again
 def free(request, tmp_path):
     """Start a driver node on motors whose wires meet no resistance, for so much [m] of wire."""
     robot = shared_file(f'config/robots/{ROBOT}.yaml')
-    with EmulatorProcess(robot, '--arm', 'weights') as servos:
+    with ForkedEmulator(robot, '--arm', 'weights') as servos:
         content = {
             **servos.content(),
             'home_travel': getattr(request, 'param', TRAVEL),

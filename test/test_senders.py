@@ -14,6 +14,7 @@ pytest.importorskip('rclpy')
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from forked import Forked
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.qos import QoSProfile
@@ -120,9 +121,9 @@ threading.Event().wait()
 
 
 def test_the_death_of_who_is_followed_is_seen_and_the_next_is_followed_at_once():
-    command = [sys.executable, '-c', PUBLISHES]
     senders = Senders()
-    with processes.Process(command, stdout=processes.PIPE, env=child_environment()) as process:
+    pipes = {'stdout': processes.PIPE, 'env': child_environment()}
+    with Forked(['-c', PUBLISHES], **pipes) as process:
         publisher = bytes.fromhex(process.stdout.readline())
         assert process_of(publisher) == process.pid
         assert senders.counts(0.0, said_by(publisher))

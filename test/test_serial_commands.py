@@ -15,7 +15,6 @@ from tendon_robot_ros.drivers import make_driver
 from tendon_robot_ros.drivers.serial_board.config import CountsPoint, fit_counts, read_config
 from tendon_robot_ros.drivers.serial_board.link import connect
 from tendon_robot_ros.emulator.board import HELP
-from tendon_robot_ros.emulator.process import EmulatorProcess
 from tendon_robot_ros.robot import load_robot
 
 pytest.importorskip('serial')
@@ -30,7 +29,7 @@ def robot_file(tmp_path):
 
 @needs_compiler
 def test_emulate_prints_a_port_that_the_driver_opens_and_obeys_its_input(robot_file):
-    with EmulatorProcess(robot_file, '--arm', 'springs', kind='serial') as emulator:
+    with emulated.ForkedEmulator(robot_file, '--arm', 'springs', kind='serial') as emulator:
         content = emulator.content()
         assert content['port'] == emulator.port
         with make_driver('serial', emulated.robot(), content, source='board.yaml') as driver:

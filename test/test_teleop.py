@@ -12,6 +12,7 @@ import pytest
 pytest.importorskip('rclpy')
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from forked import Forked
 from geometry_msgs.msg import TwistStamped
 from ros_station import Station, last
 
@@ -39,8 +40,8 @@ def test_every_direction_has_a_key_either_way():
 @pytest.fixture
 def terminal():
     ours, theirs = pty.openpty()
-    process = processes.Process(
-        [sys.executable, '-m', 'tendon_robot_ros', 'teleop', '--ros-args', '-r', '__ns:=/keys'],
+    process = Forked(
+        ['teleop', '--ros-args', '-r', '__ns:=/keys'],
         stdin=theirs,
         stdout=theirs,
         stderr=theirs,

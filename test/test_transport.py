@@ -8,7 +8,8 @@ import pytest
 pytest.importorskip('rclpy')
 
 from compiling import ROOT
-from processes import PIPE, Process
+from forked import Forked
+from processes import PIPE
 
 from tendon_robot_ros.ros.shared import runtime
 
@@ -44,7 +45,7 @@ def started(code, **environment):
     }
     given = {**plain, 'ROS_DOMAIN_ID': os.environ['ROS_DOMAIN_ID'], 'PYTHONPATH': str(ROOT)}
     given |= {'AMENT_PREFIX_PATH': sys.prefix, **environment}
-    return Process([sys.executable, '-c', code], env=given, stdout=PIPE)
+    return Forked(['-c', code], env=given, stdout=PIPE)
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+from collections.abc import Sequence
 from pathlib import Path
 from typing import IO, Any, Self, cast
 
@@ -33,13 +34,10 @@ class EmulatorProcess:
         """Start `emulate KIND` for a robot description, with more of its arguments."""
         self._folder = tempfile.TemporaryDirectory(prefix='tendon_robot_ros_')
         self.config = Path(self._folder.name, 'motors.yaml')
-        command = [sys.executable, '-m', 'tendon_robot_ros', 'emulate', kind]
-        command += ['--ends-with-input']
+        command = ['emulate', kind, '--ends-with-input']
         command += ['--robot', str(robot), '--write-config', str(self.config), *arguments]
         self._conversation = threading.Lock()
-        self.process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
+        self.process = self.start(command)
         self._to = cast(IO[str], self.process.stdin)
         self._from = cast(IO[str], self.process.stdout)
         self.port = self._from.readline().strip()
@@ -47,6 +45,15 @@ class EmulatorProcess:
             self.end()
             raise DriverError('emulate ended at once; its message is above')
         go_realtime(Realtime.EMULATOR, process=self.process.pid)
+
+    def start(self, command: Sequence[str]) -> subprocess.Popen[str]:
+        """Start a command of this package in a process of its own, with pipes to and from it."""
+        return subprocess.Popen(
+            [sys.executable, '-m', 'tendon_robot_ros', *command],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
 
     def say(self, text: str) -> str:
         """Send one of its commands; return the answer. Thread-safe."""
