@@ -6,7 +6,7 @@ from control_rig import CYCLE, Rig, model, reachable
 
 from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.control import Refusal, Target, Twist
-from tendon_robot_ros.control.driver_side import MeasuredState
+from tendon_robot_ros.control.state import MeasuredState
 from tendon_robot_ros.control.status import controller_status
 
 

@@ -8,10 +8,10 @@ from friction_rig import TARGETS, Rig, model
 
 from tendon_robot_ros.common.errors import NoEquilibriumError
 from tendon_robot_ros.control import ControllerCore, Settings, Target, target_search
-from tendon_robot_ros.control.approach import forgetting_tensions
-from tendon_robot_ros.control.driver_side import ActingTensions
-from tendon_robot_ros.control.state import Trajectory
+from tendon_robot_ros.control.inputs import Trajectory
+from tendon_robot_ros.control.state import ActingTensions
 from tendon_robot_ros.control.status import controller_status, controller_values
+from tendon_robot_ros.control.target_search import forgetting_tensions
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.tip_task import Preferences
 from tendon_robot_ros.robot import load_robot

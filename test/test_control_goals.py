@@ -7,7 +7,7 @@ import pytest
 from control_rig import Rig, reachable
 
 from tendon_robot_ros.control import Refusal, Target
-from tendon_robot_ros.control.state import Trajectory
+from tendon_robot_ros.control.inputs import Trajectory
 from tendon_robot_ros.control.status import MotionGoal, Tolerance, followed
 
 END = np.array([1.1, 0.1, 0.1, 0.6])

@@ -9,8 +9,8 @@ from control_rig import CYCLE, Rig, model, reachable
 
 from tendon_robot_ros.common.errors import InputError, NoEquilibriumError
 from tendon_robot_ros.control import ControllerCore, Settings
+from tendon_robot_ros.control.inputs import Target, Trajectory
 from tendon_robot_ros.control.loading import load
-from tendon_robot_ros.control.state import Target, Trajectory
 from tendon_robot_ros.control.status import controller_status
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.model import Model

@@ -7,8 +7,13 @@ import numpy as np
 import pytest
 
 from tendon_robot_ros.control import ControllerCore, Settings, Target
-from tendon_robot_ros.control.null_space import DRIFT, HANDOVER_LENGTH, SPEED_MAX, NullSpaceMotion
-from tendon_robot_ros.control.tip_estimator import TipEstimate
+from tendon_robot_ros.control.tip_estimator import (
+    DRIFT,
+    HANDOVER_LENGTH,
+    SPEED_MAX,
+    NullSpaceMotion,
+    TipEstimate,
+)
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.program import bounded_step
 from tendon_robot_ros.model.tip_task import Preferences
@@ -102,7 +107,7 @@ def test_it_waits_until_the_bias_is_known():
 def begin(core, more):
     """Have a core's arm go to more tension [N] all over."""
     goal = core.goal(core.solution.tensions)
-    core.begin_motion(NullSpaceMotion.begin(core.solution, goal + more, goal))
+    core.loop.motion = NullSpaceMotion.begin(core.solution, goal + more, goal)
 
 
 class Rig:
@@ -251,9 +256,9 @@ def test_a_drive_that_fails_on_a_motion_is_seen_by_the_tip_and_then_by_its_load_
     rig.run(4.0)
     begin(rig.core, 0.1)
     rig.run(3.0)
-    assert rig.core.motion is not None
+    assert rig.core.loop.motion is not None
     rig.lost = np.array([0.0, 0.02, 0.0, 0.0])
     rig.run(2.0)
-    assert rig.core.motion is None
-    assert rig.core.acting_offset == pytest.approx(-rig.lost, abs=5e-3)
+    assert rig.core.loop.motion is None
+    assert rig.core.driver.acting.offset == pytest.approx(-rig.lost, abs=5e-3)
     assert np.linalg.norm(rig.tips[-1] - rig.core.target.position) < 5e-4

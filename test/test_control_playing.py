@@ -5,7 +5,7 @@ import pytest
 from control_rig import CYCLE, Rig, model, reachable
 
 from tendon_robot_ros.control import Refusal
-from tendon_robot_ros.control.state import Trajectory
+from tendon_robot_ros.control.inputs import Trajectory
 from tendon_robot_ros.control.status import controller_values
 
 LIMITS = np.array([[0.1, 5.0]] * 4)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tendon_robot_ros.common.errors import TendonRobotError
-from tendon_robot_ros.control import ControllerCore, Settings, Target, Twist, checks
+from tendon_robot_ros.control import ControllerCore, Settings, Target, Twist, inputs
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
 
@@ -41,13 +41,13 @@ def model():
 def tell(core, now, kind, *values):
     """Do what the node does with a message."""
     if kind == 'pose':
-        direction = checks.direction(values[1], kind)
-        core.aim(Target(checks.position(values[0], 0.4, kind), direction))
+        direction = inputs.direction(values[1], kind)
+        core.aim(Target(inputs.position(values[0], 0.4, kind), direction))
     elif kind == 'point':
-        core.aim(Target(checks.position(values[0], 0.4, kind)))
+        core.aim(Target(inputs.position(values[0], 0.4, kind)))
     elif kind == 'twist':
         core.twist(
-            now, Twist(checks.finite(values[0], kind), checks.finite(values[1], kind), values[2])
+            now, Twist(inputs.finite(values[0], kind), inputs.finite(values[1], kind), values[2])
         )
     elif kind == 'states':
         core.measured(now, np.array(values[0]), np.zeros(4))

@@ -8,7 +8,7 @@ from control_rig import CYCLE, Rig, model, reachable
 
 from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.control import ControllerCore, Refusal, Settings, Target, Twist
-from tendon_robot_ros.control.state import Trajectory
+from tendon_robot_ros.control.inputs import Trajectory
 from tendon_robot_ros.control.status import MotionGoal, controller_status
 from tendon_robot_ros.drivers import Fault, Reading
 from tendon_robot_ros.drivers.safety import SafetyRules, Supervisor

@@ -58,7 +58,7 @@ def test_a_step_is_found_where_tendons_stick_whichever_way_they_are_pulled_a_lit
     assert np.linalg.norm(arm.follow(here, little).tip_position - wanted) > 10e-3
     for _ in range(12):
         nothing = TipEstimate.begin(here.inputs, arm.limits, np.full(4, 1e-3))
-        step = TipStep.at(arm, here, wanted, np.zeros(4), arm.limits, True)
+        step = TipStep(arm, here, wanted, np.zeros(4), arm.limits, True)
         here = arm.follow(here, goal := step.next_goal(nothing, goal))
     assert np.linalg.norm(here.tip_position - wanted) < 1e-3
 

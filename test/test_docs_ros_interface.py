@@ -70,7 +70,7 @@ def test_every_status_code_is_documented():
     ]
     text = '\n'.join(sources)
     codes = set(re.findall(r"Refusal\(\s*'(\w+)'", text))
-    codes |= set(re.findall(r"return (?:OK|WARN|ERROR), '(\w+)'", text))
+    codes |= set(re.findall(r"ControllerStatus\((?:OK|WARN|ERROR), '(\w+)'", text))
     codes |= set(re.findall(r"status\.publish\(\s*[^,]+, '(\w+)'", text))
     assert len(codes) > 15
     assert [code for code in codes - {'mock_fault', 'reset'} if f'`{code}`' not in DOC] == []
@@ -105,7 +105,7 @@ def written(key):
     ('node', 'path', 'function', 'count'),
     [
         ('controller', 'control/status.py', 'controller_values', 8),
-        ('controller', 'control/null_space.py', 'values', 2),
+        ('controller', 'control/modes.py', 'values', 2),
         ('controller', 'control/tip_loop.py', 'values', 3),
         ('controller', 'ros/controller/node.py', '_publish_status', 4),
         ('driver', 'ros/driver/node.py', '_publish_status', 9),

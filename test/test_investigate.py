@@ -26,12 +26,13 @@ from tendon_robot_ros.investigation.choice import (
 from tendon_robot_ros.investigation.goal import (
     Goal,
     InvestigationEnd,
+    Round,
     only_wide,
     possible,
     settled,
 )
 from tendon_robot_ros.investigation.loop import Investigation
-from tendon_robot_ros.investigation.record import Round, empty_dataset
+from tendon_robot_ros.investigation.measuring import empty_dataset
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.robot.estimates import natural_sizes

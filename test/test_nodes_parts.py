@@ -24,7 +24,7 @@ from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import EffectError, InputError, RobotDescriptionError
 from tendon_robot_ros.common.rotations import quaternions, towards
 from tendon_robot_ros.control import Refusal, loading
-from tendon_robot_ros.control.checks import direction
+from tendon_robot_ros.control.inputs import direction
 from tendon_robot_ros.control.loading import Loader
 from tendon_robot_ros.data.path_files import TendonRows
 from tendon_robot_ros.model.model import Model

@@ -26,7 +26,7 @@ from test_msgs.action import Fibonacci
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from tendon_robot_ros.control import Refusal
-from tendon_robot_ros.control.state import Trajectory
+from tendon_robot_ros.control.inputs import Trajectory
 from tendon_robot_ros.control.status import GoalOutcome, MotionGoal, Progress
 from tendon_robot_ros.ros.controller import actions
 from tendon_robot_ros.ros.controller.topics import Incoming

@@ -22,7 +22,7 @@ from ros_station import PATIENT, ForkedNode, Station
 
 from tendon_robot_ros.common.errors import TendonRobotError
 from tendon_robot_ros.data import default_markers, load_dataset
-from tendon_robot_ros.investigation.record import BrokenMeasurementError
+from tendon_robot_ros.investigation.measuring import BrokenMeasurementError
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.monitoring import StillMeasurement
 from tendon_robot_ros.robot import dump_robot, load_robot

@@ -3,30 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..common.errors import DriverError, InputError, TendonRobotError
-from ..drivers.safety import CYCLE_MAX_S, StopLatch, approach, bounded
-from .approach import Approach
-from .checks import Refusal, another_robot, check_inputs
-from .driver_side import DriverSide
-from .modes import FollowTarget, FollowTwist, Idle, Mode, PlayTrajectory, PullPath, keep_out_check
-from .null_space import NullSpace, NullSpaceMotion
-from .solver import InPlace, Solver
-from .state import Output, Settings, ShapeTracker, Target, Trajectory, Twist
-from .target_search import SearchResult, TargetSearch, is_nearer, model_work, search_work
+from ..common.arrays import Floats
+from ..common.errors import DriverError, TendonRobotError
+from ..drivers.safety import CYCLE_MAX_S, approach, bounded
+from .inputs import (
+    Output,
+    Refusal,
+    Target,
+    Trajectory,
+    Twist,
+    another_robot,
+)
+from .modes import FollowTarget, FollowTwist, NullSpace, PlayTrajectory, PullPath
+from .state import ControllerState, Mode, ShapeTracker
+from .target_search import (
+    Approach,
+    SearchResult,
+    TargetSearch,
+    is_nearer,
+    keep_out_refusal,
+    model_work,
+    search_work,
+)
 from .tip_loop import TipLoop
 
 if TYPE_CHECKING:
     from ..model.model import Model
     from ..model.shape import Reach, Shape
     from .solver import GiveUp
-
-Array = NDArray[np.float64]
 
 
 def raise_error(error: TendonRobotError | None) -> None:
@@ -36,35 +45,22 @@ def raise_error(error: TendonRobotError | None) -> None:
 
 
 @dataclass
-class ControllerCore:
+class ControllerCore(ControllerState):
     """
-    The state between two cycles; all times are monotonic seconds given by the caller.
+    The state machine: it takes commands and measurements, and returns a command per cycle.
 
-    Only the core writes its fields; modes and searches return what it should do. The core never
-    evaluates the model: it posts the work to the solver, which calls back with the result.
+    Modes and searches return what it should do. It never evaluates the model: it posts the work to
+    the solver, which calls back with the result.
     """
 
-    model: Model
-    settings: Settings = field(default_factory=Settings)
-    solver: Solver = field(default_factory=InPlace)
-    time: float = -np.inf  # [s] of the last cycle
-    mode: Mode = field(default_factory=Idle)
-    search: TargetSearch | None = None  # for a target that is not yet followed
-    command: Array | None = None  # (m,) [N], None before the first measurement
-    pulls: PullPath | None = None  # in pull mode
-    driver: DriverSide = field(default_factory=DriverSide)
-    refusals: dict[str, Refusal] = field(default_factory=dict)  # kind of message -> why the last
-    latch: StopLatch = field(default_factory=StopLatch)
     loop: TipLoop = field(default_factory=TipLoop)
+    search: TargetSearch | None = None  # for a target that is not yet followed
+    pulls: PullPath | None = None  # in pull mode
+    refusals: dict[str, Refusal] = field(default_factory=dict)  # kind of message -> why the last
     null_space: NullSpace = field(default_factory=NullSpace)
-    track: ShapeTracker = field(init=False)
     pending_trajectory: Trajectory | None = None  # while the solver checks it against the regions
     _last_search: TargetSearch | None = None
     _syncing: object | None = None  # while the solver computes the tensions at the measured state
-
-    def __post_init__(self) -> None:
-        """Begin with the straight arm."""
-        self.track = ShapeTracker(self.model)
 
     def aim(self, target: Target) -> None:
         """
@@ -121,28 +117,41 @@ class ControllerCore:
         elif self.driver.wait(lambda: self.play(self.time, trajectory), trajectory):
             return
         elif self.settings.keep_out:
-            self.pending_trajectory = trajectory
-
-            def take(refusal: Refusal | None) -> None:
-                if self.pending_trajectory is not trajectory:
-                    return  # a newer command has replaced it
-                self.pending_trajectory = None
-                if refusal is not None:
-                    self.refusals['target'] = refusal
-                elif self.settings.pull_mode:
-                    self._play(max(now, self.time), trajectory)
-                else:  # another model may have come meanwhile
-                    limits = self.settings.limits(self.model)
-                    self._play(max(now, self.time), trajectory.within(limits))
-
-            self.solver.post('trajectory', *keep_out_check(self, trajectory, take))
+            self._check_trajectory(now, trajectory)
         else:
             self._play(now, trajectory)
 
     def _play(self, now: float, trajectory: Trajectory) -> None:
         self._drop()
+        if not self.settings.pull_mode:  # another model may have come meanwhile
+            trajectory = trajectory.within(self.settings.limits(self.model))
         self.driver.dropped = None
         self.mode = PlayTrajectory(trajectory.begin(now, self.commanded))
+
+    def _check_trajectory(self, now: float, trajectory: Trajectory) -> None:
+        """Have the solver check whether a trajectory keeps out of regions, and then play it."""
+        self.pending_trajectory = trajectory
+        model, last, acting = self.model, self.track.last, self.acting_tensions()
+        settings, command = self.settings, self.commanded
+
+        def work(give_up: GiveUp) -> Refusal | None:
+            start = last if settings.pull_mode and last else model.follow(last, acting)
+            begun = trajectory.begin(0.0, command)
+            return keep_out_refusal(model, start, begun, settings.keep_out, settings.pull_mode)
+
+        def done(refusal: Refusal | None, error: TendonRobotError | None) -> None:
+            if self.pending_trajectory is not trajectory:
+                return  # a newer command has replaced it
+            self.pending_trajectory = None
+            if error is not None:
+                problem = f'tendon_trajectory: {error}; nothing was played'
+                refusal = Refusal('no_equilibrium', problem)
+            if refusal is not None:
+                self.refusals['target'] = refusal
+            else:
+                self._play(max(now, self.time), trajectory)
+
+        self.solver.post('trajectory', work, done)
 
     def stop(self, key: str, reason: str, lasting: bool = False) -> None:
         """Latch a stop and drop the target; reset is refused while a lasting cause exists."""
@@ -171,11 +180,6 @@ class ControllerCore:
         InputError for other inputs, a NoEquilibriumError when the new model has no equilibrium at
         the present tensions or for the target.
         """
-        try:
-            check_inputs(model.inputs, self.model.inputs)
-        except InputError as error:
-            on_done(error)
-            return
         target = self.target
 
         def done(
@@ -206,10 +210,10 @@ class ControllerCore:
             limits = self.settings.limits(model)
             self.mode = PlayTrajectory(mode.trajectory.within(limits))
         elif isinstance(mode, FollowTwist):
-            self.mode = Idle()
+            self.mode = Mode()
         elif isinstance(mode, FollowTarget):
             if mode.target is target and reach is not None:
-                self.mode = FollowTarget(mode.target, reach, [], mode.position, mode.in_time)
+                self.mode = replace(mode, reach=reach, via=[])
             else:
                 pending = pending or mode.target  # it arrived during the search
                 mode.via = []
@@ -220,7 +224,7 @@ class ControllerCore:
         """Start the search for the tensions of a target; the present motion continues."""
         last = self.target if self.search is None else self.search.target
         self.search = TargetSearch.begin(self, self._last_search, last, target)
-        self._last_search = self.search
+        self._last_search, self.streaming = self.search, self.search.streamed
         self._search(self.search, self.search.first_budget)
 
     def _search(self, search: TargetSearch, budget: float) -> None:
@@ -228,7 +232,7 @@ class ControllerCore:
 
         def report(solution: Reach) -> None:
             if self.search is search:
-                self._follow(search, Approach.straight(solution), False)
+                self._follow(search, Approach(solution), False)
 
         def done(result: SearchResult | None, error: TendonRobotError | None) -> None:
             self._finish_search(search, result or SearchResult(None, str(error), True))
@@ -262,11 +266,11 @@ class ControllerCore:
         position = search.extrapolated(self).position
         self.mode = FollowTarget(search.target, path.reach, list(path.via), position, in_time)
 
-    def measured(self, now: float, tensions: Array, pulls: Array) -> None:
+    def measured(self, now: float, tensions: Floats, pulls: Floats) -> None:
         """Take measured tensions (m,) [N] and wire pulls (m,) [m], nan where not observable."""
         self.driver.measured(now, tensions, pulls)
 
-    def tip_measured(self, now: float, position: Array) -> None:
+    def tip_measured(self, now: float, position: Floats) -> None:
         """Take a measured tip (3,) [m] in the base frame."""
         self.loop.take(now, self, position)
 
@@ -326,26 +330,6 @@ class ControllerCore:
             del self.refusals['target']
 
     @property
-    def target(self) -> Target | None:
-        """The current target."""
-        return self.mode.target if isinstance(self.mode, FollowTarget) else None
-
-    @property
-    def solution(self) -> Reach | None:
-        """The solution for the target, or for the twist."""
-        return self.mode.reach if isinstance(self.mode, FollowTarget | FollowTwist) else None
-
-    @property
-    def desired_tip(self) -> Array | None:
-        """Desired position of the tip (3,) [m]: the target, or a point ahead of it in a stream."""
-        return self.mode.position if isinstance(self.mode, FollowTarget) else None
-
-    @property
-    def playing(self) -> Trajectory | None:
-        """The trajectory that is played or whose end is held."""
-        return self.mode.trajectory if isinstance(self.mode, PlayTrajectory) else None
-
-    @property
     def jogging(self) -> bool:
         """Whether a twist moves the tip."""
         return isinstance(self.mode, FollowTwist)
@@ -356,69 +340,17 @@ class ControllerCore:
         return self.search is not None or (self.command is not None and self.mode.moving(self))
 
     @property
-    def streaming(self) -> bool:
-        """Whether targets follow each other closely."""
-        return self._last_search is not None and self._last_search.streamed
-
-    @property
-    def commanded(self) -> Array | None:
+    def commanded(self) -> Floats | None:
         """The last command, (m,) [N], or [m] in pull mode."""
         return self.command if self.pulls is None else self.pulls.pulls
 
     @property
-    def measured_values(self) -> Array:
+    def measured_values(self) -> Floats:
         """The measurement of the commanded quantity, (m,) [N] or [m]; nan where not observable."""
         state = self.driver.state
         if state is None:
             return np.full(len(self.model.inputs), np.nan)
         return state.pulls if self.settings.pull_mode else state.tensions
-
-    @property
-    def measured_tensions(self) -> Array | None:
-        """The measured tensions (m,) [N]; None where they are not observable."""
-        return self.driver.tensions
-
-    def acting_tensions(self) -> Array:
-        """Return the estimated tensions (m,) [N]: the command, corrected by the measured ones."""
-        low, high = self.settings.limits(self.model).T
-        acting = self.driver.acting
-        command = low if self.command is None else acting.followed(self.command)
-        # noise of load cells must not appear as a motion of the arm to the null-space motion
-        unseen = self.driver.silent or self.loop.in_null_space(self)
-        return acting.take(command, None if unseen else self.measured_tensions, high)
-
-    @property
-    def acting_offset(self) -> Array:
-        """Difference (m,) [N] between the estimated and the commanded tensions."""
-        offset = self.driver.acting.offset
-        return np.zeros(len(self.model.inputs)) if offset is None else offset
-
-    @property
-    def motion(self) -> NullSpaceMotion | None:
-        """The running null-space motion in closed loop."""
-        return self.loop.motion
-
-    def begin_motion(self, motion: NullSpaceMotion | None) -> None:
-        """Start a null-space motion; None ends it."""
-        self.loop.motion = motion
-
-    def goal(self, tensions: Array) -> Array:
-        """Return the tensions (m,) [N] of a solution as the tip loop corrects them."""
-        return self.loop.goal(self, tensions)
-
-    def tip_bias(self, place: Array) -> Array:
-        """Return the bias (3,) [m] of the model's tip near a position (3,) [m]."""
-        if self.settings.tip_gain == 0.0 or self.settings.pull_mode:
-            return np.zeros(3)
-        return self.loop.bias(self.time, place, self.model.robot.length)
-
-    def fresh(self, now: float) -> bool:
-        """Whether the last measurement of the driver is recent."""
-        return self.driver.fresh(now, self.settings)
-
-    def follows(self, now: float) -> bool:
-        """Whether the driver follows commands and its last measurement is recent."""
-        return not (self.latch or self.driver.stopped) and self.fresh(now)
 
     def step(self, now: float) -> Output | None:
         """Return a command; None (stop, no equilibrium for `patience`, no driver) releases."""
@@ -459,7 +391,7 @@ class ControllerCore:
             if isinstance(self.mode, FollowTwist) and self.mode.problem:
                 why = f'twist ended: {self.mode.problem}'
                 self.refusals['target'] = Refusal('no_equilibrium', why)
-            self.mode, goal = Idle(), self.command
+            self.mode, goal = Mode(), self.command
         if self.pulls is not None and isinstance(self.mode, PlayTrajectory):
             self.command = self.pulls.play(self, goal)
             return
@@ -474,9 +406,7 @@ class ControllerCore:
             self.command = approach(self.command, goal, np.full_like(goal, step))
         self.driver.acting.sent(self.time, self.command, self.settings.drive_lag)
         if not (self.moving or self.playing or self.jogging):
-            solution = self.null_space.step(self, self.time)
-            if solution is not None and isinstance(mode := self.mode, FollowTarget):
-                mode.reach = solution
+            self.null_space.step(self)
 
     def _output(self) -> Output | None:
         assert self.command is not None
@@ -490,8 +420,8 @@ class ControllerCore:
         tensions = self.command
         if self.command is not None and self.model.remembers:
             tensions = self.acting_tensions()  # noise would erase the memory of friction
-        elif self.measured_tensions is not None and self.fresh(now):
-            tensions = self.measured_tensions
+        elif self.driver.tensions is not None and self.fresh(now):
+            tensions = self.driver.tensions
         if tensions is None or self.solver.busy('predict'):
             return
         track, find = self.track, self.track.shape_work(tensions)
@@ -511,7 +441,7 @@ class ControllerCore:
         """Drop the command after a silence, so that the arm stays when the driver is back."""
         self.driver.lost, self._syncing = True, None
         if self.playing is not None:
-            self.mode = Idle()
+            self.mode = Mode()
         if not self.settings.resume:
             self._drop()
 
@@ -522,7 +452,7 @@ class ControllerCore:
         assert self.driver.state is not None
         self._syncing = None
         if self.playing is not None or self.jogging:
-            self.mode = Idle()
+            self.mode = Mode()
         state, limits = self.driver.state, self.settings.limits(self.model)
         pull, model, guess = self.settings.pull_mode, self.model, self.track.last
         if not pull and state.observed:
@@ -537,12 +467,12 @@ class ControllerCore:
             unknown = np.maximum(state.tensions, 0.0)
         syncing = self._syncing = object()
 
-        def work(give_up: GiveUp) -> tuple[Array, Array | None]:
+        def work(give_up: GiveUp) -> tuple[Floats, Floats | None]:
             tensions = bounded(state.in_newtons(model, limits, guess, unknown), limits)
             return tensions, state.complete(model, tensions) if pull else None
 
         def done(
-            solved: tuple[Array, Array | None] | None, error: TendonRobotError | None
+            solved: tuple[Floats, Floats | None] | None, error: TendonRobotError | None
         ) -> None:
             if self._syncing is not syncing:
                 return
@@ -554,7 +484,7 @@ class ControllerCore:
 
         self.solver.post('resync', work, done)
 
-    def _begin(self, tensions: Array, pulls: Array | None) -> None:
+    def _begin(self, tensions: Floats, pulls: Floats | None) -> None:
         self.command, self.driver.lost = tensions, False
         self.driver.acting.begin()
         self.pulls = None if pulls is None else PullPath(pulls)
@@ -563,7 +493,7 @@ class ControllerCore:
         target = self.target if self.search is None else self.search.target
         self.driver.dropped, self.driver.waiting = target or self.driver.dropped, None
         self.search = self.pending_trajectory = None
-        self.mode = Idle()
+        self.mode = Mode()
         self.loop.reset()
 
     def _require_running(self) -> None:

@@ -24,14 +24,13 @@ from ..common.processes import (
 )
 from ..effects import Catalogue, load_catalogue
 from ..robot import Robot, dump_robot, parse_robot
-from .checks import check_inputs
+from .inputs import check_inputs
 
 if TYPE_CHECKING:
     from ..model.model import Model
 
 # [1] of POSIX: a tenth of the processor, so that the control thread has priority
 NICENESS = 10
-GENTLY_VARIABLE = 'TENDON_ROBOT_ROS_GENTLY'
 
 
 def load(robot: Robot, catalogue: Catalogue) -> Model:
@@ -114,8 +113,9 @@ class Loader:
             self._child.wait()
 
     def _load(self) -> None:
-        if self._inputs:
-            _lower_priority()
+        if self._inputs:  # the priority of this thread, which its child inherits (Linux)
+            with contextlib.suppress(OSError):
+                os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)
         try:
             self._loading.set_result(self._make())
         except Exception as error:
@@ -142,7 +142,7 @@ class Loader:
             stderr=subprocess.PIPE,
             text=True,
             start_new_session=True,
-            env=child_environment() | ({GENTLY_VARIABLE: '1'} if self._inputs else {}),
+            env=child_environment(),
         )  # Ctrl-C reaches the parent, which ends the child
         if self._cancelled:
             child.kill()
@@ -153,18 +153,10 @@ class Loader:
             raise TendonRobotError(lines[-1] if lines else ended)
 
 
-def _lower_priority() -> None:
-    """Lower the priority below that of the control thread or process."""
-    with contextlib.suppress(OSError):  # Linux: of this thread alone
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)
-
-
 def main() -> int:
     """Compile for the robot on standard input and the effect files in the arguments."""
     end_with_parent()
     go_with_others()
-    if os.environ.pop(GENTLY_VARIABLE, ''):
-        _lower_priority()
     try:
         catalogue = load_catalogue(sys.argv[1:])
         load(parse_robot(sys.stdin.read()), catalogue)

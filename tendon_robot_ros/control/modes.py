@@ -1,76 +1,47 @@
 """
-Modes of motion; the `step` of a mode returns the goal of the tensions in this cycle.
+Modes of motion: follow a target or a twist, play a trajectory; null-space motion at a target.
 
-In pull mode the wire pulls move in pieces, at whose ends the model is evaluated beforehand.
+The `step` of a mode returns the goal of the tensions in this cycle. In pull mode the wire pulls
+move in pieces, at whose ends the model is evaluated beforehand.
+
+While the arm rests at a target, the solver computes preferred tensions with the same tip. In open
+loop the model gives the path there with a constant tip. In closed loop the estimator of the tip's
+bias holds the tip (tip_estimator.py).
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..common.arrays import Floats
 from ..common.errors import TendonRobotError
 from ..common.rotations import rotated
 from ..drivers.safety import CYCLE_MAX_S, approach, bounded
-from .approach import Approach, keep_out_refusal
-from .checks import Refusal
-from .driver_side import MeasuredState, Settling
-from .solver import Done, GiveUp, Work
-from .state import Controller, Target, Trajectory, Twist
-from .target_search import request_of
+from ..model.inverse import BALANCE_STEPS_MAX, CLEARANCE_BINDS_M, judged
+from ..model.program import STEP_MAX
+from ..model.redundancy import Balance, balanced
+from .inputs import Target, Trajectory, Twist
+from .solver import GiveUp
+from .state import ControllerState, MeasuredState, Mode, Settling
+from .target_search import STREAM_LENGTH, Approach, SearchRequest, tip_task
+from .tip_estimator import NullSpaceMotion
 
 if TYPE_CHECKING:
+    from ..model.derivatives import TipStiffness
+    from ..model.model import Model
     from ..model.shape import Reach, Shape
+    from ..model.tip_task import Preferences
 
-Array = NDArray[np.float64]
-# [1] of the length: distance of the desired tip ahead of the reachable one; from more it would
-# come back late
-AHEAD_LENGTH_MAX = 0.01
-# [s] at the rate limit: wire pulls are straight lines in between, because the tensions hardly
-# change
-PIECE_S = 0.02
-
-
-class Mode(Protocol):
-    """A mode of motion. It writes its own fields only; the core calls `step` once per cycle."""
-
-    @property
-    def stamp(self) -> str:
-        """The stamp of the command, '' without one."""
-
-    def step(self, core: Controller, passed: float) -> Array | None:
-        """
-        Return the goal of the command, (m,) [N], or (m,) [m] of a trajectory in pull mode.
-
-        None ends the mode, and the command stays. `passed` [s] is the time since the last step.
-        """
-
-    def moving(self, core: Controller) -> bool:
-        """Whether the command still changes."""
+# [s] budget of the solver, and period of the stiffness, so that targets hardly wait for either
+SOLVER_PERIOD_S = 0.5
 
 
 @dataclass
-class Idle:
-    """There is no command to follow: the tensions stay."""
-
-    stamp: str = ''
-
-    def step(self, core: Controller, passed: float) -> Array | None:
-        """Return the command."""
-        return core.command
-
-    def moving(self, core: Controller) -> bool:
-        """Return False."""
-        return False
-
-
-@dataclass
-class FollowTarget:
+class FollowTarget(Mode):
     """
     Follows a target with the tensions that the search returned.
 
@@ -90,43 +61,37 @@ class FollowTarget:
 
     target: Target
     reach: Reach
-    via: list[Array]
-    position: Array | None
+    via: list[Floats] = field(default_factory=list)
+    position: Floats | None = None
     in_time: bool = True
     _settling: Settling = field(default_factory=Settling)
 
-    @property
-    def stamp(self) -> str:
-        """The stamp of the target."""
-        return self.target.stamp
-
-    def step(self, core: Controller, passed: float) -> Array | None:
+    def step(self, state: ControllerState, passed: float) -> Floats | None:
         """Return the next tensions to pass, then those of the target."""
-        if self.via and _same(core.command, self.via[0]):
-            measured, settled = core.measured_tensions, True
-            if measured is not None and core.command is not None and not core.settings.pull_mode:
-                low, high = core.settings.limits(core.model).T
-                settled = self._settling.settled(core.time, core.command, measured, high - low)
+        if self.via and _same(state.command, self.via[0]):
+            measured, settled = state.driver.tensions, True
+            if measured is not None and state.command is not None and not state.settings.pull_mode:
+                low, high = state.settings.limits(state.model).T
+                settled = self._settling.settled(state.time, state.command, measured, high - low)
             if settled:
                 self.via.pop(0)
-        return self.via[0] if self.via else core.goal(self.reach.tensions)
+        return self.via[0] if self.via else state.goal(self.reach.tensions)
 
-    def moving(self, core: Controller) -> bool:
+    def moving(self, state: ControllerState) -> bool:
         """Whether the command is not yet at its goal."""
-        return bool(self.via) or not _same(core.command, core.goal(self.reach.tensions))
+        return bool(self.via) or not _same(state.command, state.goal(self.reach.tensions))
 
 
 @dataclass
-class FollowTwist:
+class FollowTwist(Mode):
     """Moves the tip with the last received velocity, from its present position."""
 
     twist: Twist
     received: float  # monotonic [s]
-    stamp: str = ''
     reach: Reach | None = None  # the last solution
-    position: Array | None = None  # (3,) [m] desired, None before the first shape
-    direction: Array = field(default_factory=lambda: np.zeros(3))
-    axes: Array = field(default_factory=lambda: np.eye(3))  # of the tip, as columns
+    position: Floats | None = None  # (3,) [m] desired, None before the first shape
+    direction: Floats = field(default_factory=lambda: np.zeros(3))
+    axes: Floats = field(default_factory=lambda: np.eye(3))  # of the tip, as columns
     problem: str = ''  # why there are no tensions for it
     _due: float = 0.0  # [s] of motion that is not yet requested
 
@@ -142,15 +107,16 @@ class FollowTwist:
         """Take the next velocity."""
         self.twist, self.received = twist, now
 
-    def step(self, core: Controller, passed: float) -> Array | None:
+    def step(self, state: ControllerState, passed: float) -> Floats | None:
         """Request the next tensions from the solver; return the last ones that it found."""
-        timed_out = core.time - self.received > core.settings.twist_timeout
+        timed_out = state.time - self.received > state.settings.twist_timeout
         if timed_out or self.problem or not self.twist.moves:
             return None  # the arm stops
         self._due = min(self._due + passed, CYCLE_MAX_S)  # no jump after a late solution
-        if self.position is not None and not core.solver.busy('twist'):
-            request = request_of(core, core.model, self._advanced(core), tracking=True)
-            ahead_max = AHEAD_LENGTH_MAX * core.model.robot.length
+        if self.position is not None and not state.solver.busy('twist'):
+            request = SearchRequest.of(state, state.model, self._advanced(state), tracking=True)
+            # farther ahead, the desired tip would come back late
+            ahead_max = 0.1 * STREAM_LENGTH * state.model.robot.length
 
             def done(path: Approach | None, error: TendonRobotError | None) -> None:
                 if path is None:
@@ -164,12 +130,12 @@ class FollowTwist:
                 if distance > ahead_max:  # the desired tip stays near the reachable one
                     self.position = shape.tip_position + ahead * (ahead_max / distance)
 
-            core.solver.post('twist', request.answer, done)
+            state.solver.post('twist', request.answer, done)
         if self.problem:
             return None
-        return core.command if self.reach is None else self.reach.tensions
+        return state.command if self.reach is None else self.reach.tensions
 
-    def _advanced(self, core: Controller) -> Target:
+    def _advanced(self, state: ControllerState) -> Target:
         """Advance the desired pose by the time that is not yet requested."""
         linear, angular = self.twist.linear, self.twist.angular
         if self.twist.in_tip:
@@ -178,57 +144,32 @@ class FollowTwist:
         self.position = self.position + linear * self._due
         self.direction = rotated(self.direction, angular * self._due)
         self._due = 0.0
-        oriented = core.settings.hold_direction or bool(angular.any())
+        oriented = state.settings.hold_direction or bool(angular.any())
         return Target(self.position, self.direction if oriented else None)
 
-    def moving(self, core: Controller) -> bool:
+    def moving(self, state: ControllerState) -> bool:
         """Whether the command is not yet at its goal."""
-        return self.reach is not None and not _same(core.command, self.reach.tensions)
+        return self.reach is not None and not _same(state.command, self.reach.tensions)
 
 
 @dataclass
-class PlayTrajectory:
+class PlayTrajectory(Mode):
     """Plays a trajectory of the tendons and holds its end."""
 
     trajectory: Trajectory
 
-    @property
-    def stamp(self) -> str:
-        """The stamp of the trajectory."""
-        return self.trajectory.stamp
-
-    def step(self, core: Controller, passed: float) -> Array | None:
+    def step(self, state: ControllerState, passed: float) -> Floats | None:
         """Return the values at the present time."""
-        return self.trajectory.at(core.time)
+        return self.trajectory.at(state.time)
 
-    def moving(self, core: Controller) -> bool:
+    def moving(self, state: ControllerState) -> bool:
         """Whether the command is not yet at the end."""
-        return not _same(core.commanded, self.trajectory.values[-1])
+        return not _same(state.commanded, self.trajectory.values[-1])
 
 
-def _same(command: Array | None, goal: Array) -> bool:
+def _same(command: Floats | None, goal: Floats) -> bool:
     """Whether a command (m,) is at its goal."""
     return command is not None and np.array_equal(command, goal)
-
-
-def keep_out_check(
-    core: Controller, trajectory: Trajectory, take: Callable[[Refusal | None], None]
-) -> tuple[Work, Done]:
-    """Return solver work and callback that check whether a trajectory keeps out of regions."""
-    model, last, acting = core.model, core.track.last, core.acting_tensions()
-    settings, command = core.settings, core.commanded
-
-    def work(give_up: GiveUp) -> Refusal | None:
-        start = model.follow(last, acting) if last is None or not settings.pull_mode else last
-        started = trajectory.begin(0.0, command)
-        return keep_out_refusal(model, start, started, settings.keep_out, settings.pull_mode)
-
-    def done(refusal: Refusal | None, error: TendonRobotError | None) -> None:
-        if error is not None:
-            refusal = Refusal('no_equilibrium', f'tendon_trajectory: {error}; nothing was played')
-        take(refusal)
-
-    return work, done
 
 
 @dataclass
@@ -239,17 +180,17 @@ class PullPath:
     The solver evaluates a piece while the previous one is played; if it is late, the arm waits.
     """
 
-    pulls: Array
+    pulls: Floats
     ahead: deque[Shape] = field(default_factory=deque)
-    _played: Array | None = None  # (m,) [N] that belong to the pulls of a trajectory
+    _played: Floats | None = None  # (m,) [N] that belong to the pulls of a trajectory
 
-    def advance(self, core: Controller, goal: Array, step: float) -> Array:
+    def advance(self, state: ControllerState, goal: Floats, step: float) -> Floats:
         """Move by a step [N] towards a goal (m,) [N]; return the tensions (m,) [N] there."""
-        tensions, self._played = core.command, None
+        tensions, self._played = state.command, None
         assert tensions is not None
         if np.array_equal(tensions, goal):
             self.ahead.clear()
-        self._request_piece(core, tensions, goal)
+        self._request_piece(state, tensions, goal)
         while self.ahead and step > 0.0:
             end = self.ahead[0]
             size = float(np.abs(end.inputs - tensions).max())
@@ -260,22 +201,24 @@ class PullPath:
             if part == 1.0:
                 tensions, self.pulls = end.inputs.copy(), end.pulls.copy()
                 self.ahead.popleft()
-        self._request_piece(core, tensions, goal)
+        self._request_piece(state, tensions, goal)
         return tensions
 
-    def _request_piece(self, core: Controller, tensions: Array, goal: Array) -> None:
+    def _request_piece(self, state: ControllerState, tensions: Floats, goal: Floats) -> None:
         """Request the shape at the end of the next piece."""
-        if len(self.ahead) >= 2 or core.solver.busy('piece'):
+        if len(self.ahead) >= 2 or state.solver.busy('piece'):
             return
         last = self.ahead[-1] if self.ahead else None
         begin = tensions if last is None else last.inputs
-        end = approach(begin, goal, np.full_like(goal, core.settings.rate_limit * PIECE_S))
-        if np.array_equal(begin, end) and not core.track.problem:
+        # wire pulls are straight lines in between, because the tensions hardly change
+        step = 0.5 * CYCLE_MAX_S * state.settings.rate_limit
+        end = approach(begin, goal, np.full_like(goal, step))
+        if np.array_equal(begin, end) and not state.track.problem:
             return
-        track, now = core.track, core.time
+        track, now = state.track, state.time
 
         def done(shape: Shape | None, error: TendonRobotError | None) -> None:
-            if track is not core.track:
+            if track is not state.track:
                 return
             if shape is None:
                 track.failed(now, str(error))
@@ -284,25 +227,154 @@ class PullPath:
             if (self.ahead[-1] if self.ahead else None) is last:
                 self.ahead.append(shape)
 
-        core.solver.post('piece', track.shape_work(end, last), done)
+        state.solver.post('piece', track.shape_work(end, last), done)
 
-    def play(self, core: Controller, pulls: Array) -> Array:
+    def play(self, state: ControllerState, pulls: Floats) -> Floats:
         """Command wire pulls (m,) [m] at once; return the last known tensions (m,) [N] there."""
-        tensions = core.command if self._played is None else self._played
+        tensions = state.command if self._played is None else self._played
         assert tensions is not None
         self.pulls, self._played = pulls, tensions
         self.ahead.clear()
-        if core.solver.busy('playing'):
+        if state.solver.busy('playing'):
             return tensions
-        model, guess, limits = core.model, core.track.last, core.settings.limits(core.model)
-        measured = MeasuredState(np.full(len(pulls), np.nan), pulls, core.time)
+        model, guess, limits = state.model, state.track.last, state.settings.limits(state.model)
+        measured = MeasuredState(np.full(len(pulls), np.nan), pulls, state.time)
 
-        def work(give_up: GiveUp) -> Array:
+        def work(give_up: GiveUp) -> Floats:
             return bounded(measured.in_newtons(model, limits, guess, tensions), limits)
 
-        def done(tensions: Array | None, error: TendonRobotError | None) -> None:
+        def done(tensions: Floats | None, error: TendonRobotError | None) -> None:
             if tensions is not None:
                 self._played = tensions
 
-        core.solver.post('playing', work, done)
+        state.solver.post('playing', work, done)
         return self._played
+
+
+@dataclass
+class NullSpace:
+    """Moves the tensions of an arm at rest to preferred ones; reports the stiffness of the tip."""
+
+    stiffness: TipStiffness | None = None
+    _valid_for: tuple[Target, Preferences, Model] | None = None  # for which the next fields hold
+    _tensions: Floats | None = None  # (m,) [N] preferred
+    _enough: float = np.inf  # [N/m] in the preferred direction, at which the motion ends
+    _over: bool = False
+    _stiffness_time: float = -np.inf  # [s] of the last request
+
+    def step(self, state: ControllerState) -> None:
+        """Request the next posture from the solver, and the stiffness periodically."""
+        due = state.time - self._stiffness_time > SOLVER_PERIOD_S
+        if due and not state.solver.busy('stiffness'):
+            self._stiffness_time = state.time
+            self._update_stiffness(state)
+        preferences, solution, target = state.settings.preferences, state.solution, state.target
+        if preferences is None or solution is None or target is None or state.settings.pull_mode:
+            return  # given wire lengths leave no null space
+        if state.solver.busy('balance'):
+            return
+        last = self._valid_for
+        if (
+            last is None
+            or not (last[0] is target and last[2] is state.model)
+            or last[1] != preferences
+        ):  # restart
+            self._valid_for, self._tensions = (target, preferences, state.model), None
+            self._over, state.loop.motion = False, None
+        if not self._over:
+            self._request_posture(state, target, preferences, solution)
+
+    def _request_posture(
+        self, state: ControllerState, target: Target, preferences: Preferences, solution: Reach
+    ) -> None:
+        """Request the preferred tensions, and in open loop the next posture."""
+        model, last, acting = state.model, state.track.last, state.acting_tensions()
+        settings, command, unbiased = state.settings, state.command, state.without_bias(target)
+        known, valid_for, closed = self._tensions, self._valid_for, settings.tip_gain > 0.0
+        assert command is not None
+
+        def work(give_up: GiveUp) -> tuple[Floats, float, Reach | None]:
+            past = model.follow(last, acting).memory if model.remembers else None
+            task = tip_task(model, settings, unbiased, past)
+            # a target out of reach: keep the tip of the solution
+            held = task if solution.status == 'reached' else task.held_at(solution.shape)
+            balance = Balance(held, preferences, settings.keep_out)
+            start = task.shape(command, solution.shape.state)
+            if closed:  # no limit of the stiffness: the motion ends where it is enough
+                unlimited = replace(preferences, stiffness_enough=0.0)
+                further = Balance(held, unlimited, settings.keep_out)
+                preferred = balanced(further, start, BALANCE_STEPS_MAX, give_up)
+                stiff = preferences.stiffness > 0.0
+                enough = float(np.exp(balance.log_stiffness(preferred))) if stiff else np.inf
+                return preferred.inputs, enough, None
+            tensions = known
+            if tensions is None:
+                tensions = balanced(balance, start, BALANCE_STEPS_MAX, give_up).inputs
+            posture = _step_towards(balance, start, tensions)
+            reach = None if posture is None else judged(task, posture.inputs, posture.state)
+            return tensions, np.inf, reach
+
+        def done(
+            solved: tuple[Floats, float, Reach | None] | None, error: TendonRobotError | None
+        ) -> None:
+            if state.solution is not solution or self._valid_for is not valid_for:
+                return
+            self._over = True
+            if solved is None:
+                return
+            self._tensions, self._enough, posture = solved
+            if posture is not None:
+                self._over = False
+                state.mode.reach = posture
+            elif closed:
+                start = state.goal(solution.tensions)
+                state.loop.motion = NullSpaceMotion.begin(solution, self._tensions, start)
+
+        state.solver.post('balance', work, done, SOLVER_PERIOD_S)
+
+    def _update_stiffness(self, state: ControllerState) -> None:
+        """Request the stiffness of the tip; a motion ends where it is enough."""
+        model, shape, preferences = state.model, state.track.last, state.settings.preferences
+        if shape is None or len(shape.bend) != model.robot.cells:
+            return
+        held = state.settings.pull_mode
+
+        def done(stiffness: TipStiffness | None, error: TendonRobotError | None) -> None:
+            self.stiffness, motion = stiffness, state.loop.motion
+            if stiffness is None or motion is None or preferences is None:
+                return
+            along = np.array(preferences.stiffness_direction)
+            stiff = stiffness.along(along) if along.any() else stiffness.softest[0]
+            if stiff >= self._enough:
+                goal = state.goal(motion.solution.tensions)
+                state.loop.motion = replace(motion, tensions=goal)
+
+        state.solver.post('stiffness', lambda give_up: model.tip_stiffness(shape, held), done)
+
+    def values(self) -> dict[str, str]:
+        """Return the stiffness of the tip for the status."""
+        stiffness = self.stiffness
+        if stiffness is None:
+            return {}
+        softest, towards = stiffness.softest
+        values = {'tip_stiffness_softest (N/m)': f'{softest:.4g}'}
+        for axis, along, part in zip('xyz', np.eye(3), towards, strict=True):
+            values[f'tip_stiffness_{axis} (N/m)'] = f'{stiffness.along(along):.4g}'
+            values[f'tip_softest_direction_{axis}'] = f'{part:.4f}'
+        return values
+
+
+def _step_towards(balance: Balance, start: Shape, tensions: Floats) -> Shape | None:
+    """Return the next posture towards tensions (m,) [N] with the same tip, None without one."""
+    change = tensions - start.inputs
+    size, step = float(np.abs(change / balance.range).max()), STEP_MAX
+    if size < 0.05 * step:
+        return None
+    moved = balance.solve_at(balance.begin(start), start.inputs + min(1.0, step / size) * change)
+    if moved is None:
+        return None
+    posture = balance.corrected(moved).shape
+    if np.abs((tensions - posture.inputs) / balance.range).max() > size - 0.05 * min(step, size):
+        return None  # no step keeps the tip in place
+    near = balance.keep_out.clearance(posture.positions).distance
+    return posture if near > -CLEARANCE_BINDS_M else None

@@ -8,7 +8,7 @@ from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 from ..common.errors import TendonRobotError
 from ..common.processes import ComputingThread, RealtimeLoan, switch_often
@@ -18,18 +18,16 @@ GiveUp = Callable[[], bool]
 Work = Callable[[GiveUp], Any]  # reads no state that the control thread changes
 Done = Callable[[Any, TendonRobotError | None], None]
 SOLVER = 'solver'  # name of the thread
-# [s] to wait for the running evaluation; a longer wait would delay the end of a node
-END_TIMEOUT_S = 0.2
 
 
-class Solver(Protocol):
-    """Evaluates the model; of several jobs of one kind only the newest matters."""
+class Solver:
+    """Evaluates the model at once, in the calling thread; see `Worker`."""
 
     def post(
         self, kind: str, work: Work, done: Done, budget: float = math.inf, urgent: bool = False
     ) -> None:
         """
-        Post a job.
+        Post a job; of several jobs of one kind only the newest matters.
 
         Parameters
         ----------
@@ -46,24 +44,6 @@ class Solver(Protocol):
             The result does not wait for the next cycle, and the work has real-time priority.
 
         """
-
-    def call_soon(self, take: Callable[[], None]) -> None:
-        """Call something soon in the thread of `serve`; for use within work."""
-
-    def busy(self, kind: str) -> bool:
-        """Whether a job of this kind is unfinished."""
-
-    def serve(self) -> None:
-        """Call `done` of the finished jobs."""
-
-
-class InPlace:
-    """Evaluates at once, in the calling thread."""
-
-    def post(
-        self, kind: str, work: Work, done: Done, budget: float = math.inf, urgent: bool = False
-    ) -> None:
-        """Evaluate and call `done`."""
         result, error = None, None
         try:
             result = work(lambda: False)
@@ -72,15 +52,15 @@ class InPlace:
         done(result, error)
 
     def call_soon(self, take: Callable[[], None]) -> None:
-        """Call it."""
+        """Call something soon in the thread of `serve`; for use within work."""
         take()
 
     def busy(self, kind: str) -> bool:
-        """Return False."""
+        """Whether a job of this kind is unfinished."""
         return False
 
     def serve(self) -> None:
-        """Do nothing: every job is finished."""
+        """Call `done` of the finished jobs; raise an error that is no TendonRobotError."""
 
 
 @dataclass
@@ -90,18 +70,9 @@ class _Job:
     give_up: Patience
     urgent: bool
     kind: str
-    result: Any = None
-    error: Exception | None = None
-
-    def answer(self, waiting: Counter[str]) -> None:
-        """Call `done`; raise an error that is no TendonRobotError."""
-        waiting[self.kind] -= 1
-        if self.error is not None and not isinstance(self.error, TendonRobotError):
-            raise self.error
-        self.done(self.result, self.error)
 
 
-class Worker:
+class Worker(Solver):
     """Evaluates in a thread, one job after the other in the order of arrival."""
 
     def __init__(self, wake: Callable[[], None] = lambda: None) -> None:
@@ -123,7 +94,7 @@ class Worker:
         self._ended = False
         self._loan: RealtimeLoan | None = None
         switch_often()
-        self._thread = ComputingThread(self._work, SOLVER, self._end)
+        self._thread = ComputingThread(self._run, SOLVER, self.close)
         self._thread.start()
 
     def post(
@@ -166,10 +137,6 @@ class Worker:
 
     def close(self) -> None:
         """End the thread; a busy one ends with its job."""
-        self._end()
-        self._thread.join(END_TIMEOUT_S)
-
-    def _end(self) -> None:
         with self._changed:
             self._ended = True
             self._waiting.clear()
@@ -177,17 +144,18 @@ class Worker:
                 self._running.give_up.end()
             self._changed.notify()
 
-    def _work(self) -> None:
+    def _run(self) -> None:
         while (job := self._next()) is not None:
             if self._loan is not None:  # commands wait while it holds Python's lock
                 self._loan.begin(threading.get_native_id())
+            result, error = None, None
             try:
-                job.result = job.work(job.give_up)
-            except Exception as error:
-                job.error = error
+                result = job.work(job.give_up)
+            except Exception as raised:
+                error = raised
             with self._changed:
                 self._running = None
-            self._answered.append(partial(job.answer, self._open))
+            self._answered.append(partial(self._answer, job, result, error))
             if job.urgent and not self._ended:
                 self._wake()
             with self._changed:
@@ -195,10 +163,16 @@ class Worker:
             if self._loan is not None and not urgent:
                 self._loan.end()
 
+    def _answer(self, job: _Job, result: Any, error: Exception | None) -> None:
+        """Call `done`; raise an error that is no TendonRobotError."""
+        self._open[job.kind] -= 1
+        if error is not None and not isinstance(error, TendonRobotError):
+            raise error
+        job.done(result, error)
+
     def _next(self) -> _Job | None:
         with self._changed:
-            while not self._waiting and not self._ended:
-                self._changed.wait()
+            self._changed.wait_for(lambda: self._waiting or self._ended)
             if self._ended:
                 return None
             self._running = job = self._waiting.pop(next(iter(self._waiting)))

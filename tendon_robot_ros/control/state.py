@@ -1,171 +1,301 @@
-"""Inputs of the controller (settings, targets, twists, trajectories) and its output."""
+"""
+The state of the controller, and of the driver: measurements, lag, silence, stops and releases.
+
+After a release nothing moves without a new command: the driver follows no commands until it is
+requested to resume, which the controller does when a new target, trajectory or twist arrives.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..drivers.safety import bounded
-from ..model.pulls import limits_by_pulls
-from ..robot.keep_out import KeepOut
-from .checks import Refusal
-from .solver import GiveUp
+from ..common.arrays import Floats
+from ..common.errors import InputError, NoEquilibriumError
+from ..drivers.safety import StopLatch, bounded
+from ..model.program import bounded_least_squares
+from .inputs import Refusal, Settings, Target, Trajectory, Twist
+from .solver import GiveUp, Solver
+from .tip_estimator import (
+    NOISE_SAMPLES,
+    RANGE_TOLERANCE,
+    NullSpaceMotion,
+    TipEstimate,
+    bias_part,
+)
 
 if TYPE_CHECKING:
     from ..model.model import Model
     from ..model.shape import Reach, Shape
-    from ..model.tip_task import Preferences
-    from .solver import Solver
 
-Array = NDArray[np.float64]
-# [s] between targets: faster ones are a stream, slower ones setpoints, because a person sends less
-# than four per second
-STREAM_PERIOD_S = 0.25
-
-
-@dataclass(frozen=True)
-class Settings:
-    """Settings of the controller; all may change at run time."""
-
-    rate_limit: float = 10.0  # [N/s] of every tension
-    state_timeout: float = 0.25  # [s] without tendon states, then the driver is silent
-    twist_timeout: float = 0.1  # [s]
-    patience: float = 0.5  # [s] without equilibrium, then the arm is released
-    hold_direction: bool = False  # keep the approach direction during a twist
-    direction_weight: float = 0.0  # [m/rad], 0: a fifth of the robot's length
-    pull_mode: bool = False
-    tip_gain: float = 0.0  # [1/s] of the integral on the measured tip, 0: open loop
-    resume: bool = False  # return to the old target when the driver is back
-    approach: str = 'any'  # one of `approach.APPROACHES`
-    preferences: Preferences | None = None  # None: low tension, where that is easy
-    keep_out: KeepOut = field(default_factory=KeepOut)
-    look_ahead: float = 0.0  # [s] by which streamed targets are extrapolated
-    drive_lag: float = 0.0  # [s] time constant with which tensions follow the command
-    tracker_delay: float = 0.0  # [s] from the exposure of the tracker to its message
-
-    def limits(self, model: Model) -> Array:
-        """Return tension limits (m, 2) [N]; in pull mode wires may be slack."""
-        return limits_by_pulls(model) if self.pull_mode else model.limits
+GO_ON = 'send another target or call reset'
+# [s] of silence of driver or tracker, beyond which it counts as lost; a busy machine delays it by
+# less, else every such pause would drop the arm
+SILENCE_MAX_S = 1.0
+# [1] standard deviations; one reading of 16,000 is beyond by chance
+NOISE_SD_MAX = 4.0
+# [1] of the highest tension: noise of poor load cells; more would be a real error of the tension
+NOISE_MAX = 1e-2
+# [1] cycles by which a measured tension may lag behind its command, because of bus and driver
+CYCLES_LATE = 2.0
+# [s] near the command, within four standard deviations of the noise of load cells: five time
+# constants of a drive of 20 ms, so that noise alone does not pass for settled
+SETTLED_S = 0.1
 
 
-@dataclass(frozen=True)
-class Target:
-    """A setpoint of the tip in the base frame: position [m], approach direction, or both."""
+@dataclass
+class MeasuredState:
+    """Tensions (m,) [N] and wire pulls (m,) [m] as measured, nan where not observable."""
 
-    position: Array | None = None
-    direction: Array | None = None
-    stamp: str = ''  # of its sender, identifies the target
-
-    def same(self, other: Target) -> bool:
-        """Whether another target is the same, including its stamp."""
-        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
-        return all(np.array_equal(a, b) if isinstance(a, np.ndarray) else a == b for a, b in pairs)
-
-
-@dataclass(frozen=True)
-class Twist:
-    """A velocity of the tip [m/s] and [rad/s], in base axes or in those of the tip."""
-
-    linear: Array
-    angular: Array
-    in_tip: bool = False
+    tensions: Floats
+    pulls: Floats
+    time: float  # monotonic [s]
 
     @property
-    def moves(self) -> bool:
-        """Whether the velocity is not zero."""
-        return bool(self.linear.any() or self.angular.any())
+    def observed(self) -> bool:
+        """Whether every tension is observable."""
+        return bool(np.all(np.isfinite(self.tensions)))
+
+    @property
+    def located(self) -> bool:
+        """Whether every wire pull is observable."""
+        return bool(np.all(np.isfinite(self.pulls)))
+
+    def complete(self, model: Model, tensions: Floats) -> Floats:
+        """Return the wire pulls (m,) [m], those by the model at tensions where not observable."""
+        if self.located:
+            return self.pulls
+        return np.where(np.isfinite(self.pulls), self.pulls, model.shape(tensions).pulls)
+
+    def in_newtons(
+        self, model: Model, limits: Floats, guess: Shape | None, unknown: Floats
+    ) -> Floats:
+        """Return the tensions (m,) [N] at the wire pulls, `unknown` where the model has none."""
+        known = np.isfinite(self.pulls)
+        if not known.any():
+            return unknown
+        low, high = limits.T
+        try:
+            shape = model.pull_shape(self.pulls, guess)
+            if np.all((shape.inputs >= low) & (shape.inputs <= high)):
+                return shape.inputs
+            # a slack tendon is below its limit: fit the pulls within the limits
+            tensions, step = np.clip(shape.inputs, low, high), 1e-3 * (high - low)
+            for _ in range(len(tensions)):  # Gauss-Newton
+                current = model.shape(tensions, shape.state)
+                side = np.where(tensions + step > high, -step, step)
+                moved = [model.shape(tensions + row, current.state).pulls for row in np.diag(side)]
+                slopes = ((np.array(moved) - current.pulls) / side[:, None]).T[known]
+                miss = (self.pulls - current.pulls)[known]
+                tensions = tensions + bounded_least_squares(
+                    slopes, miss, low - tensions, high - tensions
+                )
+        except (NoEquilibriumError, InputError):
+            return unknown
+        return np.clip(tensions, low, high)
 
 
-@dataclass(frozen=True)
-class Trajectory:
+@dataclass
+class ActingTensions:
     """
-    Values (n, m) [N], or [m] in pull mode, at times (n,) [s] since the start of the trajectory.
+    Estimated tensions (m,) [N]: the command, corrected where measured ones differ significantly.
 
-    Values are linear between the points. The first leg begins at the present command; with a first
-    time of 0 the command moves to the first point at the rate limit. The end is held.
+    Noise of the load cells must not move the estimate, because the model's friction would lose
+    its memory.
     """
 
-    times: Array
-    values: Array
-    stamp: str = ''
-    began: float = np.inf  # monotonic [s]
+    offset: Floats | float = 0.0  # (m,) [N] beyond the command
+    _last: tuple[Floats, Floats] | None = None  # commanded, measured
+    _variance: Floats | None = None  # (m,) [N²] of measured minus commanded
+    _mean: Floats | None = None  # (m,) [N] mean of measured minus commanded
+    _followed: tuple[float, Floats] | None = None  # [s], (m,) [N]
 
-    @classmethod
-    def checked(
-        cls, times: Array, values: Array, limits: Array | None, inputs: tuple[str, ...]
-    ) -> Trajectory:
+    def sent(self, now: float, command: Floats, lag: float) -> None:
+        """Take a command (m,) [N] to a drive that follows with a lag [s] of first order."""
+        if lag == 0.0 or self._followed is None:
+            self._followed = now, command
+            return
+        before, followed = self._followed
+        part = 1.0 - np.exp(-max(now - before, 0.0) / lag)
+        self._followed = now, followed + part * (command - followed)
+
+    def followed(self, command: Floats) -> Floats:
+        """Return the command (m,) [N] as filtered by the lag of the drive."""
+        return command if self._followed is None else self._followed[1]
+
+    def begin(self) -> None:
+        """Forget the sent commands: the arm is at its measured state."""
+        self._followed = None
+
+    def take(self, command: Floats, measured: Floats | None, highest: Floats) -> Floats:
         """
-        Return a trajectory within the limits; refuse one that cannot be played as it is.
+        Return the estimated tensions; the offset changes only beyond the band of the noise.
 
         Parameters
         ----------
-        times : ndarray, shape (n,) [s]
-            Since its start, increasing.
-        values : ndarray, shape (n, m) [N] or [m]
-            In the order of `inputs`.
-        limits : ndarray, shape (m, 2), optional
-            Lowest and highest value of each input.
-        inputs : tuple of str
-            Their names, for the message.
+        command : (m,) [N]
+        measured : (m,) [N] or None
+        highest : (m,) [N]
+            Upper limits.
+
+        """
+        offset = self.offset
+        if measured is not None:
+            before = command if self._last is None else self._last[0]
+            # the noise, from differences of successive readings; a constant reading has some, too
+            noise_min, last = 0.1 * RANGE_TOLERANCE * highest, self._last
+            if self._variance is None:
+                self._variance = noise_min**2
+            if last is not None and not np.array_equal(measured, last[1]):
+                square = 0.5 * (measured - last[1] - (command - before)) ** 2
+                square = np.minimum(square, NOISE_SD_MAX**2 * self._variance)  # jumps are clipped
+                self._variance = self._variance + (square - self._variance) / NOISE_SAMPLES
+            noise = np.clip(np.sqrt(self._variance), noise_min, NOISE_MAX * highest)
+            self._last = command.copy(), measured.copy()
+            width = NOISE_SD_MAX * noise + CYCLES_LATE * np.abs(command - before)
+            differs = measured - command
+            mean, samples = differs if self._mean is None else self._mean, 2.0 * NOISE_SAMPLES
+            self._mean = mean = mean + (differs - mean) / samples
+            narrow = width / np.sqrt(8.0 * samples)  # two deviations of the mean
+            offset = np.clip(offset, mean - narrow, mean + narrow)
+            offset = np.clip(offset, differs - width, differs + width)
+        self.offset = offset
+        return np.asarray(np.maximum(command + offset, 0.0))
+
+
+@dataclass
+class Settling:
+    """
+    Whether the tensions have settled at a command, so that the next one may be sent.
+
+    The tension down to which a tendon was unloaded decides where friction reverses: an approach
+    that reverses before the drive has settled is not repeatable. A drive that never settles delays
+    the arm by at most five times the settling time.
+    """
+
+    _command: Floats | None = None  # (m,) [N]
+    _since: float = -np.inf  # [s] when it was commanded
+    _near: float = -np.inf  # [s] since when they are within tolerance
+
+    def settled(self, now: float, command: Floats, measured: Floats, width: Floats) -> bool:
+        """Whether measured tensions (m,) [N] have settled; `width` (m,) [N] are their ranges."""
+        if self._command is None or not np.array_equal(command, self._command):
+            self._command, self._since, self._near = command.copy(), now, now
+        if np.any(np.abs(measured - command) >= 2.0 * RANGE_TOLERANCE * width):
+            self._near = now
+        return now - self._near >= SETTLED_S or now - self._since > 5.0 * SETTLED_S
+
+
+@dataclass
+class DriverSide:
+    """
+    The reported state of the driver, and the command that waits until it follows.
+
+    Attributes
+    ----------
+    state : MeasuredState or None
+        Last measurement.
+    silent : bool
+        Whether the last measurement is too old.
+    lost : bool
+        Whether the state of the arm is unknown until the next measurement.
+    stopped : str
+        Why the driver does not follow commands, '' when it does.
+    released : str
+        Why the driver released the arm and waits for a request to resume; '' while it follows.
+    dropped : Target or None
+        The target at the time when it was dropped.
+    waiting : callable or None
+        Repeats the command that arrived since the release.
+    stamp : str
+        Stamp of that command.
+    acting : ActingTensions
+        Estimated tensions.
+
+    """
+
+    state: MeasuredState | None = None
+    silent: bool = True
+    lost: bool = True
+    stopped: str = ''
+    released: str = ''
+    dropped: Target | None = None
+    waiting: Callable[[], None] | None = None
+    stamp: str = ''
+    acting: ActingTensions = field(default_factory=ActingTensions)
+    _releases: int | None = None  # number of releases, None before the first report
+    _over: int | None = None  # number of releases that are over
+    _twisted: float = -np.inf  # [s] of the last twist other than zero
+
+    def measured(self, now: float, tensions: Floats, pulls: Floats) -> None:
+        """Take measured tensions (m,) [N] and wire pulls (m,) [m], nan where not observable."""
+        self.state, self.silent = MeasuredState(tensions, pulls, now), False
+
+    def fresh(self, now: float, settings: Settings) -> bool:
+        """Whether the last measurement is recent."""
+        return self.state is not None and now - self.state.time <= settings.state_timeout
+
+    def timed_out(self, now: float, settings: Settings) -> bool:
+        """Whether the driver is silent for so long that the last command is held no longer."""
+        timeout = settings.state_timeout + SILENCE_MAX_S
+        return not settings.resume and (self.state is None or now - self.state.time > timeout)
+
+    @property
+    def held(self) -> bool:
+        """Whether the driver follows no commands."""
+        return bool(self.stopped or self.released)
+
+    @property
+    def tensions(self) -> Floats | None:
+        """The measured tensions (m,) [N]; None where they are not observable."""
+        state = self.state
+        return np.maximum(state.tensions, 0.0) if state is not None and state.observed else None
+
+    def report(self, stopped: str, released: str, releases: int) -> tuple[bool, bool]:
+        """Take a report; return whether it has a new release, and whether the last one is over."""
+        self.stopped = stopped
+        new, over = releases != self._releases, bool(self.released) and not released
+        first = self._releases is None
+        if new:
+            self._releases, self.released = releases, released
+        return new and not first, over and not new
+
+    def outdated_release(self, releases: int) -> bool:
+        """Whether a report with a number of releases is older than the last resume."""
+        return releases == self._over
+
+    def resumed(self) -> None:
+        """Record that the driver follows again, from the measured state."""
+        self.stopped = self.released = ''
+        self.lost, self._over = True, self._releases or None
+
+    def wait(self, repeat: Callable[[], None], request: Target | Trajectory) -> bool:
+        """
+        Store a command until the driver follows; return False where it follows already.
 
         Raises
         ------
         Refusal
+            The target equals the one before the release, including its stamp.
 
         """
-        what = 'tendon_trajectory'
-        if not (np.isfinite(times).all() and np.isfinite(values).all()):
-            raise Refusal('not_finite', f'{what}: expected finite numbers')
-        if times[0] < 0.0 or np.any(np.diff(times) <= 0.0):
-            raise Refusal('times', f'{what}: expected times from 0 that grow from point to point')
-        if limits is None:
-            return cls(times, values)
-        outside = (values < limits[:, 0] - 1e-9) | (values > limits[:, 1] + 1e-9)  # rounding
-        if outside.any():
-            point, column = np.argwhere(outside)[0]
-            low, high = limits[column]
-            raise Refusal(
-                'limits',
-                f'{what}: point {point + 1}: {inputs[column]}: expected {low:g} to {high:g} N, '
-                f'got {values[point, column]:g}; nothing of it was played',
-            )
-        return cls(times, bounded(values, limits))
+        if not self.released:
+            return False
+        if isinstance(request, Target) and self.dropped and request.same(self.dropped):
+            raise Refusal('released', f'the same target as before the release; {GO_ON}')
+        self.waiting, self.stamp = repeat, request.stamp
+        return True
 
-    def begin(self, now: float, command: Array | None) -> Trajectory:
-        """Return the trajectory as started now at a command (m,)."""
-        times, values = self.times, self.values
-        if times[0] > 0.0 and command is not None:
-            times, values = np.concatenate([[0.0], times]), np.vstack([command, values])
-        return replace(self, times=times, values=values, began=now)
-
-    def within(self, limits: Array) -> Trajectory:
-        """Return the trajectory clipped to the limits (m, 2) [N] of a new model."""
-        return replace(self, values=bounded(self.values, limits))
-
-    def at(self, now: float) -> Array:
-        """Return the values (m,) at a time [s]."""
-        passed = now - self.began
-        return np.array([np.interp(passed, self.times, column) for column in self.values.T])
-
-    def over(self, now: float) -> bool:
-        """Whether the end is reached in time."""
-        return bool(now - self.began >= self.times[-1])
-
-    def passed(self, now: float) -> float:
-        """Return the played time [s]."""
-        return float(min(now - self.began, self.times[-1]))
-
-
-@dataclass(frozen=True)
-class Output:
-    """A command: tensions (m,) [N] and, in pull mode, the wire pulls (m,) [m] at them."""
-
-    tensions: Array
-    pulls: Array | None = None
+    def twist(self, now: float, twist: Twist, timeout: float) -> bool:
+        """Take a twist; return False while the arm is released, which a new twist ends."""
+        continues = now - self._twisted <= timeout
+        self._twisted = now if twist.moves else -np.inf
+        if self.released and twist.moves and not continues:
+            self.waiting, self.stamp = lambda: None, ''  # the sender repeats a twist
+        return not self.released
 
 
 class ShapeTracker:
@@ -179,7 +309,7 @@ class ShapeTracker:
         self._failed: tuple[float, float] | None = None  # [s] first and last time, in a row
 
     def shape_work(
-        self, tensions: Array, before: Shape | None = None
+        self, tensions: Floats, before: Shape | None = None
     ) -> Callable[[GiveUp], Shape]:
         """Return solver work: the shape under tensions (m,) [N] after `before` or the last one."""
         model, before = self.model, before or self.last
@@ -205,52 +335,141 @@ class ShapeTracker:
         return 0.0 if self._failed is None else self._failed[1] - self._failed[0]
 
 
-class Controller(Protocol):
-    """Read access of modes, searches and the tip loop to the core."""
+class TrackedTip(NamedTuple):
+    """A measurement of the tip."""
+
+    time: float  # [s]
+    position: Floats  # (3,) [m]
+    modelled: Floats | None  # (3,) [m] tip of the model at that time
+
+
+@dataclass
+class TipCorrection:
+    """The correction of the tensions by the tracked tip, as tip_loop.py updates it."""
+
+    tensions: Floats | None = None  # (m,) [N] goal for the solution, None: that of the model
+    solution: Reach | None = None
+    frozen: str = 'no tracker'  # reason, '' while the loop runs
+    estimate: TipEstimate | None = None
+    motion: NullSpaceMotion | None = None  # in progress
+    tip: TrackedTip | None = None
+
+
+class Mode:
+    """
+    A mode of motion; this one follows no command: the tensions stay.
+
+    A mode writes its own fields only, and another posture for its target is written to `reach`.
+    """
+
+    target: Target | None = None
+    reach: Reach | None = None  # solution for the target, or for the twist
+    position: Floats | None = None  # (3,) [m] desired position of the tip, ahead in a stream
+    trajectory: Trajectory | None = None
+
+    def step(self, state: ControllerState, passed: float) -> Floats | None:
+        """
+        Return the goal of the command, (m,) [N], or (m,) [m] of a trajectory in pull mode.
+
+        None ends the mode, and the command stays. `passed` [s] is the time since the last step.
+        """
+        return state.command
+
+    def moving(self, state: ControllerState) -> bool:
+        """Whether the command still changes."""
+        return False
+
+
+@dataclass
+class ControllerState:
+    """
+    The state between two cycles; all times are monotonic seconds given by the caller.
+
+    Only the core writes its fields; modes and searches read them.
+    """
 
     model: Model
-    settings: Settings
-    solver: Solver
-    time: float  # [s] of the last cycle
-    command: Array | None  # (m,) [N], None before the first measurement
-    track: ShapeTracker
+    settings: Settings = field(default_factory=Settings)
+    solver: Solver = field(default_factory=Solver)
+    time: float = -np.inf  # [s] of the last cycle
+    mode: Mode = field(default_factory=Mode)
+    command: Floats | None = None  # (m,) [N], None before the first measurement
+    streaming: bool = False  # whether targets follow each other closely
+    driver: DriverSide = field(default_factory=DriverSide)
+    latch: StopLatch = field(default_factory=StopLatch)
+    loop: TipCorrection = field(default_factory=TipCorrection)
+    track: ShapeTracker = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Begin with the straight arm."""
+        self.track = ShapeTracker(self.model)
 
     @property
     def target(self) -> Target | None:
         """The current target."""
+        return self.mode.target
 
     @property
     def solution(self) -> Reach | None:
         """The solution for the target, or for the twist."""
+        return self.mode.reach
 
     @property
-    def desired_tip(self) -> Array | None:
-        """Desired position of the tip (3,) [m]: the target, or a point ahead of it in a stream."""
+    def playing(self) -> Trajectory | None:
+        """The trajectory that is played or whose end is held."""
+        return self.mode.trajectory
 
     @property
-    def commanded(self) -> Array | None:
+    def commanded(self) -> Floats | None:
         """The last command, (m,) [N], or [m] in pull mode."""
+        return self.command
 
     @property
-    def measured_tensions(self) -> Array | None:
-        """The measured tensions (m,) [N]; None where they are not observable."""
+    def in_null_space(self) -> bool:
+        """Whether a null-space motion is in progress in closed loop."""
+        motion = self.loop.motion
+        return motion is not None and motion.solution is self.solution and not self.loop.frozen
 
-    @property
-    def acting_offset(self) -> Array:
-        """Difference (m,) [N] between the estimated and the commanded tensions."""
+    def acting_tensions(self) -> Floats:
+        """Return the estimated tensions (m,) [N]: the command, corrected by the measured ones."""
+        low, high = self.settings.limits(self.model).T
+        acting = self.driver.acting
+        command = low if self.command is None else acting.followed(self.command)
+        # noise of load cells must not appear as a motion of the arm to the null-space motion
+        unseen = self.driver.silent or self.in_null_space
+        return acting.take(command, None if unseen else self.driver.tensions, high)
 
-    @property
-    def streaming(self) -> bool:
-        """Whether targets follow each other closely."""
-
-    def acting_tensions(self) -> Array:
-        """Return the estimated tensions (m,) [N]."""
-
-    def goal(self, tensions: Array) -> Array:
+    def goal(self, tensions: Floats) -> Floats:
         """Return the tensions (m,) [N] of a solution as the tip loop corrects them."""
+        if self.loop.tensions is None or self.settings.tip_gain == 0.0:
+            return tensions
+        if self.loop.solution is not self.solution:
+            return tensions  # of a new target, whose search includes the bias
+        return bounded(self.loop.tensions, self.settings.limits(self.model))
 
-    def tip_bias(self, place: Array) -> Array:
-        """Return the bias (3,) [m] of the model's tip near a position (3,) [m]."""
+    def tip_bias(self, place: Floats) -> Floats:
+        """
+        Return the bias (3,) [m] of the model's tip near a position (3,) [m].
+
+        It falls with the distance from the measured tip, and is 0 once the tracker is lost.
+        """
+        closed = self.settings.tip_gain > 0.0 and not self.settings.pull_mode
+        tip, estimate = self.loop.tip, self.loop.estimate
+        if tip is None or estimate is None or self.time - tip.time > SILENCE_MAX_S or not closed:
+            return np.zeros(3)
+        distance = float(np.linalg.norm(place - tip.position))
+        return estimate.bias * bias_part(distance, self.model.robot.length)
+
+    def without_bias(self, target: Target) -> Target:
+        """Return the target of the model's tip with which the tip is at a target."""
+        if target.position is None:
+            return target
+        return replace(target, position=target.position - self.tip_bias(target.position))
+
+    def fresh(self, now: float) -> bool:
+        """Whether the last measurement of the driver is recent."""
+        return self.driver.fresh(now, self.settings)
 
     def follows(self, now: float) -> bool:
         """Whether the driver follows commands and its last measurement is recent."""
+        return not (self.latch or self.driver.stopped) and self.fresh(now)

@@ -9,39 +9,31 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import degrees
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .checks import Refusal
-from .driver_side import GO_ON
+from ..common.arrays import Floats
+from .inputs import Refusal, Target, Trajectory
 from .modes import FollowTarget
-from .state import Target, Trajectory
+from .state import GO_ON, Mode
 from .tip_loop import foreign
 
 if TYPE_CHECKING:
     from ..model.shape import Reach
     from .core import ControllerCore
 
-Array = NDArray[np.float64]
 OK, WARN, ERROR = 'ok', 'warn', 'error'
 ARRIVED = 'reached', 'played'
 NOT_REACHED = 'nearest', 'at_limit'  # the arm rests beside its target
 
 
-@dataclass(frozen=True)
-class ControllerStatus:
-    """The most important condition as level, code and message, and values for programs."""
+class ControllerStatus(NamedTuple):
+    """The most important condition."""
 
     level: str
     code: str
     message: str
-
-
-def controller_status(core: ControllerCore, now: float) -> ControllerStatus:
-    """Return the status of the controller; docs/ros_interface.md lists the codes."""
-    return ControllerStatus(*_condition(core, now))
 
 
 def controller_values(core: ControllerCore, now: float) -> dict[str, str]:
@@ -82,88 +74,98 @@ def followed(core: ControllerCore) -> str:
     return ''
 
 
-def _condition(core: ControllerCore, now: float) -> tuple[str, str, str]:
+def controller_status(core: ControllerCore, now: float) -> ControllerStatus:
+    """Return the status of the controller; docs/ros_interface.md lists the codes."""
     if core.latch:
-        return ERROR, 'stopped', '; '.join(core.latch.reasons) + '; call reset to go on'
+        reasons = '; '.join(core.latch.reasons)
+        return ControllerStatus(ERROR, 'stopped', f'{reasons}; call reset to go on')
     if core.driver.stopped:
-        return ERROR, 'driver_stopped', f'the driver does not follow: {core.driver.stopped}'
+        message = f'the driver does not follow: {core.driver.stopped}'
+        return ControllerStatus(ERROR, 'driver_stopped', message)
     if not core.fresh(now):
         if core.command is None:
-            return WARN, 'waiting', 'no tendon_states yet: is the driver running?'
-        silent = (
+            message = 'no tendon_states yet: is the driver running?'
+            return ControllerStatus(WARN, 'waiting', message)
+        message = (
             f'no tendon_states for {core.settings.state_timeout:g} s; holding the last command'
         )
         if core.driver.timed_out(now, core.settings):
             timeout = core.settings.state_timeout
-            silent = f'no tendon_states for {timeout:g} s; no commands until they are back'
-        return ERROR, 'no_driver', silent
+            message = f'no tendon_states for {timeout:g} s; no commands until they are back'
+        return ControllerStatus(ERROR, 'no_driver', message)
     if core.driver.released:
         refusal = core.refusals.get('target')
         refused = f'; {refusal}' if refusal is not None else ''
-        return WARN, 'released', f'the driver let go: {core.driver.released}; {GO_ON}{refused}'
+        message = f'the driver let go: {core.driver.released}; {GO_ON}{refused}'
+        return ControllerStatus(WARN, 'released', message)
     if core.track.problem:
-        return ERROR, 'no_equilibrium', core.track.problem
+        return ControllerStatus(ERROR, 'no_equilibrium', core.track.problem)
     for refusal in core.refusals.values():
-        return WARN, f'refused_{refusal.code}', str(refusal)
+        return ControllerStatus(WARN, f'refused_{refusal.code}', str(refusal))
     return activity(core, now)
 
 
-def activity(core: ControllerCore, now: float) -> tuple[str, str, str]:
-    """Return level, code and message of the current motion, where nothing prevents it."""
+def activity(core: ControllerCore, now: float) -> ControllerStatus:
+    """Return the status of the current motion, where nothing prevents it."""
+    moving = ControllerStatus(OK, 'moving', 'moving to the target')
     if core.search is not None:
         passed = now - core.search.began
         if core.search.streamed and passed < core.search.budget:
-            return OK, 'moving', 'moving to the target'
-        return OK, 'searching', f'looking for tensions for the target, for {passed:.1f} s'
+            return moving
+        message = f'looking for tensions for the target, for {passed:.1f} s'
+        return ControllerStatus(OK, 'searching', message)
     if core.jogging:
-        return OK, 'jogging', 'following a twist'
+        return ControllerStatus(OK, 'jogging', 'following a twist')
     if core.playing is not None:
         if core.playing.over(now) and not core.moving:
-            return OK, 'played', 'at the end of the trajectory of the tendons'
+            return ControllerStatus(OK, 'played', 'at the end of the trajectory of the tendons')
         passed, whole = core.playing.passed(now), core.playing.times[-1]
-        return OK, 'playing', f'playing a trajectory: {passed:.2f} of {whole:.2f} s'
+        message = f'playing a trajectory: {passed:.2f} of {whole:.2f} s'
+        return ControllerStatus(OK, 'playing', message)
     if core.solution is None:
-        return OK, 'holding', 'waiting for a target'
+        return ControllerStatus(OK, 'holding', 'waiting for a target')
     if core.settings.tip_gain > 0.0 and (measured := _measured_condition(core, now)) is not None:
         return measured
-    if core.moving:
-        return OK, 'moving', 'moving to the target'
-    return _arrived(core.solution, not isinstance(core.mode, FollowTarget) or core.mode.in_time)
+    return moving if core.moving else _arrived(core.solution, core.mode)
 
 
-def _measured_condition(core: ControllerCore, now: float) -> tuple[str, str, str] | None:
+def _measured_condition(core: ControllerCore, now: float) -> ControllerStatus | None:
     """Return the condition by the tracked tip; None where only the model can tell."""
     if core.loop.abandoned:
         message = f'the closed loop was left: {core.loop.abandoned}; the model says where'
-        return WARN, 'nearest', message
+        return ControllerStatus(WARN, 'nearest', message)
     doubt, remainder = '', core.loop.remainder(now)
     if core.loop.estimate is not None:  # a bias that is too large for a calibrated model
         offset = float(np.linalg.norm(core.loop.estimate.bias))
         advice = foreign(offset, core.model.robot.length, core.model.remembers)
         doubt = f'; {advice}' if advice else ''
     if remainder is None:
-        loop = core.loop.values(now)['correction_frozen']
-        return None if loop else (OK, 'moving', f'moving to the target{doubt}')
+        if core.loop.values(now)['correction_frozen']:
+            return None
+        return ControllerStatus(OK, 'moving', f'moving to the target{doubt}')
     off = f'{1e3 * remainder.distance:.2f} mm'
     if remainder.reached:
         assert core.solution is not None and core.target is not None
         if core.target.direction is not None and core.solution.status != 'reached':
             return None
-        return OK, 'reached', f'at the target within {off}, as the tracker sees it{doubt}'
+        message = f'at the target within {off}, as the tracker sees it{doubt}'
+        return ControllerStatus(OK, 'reached', message)
     why = remainder.why(core.model.inputs) or 'it comes no nearer now'
-    return WARN, 'nearest', f'as near as it can, {off} from the target: {why}{doubt}'
+    message = f'as near as it can, {off} from the target: {why}{doubt}'
+    return ControllerStatus(WARN, 'nearest', message)
 
 
-def _arrived(solution: Reach, in_time: bool) -> tuple[str, str, str]:
+def _arrived(solution: Reach, mode: Mode) -> ControllerStatus:
     error = f'{1e3 * solution.position_error:.2f} mm and {degrees(solution.direction_error):.2f}°'
     if solution.status == 'reached':
-        return OK, 'reached', f'at the target within {error}, as the model sees it'
+        message = f'at the target within {error}, as the model sees it'
+        return ControllerStatus(OK, 'reached', message)
     limits = ', '.join(solution.at_limit)
     limits = f'; at its limit: {limits}' if limits else ''
     limits += f'; kept out of {solution.region}' if solution.region else ''
-    if not in_time:
-        return WARN, solution.status, f'as near as found in time, {error} from the target{limits}'
-    return WARN, solution.status, f'as near as it can, {error} from the target{limits}'
+    late = isinstance(mode, FollowTarget) and not mode.in_time
+    near = 'as near as found in time' if late else 'as near as it can'
+    return ControllerStatus(WARN, solution.status, f'{near}, {error} from the target{limits}')
 
 
 @dataclass(frozen=True)
@@ -184,8 +186,8 @@ class GoalOutcome:
 class Tolerance:
     """Allowed errors of a trajectory, (m,) [N] or [m]; inf where any error is allowed."""
 
-    path: Array
-    goal: Array
+    path: Floats
+    goal: Floats
     time: float = np.inf  # [s] after its end in which it must be within `goal`
 
 
@@ -196,11 +198,11 @@ class Progress:
     passed: float  # [s] since the goal was accepted
     remaining: float  # [s] for the rest of this step at the rate limit
     steps_remaining: int  # including this one
-    tip: Array | None = None  # position of the model, corrected by the tracker
-    frame: Array | None = None  # (3, 3) of the tip
+    tip: Floats | None = None  # position of the model, corrected by the tracker
+    frame: Floats | None = None  # (3, 3) of the tip
     distance: float = np.nan  # [m] from the tip to the target of this step
-    desired: Array | None = None  # the trajectory now
-    actual: Array | None = None  # as measured, nan where not observable
+    desired: Floats | None = None  # the trajectory now
+    actual: Floats | None = None  # as measured, nan where not observable
 
 
 @dataclass
@@ -254,13 +256,13 @@ class MotionGoal:
                 return GoalOutcome(refused.code, self._message(str(refused)))
             why = 'a newer target, trajectory, twist or stop took its place'
             return GoalOutcome('ended', self._message(why))
-        code, message = activity(core, now)[1:]
-        if self.tolerance is not None and (off := self._outside(core, now, code)) is not None:
+        _, code, message = activity(core, now)
+        if (off := self._outside(core, now, code)) is not None:
             self.cancel(core, now)
             return off
         if code in NOT_REACHED:
             return GoalOutcome(code, self._message(message))
-        within = self.tolerance is None or core.playing is None
+        within = True
         if self.tolerance is not None and core.playing is not None:  # the error at its end
             error = self._error(core, core.playing.values[-1])
             within = bool(np.all(error <= self.tolerance.goal))
@@ -306,7 +308,7 @@ class MotionGoal:
         many = f'pose {self.reached + 1} of {len(self.steps)}: ' if len(self.steps) > 1 else ''
         return many + message
 
-    def _error(self, core: ControllerCore, desired: Array) -> Array:
+    def _error(self, core: ControllerCore, desired: Floats) -> Floats:
         """Return the absolute errors of the tendons (m,); 0 where they are not observable."""
         return np.nan_to_num(np.abs(core.measured_values - desired))
 

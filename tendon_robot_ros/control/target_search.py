@@ -1,33 +1,46 @@
-"""Search for the tensions of a target beside the control loop, within a time budget."""
+"""
+Search for the tensions of a target beside the control loop, and the path of the tensions there.
+
+With friction the posture depends on the path of the tensions. An approach from below first lets
+every tendon slip in all eyelets, so that equal tensions always lead to the same posture. Paths end
+before keep-out regions.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..common.arrays import Floats
 from ..common.errors import InputError, NoEquilibriumError
-from ..model.inverse import JUMP_MAX, reach
+from ..model.inverse import CLEARANCE_BINDS_M, JUMP_MAX, reach
+from ..model.program import STEP_MAX
 from ..model.shape import Reach
 from ..model.tip_task import COLD, STREAM, TRACK, Patience, Policy, TipTask
-from .approach import Approach, carry_friction, forgetting_approach, forgetting_tensions, truncated
-from .checks import another_robot
+from .inputs import (
+    STREAM_PERIOD_S,
+    Refusal,
+    Settings,
+    Target,
+    Trajectory,
+    another_robot,
+    check_inputs,
+)
 from .solver import GiveUp
-from .state import STREAM_PERIOD_S, Controller, Settings, Target
+from .state import ControllerState
 
 if TYPE_CHECKING:
     from ..model.model import Model
     from ..model.shape import Shape
+    from ..robot.keep_out import Clearance, KeepOut
 
-Array = NDArray[np.float64]
 Report = Callable[[Reach], None]  # called with the best solution so far
-# [s] budget of a target that belongs to no stream: a person hardly notices it, and the arm already
-# follows the best solution so far; a longer search would seldom come nearer
-NEW_TARGET_BUDGET_S = 0.2
+Solve = Callable[['Shape', Floats], 'Shape']
+APPROACHES = 'any', 'from_below'
 # [1] of the time between targets of a stream, because the evaluation of the shape needs the rest
 STREAM_BUDGET = 0.8
 # [s] about a cycle: the arm follows the solution at this time, else the command would wait for the
@@ -36,9 +49,23 @@ FIRST_ANSWER_S = 0.006
 # [1] of the length: largest step between two targets of a stream, and of its extrapolation; a
 # larger step is a new target, because arms of this size take a second for it
 STREAM_LENGTH = 0.1
-# [rad] between two targets of a stream: the same of a bend, because a tip rotates by twice its
-# relative path
-STREAM_ROTATION_RAD = 0.3
+# [rad] summed over the arm: the wire nearest to the centroid moves through its eyelets by 80
+# presliding lengths and more, so that every law of friction has lost its memory
+FORGETTING_BEND_RAD = 4.0
+# [1] iterations in which another model takes over the directions of friction: a direction that
+# needs more is at a kink of friction and would never converge
+CARRIED_ITERATIONS_MAX = 40
+# [1] of a straight leg: first step between two clearance checks; nearer regions would shorten it,
+# to a tenth at most
+CHECK_STEP = 0.05
+
+
+@dataclass(frozen=True)
+class Approach:
+    """Tensions for a target, and the tensions (m,) [N] to pass before."""
+
+    reach: Reach
+    via: Sequence[Floats] = ()
 
 
 @dataclass(frozen=True)
@@ -51,8 +78,8 @@ class TargetSearch:
     target : Target
     began : float [s]
     budget : float [s]
-        Time of the search: most of the time between targets of a stream, else
-        `NEW_TARGET_BUDGET_S`.
+        Time of the search: most of the time between targets of a stream, or of the slowest stream
+        for a single target.
     stream : object
         Identity of the stream: shared by targets that are close in time and space.
     streamed : bool
@@ -67,30 +94,49 @@ class TargetSearch:
     budget: float
     stream: object
     streamed: bool = False
-    velocity: Array | None = None
+    velocity: Floats | None = None
 
     @classmethod
     def begin(
-        cls, core: Controller, before: TargetSearch | None, last: Target | None, target: Target
+        cls,
+        core: ControllerState,
+        before: TargetSearch | None,
+        last: Target | None,
+        target: Target,
     ) -> TargetSearch:
         """Return the search, in the stream of the previous one where the target continues it."""
         now = core.time
-        if before is None or before.target is not last or not _continues(core, before, target):
-            return cls(target, now, NEW_TARGET_BUDGET_S, object())
+        if before is None or before.target is not last or not before._continues(core, target):
+            return cls(target, now, STREAM_BUDGET * STREAM_PERIOD_S, object())
         passed, velocity = max(now - before.began, 0.01), None
         if target.position is not None and before.target.position is not None:
             velocity = (target.position - before.target.position) / passed
             if before.velocity is not None:  # the periods of senders vary
                 velocity = 0.5 * (velocity + before.velocity)
-        budget = STREAM_BUDGET * passed
-        return cls(target, now, budget, before.stream, True, velocity)
+        return cls(target, now, STREAM_BUDGET * passed, before.stream, True, velocity)
+
+    def _continues(self, core: ControllerState, target: Target) -> bool:
+        """Whether a target belongs to this stream: close in time, position and direction."""
+        if core.time - self.began > STREAM_PERIOD_S:
+            return False
+        # the tip of a bent arm rotates by two to three times its path over the length
+        length = core.model.robot.length
+        for old, new, most in (
+            (self.target.position, target.position, STREAM_LENGTH * length),
+            (self.target.direction, target.direction, 3.0 * STREAM_LENGTH),
+        ):
+            if (old is None) != (new is None):
+                return False
+            if old is not None and new is not None and np.linalg.norm(new - old) > most:
+                return False
+        return True
 
     @property
     def first_budget(self) -> float:
         """Time [s] after which the arm follows the first solution, while the search continues."""
         return min(self.budget, FIRST_ANSWER_S)
 
-    def extrapolated(self, core: Controller) -> Target:
+    def extrapolated(self, core: ControllerState) -> Target:
         """Return the target of a stream, extrapolated by the `look_ahead` of the settings."""
         target, horizon = self.target, core.settings.look_ahead
         if horizon == 0.0 or self.velocity is None or target.position is None:
@@ -111,7 +157,7 @@ class SearchResult:
 
 
 def search_work(
-    core: Controller, search: TargetSearch, budget: float, report: Report
+    core: ControllerState, search: TargetSearch, budget: float, report: Report
 ) -> Callable[[GiveUp], SearchResult]:
     """
     Return solver work: a search within a budget [s].
@@ -120,7 +166,7 @@ def search_work(
     rest of the budget. Without one in the first budget, a second search begins at the best result.
     There the deadline is checked only between starts, so that at least one start completes.
     """
-    solve = request_of(core, core.model, search.extrapolated(core), search.streamed).answer
+    solve = SearchRequest.of(core, core.model, search.extrapolated(core), search.streamed).answer
     first = budget == FIRST_ANSWER_S
 
     def work(give_up: GiveUp) -> SearchResult:
@@ -133,11 +179,12 @@ def search_work(
                 give_up.prolong(remaining)
                 remaining = 0.0
 
+        path, problem = None, ''
         try:
-            solution = solve(give_up if first else lambda: give_up(), on_report)
+            path = solve(give_up if first else lambda: give_up(), on_report)
         except (NoEquilibriumError, InputError) as error:
-            return SearchResult(None, str(error), not give_up(), remaining)
-        return SearchResult(solution, '', not give_up(), remaining)
+            problem = str(error)
+        return SearchResult(path, problem, not give_up(), remaining)
 
     return work
 
@@ -168,9 +215,36 @@ class SearchRequest:
     as_sent: Target
     guess: Shape | None
     last: Shape | None
-    acting: Array
+    acting: Floats
     streamed: bool
     tracking: bool
+
+    @classmethod
+    def of(
+        cls,
+        core: ControllerState,
+        model: Model,
+        target: Target,
+        streamed: bool = False,
+        tracking: bool = False,
+    ) -> SearchRequest:
+        """Return the search for a target from the present state of the core."""
+        last, solution = core.track.last, core.solution
+        guess, last = (
+            None if shape is None or len(shape.bend) != model.robot.cells else shape
+            for shape in (last if solution is None else solution.shape, last)
+        )
+        return cls(
+            model=model,
+            settings=core.settings,
+            target=core.without_bias(target),
+            as_sent=target,
+            guess=guess,
+            last=last,
+            acting=core.acting_tensions(),
+            streamed=streamed,
+            tracking=tracking,
+        )
 
     def answer(self, give_up: GiveUp, report: Report | None = None) -> Approach:
         """Return the approach to the target; `report` is called with intermediate solutions."""
@@ -181,22 +255,22 @@ class SearchRequest:
         # independent of the present shape, so that a position always has the same tensions
         guess = None if from_below else self.guess
         if not (model.remembers or settings.keep_out):
-            straight = Approach.straight(self._solve_from(None, guess, give_up, report))
-            return replace(straight, via=forgetting_tensions(model)) if from_below else straight
+            solution = self._solve_from(None, guess, give_up, report)
+            return Approach(solution, forgetting_tensions(model) if from_below else ())
         start = model.follow(self.last, self.acting)
         past = start if model.remembers else None
         if settings.tip_gain > 0.0 and not (from_below or settings.keep_out):
-            return Approach.straight(self._for_closed_loop(start, give_up, report))
-        path = Approach.straight(self._solve_from(past, guess or past, give_up, report))
+            return Approach(self._for_closed_loop(start, give_up, report))
+        path = Approach(self._solve_from(past, guess or past, give_up, report))
         if from_below:
-
-            def solve_from(shape: Shape) -> Reach:
-                return self._solve_from(shape if model.remembers else None, shape, give_up)
-
-            path = forgetting_approach(model, start, path.reach, solve_from)
-        if settings.keep_out:
-            path = truncated(start, path, self._task(start))
-        return path
+            via = forgetting_tensions(model)
+            with suppress(NoEquilibriumError):  # else in a straight line
+                shape = start
+                for tensions in via:
+                    shape = model.follow(shape, tensions)
+                past = shape if model.remembers else None
+                path = Approach(self._solve_from(past, shape, give_up), via)
+        return self._truncated(start, path) if settings.keep_out else path
 
     @property
     def _local(self) -> bool:
@@ -208,20 +282,20 @@ class SearchRequest:
         task = tip_task(self.model, settings, self.target, memory)
         return replace(task, by_pulls=settings.pull_mode, keep_out=settings.keep_out)
 
-    def _policies(self) -> Iterator[Policy]:
+    def _policies(self) -> list[Policy]:
         """
-        Yield search policies; each is tried where the model has no equilibrium by the one before.
+        Return search policies; each is tried where the model has no equilibrium by the one before.
 
         With friction memory, a target near the last one is searched near the present shape first.
         """
-        if self.model.remembers and self._local:
-            yield replace(STREAM, starts=0, relax=not self.tracking)
-        elif self.tracking:
-            yield TRACK
-        if not self.tracking:
-            stream = self.streamed and self.model.sticks
-            # more starts would exceed the budget of a target
-            yield STREAM if stream else replace(COLD, starts=STREAM.starts)
+        local = [replace(STREAM, starts=0, relax=not self.tracking)] if self._local else []
+        if self.tracking:
+            return local if self.model.remembers else [TRACK]
+        # more starts would exceed the budget of a target
+        cold = replace(COLD, starts=STREAM.starts)
+        if self.streamed and self.model.sticks:
+            cold = STREAM
+        return [*(local if self.model.remembers else ()), cold]
 
     def _solve_from(
         self,
@@ -231,16 +305,13 @@ class SearchRequest:
         report: Report | None = None,
     ) -> Reach:
         """Return tensions for the target when it is approached from the shape `past`."""
-        task = replace(
-            self._task(past),
-            guess=guess,
-            preferences=None if self._local else self.settings.preferences,
-        )
-        policies = list(self._policies())
-        for policy in policies[:-1]:
+        preferences = None if self._local else self.settings.preferences
+        task = replace(self._task(past), guess=guess, preferences=preferences)
+        *policies, last = self._policies()
+        for policy in policies:
             with suppress(NoEquilibriumError):
                 return reach(task, policy, give_up, report)
-        return reach(task, policies[-1], give_up, report)
+        return reach(task, last, give_up, report)
 
     def _for_closed_loop(self, start: Shape, give_up: GiveUp, report: Report | None) -> Reach:
         """
@@ -273,53 +344,56 @@ class SearchRequest:
         enough = min(highest) + JUMP_MAX
         return next(one for one, size in zip(candidates, highest, strict=True) if size <= enough)
 
+    def _truncated(self, start: Shape, path: Approach) -> Approach:
+        """
+        Return the part of an approach before the arm enters a region, with the status `nearest`.
+
+        An arm that is inside a region already may leave it: only deeper postures are refused.
+        """
+        regions, shape = self.settings.keep_out, start
+        allowed, via = _allowed(start, regions), list[Floats]()
+        for tensions in (*path.via, path.reach.tensions):
+            leg = _postures(self.model.follow, shape, shape.inputs, tensions, regions)
+            for _, new, near in leg:
+                if near.distance < allowed:
+                    errors = self._task(start).errors(shape)
+                    return Approach(Reach(shape, *errors, 'nearest', (), near.region), via)
+                shape = new
+            via.append(tensions)
+        return path
+
 
 def tip_task(
-    model: Model, settings: Settings, target: Target, memory: Array | None = None
+    model: Model, settings: Settings, target: Target, memory: Floats | None = None
 ) -> TipTask:
     """Return the task of the tip for a target, from a friction memory."""
     weight = settings.direction_weight or None
     return TipTask.at(model, target.position, target.direction, weight, memory)
 
 
-def request_of(
-    core: Controller,
-    model: Model,
-    target: Target,
-    streamed: bool = False,
-    tracking: bool = False,
-) -> SearchRequest:
-    """Return the search for a target from the present state of the core."""
-    guess, last = (
-        None if shape is None or len(shape.bend) != model.robot.cells else shape
-        for shape in (
-            core.track.last if core.solution is None else core.solution.shape,
-            core.track.last,
-        )
-    )
-    as_sent, acting = target, core.acting_tensions()
-    if target.position is not None:
-        target = replace(target, position=target.position - core.tip_bias(target.position))
-    return SearchRequest(
-        model, core.settings, target, as_sent, guess, last, acting, streamed, tracking
-    )
+def is_nearer(core: ControllerState, target: Target, solution: Reach) -> bool:
+    """Whether a solution brings the tip nearer to a target than the last shape."""
+    last = core.track.last
+    task = tip_task(core.model, core.settings, target)
+    return last is None or task.cost(solution.shape) < task.cost(last)
 
 
 def model_work(
-    core: Controller, model: Model
+    core: ControllerState, model: Model
 ) -> Callable[[GiveUp], tuple[Shape | None, Reach | None]]:
     """
     Return solver work: the present shape by a new model, and its solution for the current target.
 
-    The work raises NoEquilibriumError where the new model has none at the present tensions, or for
-    the target.
+    The work raises InputError for other inputs, and NoEquilibriumError where the new model has no
+    equilibrium at the present tensions, or for the target.
     """
     command, target, last, before = core.command, core.target, core.track.last, core.model
     other = another_robot(model.robot, before.robot)
-    request = None if target is None or other else request_of(core, model, target)
+    request = None if target is None or other else SearchRequest.of(core, model, target)
     acting = None if command is None else core.acting_tensions()
 
     def work(give_up: GiveUp) -> tuple[Shape | None, Reach | None]:
+        check_inputs(model.inputs, before.inputs)
         shape = None
         if command is not None and acting is not None:
             model.shape(command)
@@ -331,25 +405,135 @@ def model_work(
     return work
 
 
-def _continues(core: Controller, before: TargetSearch, target: Target) -> bool:
-    if core.time - before.began > STREAM_PERIOD_S:
-        return False
-    old = before.target
-    if (old.position is None) != (target.position is None):
-        return False
-    if (old.direction is None) != (target.direction is None):
-        return False
-    if old.position is not None and target.position is not None:
-        step = float(np.linalg.norm(target.position - old.position))
-        if step > STREAM_LENGTH * core.model.robot.length:
-            return False
-    if old.direction is not None and target.direction is not None:
-        return bool(old.direction @ target.direction > np.cos(STREAM_ROTATION_RAD))
-    return True
+def carry_friction(
+    model: Model, before: Model, last: Shape | None, tensions: Floats
+) -> Shape | None:
+    """
+    Return the shape by a new model with the directions of friction of the previous model.
+
+    The arm has not moved, only its model has changed: the directions in which tendons were last
+    dragged stay. The travel of the tendons is that of the new model, found by iteration: with the
+    travel of the previous model, all tendons would have slipped by the difference.
+
+    Parameters
+    ----------
+    model, before : Model
+        The new and the previous model.
+    last : Shape or None
+        Last shape by `before`.
+    tensions : (m,) [N]
+        Tensions that act now.
+
+    Returns
+    -------
+    Shape or None
+        None where one of the models has no friction memory, where their cells or tendons differ,
+        or where the new model has no equilibrium.
+
+    """
+    same = last is not None and (last.form.n, last.form.k) == (model.form.n, model.form.k)
+    if last is None or not same or not (model.remembers and before.remembers):
+        return None
+    signs = slice(len(last.state), len(last.state) + last.tendon_tensions.size)
+    directions, memory, shape = last.memory[signs].copy(), last.memory, last
+    with suppress(NoEquilibriumError):
+        for _ in range(CARRIED_ITERATIONS_MAX):
+            shape = model.shape(tensions, shape.state, memory)
+            if np.allclose(shape.memory[signs], directions, rtol=0.0, atol=1e-3):
+                break  # of full friction: noise of load cells would change them by more
+            memory = shape.memory.copy()
+            memory[signs] = directions
+        return shape
+    return None
 
 
-def is_nearer(core: Controller, target: Target, solution: Reach) -> bool:
-    """Whether a solution brings the tip nearer to a target than the last shape."""
-    last = core.track.last
-    task = tip_task(core.model, core.settings, target)
-    return last is None or task.cost(solution.shape) < task.cost(last)
+def forgetting_tensions(model: Model) -> tuple[Floats, Floats]:
+    """
+    Return two tensions (m,) [N] that erase the memory of friction when they act in sequence.
+
+    The tendons on one side bend the whole arm, then all tensions fall to their lower limits: in
+    every eyelet every tendon has slipped in both directions, whatever its law of friction. The
+    side is that of the tendon for which the smallest slip of the others is largest.
+    """
+    ends = np.array([tendon.end for tendon in model.robot.tendons])
+    radii = np.hypot(*ends.T)
+    arms = [ends @ (end / radius) for end, radius in zip(ends, radii, strict=True) if radius > 0.0]
+    along = max(arms, key=lambda arm: float(np.abs(arm).min()))  # (tendons,) [m]
+    pulls = np.array([along[list(members)].mean() for members in model.robot.input_tendons])
+    side = np.maximum(pulls, 0.0) / np.abs(along).max()
+    low, high = model.limits.T
+    shape = straight = model.shape(low)
+    for more in np.arange(STEP_MAX, 1.0, STEP_MAX) * float((high - low).max()):
+        try:
+            shape = model.shape(np.clip(low + more * side, low, high), shape.state)
+        except NoEquilibriumError:
+            break
+        if np.linalg.norm(shape.bend - straight.bend, axis=1).sum() >= FORGETTING_BEND_RAD:
+            break
+    return shape.inputs, low
+
+
+def keep_out_refusal(
+    model: Model, start: Shape, trajectory: Trajectory, keep_out: KeepOut, pull: bool
+) -> Refusal | None:
+    """
+    Return why a trajectory of the tendons enters a region, None where it keeps out of all.
+
+    Parameters
+    ----------
+    start : Shape
+        Present shape.
+    trajectory : Trajectory
+        Tensions or, where `pull`, wire pulls; straight lines from the present ones to the first
+        point and between the points.
+
+    """
+
+    def pulled(shape: Shape, pulls: Floats) -> Shape:
+        return model.pull_shape(pulls, shape, shape.memory if model.remembers else None)
+
+    allowed, solve, time = _allowed(start, keep_out), pulled if pull else model.follow, 0.0
+    shape, begin = start, start.pulls if pull else start.inputs
+    for due, end in zip(trajectory.times.tolist(), trajectory.values, strict=True):
+        try:
+            for fraction, new, near in _postures(solve, shape, begin, end, keep_out):
+                shape = new
+                if near.distance < allowed:
+                    return Refusal(
+                        'keep_out',
+                        f'tendon_trajectory: at {time + fraction * (due - time):.2f} s the arm '
+                        f'would enter {near.region}; nothing of it was played',
+                    )
+        except (NoEquilibriumError, InputError) as error:
+            return Refusal(
+                'no_equilibrium',
+                f'tendon_trajectory: after {time:.2f} s nobody can say whether the arm keeps out '
+                f'of the regions: {error}; nothing of it was played',
+            )
+        time, begin = due, end
+    return None
+
+
+def _allowed(start: Shape, keep_out: KeepOut) -> float:
+    """Return the clearance [m] that no later posture may fall below."""
+    return min(keep_out.clearance(start.positions).distance, 0.0) - CLEARANCE_BINDS_M
+
+
+def _postures(
+    solve: Solve, shape: Shape, begin: Floats, end: Floats, keep_out: KeepOut
+) -> Iterator[tuple[float, Shape, Clearance]]:
+    """
+    Yield postures along a straight leg: fraction of the leg, shape and clearance.
+
+    No point moves by more than half of the clearance between two of them, as far as the shortest
+    step allows it, so that none cuts a corner of a region.
+    """
+    fraction, step = 0.0, CHECK_STEP
+    while fraction < 1.0:
+        fraction = min(fraction + step, 1.0)
+        new = solve(shape, begin + fraction * (end - begin))
+        moved = float(np.linalg.norm(new.positions - shape.positions, axis=1).max())
+        clearance = keep_out.clearance(new.positions)
+        yield fraction, new, clearance
+        factor = 0.5 * clearance.distance / max(moved, 1e-9)
+        step, shape = min(max(step * factor, 0.1 * CHECK_STEP), 2.0 * step), new

@@ -3,38 +3,38 @@ Estimator of the bias of the model's tip from the tracked tip; steps of the tens
 
 The tip is y(T) = model(T) + b + D (T - T_now), with a bias b [m] at the tensions that act and a
 correction D of the model's Jacobian. A Kalman filter estimates both. The bias of an arm at rest is
-a random walk, whose rate follows from a gain. D is a stationary process (Ornstein-Uhlenbeck) in
-time and along the path of the tip: it decorrelates with time and with distance.
+a random walk, whose rate follows from a gain. D is a stationary process (Ornstein-Uhlenbeck) along
+the path of the tip: it decorrelates with distance, because tendons come to stick or slip.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..common.arrays import Floats
 from ..common.estimation import kalman_update
 from ..model.derivatives import tip_slopes
-from ..model.program import STEP_DAMPING, STEP_GAIN, bounded_step
-from .driver_side import NOISE_SAMPLES
+from ..model.program import STEP_DAMPING, STEP_GAIN, STEP_MAX, bounded_step
 
 if TYPE_CHECKING:
     from ..model.model import Model
-    from ..model.shape import Shape
+    from ..model.shape import Reach, Shape
     from ..robot.keep_out import KeepOut
 
-Array = NDArray[np.float64]
 # [m] noise of a tracker, of all axes together, until it is estimated from an arm at rest; less
 # than the resolution of such trackers would have the loop follow noise
 TRACKER_NOISE_M = 3e-4
+# [1] readings over which noise is averaged, of load cells and trackers: so that it is known to
+# 10 %; the mean offset is over twice as many
+NOISE_SAMPLES = 50
 # [1] of the model's Jacobian, 1 sd of D: friction alone changes it by as much. D is limited to
 # it, because by errors of friction a larger D would reverse the sign of the Jacobian
 MODEL_SLOPE_SD = 0.5
-# [s] in which D changes to 1/e, because tendons come to stick or slip within seconds
-SLOPE_S = 4.0
 # [1] of the arm's length: path of the tip along which D changes to 1/e (docs/control.md)
 SLOPE_LENGTH = 0.15
 # [1] of the arm's length: distance at which half of the bias applies (docs/control.md)
@@ -53,6 +53,21 @@ STEP_LENGTHS = 1.0, 4.0, 0.25
 GAIN_MIN = 0.1
 # [1] of a tension's range, of a secant: the longer, the more tendons slip (docs/control.md)
 SECANTS = 5e-3, 0.05
+# [1/s] of the ranges, one tolerance of a goal: faster, the tip's bias would change before it is
+# estimated (docs/control.md)
+SPEED_MAX = RANGE_TOLERANCE
+# [1/s] of the length: velocity of the tip, 1 sd, that doubt of slopes may cause: 0.1 mm/s on 208
+# mm, so that the tracker measures it before it is a millimetre (docs/control.md)
+DRIFT = 5e-4
+# [1] of the arm's length over the ranges: bias that such a motion causes, 1 sd, because on an arm
+# that differs from its model the tip drifts by a quarter of it and more (docs/control.md)
+SLOPE_LENGTH_SD = 0.5
+# [1/s] of the estimator: slower than `tip_gain`, because only noise moves the tip
+# (docs/control.md)
+HOLD_GAIN = 0.5
+# [1] of the arm's length: beyond it an external load is assumed, because the motion alone
+# moves the tip by less: 0.6 mm on 208 mm (docs/control.md)
+HANDOVER_LENGTH = 3e-3
 
 
 @dataclass(frozen=True)
@@ -80,24 +95,24 @@ class TipEstimate:
 
     """
 
-    tensions: Array
-    range: Array
-    bias: Array
-    slopes: Array
-    covariance: Array
+    tensions: Floats
+    range: Floats
+    bias: Floats
+    slopes: Floats
+    covariance: Floats
     noise: float = TRACKER_NOISE_M
     samples: int = 0
-    residual: Array | None = None
+    residual: Floats | None = None
 
     @classmethod
-    def begin(cls, tensions: Array, limits: Array, slope_sd: Array) -> TipEstimate:
+    def begin(cls, tensions: Floats, limits: Floats, slope_sd: Floats) -> TipEstimate:
         """Return the prior with standard deviations of the slopes (m,) [m]."""
         m = len(tensions)
         covariance = np.diag([1.0, *(slope_sd / TRACKER_NOISE_M) ** 2])
         width = limits[:, 1] - limits[:, 0]
         return cls(tensions, width, np.zeros(3), np.zeros((3, m)), covariance)
 
-    def about(self, tensions: Array) -> TipEstimate:
+    def about(self, tensions: Floats) -> TipEstimate:
         """Return the estimate at other tensions (m,) [N]."""
         move = np.eye(len(self.covariance))
         move[0, 1:] = (tensions - self.tensions) / self.range
@@ -107,10 +122,9 @@ class TipEstimate:
 
     def updated(
         self,
-        residual: Array,
+        residual: Floats,
         gain: float,
-        slope_sd: Array,
-        passed: float = 0.0,
+        slope_sd: Floats,
         path: float = 0.0,
         length: float = np.inf,
     ) -> TipEstimate:
@@ -126,15 +140,13 @@ class TipEstimate:
             rests [1].
         slope_sd : (m,) [m]
             Stationary standard deviation of the slopes.
-        passed : float
-            Time since the last measurement [s]; 0 during a slow motion with constant slopes.
         path : float
             Path of the model's tip since the last measurement [m].
         length : float
             Length of the arm [m].
 
         """
-        alike = float(np.exp(-passed / SLOPE_S - path / (SLOPE_LENGTH * length)))
+        alike = float(np.exp(-path / (SLOPE_LENGTH * length)))
         fades = np.append(1.0, np.full(len(slope_sd), alike))
         # the first term gives the bias the stationary Kalman gain `gain` for constant slopes
         opened = gain**2 / (1.0 - gain), *(1.0 - alike**2) * (slope_sd / TRACKER_NOISE_M) ** 2
@@ -161,7 +173,7 @@ class TipEstimate:
             residual=residual,
         )
 
-    def without_slopes(self, slope_sd: Array) -> TipEstimate:
+    def without_slopes(self, slope_sd: Floats) -> TipEstimate:
         """Return the estimate with slopes reset to a prior of standard deviations (m,) [m]."""
         first = float(self.covariance[0, 0])
         covariance = np.diag([first, *(slope_sd / TRACKER_NOISE_M) ** 2])
@@ -172,16 +184,16 @@ class TipEstimate:
         """Distance [m] to the target that the tracker's noise does not resolve."""
         return REST_SD * self.noise * float(np.sqrt(self.covariance[0, 0]))
 
-    def slope_sd(self, direction: Array) -> float:
+    def slope_sd(self, direction: Floats) -> float:
         """Return the standard deviation [m] of the slope along a direction (m,) of the ranges."""
         return float(self.noise * np.sqrt(direction @ self.covariance[1:, 1:] @ direction))
 
-    def bias_at(self, tensions: Array, distance: float = np.inf) -> Array:
+    def bias_at(self, tensions: Floats, distance: float = np.inf) -> Floats:
         """Return the bias (3,) [m] at tensions (m,) [N], limited by `slope_part`."""
         added = self.slopes @ ((tensions - self.tensions) / self.range)
         return np.asarray(self.bias + self.slope_part(tensions, distance) * added)
 
-    def slope_part(self, tensions: Array, distance: float) -> float:
+    def slope_part(self, tensions: Floats, distance: float) -> float:
         """
         Return the fraction [1] of the slopes that applies at tensions (m,) [N].
 
@@ -190,7 +202,7 @@ class TipEstimate:
         added = float(np.linalg.norm(self.slopes @ ((tensions - self.tensions) / self.range)))
         return min(1.0, MODEL_SLOPE_SD * distance / max(added, 1e-12))
 
-    def within(self, slopes: Array) -> TipEstimate:
+    def within(self, slopes: Floats) -> TipEstimate:
         """Return the estimate with D limited to a fraction of the model's slopes (3, m) [m]."""
         size_max = MODEL_SLOPE_SD * float(np.linalg.norm(slopes))
         size = max(float(np.linalg.norm(self.slopes)), 1e-12)
@@ -208,21 +220,17 @@ class TipStep:
 
     model: Model
     shape: Shape
-    slopes: Array  # (3, m) [m] over the ranges
-    target: Array  # (3,) [m]
-    offset: Array  # (m,) [N] estimated minus commanded tensions
-    limits: Array  # (m, 2) [N]
+    target: Floats  # (3,) [m]
+    offset: Floats | float  # (m,) [N] estimated minus commanded tensions
+    limits: Floats  # (m, 2) [N]
     arrived: bool = False  # the command is at its goal: slow directions count, too
 
-    @classmethod
-    def at(
-        cls, model: Model, shape: Shape, target: Array, offset: Array, limits: Array, arrived: bool
-    ) -> TipStep:
-        """Return the step with the slopes at a shape."""
-        slopes = _slopes(model, shape, shape, limits)
-        return cls(model, shape, slopes, target, offset, limits, arrived)
+    @cached_property
+    def slopes(self) -> Floats:
+        """The model's Jacobian of the tip (3, m) [m] times the ranges at the shape."""
+        return self.slopes_at(self.shape)
 
-    def next_goal(self, estimate: TipEstimate, goal: Array) -> Array:
+    def next_goal(self, estimate: TipEstimate, goal: Floats) -> Floats:
         """Return the goal (m,) [N] that brings the tip nearer to its target."""
         goal_shape = self.shape_at(goal)
         miss = self._miss(goal_shape, estimate)
@@ -242,8 +250,8 @@ class TipStep:
         return best
 
     def _steps(
-        self, goal_shape: Shape, goal: Array, motion: Array, estimate: TipEstimate
-    ) -> Iterator[Array]:
+        self, goal_shape: Shape, goal: Floats, motion: Floats, estimate: TipEstimate
+    ) -> Iterator[Floats]:
         """
         Yield steps (m,) [N] for a motion (3,) [m] of the tip.
 
@@ -252,8 +260,7 @@ class TipStep:
         length, until one moves the tip by its whole error.
         """
         slopes = self.slopes_at(goal_shape)
-        distance = self._distance(goal_shape)
-        part = bias_part(distance, self.model.robot.length)
+        distance, part = self._belief(goal_shape)
         learned = part * estimate.slope_part(goal_shape.inputs, distance) * estimate.slopes
         damping = WEAK_SLOPE if self.arrived else STEP_DAMPING
         for jacobian in (slopes + learned, slopes):
@@ -268,7 +275,7 @@ class TipStep:
             if length * (motion @ sides).max() > motion @ motion / STEP_GAIN:
                 return
 
-    def _secants(self, goal_shape: Shape, goal: Array, length: float) -> Array:
+    def _secants(self, goal_shape: Shape, goal: Floats, length: float) -> Floats:
         """
         Return secant slopes of the tip (3, 2m) [m], for increasing and for decreasing tensions.
 
@@ -282,31 +289,102 @@ class TipStep:
             moves.append(self.shape_at(to).tip_position - goal_shape.tip_position)
         return np.array(moves).T / length
 
-    def slopes_at(self, goal_shape: Shape) -> Array:
+    def slopes_at(self, goal_shape: Shape) -> Floats:
         """Return the model's Jacobian of the tip (3, m) [m] times the ranges at a shape."""
-        return _slopes(self.model, goal_shape, self.shape, self.limits)
+        model, (low, high) = self.model, self.limits.T
+        past = self.shape.memory if model.remembers else model.arrays.fresh_memory()
+        return np.asarray(tip_slopes(model, goal_shape, past)[:3] * (high - low))
 
-    def shape_at(self, goal: Array) -> Shape:
+    def shape_at(self, goal: Floats) -> Shape:
         """Return the shape under a goal (m,) [N], from the present shape."""
         return self.model.follow(self.shape, np.maximum(goal + self.offset, 0.0))
 
-    def allowed(self, goal: Array, before: Array, keep_out: KeepOut) -> tuple[Array, str]:
+    def allowed(self, goal: Floats, before: Floats, keep_out: KeepOut) -> tuple[Floats, str]:
         """Return the goal (m,) [N], or the last one and the region that the arm would enter."""
         region = keep_out and keep_out.clearance(self.shape_at(goal).positions).inside
         return (before, region) if region else (goal, '')
 
-    def _distance(self, goal_shape: Shape) -> float:
-        return float(np.linalg.norm(goal_shape.tip_position - self.shape.tip_position))
+    def _belief(self, goal_shape: Shape) -> tuple[float, float]:
+        """Return the distance [m] of a shape's tip from here, and the part of the bias there."""
+        distance = float(np.linalg.norm(goal_shape.tip_position - self.shape.tip_position))
+        return distance, bias_part(distance, self.model.robot.length)
 
-    def _miss(self, goal_shape: Shape, estimate: TipEstimate) -> Array:
+    def _miss(self, goal_shape: Shape, estimate: TipEstimate) -> Floats:
         """Return the predicted error of the tip (3,) [m] at a shape."""
-        distance = self._distance(goal_shape)
-        part = bias_part(distance, self.model.robot.length)
+        distance, part = self._belief(goal_shape)
         bias = estimate.bias_at(goal_shape.inputs, distance)
         return np.asarray(self.target - goal_shape.tip_position - part * bias)
 
 
-def _slopes(model: Model, shape: Shape, before: Shape, limits: Array) -> Array:
-    """Return the Jacobian of the tip (3, m) [m] times the ranges."""
-    past = before.memory if model.remembers else model.arrays.fresh_memory()
-    return tip_slopes(model, shape, past)[:3] * (limits[:, 1] - limits[:, 0])
+@dataclass(frozen=True)
+class NullSpaceMotion:
+    """
+    A null-space motion in closed loop.
+
+    Attributes
+    ----------
+    solution : Reach
+        The solution for the target at which the tip stays.
+    tensions : (m,) [N]
+        The preferred tensions.
+    signs : (m,)
+        1 for a tension that only rises, -1 for one that only falls.
+    place : (3,) [m] or None
+        Position at which the tip is held; None until its bias is known well enough to begin.
+
+    """
+
+    solution: Reach
+    tensions: Floats
+    signs: Floats
+    place: Floats | None = None
+
+    @classmethod
+    def begin(cls, solution: Reach, tensions: Floats, current: Floats) -> NullSpaceMotion:
+        """Return the motion from the current tensions (m,) [N] to the preferred ones."""
+        return cls(solution, tensions, np.where(tensions >= current, 1.0, -1.0))
+
+    def step(
+        self, tip: TipStep, goal: Floats, estimate: TipEstimate, passed: float
+    ) -> tuple[NullSpaceMotion | None, Floats]:
+        """
+        Return the motion and the next goal (m,) [N]; None instead of the motion ends it.
+
+        Parameters
+        ----------
+        tip : TipStep
+            Shape by the model and its Jacobian.
+        goal : (m,) [N]
+            The last goal.
+        estimate : TipEstimate
+            Estimate of the tip's bias.
+        passed : float
+            Since the last step [s].
+
+        """
+        position = tip.shape.tip_position + estimate.bias
+        if self.place is None:
+            variance_max = 2.0 * HOLD_GAIN * passed  # twice the final variance of the bias
+            settled = estimate.covariance[0, 0] < variance_max
+            return replace(self, place=position) if settled else self, goal
+        distance, length = float(np.linalg.norm(self.place - position)), tip.model.robot.length
+        if distance > HANDOVER_LENGTH * length:
+            return None, goal  # the tip loop takes over
+        goal_shape, width = tip.shape_at(goal), estimate.range
+        slopes = tip.slopes_at(goal_shape) + estimate.slopes
+        remaining = self.signs * np.maximum(self.signs * (self.tensions - goal) / width, 0.0)
+        wish = remaining * min(1.0, STEP_MAX / max(float(np.abs(remaining).max()), 1e-12))
+
+        def step(tip_motion: Floats, preferred: Floats) -> Floats:
+            return bounded_step(
+                slopes, tip_motion, goal, tip.limits, preferred=preferred, signs=self.signs
+            )
+
+        free = (step(np.zeros(3), wish) - goal) / width
+        size = max(float(np.abs(free).max()), 1e-12)
+        if size < RANGE_TOLERANCE and distance < 2.0 * estimate.rest:
+            return self, goal  # at the end; else noise would raise tensions without limit
+        drift = DRIFT * length
+        speed = drift / max(estimate.slope_sd(free / size), drift / SPEED_MAX)
+        miss = STEP_GAIN * (self.place - goal_shape.tip_position - estimate.bias_at(goal))
+        return self, step(miss, free * min(1.0, speed * passed / size))

@@ -16,27 +16,27 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..common.arrays import Floats
 from ..common.errors import TendonRobotError
 from ..model.program import bounded_least_squares
-from .driver_side import SILENCE_MAX_S
-from .null_space import HOLD_GAIN, SLOPE_LENGTH_SD, NullSpaceMotion
+from .inputs import interpolated
+from .state import ControllerState, TipCorrection, TrackedTip
 from .tip_estimator import (
+    HOLD_GAIN,
     MODEL_SLOPE_SD,
     RANGE_TOLERANCE,
+    SLOPE_LENGTH_SD,
     TRACKER_NOISE_M,
     WEAK_SLOPE,
+    NullSpaceMotion,
     TipEstimate,
     TipStep,
-    bias_part,
 )
 
 if TYPE_CHECKING:
     from .solver import GiveUp
-    from .state import Controller
 
-Array = NDArray[np.float64]
 # [s] without a measurement; longer than three frames at 30 Hz, else one lost frame would stop the
 # loop
 TRACKER_SILENT_S = 0.1
@@ -48,26 +48,11 @@ BIAS_LENGTH_MAX = 0.4
 # [1] of `tip_gain`: rate at which the distance to a setpoint shrinks, so that the bias is known
 # before the tip arrives (docs/control.md)
 PACE = 2.0
-# [1] measurements that are kept for the delay of a tracker: 0.5 s at 120 Hz; with a longer delay
-# it would count as silent
-HISTORY_MAX = 64
 # [s] without progress, after which the remainder is reported, so that it has settled; five times
 # the loop's 0.2 s
 NO_NEARER_S = 1.0
-# [1] of the last distance: a change counts from here, because noise changes it by less
-CHANGED = 0.2
-# [1] of the distance: half of its square then has one cause, so that only one is named
-CAUSE = 0.5**0.5
 # [1] of the arm's length: the bias of a calibrated model is smaller (docs/control.md)
 FOREIGN_LENGTH = 0.05
-
-
-class _TrackedTip(NamedTuple):
-    """A measurement of the tip."""
-
-    time: float  # [s]
-    position: Array  # (3,) [m]
-    modelled: Array | None  # (3,) [m] tip of the model at that time
 
 
 @dataclass(frozen=True)
@@ -90,9 +75,9 @@ class Remainder:
 
     """
 
-    off: Array
-    slopes: Array
-    room: Array
+    off: Floats
+    slopes: Floats
+    room: Floats
     rest: float
     region: str = ''
 
@@ -102,17 +87,26 @@ class Remainder:
         return float(np.linalg.norm(self.off))
 
     @property
+    def resolution(self) -> float:
+        """Distance [m] that the tracker resolves."""
+        return max(2.0 * self.rest, TRACKER_NOISE_M)
+
+    @property
     def reached(self) -> bool:
         """Whether the tip is at its target, within the resolution of the tracker."""
-        return self.distance <= max(2.0 * self.rest, TRACKER_NOISE_M)
+        return self.distance <= self.resolution
 
     def why(self, inputs: Sequence[str]) -> str:
-        """Return the cause of the error in words, for named inputs; '' where none is known."""
+        """
+        Return the cause of the error in words, for named inputs; '' where none is known.
+
+        A cause accounts for half of the squared distance, so that only one is named.
+        """
         if self.region:
             return f'kept out of {self.region}'
         axes, sizes, _ = np.linalg.svd(self.slopes, full_matrices=False)
         parts, weak = axes.T @ self.off, sizes < WEAK_SLOPE * sizes[0]
-        if np.linalg.norm(parts[weak]) > CAUSE * self.distance:
+        if parts[weak] @ parts[weak] > 0.5 * self.distance**2:
             part = axes[:, weak] @ parts[weak]
             along = ', '.join(f'{x:.2f}' for x in (part / np.linalg.norm(part)).round(2) + 0.0)
             return (
@@ -125,7 +119,7 @@ class Remainder:
             strong, far, np.where(stopped[0], 0.0, -1e3), np.where(stopped[1], 0.0, 1e3)
         )
         residual = far - strong @ step
-        if np.linalg.norm(residual) < CAUSE * self.distance:
+        if residual @ residual < 0.5 * self.distance**2:
             return ''
         more = strong.T @ residual > 0.0  # more of that tension would reduce the error
         at = np.where(more, stopped[1], stopped[0])
@@ -144,10 +138,9 @@ class TipProgress:
 
     def take(self, now: float, target: object, remainder: Remainder) -> None:
         """Take the present remainder; a new target restarts the clock."""
-        distance, before = remainder.distance, self.nearest
-        changed = abs(distance - before) > max(CHANGED * before, TRACKER_NOISE_M)
+        changed = abs(remainder.distance - self.nearest) > remainder.resolution
         if target is not self.target or changed:
-            self.nearest, self.since = distance, now
+            self.nearest, self.since = remainder.distance, now
         self.target, self.remainder = target, remainder
 
     def settled(self, now: float) -> Remainder | None:
@@ -177,7 +170,7 @@ def foreign(offset: float, length: float, remembers: bool) -> str:
 
 
 @dataclass
-class TipLoop:
+class TipLoop(TipCorrection):
     """
     Moves the goal of the tensions until the measured tip is at the target.
 
@@ -187,45 +180,25 @@ class TipLoop:
     those of the model.
     """
 
-    tensions: Array | None = None  # (m,) [N] goal, None: that of the model
-    frozen: str = 'no tracker'  # reason, '' while the loop runs
     abandoned: str = ''  # reason for the present target
-    estimate: TipEstimate | None = None
-    motion: NullSpaceMotion | None = None  # in progress
     progress: TipProgress = field(default_factory=TipProgress)
-    _tip: _TrackedTip | None = None
-    _history: deque[tuple[float, Array, Array]] = field(  # [s], acting tensions, model's tip
-        default_factory=lambda: deque(maxlen=HISTORY_MAX)
+    _history: deque[tuple[float, Floats, Floats]] = field(  # [s], acting tensions, model's tip
+        default_factory=deque
     )
-    _compared: Array | None = None  # (3,) [m] model's tip of the last comparison
+    _compared: Floats | None = None  # (3,) [m] model's tip of the last comparison
     _jumped: float = -np.inf  # [s]
-    _error: Array = field(default_factory=lambda: np.full(3, np.nan))  # [m]
-    _solution: object = None  # to which `tensions` belong
+    _error: Floats = field(default_factory=lambda: np.full(3, np.nan))  # [m]
     _target: object = None  # of the loop
     _near: float = -np.inf  # [s] when the bias was last within its limit
     _due: float = 0.0  # [s] since the last update of the estimator
 
     def reset(self) -> None:
         """Forget the estimate and the goal."""
-        self.tensions = self.estimate = self.motion = self._solution = self._compared = None
+        self.tensions = self.estimate = self.motion = self.solution = self._compared = None
         self.progress, self._due = TipProgress(), 0.0
         self._history.clear()
 
-    def in_null_space(self, core: Controller) -> bool:
-        """Whether a null-space motion is in progress."""
-        motion = self.motion
-        return motion is not None and motion.solution is core.solution and not self.frozen
-
-    def goal(self, core: Controller, solution: Array) -> Array:
-        """Return the goal (m,) [N], within the limits."""
-        if self.tensions is None or core.settings.tip_gain == 0.0:
-            return solution
-        if self._solution is not core.solution:
-            return solution  # of a new target, whose search includes the bias
-        low, high = core.settings.limits(core.model).T
-        return np.clip(self.tensions, low, high)
-
-    def paced(self, core: Controller, goal: Array, longest: float, passed: float) -> float:
+    def paced(self, core: ControllerState, goal: Floats, longest: float, passed: float) -> float:
         """
         Return the step of the command [N], which slows down towards a setpoint.
 
@@ -247,21 +220,10 @@ class TipLoop:
         remaining = float(np.abs(goal - core.command).max())
         return min(longest, remaining * (1.0 - float(np.exp(-PACE * gain * passed))))
 
-    def bias(self, now: float, place: Array, length: float) -> Array:
-        """
-        Return the bias (3,) [m] of the model's tip near a position (3,) [m].
-
-        It falls with the distance from the measured tip, and is 0 once the tracker is lost.
-        """
-        if self._tip is None or now - self._tip.time > SILENCE_MAX_S or self.estimate is None:
-            return np.zeros(3)
-        distance = float(np.linalg.norm(place - self._tip.position))
-        return self.estimate.bias * bias_part(distance, length)
-
-    def take(self, now: float, core: Controller, position: Array) -> None:
+    def take(self, now: float, core: ControllerState, position: Floats) -> None:
         """Take a measured tip (3,) [m] in the base frame."""
-        last, before = core.track.last, self._tip
-        self._tip = tip = _TrackedTip(now, position, None if last is None else last.tip_position)
+        last, before = core.track.last, self.tip
+        self.tip = tip = TrackedTip(now, position, None if last is None else last.tip_position)
         self.frozen = self._why_frozen(core, before, tip)
         if before is not None:
             self._due = min(self._due + now - before.time, TRACKER_SILENT_S)
@@ -283,9 +245,11 @@ class TipLoop:
         return None if self._silent(now) or self.frozen else self.progress.settled(now)
 
     def _silent(self, now: float) -> bool:
-        return self._tip is None or now - self._tip.time > TRACKER_SILENT_S
+        return self.tip is None or now - self.tip.time > TRACKER_SILENT_S
 
-    def _why_frozen(self, core: Controller, before: _TrackedTip | None, tip: _TrackedTip) -> str:
+    def _why_frozen(
+        self, core: ControllerState, before: TrackedTip | None, tip: TrackedTip
+    ) -> str:
         """Return why a measurement is not used, '' where it is."""
         if before is None or tip.time - before.time > TRACKER_SILENT_S:
             return 'tracker silent'
@@ -312,14 +276,15 @@ class TipLoop:
                 self.abandoned, self.tensions, self.estimate = 'too far from the model', None, None
         return self.abandoned
 
-    def _compare(self, now: float, core: Controller, position: Array) -> None:
+    def _compare(self, now: float, core: ControllerState, position: Floats) -> None:
         """Post the comparison of the measured tip with the model's, and the next goal."""
-        solution, desired, model, target = core.solution, core.desired_tip, core.model, core.target
+        solution, desired, target = core.solution, core.mode.position, core.target
         assert solution is not None and desired is not None
-        acting, offset, length = core.acting_tensions(), core.acting_offset, model.robot.length
+        acting, model = core.acting_tensions(), core.model
+        offset = core.driver.acting.offset
         limits, keep_out = core.settings.limits(model), core.settings.keep_out
-        goal, last, known = self.goal(core, solution.tensions), core.track.last, self.estimate
-        motion = self.motion if self.in_null_space(core) else None
+        goal, last, known = core.goal(solution.tensions), core.track.last, self.estimate
+        motion = self.motion if core.in_null_space else None
         passed, self._due = self._due, 0.0
         rate = core.settings.tip_gain if motion is None else HOLD_GAIN
         gain = 1.0 - float(np.exp(-rate * passed))
@@ -331,19 +296,18 @@ class TipLoop:
 
         def work(give_up: GiveUp) -> _Compared:
             shape = model.follow(last, acting)
-            step = TipStep.at(model, shape, desired, offset, limits, arrived)
+            step = TipStep(model, shape, desired, offset, limits, arrived)
             at, tip = (acting, shape.tip_position) if then is None else then
             path = 0.0 if before is None else float(np.linalg.norm(tip - before))
             if motion is None:
                 doubt = MODEL_SLOPE_SD * np.linalg.norm(step.slopes, axis=0)
             else:
-                doubt = np.full(len(at), SLOPE_LENGTH_SD * length)
+                doubt = np.full(len(at), SLOPE_LENGTH_SD * model.robot.length)
             new = (known or TipEstimate.begin(at, limits, doubt)).about(at)
             if motion is not None and motion.place is None:
                 new = new.without_slopes(doubt)  # slopes of motions of the tip do not apply
             if known_then:
-                fading = passed if motion is None else 0.0
-                new = new.updated(position - tip, gain, doubt, fading, path, length)
+                new = new.updated(position - tip, gain, doubt, path, model.robot.length)
             new = new.about(acting).within(step.slopes)
             if motion is None:
                 moved, next_goal = None, step.next_goal(new, goal)
@@ -365,39 +329,36 @@ class TipLoop:
                 return
             self.estimate, self._compared = result.estimate, result.compared
             self._history.append((now, acting, result.tip))
+            while len(self._history) > 1 and self._history[1][0] <= sample_time:
+                self._history.popleft()
             if core.solution is solution:
-                self.tensions, self._solution = result.goal, solution
+                self.tensions, self.solution = result.goal, solution
                 self.progress.take(now, target, result.remainder)
                 if self.motion is motion:
                     self.motion = result.motion
 
         core.solver.post('loop', work, done)
 
-    def _then(self, time: float) -> tuple[Array, Array] | None:
+    def _then(self, time: float) -> tuple[Floats, Floats] | None:
         """Return tensions (m,) [N] and the model's tip (3,) [m] at a past time [s]; None: now."""
-        history = self._history
-        if not history or time >= history[-1][0]:
+        if not self._history or time >= self._history[-1][0]:
             return None
-        times = [one[0] for one in history]
-        place = max(int(np.searchsorted(times, time, side='right')) - 1, 0)
-        (begin, *first), (end, *second) = history[place], history[min(place + 1, len(times) - 1)]
-        part = min(max((time - begin) / (end - begin), 0.0), 1.0) if end > begin else 0.0
-        tensions, tip = (a + part * (b - a) for a, b in zip(first, second, strict=True))
-        return tensions, tip
+        times, tensions, tips = zip(*self._history, strict=True)
+        return interpolated(time, times, tensions), interpolated(time, times, tips)
 
 
 class _Compared(NamedTuple):
     """Result of one comparison of the measured tip with the model's."""
 
     estimate: TipEstimate
-    goal: Array  # (m,) [N]
-    tip: Array  # (3,) [m] of the model, now
-    compared: Array  # (3,) [m] of the model, at the exposure
+    goal: Floats  # (m,) [N]
+    tip: Floats  # (3,) [m] of the model, now
+    compared: Floats  # (3,) [m] of the model, at the exposure
     motion: NullSpaceMotion | None
     remainder: Remainder
 
 
-def _at_goal(core: Controller, goal: Array, tolerance: float) -> bool:
+def _at_goal(core: ControllerState, goal: Floats, tolerance: float) -> bool:
     """Whether the command is at its goal (m,) [N], within a tolerance [1] of the ranges."""
     assert core.command is not None
     low, high = core.settings.limits(core.model).T

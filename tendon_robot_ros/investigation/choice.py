@@ -33,6 +33,7 @@ from ..data import DataSet
 from ..diagnosis.candidates import nuisances_of
 from ..diagnosis.imperfections import REMAINDER, SplitPredictor
 from ..diagnosis.slopes import imperfections
+from ..diagnosis.stepwise import PRIOR_TYPICALS
 from ..effects import Catalogue
 from ..model.model import Model
 from ..model.pulls import pull_shapes
@@ -52,9 +53,6 @@ MARGIN_FRACTION = 0.05
 # [1] of a typical size, steps of a parameter for its derivative: the first, so that laws with a
 # threshold show; the second where the model has no equilibrium at the first
 STEP_FRACTIONS = (0.3, 0.03)
-# [1] typical sizes, 1 sd of the prior of an effect in question: wide, so that the measurements and
-# not the prior decide
-PRIOR_SD = 3.0
 
 
 @dataclass(frozen=True)
@@ -272,7 +270,7 @@ class LinearDesign:
         slopes = []
         for free in self.frees:
             offset = abs(point.get(free, predictor.value(free)) - free.parameter.neutral)
-            prior = PRIOR_SD * max(free.parameter.typical, offset)
+            prior = PRIOR_TYPICALS * max(free.parameter.typical, offset)
             slopes.append(prior * self._slope(predictor, free, markers))
         slopes += [
             n.spread * self._slope(predictor, n.free, markers)

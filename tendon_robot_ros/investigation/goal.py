@@ -7,6 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,7 +18,6 @@ from ..data import DataSet
 from ..diagnosis.result import Diagnosis
 from ..diagnosis.verdict import POSTURES_ENOUGH, POSTURES_MIN, SEPARABLE_FROM_SD, Verdict
 from ..effects import Catalogue
-from .record import Round
 
 
 @dataclass(frozen=True)
@@ -50,49 +50,59 @@ class Goal:
         InputError
 
         """
-        for option, value, low, high in (
-            ('--interval', 100.0 * self.interval, 0.1, 1000.0),
-            ('--visible', 100.0 * self.visible, 0.01, 100.0),
-            ('--postures', self.postures, POSTURES_MIN, 1000),
-            ('--minutes', self.minutes, 0.01, math.inf),
-            ('--start', self.start, POSTURES_MIN, self.postures),
-            ('--at-once', self.at_once, 1, 100),
-            ('--trials', self.trials, 1, 100),
-            ('--checks', self.checks, 0, 100),
-            ('--tension-max', self.tension_max, 1e-6, math.inf),
-        ):
-            if not low <= value <= high:
-                raise InputError(f'{option}: expected {low:g} to {high:g}, got {value:g}')
+        for name, option in OPTIONS.items():
+            high = self.postures if name == 'start' else option.high
+            if not option.low <= (value := self.typed(name)) <= high:
+                expected = f'expected {option.low:g} to {high:g}'
+                raise InputError(f'{flag(name)}: {expected}, got {value:g}')
+
+    def typed(self, name: str) -> float:
+        """Return a number as it is typed."""
+        value: float = getattr(self, name)
+        return 100.0 * value if OPTIONS[name].metavar == 'PERCENT' else value
+
+
+class Option(NamedTuple):
+    """A number of a goal on the command line: its limits as typed, its metavar and its help."""
+
+    low: float
+    high: float
+    metavar: str
+    help: str
+
+
+NARROW = 'half a 95 %% interval that is narrow enough, of the value or of a typical size'
+VISIBLE = 'tip motion of the length: adequate is a model when no effect may make more unseen'
+OPTIONS = {
+    'interval': Option(0.1, 1000.0, 'PERCENT', NARROW),
+    'visible': Option(0.01, 100.0, 'PERCENT', VISIBLE),
+    'postures': Option(POSTURES_MIN, 1000, 'N', 'at most so many'),
+    'start': Option(POSTURES_MIN, 1000, 'N', 'so many before the first diagnosis'),
+    'at_once': Option(1, 100, 'N', 'so many between two diagnoses'),
+    'trials': Option(1, 100, 'N', 'of every posture'),
+    'checks': Option(0, 100, 'N', 'fresh postures to verify on'),
+    'minutes': Option(0.01, math.inf, 'M', 'at most so long'),
+    'tension_max': Option(1e-6, math.inf, 'N', '[N] besides the limits of the description'),
+}
 
 
 def add_goal(parser: argparse.ArgumentParser, trials: int) -> None:
     """Declare the goal, where results go, and what is kept out; `trials` is the default."""
-    default = Goal()
-    add = parser.add_argument
-    narrow = 'half a 95 %% interval that is narrow enough, of the value or of a typical size'
-    visible = 'tip motion of the length: adequate is a model when no effect may make more unseen'
-    for name, fraction, text in (
-        ('interval', default.interval, narrow),
-        ('visible', default.visible, visible),
-    ):
-        value, text = 100.0 * fraction, f'{text} (default: {100.0 * fraction:g})'
-        add(f'--{name}', type=float, default=value, metavar='PERCENT', help=text)
-    for name, count, text in (
-        ('postures', default.postures, 'at most so many'),
-        ('start', default.start, 'so many before the first diagnosis'),
-        ('at-once', default.at_once, 'so many between two diagnoses'),
-        ('trials', trials, 'of every posture'),
-        ('checks', default.checks, 'fresh postures to verify on'),
-    ):
-        add(f'--{name}', type=int, default=count, metavar='N', help=f'{text} (default: {count})')
-    add('--minutes', type=float, default=math.inf, metavar='M', help='at most so long')
-    text = '[N] besides the limits of the description'
-    add('--tension-max', type=float, default=math.inf, metavar='N', help=text)
+    add, default = parser.add_argument, Goal(trials=trials)
+    for name, option in OPTIONS.items():
+        value = default.typed(name)
+        text = option.help + (f' (default: {value:g})' if math.isfinite(value) else '')
+        add(flag(name), type=type(value), default=value, metavar=option.metavar, help=text)
     text = 'write what is found though a class or more is left'
     add('--add', action='store_true', help=text)
     add('--output', required=True, metavar='DIR', help='new folder')
     add('--resume', action='store_true', help='go on with what DIR has')
     add('--keep-out', metavar='YAML', help='regions where no part of the arm may be')
+
+
+def flag(name: str) -> str:
+    """Return the option of a number of a goal."""
+    return '--' + name.replace('_', '-')
 
 
 def goal_of(args: argparse.Namespace, effect_files: tuple[str, ...] = ()) -> Goal:
@@ -104,20 +114,25 @@ def goal_of(args: argparse.Namespace, effect_files: tuple[str, ...] = ()) -> Goa
     InputError
 
     """
-    names = ('postures', 'minutes', 'start', 'at_once', 'trials', 'checks', 'add', 'tension_max')
-    typed = {name: getattr(args, name) for name in names}
-    return Goal(
-        interval=args.interval / 100.0,
-        visible=args.visible / 100.0,
-        effect_files=effect_files,
-        **typed,
-    )
+    values = {name: getattr(args, name) for name in OPTIONS}
+    percent = {name: values[name] / 100.0 for name in ('interval', 'visible')}
+    return Goal(**(values | percent), add=args.add, effect_files=effect_files)
+
+
+@dataclass(frozen=True)
+class Round:
+    """One diagnosis during an investigation."""
+
+    postures: int
+    verdict: str
+    names: list[str]
+    in_question: list[str]
+    widest: float | None  # half of the widest interval, relative; None: nothing named
+    text: str
+    possible: dict[str, float] = field(default_factory=dict)  # [m] at the tip, though adequate
 
 
 REJECTED = 'rejected'  # status of a candidate that is out
-# [1] effects that the next posture is chosen for: more would cost a derivative each, and the
-# likeliest come first
-IN_QUESTION_MAX = 6
 NAMING = (Verdict.MISSING_EFFECT, Verdict.WRONG_PARAMETER, Verdict.SEVERAL)
 # [1] diagnoses in a row that name the same class before it counts as inseparable; two in a row
 # would also come by chance
@@ -170,7 +185,7 @@ def in_question(diagnosis: Diagnosis) -> list[str]:
     names += [name for label in likely for name in label.split(' + ')]
     if not diagnosis.effects:
         names += diagnosis.not_tested
-    return list(dict.fromkeys(names))[:IN_QUESTION_MAX]
+    return list(dict.fromkeys(names))
 
 
 def widest(diagnosis: Diagnosis, catalogue: Catalogue) -> float | None:

@@ -40,10 +40,10 @@ from ..robot.estimates import natural_sizes
 from ..robot.keep_out import KeepOut
 from .choice import MARGIN_FRACTION, Choice, OpenQuestion, Room, choose, fresh, pool
 from .goal import (
-    IN_QUESTION_MAX,
     SENTENCES,
     Goal,
     InvestigationEnd,
+    Round,
     adequate_twice,
     in_question,
     may_act,
@@ -54,15 +54,18 @@ from .goal import (
     short,
     widest,
 )
-from .measuring import Measurer, News, Report, no_effect, separate_changes
-from .record import (
+from .measuring import (
     BETTER,
     CHECK,
     DATA,
     MeasurableArm,
+    Measurer,
+    News,
     Record,
-    Round,
+    Report,
     empty_dataset,
+    no_effect,
+    separate_changes,
     with_posture,
 )
 
@@ -72,8 +75,6 @@ RECORDING, RESULT, REPORT = 'recording.mcap', 'diagnosis.json', 'report.html'
 GAIN_MIN = 0.02
 # [nat] information below which a posture hardly narrows what may act unseen (docs/investigate.md)
 NARROWING_MIN = 0.5
-# [1] postures from which that ends the search of an adequate model (docs/investigate.md)
-NARROWING_FROM = 8
 
 
 @dataclass(frozen=True)
@@ -186,8 +187,7 @@ class Investigation:
                 count = 1
             choices = self.choices(min(count, self.goal.postures - have))
             gain = choices[0].gain if choices else 0.0
-            many = have >= NARROWING_FROM
-            if adequate_twice(self.record.rounds) and gain < (NARROWING_MIN if many else GAIN_MIN):
+            if adequate_twice(self.record.rounds) and gain < NARROWING_MIN:
                 return InvestigationEnd.ADEQUATE
             if not choices or (have >= self.goal.start and gain < GAIN_MIN):
                 return InvestigationEnd.POOL
@@ -242,11 +242,11 @@ class Investigation:
         if self.diagnosis is not None and self._only_wide:
             return [effect.name for effect in self.diagnosis.effects]
         if self.diagnosis is None and self._suspected:
-            return self._suspected[:IN_QUESTION_MAX]
+            return self._suspected
         names = [] if self.diagnosis is None else in_question(self.diagnosis)
         unexcluded = self.record.rounds[-1].possible if self.record.rounds else {}
         if unexcluded:
-            return list(unexcluded)[:IN_QUESTION_MAX]
+            return list(unexcluded)
         if not names or (self.diagnosis is not None and not self.diagnosis.effects):
             names += [e.name for e in self.catalogue if e.name not in names and self.shows(e)]
         return names

@@ -16,7 +16,7 @@ from scipy.interpolate import CubicHermiteSpline, pchip_interpolate
 
 from ..common.errors import InputError
 from ..common.rotations import angle_between
-from ..control.state import STREAM_PERIOD_S, Trajectory
+from ..control.inputs import STREAM_PERIOD_S, Trajectory
 from ..model.inverse import reach
 from ..model.tip_task import TipTask
 from ..robot.keep_out import KeepOut

@@ -30,7 +30,7 @@ from ..data.dataset import INPUTS, LOADINGS
 from ..effects import load_catalogue
 from ..investigation.goal import Goal, add_goal, goal_of
 from ..investigation.loop import Investigation, write_results
-from ..investigation.record import BrokenMeasurementError, PostureMeasured
+from ..investigation.measuring import BrokenMeasurementError, PostureMeasured
 from ..report.diagnosis_text import TRIALS_ADVISED
 from ..robot import Robot, load_robot
 from ..robot.keep_out import KeepOut, load_keep_out

@@ -24,9 +24,8 @@ import numpy as np
 from ...common.arrays import Floats
 from ...common.errors import DataSetError, InputError
 from ...common.files import file_to_write, refuse_ending
-from ...control.approach import keep_out_refusal
-from ...control.checks import Refusal
-from ...control.state import Trajectory
+from ...control.inputs import Refusal, Trajectory
+from ...control.target_search import keep_out_refusal
 from ...data.csv_file import first_line
 from ...data.path_files import NO_PATH, TendonRows, TipRows, read_moves, read_path
 from ...data.recording.reader import is_bag, opened

@@ -32,14 +32,17 @@ from std_srvs.srv import Trigger
 
 from ...common.arrays import Floats
 from ...common.errors import InputError, NoEquilibriumError, TendonRobotError
-from ...control.checks import Refusal
-from ...control.state import Trajectory
+from ...control.inputs import Refusal, Trajectory
 from ...data import Marker, default_markers
 from ...data.dataset import LOADINGS
 from ...investigation.goal import add_goal, goal_of
 from ...investigation.loop import Findings, Investigation, write_results
-from ...investigation.measuring import News
-from ...investigation.record import BETTER, BrokenMeasurementError, PostureMeasured
+from ...investigation.measuring import (
+    BETTER,
+    BrokenMeasurementError,
+    News,
+    PostureMeasured,
+)
 from ...model.model import Model
 from ...monitoring import History, MonitorSettings, StillMeasurement, StillWindow
 from ...monitoring.change import ChangeFinder

@@ -26,7 +26,7 @@ from trajectory_msgs.msg import JointTrajectory
 from ...common.errors import TendonRobotError
 from ...common.processes import Realtime, go_realtime, in_realtime
 from ...control import ControllerCore, Refusal
-from ...control.checks import another_robot
+from ...control.inputs import another_robot
 from ...control.solver import SOLVER, Worker
 from ...control.status import controller_status, controller_values
 from ...drivers.safety import StopLatch

@@ -7,8 +7,9 @@ from dataclasses import fields
 
 from ...common.errors import InputError, TendonRobotError
 from ...control import Settings
-from ...control.checks import check_inputs
+from ...control.inputs import check_inputs
 from ...control.loading import Loader
+from ...control.target_search import APPROACHES
 from ...effects import load_catalogue
 from ...model.model import Model
 from ...model.tip_task import Preferences

@@ -23,8 +23,15 @@ from visualization_msgs.msg import MarkerArray
 from ...common.arrays import Floats
 from ...common.colours import PREDICTED
 from ...control import Refusal, Target, Twist
-from ...control.checks import by_name, check_frame, check_stamp, direction, finite, position
-from ...control.state import Trajectory
+from ...control.inputs import (
+    Trajectory,
+    by_name,
+    check_frame,
+    check_stamp,
+    direction,
+    finite,
+    position,
+)
 from ...data.tracker_faults import is_missing
 from ...model.model import Model
 from ...model.shape import Shape

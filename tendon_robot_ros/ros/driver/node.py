@@ -19,7 +19,7 @@ from std_srvs.srv import Trigger
 
 from ...common.errors import TendonRobotError
 from ...common.processes import Realtime, go_realtime
-from ...control.checks import Refusal, by_name, check_stamp, finite
+from ...control.inputs import Refusal, by_name, check_stamp, finite
 from ...drivers.mock import MockDriver
 from ...drivers.safety import (
     FOLLOWING,

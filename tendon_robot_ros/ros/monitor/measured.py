@@ -12,7 +12,7 @@ from std_msgs.msg import Float64, Float64MultiArray, Header
 
 from ...common.arrays import Floats
 from ...common.errors import InputError
-from ...control.checks import Refusal, check_stamp
+from ...control.inputs import Refusal, check_stamp
 from ...data.tracker_faults import is_missing
 from ...monitoring import Monitor
 from ...monitoring.monitor import Compared

@@ -24,7 +24,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from ...common.arrays import Floats
 from ...common.colours import rgb
 from ...common.rotations import from_quaternion, quaternions
-from ...control.checks import Refusal, by_name, check_frame, cut
+from ...control.inputs import Refusal, by_name, check_frame, cut
 
 
 def seconds(stamp: Time) -> float:

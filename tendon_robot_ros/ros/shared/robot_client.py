@@ -21,9 +21,9 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from ...common.arrays import Floats
 from ...common.errors import InputError, TendonRobotError
 from ...common.rotations import towards
-from ...control.checks import direction as looks
+from ...control.inputs import Trajectory
+from ...control.inputs import direction as looks
 from ...control.loading import load
-from ...control.state import Trajectory
 from ...effects import load_catalogue
 from ...model.model import Model
 from ...robot import load_robot

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tendon_robot_ros.control import checks
-from tendon_robot_ros.control.checks import Refusal
+from tendon_robot_ros.control import inputs
+from tendon_robot_ros.control.inputs import Refusal
 
 INPUTS = ('left', 'right')
 
@@ -19,37 +19,37 @@ INPUTS = ('left', 'right')
 )
 def test_old_and_future_stamps_are_refused(stamp, code, words):
     with pytest.raises(Refusal, match=words) as caught:
-        checks.check_stamp(stamp, 100.0, 0.5, 'target_pose')
+        inputs.check_stamp(stamp, 100.0, 0.5, 'target_pose')
     assert caught.value.code == code
 
 
 def test_a_stamp_of_zero_means_now():
-    checks.check_stamp(0.0, 1e9, 0.5, 'target_pose')
-    checks.check_stamp(100.1, 100.0, 0.5, 'target_pose')
+    inputs.check_stamp(0.0, 1e9, 0.5, 'target_pose')
+    inputs.check_stamp(100.1, 100.0, 0.5, 'target_pose')
 
 
 def test_a_wrong_frame_names_both():
     with pytest.raises(Refusal, match="frame 'map', expected 'arm_base' or 'arm_tip'"):
-        checks.check_frame('map', ['arm_base', 'arm_tip'], 'delta_twist')
+        inputs.check_frame('map', ['arm_base', 'arm_tip'], 'delta_twist')
 
 
 @pytest.mark.parametrize('bad', [math.nan, math.inf, -math.inf])
 def test_numbers_that_are_not_finite_are_refused(bad):
     with pytest.raises(Refusal, match='expected finite numbers'):
-        checks.position([0.0, bad, 0.1], 1.0, 'target_point')
+        inputs.position([0.0, bad, 0.1], 1.0, 'target_point')
     with pytest.raises(Refusal, match='expected finite numbers'):
-        checks.direction([0.0, 0.0, bad, 1.0], 'target_pose')
+        inputs.direction([0.0, 0.0, bad, 1.0], 'target_pose')
 
 
 def test_a_position_in_millimetres_is_refused():
     with pytest.raises(Refusal, match='positions are in metres'):
-        checks.position([50.0, 0.0, 100.0], 0.3, 'target_point')
+        inputs.position([50.0, 0.0, 100.0], 0.3, 'target_point')
 
 
 @pytest.mark.parametrize('bad', [[0, 0, 0, 0], [0, 0, 0, 2], [1e-9, 0, 0, 0]])
 def test_a_quaternion_that_is_no_orientation_is_refused(bad):
     with pytest.raises(Refusal, match=r'has norm .*, expected 1'):
-        checks.direction(bad, 'target_pose')
+        inputs.direction(bad, 'target_pose')
 
 
 @given(st.floats(-math.pi, math.pi), st.floats(0.0, math.pi), st.floats(-math.pi, math.pi))
@@ -61,11 +61,11 @@ def test_the_direction_is_the_z_axis_whatever_the_roll(azimuth, polar, roll):
     x = cz * sy * sr - sz * sy * cr
     y = cz * sy * cr + sz * sy * sr
     expected = [np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)]
-    assert checks.direction([x, y, z, w], 'pose') == pytest.approx(expected, abs=1e-9)
+    assert inputs.direction([x, y, z, w], 'pose') == pytest.approx(expected, abs=1e-9)
 
 
 def test_joint_values_are_put_in_the_order_of_the_robot():
-    found = checks.by_name(['right', 'left'], [2.0, 1.0], INPUTS, 'tendon_states', 'effort')
+    found = inputs.by_name(['right', 'left'], [2.0, 1.0], INPUTS, 'tendon_states', 'effort')
     assert found.tolist() == [1.0, 2.0]
 
 
@@ -87,4 +87,4 @@ def test_joint_values_are_put_in_the_order_of_the_robot():
 )
 def test_joint_names_must_be_those_of_the_robot(names, values, words):
     with pytest.raises(Refusal, match=words):
-        checks.by_name(names, values, INPUTS, 'tendon_command', 'effort')
+        inputs.by_name(names, values, INPUTS, 'tendon_command', 'effort')
