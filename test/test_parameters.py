@@ -14,7 +14,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from tendon_robot_ros.common.errors import InputError
-from tendon_robot_ros.control.approach import APPROACHES
+from tendon_robot_ros.control.target_search import APPROACHES
 from tendon_robot_ros.data.dataset import LOADINGS
 from tendon_robot_ros.drivers.interface import BACKENDS
 from tendon_robot_ros.drivers.safety import STOP_TIME_MIN_S

@@ -9,7 +9,6 @@ from ...common.errors import InputError, TendonRobotError
 from ...control import Settings
 from ...control.inputs import check_inputs
 from ...control.loading import Loader
-from ...control.target_search import APPROACHES
 from ...effects import load_catalogue
 from ...model.model import Model
 from ...model.tip_task import Preferences
