@@ -23,7 +23,7 @@ from ..common.arrays import Floats
 from ..common.files import write_text
 from ..common.words import digits, listed
 from ..comparison.noise import Noise
-from ..comparison.predict import FreeParameter, frees_of
+from ..comparison.predict import frees_of
 from ..data import DataSet, save_dataset
 from ..data.recording.writer import export_bag
 from ..diagnosis.add import Addition, add_effects
@@ -185,7 +185,11 @@ class Investigation:
             count = self.goal.start - have if have < self.goal.start else self.goal.at_once
             if self.arm.path == 'sequence':  # the next one depends on where this one was
                 count = 1
-            choices = self.choices(min(count, self.goal.postures - have))
+            offered, count = self.offered(), min(count, self.goal.postures - have)
+            choices = list[Choice]()
+            if len(offered):
+                question, dataset = self.question(), self.record.dataset
+                choices = choose(question, dataset, offered, self.catalogue, count)
             gain = choices[0].gain if choices else 0.0
             if adequate_twice(self.record.rounds) and gain < NARROWING_MIN:
                 return InvestigationEnd.ADEQUATE
@@ -197,13 +201,6 @@ class Investigation:
             for choice in choices:
                 why = f'tells {digits(choice.gain)} nat of {what}'
                 self.measurer.next(choice.inputs, why, {'gain': choice.gain, 'asked': sought})
-
-    def choices(self, count: int) -> list[Choice]:
-        """Choose the next postures."""
-        offered = self.offered()
-        if not len(offered):
-            return []
-        return choose(self.question(), self.record.dataset, offered, self.catalogue, count)
 
     def offered(self) -> Floats:
         """Return the postures (b, m) [N] or [m] that may be chosen now."""
@@ -218,16 +215,9 @@ class Investigation:
     def question(self) -> OpenQuestion:
         """Return the question that the next posture is to answer."""
         effects: Sequence[Any] = () if self.diagnosis is None else self.diagnosis.effects
-        values = {
-            (effect.name, key): value.value
-            for effect in effects
-            for key, value in effect.parameters.items()
-        }
-        point: dict[FreeParameter, float] = {
-            free: values[free.effect, free.key]
-            for free in frees_of([e.name for e in effects], self.catalogue, self.arm.robot)
-            if (free.effect, free.key) in values
-        }
+        frees = frees_of([effect.name for effect in effects], self.catalogue, self.arm.robot)
+        best = {(e.name, key): v.value for e in effects for key, v in e.parameters.items()}
+        point = {f: best[f.effect, f.key] for f in frees if (f.effect, f.key) in best}
         return OpenQuestion(tuple(self.sought), point, self.noise, self._only_wide)
 
     @property
