@@ -140,7 +140,7 @@ def _measured_condition(core: ControllerCore, now: float) -> ControllerStatus | 
         advice = foreign(offset, core.model.robot.length, core.model.remembers)
         doubt = f'; {advice}' if advice else ''
     if remainder is None:
-        if core.loop.values(now)['correction_frozen']:
+        if core.loop.why_frozen(now):
             return None
         return ControllerStatus(OK, 'moving', f'moving to the target{doubt}')
     off = f'{1e3 * remainder.distance:.2f} mm'

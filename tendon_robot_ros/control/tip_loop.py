@@ -224,7 +224,7 @@ class TipLoop(TipCorrection):
         """Take a measured tip (3,) [m] in the base frame."""
         last, before = core.track.last, self.tip
         self.tip = tip = TrackedTip(now, position, None if last is None else last.tip_position)
-        self.frozen = self._why_frozen(core, before, tip)
+        self.frozen = self._unused(core, before, tip)
         if before is not None:
             self._due = min(self._due + now - before.time, TRACKER_SILENT_S)
         if not self.frozen and not core.solver.busy('loop') and not core.settings.pull_mode:
@@ -232,24 +232,25 @@ class TipLoop(TipCorrection):
 
     def values(self, now: float) -> dict[str, str]:
         """Return correction and measured error for the status."""
-        frozen = 'tracker silent' if self._silent(now) else self.frozen
         bias = 0.0 if self.estimate is None else float(np.linalg.norm(self.estimate.bias))
         return {
             'correction (m)': f'{bias:.4g}',
-            'correction_frozen': frozen,
+            'correction_frozen': self.why_frozen(now),
             'measured_error (m)': f'{np.linalg.norm(self._error):.4g}',
         }
 
     def remainder(self, now: float) -> Remainder | None:
         """Return the remaining error of the tip once it does not change any more."""
-        return None if self._silent(now) or self.frozen else self.progress.settled(now)
+        return None if self.why_frozen(now) else self.progress.settled(now)
+
+    def why_frozen(self, now: float) -> str:
+        """Return why the loop does not run, '' while it runs."""
+        return 'tracker silent' if self._silent(now) else self.frozen
 
     def _silent(self, now: float) -> bool:
         return self.tip is None or now - self.tip.time > TRACKER_SILENT_S
 
-    def _why_frozen(
-        self, core: ControllerState, before: TrackedTip | None, tip: TrackedTip
-    ) -> str:
+    def _unused(self, core: ControllerState, before: TrackedTip | None, tip: TrackedTip) -> str:
         """Return why a measurement is not used, '' where it is."""
         if before is None or tip.time - before.time > TRACKER_SILENT_S:
             return 'tracker silent'
