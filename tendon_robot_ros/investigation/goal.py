@@ -133,6 +133,9 @@ class Round:
 
 
 REJECTED = 'rejected'  # status of a candidate that is out
+# [1] effects that the next posture is chosen for: more would cost a derivative each, and the
+# likeliest come first
+IN_QUESTION_MAX = 6
 NAMING = (Verdict.MISSING_EFFECT, Verdict.WRONG_PARAMETER, Verdict.SEVERAL)
 # [1] diagnoses in a row that name the same class before it counts as inseparable; two in a row
 # would also come by chance
@@ -185,7 +188,7 @@ def in_question(diagnosis: Diagnosis) -> list[str]:
     names += [name for label in likely for name in label.split(' + ')]
     if not diagnosis.effects:
         names += diagnosis.not_tested
-    return list(dict.fromkeys(names))
+    return list(dict.fromkeys(names))[:IN_QUESTION_MAX]
 
 
 def widest(diagnosis: Diagnosis, catalogue: Catalogue) -> float | None:

@@ -40,6 +40,7 @@ from ..robot.estimates import natural_sizes
 from ..robot.keep_out import KeepOut
 from .choice import MARGIN_FRACTION, Choice, OpenQuestion, Room, choose, fresh, pool
 from .goal import (
+    IN_QUESTION_MAX,
     SENTENCES,
     Goal,
     InvestigationEnd,
@@ -75,6 +76,8 @@ RECORDING, RESULT, REPORT = 'recording.mcap', 'diagnosis.json', 'report.html'
 GAIN_MIN = 0.02
 # [nat] information below which a posture hardly narrows what may act unseen (docs/investigate.md)
 NARROWING_MIN = 0.5
+# [1] postures from which that ends the search of an adequate model (docs/investigate.md)
+NARROWING_FROM = 8
 
 
 @dataclass(frozen=True)
@@ -191,7 +194,8 @@ class Investigation:
                 question, dataset = self.question(), self.record.dataset
                 choices = choose(question, dataset, offered, self.catalogue, count)
             gain = choices[0].gain if choices else 0.0
-            if adequate_twice(self.record.rounds) and gain < NARROWING_MIN:
+            many = have >= NARROWING_FROM
+            if adequate_twice(self.record.rounds) and gain < (NARROWING_MIN if many else GAIN_MIN):
                 return InvestigationEnd.ADEQUATE
             if not choices or (have >= self.goal.start and gain < GAIN_MIN):
                 return InvestigationEnd.POOL
@@ -232,11 +236,11 @@ class Investigation:
         if self.diagnosis is not None and self._only_wide:
             return [effect.name for effect in self.diagnosis.effects]
         if self.diagnosis is None and self._suspected:
-            return self._suspected
+            return self._suspected[:IN_QUESTION_MAX]
         names = [] if self.diagnosis is None else in_question(self.diagnosis)
         unexcluded = self.record.rounds[-1].possible if self.record.rounds else {}
         if unexcluded:
-            return list(unexcluded)
+            return list(unexcluded)[:IN_QUESTION_MAX]
         if not names or (self.diagnosis is not None and not self.diagnosis.effects):
             names += [e.name for e in self.catalogue if e.name not in names and self.shows(e)]
         return names
