@@ -27,7 +27,7 @@ from documents import (
 )
 from source_tree import ROOT, files
 
-from tendon_robot_ros.cli.main import COMMANDS, Parser
+from tendon_robot_ros.cli.main import COMMANDS, Parser, command_of
 
 DOCS = [page for page in PAGES if page.parent.name in ('docs', 'data')]
 LIVE = [page for page in DOCS if is_live(text_of(page))]
@@ -108,7 +108,7 @@ def test_every_command_and_option_on_a_page_exists():
             wrong.append(f'{page}: no command {name}')
         elif '.cli.' in COMMANDS[name]:
             parser = Parser(prog=name, description='')
-            importlib.import_module(COMMANDS[name]).add_arguments(parser)
+            command_of(COMMANDS[name]).add_arguments(parser)
             known = set(parser._option_string_actions)
             wrong += [
                 f'{page}: {name} {o}' for o in re.findall(r' (--[\w-]+)', given) if o not in known

@@ -56,6 +56,7 @@ def test_every_topic_and_service_is_documented(node):
     source = '\n'.join((ROOT / 'tendon_robot_ros' / 'ros' / name).read_text() for name in files)
     made = r"(?:create_(?:publisher|subscription|service)|subscribe)\(\s*\w+,\s*'([^']+)'"
     made += r"|passing_(?:publisher|subscription)\(\s*\w+,\s*\w+,\s*'([^']+)'"
+    made += r"|offer_trigger\(\w+, '([^']+)'"
     made += r"|Inbox\(\S+, \w+, '([^']+)'"
     names = {name for pair in re.findall(made, source) for name in pair if name}
     assert len(names) >= 8

@@ -215,13 +215,13 @@ def test_a_tip_error_is_the_mean_of_enough_frames_since_the_arm_stands_however_f
     for rate in (30, 5):  # [Hz] that a busy machine hears
         times = np.arange(2 * rate + 15) / rate
         seen = [(at, moving if at < 2.0 else off) for at in times]
-        director._tips = director._errors = director._tensions = seen
+        director._samples = dict.fromkeys(('tip', 'error', 'tensions'), seen)
         director._standing_since = 2.0 - 1e-9
         assert director._measured_enough()
         assert director.error() == pytest.approx(0.005)
         director._standing_since = 2.0 + 1e-9  # one frame less
         assert not director._measured_enough()
-    director._errors = [(3.0, np.full(3, np.nan))] * 20
+    director._samples['error'] = [(3.0, np.full(3, np.nan))] * 20
     assert np.isnan(director.error())
 
 
@@ -407,7 +407,7 @@ def test_a_path_is_planned_with_the_effects_of_the_controllers_user(tmp_path, mo
     executor.add_node(controller)
     serving = threading.Thread(target=executor.spin)
     serving.start()
-    pilot = robot_client.Pilot('pilot', 'controller', Ending(), namespace='/planned')
+    pilot = robot_client.Pilot('pilot', Ending(), namespace='/planned')
     try:
         robot, catalogue = pilot.model()
     finally:

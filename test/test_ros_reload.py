@@ -52,7 +52,7 @@ def test_an_effect_of_the_users_own_is_loaded_while_the_arm_is_held(tmp_path, mo
         station.until(lambda: 'own' in values(last(station.controller))['model'], 'it', 300.0)
         station.until_code(station.controller, 'reached')
         station.spin(0.5)
-        pilot = Pilot('pilot', 'controller', Ending(), namespace='/reload')
+        pilot = Pilot('pilot', Ending(), namespace='/reload')
         assert pilot.model().acts('own')  # the controller's own effects, too
         pilot.destroy_node()
         station.close()

@@ -5,7 +5,6 @@ import os
 import signal
 import sys
 import time
-from itertools import count
 
 import processes
 import pytest
@@ -23,11 +22,11 @@ from ros_station import Station, last, point, stamp, start, values
 from sensor_msgs.msg import JointState
 
 from tendon_robot_ros.common.processes import child_environment
+from tendon_robot_ros.control.inputs import NAMES_LISTED_MAX
 from tendon_robot_ros.ros.controller.topics import DriverLink
-from tendon_robot_ros.ros.shared.inbox import UNKNOWN_GID, Inbox, Received
+from tendon_robot_ros.ros.shared.inbox import Inbox, Received
 from tendon_robot_ros.ros.shared.messages import LATCHED, seconds
 from tendon_robot_ros.ros.shared.senders import (
-    NAMED_MAX,
     OwnPublisher,
     PublisherNames,
     SenderProcess,
@@ -45,8 +44,8 @@ EVERY = QoSProfile(depth=10_000)
 ONE, TWO, THREE = (bytes([i]) * 16 for i in (1, 2, 3))
 
 
-def said_by(publisher, number=None):
-    return Received(None, 0, number, publisher)
+def said_by(publisher):
+    return Received(None, 0, 0, publisher)
 
 
 def test_the_first_is_followed_until_it_is_gone():
@@ -67,24 +66,9 @@ def test_the_first_is_followed_until_it_is_gone():
     assert senders.new
 
 
-def test_where_no_publisher_is_told_they_are_told_apart_by_their_numbers():
-    senders, one, two = Senders(), count(5000), count(1)
-    for cycle in range(100):
-        now = 0.005 * cycle
-        assert senders.counts(now, said_by(UNKNOWN_GID, next(one)))
-        assert not senders.counts(now, said_by(UNKNOWN_GID, next(two)))
-    assert senders.others(0.5) == [UNKNOWN_GID]
-
-
-@pytest.mark.parametrize('publisher', [UNKNOWN_GID, ONE])
-def test_a_middleware_that_does_not_number_messages_is_no_hindrance(publisher):
-    senders = Senders()
-    assert all(senders.counts(0.01 * i, said_by(publisher)) for i in range(5))
-
-
 def test_who_comes_is_named_in_place_of_those_who_have_gone():
     senders, now = Senders(), 0.0
-    for i in range(3 * NAMED_MAX):  # as many people, each with `ros2 topic pub --once`
+    for i in range(3 * NAMES_LISTED_MAX):  # as many people, each with `ros2 topic pub --once`
         now += 0.5 * SILENCE_S
         assert senders.counts(now, said_by(ONE))
         assert not senders.counts(now, said_by(bytes([100 + i]) * 16))
@@ -137,10 +121,9 @@ def test_the_death_of_who_is_followed_is_seen_and_the_next_is_followed_at_once()
     assert not senders.died()
 
 
-@pytest.mark.parametrize('publisher', [UNKNOWN_GID, ONE])
-def test_who_is_of_another_computer_or_package_is_known_by_its_silence_only(publisher):
+def test_who_is_of_another_computer_or_package_is_known_by_its_silence_only():
     senders = Senders()
-    assert senders.counts(0.0, said_by(publisher))
+    assert senders.counts(0.0, said_by(ONE))
     assert not senders.died()
 
 

@@ -1,10 +1,10 @@
 """
 Choose a command by its name and run it.
 
-A command in ``cli/`` or ``studies/`` is a class (``module:Class``), or a module of its own, with
-``HELP`` (one line), ``add_arguments(parser)`` and ``run(args) -> int`` (the exit code); a module
-in ``ros/`` has ``HELP`` and ``main(argv) -> int``, or ``add_arguments`` and
-``run(args, ros_arguments) -> int`` where it takes more than parameters.
+A command is a class (``module:Class``), or a module of its own, with ``HELP`` (one line),
+``add_arguments(parser)`` and ``run(args) -> int`` (the exit code); in ``ros/`` it has ``HELP`` and
+``main(argv) -> int``, or ``add_arguments`` and ``run(args, ros_arguments) -> int`` where it takes
+more than parameters.
 Only the chosen module is imported, so that no command pays for another one's dependencies;
 for the list of commands, ``HELP`` is read from the source.
 """
@@ -41,8 +41,8 @@ COMMANDS: dict[str, str] = {
     'driver': 'tendon_robot_ros.ros.driver.node',
     'stop': 'tendon_robot_ros.ros.commands.stop',
     'teleop': 'tendon_robot_ros.ros.commands.teleop',
-    'go-to': 'tendon_robot_ros.ros.commands.go_to',
-    'follow': 'tendon_robot_ros.ros.commands.follow',
+    'go-to': 'tendon_robot_ros.ros.commands.follow:GoTo',
+    'follow': 'tendon_robot_ros.ros.commands.follow:Follow',
     'sweep': 'tendon_robot_ros.cli.model:Sweep',
     'record': 'tendon_robot_ros.ros.commands.record',
     'plot': 'tendon_robot_ros.cli.data:Plot',
@@ -146,35 +146,40 @@ def run_command(name: str, arguments: list[str], program: str) -> int:
         raise InputError(f'no command {name!r}; {hint}known: {", ".join(COMMANDS)}')
     if '.ros.' in COMMANDS[name]:
         return run_node(COMMANDS[name], arguments, program)
-    module_name, _, class_name = COMMANDS[name].partition(':')
-    command: Any = importlib.import_module(module_name)
-    if class_name:
-        command = getattr(command, class_name)()
+    command = command_of(COMMANDS[name])
     parser = Parser(prog=program, description=_documentation(COMMANDS[name]))
     command.add_arguments(parser)
     return int(command.run(parser.parse_args(arguments)))
 
 
-def run_node(module_name: str, arguments: list[str], program: str) -> int:
+def command_of(place: str) -> Any:
+    """Import the module of a command, or make an instance of its class there."""
+    module_name, _, class_name = place.partition(':')
+    module = importlib.import_module(module_name)
+    return getattr(module, class_name)() if class_name else module
+
+
+def run_node(place: str, arguments: list[str], program: str) -> int:
     """Run a command of ROS; of its arguments, those from --ros-args on are for ROS."""
     at = arguments.index('--ros-args') if '--ros-args' in arguments else len(arguments)
     own, ros_arguments = arguments[:at], arguments[at:]
     missing = importlib.util.find_spec('rclpy') is None
-    takes_more = 'def add_arguments(' in source_of(module_name).read_text(encoding='utf-8')
+    functions = {n.name for n in _source(place).body if isinstance(n, ast.FunctionDef)}
+    takes_more = 'add_arguments' in functions
     if ('-h' in own or '--help' in own) and (missing or not takes_more):
-        print(f'usage: {program} {NODE_OPTIONS}\n\n{_documentation(module_name)}')
+        print(f'usage: {program} {NODE_OPTIONS}\n\n{_documentation(place)}')
         return 0
     if missing:
         raise MissingExtraError('rclpy', 'ros')
     # the wheels of rclpy find their middleware through this; a sourced ROS has set it
     os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)
-    module = importlib.import_module(module_name)
+    command = command_of(place)
     if not takes_more:
-        return int(module.main(arguments))
-    parser = Parser(prog=program, description=_documentation(module_name))
+        return int(command.main(arguments))
+    parser = Parser(prog=program, description=_documentation(place))
     parser.epilog = f'and, as every node: {NODE_OPTIONS}'
-    module.add_arguments(parser)
-    return int(module.run(parser.parse_args(own), ros_arguments))
+    command.add_arguments(parser)
+    return int(command.run(parser.parse_args(own), ros_arguments))
 
 
 def source_of(place: str) -> Path:

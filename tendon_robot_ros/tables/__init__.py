@@ -14,7 +14,7 @@ traces.py         columns to inputs and markers over time, in SI units; the trac
 measuring.py      where the arm stood still: cleaned, named by posture and trial; whether it was
                   loaded from straight
 registration.py   how the tracker's frame lies in the base's, with the model's help, and
-                  measurements moved there (of a live tracker: ros/monitor/measured.py)
+                  measurements moved there (of a live tracker: ros/monitor/node.py)
 """
 
 from .imported import ImportedTable

@@ -2,8 +2,7 @@
 Commands that use running nodes, or start them.
 
 demo.py, live.py   whole demonstrations, with their processes
-follow.py          follows a path
-go_to.py           moves the tip to one position
+follow.py          moves the tip: along a path, or to one position
 investigate.py     the robot chooses its own postures
 stop.py            stops every controller and driver
 record.py          records all topics

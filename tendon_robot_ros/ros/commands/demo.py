@@ -67,16 +67,13 @@ def main(arguments: Sequence[str]) -> int:
         open(os.devnull, 'w', encoding='utf-8') as quiet,
         NodeProcess('driver', driver, namespace, quiet),
         NodeProcess('controller', {'model': ROBOT}, namespace, quiet),
+        Pilot('sender', ending, namespace=namespace) as pilot,
     ):
-        pilot = Pilot('sender', 'controller', ending, namespace)
         outcomes = []
-        try:
-            pilot.connect(WORK_TIMEOUT_S)
-            for posture in postures:
-                outcomes.append(go(pilot, posture))
-                print(_row(posture, outcomes[-1]), flush=True)
-        finally:
-            pilot.destroy_node()
+        pilot.connect(WORK_TIMEOUT_S)
+        for posture in postures:
+            outcomes.append(go(pilot, posture))
+            print(_row(posture, outcomes[-1]), flush=True)
     draw(PICTURE, model, postures, outcomes)
     print(f'picture: {PICTURE}')
     missed = [

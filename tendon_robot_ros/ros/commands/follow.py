@@ -1,13 +1,4 @@
-"""
-Take the running controller along a path: FILE.csv, or what a recording (BAG) was sent.
-
-A CSV file has the columns x,y,z [m] in the base frame; as you like dx,dy,dz (where the tip looks)
-and time [s]. Or time and the robot's tendons, in newtons; in metres where the controller is in
-pull mode. Slower than `time` where the limits ask for it. A table and a picture say what was
-reached.
-
-example: python -m tendon_robot_ros follow sweep.csv --retreat
-"""
+"""Commands that move the tip: `go-to` one position, `follow` a path."""
 
 from __future__ import annotations
 
@@ -24,6 +15,8 @@ import numpy as np
 from ...common.arrays import Floats
 from ...common.errors import DataSetError, InputError
 from ...common.files import file_to_write, refuse_ending
+from ...common.rotations import angle_between
+from ...common.words import TYPED_LENGTHS, other_unit, read_quantity
 from ...control.inputs import Refusal, Trajectory
 from ...control.target_search import keep_out_refusal
 from ...data.csv_file import first_line
@@ -42,14 +35,13 @@ from ...paths.path import (
     thinned,
     tip_path,
 )
-from ...report.pictures import draw_run, path_lines
+from ...report.pictures import draw_run, path_lines, place
 from ...robot.keep_out import load_keep_out, text_of
 from ..controller.topics import POINTS_MAX
 from ..shared.robot_client import MOVE_MIN_S, Pilot, add_controller
 from ..shared.runtime import ros
 from ..shared.timing import MOVE_TIMEOUT_S, NEWS_PERIOD_S
 
-HELP = 'take the tip along a path, or replay a recording; say what was reached'
 FLAGS = {
     'backwards': 'from the last row to the first',
     'retreat': 'at the end go back by the way flown, the whole arm, to where it was before',
@@ -59,59 +51,142 @@ FLAGS = {
     'plan': 'say what would be done, move nothing',
     'anyway': 'start although part of the path is out of reach: as near as it can',
 }
+# [m] of a tip from its base, so that a number in another unit is detected
+DISTANCE_MIN_M = 1e-3
+DISTANCE_MAX_M = 20.0  # [m] because the largest continuum arms have a few metres
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
-    add, pace = parser.add_argument, Pace()
-    add('path', metavar='FILE', help='CSV file, rosbag2 folder, or .mcap or .db3 file')
-    for name, text in FLAGS.items():
-        add(f'--{name}', action='store_true', help=text)
-    for name, value, text in (
-        ('speed', 1e3 * pace.speed, 'mm/s of the tip'),
-        ('turning', math.degrees(pace.turning), '°/s of its direction'),
-        ('tension-rate', pace.tension, 'N/s of every tension'),
-        ('pull-rate', 1e3 * pace.pull, 'mm/s of every wire, in pull mode'),
-    ):
-        text = f'at most so many {text} (default: {value:.3g})'
-        add(f'--{name}', type=float, default=value, metavar='LIMIT', help=text)
-    add('--keep-out', metavar='YAML', help='regions that no part of the arm may enter')
-    to = file_to_write('--picture')
-    add('--picture', type=to, default='follow.png', metavar='PNG', help='(default: follow.png)')
-    add_controller(parser)
+class GoTo:
+    """
+    Send the tip of the running robot to a place in the base frame (mm), and say where it went.
+
+    example: python -m tendon_robot_ros go-to 60 0 170
+    """
+
+    HELP = 'send the tip to a place, say where it went'
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Declare the arguments."""
+        for axis in 'xyz':
+            parser.add_argument(axis, help='a number in --unit, or with its own: 60, 60mm, 0.06m')
+        parser.add_argument(
+            '--unit', choices=TYPED_LENGTHS, default=TYPED_LENGTHS[0], help='(default: mm)'
+        )
+        parser.add_argument(
+            '--direction',
+            type=float,
+            nargs=3,
+            metavar=('DX', 'DY', 'DZ'),
+            help='where the tip is to look, of any length (default: as it comes)',
+        )
+        add_controller(parser)
+
+    def run(self, args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
+        """Send a target and wait until the arm is at rest."""
+        target, along = _target((args.x, args.y, args.z), args.unit), None
+        if args.direction is not None:
+            along = np.array(args.direction)
+            size = float(np.linalg.norm(along))
+            if not 1e-9 < size < np.inf:
+                raise InputError(f'--direction: expected a direction, got {args.direction}')
+            along /= size
+        with (
+            ros(ros_arguments) as ending,
+            Pilot('go_to', ending, args.controller) as pilot,
+        ):
+            pilot.connect()
+            pilot.clear()
+            pilot.settle(pilot.send(target, along), MOVE_TIMEOUT_S, 'the arm to stand there')
+            pilot.stand()
+            tip, direction = pilot.tip()
+            miss = f'{1e3 * np.linalg.norm(tip - target):.2f} mm'
+            if along is not None:
+                miss += f' and {np.degrees(angle_between(direction, along)):.2f}°'
+            measured = pilot.tips()[0]
+            print(
+                f'tip at ({place(tip)}) mm{"" if measured else ", as the model sees it"}: '
+                f'{miss} from the target; {pilot.status["message"]}'
+            )
+        return 0
 
 
-def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
-    """Follow and report; Ctrl-C leaves the arm at its present target."""
-    pace = _pace(args)
-    refuse_ending('--picture', args.picture)
-    if is_bag(args.path):  # errors of the file are reported before the controller is needed
-        with opened(args.path):
-            pass
-    elif not first_line(Path(args.path), NO_PATH).strip():
-        raise DataSetError(args.path, 'is empty', NO_PATH)
-    if args.keep_out:
-        load_keep_out(args.keep_out)
-    with ros(ros_arguments) as ending:
-        pilot = Pilot('follow', args.controller, ending)
-        try:
+def _target(texts: Sequence[str], unit: str) -> np.ndarray:
+    """Parse a position (3,) [m]; InputError: no tip is at that distance (another unit?)."""
+    pairs = zip('xyz', texts, strict=True)
+    target = np.array([read_quantity(axis, text, unit, 'length') for axis, text in pairs])
+    distance = float(np.linalg.norm(target))
+    if not DISTANCE_MIN_M < distance < DISTANCE_MAX_M:
+        mend = other_unit(','.join(texts), distance, unit, DISTANCE_MIN_M, DISTANCE_MAX_M)
+        raise InputError(
+            f'target: {" ".join(texts)} {unit} is {1e3 * distance:.4g} mm from the base{mend}'
+        )
+    return target
+
+
+class Follow:
+    """
+    Take the running controller along a path: FILE.csv, or what a recording (BAG) was sent.
+
+    A CSV file has the columns x,y,z [m] in the base frame; as you like dx,dy,dz (where the tip
+    looks) and time [s]. Or time and the robot's tendons, in newtons; in metres where the
+    controller is in pull mode. Slower than `time` where the limits ask for it. A table and a
+    picture say what was reached.
+
+    example: python -m tendon_robot_ros follow sweep.csv --retreat
+    """
+
+    HELP = 'take the tip along a path, or replay a recording; say what was reached'
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Declare the arguments."""
+        add, pace = parser.add_argument, Pace()
+        add('path', metavar='FILE', help='CSV file, rosbag2 folder, or .mcap or .db3 file')
+        for name, text in FLAGS.items():
+            add(f'--{name}', action='store_true', help=text)
+        for name, value, text in (
+            ('speed', 1e3 * pace.speed, 'mm/s of the tip'),
+            ('turning', math.degrees(pace.turning), '°/s of its direction'),
+            ('tension-rate', pace.tension, 'N/s of every tension'),
+            ('pull-rate', 1e3 * pace.pull, 'mm/s of every wire, in pull mode'),
+        ):
+            text = f'at most so many {text} (default: {value:.3g})'
+            add(f'--{name}', type=float, default=value, metavar='LIMIT', help=text)
+        add('--keep-out', metavar='YAML', help='regions that no part of the arm may enter')
+        to = file_to_write('--picture')
+        add(
+            '--picture', type=to, default='follow.png', metavar='PNG', help='(default: follow.png)'
+        )
+        add_controller(parser)
+
+    def run(self, args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
+        """Follow and report; Ctrl-C leaves the arm at its present target."""
+        pace = _pace(args)
+        refuse_ending('--picture', args.picture)
+        if is_bag(args.path):  # errors of the file are reported before the controller is needed
+            with opened(args.path):
+                pass
+        elif not first_line(Path(args.path), NO_PATH).strip():
+            raise DataSetError(args.path, 'is empty', NO_PATH)
+        if args.keep_out:
+            load_keep_out(args.keep_out)
+        with (
+            ros(ros_arguments) as ending,
+            Pilot('follow', ending, args.controller) as pilot,
+        ):
             pilot.connect()
             rows = _read(args, pilot)
             if isinstance(rows, TendonRows):
                 path_run = _tendons(pilot, rows, args, pace)
             else:
                 path_run = _tips(pilot, rows, args, pace)
-            if path_run is None:
-                return 0
-            print(*path_lines(path_run), sep='\n')
-            title = f'{Path(args.path).name}: asked and reached'
-            print(f'picture: {draw_run(path_run, args.picture, title)}', flush=True)
-            if args.retreat:
-                run_back(pilot, pace)
-                print('retreated by the way flown')
-            return 0
-        finally:
-            pilot.destroy_node()
+            if path_run is not None:
+                print(*path_lines(path_run), sep='\n')
+                title = f'{Path(args.path).name}: asked and reached'
+                print(f'picture: {draw_run(path_run, args.picture, title)}', flush=True)
+                if args.retreat:
+                    run_back(pilot, pace)
+                    print('retreated by the way flown')
+        return 0
 
 
 def _tips(pilot: Pilot, rows: TipRows, options: argparse.Namespace, pace: Pace) -> PathRun | None:

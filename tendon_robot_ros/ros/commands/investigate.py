@@ -28,7 +28,6 @@ import numpy as np
 from geometry_msgs.msg import PoseArray
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
-from std_srvs.srv import Trigger
 
 from ...common.arrays import Floats
 from ...common.errors import InputError, NoEquilibriumError, TendonRobotError
@@ -57,6 +56,7 @@ from ..shared.messages import (
     LATCHED_BY_MANY,
     LISTEN,
     STATE,
+    offer_trigger,
     points_of,
     seconds,
     tensions_and_pulls,
@@ -79,8 +79,6 @@ SLACK_ANGLE = 0.6
 # [1] of a requested tension: a motor with a larger error is broken, because neither friction of a
 # transmission nor noise of a load cell reaches half
 OFF_MAX = 0.5
-# [1] of the tension limit, in addition, so that noise does not decide for a request near zero
-OFF_LIMIT_MAX = 0.02
 SLIP_HINT = 'did its tendon slip, or does its motor stick?'
 GEARS_HINT = (
     'the friction of its gears hides so little: start driver and controller with command_mode '
@@ -125,7 +123,8 @@ class RunningArm(Pilot):
         speed: float = SPEED,
     ) -> None:
         """Create publishers and subscriptions."""
-        super().__init__('investigate', controller, ending, namespace, (DRIVER, monitor))
+        options = {'namespace': namespace, 'watched': (DRIVER, monitor)}
+        super().__init__('investigate', ending, controller, **options)
         self.path, self.stop_requested = path, False
         self._monitor, self.speed = monitor, speed
         self._frames: list[tuple[float, Floats]] = []
@@ -235,7 +234,9 @@ class RunningArm(Pilot):
             # motors without the requested tension: a slipped tendon, or a motor that sticks
             off = np.abs(one.inputs - inputs) - OFF_MAX * inputs
             worst = int(np.argmax(off))
-            if off[worst] > OFF_LIMIT_MAX * self.robot.tension_limits[1]:
+            # ten standard deviations, so that noise does not decide for a request near zero
+            noise = self.input_noise[0] * self.robot.tension_limits[1]
+            if off[worst] > 10.0 * noise:
                 raise BrokenMeasurementError(
                     f'{self.robot.inputs[worst]} pulls {one.inputs[worst]:.2f} N instead of '
                     f'{inputs[worst]:.2f} N: {GEARS_HINT if self._by_gears else SLIP_HINT}'
@@ -366,18 +367,15 @@ def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
     if not 0.001 <= args.speed <= 100.0:
         raise InputError(f'--speed: expected 0.001 to 100, got {args.speed:g}')
     regions = load_keep_out(args.keep_out) if args.keep_out else KeepOut()
-    with ros(ros_arguments) as ending:
-        arm = RunningArm(args.controller, args.monitor, ending, None, args.path, args.speed)
-        try:
-            investigator = Investigator(arm, args, regions)
-            if args.wait:
-                investigator.serve()
-            investigator.once(Path(args.output), args.resume)
-            return 0
-        except KeyboardInterrupt:
-            return 130
-        finally:
-            arm.destroy_node()
+    with (
+        ros(ros_arguments) as ending,
+        RunningArm(args.controller, args.monitor, ending, None, args.path, args.speed) as arm,
+    ):
+        investigator = Investigator(arm, args, regions)
+        if args.wait:
+            investigator.serve()
+        investigator.once(Path(args.output), args.resume)
+    return 0
 
 
 class Investigator:
@@ -391,8 +389,8 @@ class Investigator:
         self._status = Status(arm, 'investigation')
         self._progress = arm.create_publisher(String, '~/progress', LATCHED_BY_MANY)
         self._tour = arm.create_publisher(Bool, 'tour', LATCHED)
-        arm.create_service(Trigger, '~/start', self._start)
-        arm.create_service(Trigger, '~/stop', self._stop)
+        offer_trigger(arm, '~/start', self._start)
+        offer_trigger(arm, '~/stop', self._stop)
         repeat(arm, STATUS_PERIOD_S, self._publish_status)
 
     def serve(self) -> None:
@@ -446,14 +444,14 @@ class Investigator:
         text = 'investigating' if self._busy else 'call ~/start to investigate'
         self._status.publish(WARN if self._busy else OK, code, text)
 
-    def _start(self, request: object, response: Trigger.Response) -> Trigger.Response:
-        response.success = not self._busy
-        response.message = 'an investigation runs already' if self._busy else 'investigating'
-        self._start_requested = not self._busy
-        return response
+    def _start(self) -> str:
+        if self._busy:
+            raise TendonRobotError('an investigation runs already')
+        self._start_requested = True
+        return 'investigating'
 
-    def _stop(self, request: object, response: Trigger.Response) -> Trigger.Response:
-        response.success = self._busy
-        response.message = 'stopping' if self._busy else 'no investigation runs'
-        self.arm.stop_requested = self._busy
-        return response
+    def _stop(self) -> str:
+        if not self._busy:
+            raise TendonRobotError('no investigation runs')
+        self.arm.stop_requested = True
+        return 'stopping'

@@ -23,6 +23,7 @@ import shlex
 import sys
 import tempfile
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -53,7 +54,7 @@ from ...simulation.rehearsal import (
     reveal,
     tour,
 )
-from ..shared.messages import LATCHED, LATCHED_BY_MANY, LISTEN, STATE, seconds, time_now
+from ..shared.messages import LATCHED, LATCHED_BY_MANY, LISTEN, STATE, seconds, time_now, xyz
 from ..shared.robot_client import MESSAGES_MAX, TIP_AVERAGE_S, RobotClient
 from ..shared.runtime import Ending, NodeProcess, ros
 from ..shared.timing import MOVE_TIMEOUT_S, STAND_TIMEOUT_S, WORK_TIMEOUT_S
@@ -97,9 +98,8 @@ class Performance:
             'tracker': {'rate': 30.0, 'noise': 2e-4, 'seed': self.seed + 1},
         }
         plain = yaml.safe_dump(json.loads(json.dumps(config)))  # lists in place of tuples
-        rate = (
-            {'rate': 100.0} if headless else {}
-        )  # [Hz] so that a busy machine has time for the other nodes
+        # [Hz] so that a busy machine has time for the other nodes
+        rate = {'rate': 100.0} if headless else {}
         watched = {'path': 'from_straight', 'force_rate': 5.0, 'reference_postures': 20.0}
         own = ['--wait', *INVESTIGATION, str(folder / 'found')]
         nodes: list[tuple[str, dict[str, object], list[str]]] = [
@@ -151,7 +151,7 @@ def main(arguments: Sequence[str]) -> int:
             folder = Path('live') / time.strftime('%Y-%m-%d_%H-%M-%S')
         folder.mkdir(parents=True, exist_ok=True)
         director = Director(f'/live_{os.getpid()}', f'{robot.name}_base', ending)
-        stack.callback(director.destroy_node)
+        stack.enter_context(director)
         performance = Performance(options, robot, hidden, seed, folder)
         performance.start(stack, director)
         try:
@@ -195,17 +195,12 @@ class Director(RobotClient):
 
     def __init__(self, namespace: str, base: str, ending: Ending) -> None:
         """Create the subscriptions."""
-        super().__init__('tour', ending, namespace, base, watched=('monitor',))
+        super().__init__('tour', ending, namespace=namespace, base=base, watched=('monitor',))
         self.progress, self.verdict = '', dict[str, Any]()
         self.touring = True  # switched by the page
         self._standing_since = np.inf  # [s] by the stamps of messages
         self.nodes: list[NodeProcess] = []  # started for this run
-        self._tips: list[tuple[float, Floats]] = []
-        self._errors: list[tuple[float, Floats]] = []
-        self._tensions: list[tuple[float, Floats]] = []
-
-        def xyz(point: Any) -> list[float]:
-            return [point.x, point.y, point.z]
+        self._samples: dict[str, deque[tuple[float, Floats]]] = {}  # with their stamps [s]
 
         def verdict(message: String) -> None:
             self.verdict = json.loads(message.data)
@@ -213,19 +208,16 @@ class Director(RobotClient):
         def keep(name: str) -> Callable[[Any], None]:
             return lambda message: setattr(self, name, message.data)
 
-        def put(samples: list[tuple[float, Floats]], values: Callable[[Any], Any]) -> Any:
+        def sample(name: str, kind: type, topic: str, values: Callable[[Any], Any]) -> None:
             def receive(message: Any) -> None:
                 samples.append((seconds(message.header.stamp), np.array(values(message))))
-                del samples[:-MESSAGES_MAX]
 
-            return receive
+            samples = self._samples[name] = deque(maxlen=MESSAGES_MAX)
+            self.create_subscription(kind, topic, receive, LISTEN)
 
-        tip = put(self._tips, lambda m: xyz(m.pose.position))
-        error = put(self._errors, lambda m: xyz(m.vector))
-        tensions = put(self._tensions, lambda m: m.effort)
-        self.create_subscription(PoseStamped, 'measured_tip', tip, LISTEN)
-        self.create_subscription(Vector3Stamped, 'monitor/error', error, LISTEN)
-        self.create_subscription(JointState, 'tendon_states', tensions, LISTEN)
+        sample('tip', PoseStamped, 'measured_tip', lambda m: xyz(m.pose.position))
+        sample('error', Vector3Stamped, 'monitor/error', lambda m: xyz(m.vector))
+        sample('tensions', JointState, 'tendon_states', lambda m: m.effort)
         self.create_subscription(String, 'monitor/progress', keep('progress'), STATE)
         self.create_subscription(String, 'monitor/verdict', verdict, LATCHED)
         self.create_subscription(Bool, 'tour', keep('touring'), LATCHED)
@@ -247,7 +239,7 @@ class Director(RobotClient):
                     raise TendonRobotError(f'the {node.name} has ended with code {code}')
             starting = self.status.get('code') in STARTING_CODES
             compares = self.statuses['monitor'].get('code') == 'comparing'
-            return not starting and compares and bool(self._errors) and self.has_listener
+            return not starting and compares and bool(self._samples['error']) and self.has_listener
 
         self.wait(up, WORK_TIMEOUT_S, 'controller, driver and monitor to start')
 
@@ -293,27 +285,26 @@ class Director(RobotClient):
 
     def tip(self) -> Floats:
         """Return the mean measured tip (3,) [m] since the arm is at rest."""
-        return self._mean(self._tips)
+        return self._mean('tip')
 
     def error(self) -> float:
         """Return the norm of the mean tip error [m] since the arm is at rest."""
-        return float(np.linalg.norm(self._mean(self._errors)))
+        return float(np.linalg.norm(self._mean('error')))
 
     def tensions(self) -> Floats:
         """Return the mean measured tensions (m,) [N] since the arm is at rest."""
-        return self._mean(self._tensions)
+        return self._mean('tensions')
 
-    def _standing(self, samples: Sequence[tuple[float, Floats]]) -> list[Floats]:
+    def _standing(self, name: str) -> list[Floats]:
         """Return the finite values since the arm is at rest, by their stamps."""
-        since = self._standing_since
+        samples, since = self._samples[name], self._standing_since
         return [value for at, value in samples if at > since and np.isfinite(value).all()]
 
     def _measured_enough(self) -> bool:
-        kinds = (self._tips, self._errors, self._tensions)
-        return all(len(self._standing(samples)) >= MESSAGES_MIN for samples in kinds)
+        return all(len(self._standing(name)) >= MESSAGES_MIN for name in self._samples)
 
-    def _mean(self, samples: Sequence[tuple[float, Floats]]) -> Floats:
-        values = self._standing(samples)
+    def _mean(self, name: str) -> Floats:
+        values = self._standing(name)
         return np.array(np.mean(values, axis=0)) if values else np.full(3, np.nan)
 
 
@@ -367,14 +358,10 @@ def investigate(director: Director, story: Story, folder: Path) -> None:
     parser = argparse.ArgumentParser()
     investigation.add_arguments(parser)
     args = parser.parse_args([*INVESTIGATION, str(folder / 'found')])
-    arm = investigation.RunningArm(
-        'controller', 'monitor', director.ending, director.get_namespace()
-    )
-    arm.speed = args.speed
-    try:
+    with investigation.RunningArm(
+        'controller', 'monitor', director.ending, director.get_namespace(), speed=args.speed
+    ) as arm:
         findings = investigation.Investigator(arm, args, KeepOut()).once(Path(args.output), False)
-    finally:
-        arm.destroy_node()
     story.verdict = {} if findings.diagnosis is None else findings.diagnosis.to_json()
     if findings.addition is not None and findings.diagnosis is not None:
         names = [effect.name for effect in findings.diagnosis.effects]

@@ -20,7 +20,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rclpy.callback_groups import CallbackGroup
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
@@ -37,6 +36,7 @@ from ...data.recording.writer import (
     need_rosbags,
 )
 from ...robot import dump_robot, load_robot
+from ..shared.inbox import polled
 from ..shared.messages import quality
 from ..shared.parameters import RemoteParameter
 from ..shared.robot_client import add_controller
@@ -98,28 +98,13 @@ def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
     return 0 if recorder.counts else 1
 
 
-class Polled(CallbackGroup):
-    """
-    Subscriptions that no executor serves: `drain` takes their messages.
-
-    An executor takes one message per wait, which is late on a busy machine; here the time of a
-    message is that of its arrival, however late it is taken.
-    """
-
-    def can_execute(self, entity: object) -> bool:
-        """Keep executors away."""
-        return False
-
-    def beginning_execution(self, entity: object) -> bool:
-        """Keep executors away."""
-        return False
-
-    def ending_execution(self, entity: object) -> None:
-        """Do nothing: there is no execution."""
-
-
 class Recorder(Node):
-    """Subscribes to topics and writes their serialised messages."""
+    """
+    Subscribes to topics and writes their serialised messages.
+
+    No executor serves the subscriptions, because it takes one message per wait, which is late on a
+    busy machine: `drain` takes them, and the time of a message is that of its arrival.
+    """
 
     def __init__(self, writer: BagWriter, controller: str, topics: Sequence[str]) -> None:
         """Discover topics now and periodically."""
@@ -127,7 +112,7 @@ class Recorder(Node):
         self._writer, self.counts = writer, dict[str, int]()
         self._only = {self.resolve_topic_name(topic) for topic in topics}
         self._subscribed: set[str] = set()
-        self._polled, self._sources = Polled(), list[tuple[str, Any]]()
+        self._sources: list[tuple[str, type, Any]] = []  # topic, type, handle
         self._robot = RemoteParameter(self, controller, 'model')
         self._robot_written = False
         for topic in (DESCRIPTION, ROBOT):
@@ -135,6 +120,12 @@ class Recorder(Node):
         self._write_text(DESCRIPTION, DATASET_DEFAULTS)
         repeat(self, VALUES_PERIOD_S, self._discover)
         self._discover()
+
+    def destroy_node(self) -> None:
+        """Destroy the subscriptions and the node."""
+        for *_, handle in self._sources:
+            handle.destroy_when_not_in_use()
+        super().destroy_node()
 
     def summary(self, output: str, seconds: float) -> str:
         """Return a summary of the recording, as text."""
@@ -181,16 +172,13 @@ class Recorder(Node):
             print(f'left out: {topic}: {kind} is not known here ({error})', file=sys.stderr)
             return
         qos = quality(QUEUE_DEPTH, reliable=reliable, latched=latched)
-        source = self.create_subscription(
-            message, topic, print, qos, raw=True, callback_group=self._polled
-        )
-        self._sources.append((topic, source))
+        self._sources.append((topic, message, polled(self, message, topic, qos)))
 
     def drain(self) -> None:
         """Write all received messages, with the times of their arrival."""
-        for topic, source in self._sources:
-            with source.handle:
-                while (received := source.handle.take_message(source.msg_type, True)) is not None:
+        for topic, kind, handle in self._sources:
+            with handle:
+                while (received := handle.take_message(kind, True)) is not None:
                     data, info = received
                     time = info['received_timestamp'] or info['source_timestamp']
                     self.counts[topic] = self.counts.get(topic, 0) + 1

@@ -18,12 +18,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import TwistStamped, Vector3
+from geometry_msgs.msg import Twist, TwistStamped
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from ...common.errors import InputError
-from ..shared.messages import COMMAND, LATCHED, stamp_now, status_values
+from ..shared.messages import COMMAND, LATCHED, Request, header_now, status_values, vector
 from ..shared.parameters import Parameters
 from ..shared.runtime import Runnable, repeat, run
 from ..shared.timing import NEWS_PERIOD_S
@@ -44,7 +44,7 @@ class TeleopNode(Runnable, Node):
         name = self.parameters['controller']
         self._twists = self.create_publisher(TwistStamped, f'{name}/delta_twist', COMMAND)
         self._calls = {
-            key: self.create_client(Trigger, f'{name}/{service}')
+            key: Request(self, Trigger, f'{name}/{service}')
             for key, service in ((' ', 'stop'), ('c', 'reset'))
         }
         self._problem = ''  # of the controller, as printed last
@@ -70,7 +70,7 @@ class TeleopNode(Runnable, Node):
 
     def _cycle(self) -> None:
         now = time.monotonic()
-        for key in pressed(0.0):
+        for key in pressed():
             self._press(key, now)
         scale, self._deadman.hold = self._factor, self.parameters['hold']
         velocity = self._deadman.velocity(
@@ -105,27 +105,15 @@ class TeleopNode(Runnable, Node):
         self._problem = problem
 
     def _call(self, key: str) -> None:
-        client = self._calls[key]
-        if not client.service_is_ready():
-            print(f'{client.srv_name}: no such service; is the controller running?')
-            return
-        client.call_async(Trigger.Request()).add_done_callback(
-            lambda future: print(f'{client.srv_name}: {future.result().message}')
-        )
+        request = self._calls[key]
+        if not request.ask(Trigger.Request(), lambda r: print(f'{request.name}: {r.message}')):
+            print(f'{request.name}: no such service; is the controller running?')
 
     def _send(self, velocity: list[float]) -> None:
-        message = TwistStamped()
-        message.header.stamp = stamp_now(self)
         axes = 'tip' if self._in_tip else 'base'
-        message.header.frame_id = (
-            f'{self.parameters["frame_prefix"]}{self.parameters["robot"]}_{axes}'
-        )
-        x, y, z, a, b, c = map(float, velocity)
-        message.twist.linear, message.twist.angular = (
-            Vector3(x=x, y=y, z=z),
-            Vector3(x=a, y=b, z=c),
-        )
-        self._twists.publish(message)
+        frame = f'{self.parameters["frame_prefix"]}{self.parameters["robot"]}_{axes}'
+        twist = Twist(linear=vector(velocity[:3]), angular=vector(velocity[3:]))
+        self._twists.publish(TwistStamped(header=header_now(self, frame), twist=twist))
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -192,9 +180,9 @@ def keyboard() -> Iterator[None]:
         termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
 
 
-def pressed(wait: float) -> list[str]:
-    """Return the pressed keys, after at most `wait` [s]."""
-    if not select.select([sys.stdin], [], [], wait)[0]:
+def pressed() -> list[str]:
+    """Return the keys that were pressed since the last call."""
+    if not select.select([sys.stdin], [], [], 0.0)[0]:
         return []
     text = os.read(sys.stdin.fileno(), 1024).decode(errors='ignore')
     for arrow, key in ARROWS.items():

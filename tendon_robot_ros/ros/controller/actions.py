@@ -11,7 +11,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PointStamped, PoseStamped
@@ -22,25 +22,9 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 
 from ...control import ControllerCore, Refusal
 from ...control.status import GoalOutcome, MotionGoal, Progress, Tolerance
-from ..shared.messages import duration, pose, seconds, stamp_now
+from ..shared.messages import duration, header_now, pose, seconds, xyzw
 from ..shared.timing import VALUES_PERIOD_S
 from .topics import Incoming
-
-
-class ActionKind(Protocol):
-    """Converts the messages of an action type to goals and back."""
-
-    type: Any
-
-    def goal(self, request: Any, incoming: Incoming, stamp: str) -> MotionGoal:
-        """Return the goal of a request; Refusal: it is invalid."""
-
-    def feedback(self, progress: Progress, header: Header) -> Any:
-        """Return the feedback message of a goal."""
-
-    def result(self, outcome: GoalOutcome) -> Any:
-        """Return the result message of a goal."""
-
 
 # error_code of a goal, by the code of its outcome ('': reached; None: any other), as in
 # docs/ros_interface.md; those of nav2 itself begin at 100
@@ -140,11 +124,10 @@ class TipPoses:
         targets = []
         for i, one in enumerate(poses):
             what = f'pose {i + 1} of {len(poses)}' if many else 'pose'
-            q, point = one.pose.orientation, PointStamped(header=one.header)
-            if any((q.x, q.y, q.z, q.w)):
+            if any(xyzw(one.pose.orientation)):
                 target = incoming.pose(one, what)
             else:
-                point.point = one.pose.position
+                point = PointStamped(header=one.header, point=one.pose.position)
                 target = incoming.point(point, what)
             targets.append(replace(target, stamp=f'{stamp}/{i + 1}'))
         return MotionGoal(targets)
@@ -178,7 +161,9 @@ def _fill(message: Any, **values: object) -> None:
             setattr(message, name, value)
 
 
-OFFERED: tuple[tuple[str, str, str, Callable[[Any], ActionKind]], ...] = (
+ActionKind = TendonTrajectory | TipPoses
+# name, package and type of an action, and the class that converts its messages
+OFFERED: tuple[tuple[str, str, str, type[ActionKind]], ...] = (
     ('follow_joint_trajectory', 'control_msgs', 'FollowJointTrajectory', TendonTrajectory),
     ('navigate_to_pose', 'nav2_msgs', 'NavigateToPose', TipPoses),
     ('navigate_through_poses', 'nav2_msgs', 'NavigateThroughPoses', TipPoses),
@@ -273,7 +258,7 @@ class Actions:
                 self._end(active, outcome)
             elif now - active.feedback_at >= VALUES_PERIOD_S:
                 active.feedback_at = now
-                header = Header(frame_id=incoming.base, stamp=stamp_now(self._node))
+                header = header_now(self._node, incoming.base)
                 progress = active.goal.progress(core, now)
                 active.handle.publish_feedback(active.kind.feedback(progress, header))
 

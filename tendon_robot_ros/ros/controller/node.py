@@ -19,7 +19,6 @@ from typing import Any
 from geometry_msgs.msg import PointStamped, PoseStamped, TwistStamped
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
@@ -34,7 +33,15 @@ from ...model.model import Model
 from ...robot.keep_out import KeepOut
 from ..shared.inbox import Inbox, Received, Service, subscribe_any_qos
 from ..shared.lifecycle import LEVELS, Status, StoppableNode
-from ..shared.messages import COMMAND, JOINTS, LISTEN, passing_subscription, refilled, stamp_now
+from ..shared.messages import (
+    COMMAND,
+    JOINTS,
+    LISTEN,
+    header_now,
+    passing_subscription,
+    refilled,
+    stamp_now,
+)
 from ..shared.parameters import Parameters
 from ..shared.runtime import has_priority, repeat, run
 from ..shared.senders import OwnPublisher, PublisherNames, Senders, gid_text
@@ -175,9 +182,8 @@ class ControllerNode(StoppableNode):
         """End the node: the driver releases the arm."""
         self._loading.cancel()
         super().end()
-        time.sleep(
-            NEWS_PERIOD_S
-        )  # a message is lost if its publisher is destroyed before it is received
+        # a message is lost if its publisher is destroyed before it is received
+        time.sleep(NEWS_PERIOD_S)
 
     def destroy_node(self) -> None:
         """Destroy subscriptions, socket and node."""
@@ -278,7 +284,7 @@ class ControllerNode(StoppableNode):
     def _let_go(self) -> None:
         """Have the driver release the arm at once: send a command without tendons."""
         with self._speaking:
-            self._commands.publish(JointState(header=Header(stamp=stamp_now(self))))
+            self._commands.publish(JointState(header=header_now(self)))
 
     def _idle(self, now: float) -> None:
         """Publish that the node waits for a transition, in place of its last status."""

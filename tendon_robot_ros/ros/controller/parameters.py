@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields
 
 from ...common.errors import InputError, TendonRobotError
+from ...common.yaml_reading import EXPLAINED_CHARACTERS_MAX
 from ...control import Settings
 from ...control.inputs import check_inputs
 from ...control.loading import Loader
@@ -16,24 +16,13 @@ from ...robot import load_robot
 from ...robot.description import DESCRIPTION_MAX
 from ...robot.keep_out import KeepOut, parse_keep_out, text_of
 from ...robot.loading import robot_file
-from ..shared.parameters import Parameters, declared
-
-# [1] keep-out regions, because each is checked along every planned path
-REGIONS_MAX = 50
-# [1] characters of a description that is parsed before the parameter is accepted: a longer one
-# would delay the commands
-READ_AT_ONCE_MAX = 4_000
+from ..shared.parameters import Parameters
 
 
 def keep_out_of(text: str) -> KeepOut:
     """Read regions from the path of a file, or from YAML text."""
     inside = text_of(text)
-    keep_out = parse_keep_out(inside, 'keep_out' if inside == text else text)
-    if len(keep_out.regions) > REGIONS_MAX:
-        raise InputError(
-            f'keep_out: expected at most {REGIONS_MAX} regions, got {len(keep_out.regions)}'
-        )
-    return keep_out
+    return parse_keep_out(inside, 'keep_out' if inside == text else text)
 
 
 def direction_of(text: str) -> tuple[float, float, float]:
@@ -51,23 +40,16 @@ def direction_of(text: str) -> tuple[float, float, float]:
 
 # weights of the preferences of tensions, as named in `Preferences`
 WEIGHTS = 'low_tension', 'stiffness', 'slack', 'limit', 'smooth'
-# settings of the core that equal the parameter of the same name
-SAME = {*declared()['controller']} & {f.name for f in fields(Settings)} - {'keep_out'}
 
 
 def settings(parameters: Parameters, keep_out: KeepOut) -> Settings:
     """Return the settings of the core; without preferences if all weights are 0."""
-    weights = {name: parameters[f'prefer_{name}'] for name in WEIGHTS}
     preferences = None
-    if any(weights.values()):
-        preferences = Preferences(
-            **weights,
-            margin=parameters['prefer_margin'],
-            stiffness_direction=direction_of(parameters['prefer_stiffness_along']),
-            stiffness_enough=parameters['prefer_stiffness_enough'],
-        )
-    return Settings(
-        **{name: parameters[name] for name in SAME},
+    if any(parameters[f'prefer_{name}'] for name in WEIGHTS):
+        along = direction_of(parameters['prefer_stiffness_along'])
+        preferences = parameters.fill(Preferences, 'prefer_', stiffness_direction=along)
+    return parameters.fill(
+        Settings,
         patience=parameters['no_equilibrium_timeout'],
         pull_mode=parameters['command_mode'] == 'pull',
         preferences=preferences,
@@ -108,7 +90,8 @@ class ModelLoading:
         file, size = robot_file(text), len(text)
         if file is not None and file.exists():  # to read anything else, as a pipe, may block
             size = file.stat().st_size if file.is_file() else DESCRIPTION_MAX
-        if not READ_AT_ONCE_MAX < size <= DESCRIPTION_MAX:  # read or refused without delay
+        # read or refused at once, unless that would delay the commands
+        if not EXPLAINED_CHARACTERS_MAX < size <= DESCRIPTION_MAX:
             robot = load_robot(text)
             if self._inputs:
                 check_inputs(robot.inputs, self._inputs)

@@ -23,15 +23,7 @@ from visualization_msgs.msg import MarkerArray
 from ...common.arrays import Floats
 from ...common.colours import PREDICTED
 from ...control import Refusal, Target, Twist
-from ...control.inputs import (
-    Trajectory,
-    by_name,
-    check_frame,
-    check_stamp,
-    direction,
-    finite,
-    position,
-)
+from ...control.inputs import Trajectory, by_name, check_frame, direction, finite, position
 from ...data.tracker_faults import is_missing
 from ...model.model import Model
 from ...model.shape import Shape
@@ -40,18 +32,21 @@ from ..shared.messages import (
     LATCHED,
     STATE,
     Frames,
+    Request,
     arm_markers,
+    check_age,
+    header_now,
     passing_publisher,
     pose_array,
     pose_stamped,
     seconds,
-    stamp_now,
     stamp_text,
     status_values,
     tensions_and_pulls,
-    time_now,
+    xyz,
+    xyzw,
 )
-from ..shared.parameters import Parameters, Request, base_frame
+from ..shared.parameters import Parameters, base_frame
 from ..shared.timing import SILENCE_S, VALUES_PERIOD_S
 
 # [1] points of a trajectory: more would delay the commands while they are parsed
@@ -93,23 +88,22 @@ class Incoming:
     def pose(self, message: PoseStamped, what: str = 'target_pose') -> Target:
         """Return a target with position and approach direction (+z of the orientation)."""
         rotation, shift = self._to_base(message.header, what)
-        p, q = message.pose.position, message.pose.orientation
-        along = direction([q.x, q.y, q.z, q.w], what)
-        place = self._within_reach(rotation @ finite([p.x, p.y, p.z], what) + shift, what)
+        along = direction(xyzw(message.pose.orientation), what)
+        point = finite(xyz(message.pose.position), what)
+        place = self._within_reach(rotation @ point + shift, what)
         return Target(place, rotation @ along, stamp_text(message.header.stamp))
 
     def point(self, message: PointStamped, what: str = 'target_point') -> Target:
         """Return a target with a position alone."""
         rotation, shift = self._to_base(message.header, what)
-        p = message.point
-        place = self._within_reach(rotation @ finite([p.x, p.y, p.z], what) + shift, what)
+        place = self._within_reach(rotation @ finite(xyz(message.point), what) + shift, what)
         return Target(place, stamp=stamp_text(message.header.stamp))
 
     def measured_tip(self, message: PoseStamped) -> Floats:
         """Return a measured tip (3,) [m] in the base frame."""
-        what, p = 'measured_tip', message.pose.position
+        what = 'measured_tip'
         rotation, shift = self._to_base(message.header, what)
-        point = finite([p.x, p.y, p.z], what)
+        point = finite(xyz(message.pose.position), what)
         if is_missing(point):  # sent by trackers for a marker that is not visible
             raise Refusal('not_finite', f'measured_tip: {point.tolist()} says that it is not seen')
         return self._within_reach(rotation @ point + shift, what)
@@ -126,8 +120,7 @@ class Incoming:
                 if refusal.code == 'frame':
                     check_frame(frame, [self.base, self.tip], what)
                 raise
-        linear, angular = message.twist.linear, message.twist.angular
-        values = finite([linear.x, linear.y, linear.z, angular.x, angular.y, angular.z], what)
+        values = finite([*xyz(message.twist.linear), *xyz(message.twist.angular)], what)
         if np.abs(values[:3]).max() > 1.0 or np.abs(values[3:]).max() > 10.0:
             raise Refusal(
                 'too_fast',
@@ -181,15 +174,11 @@ class Incoming:
 
     def _to_base(self, header: Header, what: str) -> tuple[Floats, Floats]:
         """Return rotation and translation of a message to the base; Refusal: stale, or no TF."""
-        now = self._fresh(header, what)
-        stamp, tolerance = seconds(header.stamp), self._parameters['stamp_tolerance']
-        return self._frames.to_base(header.frame_id, what, stamp, now, tolerance)
+        return self._frames.of(header, what, self._parameters['stamp_tolerance'])
 
-    def _fresh(self, header: Header, what: str) -> float:
-        """Return the time [s]; Refusal: the stamp is too old, or in the future."""
-        now = time_now(self._node)
-        check_stamp(seconds(header.stamp), now, self._parameters['stamp_tolerance'], what)
-        return now
+    def _fresh(self, header: Header, what: str) -> None:
+        """Refuse a stamp that is too old, or in the future."""
+        check_age(self._node, header, what, self._parameters['stamp_tolerance'])
 
 
 class Prediction:
@@ -211,7 +200,7 @@ class Prediction:
 
     def publish(self, shape: Shape) -> None:
         """Publish a shape; poses are the distal ends of the cells."""
-        header = Header(frame_id=self._frame, stamp=stamp_now(self._node))
+        header = header_now(self._node, self._frame)
         if self._shape.get_subscription_count():
             self._shape.publish(pose_array(header, shape.positions, shape.frames))
         if self._tip.get_subscription_count():

@@ -16,7 +16,7 @@ import numpy as np
 from geometry_msgs.msg import PoseArray, PoseStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, Header
+from std_msgs.msg import Float64MultiArray
 
 from ...common.arrays import Floats
 from ...common.errors import InputError
@@ -32,11 +32,11 @@ from ..shared.messages import (
     COMMAND,
     JOINTS,
     STATE,
+    header_now,
     passing_publisher,
     passing_subscription,
     pose_array,
     pose_stamped,
-    stamp_now,
 )
 from ..shared.parameters import Parameters, base_frame, read_mapping
 from ..shared.runtime import repeat
@@ -113,7 +113,7 @@ class MockTracker:
             or self._random.random() < self._config.lost
         ):
             return
-        header = Header(frame_id=self._frame, stamp=stamp_now(self._node))
+        header = header_now(self._node, self._frame)
         n = len(self._arc_lengths)
         points = arm.markers(self._arc_lengths, np.zeros((n, 3)))  # in the frame of the tracker
         tip = arm.tip_position
@@ -135,8 +135,6 @@ MOCK_KEYS = {'plant', 'tracker', 'lag'}  # keys of the configuration of the mock
 # [1/N] strain of the wires of a mock arm, because stiff wires pull against each other without
 # bound: 1 / (E A) of steel wires of 0.25 mm (E = 200 GPa)
 WIRE_COMPLIANCE = 1e-4
-# [1/N] of an arm that equals the controller's model, so that its tip is where the model predicts
-TWIN_COMPLIANCE = 0.1 * WIRE_COMPLIANCE
 
 
 def make(robot: Robot, parameters: Parameters, node: Node) -> tuple[Driver, dict[str, Any]]:
@@ -164,7 +162,8 @@ def _plant(robot: Robot, mode: str, config: dict[str, Any], source: str) -> Any:
     """Return the mock arm; imports are local, because hardware drivers load no compiler."""
     twin = config.pop('twin', False)
     if mode == 'pull' and not {'tendon_elongation', 'wire_spring'} & set(robot.effects):
-        compliance = TWIN_COMPLIANCE if twin else WIRE_COMPLIANCE
+        # of a twin a tenth, so that its tip is where the controller's model predicts
+        compliance = 0.1 * WIRE_COMPLIANCE if twin else WIRE_COMPLIANCE
         robot = robot.with_effect('tendon_elongation', {'compliance': compliance})
     if twin:
         return Twin(robot)
@@ -192,15 +191,14 @@ def rules(robot: Robot, driver: Driver, parameters: Parameters) -> SafetyRules:
     elif driver.limits_current:
         stop_tension = robot.tension_limits[0] if pretension < 0.0 else pretension
     soon = driver.mode == 'tension' or driver.limits_current
-    return SafetyRules(
+    return parameters.fill(
+        SafetyRules,
         inputs=robot.inputs,
         mode=driver.mode,
         limits=limits,
         rates=np.minimum(driver.rates, rate),
         rest=rest,
         release_rate=release,
-        command_timeout=parameters['command_timeout'],
-        release_to=parameters['release_to'],
         stop_time=parameters['stop_time'] if soon else 0.0,
         tension_limits=robot.tension_limits,
         stop_tension=stop_tension,

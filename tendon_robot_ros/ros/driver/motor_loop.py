@@ -14,13 +14,11 @@ from ...common.arrays import Floats
 from ...common.errors import DriverError, MovedError
 from ...drivers import Driver, Fault, Reading
 from ...drivers.safety import FOLLOWING, LIMP, OFF, RELEASED, Decision, Supervisor
+from ..shared.timing import CALL_TIMEOUT_S
 
 # [s] to switch torque on, because a driver may search for the slack of its wires first: else
 # each of a dozen wires would have at most 10 s
 ENABLE_TIMEOUT_S = 120.0
-# [s] for the motors to carry out a call, or to be ramped down after a failure, because a
-# Dynamixel that restarts answers after up to 2 s
-CALL_TIMEOUT_S = 5.0
 # [s] that motors may lag behind the end of the ramp: twenty cycles at the default rate, else
 # torque would be switched off while they still move
 RAMP_SETTLE_S = 0.1
@@ -60,7 +58,7 @@ class MotorLoop:
         self._command: Floats | None = None
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name='motors', daemon=True)
-        self._off: tuple[str, ...] = driver.inputs
+        self.off = driver.inputs  # inputs whose torque is off
         self._last: Reading | None = None
         self.crashed: BaseException | None = None
 
@@ -111,15 +109,10 @@ class MotorLoop:
 
     def reboot(self) -> None:
         """Restart the motors; the next reset switches torque on again."""
-        self._off = self.driver.inputs
+        self.off = self.driver.inputs
         if self.supervisor.state != OFF:
             self.supervisor.latch.stop('reboot', 'rebooted, torque is off')
         self.driver.reboot()
-
-    @property
-    def off(self) -> tuple[str, ...]:
-        """Inputs whose torque is off."""
-        return self._off
 
     def release(self, key: str, reason: str, timeout: float) -> bool:
         """
@@ -154,7 +147,7 @@ class MotorLoop:
             self.supervisor.latch.stop('enable', str(error))
             raise
         self._last = self.driver.read()
-        self._off = ()
+        self.off = ()
         self.supervisor.start(time.monotonic(), self._last)
 
     def _run(self) -> None:
@@ -203,11 +196,11 @@ class MotorLoop:
             Whether torque came back: the command of this cycle is then void.
 
         """
-        new = tuple(name for name in decision.off if name not in self._off)
+        new = tuple(name for name in decision.off if name not in self.off)
         if new:
             self.driver.disable(new)
-            self._off += new
-        back = set(self._off) - set(decision.off)
+            self.off += new
+        back = set(self.off) - set(decision.off)
         if not back or decision.state != FOLLOWING:
             return False
         try:

@@ -17,9 +17,9 @@ import numpy as np
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from ...common.errors import TendonRobotError
+from ...common.errors import DriverError
 from ...common.processes import Realtime, go_realtime
-from ...control.inputs import Refusal, by_name, check_stamp, finite
+from ...control.inputs import Refusal, by_name, finite
 from ...drivers.mock import MockDriver
 from ...drivers.safety import (
     FOLLOWING,
@@ -34,7 +34,7 @@ from ...drivers.tendon_check import due
 from ...robot import load_robot
 from ..shared.inbox import Inbox, Received
 from ..shared.lifecycle import ERROR, OK, WARN, Status, StoppableNode
-from ..shared.messages import JOINTS, STATE, refilled, seconds, stamp_now, time_now
+from ..shared.messages import JOINTS, STATE, check_age, offer_trigger, refilled, stamp_now
 from ..shared.parameters import Parameters
 from ..shared.runtime import end_requested, has_priority, on_end_request, repeat, run
 from ..shared.senders import OwnPublisher, PublisherNames, Senders, gid_text
@@ -77,12 +77,12 @@ class DriverNode(StoppableNode):
         self._own = OwnPublisher(self, self._states)
         self._commands = Inbox(self, JointState, 'tendon_command', JOINTS)
         self.listen()
-        self.create_service(Trigger, '~/reset', self._reset)
+        offer_trigger(self, '~/reset', self._reset)
         for name, act, outcome in (
             ('resume', lambda loop: loop.supervisor.resume(), 'waiting for commands'),
             ('reboot', MotorLoop.reboot, 'rebooted; call reset next'),
         ):
-            self.create_service(Trigger, f'~/{name}', partial(self._try, act, outcome))
+            offer_trigger(self, f'~/{name}', partial(self._try, act, outcome))
         repeat(self, VALUES_PERIOD_S, self._publish_status)  # a release is published at once
 
         def let_go() -> None:
@@ -186,8 +186,7 @@ class DriverNode(StoppableNode):
         loop, message, what = self.loop, received.message, 'tendon_command'
         if loop is None:
             return
-        tolerance = self.parameters['stamp_tolerance']
-        check_stamp(seconds(message.header.stamp), time_now(self), tolerance, what)
+        check_age(self, message.header, what, self.parameters['stamp_tolerance'])
         if not message.name:
             if self._senders.counts(time.monotonic(), received):
                 loop.let_go(NO_MORE)
@@ -278,36 +277,24 @@ class DriverNode(StoppableNode):
         does = 'releasing' if self.loop is not None else 'stopped; no motors are open'
         return Trigger.Response(success=True, message=f'{does}; call reset to go on')
 
-    def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _reset(self) -> str:
         def reset(loop: MotorLoop) -> None:
             loop.reset()
             self._stopped = False
 
         if self.loop is None and self._stopped:
             self._stopped = False
-            response.success, response.message = True, 'the stop is over; no motors are open'
-            return response
+            return 'the stop is over; no motors are open'
         outcome = 'waiting for commands' if self.phase == 'active' else 'activate it next'
-        return self._try(reset, outcome, request, response)
+        return self._try(reset, outcome)
 
-    def _try(
-        self,
-        action: Callable[[MotorLoop], None],
-        outcome: str,
-        request: Trigger.Request,
-        response: Trigger.Response,
-    ) -> Trigger.Response:
-        """Run an action in the motor thread; respond with `outcome`, or with the error."""
+    def _try(self, action: Callable[[MotorLoop], None], outcome: str) -> str:
+        """Run an action in the motor thread; return `outcome`, or raise its error."""
         loop = self.loop
-        response.success, response.message = loop is not None, outcome
         if loop is None:
-            response.message = 'the driver is not configured'
-            return response
-        try:
-            loop.call(lambda: action(loop))
-        except TendonRobotError as error:
-            response.success, response.message = False, ' '.join(str(error).split())
-        return response
+            raise DriverError('the driver is not configured')
+        loop.call(lambda: action(loop))
+        return outcome
 
     def _inject(self, text: str) -> None:
         """Inject a fault into the mock: CODE or CODE:INPUT,INPUT; empty clears."""

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import Vector3, WrenchStamped
+from geometry_msgs.msg import Wrench, WrenchStamped
 from rclpy.node import Node
-from std_msgs.msg import Float64MultiArray, Header, String
+from std_msgs.msg import Float64MultiArray, String
 
 from ...common.arrays import Floats
 from ...common.errors import InputError
@@ -26,7 +26,7 @@ from ...monitoring.tip_force import TipForce
 from ...monitoring.watch import ArmWatch, WatchSettings
 from ...report.sentences import load_words
 from ...robot import Robot, dump_robot
-from ..shared.messages import LATCHED, STATE, stamp_now
+from ..shared.messages import LATCHED, STATE, header_now, vector
 from ..shared.parameters import Parameters
 
 # [1] of the largest tension: frames under tensions that differ by less are averaged, so that the
@@ -43,9 +43,7 @@ class Watching:
         """Start to learn the arm."""
         self._node, self._monitor = node, monitor
         postures = int(parameters['reference_postures']) or WatchSettings.reference_postures
-        settings = WatchSettings(
-            postures, parameters['alarm_postures'], parameters['tracker_noise']
-        )
+        settings = parameters.fill(WatchSettings, reference_postures=postures)
         self.watch = ArmWatch(monitor.model, monitor.markers, settings)
         self._drift = parameters['reference_postures'] > 0.0
         rate = parameters['force_rate']
@@ -136,11 +134,8 @@ class Watching:
         self.force = self.watch.force(tensions, positions, pulls, frames)
         if self.force is None:
             return
-        header = Header(frame_id=base, stamp=stamp_now(self._node))
-        x, y, z = self.force.force.tolist()
-        message = WrenchStamped(header=header)
-        message.wrench.force = Vector3(x=x, y=y, z=z)
-        self._wrench.publish(message)
+        wrench = Wrench(force=vector(self.force.force))
+        self._wrench.publish(WrenchStamped(header=header_now(self._node, base), wrench=wrench))
         self._covariance.publish(Float64MultiArray(data=self.force.covariance.ravel().tolist()))
 
     def _publish_state(self) -> None:

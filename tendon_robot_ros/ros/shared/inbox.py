@@ -37,7 +37,6 @@ from .messages import (
 )
 from .timing import SILENCE_S, VALUES_PERIOD_S
 
-UNKNOWN_GID = b''  # gid of a publisher that the middleware does not report
 # [B] of a message that is parsed between commands: measured, 10 MB take seconds
 MESSAGE_BYTES_MAX = 250_000
 # [1] manual of rmw, rmw/types.h: RMW_MESSAGE_INFO_SEQUENCE_NUMBER_UNSUPPORTED
@@ -53,7 +52,7 @@ class Received[M]:
     message: M
     sent: int  # [ns] clock of the publisher
     number: int  # sequence number of its publisher; 0 where the middleware has none
-    publisher: bytes = UNKNOWN_GID  # gid, as `endpoint_gid` of rclpy's endpoint information
+    publisher: bytes  # gid, as `endpoint_gid` of rclpy's endpoint information
 
     def repeats(self, last: Received[M]) -> bool:
         """Return whether it is no newer than the last message of the same publisher."""
@@ -96,6 +95,13 @@ class _Info(ctypes.Structure):
     )
 
 
+def polled(node: Node, kind: type, topic: str, qos: QoSProfile) -> Any:
+    """Subscribe to a topic; return the handle, from which the caller takes the messages."""
+    check_is_valid_msg_type(kind)
+    with node.handle:
+        return _rclpy.Subscription(node.handle, kind, topic, qos.get_c_qos_profile())
+
+
 class Inbox[M]:
     """
     A subscription that is polled.
@@ -109,50 +115,35 @@ class Inbox[M]:
 
     def __init__(self, node: Node, kind: type[M], topic: str, qos: QoSProfile) -> None:
         """Subscribe."""
-        check_is_valid_msg_type(kind)
         self.topic, self._kind, self._problem = topic, kind, ''
-        with node.handle:
-            self.handle = _rclpy.Subscription(node.handle, kind, topic, qos.get_c_qos_profile())
+        self.handle = polled(node, kind, topic, qos)
         self._info = _Info()  # of the last message
-        try:
-            self._take_bytes = ctypes.CDLL('librcl.so').rcl_take_serialized_message
-            self._free = ctypes.CDLL('librcutils.so').rcutils_uint8_array_fini
-            allocator = ctypes.CDLL('librcutils.so').rcutils_get_default_allocator
-            allocator.restype = _Allocator
-            self._bytes: _Bytes | None = _Bytes(allocator=allocator())
-            with self.handle:
-                pointer = ctypes.c_void_p(self.handle.pointer)
-            self._arguments = pointer, ctypes.byref(self._bytes), ctypes.byref(self._info), None
-        except (OSError, AttributeError):  # messages then have no gid
-            self._bytes = None
+        self._take_bytes = ctypes.CDLL('librcl.so').rcl_take_serialized_message
+        utilities = ctypes.CDLL('librcutils.so')
+        self._free, allocator = (
+            utilities.rcutils_uint8_array_fini,
+            utilities.rcutils_get_default_allocator,
+        )
+        allocator.restype = _Allocator
+        self._bytes = _Bytes(allocator=allocator())
+        with self.handle:
+            pointer = ctypes.c_void_p(self.handle.pointer)
+        self._arguments = pointer, ctypes.byref(self._bytes), ctypes.byref(self._info), None
 
     def take(self) -> list[Received[M]]:
         """Return the valid messages since the last call, oldest first."""
         messages: list[Received[M]] = []
         with self.handle:
-            while (raw := self._next()) is not None:
-                problem, message = _read(raw[0], self._kind)
+            while not self._take_bytes(*self._arguments):  # it fails when there is none
+                data = ctypes.string_at(self._bytes.buffer, self._bytes.length)
+                problem, message = _read(data, self._kind)
                 if problem:
                     self._problem = problem
-                else:
-                    messages.append(Received(message, *raw[1:]))
+                    continue
+                info = self._info
+                number = info.number if info.number < NOT_COUNTED else 0
+                messages.append(Received(message, info.sent, number, bytes(info.publisher)))
         return messages
-
-    def _next(self) -> tuple[bytes, int, int, bytes] | None:
-        """Return bytes, sent, number and publisher of the next message; None: there is none."""
-        if self._bytes is None:
-            pair = self.handle.take_message(self._kind, True)
-            if pair is None:
-                return None
-            data, metadata = pair
-            number = metadata['publication_sequence_number'] or 0
-            return data, metadata['source_timestamp'], number, UNKNOWN_GID
-        if self._take_bytes(*self._arguments):  # it fails when there is none
-            return None
-        info = self._info
-        data = ctypes.string_at(self._bytes.buffer, self._bytes.length)
-        number = info.number if info.number < NOT_COUNTED else 0
-        return data, info.sent, number, bytes(info.publisher)
 
     def refused(self) -> str:
         """Return why a message since the last call was invalid, '' for none."""
@@ -161,9 +152,7 @@ class Inbox[M]:
 
     def close(self) -> None:
         """Unsubscribe."""
-        if self._bytes is not None:
-            self._free(ctypes.byref(self._bytes))
-            self._bytes = None
+        self._free(ctypes.byref(self._bytes))
         self.handle.destroy_when_not_in_use()
 
 
@@ -412,7 +401,6 @@ class StopTopic:
         self._checked_at = time.monotonic()
         known = self._node.get_publishers_info_by_topic('stop')
         existing = {bytes(one.endpoint_gid) for one in known}
-        existing.add(UNKNOWN_GID)
         self._last = {gid: last for gid, last in self._last.items() if gid in existing}
         if not any(last.message.data for last in self._last.values()):
             self.active = False

@@ -1,30 +1,35 @@
-"""ROS messages to arrays and back, their frames, and the quality of service of every topic."""
+"""Messages to arrays and back, their frames, quality of service; requests to services."""
 
 from __future__ import annotations
 
 import importlib.util
 import math
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import Point, Pose, PoseArray, PoseStamped, Quaternion
+from geometry_msgs.msg import Point, Pose, PoseArray, PoseStamped, Quaternion, Vector3
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
+from rclpy.task import Future
 from rclpy.time import Time as ClockTime
 from sensor_msgs.msg import JointState
 from std_msgs.msg import ColorRGBA, Header
+from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ...common.arrays import Floats
 from ...common.colours import rgb
+from ...common.errors import TendonRobotError
 from ...common.rotations import from_quaternion, quaternions
-from ...control.inputs import Refusal, by_name, check_frame, cut
+from ...control.inputs import Refusal, by_name, check_frame, check_stamp, cut
+from .timing import ANSWER_TIMEOUT_S
 
 
 def seconds(stamp: Time) -> float:
@@ -63,44 +68,68 @@ def duration(time: float) -> Duration:
 
 def quaternion(rotation: Floats) -> Quaternion:
     """Return the quaternion of a rotation matrix, shape (3, 3)."""
-    x, y, z, w = quaternions(rotation[None])[0].tolist()
-    return Quaternion(x=x, y=y, z=z, w=w)
+    return quaternion_messages(rotation[None])[0]
+
+
+def quaternion_messages(rotations: Floats) -> list[Quaternion]:
+    """Return the quaternions of rotation matrices (n, 3, 3)."""
+    return [Quaternion(x=x, y=y, z=z, w=w) for x, y, z, w in quaternions(rotations).tolist()]
 
 
 def matrix(message: Quaternion) -> Floats:
     """Return the rotation matrix (3, 3) of a quaternion message."""
-    return from_quaternion((message.x, message.y, message.z, message.w))
+    return from_quaternion(xyzw(message))
+
+
+def xyz(message: Point | Vector3) -> list[float]:
+    """Return the components of a point or a vector."""
+    return [message.x, message.y, message.z]
+
+
+def point(values: Iterable[float]) -> Point:
+    """Return a point with these components."""
+    x, y, z = map(float, values)
+    return Point(x=x, y=y, z=z)
+
+
+def vector(values: Iterable[float]) -> Vector3:
+    """Return a vector with these components."""
+    x, y, z = map(float, values)
+    return Vector3(x=x, y=y, z=z)
+
+
+def xyzw(message: Quaternion) -> list[float]:
+    """Return the components of a quaternion."""
+    return [message.x, message.y, message.z, message.w]
 
 
 def pose(position: Floats, rotation: Floats) -> Pose:
     """Return a pose."""
-    x, y, z = np.asarray(position).tolist()
-    return Pose(position=Point(x=x, y=y, z=z), orientation=quaternion(rotation))
+    return Pose(position=point(position), orientation=quaternion(rotation))
 
 
 def pose_array(header: Header, positions: Floats, rotations: Floats | None = None) -> PoseArray:
     """Return poses of positions (n, 3) [m] and rotation matrices (n, 3, 3); None: unrotated."""
-    unrotated = np.tile([0.0, 0.0, 0.0, 1.0], (len(positions), 1))
-    orientations = unrotated if rotations is None else quaternions(rotations)
-    poses = [
-        Pose(
-            position=Point(x=p[0], y=p[1], z=p[2]),
-            orientation=Quaternion(x=q[0], y=q[1], z=q[2], w=q[3]),
-        )
-        for p, q in zip(positions.tolist(), orientations.tolist(), strict=True)
-    ]
-    return PoseArray(header=header, poses=poses)
+    array = PoseArray(header=header, poses=[Pose(position=point(p)) for p in positions])
+    if rotations is not None:
+        for one, orientation in zip(array.poses, quaternion_messages(rotations), strict=True):
+            one.orientation = orientation
+    return array
 
 
 def points_of(message: PoseArray) -> Floats:
     """Return the positions (n, 3) [m] of poses."""
-    points = [[p.position.x, p.position.y, p.position.z] for p in message.poses]
-    return np.array(points, dtype=float).reshape(-1, 3)
+    return np.array([xyz(one.position) for one in message.poses], dtype=float).reshape(-1, 3)
 
 
 def pose_stamped(header: Header, position: Floats, rotation: Floats) -> PoseStamped:
     """Return a stamped pose."""
     return PoseStamped(header=header, pose=pose(position, rotation))
+
+
+def header_now(node: Node, frame: str = '') -> Header:
+    """Return a header of a frame at the present time of a node's clock."""
+    return Header(frame_id=frame, stamp=stamp_now(node))
 
 
 def joint_state(
@@ -143,7 +172,7 @@ def arm_markers(
     header: Header, positions: Floats, thickness: float, color: str, name: str
 ) -> MarkerArray:
     """Return a line from the base through positions (n, 3) [m], and a ball at the tip."""
-    points = [Point(), *(Point(x=p[0], y=p[1], z=p[2]) for p in positions.tolist())]
+    points = [Point(), *map(point, positions)]
     red, green, blue = (level / 255.0 for level in rgb(color))
     both = {'header': header, 'ns': name, 'action': Marker.ADD}
     both['color'] = ColorRGBA(r=red, g=green, b=blue, a=1.0)
@@ -191,18 +220,30 @@ LISTEN_ALL = quality(DEPTH_ALL, reliable=False)
 LATCHED_BY_MANY = quality(DEPTH_ALL, latched=True)
 
 
+def check_age(node: Node, header: Header, what: str, tolerance: float) -> float:
+    """Return the time of the node's clock [s]; Refusal: the stamp is too old, or in the future."""
+    now = time_now(node)
+    check_stamp(seconds(header.stamp), now, tolerance, what)
+    return now
+
+
 class Frames:
     """Transforms from the frames of messages to the base frame, by TF."""
 
     def __init__(self, node: Node, base: str) -> None:
         """Listen to TF where tf2_ros is installed (the wheels of rclpy do not have it)."""
-        self.base = base
+        self._node, self.base = node, base
         self._buffer: Any = None
         if importlib.util.find_spec('tf2_ros') is not None:
             from tf2_ros import Buffer, TransformListener
 
             self._buffer = Buffer()
             self._listener = TransformListener(self._buffer, node)
+
+    def of(self, header: Header, what: str, tolerance: float) -> tuple[Floats, Floats]:
+        """Return rotation and translation [m] of a message to the base; Refusal: old, or no TF."""
+        now, stamp = check_age(self._node, header, what, tolerance), seconds(header.stamp)
+        return self.to_base(header.frame_id, what, stamp, now, tolerance)
 
     def to_base(
         self, frame: str, what: str, stamp: float = 0.0, now: float = 0.0, tolerance: float = 0.5
@@ -246,9 +287,7 @@ class Frames:
                 f'{what}: the newest transform from {cut(frame)!r} to {self.base!r} is '
                 f'{age:.3g} s old, expected at most {tolerance:g} s; does its publisher run?',
             )
-        return matrix(transform.rotation), np.array(
-            [transform.translation.x, transform.translation.y, transform.translation.z]
-        )
+        return matrix(transform.rotation), np.array(xyz(transform.translation))
 
 
 def passing_publisher(node: Node, kind: Any, topic: str, qos: QoSProfile) -> Publisher:
@@ -273,3 +312,90 @@ def passing_subscription(
     """Create a subscription that may be destroyed while its node runs, as a publisher."""
     quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
     return node.create_subscription(kind, topic, callback, qos, raw=raw, event_callbacks=quiet)
+
+
+def offer_trigger(
+    node: Node,
+    service: str,
+    act: Callable[[], str],
+    then: Callable[[str], object] = lambda text: None,
+) -> None:
+    """
+    Offer a Trigger service whose response is the text that an action returns.
+
+    A TendonRobotError of the action refuses the request, with its text; `then` is called with the
+    text of either.
+    """
+
+    def respond(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        try:
+            response.message, response.success = act(), True
+        except TendonRobotError as error:
+            response.message, response.success = ' '.join(str(error).split()), False
+        then(response.message)
+        return response
+
+    node.create_service(Trigger, service, respond)
+
+
+class Request:
+    """A request to a service that may be repeated or dropped; a new one replaces it."""
+
+    def __init__(self, node: Node, kind: Any, service: str) -> None:
+        """Create the client."""
+        self._client = node.create_client(kind, service)
+        self._future: Future | None = None
+        self._request: object = None
+        self._answer: Callable[[Any], object] = lambda response: None
+        self._sent_at = float('-inf')
+
+    @property
+    def waiting(self) -> bool:
+        """Return whether an answer is pending."""
+        return self._future is not None
+
+    @property
+    def age(self) -> float:
+        """The time [s] since it was sent."""
+        return time.monotonic() - self._sent_at
+
+    @property
+    def name(self) -> str:
+        """The full name of the service."""
+        return str(self._client.srv_name)
+
+    @property
+    def ready(self) -> bool:
+        """Whether the service exists."""
+        return bool(self._client.service_is_ready())
+
+    def ask(self, request: object, answer: Callable[[Any], object]) -> bool:
+        """Send a request; return whether the service exists."""
+        self.drop()
+        self._request, self._answer = request, answer
+        if self.ready:
+            self._send()
+        return self.waiting
+
+    def repeat(self) -> None:
+        """Repeat the request if its answer is overdue."""
+        if self.waiting and self.age > ANSWER_TIMEOUT_S:
+            self.drop()
+            self._send()
+
+    def drop(self) -> None:
+        """Ignore the answer if it is pending."""
+        if self._future is not None:
+            self._client.remove_pending_request(self._future)
+            self._future = None
+
+    def _send(self) -> None:
+        self._sent_at = time.monotonic()
+        future = self._future = self._client.call_async(self._request)
+
+        def done(answered: Future) -> None:
+            if answered is self._future:
+                self._future = None
+                self._answer(answered.result())
+
+        future.add_done_callback(done)

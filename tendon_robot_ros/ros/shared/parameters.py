@@ -11,13 +11,12 @@ import contextlib
 import difflib
 import math
 import re
-import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -29,14 +28,13 @@ from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
-from rclpy.task import Future
 
 from ...common.errors import InputError, TendonRobotError
 from ...common.files import read_text, shared_file
 from ...common.yaml_reading import parse_yaml
 from ...robot.description import DESCRIPTION_MAX
+from .messages import Request
 from .runtime import given
-from .timing import ANSWER_TIMEOUT_S
 
 TABLE = Path(__file__).parent.parent / 'parameters.yaml'  # the parameters of all nodes
 TYPES = {  # type of a default -> type of ROS, and what a refusal expects
@@ -52,7 +50,7 @@ class Spec:
     """A parameter of a node; a list is a list of strings."""
 
     name: str
-    default: bool | float | str | list[str]
+    default: Any  # bool, float, str or list of str
     text: str
     unit: str = ''
     low: float = -math.inf
@@ -129,6 +127,11 @@ class Parameters:
     def __getitem__(self, name: str) -> Any:
         """Return the value."""
         return self._values[name]
+
+    def fill[T](self, kind: type[T], prefix: str = '', **others: Any) -> T:
+        """Return a dataclass; fields named as a parameter without `prefix` have its value."""
+        names = [f.name for f in fields(cast(Any, kind)) if prefix + f.name in self._specs]
+        return kind(**{name: self[prefix + name] for name in names} | others)
 
     def watch(
         self, hooks: Mapping[str, Callable[[Any], object]], changed: Callable[[], None]
@@ -340,61 +343,3 @@ class RemoteParameter:
 
         if not self._set.ask(request, done):
             answer(False, f'{self._other} does not answer: is it running?')
-
-
-class Request:
-    """A request to a service that may be repeated or dropped; a new one replaces it."""
-
-    def __init__(self, node: Node, kind: Any, service: str) -> None:
-        """Create the client."""
-        self._client = node.create_client(kind, service)
-        self._future: Future | None = None
-        self._request: object = None
-        self._answer: Callable[[Any], object] = lambda response: None
-        self._sent_at = float('-inf')
-
-    @property
-    def waiting(self) -> bool:
-        """Return whether an answer is pending."""
-        return self._future is not None
-
-    @property
-    def age(self) -> float:
-        """The time [s] since it was sent."""
-        return time.monotonic() - self._sent_at
-
-    @property
-    def ready(self) -> bool:
-        """Whether the service exists."""
-        return bool(self._client.service_is_ready())
-
-    def ask(self, request: object, answer: Callable[[Any], object]) -> bool:
-        """Send a request; return whether the service exists."""
-        self.drop()
-        self._request, self._answer = request, answer
-        if self.ready:
-            self._send()
-        return self.waiting
-
-    def repeat(self) -> None:
-        """Repeat the request if its answer is overdue."""
-        if self.waiting and self.age > ANSWER_TIMEOUT_S:
-            self.drop()
-            self._send()
-
-    def drop(self) -> None:
-        """Ignore the answer if it is pending."""
-        if self._future is not None:
-            self._client.remove_pending_request(self._future)
-            self._future = None
-
-    def _send(self) -> None:
-        self._sent_at = time.monotonic()
-        future = self._future = self._client.call_async(self._request)
-
-        def done(answered: Future) -> None:
-            if answered is self._future:
-                self._future = None
-                self._answer(answered.result())
-
-        future.add_done_callback(done)

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -32,13 +32,17 @@ from .messages import (
     COMMAND,
     LATCHED,
     LISTEN,
+    Request,
     duration,
+    header_now,
+    point,
     pose_stamped,
-    stamp_now,
     stamp_text,
     status_values,
+    xyz,
+    xyzw,
 )
-from .parameters import RemoteParameter
+from .parameters import RemoteParameter, declared
 from .runtime import SPIN_S, Ending
 from .timing import NODE_TIMEOUT_S
 
@@ -47,9 +51,6 @@ WORKING_CODES = ('holding', 'searching', 'moving', 'playing', 'played', 'jogging
 # [s] over which a tip at rest is averaged: ten frames at 30 Hz, so that the noise of a tracker
 # falls to a third
 TIP_AVERAGE_S = 0.3
-# [m] between the mean tips of both halves of that time while the arm counts as at rest: with a
-# noise of 0.2 mm and five frames each, seven of eight arms at rest would pass at once
-STILL_M = 3e-4
 # [s] to wait for rest, else an arm that vibrates would never be reported
 STANDING_TIMEOUT_S = 4.0
 # [s] of the shortest move: ten cycles at the default rate, so that no command jumps
@@ -74,11 +75,11 @@ class RobotClient(Node):
     name : str
     ending : Ending
         Request of a signal to end.
+    controller : str
+        Name of the controller node.
     namespace : str, optional
     base : str
         Frame of the targets.
-    controller : str
-        Name of the controller node.
     watched : sequence of str
         Names of other nodes whose status is read.
 
@@ -88,9 +89,9 @@ class RobotClient(Node):
         self,
         name: str,
         ending: Ending,
+        controller: str = 'controller',
         namespace: str | None = None,
         base: str = '',
-        controller: str = 'controller',
         watched: Sequence[str] = (),
     ) -> None:
         """Create publishers and subscriptions."""
@@ -114,6 +115,14 @@ class RobotClient(Node):
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self)
 
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Destroy the node."""
+        self.destroy_node()
+
     def destroy_node(self) -> None:
         """Shut down the executor and destroy the node."""
         self._executor.shutdown()
@@ -131,12 +140,9 @@ class RobotClient(Node):
 
     def send(self, position: Floats, direction: Floats | None) -> str:
         """Send a target, (3,) [m] and (3,) or None; return its stamp as the status reports it."""
-        header = PoseStamped().header
-        header.frame_id, header.stamp = self.base, stamp_now(self)
+        header = header_now(self, self.base)
         if direction is None:
-            point = PointStamped(header=header)
-            point.point.x, point.point.y, point.point.z = map(float, position)
-            self._points.publish(point)
+            self._points.publish(PointStamped(header=header, point=point(position)))
         else:
             self._poses.publish(pose_stamped(header, position, towards(direction)))
         return stamp_text(header.stamp)
@@ -181,15 +187,13 @@ class RobotClient(Node):
 
     def triggered(self, name: str) -> str:
         """Call a Trigger service; return its message, raise TendonRobotError if it refuses."""
-        client = self.create_client(Trigger, name)
-        self.wait(client.service_is_ready, NODE_TIMEOUT_S, f'the service {name}')
-        future = client.call_async(Trigger.Request())
-        self.wait(future.done, NODE_TIMEOUT_S, f'an answer of {name}')
-        self.destroy_client(client)
-        answer = future.result()
-        if not answer.success:
-            raise TendonRobotError(f'{name}: {answer.message}')
-        return str(answer.message)
+        request, answers = Request(self, Trigger, name), list[Trigger.Response]()
+        self.wait(lambda: request.ready, NODE_TIMEOUT_S, f'the service {name}')
+        request.ask(Trigger.Request(), answers.append)
+        self.wait(lambda: answers, NODE_TIMEOUT_S, f'an answer of {name}')
+        if not answers[0].success:
+            raise TendonRobotError(f'{name}: {answers[0].message}')
+        return str(answers[0].message)
 
     def spin_once(self, timeout: float) -> None:
         """Serve one message; raise KeyboardInterrupt when a signal came."""
@@ -223,15 +227,10 @@ class Pilot(RobotClient):
     """A client of a controller that keeps tips and commands since `clear`."""
 
     def __init__(
-        self,
-        name: str,
-        controller: str,
-        ending: Ending,
-        namespace: str | None = None,
-        watched: Sequence[str] = (),
+        self, name: str, ending: Ending, controller: str = 'controller', **options: Any
     ) -> None:
-        """Create publishers and subscriptions."""
-        super().__init__(name, ending, namespace, controller=controller, watched=watched)
+        """Create publishers and subscriptions; the options are those of a `RobotClient`."""
+        super().__init__(name, ending, controller, **options)
         self.inputs: tuple[str, ...] = ()
         self.pull = False
         self._since = np.inf  # [s] when `clear` was called
@@ -327,15 +326,13 @@ class Pilot(RobotClient):
 
     def play(self, trajectory: Trajectory) -> str:
         """Send a trajectory of the tendons; return its stamp."""
-        message = JointTrajectory(joint_names=list(self.inputs))
-        message.header.stamp = stamp = stamp_now(self)
+        message = JointTrajectory(header=header_now(self), joint_names=list(self.inputs))
         field = 'positions' if self.pull else 'effort'
         for at, values in zip(trajectory.times, trajectory.values, strict=True):
-            point = JointTrajectoryPoint(time_from_start=duration(at))
-            setattr(point, field, values.tolist())
-            message.points.append(point)
+            row = {'time_from_start': duration(at), field: values.tolist()}
+            message.points.append(JointTrajectoryPoint(**row))
         self._trajectories.publish(message)
-        return stamp_text(stamp)
+        return stamp_text(message.header.stamp)
 
     def settle(self, stamp: str, timeout: float, what: str) -> None:
         """Wait until the status reports the result of a target or a trajectory."""
@@ -349,6 +346,9 @@ class Pilot(RobotClient):
     def stand(self) -> None:
         """Wait until the tip is at rest, at most `STANDING_TIMEOUT_S`: motors, trackers lag."""
         end = time.monotonic() + STANDING_TIMEOUT_S
+        # between the mean tips of both halves of the time; with a noise of 0.2 mm and five frames
+        # each, seven of eight arms at rest would pass at once
+        tolerance = declared()['monitor']['still_speed'].default * TIP_AVERAGE_S / 2
         self.spin(TIP_AVERAGE_S)
         while time.monotonic() < end:
             self.spin(TIP_AVERAGE_S)
@@ -357,7 +357,7 @@ class Pilot(RobotClient):
             if not (early & ~late).any():
                 continue
             moved = places[late].mean(axis=0) - places[early & ~late].mean(axis=0)
-            if np.linalg.norm(moved) < STILL_M:
+            if np.linalg.norm(moved) < tolerance:
                 self.spin(TIP_AVERAGE_S)  # so that `tip` averages no frames of the move
                 return
 
@@ -388,9 +388,8 @@ class Pilot(RobotClient):
         return places[recent].mean(axis=0), along / np.linalg.norm(along)
 
     def _keep(self, which: str, message: PoseStamped) -> None:
-        p, q = message.pose.position, message.pose.orientation
         try:
-            view = looks([q.x, q.y, q.z, q.w], which)
+            view = looks(xyzw(message.pose.orientation), which)
         except InputError:
             return
-        self._tips[which].append((time.monotonic(), np.array([p.x, p.y, p.z]), view))
+        self._tips[which].append((time.monotonic(), np.array(xyz(message.pose.position)), view))

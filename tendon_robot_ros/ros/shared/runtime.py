@@ -43,7 +43,7 @@ from ...common.processes import (
     print_without_waiting,
     switch_often,
 )
-from .timing import SILENCE_S, VALUES_PERIOD_S
+from .timing import CALL_TIMEOUT_S, SILENCE_S, VALUES_PERIOD_S
 
 given: list[str] = []  # the ROS arguments of this process
 RANGE, LOCALHOST_ONLY = 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_LOCALHOST_ONLY'
@@ -52,9 +52,6 @@ TRANSPORTS, PROFILES = 'FASTDDS_BUILTIN_TRANSPORTS', 'FASTRTPS_DEFAULT_PROFILES_
 # echo that comes so soon would else end a node before it has let the arm go
 SIGNAL_ECHO_S = SILENCE_S
 SPIN_S = VALUES_PERIOD_S  # [s] of one spin of an executor, after which conditions are checked
-# [s] for a process to end, else its starter would wait for ever: a release of 5 N at the default
-# release_rate of 10 N/s takes 0.5 s of it
-END_TIMEOUT_S = 5.0
 
 
 class Ending:
@@ -322,7 +319,7 @@ class NodeProcess:
             start_new_session=True,
         )
 
-    def end(self, timeout: float = END_TIMEOUT_S) -> int:
+    def end(self, timeout: float = CALL_TIMEOUT_S) -> int:
         """Send SIGINT, wait, and kill the process after `timeout` [s]; return the exit code."""
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)

@@ -19,12 +19,11 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
-from .inbox import SPARE_BYTES, UNKNOWN_GID, Received
+from ...control.inputs import NAMES_LISTED_MAX
+from .inbox import SPARE_BYTES, Received
 from .timing import SILENCE_S, VALUES_PERIOD_S
 
 UNDISCOVERED = '_NODE_NAME_UNKNOWN_'  # the name that rmw gives until discovery has ended
-# [1] publishers that are reported, because any number may exist and more do not fit a status
-NAMED_MAX = 8
 PF_EXITING = 0x4  # [1] flag of a process, manual of proc(5): include/linux/sched.h
 CREDENTIALS = struct.Struct('3i')  # struct ucred of unix(7): process, user, group
 
@@ -40,19 +39,14 @@ class _Gid(ctypes.Structure):
 
 
 def gid_of(publisher: Publisher) -> bytes:
-    """Return the gid of a publisher of this process, `UNKNOWN_GID` where rmw has none."""
-    gid = _Gid()
-    try:
-        library = ctypes.CDLL('librcl.so')  # also resolves the symbols of the middleware
-        get_handle = library.rcl_publisher_get_rmw_handle
-        get_gid = library.rmw_get_gid_for_publisher
-    except (OSError, AttributeError):
-        return UNKNOWN_GID
+    """Return the gid of a publisher of this process."""
+    gid, library = _Gid(), ctypes.CDLL('librcl.so')  # also resolves the symbols of the middleware
+    get_handle = library.rcl_publisher_get_rmw_handle
     get_handle.restype = ctypes.c_void_p
     with publisher.handle:
         handle = ctypes.c_void_p(get_handle(ctypes.c_void_p(publisher.handle.pointer)))
-        failed = get_gid(handle, ctypes.byref(gid))
-    return UNKNOWN_GID if failed else bytes(gid.publisher)
+        library.rmw_get_gid_for_publisher(handle, ctypes.byref(gid))
+    return bytes(gid.publisher)
 
 
 def gid_text(gid: bytes) -> str:
@@ -113,17 +107,11 @@ class SenderProcess:
 
 
 class Senders:
-    """
-    Selects the publisher whose messages count.
-
-    A message carries the gid of its publisher. Where the middleware gives none, publishers are
-    distinguished by the sequence numbers of their messages, which increase.
-    """
+    """Selects the publisher whose messages count, by the gid that a message carries."""
 
     def __init__(self) -> None:
         """Start without a publisher."""
         self._first: bytes | None = None
-        self._number = 0
         self._received_at = float('-inf')
         self._others: dict[bytes, float] = {}  # gid -> when its last message came [s]
         self._process = SenderProcess(0)
@@ -132,12 +120,11 @@ class Senders:
     def counts(self, now: float, received: Received[Any]) -> bool:
         """Return whether a message is of the publisher that is followed: the first that sends."""
         publisher = received.publisher
-        number = received.number or 0  # 0 where the middleware does not count
         known = now - self._received_at <= SILENCE_S
-        if known and (publisher != self._first or 0 < number <= self._number):
+        if known and publisher != self._first:
             if publisher not in self._others:  # it replaces those that are silent
                 self._others = {one: self._others[one] for one in self.others(now)}
-            if publisher in self._others or len(self._others) < NAMED_MAX:
+            if publisher in self._others or len(self._others) < NAMES_LISTED_MAX:
                 self._others[publisher] = now
             return False
         self.new = publisher != self._first and publisher not in self._others
@@ -145,7 +132,7 @@ class Senders:
             self._others = {}
             self._process.close()
             self._process = SenderProcess(process_of(publisher))
-        self._first, self._number, self._received_at = publisher, number, now
+        self._first, self._received_at = publisher, now
         return True
 
     def died(self) -> bool:
@@ -211,19 +198,18 @@ class OwnPublisher:
     """
 
     def __init__(self, node: Node, publisher: Publisher) -> None:
-        """Open the socket, on Linux, where the publisher has a gid."""
+        """Open the socket, on Linux."""
         self._node, self._topic = node, publisher.topic_name
         self._names, self._checked_at = '', float('-inf')
         self.gid = gid_of(publisher)
         self._socket: socket.socket | None = None
-        if self.gid != UNKNOWN_GID:
-            with contextlib.suppress(OSError):  # no Linux
-                listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-                listener.bind(_socket_name(self.gid))
-                # the kernel answers a client, so that no connection is accepted. The queue is as
-                # long as the kernel allows: one entry for each client since the start
-                listener.listen(socket.SOMAXCONN)
-                self._socket = listener
+        with contextlib.suppress(OSError):  # no Linux
+            listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+            listener.bind(_socket_name(self.gid))
+            # the kernel answers a client, so that no connection is accepted. The queue is as long
+            # as the kernel allows: one entry for each client since the start
+            listener.listen(socket.SOMAXCONN)
+            self._socket = listener
 
     def others(self, now: float) -> str:
         """Return the other nodes that publish the topic, even before they send; '': none."""
@@ -234,7 +220,7 @@ class OwnPublisher:
             own = self._node.get_fully_qualified_name()
             if own in names:  # only once: another process may have the same name
                 names.remove(own)
-            self._names = ', '.join(names[:NAMED_MAX])
+            self._names = ', '.join(names[:NAMES_LISTED_MAX])
         return self._names
 
     def close(self) -> None:

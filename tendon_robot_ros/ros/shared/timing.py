@@ -28,6 +28,10 @@ ANSWER_TIMEOUT_S = 3.0
 # [s] Without an answer after which a request to stop is repeated, because sixty cycles of the
 # default rate are enough for an answer that is not lost.
 STOP_ANSWER_S = 0.3
+# [s] For the motors to carry out a call or a release, and a process to end, because a Dynamixel
+# that restarts answers after up to 2 s, and a release of 5 N at the default release_rate takes
+# 0.5 s.
+CALL_TIMEOUT_S = 5.0
 # [s] For a running node to be discovered and to answer, because discovery alone takes 0.1 to
 # 2.3 s, and several times that on a busy machine.
 NODE_TIMEOUT_S = 15.0

@@ -31,9 +31,12 @@ from ..shared.messages import (
     LATCHED_BY_MANY,
     LISTEN,
     STATE,
+    Request,
+    header_now,
+    point,
     points_of,
-    stamp_now,
     status_values,
+    xyz,
 )
 from ..shared.parameters import Parameters, RemoteParameter
 from ..shared.runtime import Runnable, repeat, run
@@ -77,7 +80,7 @@ class ViewerNode(Runnable, Node):
         self._tour = self.create_publisher(Bool, 'tour', LATCHED)
         self._remote = RemoteParameter(self, names['controller'], 'model')
         self._triggers = {
-            (name, owner): self.create_client(Trigger, f'{names[owner]}/{name}')
+            (name, owner): Request(self, Trigger, f'{names[owner]}/{name}')
             for name, owners in SERVICES.items()
             for owner in owners
         }
@@ -100,7 +103,8 @@ class ViewerNode(Runnable, Node):
 
     def _listen(self, names: dict[str, str]) -> None:
         """Subscribe to the topics that update the state of the page."""
-        state, now, monitor = self.state, time.monotonic, names['monitor']
+        state, now = self.state, time.monotonic
+        monitor, investigate = names['monitor'], names['investigate']
 
         def status(key: str, message: DiagnosticStatus) -> None:
             level, values = int.from_bytes(message.level, 'little'), status_values(message)
@@ -115,8 +119,16 @@ class ViewerNode(Runnable, Node):
             self._base = self._base or message.header.frame_id
 
         def force(message: WrenchStamped) -> None:
-            f = message.wrench.force
-            state.force, state.force_at = np.array([f.x, f.y, f.z]), now()
+            state.force, state.force_at = np.array(xyz(message.wrench.force)), now()
+
+        def rolling(message: Float64) -> None:
+            state.add_error(now(), message.data)
+
+        def errors(message: Float64MultiArray) -> None:
+            state.add_marker_errors(now(), message.data)
+
+        def news(message: String) -> None:
+            state.add_investigation(message.data)
 
         def keep(name: str, value: Callable[[Any], object]) -> Callable[[Any], None]:
             return lambda message: setattr(state, name, value(message))
@@ -130,27 +142,12 @@ class ViewerNode(Runnable, Node):
             (PoseArray, 'measured_shape', measured, LISTEN),
             (PoseArray, f'{monitor}/predicted', keep('predicted', points_of), LISTEN),
             (WrenchStamped, f'{monitor}/tip_force', force, LISTEN),
-            (
-                Float64,
-                f'{monitor}/rolling_error',
-                lambda message: state.add_error(now(), message.data),
-                LISTEN,
-            ),
-            (
-                Float64MultiArray,
-                f'{monitor}/marker_errors',
-                lambda message: state.add_marker_errors(now(), message.data),
-                LISTEN,
-            ),
+            (Float64, f'{monitor}/rolling_error', rolling, LISTEN),
+            (Float64MultiArray, f'{monitor}/marker_errors', errors, LISTEN),
             (String, f'{monitor}/progress', keep('progress', lambda m: m.data), STATE),
             (String, f'{monitor}/verdict', lambda m: state.set_verdict(m.data), LATCHED),
             (Bool, 'tour', keep('touring', lambda m: m.data), LATCHED),
-            (
-                String,
-                f'{names["investigate"]}/progress',
-                lambda message: state.add_investigation(message.data),
-                LATCHED_BY_MANY,
-            ),
+            (String, f'{investigate}/progress', news, LATCHED_BY_MANY),
         )
         for kind, topic, callback, quality in subscriptions:
             self.create_subscription(kind, topic, callback, quality)
@@ -174,7 +171,7 @@ class ViewerNode(Runnable, Node):
             }
             self._status.publish(OK, 'serving', f'page on port {self.page.port}', lambda: values)
 
-    def _command(self, name: str, value: object) -> None:
+    def _command(self, name: str, value: Any) -> None:
         """Handle a click."""
         if name in SERVICES:
             for owner in SERVICES[name]:
@@ -187,21 +184,16 @@ class ViewerNode(Runnable, Node):
         if name == 'target' and not self._base:
             self.state.progress = 'no controller yet: the target was not sent'
         elif name == 'target':
-            message = PointStamped()
-            message.header.frame_id, message.header.stamp = self._base, stamp_now(self)
-            message.point.x, message.point.y, message.point.z = np.asarray(value).tolist()
-            self._targets.publish(message)
+            header = header_now(self, self._base)
+            self._targets.publish(PointStamped(header=header, point=point(value)))
 
     def _call(self, name: str, owner: str) -> None:
-        client = self._triggers[name, owner]
-        if not client.service_is_ready():
-            self.state.progress = f'{client.srv_name} does not answer: is the node running?'
-            return
+        def done(response: Trigger.Response) -> None:
+            self.state.progress = response.message
 
-        def done(future: object) -> None:
-            self.state.progress = str(future.result().message)  # type: ignore[attr-defined]
-
-        client.call_async(Trigger.Request()).add_done_callback(done)
+        request = self._triggers[name, owner]
+        if not request.ask(Trigger.Request(), done):
+            self.state.progress = f'{request.name} does not answer: is the node running?'
 
 
 def is_local(host: str) -> bool:

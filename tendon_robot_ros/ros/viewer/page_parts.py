@@ -62,24 +62,15 @@ def legend(square: float) -> str:
 
 def scene(measured: NDArray[np.float64] | None, predicted: NDArray[np.float64] | None) -> str:
     """Return a description of the arms (J, 3) [m] in the scene, for screen readers."""
-    tips = []
-    for arm in (measured, predicted):
+    tips, text = [], 'Scene in space: the arm stands on a grid, its base at the origin, z up'
+    for who, arm in (('measured', measured), ('predicted', predicted)):
         visible = np.zeros((0, 3)) if arm is None else arm[np.isfinite(arm).all(axis=1)]
-        tips.append(visible[-1] if len(visible) else None)
-    text = 'Scene in space: the arm stands on a grid, its base at the origin, z up'
-    for tip, who in zip(tips, ('measured', 'predicted'), strict=True):
-        where = (
-            'not there yet'
-            if tip is None
-            else 'tip at '
-            + ', '.join(
-                f'{axis} {1e3 * value:.0f}'
-                for axis, value in zip('xyz', tip.tolist(), strict=True)
-            )
-            + ' mm'
-        )
+        where = 'not there yet'
+        for x, y, z in 1e3 * visible[-1:]:
+            where = f'tip at x {x:.0f}, y {y:.0f}, z {z:.0f} mm'
+        tips += list(visible[-1:])
         text += f'; {who} arm: {where}'
-    if tips[0] is not None and tips[1] is not None:
+    if len(tips) == 2:
         text += f'; {mm(float(np.linalg.norm(tips[0] - tips[1])), 2)} apart'
     return f'<div role="img" aria-label="{escape(text)}" style="{HIDDEN}"></div>'
 
