@@ -5,6 +5,7 @@ And what it leaves: no process, no file in the temporary folder.
 """
 
 import fcntl
+import gc
 import importlib.util
 import os
 import shutil
@@ -51,12 +52,12 @@ RERUNS = 2  # processes that talk to each other are late on a busy machine
 # The files that take longest, longest first, of nodes and of others in turn: those that start
 # nodes wait, the others compute. So no processor is idle, and what is left at the end is short.
 LONGEST = (
-    'ros_record', 'docs', 'ros_life', 'dynamixel_commands', 'ros_follow', 'table_import',
-    'ros_monitor', 'diagnose', 'live', 'travel', 'ros_investigate', 'setup_mistakes',
-    'ros_bad_input', 'live_page', 'dynamixel_faults', 'diagnose_command', 'ros_dynamixel',
-    'dynamixel_start', 'investigate', 'unreadable', 'ros_travel', 'as_built', 'advice',
-    'diagnosis_page', 'campaign_cluster', 'watch', 'ros_chain', 'report', 'ros_stop', 'add',
-    'driver_contract', 'model_reference', 'senders', 'trust', 'demo', 'watch_filter',
+    'ros_record', 'docs', 'ros_follow', 'dynamixel_commands', 'ros_life', 'setup_mistakes',
+    'ros_bad_input', 'investigate', 'ros_dynamixel', 'diagnose', 'live', 'campaign_cluster',
+    'ros_monitor', 'table_import', 'ros_chain', 'dynamixel_start', 'ros_stop', 'as_built',
+    'ros_travel', 'watch', 'ros_investigate', 'dynamixel_faults', 'demo', 'add', 'live_page',
+    'diagnosis_page', 'senders', 'driver_contract', 'diagnose_command', 'travel', 'campaign',
+    'watch_filter', 'readme', 'unreadable', 'advice', 'report', 'model_reference', 'workspace',
 )  # fmt: skip
 
 
@@ -76,6 +77,12 @@ def pytest_collection_modifyitems(config, items):
             item.add_marker(pytest.mark.timeout(LONG if long else LIMIT))
         if again and item.get_closest_marker('ros'):
             item.add_marker(pytest.mark.flaky(reruns=RERUNS))
+
+
+def pytest_collection_finish():
+    """Let no garbage collection scan what stays: modules and tests are a million objects."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope='module', autouse=True)

@@ -65,11 +65,13 @@ def run(command, timeout=PATIENCE, **settings):
 
 
 def until(condition, what='it', seconds=30.0):
-    """Wait until something holds."""
+    """Wait until something holds; what takes long to ask is asked less often."""
     end = time.monotonic() + seconds
+    asked = time.thread_time()
     while not condition():
         assert time.monotonic() < end, f'waited {seconds} s for {what}'
-        time.sleep(0.002)
+        cost, asked = time.thread_time() - asked, time.thread_time()
+        time.sleep(min(max(0.002, 4.0 * cost), 0.05))
 
 
 def free_port():

@@ -31,11 +31,11 @@ without_shared_memory()  # as the nodes: a process that a test kills would hold 
 DISCOVERY = 30.0  # [s] for anything to happen, on a busy machine
 UNHEARD = 5.0  # [s] after which a target is sent again: who was there to hear it may have died
 MATCHED = 0.2  # [s] until both sides of a topic know each other
-# A busy machine is late: no watchdog but the one that a test is about may act on that. A quarter
+# A busy machine is late: no watchdog but the one that a test is about may act on that. An eighth
 # of the usual rate leaves more time for the other tests.
 PATIENT = {
-    'driver': {'command_timeout': 0.5, 'stamp_tolerance': 5.0, 'rate': 50.0},
-    'controller': {'state_timeout': 1.0, 'stamp_tolerance': 5.0, 'rate': 50.0},
+    'driver': {'command_timeout': 0.5, 'stamp_tolerance': 5.0, 'rate': 25.0},
+    'controller': {'state_timeout': 1.0, 'stamp_tolerance': 5.0, 'rate': 25.0},
 }
 INPUTS = ('prox_left', 'prox_right', 'dist_left', 'dist_right')
 AGAIN = 'send it again later'  # what a status says that refuses a target for now

@@ -2,11 +2,11 @@
 
 import os
 import re
-import sys
 from pathlib import Path
 
 import processes
 import pytest
+from forked import Forked
 
 pytest.importorskip('rclpy')
 
@@ -26,9 +26,9 @@ def children(namespace):
     return found
 
 
-def demo(folder):
-    return processes.Process(
-        [sys.executable, '-m', 'tendon_robot_ros', 'demo'],
+def demo(kind, command, folder):
+    return kind(
+        command,
         cwd=folder,
         stdout=processes.PIPE,
         stderr=processes.PIPE,
@@ -37,7 +37,7 @@ def demo(folder):
 
 
 def test_the_demo_reaches_its_postures(tmp_path):
-    process = demo(tmp_path)
+    process = demo(processes.Process, processes.package('demo'), tmp_path)
     out, err = process.communicate(timeout=150)
     assert process.returncode == 0, out + err
     rows = {line[:20].strip(): line for line in out.splitlines()}
@@ -56,7 +56,7 @@ def test_the_demo_reaches_its_postures(tmp_path):
 
 
 def test_an_interrupted_demo_leaves_no_processes(tmp_path):
-    process = demo(tmp_path)
+    process = demo(Forked, ['demo'], tmp_path)
     namespace = f'/demo_{process.pid}'
     processes.until(lambda: len(children(namespace)) == 2, 'both nodes', 120)
     process.kill()  # it cannot tidy up: the kernel tells its children

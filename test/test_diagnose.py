@@ -32,7 +32,7 @@ def names(found):
 
 
 def test_a_blind_case_is_consistent_with_what_it_hides():
-    found, hidden = diagnose(load_dataset(blind('j') / 'fit')), truth('j')
+    found, hidden = diagnose(load_dataset(blind('d') / 'fit')), truth('d')
     assert (found.verdict, names(found)) == ('missing_effect', [hidden['hidden']])
     assert found.cannot_tell_apart == ()
     for key, value in found.effects[0].parameters.items():
@@ -172,7 +172,7 @@ def test_a_description_without_an_equilibrium_is_an_error():
 
 @pytest.mark.parametrize('lever', [0.0, 3e-4])
 def test_an_effect_is_there_only_if_its_interval_leaves_out_what_is_described(lever):
-    dataset = measured(simulated.robot(), {'hinge_friction': {'lever': lever}}, count=6)
+    dataset = measured(ROBOT, {'hinge_friction': {'lever': lever}}, count=6)
     found = gather(sessions.Session(dataset, dataset.robot, CATALOGUE, 1))
     (ranked,) = (r for r in found.singles if r.candidate.names == ('hinge_friction',))
     assert found.differs(ranked) == (lever > 0.0)

@@ -11,9 +11,11 @@ from types import SimpleNamespace
 import numpy as np
 import processes
 import pytest
+from watched_arm import coarse
 
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import TendonRobotError
+from tendon_robot_ros.robot import dump_robot
 
 pytest.importorskip('rclpy')
 pytestmark = pytest.mark.ros
@@ -25,9 +27,12 @@ def told(*arguments, timeout=500.0):
     return run.returncode, run.stdout + run.stderr
 
 
-def test_the_story_of_a_hidden_effect_comes_true():
+def test_the_story_of_a_hidden_effect_comes_true(tmp_path):
+    """Of an arm of fewer cells: each has a stiffness of its own, which a diagnosis fits."""
+    described = tmp_path / 'coarse.yaml'
+    described.write_text(dump_robot(coarse('kato_10_1', 5)), encoding='utf-8')
     arguments = ('--hidden', 'tip_load', '--seed', '1', '--postures', '6', '--reveal')
-    code, text = told(*arguments)
+    code, text = told(*arguments, '--robot', str(described))
     assert code == 0, text
     assert 'tip_load' in text.split('hidden:')[0]
     assert '% gone)' in text

@@ -10,11 +10,11 @@ from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.workspace.postures import default_postures
 
 
-def coarse(name):
-    """Return a shipped robot with half as many cells, as long and as soft."""
+def coarse(name, cells=None):
+    """Return a shipped robot of so many cells per section (half of them), as long and as soft."""
     robot = load_robot(name)
-    halves = (with_cells(section, section.cells // 2) for section in robot.sections)
-    return replace(robot, sections=tuple(halves))
+    sections = (with_cells(section, cells or section.cells // 2) for section in robot.sections)
+    return replace(robot, sections=tuple(sections))
 
 
 ROBOT = coarse('spatial_3')
