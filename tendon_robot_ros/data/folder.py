@@ -16,7 +16,7 @@ import yaml
 from ..common import files
 from ..common.errors import DataSetError, TendonRobotError, place, short
 from ..common.files import TABLE_ENDINGS, new_folder, refuse_other_files
-from ..common.words import PROGRAM
+from ..common.words import PROGRAM, STANDARD_GRAVITY
 from ..common.yaml_reading import Reader, parse_yaml
 from ..robot import Robot, dump_robot, load_robot
 from .arrays import PLAUSIBLE_FACTOR, POSITION, QUATERNION, Marker, Vector, default_markers
@@ -42,7 +42,6 @@ DESCRIPTION_KEYS = (
     'known',
     'markers',
 )
-GRAVITY_MAX = 30.0  # [m/s²] a larger one is in another unit, because Jupiter has 25
 
 
 class DatasetFields(Reader):
@@ -167,7 +166,7 @@ def describe(fields: DatasetFields, robot: Robot) -> Description:
     gravity = None
     if fields.has('gravity'):
         gravity = x, y, z = fields.vector('gravity', 3)
-        if x * x + y * y + z * z > GRAVITY_MAX**2:
+        if math.hypot(x, y, z) > PLAUSIBLE_FACTOR * STANDARD_GRAVITY:
             expected = 'an acceleration in m/s², such as [0, 0, 9.81]'
             raise fields.error('gravity', expected, list(gravity))
     return Description(

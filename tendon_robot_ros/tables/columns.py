@@ -17,6 +17,10 @@ from ..common.words import Unit, find_unit, listing, split_name
 FloatArray = NDArray[np.float64]
 # [m] of a usual tracker, about, so that smaller differences are no motion of the arm
 TRACKER_NOISE_M = 5e-4
+# [1] rows that show how columns behave; a table without times has no more, because nobody measures
+# more by hand
+ROWS_MAX = 500
+SHOWN_MAX = 12  # [1] names in a line, or rows of a table for a person, so that it is read
 # kinds of points, according to the header of an export
 MARKER, BODY_MARKER, BODY, DERIVED = 'markers', 'markers of bodies', 'bodies', 'derived points'
 # units of other quantities than places, inputs and times
@@ -66,6 +70,16 @@ class RawTable:
     def holds(self, *columns: str) -> bool:
         """Return whether the table has all of these columns."""
         return all(column in self.columns or column in self.texts for column in columns)
+
+    def places(self, points: Sequence[Sequence[str]], step: int = 1) -> FloatArray:
+        """Return the places (R / step, K, 3) in columns of x, y and z, of every so many rows."""
+        rows = [[self.numbers(column)[::step] for column in point] for point in points]
+        return np.array(rows).transpose(2, 0, 1)
+
+    @property
+    def step(self) -> int:
+        """Steps from row to row of at most twice `ROWS_MAX` rows of all."""
+        return max(len(self) // ROWS_MAX, 1)
 
     def where(self, row: int) -> str:
         """Name a row for a message, counted as an editor does."""

@@ -16,7 +16,7 @@ from ..common.words import mm, postures
 from ..data import DataSet, save_dataset
 from ..data.dataset import at_rest
 from ..robot import Robot
-from .columns import FloatArray, marker_label
+from .columns import SHOWN_MAX, FloatArray, marker_label
 from .markers import MarkerOrder
 from .measuring import Piece, StillMeasurements
 from .recipe import Recipe, Selection, dump_recipe
@@ -111,7 +111,6 @@ class ImportedTable(TextResult):
         return '\n'.join([*lines, *labelled_lines('LOOK', self.look)])
 
 
-MARKERS_MAX = 12  # [1] rows of markers, so that the table is read: else the first and last ones
 METHODS = {
     'model': "turned and shifted onto the model's postures",
     'level': "the tracker's up laid onto the robot's, turned about it onto the model's postures",
@@ -140,8 +139,8 @@ def columns_table(recipe: Recipe, chosen: Selection) -> str:
         what = 'x, y, z' if many == 1 else f'centre of {many} markers'
         label = f'{marker_label(marker.columns)} {what}'
         placed.append([label, f'marker {marker.name}', recipe.positions or '', why])
-    if len(placed) > MARKERS_MAX:
-        placed = [*placed[: MARKERS_MAX // 2], ['...', '', '', ''], *placed[-MARKERS_MAX // 2 :]]
+    if len(placed) > SHOWN_MAX:
+        placed = [*placed[: SHOWN_MAX // 2], ['...', '', '', ''], *placed[-SHOWN_MAX // 2 :]]
     rows += placed
     widths = [max(len(row[c]) for row in rows) for c in range(len(rows[0]))]
     return '\n'.join(
@@ -183,7 +182,6 @@ def frame_lines(frame: TrackerFrame, robot: Robot) -> list[str]:
     return lines
 
 
-POINTS_MAX = 4000  # [1] of a line, because a picture has fewer columns
 # [1] of the colours of markers, dark at the base: that of the tip, because lighter ones are hard
 # to see on white
 TIP_SHADE = 0.62
@@ -289,15 +287,16 @@ def _shade(axes: Axes, measured: StillMeasurements) -> None:
                 )
 
 
-def _thinned(times: FloatArray) -> slice:
-    return slice(None, None, max(len(times) // POINTS_MAX, 1))
+def _thinned(axes: Axes, times: FloatArray) -> slice:
+    """Return which of many samples to draw: a few for each column of the picture."""
+    return slice(None, None, max(len(times) // int(4.0 * axes.get_figure(True).bbox.width), 1))
 
 
 def _inputs(axes: Axes, dataset: DataSet, measured: StillMeasurements) -> None:
     tension = dataset.input == 'tension'
     names = dataset.input_names
     for begin, piece in _pieces(measured):
-        part = _thinned(piece.recording.state_times)
+        part = _thinned(axes, piece.recording.state_times)
         times = begin + piece.recording.state_times[part]
         for j, values in enumerate(piece.inputs[part].T):
             scale = 1.0 if tension else 1e3
@@ -329,7 +328,7 @@ def _markers(
     cut: list[FloatArray] = []  # (K, 2) [s] and [mm]
     for begin, piece in _pieces(measured):
         track = piece.recording.tracks[0]
-        part = _thinned(track.times)
+        part = _thinned(axes, track.times)
         for place, j in enumerate(members):
             path = track.positions[part, j]
             visible = np.flatnonzero(np.isfinite(path[:, 0]))

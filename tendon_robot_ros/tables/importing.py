@@ -19,7 +19,7 @@ from ..data.recording.still_segments import Segment, segments_dataset
 from ..data.visits import split_by_order
 from ..effects import Catalogue, CatalogueLike, load_catalogue
 from ..robot import Robot, RobotLike, load_robot
-from .columns import TRACKER_NOISE_M, FloatArray, RawTable, from_frame, marker_label
+from .columns import SHOWN_MAX, TRACKER_NOISE_M, FloatArray, RawTable, from_frame, marker_label
 from .imported import ImportedTable
 from .markers import AS_GIVEN, MarkerOrder, flag_columns, order_markers, places_contradicted
 from .measuring import FROM_STRAIGHT, SEQUENCE, VISITS, StillMeasurements, measure
@@ -35,9 +35,6 @@ from .recipe import (
 )
 from .registration import TrackerFrame, place, rotation_vector, side_offset, up_that_fits
 from .traces import follow_renumbered, make_traces
-
-# [m] of a difference quotient, because the model is straight over it and rounding far smaller
-OFFSET_STEP_M = 1e-3
 
 STEPS = (
     'reading the tables',
@@ -229,7 +226,8 @@ def _columns_dropped(chosen: Selection, tables: Sequence[RawTable]) -> list[str]
     lines = [f'no markers: {line}' for line in chosen.unused_points]
     if not names:
         return lines
-    shown = listed(names[:8]) if len(names) <= 8 else f'{", ".join(names[:8])} and more'
+    more = ' and more' if len(names) > SHOWN_MAX else ''
+    shown = f'{", ".join(names[:SHOWN_MAX])}{more}' if more else listed(names)
     return [*lines, f'{len(names)} columns: {shown}']
 
 
@@ -294,13 +292,13 @@ def _offset_warnings(dataset: DataSet, predicted: FloatArray, catalogue: Catalog
     if np.any(dataset.offsets):
         return []
     moved = []
-    for step in ((OFFSET_STEP_M, 0.0, 0.0), (0.0, OFFSET_STEP_M, 0.0)):
+    for step in ((TRACKER_NOISE_M, 0.0, 0.0), (0.0, TRACKER_NOISE_M, 0.0)):
         markers = tuple(replace(marker, offset=step) for marker in dataset.markers)
         aside = replace(dataset, markers=markers)
         places = Predictor(aside, dataset.robot, catalogue).markers({})
         if places is None:
             return []
-        moved.append((places - predicted) / OFFSET_STEP_M)
+        moved.append((places - predicted) / TRACKER_NOISE_M)
     offset = side_offset(dataset, predicted, (moved[0], moved[1]))
     if offset is None:
         return []

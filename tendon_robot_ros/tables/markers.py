@@ -38,11 +38,9 @@ from .columns import (
 )
 
 CHOICES = ('markers', 'rims', 'bodies')
-# [1] of the widest distance on a rim, by which noise changes distances, because that of a tracker,
-# 0.3 mm, is less even across 10 mm
-RIM_TOLERANCE = 0.05
-# [1] that show whether markers are fixed to each other, because more show nothing else
-FRAMES_MAX = 500
+# [1] of a length, by which measured distances on the arm and on a rim may be off, because a ruler,
+# noise and a bent arm are no more exact
+DISTANCE_TOLERANCE = 0.05
 NAMELESS = ('unlabeled', 'unlabelled', 'unidentified', 'ghost')
 # words in the name of a column that says whether a marker was visible, then in its cells
 VISIBLE = {'visible', 'visibility', 'seen', 'valid', 'tracked', 'detected'}  # 0: hidden
@@ -170,8 +168,7 @@ def _is_nameless(triple: Triple) -> bool:
 
 
 def _places(triple: Triple, table: RawTable) -> FloatArray:
-    step = max(len(table) // FRAMES_MAX, 1)
-    places = np.column_stack([table.numbers(column)[::step] for column in triple.columns])
+    places = table.places([triple.columns], table.step)[:, 0]
     places[(places == 0.0).all(axis=1)] = np.nan
     return places
 
@@ -198,13 +195,13 @@ def _is_rim(places: FloatArray) -> bool:
     apart = np.linalg.norm(visible[:, i] - visible[:, j], axis=2)
     usual = np.median(apart, axis=0)
     spread = np.percentile(apart, 90, axis=0) - np.percentile(apart, 10, axis=0)
-    if not (spread <= RIM_TOLERANCE * usual.max()).all():
+    if not (spread <= DISTANCE_TOLERANCE * usual.max()).all():
         return False
     one = visible[np.argmin(np.abs(apart - usual).max(axis=1))][None]
     centre = circle_centres(one)
     radii = np.linalg.norm(one[0] - centre, axis=1)
     return bool(
-        np.ptp(radii) <= 2.0 * RIM_TOLERANCE * radii.mean()
+        np.ptp(radii) <= 2.0 * DISTANCE_TOLERANCE * radii.mean()
         and 0.5 * usual.max() <= radii.mean() <= usual.max()  # of a third of the circle or more
     )
 
@@ -308,16 +305,6 @@ AS_GIVEN = 'places as given'
 # [1] of a cell's length, by which markers at the ends of cells may miss them, because it is less
 # than half of the distance to the next one
 END_TOLERANCE = 0.3
-# [1] of the spacing, by which evenly spaced markers may miss even places, because a ruler and a
-# bent arm are no more exact
-EVEN_TOLERANCE = 0.06
-# [1] of the arm, by which chords may be longer than the arc between them, because noise and the
-# description make them so
-CHORD_TOLERANCE = 0.05
-# [1] of the longest chord, from which a posture is straight, because the longest of many chords
-# would collect noise
-STRAIGHT_RATIO = 0.995
-ROUND_M = 1e-4  # [m] of arc lengths that were measured, because a ruler is no finer
 
 
 @dataclass(frozen=True)
@@ -397,7 +384,7 @@ def order_markers(
             )
         kept = tuple(members[len(off) :])
         far, span = apart[kept[0], kept[-1]], known[-1] - known[0]
-        if abs(far - span) > max(cell, 2.0 * CHORD_TOLERANCE * span):
+        if abs(far - span) > max(cell, 2.0 * DISTANCE_TOLERANCE * span):
             raise DataSetError(
                 name,
                 f'the first and the last marker are {1e3 * far:.4g} mm apart where the arm is '
@@ -438,7 +425,7 @@ def places_contradicted(dataset: DataSet) -> list[str]:
     over = apart - between
     i, j = sorted(np.unravel_index(int(over.argmax()), over.shape))
     robot = dataset.robot
-    if over[i, j] < max(CHORD_TOLERANCE * robot.length, robot.sections[-1].cell_length):
+    if over[i, j] < max(DISTANCE_TOLERANCE * robot.length, robot.sections[-1].cell_length):
         return []
     first, second = (dataset.markers[k].name for k in (i, j))
     return [
@@ -461,7 +448,7 @@ def _distances(positions: FloatArray) -> FloatArray:
     longest: FloatArray = np.where(known, chords, -1.0).max(axis=0)
     whole = np.where(known.all(axis=(1, 2)), np.nan_to_num(chords).max(axis=(1, 2)), -1.0)
     best = int(whole.argmax())
-    if whole[best] >= STRAIGHT_RATIO * longest.max():  # maxima over many collect noise
+    if whole[best] >= longest.max() - 2.0 * TRACKER_NOISE_M:  # maxima over many collect noise
         straightest: FloatArray = chords[best]
         return straightest
     return longest
@@ -505,9 +492,9 @@ def _snapped(measured: FloatArray, robot: Robot) -> tuple[tuple[float, ...], str
             where = f'the ends of cells {listed(str(i + 1 - robot.plate_cells) for i in nearest)}'
         return tuple(ends[nearest].tolist()), f'the last marker is at the tip, all at {where}'
     even = robot.length * (np.arange(len(measured)) + 1.0) / len(measured)
-    if np.abs(measured - even).max() < EVEN_TOLERANCE * even[0]:
+    if np.abs(measured - even).max() < DISTANCE_TOLERANCE * even[0]:
         return tuple(even.round(9).tolist()), 'the last marker is at the tip, all evenly spaced'
-    places = np.clip(np.round(measured / ROUND_M) * ROUND_M, 0.0, robot.length).round(9)
+    places = np.clip(measured.round(4), 0.0, robot.length)  # no ruler is finer than 0.1 mm
     return (
         tuple(places.tolist()),
         'the last marker is at the tip, the others as far below as the arm between them is long',

@@ -27,7 +27,7 @@ from ..data.tracker_faults import unseen_lines
 from ..robot import Robot
 from .columns import TRACKER_NOISE_M, FloatArray, marker_label
 from .recipe import Recipe, Selection
-from .traces import Traces, cut_out
+from .traces import JUMP_FACTOR, Traces, cut_out
 
 FROM_STRAIGHT, SEQUENCE, VISITS = 'from_straight', 'sequence', 'visits'
 # [1] of the range from the lowest input to the smallest load, below which inputs are let go,
@@ -128,20 +128,15 @@ def history_contradicted(
     ]
 
 
-# [m/s] below the first an arm is still, above the second it moves, because noise of a tracker may
-# look like a speed in between
-SPEED_LIMITS_M_S = (0.002, 0.02)
-# [1] of the largest input, between which the noise sets what counts as a change, because load
-# cells are no better, and larger steps are commands
-CHANGE_FRACTIONS = (0.01, 0.1)
+# [1] of the largest input, to which load cells and the motors that follow them are known, because
+# usual ones are no better
+INPUT_TOLERANCE = 0.01
+# [1] times the usual threshold of stillness, above which noise does not raise it, because what is
+# more is motion, or a command
+RAISED_MAX = 10.0
 NOISE_MARGIN = 3.0  # [1] times the noise of an arm that is still, else it would move by chance
 # [1] of the time that an arm is still at least, so that this quantile is noise alone
 QUIET_FRACTION = 0.15
-# [1] robust standard deviations from the median of a still segment: no frame is there by chance
-JUMP_DEVIATIONS = 8.0
-# [1] of the largest input: differences below the first are none, the second is usual, those
-# above the third are other postures, because load cells scatter by a few percent
-SAME = (0.002, 0.01, 0.08)
 # [1] between the scatter of trials and the steps of postures, because less is no gap
 GAP_RATIO = 2.5
 # [1] of the segments, that are at rest where an arm rests between trials, because half of them
@@ -310,12 +305,14 @@ def _still_rule(
     changes = np.concatenate([m.change[np.isfinite(m.change)] for m in motions])
     if recipe.still.speed is None and len(speeds):
         quiet = NOISE_MARGIN * float(np.quantile(speeds, QUIET_FRACTION))
-        rule = replace(rule, speed=float(np.clip(round(quiet, 5), *SPEED_LIMITS_M_S)))
+        rule = replace(
+            rule, speed=float(np.clip(round(quiet, 5), Rule.speed, RAISED_MAX * Rule.speed))
+        )
     if recipe.still.change is None and len(changes):
         size = max(float(np.nanquantile(np.abs(one.inputs), 0.995)) for one in traces)
         quiet = NOISE_MARGIN * float(np.quantile(changes, QUIET_FRACTION))
-        low, high = (fraction * max(size, 1e-9) for fraction in CHANGE_FRACTIONS)
-        rule = replace(rule, change=float(f'{np.clip(quiet, low, high):.3g}'))
+        usual = INPUT_TOLERANCE * max(size, 1e-9)
+        rule = replace(rule, change=float(f'{np.clip(quiet, usual, RAISED_MAX * usual):.3g}'))
     return rule
 
 
@@ -354,7 +351,8 @@ def _without_jumps(
             if len(known) < 5:
                 continue
             off = np.linalg.norm(frames[known, j] - np.median(frames[known, j], axis=0), axis=1)
-            far = off > max(JUMP_DEVIATIONS * float(np.median(off)) / 1.54, TRACKER_NOISE_M)
+            usual = float(np.median(off)) / 1.54  # [m] robust standard deviation
+            far = off > max(JUMP_FACTOR * usual, TRACKER_NOISE_M)
             if far.any():
                 cut.append(cut_out(frames, times, j, known[far]))
     cleaned = replace(recording, tracks=(replace(track, positions=positions),))
@@ -375,15 +373,17 @@ def _guess_same(segments: Sequence[Segment]) -> float:
     """
     inputs = np.nan_to_num([one.inputs for one in segments])
     size = float(np.abs(inputs).max()) or 1.0
-    usual = float(f'{SAME[1] * size:.3g}')
+    usual = float(f'{INPUT_TOLERANCE * size:.3g}')
     if len(segments) < 3:
         return usual
     from scipy.cluster.hierarchy import linkage
 
+    # smaller steps are none, higher ones lead to other postures
+    highest = RAISED_MAX * INPUT_TOLERANCE * size
     heights = linkage(inputs, 'single', metric='chebyshev')[:, 2]
-    steps = np.concatenate([[0.0], heights[heights < SAME[2] * size], [np.inf]])
-    steps[-1] = heights[len(steps) - 2] if len(steps) - 2 < len(heights) else SAME[2] * size
-    steps = np.maximum(steps, SAME[0] * size)
+    steps = np.concatenate([[0.0], heights[heights < highest], [np.inf]])
+    steps[-1] = heights[len(steps) - 2] if len(steps) - 2 < len(heights) else highest
+    steps = np.maximum(steps, INPUT_TOLERANCE * size / RAISED_MAX)
     ratios = steps[1:] / steps[:-1]
     best = int(ratios.argmax())
     if ratios[best] < GAP_RATIO:

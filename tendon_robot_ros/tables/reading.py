@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import csv
 import io
-import mmap
 import re
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from itertools import islice, pairwise, takewhile
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ from .columns import (
     DERIVED,
     FRAMES,
     MISSING,
+    ROWS_MAX,
     FloatArray,
     RawTable,
     guess_time,
@@ -53,8 +53,6 @@ MAKERS_OWN = {
 UP_OF_SCREEN = {axis.upper(): axis for axis in ('x', 'y', 'z', '-x', '-y', '-z')}
 UP_OF_SCREEN |= {f'+{axis}': axis.lower() for axis in 'XYZ'}
 BYTES_MAX = 1_000_000_000  # [1] bytes, so that a file and its numbers fit into memory
-HEAD = 1 << 16  # [1] bytes that show what kind of file it is, because no header is longer
-SAMPLE = 200  # [1] rows of a part that separate header and data, because no header is longer
 DELIMITERS = {';': 'semicolons', '\t': 'tabs', ',': 'commas'}  # commas may be decimal ones
 EMPTY_LINES = re.compile(rb'(?:\A|\n)(?:[ \t\r,;]*\n)+')  # between the parts of a file
 
@@ -125,50 +123,48 @@ class TextPart:
 
 
 def _read_text(shown: str, path: Path) -> list[RawTable]:
-    with path.open('rb') as file:
-        head = file.read(HEAD)
-    if b'\0' in head:
+    data = path.read_bytes()
+    if b'\0' in data:
         raise DataSetError(shown, 'is no text file', 'export it as CSV (UTF-8)')
-    if not head.strip():
+    if not data.strip():
         raise DataSetError(shown, 'is empty', 'export it again')
     encoding, notes = 'utf-8-sig', tuple[str, ...]()
     try:
-        head[: HEAD - 4].decode(encoding)  # the last character may be cut in two
-    except UnicodeDecodeError as error:
-        if error.start < len(head) - 8:
-            encoding, notes = 'cp1252', ('text is taken as Windows-1252: it is no UTF-8',)
-    with path.open('rb') as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        delimiter = _delimiter(shown, head, encoding)
-        if delimiter != ',':
-            notes = (*notes, f'columns are separated by {DELIMITERS[delimiter]}')
-        parts = _parts(shown, data, encoding, delimiter)
-        return [_read_part(shown, data, part, encoding, delimiter, notes) for part in parts]
+        data.decode(encoding)
+    except UnicodeDecodeError:
+        encoding, notes = 'cp1252', ('text is taken as Windows-1252: it is no UTF-8',)
+    first = [line.decode(encoding, 'replace') for line in islice(io.BytesIO(data), ROWS_MAX)]
+    delimiter = _delimiter(shown, first)
+    if delimiter != ',':
+        notes = (*notes, f'columns are separated by {DELIMITERS[delimiter]}')
+    parts = _parts(shown, data, encoding, delimiter)
+    return [_read_part(shown, data, part, encoding, delimiter, notes) for part in parts]
 
 
-def _delimiter(shown: str, head: bytes, encoding: str) -> str:
-    """Return the delimiter in most lines; a comma beside another delimiter is a decimal comma."""
-    lines = [line for line in head.decode(encoding, errors='ignore').splitlines() if line.strip()]
+def _delimiter(shown: str, rows: Sequence[str]) -> str:
+    """Return the delimiter in most rows; a comma beside another delimiter is a decimal comma."""
+    lines = [line for line in rows if line.strip()]
     for mark in DELIMITERS:
         if 2 * sum(mark in line for line in lines) >= len(lines):
             return mark
     if (maker := maker_of([[line.strip()] for line in lines])) is not None:
         raise unnamed(shown, 1, maker)
     raise DataSetError(
-        f'{shown}, row {1 + next(i for i, line in enumerate(lines) if line.strip())}',
+        f'{shown}, row {1 + rows.index(lines[0])}',
         f'has one column only ({short(lines[0].strip()[:40])})',
         'separate columns by commas, semicolons or tabs',
     )
 
 
-def _parts(shown: str, data: mmap.mmap, encoding: str, delimiter: str) -> list[TextPart]:
+def _parts(shown: str, data: bytes, encoding: str, delimiter: str) -> list[TextPart]:
     """Split a file at empty lines that are followed by another header."""
     parts: list[TextPart] = []
     head: list[tuple[int, list[str]]] = []
+    stream = io.BytesIO(data)
     for begin, end, line in _blocks(data):
-        data.seek(begin)
-        lines = [data.readline()]
-        while data.tell() < end and len(lines) < SAMPLE:
-            lines.append(data.readline())
+        stream.seek(begin)
+        own = takewhile(lambda _, end=end: stream.tell() <= end, stream)
+        lines = list(islice(own, ROWS_MAX))
         texts = (raw.decode(encoding, 'replace') for raw in lines)
         rows = [[c.strip() for c in row] for row in csv.reader(texts, delimiter=delimiter)]
         first = first_row_of_data(rows)
@@ -186,7 +182,7 @@ def _parts(shown: str, data: mmap.mmap, encoding: str, delimiter: str) -> list[T
     return parts
 
 
-def _blocks(data: mmap.mmap) -> Iterator[tuple[int, int, int]]:
+def _blocks(data: bytes) -> Iterator[tuple[int, int, int]]:
     """Yield first byte, end and first line of each block between empty lines."""
     begin = line = 0
     for gap in [*EMPTY_LINES.finditer(data), None]:
@@ -200,7 +196,7 @@ def _blocks(data: mmap.mmap) -> Iterator[tuple[int, int, int]]:
 
 def _read_part(
     shown: str,
-    data: mmap.mmap,
+    data: bytes,
     part: TextPart,
     encoding: str,
     delimiter: str,
@@ -423,7 +419,6 @@ WHOSE = word_set(
     'rigidbody idx index'
 )
 ROUND = 'round of markers'
-MARKERS_MAX = 1000  # [1] different values of a column of names, because more are counts
 
 
 def widened(table: RawTable) -> RawTable:
@@ -485,7 +480,7 @@ def _whose(table: RawTable, time: str) -> str | None:
         if not np.isfinite(values).all() or np.any(values != np.round(values)):
             continue
         known = np.unique(values)
-        if not many < len(known) <= min(MARKERS_MAX, len(table) // 2):
+        if not many < len(known) <= min(ROWS_MAX, len(table) // 2):
             continue
         spans = sorted((stamps[values == v].min(), stamps[values == v].max()) for v in known)
         if any(b[0] <= a[1] for a, b in pairwise(spans)):

@@ -33,7 +33,7 @@ from .columns import (
     need_column,
     triples_of,
 )
-from .markers import CHOICES, FRAMES_MAX, Points, choose_points
+from .markers import CHOICES, Points, choose_points
 
 UPS = ('x', 'y', 'z', '-x', '-y', '-z')
 METHODS = ('model', 'level', 'straight', 'base')
@@ -596,14 +596,12 @@ def _extent(tables: Sequence[RawTable], recipe: Recipe) -> float:
     """Return the largest distance of two markers, or the path of a single one, in their unit."""
     largest = 0.0
     for table in tables:
-        places = [
-            np.column_stack([table.numbers(c) for c in m.columns[:3]])
-            for m in recipe.markers or ()
-            if table.holds(*m.columns)
-        ]
-        if places:
-            stacked = np.stack(places, axis=1)[:: max(len(table) // FRAMES_MAX, 1)]
-            places = list(without_unseen(stacked, None, FAR)[0].swapaxes(0, 1))
+        markers = [m.columns[:3] for m in recipe.markers or () if table.holds(*m.columns)]
+        if not markers:
+            continue
+        places = list(
+            without_unseen(table.places(markers, table.step), None, FAR)[0].swapaxes(0, 1)
+        )
         for i, one in enumerate(places):
             for other in places[i + 1 :]:
                 apart = np.linalg.norm(one - other, axis=1)

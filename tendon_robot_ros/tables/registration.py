@@ -27,7 +27,7 @@ from ..data import DataSet
 from ..data.arrays import DIGITS, Vector
 from ..data.dataset import BoolArray
 from ..effects import Catalogue
-from .columns import TRACKER_NOISE_M, FloatArray
+from .columns import SHOWN_MAX, TRACKER_NOISE_M, FloatArray
 from .recipe import UPS, FrameChoice, Recipe
 
 ROUNDS = 6  # [1] of weights and fit, because the weights no longer change by then
@@ -36,8 +36,6 @@ ROUNDS = 6  # [1] of weights and fit, because the weights no longer change by th
 STRAIGHT_TOLERANCE = 0.02
 # [rad] 2°, 1 sd, that a mount and a tracker are level, because they are set up by eye and level
 LEVEL_SD_RAD = math.radians(2.0)
-# [rad] 0.3°: no frame is known better, because no mount is that stiff
-ROTATION_SD_MIN_RAD = math.radians(0.3)
 # [1] of the weighted error that is left where markers sit beside the backbone, because noise alone
 # makes a fit of two more parameters better, too
 OFFSET_GAIN = 0.93
@@ -100,10 +98,11 @@ class TrackerFrame:
         """
         if self.method == 'base':
             return {}
-        rotation = LEVEL_SD_RAD if self.method == 'level' else 2.0 * self.residual / length
+        rotation = 2.0 * max(self.residual, TRACKER_NOISE_M) / length
+        rotation = LEVEL_SD_RAD if self.method == 'level' else min(rotation, 1.0)
         return {
             'position': float(f'{max(self.at_base, 2.0 * TRACKER_NOISE_M):.2g}'),
-            'rotation': float(f'{min(max(rotation, ROTATION_SD_MIN_RAD), 1.0):.2g}'),
+            'rotation': float(f'{rotation:.2g}'),
         }
 
 
@@ -331,7 +330,6 @@ def angle_of(frame: TrackerFrame) -> float:
     return rotation_angle(frame.rotation)
 
 
-TRIALS_SHOWN = 6  # [1] of those that were left out, so that the line is read
 # [1] of the arm, by which the tip may be off for the frame alone, because a frame that is known
 # less well does not test the model
 UNKNOWN_FRACTION = 0.1
@@ -387,8 +385,8 @@ class Placed:
         if not self.left_out:
             return []
         names = [f'posture {posture} trial {trial}' for posture, trial in self.left_out]
-        more = len(names) - TRIALS_SHOWN
-        shown = listed(names if more < 2 else [*names[:TRIALS_SHOWN], f'{more} more'])
+        more = len(names) - SHOWN_MAX
+        shown = listed(names if more < 2 else [*names[:SHOWN_MAX], f'{more} more'])
         return [f'{shown}: the other trials contradict (a slipped tendon?)']
 
 

@@ -13,6 +13,7 @@ from scipy.optimize import minimize_scalar
 from ..common.errors import DataSetError, InputError
 from ..common.results import pandas
 from ..common.words import UNITS, find_unit, listing
+from ..data.arrays import VALUES_MAX
 from ..data.recording.reader import Recording, Track
 from ..data.tracker_faults import (
     FAR_M,
@@ -22,13 +23,13 @@ from ..data.tracker_faults import (
     renumbered,
     without_unseen,
 )
-from .columns import TRACKER_NOISE_M, FloatArray, RawTable, marker_label
+from .columns import ROWS_MAX, TRACKER_NOISE_M, FloatArray, RawTable, marker_label
 from .markers import circle_centres, not_visible
 from .recipe import MarkerColumns, Recipe, Selection, WireSpool, time_column
 
-STEP_S = 0.02  # [s] of the grid on which motions are compared, because cameras have 30 to 100 Hz
-# [1] of the grid, so that a long recording fits into memory, on a coarser one
-POINTS_MAX = 1 << 17
+# [s] of the grid on which motions are compared; coarser where more would not fit into memory, and
+# the tracker's clock runs alike within two steps at the end, because cameras have 30 to 100 Hz
+STEP_S = 0.025
 # [1] motions of the markers that are compared, the largest, because two sections that bend and
 # lengthen have no more
 PATTERNS_MAX = 6
@@ -40,8 +41,6 @@ DRIFT_MAX = 0.01
 # [s] at the end of the record, from one drift of the search to the next, so that their peaks
 # overlap
 DRIFT_STEP_S = 1.0
-# [s] at the end of the record, below which clocks run alike, because the grid is no finer
-DRIFT_MIN_S = 0.05
 
 
 @dataclass(frozen=True)
@@ -81,23 +80,25 @@ def find_clock(
     """
     span = float(times[-1])
     longest = max(float(state_times[-1]), span)
-    motions = (state_times, inputs, times, positions.reshape(len(times), -1))
+    coordinates = positions.reshape(len(times), -1)
+    step = max(STEP_S, longest * coordinates.shape[1] / VALUES_MAX)
+    motions = (state_times, inputs, times, coordinates)
     count = int(DRIFT_MAX * span / DRIFT_STEP_S)
     drifts = np.linspace(-DRIFT_MAX, DRIFT_MAX, 2 * count + 1) if count else np.zeros(1)
-    search = _Comparison(*motions, max(5.0 * STEP_S, longest / POINTS_MAX))
+    search = _Comparison(*motions, 5.0 * step)
     matches = np.array([search.matches(drift).max() for drift in drifts.tolist()])
     rough = int(matches.argmax())
-    fine = _Comparison(*motions, max(STEP_S, longest / POINTS_MAX))
+    fine = _Comparison(*motions, step)
     drift, wide = float(drifts[rough]), DRIFT_STEP_S / max(span, 1.0)
     drift = float(
         minimize_scalar(
             lambda rate: -fine.matches(float(rate)).max(),
             bounds=(max(drift - wide, -DRIFT_MAX), min(drift + wide, DRIFT_MAX)),
             method='bounded',
-            options={'xatol': 0.1 * DRIFT_MIN_S / max(span, 1.0)},
+            options={'xatol': 0.2 * STEP_S / max(span, 1.0)},
         ).x
     )
-    if abs(drift) * span < DRIFT_MIN_S:
+    if abs(drift) * span < 2.0 * STEP_S:
         drift = 0.0
     match = fine.matches(drift)
     best = int(match.argmax())
@@ -176,8 +177,9 @@ def _next_best(match: FloatArray, best: int) -> float:
 IntArray = npt.NDArray[np.int64]
 # [s] for which a marker is taken for another one at most, so that motions are not cut out
 JUMP_MAX_S = 0.3
-JUMP_FACTOR = 10.0  # [1] times the usual step between frames, because an arm moves smoothly
-ROWS_MAX = 500  # [1] rows without times, because nobody measures more by hand
+# [1] times the usual step between frames, or deviation of a still marker, because an arm moves
+# smoothly and noise is never so large by chance
+JUMP_FACTOR = 10.0
 # [1] of the distance that the arm moves: smaller steps from row to row are those of a recording,
 # because postures that somebody chose are farther apart
 FRAME_STEP_FRACTION = 0.02
@@ -341,10 +343,7 @@ def marker_places(
     markers = [marker.parts for marker in recipe.markers or ()]
     rims = [points for parts in markers for points in parts]
     points = [point for rim in rims for point in rim]
-    positions = np.array([[table.numbers(column) for column in point] for point in points])
-    positions, unseen = without_unseen(
-        positions.transpose(2, 0, 1), length / factor, FAR_M / factor
-    )
+    positions, unseen = without_unseen(table.places(points), length / factor, FAR_M / factor)
     visible = np.isfinite(positions).all(axis=2)
     for why, hidden in not_visible(table, points).items():
         if (hidden & visible).any():

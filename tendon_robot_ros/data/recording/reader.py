@@ -443,8 +443,6 @@ def _moved(track: Track, matrix: FloatArray, shift: FloatArray) -> Track:
 # Messages are looked at in groups. In a group of two senders values are of two kinds, apart by
 # more than they vary within a kind, and the kinds alternate; values of one sender step once.
 GROUP = 12  # [1] messages in a group, because few of noise alone then look so, see CHANCE
-ALTERNATIONS_MIN = GROUP // 3  # [1] from one kind to the other, because a step has one
-KIND_MIN = GROUP // 4  # [1] messages of a kind, and groups, because one or two are failed readings
 # [1] of what a value goes through in the recording, because less is noise and resolution
 APART_FRACTION = 0.1
 # [1] of the groups of values that are noise alone look so by chance: of values that are drawn
@@ -524,11 +522,14 @@ def alternating(times: FloatArray, values: FloatArray) -> tuple[float, float, fl
     within = np.ptp(np.where(np.isfinite(groups), groups, order[:, :1]), axis=1) - gap[:, 0]
     many = above.sum(axis=1)
     mixed = (
-        (flips >= ALTERNATIONS_MIN) & (gap[:, 0] > within) & (gap[:, 0] > APART_FRACTION * spread)
+        (flips >= GROUP // 3)  # a step has one
+        & (gap[:, 0] > within)
+        & (gap[:, 0] > APART_FRACTION * spread)
     )
-    mixed &= (many >= KIND_MIN) & (many <= GROUP - KIND_MIN) & (spread > 0.0)
+    few = GROUP // 4  # one or two are failed readings
+    mixed &= (many >= few) & (many <= GROUP - few) & (spread > 0.0)
     usual = bdtrik(1.0 - BY_CHANCE, count, CHANCE)  # groups that look so in noise, at most
-    mixed &= mixed.sum(axis=0) >= max(KIND_MIN, usual)
+    mixed &= mixed.sum(axis=0) >= max(few, usual)
     where = np.flatnonzero(mixed.any(axis=1))
     if not len(where):
         return None

@@ -17,8 +17,6 @@ from ..folder import Description
 from ..measurement_files import sort_trials
 from .reader import Recording
 
-# [m] noise where the frames do not differ, else the measurement would count as exact
-NOISE_MIN_M = 1e-7
 STEPS_PER_WINDOW = 10  # [1] of the time grid, so that a stretch is found to a tenth of the window
 
 
@@ -404,7 +402,7 @@ def segments_dataset(
     described = description.values()
     squares = np.array([one.noise**2 for one in segments])
     if description.position_noise is None and len(trials) == 1 and np.isfinite(squares).any():
-        described['position_noise'] = max(float(np.sqrt(np.nanmean(squares))), NOISE_MIN_M)
+        described['position_noise'] = max(float(np.sqrt(np.nanmean(squares))), RESOLUTION)
     return DataSet(
         name=bag,
         robot=robot,
