@@ -48,10 +48,7 @@ def even_markers(robot: Robot, count: int) -> tuple[Marker, ...]:
 
 
 def place_markers(
-    robot: Robot,
-    given: Sequence[Marker | float] | Floats | None,
-    labels: Sequence[str],
-    name: str,
+    robot: Robot, given: Sequence[Marker | float] | Floats | None, labels: Sequence[str], name: str
 ) -> tuple[Marker, ...]:
     """
     Return the labelled markers: as given or by their arc lengths [m], else one per cell.
@@ -68,11 +65,9 @@ def place_markers(
         raise refusal(f'{name}: markers', MARKERS_EXPECTED, given)
     if given is None or len(given) != len(labels):
         known = 'none' if given is None else f'{len(given)}'
-        raise DataSetError(
-            f'{name}: markers',
-            f'there are {len(labels)}, {known} with a place',
-            'give the arc length [m] of each, from the base along the arm',
-        )
+        problem = f'there are {len(labels)}, {known} with a place'
+        remedy = 'give the arc length [m] of each, from the base along the arm'
+        raise DataSetError(f'{name}: markers', problem, remedy)
     return markers_of(given, labels, name)
 
 

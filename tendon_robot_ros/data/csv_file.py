@@ -216,11 +216,8 @@ class CsvFile:
     def _header(self, line: str, required: Sequence[str], known: Sequence[str]) -> list[str]:
         for mark, name in ((';', 'semicolons'), ('\t', 'tabs')):
             if mark in line and ',' not in line:
-                raise self.error(
-                    1,
-                    f'columns are separated by {name}',
-                    'export with commas between columns and points in numbers',
-                )
+                remedy = 'export with commas between columns and points in numbers'
+                raise self.error(1, f'columns are separated by {name}', remedy)
         header = [cell.strip(' "\n') for cell in line.split(',')]
         if not set(header) & set(required):
             raise self.error(
@@ -257,11 +254,9 @@ class CsvFile:
             if not ''.join(cells).strip():
                 raise self.error(row + place, 'the line is empty', 'remove it')
             if len(cells) != len(self.header):
-                raise self.error(
-                    row + place,
-                    f'{len(cells)} cells under {len(self.header)} columns',
-                    'write every column, missing values as empty cells, and points in numbers',
-                )
+                problem = f'{len(cells)} cells under {len(self.header)} columns'
+                remedy = 'write every column, missing values as empty cells, and points in numbers'
+                raise self.error(row + place, problem, remedy)
             block[place] = tuple(
                 self._float(cell.strip(), key, row + place) if key in numbers else cell
                 for key, cell in zip(self.header, cells, strict=True)

@@ -101,11 +101,9 @@ class DataSet(TextResult):
         P, m, J = len(self.postures), len(self.robot.inputs), len(self.markers)
         Q = np.shape(self.positions)[1] if np.ndim(self.positions) == 4 else 0
         if (self.path == 'visits') != (self.visits is not None):
-            raise DataSetError(
-                f'{self.name}: path: {self.path}',
-                f'there is {"no" if self.visits is None else "an"} order of visits',
-                'a folder has it in inputs.csv, column visit or previous, with path: visits',
-            )
+            problem = f'there is {"no" if self.visits is None else "an"} order of visits'
+            remedy = 'a folder has it in inputs.csv, column visit or previous, with path: visits'
+            raise DataSetError(f'{self.name}: path: {self.path}', problem, remedy)
         if not self.trial_names:
             object.__setattr__(self, 'trial_names', tuple(str(q) for q in range(Q)))
         shapes = {'positions': (P, Q, J, 3), 'orientations': (P, Q, J, 4)}
@@ -114,20 +112,15 @@ class DataSet(TextResult):
                 continue
             array = np.array(given, dtype=float)
             if array.shape != shape:
-                raise DataSetError(
-                    f'{self.name}: {key}',
-                    f'has shape {array.shape}',
-                    f'expected {shape} from postures, trials, markers and inputs',
-                )
+                remedy = f'expected {shape} from postures, trials, markers and inputs'
+                raise DataSetError(f'{self.name}: {key}', f'has shape {array.shape}', remedy)
             array.setflags(write=False)
             object.__setattr__(self, key, array)
         if self.input == 'tension' and np.isnan(self.inputs).any():
             p, i = np.argwhere(np.isnan(self.inputs))[0].tolist()
-            raise DataSetError(
-                f'{self.name}: posture {self.postures[p]!r}',
-                f'the tension of {self.input_names[i]} is nan',
-                'give every tension, 0 where a tendon is slack',
-            )
+            problem = f'the tension of {self.input_names[i]} is nan'
+            remedy = 'give every tension, 0 where a tendon is slack'
+            raise DataSetError(f'{self.name}: posture {self.postures[p]!r}', problem, remedy)
 
     def __repr__(self) -> str:
         """Summarise the size of the data set and its robot."""
@@ -265,11 +258,8 @@ class DataSet(TextResult):
             raise refusal(f'{name}: positions', 'numbers [m]', positions) from None
         places = places[:, None] if places.ndim == 3 else places
         if places.ndim != 4 or places.shape[3] != 3:
-            raise DataSetError(
-                f'{name}: positions',
-                f'has shape {np.shape(positions)}',
-                'expected (postures, markers, 3) or (postures, trials, markers, 3)',
-            )
+            remedy = 'expected (postures, markers, 3) or (postures, trials, markers, 3)'
+            raise DataSetError(f'{name}: positions', f'has shape {np.shape(positions)}', remedy)
         P, _, J = places.shape[:3]
         return cls._checked(
             robot,

@@ -21,14 +21,7 @@ from ..common.yaml_reading import Reader, parse_yaml
 from ..robot import Robot, dump_robot, load_robot
 from .arrays import PLAUSIBLE_FACTOR, POSITION, QUATERNION, Marker, Vector, default_markers
 from .dataset import INPUTS, PATHS, DataSet, HasDataSet, Known, as_dataset
-from .measurement_files import (
-    KEYS,
-    ORIGIN,
-    VISIT,
-    Commands,
-    read_inputs,
-    read_shapes,
-)
+from .measurement_files import KEYS, ORIGIN, VISIT, Commands, read_inputs, read_shapes
 from .visits import Visits, split_by_order, split_by_origin
 
 DESCRIPTION_KEYS = (
@@ -135,11 +128,9 @@ def find_robot(fields: DatasetFields, folder: Path) -> Robot:
     path = folder / fields.label('robot') if fields.has('robot') else folder / 'robot.yaml'
     if not os.path.isfile(path):  # Path.is_file raises where a name is too long
         name = str(path)
-        raise DataSetError(
-            f'{fields.source}: robot',
-            f'no file {name if len(name) < 256 else name[:256] + "..."}',
-            'put the robot description there or correct the path',
-        )
+        problem = f'no file {name if len(name) < 256 else name[:256] + "..."}'
+        remedy = 'put the robot description there or correct the path'
+        raise DataSetError(f'{fields.source}: robot', problem, remedy)
     return load_robot(path)
 
 
@@ -291,17 +282,11 @@ def refuse_table(path: Path) -> None:
     if not os.path.exists(path):
         raise DataSetError(str(path), 'is not there', 'name the folder of a data set')
     if path.suffix.lower() in TABLE_ENDINGS and os.path.isfile(path):
-        raise DataSetError(
-            str(path),
-            'is a table, and no data set',
-            f'make one of it: {PROGRAM} import-table {path} --robot ARM.yaml --output run',
-        )
+        remedy = f'make one of it: {PROGRAM} import-table {path} --robot ARM.yaml --output run'
+        raise DataSetError(str(path), 'is a table, and no data set', remedy)
     if os.path.isfile(path):
-        raise DataSetError(
-            str(path),
-            'is a file, and no data set',
-            'name the folder that holds dataset.yaml; robots go behind --model or --robot',
-        )
+        remedy = 'name the folder that holds dataset.yaml; robots go behind --model or --robot'
+        raise DataSetError(str(path), 'is a file, and no data set', remedy)
 
 
 def described_robot(folder: str | Path) -> Robot:
@@ -380,11 +365,9 @@ def save_dataset(
     unmeasured = dataset.trials == 0
     if unmeasured.all() or (unmeasured.any() and dataset.path == 'from_straight'):
         posture = dataset.postures[int(unmeasured.argmax())]
-        raise DataSetError(
-            f'{dataset.name}: posture {posture!r}',
-            'has no measurement to write',
-            'select the measured postures',
-        )
+        problem = 'has no measurement to write'
+        remedy = 'select the measured postures'
+        raise DataSetError(f'{dataset.name}: posture {posture!r}', problem, remedy)
     refuse_dataset_in(folder, overwrite)
     dataset = dataset.without_unseen_markers()
     with new_folder(Path(folder), (*FILES, *BESIDE) if overwrite else ()) as new:

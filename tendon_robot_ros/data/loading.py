@@ -12,15 +12,7 @@ import numpy as np
 
 from ..common.errors import DataSetError, place, refusal
 from ..robot import RobotLike, load_robot
-from .dataset import (
-    EXPECTED,
-    DataSet,
-    FloatArray,
-    HasDataSet,
-    IntArray,
-    Part,
-    as_dataset,
-)
+from .dataset import EXPECTED, DataSet, FloatArray, HasDataSet, IntArray, Part, as_dataset
 from .folder import read_folder
 from .recording.importing import import_bag
 from .recording.reader import is_bag
@@ -115,18 +107,12 @@ def _joined(datasets: Sequence[DataSet]) -> DataSet:
     for other in datasets[1:]:
         for key in ALIKE:
             if getattr(first, key) != getattr(other, key):
-                raise DataSetError(
-                    other.name,
-                    f'has other {key} than {first.name}',
-                    f'data sets that are used together have the same {", ".join(ALIKE)}',
-                )
+                remedy = f'data sets that are used together have the same {", ".join(ALIKE)}'
+                raise DataSetError(other.name, f'has other {key} than {first.name}', remedy)
         ours, theirs = (replace(d.robot, source='', fitted={}) for d in (first, other))
         if ours != theirs:
-            raise DataSetError(
-                other.name,
-                f'has another robot description than {first.name}',
-                'name the one that holds for all with --robot',
-            )
+            problem = f'has another robot description than {first.name}'
+            raise DataSetError(other.name, problem, 'name the one that holds for all with --robot')
     names = [dataset.name.rstrip('/').rpartition('/')[2] for dataset in datasets]
     if len(set(names)) < len(names):  # the last parts of two folders are the same
         names = [dataset.name for dataset in datasets]

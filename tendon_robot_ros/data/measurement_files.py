@@ -256,11 +256,8 @@ def read_shapes(
     file = CsvFile(path, required, (*required, *QUATERNION), missing)
     turned = tuple(name for name in QUATERNION if name in file.header)
     if turned and turned != QUATERNION:
-        raise file.error(
-            1,
-            f'{", ".join(turned)} alone are no quaternion',
-            f'write {", ".join(QUATERNION)}, or none of them',
-        )
+        problem = f'{", ".join(turned)} alone are no quaternion'
+        raise file.error(1, problem, f'write {", ".join(QUATERNION)}, or none of them')
     file.read(KEYS, (*POSITION, *turned))
     xyz = file.columns(POSITION)
     _check_positions(file, xyz, robot)
@@ -270,11 +267,8 @@ def read_shapes(
     trial = file.translate('trial', trials)
     sizes = len(commands.postures), len(trials), len(markers)
     if np.prod(sizes, dtype=float) > VALUES_MAX:
-        raise DataSetError(
-            str(path),
-            '{} postures x {} trials x {} markers are too many'.format(*sizes),
-            'count the trials of every posture from 0',
-        )
+        problem = '{} postures x {} trials x {} markers are too many'.format(*sizes)
+        raise DataSetError(str(path), problem, 'count the trials of every posture from 0')
     visible = ~np.isnan(xyz[:, 0])
     _check_trials(file, commands, (posture, trial, visible, trials), sequence)
     positions = np.full((*sizes, 3), np.nan)

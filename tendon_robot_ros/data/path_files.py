@@ -165,11 +165,8 @@ def read_moves(path: str | Path) -> Moves:
             received.setdefault(roles[connection.topic], []).append((1e-9 * time, message))
         start = 1e-9 * reader.start_time
     if not any(received.get(name) for name in ('target_pose', 'target_point', COMMAND)):
-        raise DataSetError(
-            str(path),
-            'holds neither target_pose, target_point nor tendon_command',
-            'record them: python -m tendon_robot_ros record',
-        )
+        problem = 'holds neither target_pose, target_point nor tendon_command'
+        raise DataSetError(str(path), problem, 'record them: python -m tendon_robot_ros record')
     targets = [_place(m) for name, _ in TARGETS for m in received.get(name, [])]
     tip = next((name for name in TIPS if received.get(name)), TIPS[-1])
     sent = received.get(COMMAND, [])

@@ -58,10 +58,7 @@ def is_missing(places: FloatArray, far: float = FAR_M) -> BoolArray:
 
 
 def without_unseen(
-    positions: FloatArray,
-    length: float | None,
-    far: float = FAR_M,
-    news: BoolArray | None = None,
+    positions: FloatArray, length: float | None, far: float = FAR_M, news: BoolArray | None = None
 ) -> tuple[FloatArray, dict[str, IntArray]]:
     """
     Replace invalid readings by NaN, and count them by reason.

@@ -150,12 +150,7 @@ def _pairs(commands: IntArray, before: IntArray) -> tuple[IntArray, IntArray]:
     return pairs, posture.reshape(-1)
 
 
-def _split(
-    names: Sequence[str],
-    pairs: IntArray,
-    posture: IntArray,
-    visits: Visits,
-) -> Split:
+def _split(names: Sequence[str], pairs: IntArray, posture: IntArray, visits: Visits) -> Split:
     commands = tuple(names[command] for command in pairs[:, 0].tolist())
     origins = ['the straight arm' if b == STRAIGHT else names[b] for b in pairs[:, 1].tolist()]
     labels = tuple(f'{c} after {b}' for c, b in zip(commands, origins, strict=True))

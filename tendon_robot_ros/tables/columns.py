@@ -17,6 +17,8 @@ from ..common.words import Unit, find_unit, listing, split_name
 FloatArray = NDArray[np.float64]
 # [m] of a usual tracker, about, so that smaller differences are no motion of the arm
 TRACKER_NOISE_M = 5e-4
+# [1] times a noise or an error of the model, because less may be by chance
+NOISE_FACTOR = 3.0
 # [1] rows that show how columns behave; a table without times has no more, because nobody measures
 # more by hand
 ROWS_MAX = 500
@@ -99,11 +101,8 @@ class RawTable:
             return self.columns[column]
         for row, text in enumerate(self.texts[column]):
             if text not in MISSING and not is_number(text):
-                raise DataSetError(
-                    self.where(row),
-                    f'{column} is {short(text)}',
-                    f'expected {expected}, or an empty cell where there is none',
-                )
+                remedy = f'expected {expected}, or an empty cell where there is none'
+                raise DataSetError(self.where(row), f'{column} is {short(text)}', remedy)
         return np.array([float(t) if t not in MISSING else np.nan for t in self.texts[column]])
 
 
@@ -400,8 +399,5 @@ def need_column(tables: Sequence[RawTable], column: str, option: str) -> RawTabl
     for table in tables:
         if table.holds(column):
             return table
-    raise DataSetError(
-        tables[0].name,
-        f'no column {column!r} ({option})',
-        f'use one of {listing(tables[0].names)}',
-    )
+    problem = f'no column {column!r} ({option})'
+    raise DataSetError(tables[0].name, problem, f'use one of {listing(tables[0].names)}')

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..common.colours import COLOURS, GOOD, LEFT_OUT, MEASURED, PREDICTED, REST
 from ..common.results import TextResult
+from ..common.rotations import rotation_angle
 from ..common.words import mm, postures
 from ..data import DataSet, save_dataset
 from ..data.dataset import at_rest
@@ -20,7 +21,7 @@ from .columns import SHOWN_MAX, FloatArray, marker_label
 from .markers import MarkerOrder
 from .measuring import Piece, StillMeasurements
 from .recipe import Recipe, Selection, dump_recipe
-from .registration import TrackerFrame, angle_of
+from .registration import TrackerFrame
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -166,7 +167,7 @@ def measurement_line(dataset: DataSet, measured: StillMeasurements) -> str:
 def frame_lines(frame: TrackerFrame, robot: Robot) -> list[str]:
     """Describe the pose of the tracker's frame, its residual, and its tolerance in a diagnosis."""
     shift = ', '.join(f'{1e3 * x:.1f}' for x in frame.shift)
-    angle = np.degrees(angle_of(frame))
+    angle = np.degrees(rotation_angle(frame.rotation))
     straight = '' if frame.straight is None else f', {mm(frame.straight)} where it is straight'
     lines = [
         METHODS[frame.method],
@@ -289,7 +290,7 @@ def _shade(axes: Axes, measured: StillMeasurements) -> None:
 
 def _thinned(axes: Axes, times: FloatArray) -> slice:
     """Return which of many samples to draw: a few for each column of the picture."""
-    return slice(None, None, max(len(times) // int(4.0 * axes.get_figure(True).bbox.width), 1))
+    return slice(None, None, max(len(times) // int(4.0 * axes.bbox.width), 1))
 
 
 def _inputs(axes: Axes, dataset: DataSet, measured: StillMeasurements) -> None:

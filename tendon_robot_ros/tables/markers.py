@@ -377,11 +377,8 @@ def order_markers(
     if given:
         off = members[: max(len(members) - len(known), 0)]
         if len(known) > len(members) or any(below_tip[: len(off)] > cell):
-            raise DataSetError(
-                name,
-                f'has {len(members)} markers, but {len(known)} places on the arm are given',
-                'give one arc length for each, from base to tip',
-            )
+            problem = f'has {len(members)} markers, but {len(known)} places on the arm are given'
+            raise DataSetError(name, problem, 'give one arc length for each, from base to tip')
         kept = tuple(members[len(off) :])
         far, span = apart[kept[0], kept[-1]], known[-1] - known[0]
         if abs(far - span) > max(cell, 2.0 * DISTANCE_TOLERANCE * span):

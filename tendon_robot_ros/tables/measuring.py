@@ -25,7 +25,7 @@ from ..data.recording.still_segments import (
 )
 from ..data.tracker_faults import unseen_lines
 from ..robot import Robot
-from .columns import TRACKER_NOISE_M, FloatArray, marker_label
+from .columns import NOISE_FACTOR, TRACKER_NOISE_M, FloatArray, marker_label
 from .recipe import Recipe, Selection
 from .traces import JUMP_FACTOR, Traces, cut_out
 
@@ -34,8 +34,6 @@ FROM_STRAIGHT, SEQUENCE, VISITS = 'from_straight', 'sequence', 'visits'
 # because a load cell does not go back to exactly zero
 LET_GO_FRACTION = 0.2
 LOADED_MIN = 3  # [1] loaded postures, because fewer do not show how an arm was moved
-# [1] of the postures, before which the arm was let go, because a few short rests may be missed
-MOSTLY = 0.8
 
 RESTED = (
     'every posture was loaded from the straight arm (path: from_straight); if the arm went from '
@@ -72,7 +70,7 @@ def history_assumed(
 def _was_let_go(counts: Sequence[tuple[int, int, float]]) -> bool:
     """Return whether the inputs were released before most loaded postures, however briefly."""
     let_go, of = sum(count for count, _, _ in counts), sum(of for _, of, _ in counts)
-    return of >= LOADED_MIN and let_go >= MOSTLY * of
+    return of >= LOADED_MIN and let_go > 0.5 * of
 
 
 def let_go_between(
@@ -134,11 +132,8 @@ INPUT_TOLERANCE = 0.01
 # [1] times the usual threshold of stillness, above which noise does not raise it, because what is
 # more is motion, or a command
 RAISED_MAX = 10.0
-NOISE_MARGIN = 3.0  # [1] times the noise of an arm that is still, else it would move by chance
 # [1] of the time that an arm is still at least, so that this quantile is noise alone
 QUIET_FRACTION = 0.15
-# [1] between the scatter of trials and the steps of postures, because less is no gap
-GAP_RATIO = 2.5
 # [1] of the segments, that are at rest where an arm rests between trials, because half of them
 # are, and some are missed
 REST_FRACTION = 0.3
@@ -304,13 +299,13 @@ def _still_rule(
     speeds = np.concatenate([m.speed[np.isfinite(m.speed)] for m in motions])
     changes = np.concatenate([m.change[np.isfinite(m.change)] for m in motions])
     if recipe.still.speed is None and len(speeds):
-        quiet = NOISE_MARGIN * float(np.quantile(speeds, QUIET_FRACTION))
+        quiet = NOISE_FACTOR * float(np.quantile(speeds, QUIET_FRACTION))
         rule = replace(
             rule, speed=float(np.clip(round(quiet, 5), Rule.speed, RAISED_MAX * Rule.speed))
         )
     if recipe.still.change is None and len(changes):
         size = max(float(np.nanquantile(np.abs(one.inputs), 0.995)) for one in traces)
-        quiet = NOISE_MARGIN * float(np.quantile(changes, QUIET_FRACTION))
+        quiet = NOISE_FACTOR * float(np.quantile(changes, QUIET_FRACTION))
         usual = INPUT_TOLERANCE * max(size, 1e-9)
         rule = replace(rule, change=float(f'{np.clip(quiet, usual, RAISED_MAX * usual):.3g}'))
     return rule
@@ -386,7 +381,7 @@ def _guess_same(segments: Sequence[Segment]) -> float:
     steps = np.maximum(steps, INPUT_TOLERANCE * size / RAISED_MAX)
     ratios = steps[1:] / steps[:-1]
     best = int(ratios.argmax())
-    if ratios[best] < GAP_RATIO:
+    if ratios[best] < NOISE_FACTOR:
         return usual
     return float(f'{np.sqrt(steps[best] * steps[best + 1]):.3g}')
 

@@ -7,7 +7,7 @@ import io
 import re
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import islice, pairwise, takewhile
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -79,11 +79,9 @@ def read_tables(path: str | Path) -> list[RawTable]:
         )
     size = path.stat().st_size
     if size > BYTES_MAX:
-        raise DataSetError(
-            shown,
-            f'has {size / 1e9:.1f} GB, more than {BYTES_MAX / 1e9:g} GB are not read at once',
-            'export 50 frames a second and the columns you need, or one file per recording',
-        )
+        problem = f'has {size / 1e9:.1f} GB, more than {BYTES_MAX / 1e9:g} GB are not read at once'
+        remedy = 'export 50 frames a second and the columns you need, or one file per recording'
+        raise DataSetError(shown, problem, remedy)
     if size == 0:
         raise DataSetError(shown, 'is empty', 'export it again')
     ending = path.suffix.lower()
@@ -102,11 +100,9 @@ def read_tables(path: str | Path) -> list[RawTable]:
         maker, remedy = MAKERS_OWN[ending]
         raise DataSetError(shown, f'is a file of {maker} and cannot be read', remedy)
     if ending not in TEXT_ENDINGS:
-        raise DataSetError(
-            shown,
-            f'is no table that can be read ({ending or "no ending"})',
-            f'save it as CSV; known endings: {", ".join(TABLE_ENDINGS)}',
-        )
+        problem = f'is no table that can be read ({ending or "no ending"})'
+        remedy = f'save it as CSV; known endings: {", ".join(TABLE_ENDINGS)}'
+        raise DataSetError(shown, problem, remedy)
     return _read_text(shown, path)
 
 
@@ -149,11 +145,9 @@ def _delimiter(shown: str, rows: Sequence[str]) -> str:
             return mark
     if (maker := maker_of([[line.strip()] for line in lines])) is not None:
         raise unnamed(shown, 1, maker)
-    raise DataSetError(
-        f'{shown}, row {1 + rows.index(lines[0])}',
-        f'has one column only ({short(lines[0].strip()[:40])})',
-        'separate columns by commas, semicolons or tabs',
-    )
+    problem = f'has one column only ({short(lines[0].strip()[:40])})'
+    remedy = 'separate columns by commas, semicolons or tabs'
+    raise DataSetError(f'{shown}, row {1 + rows.index(lines[0])}', problem, remedy)
 
 
 def _parts(shown: str, data: bytes, encoding: str, delimiter: str) -> list[TextPart]:
@@ -163,8 +157,9 @@ def _parts(shown: str, data: bytes, encoding: str, delimiter: str) -> list[TextP
     stream = io.BytesIO(data)
     for begin, end, line in _blocks(data):
         stream.seek(begin)
-        own = takewhile(lambda _, end=end: stream.tell() <= end, stream)
-        lines = list(islice(own, ROWS_MAX))
+        lines = list[bytes]()
+        while stream.tell() < end and len(lines) < ROWS_MAX:
+            lines.append(stream.readline())
         texts = (raw.decode(encoding, 'replace') for raw in lines)
         rows = [[c.strip() for c in row] for row in csv.reader(texts, delimiter=delimiter)]
         first = first_row_of_data(rows)
@@ -195,12 +190,7 @@ def _blocks(data: bytes) -> Iterator[tuple[int, int, int]]:
 
 
 def _read_part(
-    shown: str,
-    data: bytes,
-    part: TextPart,
-    encoding: str,
-    delimiter: str,
-    notes: tuple[str, ...],
+    shown: str, data: bytes, part: TextPart, encoding: str, delimiter: str, notes: tuple[str, ...]
 ) -> RawTable:
     """Parse the rows below a head."""
     last = part.head[-1][0] + 1 if part.head else 0
@@ -286,11 +276,9 @@ def _frames(table: RawTable, head: Head) -> tuple[FloatArray, float, str]:
     if head.frames is not None and head.frames > len(table):
         every = -(-head.frames // len(table))
         if -(-head.frames // every) != len(table):
-            raise DataSetError(
-                table.name,
-                f'says that it has {head.frames:,} frames and has {len(table):,} rows',
-                'export it again, with the columns of frames and times',
-            )
+            problem = f'says that it has {head.frames:,} frames and has {len(table):,} rows'
+            remedy = 'export it again, with the columns of frames and times'
+            raise DataSetError(table.name, problem, remedy)
     thinned = f', every {every}th of {head.frames:,} frames' if every > 1 else ''
     count: FloatArray = np.arange(len(table), dtype=float)
     return count * every, rate, f'{rate:g} frames a second{thinned}'

@@ -455,11 +455,8 @@ def _choose_times(
         reasons[use.column] = 'its name'
         unit = recipe.time_unit or use.unit
         if not unit and table.units.get(use.column) == FRAMES:
-            raise DataSetError(
-                table.name,
-                'counts frames, and nothing says how many a second',
-                'say --unit time=60Hz, or how many it has',
-            )
+            problem = 'counts frames, and nothing says how many a second'
+            raise DataSetError(table.name, problem, 'say --unit time=60Hz, or how many it has')
         if not unit:
             unit, note = _time_unit(table, use.column)
             assumed += [f'{table.name}: {note}'] if note else []
@@ -568,11 +565,9 @@ def _choose_position_unit(
     if len(written) == 1 and (unit := written.pop()) is not None:
         return replace(recipe, positions=unit)
     if len(written - {None}) > 1:
-        raise DataSetError(
-            tables[0].name,
-            f'markers are in several units: {listing(sorted(str(u) for u in written))}',
-            'export all in one; where only the header is wrong, say --unit positions=mm',
-        )
+        problem = f'markers are in several units: {listing(sorted(str(u) for u in written))}'
+        remedy = 'export all in one; where only the header is wrong, say --unit positions=mm'
+        raise DataSetError(tables[0].name, problem, remedy)
     apart = _extent(tables, recipe)
     low, high = (fraction * robot.length for fraction in EXTENT)
     fitting = [u for u in LENGTH_UNITS if low <= apart * UNITS['length'][u] <= high]

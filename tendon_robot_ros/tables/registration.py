@@ -15,7 +15,6 @@ from ..common.rotations import (
     from_rotation_vector,
     rigid_fit,
     rotation_about,
-    rotation_angle,
     towards,
     upright_fit,
 )
@@ -27,7 +26,7 @@ from ..data import DataSet
 from ..data.arrays import DIGITS, Vector
 from ..data.dataset import BoolArray
 from ..effects import Catalogue
-from .columns import SHOWN_MAX, TRACKER_NOISE_M, FloatArray
+from .columns import NOISE_FACTOR, SHOWN_MAX, TRACKER_NOISE_M, FloatArray
 from .recipe import UPS, FrameChoice, Recipe
 
 ROUNDS = 6  # [1] of weights and fit, because the weights no longer change by then
@@ -39,10 +38,7 @@ LEVEL_SD_RAD = math.radians(2.0)
 # [1] of the weighted error that is left where markers sit beside the backbone, because noise alone
 # makes a fit of two more parameters better, too
 OFFSET_GAIN = 0.93
-# [1] times the error of a free frame, because model errors alone change that of another by less
-CONTRADICTED_FACTOR = 3.0
-UP = {'x': (1.0, 0.0, 0.0), 'y': (0.0, 1.0, 0.0), 'z': (0.0, 0.0, 1.0)}
-Z = np.array(UP['z'])
+Z = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
@@ -82,12 +78,12 @@ class TrackerFrame:
     @property
     def is_mirrored(self) -> bool:
         """Whether a left-handed frame fits much better, as when two inputs are swapped."""
-        return CONTRADICTED_FACTOR * self.mirrored < self.free > 2.0 * TRACKER_NOISE_M
+        return NOISE_FACTOR * self.mirrored < self.free > 2.0 * TRACKER_NOISE_M
 
     @property
     def is_contradicted(self) -> bool:
         """Whether the frame under its constraints has a much larger residual than a free one."""
-        return self.residual > CONTRADICTED_FACTOR * self.free + 2.0 * TRACKER_NOISE_M
+        return self.residual > NOISE_FACTOR * self.free + 2.0 * TRACKER_NOISE_M
 
     def tolerances(self, length: float) -> dict[str, float]:
         """
@@ -108,8 +104,8 @@ class TrackerFrame:
 
 def up_axis(up: str) -> FloatArray:
     """Return the unit vector (3,) of an axis such as `y` or `-z`."""
-    vector = np.array(UP[up[-1]])
-    return -vector if up.startswith('-') else vector
+    axis = np.eye(3)['xyz'.index(up[-1])]
+    return -axis if up.startswith('-') else axis
 
 
 def find_frame(
@@ -272,7 +268,7 @@ def side_offset(
     estimate, without = (np.linalg.lstsq(a, values)[0] for a in (columns, columns[:, 2:]))
     residual, residual_before = values - columns @ estimate, values - columns[:, 2:] @ without
     x, y = estimate[:2].tolist()
-    if np.hypot(x, y) < 3.0 * TRACKER_NOISE_M or residual @ residual > OFFSET_GAIN**2 * (
+    if np.hypot(x, y) < NOISE_FACTOR * TRACKER_NOISE_M or residual @ residual > OFFSET_GAIN**2 * (
         residual_before @ residual_before
     ):
         return None
@@ -313,21 +309,10 @@ def _straight(
     return rotation, arc.mean() * Z - rotation @ middle
 
 
-def gravity_of(frame: TrackerFrame, up: str) -> Vector:
-    """Return gravity [m/s²] in the base frame where the tracker's axis `up` points up."""
-    x, y, z = (-STANDARD_GRAVITY * (frame.rotation @ up_axis(up))).round(6).tolist()
-    return x, y, z
-
-
 def rotation_vector(rotation: FloatArray) -> Vector:
     """Return the rotation vector [rad] of a matrix."""
     x, y, z = Rotation.from_matrix(rotation).as_rotvec().round(DIGITS + 3).tolist()
     return x, y, z
-
-
-def angle_of(frame: TrackerFrame) -> float:
-    """Return the rotation angle of the frame [rad]."""
-    return rotation_angle(frame.rotation)
 
 
 # [1] of the arm, by which the tip may be off for the frame alone, because a frame that is known
@@ -438,11 +423,8 @@ def _without(dataset: DataSet, pairs: Sequence[tuple[str, str]]) -> DataSet:
     out = np.zeros(dataset.trial_mask.shape, dtype=bool)
     for posture, trial in pairs:
         if posture not in dataset.postures or trial not in dataset.trial_names:
-            raise DataSetError(
-                f'{dataset.name}: leave_out',
-                f'there is no posture {posture!r}, trial {trial!r}',
-                'take that line out',
-            )
+            problem = f'there is no posture {posture!r}, trial {trial!r}'
+            raise DataSetError(f'{dataset.name}: leave_out', problem, 'take that line out')
         out[dataset.postures.index(posture), dataset.trial_names.index(trial)] = True
     nothing = np.zeros((*out.shape, len(dataset.markers)), dtype=bool)
     return Outliers(nothing, out, np.zeros(nothing.shape)).without(dataset)
@@ -456,7 +438,8 @@ def _gravity(
     if recipe.up is None:
         missing = 'where down is: say --up (y for OptiTrack, z for most others)'
         return None, (f'nothing says {missing}',) if known is None else ()
-    by_up = gravity_of(frame, recipe.up)
+    x, y, z = (-STANDARD_GRAVITY * (frame.rotation @ up_axis(recipe.up))).round(6).tolist()
+    by_up = x, y, z
     if known is None or not np.linalg.norm(known):
         at = ', '.join(f'{g:.2g}' for g in by_up)
         return (by_up if known is None else None), (

@@ -258,20 +258,14 @@ def make_traces(tables: Sequence[RawTable], chosen: Selection, length: float) ->
                 table.name, f'lacks the columns {listing(missing)}', 'give all tables the same'
             )
     if len(with_inputs) != len(with_markers):
-        raise DataSetError(
-            tables[0].name,
-            f'{len(with_inputs)} tables hold inputs and {len(with_markers)} markers',
-            'name one of each per recording',
-        )
+        problem = f'{len(with_inputs)} tables hold inputs and {len(with_markers)} markers'
+        raise DataSetError(tables[0].name, problem, 'name one of each per recording')
     clocks = []
     for what, given in (('delay', recipe.delay), ('drift', recipe.drift)):
         known = given or (None,)
         if len(known) not in (1, len(with_inputs)):
-            raise DataSetError(
-                tables[0].name,
-                f'{len(known)} {what}s are given for {len(with_inputs)} recordings',
-                f'give one {what}, or one for each',
-            )
+            problem = f'{len(known)} {what}s are given for {len(with_inputs)} recordings'
+            raise DataSetError(tables[0].name, problem, f'give one {what}, or one for each')
         clocks.append(known if len(known) > 1 else known * len(with_inputs))
     pairs = zip(with_inputs, with_markers, *clocks, strict=True)
     return [_trace(a, b, recipe, delay, drift, length) for a, b, delay, drift in pairs]
@@ -479,10 +473,7 @@ def _times(table: RawTable, recipe: Recipe) -> FloatArray:
     back = np.flatnonzero(np.diff(times) < 0.0)
     if len(back):
         row = int(back[0]) + 1
-        raise DataSetError(
-            table.where(row),
-            f'time goes back from {times[row - 1]:g} to {times[row]:g} s',
-            'one file per recording: split it there',
-        )
+        problem = f'time goes back from {times[row - 1]:g} to {times[row]:g} s'
+        raise DataSetError(table.where(row), problem, 'one file per recording: split it there')
     started: FloatArray = times - times[0]
     return started

@@ -151,11 +151,9 @@ def import_bag(
         places = places - np.nanmedian(places, axis=(0, 1))
     far = float(np.nan_to_num(np.abs(places)).max())
     if far > PLAUSIBLE_FACTOR * robot.length:
-        raise DataSetError(
-            recording.name,
-            f'a marker is {far:g} m away, but the robot is only {robot.length:g} m long',
-            'record metres in the base frame (are these mm?)',
-        )
+        problem = f'a marker is {far:g} m away, but the robot is only {robot.length:g} m long'
+        remedy = 'record metres in the base frame (are these mm?)'
+        raise DataSetError(recording.name, problem, remedy)
     segments = plausible_inputs(recording.name, segments, robot, described.input, rule)
     dataset = segments_dataset(recording.name, segments, robot, described, markers)
     return Imported(
@@ -236,22 +234,18 @@ def _markers(recording: Recording, robot: Robot, description: Description) -> tu
     if not names:
         count = recording.tracks[0].positions.shape[1]
         if count != len(markers):
-            raise DataSetError(
-                recording.name,
-                f'the shape has {count} poses, but there are {len(markers)} markers',
-                'list the markers in a dataset.yaml and name it with --description',
-            )
+            problem = f'the shape has {count} poses, but there are {len(markers)} markers'
+            remedy = 'list the markers in a dataset.yaml and name it with --description'
+            raise DataSetError(recording.name, problem, remedy)
         return markers
     known = {marker.name: marker for marker in markers}
     if description.markers is None:
         known.setdefault('tip', Marker('tip', robot.length))
     for name in names:
         if name not in known:
-            raise DataSetError(
-                recording.name,
-                f'no marker {name!r} is described; known: {listing(known)}',
-                'list it in a dataset.yaml and name that with --description',
-            )
+            problem = f'no marker {name!r} is described; known: {listing(known)}'
+            remedy = 'list it in a dataset.yaml and name that with --description'
+            raise DataSetError(recording.name, problem, remedy)
     return tuple(known[name] for name in names)
 
 
@@ -267,11 +261,9 @@ def _inputs(recording: Recording, robot: Robot, kind: str) -> FloatArray:
                 'use the robot description of the robot that was recorded',
             )
         if kind == 'tension' and not np.isfinite(column).any():
-            raise DataSetError(
-                recording.name,
-                f'the tension of {name!r} was not observed ({field} is empty or NaN)',
-                'say input: displacement in a dataset.yaml and name it with --description',
-            )
+            problem = f'the tension of {name!r} was not observed ({field} is empty or NaN)'
+            remedy = 'say input: displacement in a dataset.yaml and name it with --description'
+            raise DataSetError(recording.name, problem, remedy)
     return inputs
 
 

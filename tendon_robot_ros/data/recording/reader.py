@@ -109,11 +109,8 @@ def read_bag(path: str | Path, topics: Topics | None = None) -> Recording:
             if role != 'states' or topics.sender in message.header.frame_id:
                 received.setdefault(role, []).append((time, message))
     if len(frames) > 1:
-        raise DataSetError(
-            bag,
-            f'shapes are given in the frames {listing(sorted(map(repr, frames)))}',
-            'record all markers in the frame of the base',
-        )
+        problem = f'shapes are given in the frames {listing(sorted(map(repr, frames)))}'
+        raise DataSetError(bag, problem, 'record all markers in the frame of the base')
     shapes = [f'marker {name}' for name in topics.markers] or ['shape']
     silent = shapes == ['shape'] and 'shape' not in received and other_sources(types)
     if silent or not set(shapes) <= set(roles.values()):
@@ -189,11 +186,8 @@ def opened(path: str | Path) -> Iterator[Any]:
     except DataSetError:
         raise
     except Exception as error:  # a damaged file can fail anywhere in the parser
-        raise DataSetError(
-            str(path),
-            f'cannot be read ({reason_of(error)})',
-            'repair it (mcap recover) or record it again',
-        ) from None
+        remedy = 'repair it (mcap recover) or record it again'
+        raise DataSetError(str(path), f'cannot be read ({reason_of(error)})', remedy) from None
 
 
 def is_bag(path: str | Path) -> bool:
@@ -248,11 +242,8 @@ def stored(reader: Any, topics: Iterable[str]) -> Iterator[tuple[Any, int, bytes
 def _track(bag: str, times: FloatArray, samples: Sequence[tuple[int, FloatArray]]) -> Track:
     counts = {len(poses) for _, poses in samples}
     if len(counts) > 1:
-        raise DataSetError(
-            bag,
-            f'the shape has {min(counts)} poses in one message and {max(counts)} in another',
-            'publish every marker always, NaN where it is not seen',
-        )
+        problem = f'the shape has {min(counts)} poses in one message and {max(counts)} in another'
+        raise DataSetError(bag, problem, 'publish every marker always, NaN where it is not seen')
     values = np.stack([poses for _, poses in samples])
     values[~np.isfinite(values[..., :3]).all(axis=-1)] = np.nan
     return Track(times, values[..., :3], _sane(values[..., 3:]))
@@ -292,11 +283,9 @@ class Transforms:
         """Return the parent frame of a marker, and its samples."""
         parents = [parent for parent, own in self.edges if own == child]
         if len(parents) > 1:
-            raise DataSetError(
-                self._name,
-                f'frame {child!r} is given in {listing(parents)}',
-                'record it again with one program that publishes it',
-            )
+            problem = f'frame {child!r} is given in {listing(parents)}'
+            remedy = 'record it again with one program that publishes it'
+            raise DataSetError(self._name, problem, remedy)
         rows = self.edges[parents[0], child]
         times = 1e-9 * (rows[:, 0] - self._start)
         return parents[0], Track(times, rows[:, None, 1:4].copy(), rows[:, None, 4:].copy())

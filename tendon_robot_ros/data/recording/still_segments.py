@@ -74,11 +74,9 @@ def motion(recording: Recording, inputs: FloatArray, rule: Rule) -> ArmMotion:
     start, end = max(e[0] for e in ends), min(e[1] for e in ends)
     size = sum(track.positions.shape[1] for track in recording.tracks)
     if (end - start) / window * STEPS_PER_WINDOW * size > VALUES_MAX:
-        raise DataSetError(
-            recording.name,
-            f'{end - start:.0f} s are too long to look for {rule.duration:g} s of stillness',
-            'ask for a longer duration or import a part of the recording',
-        )
+        problem = f'{end - start:.0f} s are too long to look for {rule.duration:g} s of stillness'
+        remedy = 'ask for a longer duration or import a part of the recording'
+        raise DataSetError(recording.name, problem, remedy)
     times = np.arange(start + window / 2, end - window / 2 + 1e-9, window / STEPS_PER_WINDOW)
     half = window / 2
     begin = np.concatenate([times - half, times])

@@ -243,10 +243,7 @@ class Timing:
 
 
 def export_bag(
-    dataset: DataSet,
-    path: str | Path,
-    storage: str = 'mcap',
-    timing: Timing = Timing(),
+    dataset: DataSet, path: str | Path, storage: str = 'mcap', timing: Timing = Timing()
 ) -> Path:
     """
     Write a data set as a recording; `import_bag` gives it back.
