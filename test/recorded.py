@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 from small_dataset import ROBOT
 
-from tendon_robot_ros.data.recording.writer import (
+from tendon_robot_ros.data.bag_writer import (
     JOINT_STATE,
     POSE_ARRAY,
     POSE_STAMPED,

@@ -15,7 +15,7 @@ from tendon_robot_ros.cli import options
 from tendon_robot_ros.cli.main import COMMANDS, Parser, main
 from tendon_robot_ros.common.errors import InputError
 from tendon_robot_ros.data import load_dataset, save_dataset
-from tendon_robot_ros.data.recording.writer import export_bag
+from tendon_robot_ros.data.bag_writer import export_bag
 from tendon_robot_ros.robot import dump_robot
 from tendon_robot_ros.simulation.measurements import SimulatedNoise, simulate
 from tendon_robot_ros.workspace.postures import default_postures

@@ -11,11 +11,10 @@ from small_dataset import write
 
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import DataSetError, MissingExtraError, TendonRobotError
-from tendon_robot_ros.data import load_dataset
-from tendon_robot_ros.data.recording import writer as bag_writer
-from tendon_robot_ros.data.recording.importing import import_bag
-from tendon_robot_ros.data.recording.reader import Topics
-from tendon_robot_ros.data.recording.writer import STRING, BagWriter, Builder, export_bag
+from tendon_robot_ros.data import bag_writer, load_dataset
+from tendon_robot_ros.data.bag_reader import Topics
+from tendon_robot_ros.data.bag_writer import STRING, BagWriter, Builder, export_bag
+from tendon_robot_ros.data.loading import import_bag
 
 STILL = [(BENT, LEFT, 0.0, 2.0)]
 

@@ -14,8 +14,8 @@ from recorded import BENT, LEFT, LOADED_TWICE, RIGHT, SMALL, TURNED, Recorder
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import DataSetError
 from tendon_robot_ros.data import load_dataset
-from tendon_robot_ros.data.recording.importing import import_bag
-from tendon_robot_ros.data.recording.reader import TF, Topics, alternating
+from tendon_robot_ros.data.bag_reader import TF, Topics, alternating
+from tendon_robot_ros.data.loading import import_bag
 from tendon_robot_ros.robot import dump_robot
 
 RATE = 25.0

@@ -8,9 +8,9 @@ pytest.importorskip('rosbags')
 
 from recorded import BENT, LEFT, LOADED_TWICE, REST, RIGHT, SMALL, STRAIGHT, TURNED, Recorder
 
-from tendon_robot_ros.data.recording.importing import draw_segments, import_bag, summary
-from tendon_robot_ros.data.recording.reader import Topics
-from tendon_robot_ros.data.recording.still_segments import Rule
+from tendon_robot_ros.data.bag_reader import Topics
+from tendon_robot_ros.data.loading import draw_segments, import_bag, summary
+from tendon_robot_ros.data.still_segments import Rule
 
 
 @pytest.fixture(scope='module')

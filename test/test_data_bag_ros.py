@@ -17,9 +17,9 @@ from geometry_msgs.msg import Pose, PoseArray
 from recorded import BENT, SMALL
 from sensor_msgs.msg import JointState
 
-from tendon_robot_ros.data.recording.importing import import_bag
-from tendon_robot_ros.data.recording.still_segments import Rule
-from tendon_robot_ros.data.recording.writer import JOINT_STATE, POSE_ARRAY, BagWriter
+from tendon_robot_ros.data.bag_writer import JOINT_STATE, POSE_ARRAY, BagWriter
+from tendon_robot_ros.data.loading import import_bag
+from tendon_robot_ros.data.still_segments import Rule
 
 pytestmark = pytest.mark.ros
 

@@ -16,8 +16,8 @@ pytest.importorskip('rosbags')
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
 
-from tendon_robot_ros.data.recording.importing import import_bag
-from tendon_robot_ros.data.recording.writer import POSE_ARRAY, Timing, export_bag, parse_pose_array
+from tendon_robot_ros.data.bag_writer import POSE_ARRAY, Timing, export_bag, parse_pose_array
+from tendon_robot_ros.data.loading import import_bag
 
 QUICK = Timing(hold=1.0, move=0.2, rate=20.0)
 
@@ -97,7 +97,7 @@ def test_a_recording_names_its_types_and_latches_what_it_says_once(tmp_path):
 def test_poses_are_read_as_rosbags_reads_them(frame):
     from rosbags.typesys import Stores, get_typestore
 
-    from tendon_robot_ros.data.recording.writer import Builder
+    from tendon_robot_ros.data.bag_writer import Builder
 
     types = get_typestore(Stores.ROS2_JAZZY)
     positions, turned = np.random.default_rng(0).normal(size=(2, 5, 4))

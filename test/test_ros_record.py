@@ -23,7 +23,7 @@ from rosbags.highlevel import AnyReader
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from tendon_robot_ros.cli.main import main
-from tendon_robot_ros.data.recording.importing import import_bag
+from tendon_robot_ros.data.loading import import_bag
 from tendon_robot_ros.robot import dump_robot, load_robot
 from tendon_robot_ros.ros.shared.messages import COMMAND, LATCHED
 

@@ -16,7 +16,7 @@ from tendon_robot_ros.common import files
 from tendon_robot_ros.common.errors import DataSetError, InputError
 from tendon_robot_ros.comparison.result import load_comparison
 from tendon_robot_ros.data import load_dataset
-from tendon_robot_ros.data.recording.writer import STORAGES, STRING, BagWriter, Builder, export_bag
+from tendon_robot_ros.data.bag_writer import STORAGES, STRING, BagWriter, Builder, export_bag
 from tendon_robot_ros.investigation.measuring import LOG
 from tendon_robot_ros.studies.fleet import FleetRow
 from tendon_robot_ros.studies.running import GrowingTable

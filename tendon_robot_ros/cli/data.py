@@ -20,13 +20,13 @@ from ..common.errors import InputError
 from ..common.files import TABLE_ENDINGS, YAML_ENDINGS, refuse_ending
 from ..common.words import PROGRAM, read_unit
 from ..data import DataSet, load_dataset, save_dataset
+from ..data.bag_reader import Topics, is_base
+from ..data.bag_writer import STORAGES, Timing, export_bag
 from ..data.dataset import PATHS
 from ..data.folder import read_text, refuse_dataset_in
+from ..data.loading import Imported, draw_segments, import_bag, summary
 from ..data.path_files import Moves, Places, read_moves
-from ..data.recording.importing import Imported, draw_segments, import_bag, summary
-from ..data.recording.reader import Topics, is_base
-from ..data.recording.still_segments import Rule
-from ..data.recording.writer import STORAGES, Timing, export_bag
+from ..data.still_segments import Rule
 from ..paths.path import PathRun
 from ..report.pictures import draw_run
 from ..robot import load_robot

@@ -21,9 +21,9 @@ from ..common.errors import InputError, Progress, TendonRobotError, listener
 from ..common.files import file_to_write, write_text
 from ..common.words import TYPED_LENGTHS, digits, other_unit, read_quantity
 from ..data import DataSet, join, load_dataset
+from ..data.bag_reader import is_bag
 from ..data.folder import described_robot
-from ..data.recording.importing import import_bag, summary
-from ..data.recording.reader import is_bag
+from ..data.loading import import_bag, summary
 from ..robot import Robot, dump_robot, load_robot
 
 if TYPE_CHECKING:

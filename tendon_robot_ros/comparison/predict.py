@@ -13,7 +13,7 @@ import numpy.typing as npt
 from ..common.arrays import Floats
 from ..common.errors import EffectError, TendonRobotError
 from ..data import DataSet, Part
-from ..data.visits import Visits
+from ..data.arrays import Visits
 from ..effects import Catalogue, Effect, Parameter
 from ..model.compile import KernelArrays
 from ..model.derivatives import TENSION_STEP, Move, follow

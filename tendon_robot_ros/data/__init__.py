@@ -2,15 +2,16 @@
 Measurements: `DataSet`, and where it comes from.
 
 dataset.py            measured postures as frozen arrays; a missing value is nan (SI units)
-arrays.py             markers; the same as a tidy table of pandas, and back; impossible units
-visits.py             settled visits in any order: postures that differ by the one before
+arrays.py             markers; visits; the arrays of a tidy table of pandas; impossible units
 loading.py            the measurements that a folder, a recording, an object or a list mean
-tracker_faults.py     readings that are none, markers that are numbered anew or exchanged
 folder.py             a data set as a folder: dataset.yaml, `read_folder`, `save_dataset`
 measurement_files.py  inputs.csv and shapes.csv: what was commanded, where the markers were
 csv_file.py           strict reading of CSV; every refusal names its row
+bag_reader.py         what a recording of ROS 2 holds, in which frame; two senders (without ROS)
+bag_writer.py         messages to a recording, and a data set to one
+still_segments.py     where the arm stands still: the segments that count as measurements
+tracker_faults.py     readings that are none, markers that are numbered anew or exchanged
 path_files.py         paths to follow, from CSV or a recording, and to CSV
-recording/            recordings of ROS 2, read and written without ROS
 """
 
 from .arrays import Marker, default_markers, even_markers

@@ -20,12 +20,13 @@ from .arrays import (
     POSITION,
     QUATERNION,
     Marker,
+    Split,
     Vector,
+    Visits,
     place_markers,
     read_frame,
     too_tense,
 )
-from .visits import Split, Visits
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -19,10 +19,19 @@ from ..common.files import TABLE_ENDINGS, new_folder, refuse_other_files
 from ..common.words import PROGRAM, STANDARD_GRAVITY
 from ..common.yaml_reading import Reader, parse_yaml
 from ..robot import Robot, dump_robot, load_robot
-from .arrays import PLAUSIBLE_FACTOR, POSITION, QUATERNION, Marker, Vector, default_markers
+from .arrays import (
+    PLAUSIBLE_FACTOR,
+    POSITION,
+    QUATERNION,
+    Marker,
+    Vector,
+    Visits,
+    default_markers,
+    split_by_order,
+    split_by_origin,
+)
 from .dataset import INPUTS, PATHS, DataSet, HasDataSet, Known, as_dataset
 from .measurement_files import KEYS, ORIGIN, VISIT, Commands, read_inputs, read_shapes
-from .visits import Visits, split_by_order, split_by_origin
 
 DESCRIPTION_KEYS = (
     'robot',

@@ -1,22 +1,391 @@
-"""Measurements however they are named: a folder, a recording, an object, or several of these."""
+"""
+Measurements however they are named: a folder, a recording, an object, or several of these.
+
+Of a recording every still segment is a measurement.
+"""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..common.errors import DataSetError, place, refusal
-from ..robot import RobotLike, load_robot
+from ..common.files import new_file
+from ..common.words import listing
+from ..robot import Robot, RobotLike, load_robot, parse_robot
+from .arrays import PLAUSIBLE_FACTOR, Marker, default_markers, join_visits, too_tense
+from .bag_reader import (
+    Recording,
+    Topics,
+    Track,
+    in_base,
+    is_bag,
+    is_base,
+    read_bag,
+    refuse_two_senders,
+    with_markers,
+)
+from .bag_writer import DESCRIPTION, ROBOT
 from .dataset import EXPECTED, DataSet, FloatArray, HasDataSet, IntArray, Part, as_dataset
-from .folder import read_folder
-from .recording.importing import import_bag
-from .recording.reader import is_bag
-from .visits import joined
+from .folder import Description, describe, read_fields, read_folder
+from .still_segments import (
+    ArmMotion,
+    Rule,
+    Segment,
+    find_segments,
+    motion,
+    never_still,
+    segments_dataset,
+)
+from .tracker_faults import (
+    changes,
+    exchange_lines,
+    is_missing,
+    joined,
+    put_back,
+    renumbered,
+    unseen_lines,
+    without_unseen,
+)
+
+
+@dataclass(frozen=True)
+class Imported:
+    """A data set, and the segments of the recording that it is made of."""
+
+    dataset: DataSet
+    segments: tuple[Segment, ...]
+    motion: ArmMotion
+    state_times: FloatArray  # (T,) [s]
+    inputs: FloatArray  # (T, m) [N] or [m]
+    rule: Rule
+    left_out: tuple[str, ...]  # one line about each measurement or reading that was not used
+    frame: str = 'base'  # in which the positions are
+
+
+def import_bag(
+    bag: str | Path,
+    robot: RobotLike | None = None,
+    rule: Rule | None = None,
+    topics: Topics | None = None,
+    description: str | None = None,
+    rest: float | None = None,
+    in_tracker_frame: bool = False,
+) -> Imported:
+    """
+    Make a data set from a recording.
+
+    Segments in which all inputs are the same within the rule's change are trials of one posture;
+    in a sequence every segment is a posture of its own. Where the recording says which posture
+    and trial a measurement is, as `export_bag` does, that holds.
+
+    Parameters
+    ----------
+    bag : str or Path
+        A rosbag2 folder, or a single .mcap or .db3 file.
+    robot : Robot, name, path, text or dict, optional
+        By default the one that the recording holds.
+    rule : Rule, optional
+        When the arm counts as still.
+    topics : Topics, optional
+        Where the recording holds what.
+    description : str, optional
+        Text of a dataset.yaml, for example with the markers; by default the recording's.
+    rest : float, optional
+        [N] or [m] segments whose inputs all stay below are no measurements but the rest between.
+    in_tracker_frame : bool
+        Positions may stay in a frame of which the recording does not say where the base is in it;
+        else that is refused.
+
+    Raises
+    ------
+    DataSetError
+        It is no recording, something in it is missing, or the arm never stands still.
+    MissingExtraError
+        The package rosbags is not installed.
+
+    """
+    topics = topics or Topics()
+    recording = read_bag(bag, topics)
+    if robot is None and recording.robot is None:
+        raise DataSetError(
+            recording.name, 'it holds no robot description', 'name one with --robot robot.yaml'
+        )
+    if robot is None:
+        robot = parse_robot(recording.robot or '', f'{recording.name}: {ROBOT}')
+    robot = load_robot(robot)
+    described = _describe(recording, robot, description)
+    if recording.tracks:
+        recording = in_base(recording)
+    else:
+        names = [marker.name for marker in described.markers or default_markers(robot)]
+        recording = with_markers(recording, topics, names, bag)
+    if not in_tracker_frame and not is_base(recording.frame):
+        raise DataSetError(
+            recording.name,
+            f'markers are in the frame {recording.frame!r}, and no transform in it says where the '
+            'base is',
+            'import it with import-bag, which finds where it lies (--frame base: it is the base)',
+        )
+    recording, renumbered_lines = _renumbered(
+        recording, described.markers or default_markers(robot)
+    )
+    markers = _markers(recording, robot, described)
+    inputs = _inputs(recording, robot, described.input)
+    recording, unseen = _without_unseen(recording, robot, [marker.name for marker in markers])
+    refuse_two_senders(recording, inputs)
+    recording, exchanged = _put_back(recording)
+    rule = (rule or Rule()).fill(robot, described.input)
+    speeds = motion(recording, inputs, rule)
+    segments, excluded = find_segments(
+        recording, inputs, speeds, rule, sequence=described.path == 'sequence'
+    )
+    if not any(np.isfinite(one.positions).any() for one in segments):
+        times = [track.times for track in recording.tracks]
+        raise never_still(recording.name, [speeds], times, rule)
+    if rest is not None:
+        segments = [one for one in segments if (np.nan_to_num(one.inputs) >= rest).any()]
+        if not segments:
+            problem = f'wherever the arm stands still all inputs are below {rest:g}: at rest'
+            raise DataSetError(recording.name, problem, 'lower what counts as rest')
+    places = np.array([one.positions for one in segments])
+    if not is_base(recording.frame):  # of a tracker's frame only how far they spread
+        places = places - np.nanmedian(places, axis=(0, 1))
+    far = float(np.nan_to_num(np.abs(places)).max())
+    if far > PLAUSIBLE_FACTOR * robot.length:
+        problem = f'a marker is {far:g} m away, but the robot is only {robot.length:g} m long'
+        remedy = 'record metres in the base frame (are these mm?)'
+        raise DataSetError(recording.name, problem, remedy)
+    segments = plausible_inputs(recording.name, segments, robot, described.input, rule)
+    dataset = segments_dataset(recording.name, segments, robot, described, markers)
+    return Imported(
+        dataset,
+        tuple(segments),
+        speeds,
+        recording.state_times,
+        inputs,
+        rule,
+        (*renumbered_lines, *exchanged, *unseen, *excluded),
+        recording.frame,
+    )
+
+
+def _renumbered(recording: Recording, markers: Sequence[Marker]) -> tuple[Recording, list[str]]:
+    """Join tracks of markers that were renumbered; return the recording and a line for each."""
+    track = recording.tracks[0]
+    if recording.marker_names or track.positions.shape[1] <= len(markers):
+        return recording, []
+    positions = np.where(is_missing(track.positions)[..., None], np.nan, track.positions)
+    chains = renumbered(positions)
+    if len(chains) != len(markers):
+        return recording, []
+    lines = [
+        f'poses {listing(map(str, chain))} of the shape are one marker, numbered anew'
+        for chain in chains
+        if len(chain) > 1
+    ]
+    turned = np.where(np.isnan(positions[..., :1]), np.nan, track.orientations)
+    one = replace(track, positions=joined(positions, chains), orientations=joined(turned, chains))
+    return replace(recording, tracks=(one,)), lines
+
+
+def _put_back(recording: Recording) -> tuple[Recording, list[str]]:
+    """Undo exchanges of markers within a shape; return the recording and a line for each."""
+    if recording.marker_names or len(recording.tracks) != 1:
+        return recording, []
+    (track,) = recording.tracks
+    places = np.concatenate([track.positions, track.orientations], axis=2)
+    places, exchanges = put_back(places)
+    names = [f'pose {j} of the shape' for j in range(places.shape[1])]
+    one = replace(track, positions=places[..., :3], orientations=places[..., 3:])
+    return replace(recording, tracks=(one,)), exchange_lines(exchanges, track.times, names)
+
+
+def _without_unseen(
+    recording: Recording, robot: Robot, names: list[str]
+) -> tuple[Recording, list[str]]:
+    """Exclude invalid readings of markers; return the recording and a line for each reason."""
+    steps = [track.times[1:][changes(track.positions).any(axis=1)] for track in recording.tracks]
+    tracks: list[Track] = []
+    lines: list[str] = []
+    for k, track in enumerate(recording.tracks):
+        others = np.sort(np.concatenate([np.zeros(0), *steps[:k], *steps[k + 1 :]]))
+        news = np.diff(np.searchsorted(others, track.times)) > 0
+        positions, counts = without_unseen(track.positions, robot.length, news=news)
+        lines += unseen_lines(counts, names if len(recording.tracks) == 1 else [names[k]])
+        tracks.append(replace(track, positions=positions))
+    return replace(recording, tracks=tuple(tracks)), lines
+
+
+def _describe(recording: Recording, robot: Robot, text: str | None) -> Description:
+    source = 'description' if text is not None else f'{recording.name}: {DESCRIPTION}'
+    text = recording.description if text is None else text
+    fields = read_fields(text or '', source)
+    described = describe(fields, robot)
+    if fields.has('input'):
+        return described
+    # a driver that observes no tension gives NaN
+    observed = np.isfinite(recording.inputs(robot.inputs, 'tension')).any()
+    return replace(described, input='tension' if observed else 'displacement')
+
+
+def _markers(recording: Recording, robot: Robot, description: Description) -> tuple[Marker, ...]:
+    """Return the marker of every pose, in the order of the recording."""
+    markers = description.markers or default_markers(robot)
+    names = recording.marker_names
+    if not names:
+        count = recording.tracks[0].positions.shape[1]
+        if count != len(markers):
+            problem = f'the shape has {count} poses, but there are {len(markers)} markers'
+            remedy = 'list the markers in a dataset.yaml and name it with --description'
+            raise DataSetError(recording.name, problem, remedy)
+        return markers
+    known = {marker.name: marker for marker in markers}
+    if description.markers is None:
+        known.setdefault('tip', Marker('tip', robot.length))
+    for name in names:
+        if name not in known:
+            problem = f'no marker {name!r} is described; known: {listing(known)}'
+            remedy = 'list it in a dataset.yaml and name that with --description'
+            raise DataSetError(recording.name, problem, remedy)
+    return tuple(known[name] for name in names)
+
+
+def _inputs(recording: Recording, robot: Robot, kind: str) -> FloatArray:
+    inputs = recording.inputs(robot.inputs, kind)
+    field = 'effort' if kind == 'tension' else 'position'
+    listed = {name for state in recording.states for name in state.name}
+    for name, column in zip(robot.inputs, inputs.T, strict=True):
+        if name not in listed:
+            raise DataSetError(
+                recording.name,
+                f'the tendon states do not name {name!r}; they name {listing(sorted(listed))}',
+                'use the robot description of the robot that was recorded',
+            )
+        if kind == 'tension' and not np.isfinite(column).any():
+            problem = f'the tension of {name!r} was not observed ({field} is empty or NaN)'
+            remedy = 'say input: displacement in a dataset.yaml and name it with --description'
+            raise DataSetError(recording.name, problem, remedy)
+    return inputs
+
+
+def plausible_inputs(
+    bag: str, segments: list[Segment], robot: Robot, kind: str, rule: Rule
+) -> list[Segment]:
+    """
+    Return the segments; what a load cell shows below zero at rest is zero.
+
+    Raises
+    ------
+    DataSetError
+        An input is beyond what the robot description has, or a tension pushes.
+
+    """
+    inputs = np.nan_to_num([one.inputs for one in segments])
+    if kind == 'tension':
+        limit, margin = robot.tension_limits[1], rule.change or 0.0
+        if inputs.max() > PLAUSIBLE_FACTOR * limit:
+            raise DataSetError(bag, *too_tense('a tendon', float(inputs.max()), limit))
+        if inputs.min() < -margin:
+            problem = f'a tendon is {inputs.min():g} N, but a tendon cannot push'
+            remedy = f'zero its load cell at rest, to within {margin:g} N, or turn its sign around'
+            raise DataSetError(bag, problem, remedy)
+        return [replace(one, inputs=np.maximum(one.inputs, 0.0)) for one in segments]
+    for value in (inputs.min(), inputs.max()):
+        if abs(value) > robot.length:
+            raise DataSetError(
+                bag,
+                f'a wire is pulled by {value:g} m, but the robot is only {robot.length:g} m long',
+                'give metres (are these mm?)',
+            )
+    return segments
+
+
+PICTURE_WIDTH_MAX_IN = 40.0  # [inch] so that viewers open it
+NAME_WIDTH_IN = 0.22  # [inch] of a segment, so that names of neighbours do not overlap
+
+
+def draw_segments(imported: Imported, path: str | Path) -> Path:
+    """
+    Draw speed and inputs over time with the segments that became measurements.
+
+    Parameters
+    ----------
+    imported : Imported
+        What `import_bag` returned.
+    path : str or Path
+        Where the picture goes; the ending says the format: .png, .svg or .pdf.
+
+    Raises
+    ------
+    DataSetError
+        Nothing can be written there.
+
+    """
+    from matplotlib.figure import Figure
+
+    names_width = NAME_WIDTH_IN * len(imported.segments)
+    width = min(max(8.0, names_width), PICTURE_WIDTH_MAX_IN)
+    figure = Figure(figsize=(width, 5.5), layout='constrained')
+    above, below = figure.subplots(2, 1, sharex=True)
+    moved, limit = imported.motion, 1e3 * imported.rule.speed
+    speed = np.where(np.isfinite(moved.speed), 1e3 * moved.speed, np.nan)
+    above.semilogy(moved.times, np.maximum(speed, limit / 100), color='tab:blue', linewidth=0.8)
+    above.axhline(limit, color='tab:red', linestyle='--', linewidth=0.8)
+    above.annotate(
+        f'{limit:g} mm/s for {imported.rule.duration:g} s counts as still',
+        (0.005, limit),
+        xycoords=('axes fraction', 'data'),
+        xytext=(0, 3),
+        textcoords='offset points',
+        color='tab:red',
+        fontsize='small',
+        bbox={'color': 'white', 'alpha': 0.7, 'pad': 1},
+    )
+    above.set_ylabel('speed [mm/s]')
+    data = imported.dataset
+    for one in imported.segments if names_width <= PICTURE_WIDTH_MAX_IN else ():
+        above.annotate(
+            one.posture if len(data.trial_names) == 1 else f'{one.posture}, {one.trial}',
+            ((one.begin + one.end) / 2, 1.0),
+            xycoords=('data', 'axes fraction'),
+            xytext=(0, 2),
+            textcoords='offset points',
+            rotation=90,
+            ha='center',
+            va='bottom',
+            fontsize='x-small',
+        )
+    scale, label = (1.0, 'tension [N]') if data.input == 'tension' else (1e3, 'wire pull [mm]')
+    for name, values in zip(data.input_names, imported.inputs.T, strict=True):
+        below.plot(imported.state_times, scale * values, linewidth=0.9, label=name)
+    below.set_ylabel(label)
+    below.set_xlabel('time [s]')
+    for axes in (above, below):
+        for one in imported.segments:
+            axes.axvspan(one.begin, one.end, color='tab:green', alpha=0.25, linewidth=0)
+        axes.spines[['top', 'right']].set_visible(False)
+    figure.legend(loc='outside lower right', ncols=6, fontsize='small')
+    figure.suptitle(summary(imported), x=0.01, ha='left', fontsize='large')
+    with new_file(Path(path)) as draft:
+        figure.savefig(draft, dpi=110)
+    return Path(path)
+
+
+def summary(imported: Imported) -> str:
+    """Summarise the import in one line."""
+    trials = imported.dataset.trials
+    each = f'{trials.min()}' if trials.min() == trials.max() else f'{trials.min()}..{trials.max()}'
+    return (
+        f'{len(imported.segments)} still segments: {len(trials)} postures x {each} trials x '
+        f'{len(imported.dataset.markers)} markers'
+    )
+
 
 DataSetLike = DataSet | HasDataSet | str | Path | Sequence['DataSet | HasDataSet | str | Path']
 
@@ -151,7 +520,7 @@ def _joined(datasets: Sequence[DataSet]) -> DataSet:
         known={},
         parts=tuple(parts),
         part=np.concatenate(part),
-        visits=joined(visits) if visits else None,
+        visits=join_visits(visits) if visits else None,
         **noises,
     )
 

@@ -10,10 +10,9 @@ import numpy as np
 from ..common.errors import DataSetError
 from ..common.words import listing
 from ..robot import Robot
-from .arrays import PLAUSIBLE_FACTOR, POSITION, QUATERNION, VALUES_MAX, too_tense
+from .arrays import PLAUSIBLE_FACTOR, POSITION, QUATERNION, STRAIGHT, VALUES_MAX, too_tense
 from .csv_file import NEEDED, CsvFile
 from .dataset import BoolArray, FloatArray, IntArray
-from .visits import STRAIGHT
 
 VISIT, ORIGIN = HISTORY = ('visit', 'previous')  # columns of the history of a posture
 

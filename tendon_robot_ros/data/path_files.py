@@ -10,10 +10,10 @@ import numpy as np
 
 from ..common.errors import DataSetError
 from ..common.rotations import from_quaternion
+from .bag_reader import opened, stored, topic_of
+from .bag_writer import JOINT_STATE, POSE_STAMPED, joints_of
 from .csv_file import CsvFile, first_line
 from .dataset import FloatArray
-from .recording.reader import opened, stored, topic_of
-from .recording.writer import JOINT_STATE, POSE_STAMPED, joints_of
 
 PLACE, VIEW = ('x', 'y', 'z'), ('dx', 'dy', 'dz')
 NO_PATH = 'name a CSV file of targets, or a recording'

@@ -25,7 +25,7 @@ from ..common.words import digits, listed
 from ..comparison.noise import Noise
 from ..comparison.predict import frees_of
 from ..data import DataSet, save_dataset
-from ..data.recording.writer import export_bag
+from ..data.bag_writer import export_bag
 from ..diagnosis.add import Addition, add_effects
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import Diagnosis

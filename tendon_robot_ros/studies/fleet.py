@@ -29,8 +29,8 @@ from ..common.words import columns, digits, listed, mm, scale_of
 from ..common.workers import Workers
 from ..common.yaml_reading import parse_yaml
 from ..data import DataSet, load_dataset
-from ..data.recording.importing import import_bag
-from ..data.recording.reader import is_bag
+from ..data.bag_reader import is_bag
+from ..data.loading import import_bag
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import CandidateRow, Diagnosis, EffectFinding, Value
 from ..diagnosis.verdict import Verdict

@@ -14,9 +14,9 @@ from ..common.words import listed, mm
 from ..comparison.noise import input_effect, input_slopes
 from ..comparison.predict import Predictor
 from ..data import DataSet, Marker
+from ..data.arrays import split_by_order
 from ..data.folder import Description
-from ..data.recording.still_segments import Segment, segments_dataset
-from ..data.visits import split_by_order
+from ..data.still_segments import Segment, segments_dataset
 from ..effects import Catalogue, CatalogueLike, load_catalogue
 from ..robot import Robot, RobotLike, load_robot
 from .columns import SHOWN_MAX, TRACKER_NOISE_M, FloatArray, RawTable, from_frame, marker_label

@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.words import digits
-from ..data.recording.importing import plausible_inputs
-from ..data.recording.reader import Recording, Track
-from ..data.recording.still_segments import (
+from ..data.bag_reader import Recording, Track
+from ..data.loading import plausible_inputs
+from ..data.still_segments import (
     STEPS_PER_WINDOW,
     ArmMotion,
     Rule,

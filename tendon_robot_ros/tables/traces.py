@@ -14,7 +14,7 @@ from ..common.errors import DataSetError, InputError
 from ..common.results import pandas
 from ..common.words import UNITS, find_unit, listing
 from ..data.arrays import VALUES_MAX
-from ..data.recording.reader import Recording, Track
+from ..data.bag_reader import Recording, Track
 from ..data.tracker_faults import (
     FAR_M,
     exchange_lines,

@@ -19,9 +19,9 @@ from ...common.rotations import angle_between
 from ...common.words import TYPED_LENGTHS, other_unit, read_quantity
 from ...control.inputs import Refusal, Trajectory
 from ...control.target_search import keep_out_refusal
+from ...data.bag_reader import is_bag, opened
 from ...data.csv_file import first_line
 from ...data.path_files import NO_PATH, TendonRows, TipRows, read_moves, read_path
-from ...data.recording.reader import is_bag, opened
 from ...model.model import Model
 from ...model.shape import Shape
 from ...paths.path import (

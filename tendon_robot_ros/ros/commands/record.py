@@ -26,7 +26,7 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
 from ...common.errors import InputError, TendonRobotError
 from ...common.files import write_errors
-from ...data.recording.writer import (
+from ...data.bag_writer import (
     DESCRIPTION,
     ROBOT,
     STORAGES,

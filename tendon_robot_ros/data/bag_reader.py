@@ -11,13 +11,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ...common.errors import DataSetError, reason_of
-from ...common.rotations import from_quaternion
-from ...common.words import PROGRAM, listing
-from ..arrays import NO_ROTATION
-from ..dataset import FloatArray
-from ..tracker_faults import BY_CHANCE
-from .writer import (
+from ..common.errors import DataSetError, reason_of
+from ..common.rotations import from_quaternion
+from ..common.words import PROGRAM, listing
+from .arrays import NO_ROTATION
+from .bag_writer import (
     DESCRIPTION,
     JOINT_STATE,
     LABEL,
@@ -30,6 +28,8 @@ from .writer import (
     parse_pose_array,
     poses_of,
 )
+from .dataset import FloatArray
+from .tracker_faults import BY_CHANCE
 
 STORED = ('.mcap', '.db3')  # endings of recordings in one file
 TF = 'tf2_msgs/msg/TFMessage'

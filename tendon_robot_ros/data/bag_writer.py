@@ -11,12 +11,12 @@ from typing import Any, Self
 
 import numpy as np
 
-from ...common.errors import DataSetError, MissingExtraError
-from ...common.files import new_file, new_folder
-from ...robot import dump_robot
-from ..arrays import NO_ROTATION
-from ..dataset import DataSet, FloatArray
-from ..folder import dump_description
+from ..common.errors import DataSetError, MissingExtraError
+from ..common.files import new_file, new_folder
+from ..robot import dump_robot
+from .arrays import NO_ROTATION
+from .dataset import DataSet, FloatArray
+from .folder import dump_description
 
 STORAGES = ('mcap', 'sqlite3')
 

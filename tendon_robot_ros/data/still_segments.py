@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from ...common.errors import DataSetError, short
-from ...robot import Robot
-from ..arrays import DIGITS, NO_ROTATION, RESOLUTION, VALUES_MAX, Marker
-from ..dataset import READINGS, DataSet, FloatArray
-from ..folder import Description
-from ..measurement_files import sort_trials
-from .reader import Recording
+from ..common.errors import DataSetError, short
+from ..robot import Robot
+from .arrays import DIGITS, NO_ROTATION, RESOLUTION, VALUES_MAX, Marker
+from .bag_reader import Recording
+from .dataset import READINGS, DataSet, FloatArray
+from .folder import Description
+from .measurement_files import sort_trials
 
 STEPS_PER_WINDOW = 10  # [1] of the time grid, so that a stretch is found to a tenth of the window
 
