@@ -13,7 +13,7 @@ from ..common.errors import DataSetError, short
 from ..robot import Robot
 from .arrays import DIGITS, NO_ROTATION, RESOLUTION, VALUES_MAX, Marker
 from .bag_reader import Recording
-from .dataset import READINGS, DataSet, FloatArray
+from .dataset import READINGS, DataSet, FloatArray, IntArray
 from .folder import Description
 from .measurement_files import sort_trials
 
@@ -353,6 +353,24 @@ def name_segments(segments: list[Segment], rule: Rule, sequence: bool) -> list[S
     return named
 
 
+def rows_of(
+    segments: Sequence[Segment], postures: tuple[str, ...], trials: tuple[str, ...]
+) -> tuple[IntArray, IntArray]:
+    """Return the indices (N,) of the posture and of the trial of every segment."""
+    known = [{name: i for i, name in enumerate(names)} for names in (postures, trials)]
+    pairs = [(known[0][one.posture], known[1][one.trial]) for one in segments]
+    rows, columns = np.array(pairs, dtype=np.int64).T
+    return rows, columns
+
+
+def frame_noise(segments: Sequence[Segment]) -> float | None:
+    """Return the noise [m] of measurements that nobody repeated, from their frames."""
+    squares = np.array([one.noise**2 for one in segments])
+    if not np.isfinite(squares).any():
+        return None
+    return max(float(np.sqrt(np.nanmean(squares))), RESOLUTION)  # else it would be exact
+
+
 def segments_dataset(
     bag: str,
     segments: Sequence[Segment],
@@ -372,35 +390,33 @@ def segments_dataset(
     postures = tuple(dict.fromkeys(one.posture for one in segments))
     trials = sort_trials(tuple(one.trial for one in segments))
     size = len(postures), len(trials)
-    rows = [(postures.index(one.posture), trials.index(one.trial)) for one in segments]
-    twice = next((i for i, place in enumerate(rows) if place in rows[:i]), None)
-    if twice is not None:
+    at = rows_of(segments, postures, trials)
+    filled = np.zeros(size, dtype=np.int64)
+    np.add.at(filled, at, 1)
+    if filled.max() > 1:
+        twice = int((filled[at] > 1).argmax())
         raise DataSetError(
             bag,
             f'posture {segments[twice].posture!r}, trial {segments[twice].trial!r} is labelled '
             'twice',
             'record it again with labels that differ',
         )
-    at = tuple(np.array(rows).T)
     arrays: dict[str, Any] = {}
     for key in ('inputs', *READINGS):
         values = np.array([getattr(one, key) for one in segments])
         arrays[key] = np.full((*size, *values.shape[1:]), np.nan)
         arrays[key][at] = values
-    filled = np.zeros(size, dtype=bool)
-    filled[at] = True
     inputs, turned = arrays.pop('inputs'), arrays['orientations']
-    total = np.where(filled[..., None], inputs, 0.0).sum(axis=1)
+    total = np.where(filled[..., None] > 0, inputs, 0.0).sum(axis=1)
     mean = (total / filled.sum(axis=1)[:, None]).round(DIGITS)
-    if np.nan_to_num(np.abs(inputs - mean[:, None]))[filled].max() > RESOLUTION:
+    if np.nan_to_num(np.abs(inputs - mean[:, None]))[filled > 0].max() > RESOLUTION:
         arrays['trial_inputs'] = inputs
     known = np.isfinite(turned)
     if np.all(turned[known].reshape(-1, 4) == NO_ROTATION):
         del arrays['orientations']
     described = description.values()
-    squares = np.array([one.noise**2 for one in segments])
-    if description.position_noise is None and len(trials) == 1 and np.isfinite(squares).any():
-        described['position_noise'] = max(float(np.sqrt(np.nanmean(squares))), RESOLUTION)
+    if description.position_noise is None and len(trials) == 1:
+        described['position_noise'] = frame_noise(segments)
     return DataSet(
         name=bag,
         robot=robot,

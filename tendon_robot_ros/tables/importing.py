@@ -16,7 +16,7 @@ from ..comparison.predict import Predictor
 from ..data import DataSet, Marker
 from ..data.arrays import split_by_order
 from ..data.folder import Description
-from ..data.still_segments import Segment, segments_dataset
+from ..data.still_segments import Segment, frame_noise, rows_of, segments_dataset
 from ..effects import Catalogue, CatalogueLike, load_catalogue
 from ..robot import Robot, RobotLike, load_robot
 from .columns import SHOWN_MAX, TRACKER_NOISE_M, FloatArray, RawTable, from_frame, marker_label
@@ -264,9 +264,8 @@ def _history_warnings(
         return lines
     slopes = input_slopes(Predictor(dataset, dataset.robot, catalogue), {})
     shift = input_effect(dataset, slopes) @ frame.rotation  # in the tracker's frame
-    rows = [dataset.postures.index(one.posture) for one in segments]
-    columns = [dataset.trial_names.index(one.trial) for one in segments]
-    return [*lines, *path_dependence(segments, measured.begins, places - shift[rows, columns])]
+    places = places - shift[rows_of(segments, dataset.postures, dataset.trial_names)]
+    return [*lines, *path_dependence(segments, measured.begins, places)]
 
 
 def _place_warnings(dataset: DataSet) -> list[str]:
@@ -365,18 +364,13 @@ def as_visits(dataset: DataSet, segments: Sequence[Segment], begins: Sequence[in
         As of `path_dependence`; the arm was straight before the first segment of every recording.
 
     """
-    names = {name: i for i, name in enumerate(dataset.postures)}
-    places = {name: i for i, name in enumerate(dataset.trial_names)}
-    commands = np.array([names[one.posture] for one in segments])
-    trials = np.array([places[one.trial] for one in segments])
+    commands, trials = rows_of(segments, dataset.postures, dataset.trial_names)
     fresh = np.isin(np.arange(len(segments)), begins)
     measured = dataset.trial_mask[commands, trials]
     split = split_by_order(dataset.postures, commands, trials, measured, fresh)
     divided = dataset.by_origin(split, trials)
     if dataset.position_noise is None and divided.trials.max(initial=0) < 2:
-        squares = np.array([one.noise**2 for one in segments])
-        if np.isfinite(squares).any():  # nothing was repeated: the noise of frames
-            return replace(divided, position_noise=float(np.sqrt(np.nanmean(squares))))
+        return replace(divided, position_noise=frame_noise(segments))
     return divided
 
 

@@ -78,29 +78,30 @@ def find_clock(
         NaN where a marker was not seen.
 
     """
-    span = float(times[-1])
-    longest = max(float(state_times[-1]), span)
+    span = max(float(times[-1]), 1.0)
     coordinates = positions.reshape(len(times), -1)
+    longest = max(float(state_times[-1]), float(times[-1]))
     step = max(STEP_S, longest * coordinates.shape[1] / VALUES_MAX)
-    motions = (state_times, inputs, times, coordinates)
-    count = int(DRIFT_MAX * span / DRIFT_STEP_S)
+    coarse, fine = (
+        (_inputs_on_grid(state_times, inputs, one), _motions_on_grid(times, coordinates, one))
+        for one in (5.0 * step, step)
+    )
+    count = int(DRIFT_MAX * times[-1] / DRIFT_STEP_S)
     drifts = np.linspace(-DRIFT_MAX, DRIFT_MAX, 2 * count + 1) if count else np.zeros(1)
-    search = _Comparison(*motions, 5.0 * step)
-    matches = np.array([search.matches(drift).max() for drift in drifts.tolist()])
+    matches = np.array([_matches(*coarse, drift).max() for drift in drifts.tolist()])
     rough = int(matches.argmax())
-    fine = _Comparison(*motions, step)
-    drift, wide = float(drifts[rough]), DRIFT_STEP_S / max(span, 1.0)
+    beside = drifts[rough] + np.array([-1.0, 1.0]) * DRIFT_STEP_S / span
     drift = float(
         minimize_scalar(
-            lambda rate: -fine.matches(float(rate)).max(),
-            bounds=(max(drift - wide, -DRIFT_MAX), min(drift + wide, DRIFT_MAX)),
+            lambda rate: -_matches(*fine, float(rate)).max(),
+            bounds=np.clip(beside, -DRIFT_MAX, DRIFT_MAX),
             method='bounded',
-            options={'xatol': 0.2 * STEP_S / max(span, 1.0)},
+            options={'xatol': 0.2 * STEP_S / span},
         ).x
     )
-    if abs(drift) * span < 2.0 * STEP_S:
+    if abs(drift) * times[-1] < 2.0 * STEP_S:
         drift = 0.0
-    match = fine.matches(drift)
+    match = _matches(*fine, drift)
     best = int(match.argmax())
     place = float(best)
     if 0 < best < len(match) - 1:  # the vertex of the parabola through the peak and beside it
@@ -108,52 +109,24 @@ def find_clock(
         curved = left - 2.0 * middle + right
         place += float(np.clip(0.5 * (left - right) / curved, -0.5, 0.5)) if curved < 0.0 else 0.0
     other = max(_next_best(match, best), _next_best(matches, rough))
-    return ClockFit((place - fine.before(drift)) * fine.step, drift, float(match[best]), other)
+    before = len(match) - len(fine[0])  # steps by which the markers' grid may begin earlier
+    return ClockFit((place - before) * step, drift, float(match[best]), other)
 
 
-class _Comparison:
-    """Inputs and motions of the markers on one grid; the markers' clock may be stretched."""
-
-    def __init__(
-        self,
-        state_times: FloatArray,
-        inputs: FloatArray,
-        times: FloatArray,
-        coordinates: FloatArray,
-        step: float,
-    ) -> None:
-        self.step = step
-        # the largest principal motions, of variance one together
-        u, s, _ = np.linalg.svd(_on_grid(times, coordinates, step), full_matrices=False)
-        s = s[:PATTERNS_MAX] / max(float(np.linalg.norm(s)), 1e-30)
-        self._moved = u[:, : len(s)] * s
-        # orthonormal columns that span the inputs
-        u, s, _ = np.linalg.svd(_on_grid(state_times, inputs, step), full_matrices=False)
-        given = u[:, s > 1e-6 * max(float(s.max(initial=0.0)), 1e-30)]
-        longest = len(given) + int(len(self._moved) * (1.0 + DRIFT_MAX)) + 1
-        self._given, self._count = len(given), 1 << longest.bit_length()
-        self._spectrum = np.fft.rfft(given, self._count, axis=0)
-
-    def before(self, drift: float) -> int:
-        """Return how many steps before that of the inputs the markers' grid may begin."""
-        return int((len(self._moved) - 1) * (1.0 + drift))
-
-    def matches(self, drift: float) -> FloatArray:
-        """Return the share of the motion explained, for all delays from `before` steps early."""
-        before = self.before(drift)
-        old = np.arange(len(self._moved), dtype=float)
-        new = np.minimum(np.arange(before + 1) / (1.0 + drift), old[-1])
-        moved = np.column_stack([np.interp(new, old, column) for column in self._moved.T])
-        other = np.fft.rfft(moved / np.sqrt(1.0 + drift), self._count, axis=0).conj()
-        match = np.zeros(self._count)
-        for column in self._spectrum.T:
-            match += (np.fft.irfft(column[:, None] * other, self._count, axis=0) ** 2).sum(axis=1)
-        by_delay: FloatArray = np.roll(match, before)[: self._given + before]
-        return by_delay
+def _inputs_on_grid(times: FloatArray, inputs: FloatArray, step: float) -> FloatArray:
+    """Return orthonormal columns that span the inputs at equal steps."""
+    u, s = _modes(times, inputs, step)
+    return u[:, s > 1e-6 * max(float(s.max(initial=0.0)), 1e-30)]
 
 
-def _on_grid(times: FloatArray, values: FloatArray, step: float) -> FloatArray:
-    """Return columns at equal steps, gaps bridged, their means taken off."""
+def _motions_on_grid(times: FloatArray, coordinates: FloatArray, step: float) -> FloatArray:
+    """Return the largest principal motions at equal steps, of variance one together."""
+    u, s = _modes(times, coordinates, step)
+    return (u * s / max(float(np.linalg.norm(s)), 1e-30))[:, :PATTERNS_MAX]
+
+
+def _modes(times: FloatArray, values: FloatArray, step: float) -> tuple[FloatArray, FloatArray]:
+    """Return left singular vectors and singular values of columns, gaps bridged, without means."""
     grid = np.arange(times[0], times[-1] + 0.5 * step, step)
     columns = []
     for column in values.T:
@@ -161,7 +134,22 @@ def _on_grid(times: FloatArray, values: FloatArray, step: float) -> FloatArray:
         if known.sum() > 1:
             placed = np.interp(grid, times[known], column[known])
             columns.append(placed - placed.mean())
-    return np.array(columns).T.reshape(len(grid), -1)
+    u, s, _ = np.linalg.svd(np.array(columns).T.reshape(len(grid), -1), full_matrices=False)
+    return u, s
+
+
+def _matches(inputs: FloatArray, moved: FloatArray, drift: float) -> FloatArray:
+    """Return the fraction of the motion that is explained, for all delays."""
+    before = int((len(moved) - 1) * (1.0 + drift))
+    old = np.arange(len(moved), dtype=float)
+    new = np.minimum(np.arange(before + 1) / (1.0 + drift), old[-1])
+    stretched = np.column_stack([np.interp(new, old, column) for column in moved.T])
+    count = 1 << (len(inputs) + before + 1).bit_length()
+    other = np.fft.rfft(stretched / np.sqrt(1.0 + drift), count, axis=0).conj()
+    match = np.zeros(count)
+    for column in np.fft.rfft(inputs, count, axis=0).T:
+        match += (np.fft.irfft(column[:, None] * other, count, axis=0) ** 2).sum(axis=1)
+    return np.asarray(np.roll(match, before)[: len(inputs) + before])
 
 
 def _next_best(match: FloatArray, best: int) -> float:
