@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import math
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -25,7 +25,6 @@ from .arrays import (
     QUATERNION,
     Marker,
     Vector,
-    Visits,
     default_markers,
     split_by_order,
     split_by_origin,
@@ -400,44 +399,33 @@ def _cells(values: Iterable[float]) -> list[object]:
 
 
 def _input_rows(dataset: DataSet) -> Iterator[Iterable[object]]:
-    if dataset.visits is not None:
-        yield from _visit_rows(dataset, dataset.visits)
-        return
-    if dataset.trial_inputs is None:
-        yield ('posture', *dataset.input_names)
-        for posture, values in zip(dataset.postures, dataset.inputs.tolist(), strict=True):
-            yield (posture, *_cells(values))
-        return
-    yield ('posture', 'trial', *dataset.input_names)
-    for p, posture in enumerate(dataset.postures):
-        measured = dataset.trial_mask[p] if dataset.path == 'from_straight' else ...
-        for q in range(len(dataset.trial_names)):
-            if measured is ... or measured[q]:
-                yield (
-                    posture,
-                    dataset.trial_names[q],
-                    *_cells(dataset.trial_inputs[p, q].tolist()),
-                )
-
-
-def _visit_rows(dataset: DataSet, visits: Visits) -> Iterator[Iterable[object]]:
-    """Yield the visits in their order, or the command before every trial."""
-    names, inputs = dataset.trial_names, dataset.inputs_by_trial
-    if visits.in_one_go and (visits.trials >= 0).all():
-        yield ('posture', 'trial', VISIT, *dataset.input_names)
-        for v in np.lexsort((visits.trials, visits.rows)).tolist():
-            p, q = visits.rows[v], visits.trials[v]
-            values = inputs[p, q] if dataset.trial_mask[p, q] else dataset.inputs[p]
-            yield (visits.commands[p], names[q], v, *_cells(values.tolist()))
-        return
-    once = len(set(visits.commands)) == len(visits.commands)
-    yield ('posture', *(() if once else ('trial',)), ORIGIN, *dataset.input_names)
-    for p, (command, origin) in enumerate(zip(visits.commands, visits.origins, strict=True)):
-        trials = [0] if once else np.flatnonzero(dataset.trial_mask[p]).tolist()
-        for q in trials:
-            values = dataset.inputs[p] if once else inputs[p, q]
-            name = () if once else (names[q],)
-            yield (command, *name, origin, *_cells(values.tolist()))
+    """Yield the header and a row per posture, per trial, or per visit in their order."""
+    visits, measured = dataset.visits, dataset.trial_mask
+    postures = dataset.postures if visits is None else visits.commands
+    by_trial = dataset.trial_inputs is not None
+    history: dict[str, Sequence[object]] = {}
+    if visits is None:
+        keep = measured if dataset.path == 'from_straight' else np.ones_like(measured)
+        places = np.argwhere(keep)
+    elif visits.in_one_go and (visits.trials >= 0).all():
+        by_trial = True
+        order = np.lexsort((visits.trials, visits.rows))
+        places = np.column_stack([visits.rows, visits.trials])[order]
+        history = {VISIT: order.tolist()}
+    else:
+        by_trial = len(set(visits.commands)) < len(visits.commands)
+        places = np.argwhere(measured if by_trial else np.ones_like(measured))
+        history = {ORIGIN: [visits.origins[p] for p in places[:, 0].tolist()]}
+    if not by_trial:
+        first = np.unique(places[:, 0], return_index=True)[1]
+        places = places[first]
+        history = {key: [past[i] for i in first.tolist()] for key, past in history.items()}
+    yield ('posture', *(('trial',) if by_trial else ()), *history, *dataset.input_names)
+    for (p, q), *past in zip(places.tolist(), *history.values(), strict=True):
+        own = by_trial and (VISIT not in history or measured[p, q])
+        values = dataset.inputs_by_trial[p, q] if own else dataset.inputs[p]
+        trial = (dataset.trial_names[q],) if by_trial else ()
+        yield (postures[p], *trial, *past, *_cells(values.tolist()))
 
 
 def _shape_rows(dataset: DataSet) -> Iterator[Iterable[object]]:
