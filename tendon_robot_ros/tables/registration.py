@@ -94,7 +94,7 @@ class TrackerFrame:
         """
         if self.method == 'base':
             return {}
-        rotation = 2.0 * max(self.residual, TRACKER_NOISE_M) / length
+        rotation = max(2.0 * self.residual, TRACKER_NOISE_M) / length
         rotation = LEVEL_SD_RAD if self.method == 'level' else min(rotation, 1.0)
         return {
             'position': float(f'{max(self.at_base, 2.0 * TRACKER_NOISE_M):.2g}'),

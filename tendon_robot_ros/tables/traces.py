@@ -27,9 +27,9 @@ from .columns import ROWS_MAX, TRACKER_NOISE_M, FloatArray, RawTable, marker_lab
 from .markers import circle_centres, not_visible
 from .recipe import MarkerColumns, Recipe, Selection, WireSpool, time_column
 
-# [s] of the grid on which motions are compared; coarser where more would not fit into memory, and
-# the tracker's clock runs alike within two steps at the end, because cameras have 30 to 100 Hz
-STEP_S = 0.025
+# [s] of the grid on which motions are compared, because cameras have 30 to 100 Hz; coarser where it
+# would not fit into memory. Clocks run alike that are within 2.5 steps at the end of the record
+STEP_S = 0.02
 # [1] motions of the markers that are compared, the largest, because two sections that bend and
 # lengthen have no more
 PATTERNS_MAX = 6
@@ -96,10 +96,10 @@ def find_clock(
             lambda rate: -_matches(*fine, float(rate)).max(),
             bounds=np.clip(beside, -DRIFT_MAX, DRIFT_MAX),
             method='bounded',
-            options={'xatol': 0.2 * STEP_S / span},
+            options={'xatol': 0.25 * STEP_S / span},
         ).x
     )
-    if abs(drift) * times[-1] < 2.0 * STEP_S:
+    if abs(drift) * times[-1] < 2.5 * STEP_S:
         drift = 0.0
     match = _matches(*fine, drift)
     best = int(match.argmax())
