@@ -99,7 +99,7 @@ def test_a_row_that_a_logger_did_not_finish_is_left_out_and_said(tmp_path):
 
 def test_a_date_is_a_time(tmp_path):
     table = read(tmp_path, 'stamp,T1\n2024-03-01 12:00:00.0,1\n2024-03-01 12:00:00.5,2\n')
-    assert table.texts['stamp'][1] == '2024-03-01 12:00:00.5'
+    assert table.columns['stamp'][1] == '2024-03-01 12:00:00.5'
     assert guess_time(names_of(table)).column == 'stamp'
 
 
@@ -152,8 +152,8 @@ def test_parquet_and_a_frame_give_the_same_columns(tmp_path):
     frame = pandas.DataFrame({'time': [0.0, 0.5], 'T1 [N]': [1, 2], 'note': ['a', None]})
     frame.to_parquet(tmp_path / 'raw.parquet')
     (table,) = read_tables(tmp_path / 'raw.parquet')
-    assert list(table.columns) == ['time', 'T1 [N]']
-    assert table.texts == {'note': ('a', '')}
+    assert list(table.columns) == ['time', 'T1 [N]', 'note']
+    assert table.columns['note'].tolist() == ['a', '']
 
 
 def test_the_export_of_optitrack_is_read_with_its_header_rows(tmp_path):

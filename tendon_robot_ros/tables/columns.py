@@ -50,8 +50,7 @@ class RawTable:
     """Named columns of R rows, as read from a file."""
 
     name: str  # the file, as the user wrote it
-    columns: dict[str, FloatArray]  # (R,) numbers, NaN = missing
-    texts: dict[str, tuple[str, ...]] = field(default_factory=dict)  # (R,) other columns
+    columns: dict[str, NDArray[Any]]  # (R,) numbers, NaN = missing, or texts (objects)
     units: dict[str, str] = field(default_factory=dict)  # column -> unit given in the file
     first: int | None = None  # row number in the file of the first row of numbers
     kinds: dict[str, str] = field(default_factory=dict)  # column -> kind of its point
@@ -61,17 +60,20 @@ class RawTable:
 
     def __len__(self) -> int:
         """Count the rows."""
-        sizes = [len(values) for values in self.columns.values()]
-        return (sizes or [len(texts) for texts in self.texts.values()])[0]
+        return len(next(iter(self.columns.values())))
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of all columns."""
-        return (*self.columns, *self.texts)
+        return tuple(self.columns)
 
     def holds(self, *columns: str) -> bool:
         """Return whether the table has all of these columns."""
-        return all(column in self.columns or column in self.texts for column in columns)
+        return set(columns) <= self.columns.keys()
+
+    def is_text(self, column: str) -> bool:
+        """Return whether a column holds something else than numbers."""
+        return bool(self.columns[column].dtype == object)
 
     def places(self, points: Sequence[Sequence[str]], step: int = 1) -> FloatArray:
         """Return the places (R / step, K, 3) in columns of x, y and z, of every so many rows."""
@@ -97,13 +99,17 @@ class RawTable:
             A cell is no number; the message names the cell and its content.
 
         """
-        if column in self.columns:
-            return self.columns[column]
-        for row, text in enumerate(self.texts[column]):
+        values = self.columns[column]
+        if not self.is_text(column):
+            return values
+        for row, text in enumerate(values):
             if text not in MISSING and not is_number(text):
-                remedy = f'expected {expected}, or an empty cell where there is none'
-                raise DataSetError(self.where(row), f'{column} is {short(text)}', remedy)
-        return np.array([float(t) if t not in MISSING else np.nan for t in self.texts[column]])
+                raise DataSetError(
+                    self.where(row),
+                    f'{column} is {short(text)}',
+                    f'expected {expected}, or an empty cell where there is none',
+                )
+        return np.array([float(text) if text not in MISSING else np.nan for text in values])
 
 
 def is_number(text: str) -> bool:
@@ -126,7 +132,7 @@ def table_of(
     """Sort the columns of a frame into numbers and texts."""
     if not len(frame):
         raise DataSetError(name, 'has no row below its header', 'export it again')
-    columns, texts = {}, {}
+    columns = {}
     for column in frame.columns:
         values = frame[column]
         if values.dtype.kind in 'fiub':
@@ -135,8 +141,9 @@ def table_of(
             columns[str(column)] = (values - values.iloc[0]).dt.total_seconds().to_numpy()
             units[str(column)] = 's'
         else:
-            texts[str(column)] = tuple(values.astype(object).fillna('').astype(str).str.strip())
-    return RawTable(name, columns, texts, units, first, notes=notes)
+            texts = values.astype(object).fillna('').astype(str).str.strip()
+            columns[str(column)] = texts.to_numpy(dtype=object)
+    return RawTable(name, columns, units, first, notes=notes)
 
 
 def word_set(text: str) -> set[str]:

@@ -261,7 +261,7 @@ def flag_columns(
         kind = kind_of_flag(name)
         if kind is None or name.column in used:
             continue
-        if kind is STATE and name.column in table.columns:
+        if kind is STATE and not table.is_text(name.column):
             continue  # numbers: what they mean only their maker knows
         owner = _words(word for word in name.words if word not in kind)
         of = [j for j, words in enumerate(owners) if words == owner]
@@ -273,12 +273,12 @@ def not_visible(table: RawTable, markers: Sequence[Sequence[str]]) -> dict[str, 
     """Return masks (R, J) of the readings that a column marks as hidden, by reason."""
     masks = {}
     for name, kind, of in flag_columns(table, markers):
-        if name.column in table.columns:
-            values = table.columns[name.column]
+        values = table.columns[name.column]
+        if not table.is_text(name.column):
             hidden = values == 0.0 if kind is VISIBLE else np.nan_to_num(values) != 0.0
         else:
-            known = {text: _is_hidden(text, kind) for text in set(table.texts[name.column])}
-            hidden = np.array([known[text] for text in table.texts[name.column]])
+            known = {text: _is_hidden(text, kind) for text in set(values)}
+            hidden = np.array([known[text] for text in values])
         if hidden.any() and not hidden.all():
             mask = np.zeros((len(table), len(markers)), dtype=bool)
             mask[:, of] = hidden[:, None]

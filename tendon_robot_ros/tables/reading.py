@@ -242,13 +242,13 @@ def _with_times(table: RawTable, head: Head) -> RawTable:
     lengths = {u.text for u in known.values() if u is not None and u.kind == 'length'}
     remarks += [f'lengths in {next(iter(lengths))}'] if len(lengths) == 1 else []
     if 'time' in columns:
-        units.setdefault('time', 's')
-    elif head.rate is not None and 'time' not in table.texts:
+        units |= {} if table.is_text('time') else {'time': units.get('time', 's')}
+    elif head.rate is not None:
         frames, rate, note = _frames(table, head)
         columns = {'time': frames / rate, **columns}
         units['time'] = 's'
         remarks += [note]
-    elif 'time' not in table.texts and set(head.kinds.values()) - {DERIVED}:
+    elif set(head.kinds.values()) - {DERIVED}:
         counted = next((n for n in columns if n.lower().split(' ')[-1] == 'frame'), None)
         if counted is None:
             raise DataSetError(
@@ -425,7 +425,7 @@ def widened(table: RawTable) -> RawTable:
     whose = _whose(table, time.column)
     if whose is None:
         return table
-    frame = pandas().DataFrame({**table.columns, **{n: list(t) for n, t in table.texts.items()}})
+    frame = pandas().DataFrame(table.columns)
     number = frame[time.column].to_numpy()
     if len(set(number)) == len(number):  # rows have times of their own
         in_round, count, number = set[Hashable](), 0, []  # a round has each marker once at most
@@ -478,6 +478,5 @@ def _whose(table: RawTable, time: str) -> str | None:
 
 def _numbered(table: RawTable, column: str) -> FloatArray:
     """Return the numbers (R,) of a column; of texts their numbers in alphabetical order."""
-    if column in table.columns:
-        return table.columns[column]
-    return np.unique(np.array(table.texts[column]), return_inverse=True)[1].astype(float)
+    values = table.columns[column]
+    return np.unique(values, return_inverse=True)[1] if table.is_text(column) else values

@@ -475,7 +475,7 @@ def _choose_times(
 
 
 def _time_unit(table: RawTable, column: str) -> tuple[str, str]:
-    if column in table.texts:
+    if table.is_text(column):
         return 's', ''
     step = float(np.nanmedian(np.abs(np.diff(table.columns[column])))) if len(table) > 1 else 0.0
     for unit, factor in (('s', 1.0), ('ms', 1e-3), ('us', 1e-6), ('ns', 1e-9)):

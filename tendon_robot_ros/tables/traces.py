@@ -27,8 +27,8 @@ from .columns import ROWS_MAX, TRACKER_NOISE_M, FloatArray, RawTable, marker_lab
 from .markers import circle_centres, not_visible
 from .recipe import MarkerColumns, Recipe, Selection, WireSpool, time_column
 
-# [s] of the grid on which motions are compared, because cameras have 30 to 100 Hz; coarser where it
-# would not fit into memory. Clocks run alike that are within 2.5 steps at the end of the record
+# [s] of the grid on which motions are compared, because cameras have 30 to 100 Hz; coarser where
+# it would not fit into memory. Clocks run alike that are within 2.5 steps at the end of the record
 STEP_S = 0.02
 # [1] motions of the markers that are compared, the largest, because two sections that bend and
 # lengthen have no more
@@ -443,13 +443,13 @@ def _times(table: RawTable, recipe: Recipe) -> FloatArray:
     column = time_column(table, recipe.time)
     assert column is not None
     stamps = None  # times written as dates
-    if column in table.texts:
-        stamps = pandas().to_datetime(list(table.texts[column]), errors='coerce', utc=True)
+    if table.is_text(column):
+        stamps = pandas().to_datetime(table.columns[column], errors='coerce', utc=True)
     if stamps is not None and stamps.isna().mean() <= 0.5:
         bad = np.asarray(stamps.isna())
         if bad.any():
             row = int(bad.argmax())
-            problem = f'{column} is {table.texts[column][row]!r}'
+            problem = f'{column} is {table.columns[column][row]!r}'
             raise DataSetError(table.where(row), problem, 'expected a date and time')
         times = np.asarray((stamps - stamps[0]).total_seconds())
     else:
