@@ -29,7 +29,6 @@ from .bag_writer import (
     poses_of,
 )
 from .dataset import FloatArray
-from .tracker_faults import BY_CHANCE
 
 STORED = ('.mcap', '.db3')  # endings of recordings in one file
 TF = 'tf2_msgs/msg/TFMessage'
@@ -437,6 +436,7 @@ APART_FRACTION = 0.1
 # [1] of the groups of values that are noise alone look so by chance: of values that are drawn
 # evenly 0.006, of normal ones 0.0008 (counted in 400,000 groups)
 CHANCE = 0.006
+DEVIATIONS = 6.0  # [1] standard deviations above CHANCE, so that a still arm is never refused
 
 
 def refuse_two_senders(recording: Recording, inputs: FloatArray) -> None:
@@ -491,8 +491,6 @@ def refuse_two_senders(recording: Recording, inputs: FloatArray) -> None:
 
 def alternating(times: FloatArray, values: FloatArray) -> tuple[float, float, float] | None:
     """Return begin, end [s] and difference where values (S, n) of two kinds alternate."""
-    from scipy.special import bdtrik  # the quantile of a binomial distribution
-
     count = len(times) // GROUP
     if not count:
         return None
@@ -517,8 +515,8 @@ def alternating(times: FloatArray, values: FloatArray) -> tuple[float, float, fl
     )
     few = GROUP // 4  # one or two are failed readings
     mixed &= (many >= few) & (many <= GROUP - few) & (spread > 0.0)
-    usual = bdtrik(1.0 - BY_CHANCE, count, CHANCE)  # groups that look so in noise, at most
-    mixed &= mixed.sum(axis=0) >= max(few, usual)
+    chance = CHANCE * count
+    mixed &= mixed.sum(axis=0) >= max(few, chance + DEVIATIONS * np.sqrt(chance))
     where = np.flatnonzero(mixed.any(axis=1))
     if not len(where):
         return None

@@ -107,40 +107,34 @@ def never_still(
     steps = [float(np.median(np.diff(own))) for own in times if len(own) > 1]
     shortest = 3.999 * min(steps, default=0.0)  # times are rounded
     shorter = min(0.5 * lasts, 0.5 * rule.duration)
-    allow = (
-        f'allow a shorter duration, say {shorter:.2g}'
-        if shorter >= shortest
-        else 'let the arm rest longer in every posture'
-    )
+    remedy = 'let the arm rest longer in every posture'
+    if shorter >= shortest:
+        remedy = f'allow a shorter duration, say {shorter:.2g}'
+    limit, duration = f'{1e3 * rule.speed:g} mm/s', f'{rule.duration:g} s'
     if lasts < rule.duration:
-        return DataSetError(
-            name,
-            f'lasts {lasts:.3g} s, and the arm counts as still after {rule.duration:g} s',
-            allow,
+        problem = f'lasts {lasts:.3g} s, and the arm counts as still after {duration}'
+    elif rule.duration < shortest:
+        problem = (
+            f'holds a place every {0.25 * shortest:.2g} s, too few to see in {duration} whether '
+            'the arm stands still'
         )
-    if rule.duration < shortest:
-        return DataSetError(
-            name,
-            f'holds a place every {0.25 * shortest:.2g} s, too few to see in {rule.duration:g} s '
-            'whether the arm stands still',
-            f'ask for a duration of {2.0 * shortest:.2g} or more',
+        remedy = f'ask for a duration of {2.0 * shortest:.2g} or more'
+    elif slowest == np.inf:
+        problem, remedy = 'no marker was ever seen', 'record the markers again'
+    elif slowest < 1e3 * rule.speed:
+        problem = (
+            f'the arm never stands still for {duration} at once, in a recording of {lasts:.3g} s '
+            f'(still: slower than {limit}, inputs change by less than {rule.change or 0.0:.2g} in '
+            'half of that time)'
         )
-    if slowest == np.inf:
-        return DataSetError(name, 'no marker was ever seen', 'record the markers again')
-    if slowest < 1e3 * rule.speed:
-        return DataSetError(
-            name,
-            f'the arm never stands still for {rule.duration:g} s at once, in a recording of '
-            f'{lasts:.3g} s (still: slower than {1e3 * rule.speed:g} mm/s, inputs change by less '
-            f'than {rule.change or 0.0:.2g} in half of that time)',
-            f'{allow}, or a higher speed where noise looks like one',
+        remedy += ', or a higher speed where noise looks like one'
+    else:
+        problem = (
+            f'the arm is never slower than {limit} for {duration} (at its slowest moment '
+            f'{slowest:.2g} mm/s)'
         )
-    return DataSetError(
-        name,
-        f'the arm is never slower than {1e3 * rule.speed:g} mm/s for {rule.duration:g} s (at its '
-        f'slowest moment {slowest:.2g} mm/s)',
-        'allow a higher speed or a shorter duration',
-    )
+        remedy = 'allow a higher speed or a shorter duration'
+    return DataSetError(name, problem, remedy)
 
 
 def still_stretches(

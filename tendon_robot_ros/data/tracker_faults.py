@@ -23,8 +23,8 @@ BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
 
 FAR_M = 1e3  # [m] farther away there is no marker, because no tracker sees so far
-# [1] probability of what is taken for a fault to happen by chance
-BY_CHANCE = 1e-9
+# [1] probability that a marker repeats its last place exactly in so many steps by chance
+HELD_PROBABILITY = 1e-9
 HELD_STEPS_MIN = 10  # [1] steps, because fewer give no estimate of the rate of changes
 # [1] of its frames, that a marker may share with the one it is numbered anew as, because a tracker
 # that finds it again needs some frames to drop the old number
@@ -153,7 +153,7 @@ def _held(positions: FloatArray, news: BoolArray | None) -> BoolArray:
         free[np.concatenate(runs)] = False
         if free.sum() < HELD_STEPS_MIN or (rate := changed[free, j].mean()) < 0.5:
             continue
-        length_min = np.log(BY_CHANCE) / np.log(max(1.0 - rate, 1e-12))
+        length_min = np.log(HELD_PROBABILITY) / np.log(max(1.0 - rate, 1e-12))
         for run in runs:
             if len(run) >= length_min:
                 held[run[0] + 1 : run[-1] + 2, j] = True

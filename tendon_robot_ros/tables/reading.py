@@ -241,47 +241,43 @@ def _with_times(table: RawTable, head: Head) -> RawTable:
     known = {n: find_unit(u) for n, u in units.items() if n in head.kinds}
     lengths = {u.text for u in known.values() if u is not None and u.kind == 'length'}
     remarks += [f'lengths in {next(iter(lengths))}'] if len(lengths) == 1 else []
+    unit, note = 's', ''
     if 'time' in columns:
-        units |= {} if table.is_text('time') else {'time': units.get('time', 's')}
+        unit = '' if table.is_text('time') else units.get('time', 's')
     elif head.rate is not None:
-        frames, rate, note = _frames(table, head)
-        columns = {'time': frames / rate, **columns}
-        units['time'] = 's'
-        remarks += [note]
+        frames, note = _frames(table, head)
+        columns = {'time': frames / head.rate, **columns}
     elif set(head.kinds.values()) - {DERIVED}:
         counted = next((n for n in columns if n.lower().split(' ')[-1] == 'frame'), None)
         if counted is None:
-            raise DataSetError(
-                table.name,
-                f'is an export of {head.maker.name} that says neither times nor frames per second',
-                'export it again with its header rows, or add a column time [s]',
-            )
-        columns = {'time': columns[counted], **columns}
-        units['time'] = FRAMES
+            export = f'is an export of {head.maker.name}'
+            remedy = 'export it again with its header rows, or add a column time [s]'
+            problem = f'{export} that says neither times nor frames per second'
+            raise DataSetError(table.name, problem, remedy)
+        columns, unit = {'time': columns[counted], **columns}, FRAMES
+    if 'time' in columns:
+        units['time'] = unit
     up = head.maker.up
-    remarks += [f'{up} up'] if up else []
-    return replace(
-        table, columns=columns, units=units, up=up, notes=(*table.notes, ', '.join(remarks))
-    )
+    remarks += [remark for remark in (note, up and f'{up} up') if remark]
+    notes = (*table.notes, ', '.join(remarks))
+    return replace(table, columns=columns, units=units, up=up, notes=notes)
 
 
-def _frames(table: RawTable, head: Head) -> tuple[FloatArray, float, str]:
-    """Return the frame number (R,) of each row, frames per second, and a note of both."""
-    rate = head.rate or 1.0
-    sub = table.columns.get('Sub Frame', np.zeros(len(table)))
+def _frames(table: RawTable, head: Head) -> tuple[FloatArray, str]:
+    """Return the frame number (R,) of each row, and a note of the rate."""
+    note, every = f'{head.rate:g} frames a second', 1
     if 'frame' in table.columns:
+        sub = table.columns.get('Sub Frame', np.zeros(len(table)))
         per = float(np.nanmax(sub)) + 1.0  # samples of a device in each frame
-        return table.columns['frame'] * per + sub, rate, f'{rate:g} frames a second'
-    every = 1
+        return table.columns['frame'] * per + sub, note
     if head.frames is not None and head.frames > len(table):
         every = -(-head.frames // len(table))
         if -(-head.frames // every) != len(table):
             problem = f'says that it has {head.frames:,} frames and has {len(table):,} rows'
             remedy = 'export it again, with the columns of frames and times'
             raise DataSetError(table.name, problem, remedy)
-    thinned = f', every {every}th of {head.frames:,} frames' if every > 1 else ''
-    count: FloatArray = np.arange(len(table), dtype=float)
-    return count * every, rate, f'{rate:g} frames a second{thinned}'
+        note += f', every {every}th of {head.frames:,} frames' if every > 1 else ''
+    return np.arange(len(table)) * float(every), note
 
 
 def _count_rows(

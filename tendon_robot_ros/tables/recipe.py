@@ -594,15 +594,11 @@ def _extent(tables: Sequence[RawTable], recipe: Recipe) -> float:
         markers = [m.columns[:3] for m in recipe.markers or () if table.holds(*m.columns)]
         if not markers:
             continue
-        places = list(
-            without_unseen(table.places(markers, table.step), None, FAR)[0].swapaxes(0, 1)
-        )
-        for i, one in enumerate(places):
-            for other in places[i + 1 :]:
-                apart = np.linalg.norm(one - other, axis=1)
-                if np.isfinite(apart).any():
-                    largest = max(largest, float(np.nanpercentile(apart, 95)))
-        if len(places) == 1:
-            low, high = np.nanpercentile(places[0], [2, 98], axis=0)
-            largest = float((high - low).max())
+        places = without_unseen(table.places(markers, table.step), None, FAR)[0]
+        if len(markers) == 1:
+            low, high = np.nanpercentile(places[:, 0], [2, 98], axis=0)
+            return float((high - low).max())
+        apart = np.linalg.norm(places[:, :, None] - places[:, None], axis=3)
+        known = apart[:, np.isfinite(apart).any(axis=0)]
+        largest = max(largest, float(np.nanpercentile(known, 95, axis=0).max(initial=0.0)))
     return largest

@@ -38,7 +38,6 @@ LEVEL_SD_RAD = math.radians(2.0)
 # [1] of the weighted error that is left where markers sit beside the backbone, because noise alone
 # makes a fit of two more parameters better, too
 OFFSET_GAIN = 0.93
-Z = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
@@ -104,7 +103,7 @@ class TrackerFrame:
 
 def up_axis(up: str) -> FloatArray:
     """Return the unit vector (3,) of an axis such as `y` or `-z`."""
-    axis = np.eye(3)['xyz'.index(up[-1])]
+    axis: FloatArray = np.eye(3)['xyz'.index(up[-1])]
     return -axis if up.startswith('-') else axis
 
 
@@ -304,9 +303,10 @@ def _straight(
     slope = (arc - arc.mean()) @ (points - points.mean(axis=0))
     first = towards(slope / np.linalg.norm(slope)).T
     middle = points.mean(axis=0)
-    a, b = (measured[visible] - middle) @ first.T, markers[visible] - arc.mean() * Z
-    rotation = rotation_about(Z, a, b) @ first
-    return rotation, arc.mean() * Z - rotation @ middle
+    along = up_axis('z')
+    a, b = (measured[visible] - middle) @ first.T, markers[visible] - arc.mean() * along
+    rotation = rotation_about(along, a, b) @ first
+    return rotation, arc.mean() * along - rotation @ middle
 
 
 def rotation_vector(rotation: FloatArray) -> Vector:
