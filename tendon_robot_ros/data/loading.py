@@ -336,31 +336,15 @@ def draw_segments(imported: Imported, path: str | Path) -> Path:
     moved, limit = imported.motion, 1e3 * imported.rule.speed
     speed = np.where(np.isfinite(moved.speed), 1e3 * moved.speed, np.nan)
     above.semilogy(moved.times, np.maximum(speed, limit / 100), color='tab:blue', linewidth=0.8)
-    above.axhline(limit, color='tab:red', linestyle='--', linewidth=0.8)
-    above.annotate(
-        f'{limit:g} mm/s for {imported.rule.duration:g} s counts as still',
-        (0.005, limit),
-        xycoords=('axes fraction', 'data'),
-        xytext=(0, 3),
-        textcoords='offset points',
-        color='tab:red',
-        fontsize='small',
-        bbox={'color': 'white', 'alpha': 0.7, 'pad': 1},
-    )
+    rule = f'{limit:g} mm/s for {imported.rule.duration:g} s counts as still'
+    above.axhline(limit, color='tab:red', linestyle='--', linewidth=0.8, label=rule)
     above.set_ylabel('speed [mm/s]')
     data = imported.dataset
+    style: dict[str, Any] = {'rotation': 90, 'ha': 'center', 'va': 'bottom', 'fontsize': 'x-small'}
     for one in imported.segments if names_width <= PICTURE_WIDTH_MAX_IN else ():
-        above.annotate(
-            one.posture if len(data.trial_names) == 1 else f'{one.posture}, {one.trial}',
-            ((one.begin + one.end) / 2, 1.0),
-            xycoords=('data', 'axes fraction'),
-            xytext=(0, 2),
-            textcoords='offset points',
-            rotation=90,
-            ha='center',
-            va='bottom',
-            fontsize='x-small',
-        )
+        name = one.posture if len(data.trial_names) == 1 else f'{one.posture}, {one.trial}'
+        middle = (one.begin + one.end) / 2
+        above.text(middle, 1.01, name, transform=above.get_xaxis_transform(), **style)
     scale, label = (1.0, 'tension [N]') if data.input == 'tension' else (1e3, 'wire pull [mm]')
     for name, values in zip(data.input_names, imported.inputs.T, strict=True):
         below.plot(imported.state_times, scale * values, linewidth=0.9, label=name)
