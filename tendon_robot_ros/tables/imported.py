@@ -187,6 +187,14 @@ def frame_lines(frame: TrackerFrame, robot: Robot) -> list[str]:
 # to see on white
 TIP_SHADE = 0.62
 EXCLUDED_STYLE: dict[str, Any] = {'facecolor': 'none', 'edgecolor': LEFT_OUT, 'hatch': '////'}
+STYLE: dict[str, Any] = {
+    'font.size': 14.0,
+    'axes.spines.top': False,
+    'axes.spines.right': False,
+    'legend.frameon': False,
+    'legend.handlelength': 1.1,
+    'legend.columnspacing': 1.1,
+}
 
 
 def draw(
@@ -218,22 +226,19 @@ def draw(
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    with rc_context({'font.size': 14.0, 'axes.spines.top': False, 'axes.spines.right': False}):
+    with rc_context(STYLE):
         figure = Figure(figsize=(8.0, 12.5), dpi=150, layout='constrained')  # 1200 pixels wide
         heights = figure.add_gridspec(3, 2, height_ratios=[1.0, 1.0, 1.6])
         _inputs(figure.add_subplot(heights[0, :]), dataset, measured)
         _markers(figure.add_subplot(heights[1, :]), measured, recipe, members)
         for axis, name in enumerate('xy'):  # all postures from two sides
             axes = figure.add_subplot(heights[2, axis])
-            for places, colour, width in (
-                (predicted, PREDICTED, 1.8),
-                (dataset.mean, MEASURED, 0.6),
+            for places, style in (
+                (predicted, {'color': PREDICTED, 'linewidth': 1.8}),
+                (dataset.mean, {'color': MEASURED, 'linewidth': 0.6, 'marker': 'o', 'ms': 4.5}),
             ):
-                for posture in 1e3 * places:
-                    x, z = np.concatenate([np.zeros((1, 3)), posture])[:, [axis, 2]].T
-                    axes.plot(x, z, color=colour, linewidth=width)
-            x, z = 1e3 * dataset.mean[..., axis], 1e3 * dataset.mean[..., 2]
-            axes.plot(x.ravel(), z.ravel(), 'o', color=MEASURED, markersize=4.5)
+                from_base = 1e3 * np.insert(places, 0, 0.0, axis=1)
+                axes.plot(from_base[..., axis].T, from_base[..., 2].T, **style)
             axes.plot(0.0, 0.0, 's', color='black', markersize=7.0)
             axes.set_aspect('equal', adjustable='datalim')
             axes.set_xlabel(f'{name} [mm]')
@@ -252,14 +257,7 @@ def draw(
             Line2D([], [], color=MEASURED, marker='o', linewidth=0.6, label='measured'),
             Line2D([], [], color=PREDICTED, label='model'),
         ]
-        figure.legend(
-            handles=handles,
-            loc='outside lower center',
-            ncols=3,
-            frameon=False,
-            handlelength=1.2,
-            columnspacing=1.2,
-        )
+        figure.legend(handles=handles, loc='outside lower center', ncols=3)
     return figure
 
 
@@ -294,27 +292,16 @@ def _thinned(axes: Axes, times: FloatArray) -> slice:
 
 
 def _inputs(axes: Axes, dataset: DataSet, measured: StillMeasurements) -> None:
-    tension = dataset.input == 'tension'
-    names = dataset.input_names
+    unit, scale = ('tension [N]', 1.0) if dataset.input == 'tension' else ('wire pull [mm]', 1e3)
     for begin, piece in _pieces(measured):
         part = _thinned(axes, piece.recording.state_times)
+        axes.set_prop_cycle(color=COLOURS)
         times = begin + piece.recording.state_times[part]
-        for j, values in enumerate(piece.inputs[part].T):
-            scale = 1.0 if tension else 1e3
-            axes.plot(times, scale * values, color=COLOURS[j % len(COLOURS)], linewidth=1.0)
-    for j, name in enumerate(names):
-        axes.plot([], [], color=COLOURS[j % len(COLOURS)], label=name)
+        lines = axes.plot(times, scale * piece.inputs[part], linewidth=1.0)
+    place = {'loc': 'lower left', 'bbox_to_anchor': (0.0, 1.0)}  # above
+    axes.legend(lines, dataset.input_names, ncols=4, borderpad=0.0, **place)
     _shade(axes, measured)
-    axes.set_ylabel('tension [N]' if tension else 'wire pull [mm]')
-    axes.legend(
-        loc='lower left',
-        bbox_to_anchor=(0.0, 1.0),
-        ncols=4,
-        frameon=False,
-        handlelength=1.0,
-        columnspacing=1.0,
-        borderpad=0.0,
-    )
+    axes.set_ylabel(unit)
     axes.margins(x=0.0)
 
 
