@@ -299,6 +299,13 @@ class Triple:
     columns: tuple[str, str, str]
     quantity: str  # other than a measured position, '' for a position
     kind: str  # MARKER by default
+    table: RawTable  # that it is in
+
+    def places(self) -> FloatArray:
+        """Return some of its places (R, 3), NaN where it was not seen."""
+        places = self.table.places([self.columns], self.table.step)[:, 0]
+        places[(places == 0.0).all(axis=1)] = np.nan
+        return places
 
 
 def triples_of(table: RawTable) -> list[Triple]:
@@ -312,7 +319,8 @@ def triples_of(table: RawTable) -> list[Triple]:
     for (words, quantity), axes in groups.items():
         if set(axes) == set(AXES):
             kind = table.kinds.get(axes['x'], MARKER)
-            triples.append(Triple(words, (axes['x'], axes['y'], axes['z']), quantity, kind))
+            columns = axes['x'], axes['y'], axes['z']
+            triples.append(Triple(words, columns, quantity, kind, table))
     return triples
 
 

@@ -90,10 +90,9 @@ def choose_points(tables: Sequence[RawTable], choice: str | None) -> Points:
         No triple is a position, or none is of the requested kind.
 
     """
-    candidates = [(triple, table) for table in tables for triple in triples_of(table)]
-    candidates = list({triple.columns: (triple, table) for triple, table in candidates}.values())
-    places = [(t, table) for t, table in candidates if not t.quantity and t.kind != DERIVED]
-    others = [t for t, _ in candidates if t.quantity or t.kind == DERIVED]
+    triples = {t.columns: t for table in tables for t in triples_of(table)}
+    places = [t for t in triples.values() if not t.quantity and t.kind != DERIVED]
+    others = [t for t in triples.values() if t.quantity or t.kind == DERIVED]
     if not places:
         raise DataSetError(
             tables[0].name,
@@ -101,53 +100,45 @@ def choose_points(tables: Sequence[RawTable], choice: str | None) -> Points:
             + (f': {listed(_by_quantity(others))} are no measured places' if others else ''),
             'name them alike but for the axis, such as tip_x, tip_y, tip_z',
         )
-    named = [(t, table) for t, table in places if not _is_nameless(t)]
-    unnamed = [(t, table) for t, table in places if _is_nameless(t)]
+    named = [t for t in places if not _is_nameless(t)]
     if not named:
-        fractions = [np.isfinite(_places(*one)).all(axis=1).mean() for one in unnamed]
-        named = [one for one, fraction in zip(unnamed, fractions, strict=True) if fraction >= 0.5]
-        named = named or unnamed
-    kept = {t.columns for t, _ in named}
-    unnamed = [one for one in unnamed if one[0].columns not in kept]
-    kinds = (MARKER, BODY_MARKER, BODY)
-    groups = {kind: [one for one in named if one[0].kind == kind] for kind in kinds}
+        seen = [t for t in places if np.isfinite(t.places()).all(axis=1).mean() >= 0.5]
+        named = seen or places
+    unnamed = [t for t in places if t not in named]
+    groups = {kind: [t for t in named if t.kind == kind] for kind in (MARKER, BODY_MARKER, BODY)}
     markers = groups[MARKER] or groups[BODY_MARKER]
     rims = _rims(markers)
     around = {t.columns for rim in rims for t in rim}
-    single = [(t.columns,) for t, _ in markers if t.columns not in around]
-    options: dict[str, list[tuple[tuple[str, ...], ...]]] = {
-        'markers': [(t.columns,) for t, _ in markers],
-        'rims': [*(tuple(t.columns for t in rim) for rim in rims), *single] if rims else [],
-        'bodies': [(t.columns,) for t, _ in groups[BODY]],
+    rings = [tuple(c for t in rim for c in t.columns) for rim in rims]
+    single = [t.columns for t in markers if t.columns not in around]
+    options: dict[str, list[tuple[str, ...]]] = {
+        'markers': [t.columns for t in markers],
+        'rims': [*rings, *single] if rims else [],
+        'bodies': [t.columns for t in groups[BODY]],
     }
     mode = choice or ('rims' if rims else 'markers')
     if choice is None and len(options['bodies']) > len(options[mode]):
         mode = 'bodies'
-    if not options[mode]:
-        known = [name for name in CHOICES if options[name]]
-        raise DataSetError(
-            tables[0].name, f'holds no {mode} (--points {mode})', f'use one of {listing(known)}'
-        )
-    used = {columns for point in options[mode] for columns in point}
-    unused = [t for t, _ in named if t.columns not in used]
-    aside = [*_by_quantity(unused), *_by_quantity(others)]
-    unknown = [t for t, table in candidates if not table.kinds and t in others]
-    dropped = len(unnamed) + len(unknown)
-    nameless = tuple(t.columns for t, _ in unnamed)
-    columns = tuple(tuple(c for three in point for c in three) for point in options[mode])
-    other_choices = [name for name in CHOICES if options[name] and name != mode]
+    columns = options.pop(mode)
+    others_known = [name for name in CHOICES if options.get(name)]
+    if not columns:
+        remedy = f'use one of {listing(others_known)}'
+        raise DataSetError(tables[0].name, f'holds no {mode} (--points {mode})', remedy)
+    used = {column for point in columns for column in point}
+    unused = [t for t in named if t.columns[0] not in used]
+    dropped = len(unnamed) + sum(not t.table.kinds for t in others)
     note = {
         'markers': 'the markers are taken, each by itself',
         'bodies': 'the origins of bodies are taken',
         'rims': 'markers that are fixed to each other around a circle are the rim of a disk and '
         f'give its centre: {listing(marker_label(c) for c in columns if len(c) > 3)}',
-    }[mode] + f' (otherwise say --points {" or ".join(other_choices)})'
+    }[mode] + f' (otherwise say --points {" or ".join(others_known)})'
     return Points(
-        columns=columns,
-        note=note if other_choices else '',
-        aside=tuple(aside),
-        unused_fraction=dropped / (dropped + len(used)),
-        nameless=nameless,
+        columns=tuple(columns),
+        note=note if others_known else '',
+        aside=(*_by_quantity(unused), *_by_quantity(others)),
+        unused_fraction=dropped / (dropped + len(used) // 3),
+        nameless=tuple(t.columns for t in unnamed),
     )
 
 
@@ -167,22 +158,16 @@ def _is_nameless(triple: Triple) -> bool:
     return triple.columns[0].startswith('*') or bool(set(triple.name) & set(NAMELESS))
 
 
-def _places(triple: Triple, table: RawTable) -> FloatArray:
-    places = table.places([triple.columns], table.step)[:, 0]
-    places[(places == 0.0).all(axis=1)] = np.nan
-    return places
-
-
-def _rims(markers: Sequence[tuple[Triple, RawTable]]) -> list[list[Triple]]:
+def _rims(markers: Sequence[Triple]) -> list[list[Triple]]:
     """Return the markers that form a rim: of one body or prefix, at fixed places on a circle."""
-    groups: dict[str, list[tuple[Triple, RawTable]]] = {}
-    for triple, table in markers:
+    groups: dict[str, list[Triple]] = {}
+    for triple in markers:
         body, mark, _ = triple.columns[0].rpartition(':')
-        groups.setdefault(body if mark else ' '.join(triple.name[:-1]), []).append((triple, table))
+        groups.setdefault(body if mark else ' '.join(triple.name[:-1]), []).append(triple)
     return [
-        [triple for triple, _ in group]
+        group
         for group in groups.values()
-        if len(group) >= 3 and _is_rim(np.stack([_places(*one) for one in group], axis=1))
+        if len(group) >= 3 and _is_rim(np.stack([t.places() for t in group], axis=1))
     ]
 
 
