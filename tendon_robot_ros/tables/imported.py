@@ -186,8 +186,8 @@ def frame_lines(frame: TrackerFrame, robot: Robot) -> list[str]:
 # [1] of the colours of markers, dark at the base: that of the tip, because lighter ones are hard
 # to see on white
 TIP_SHADE = 0.62
-EXCLUDED_STYLE: dict[str, Any] = {'facecolor': 'none', 'edgecolor': LEFT_OUT, 'hatch': '////'}
-STYLE: dict[str, Any] = {
+EXCLUDED_STYLE: Any = {'facecolor': 'none', 'edgecolor': LEFT_OUT, 'hatch': '////'}
+STYLE: Any = {
     'font.size': 14.0,
     'axes.spines.top': False,
     'axes.spines.right': False,
@@ -233,10 +233,11 @@ def draw(
         _markers(figure.add_subplot(heights[1, :]), measured, recipe, members)
         for axis, name in enumerate('xy'):  # all postures from two sides
             axes = figure.add_subplot(heights[2, axis])
-            for places, style in (
+            styles: Any = (
                 (predicted, {'color': PREDICTED, 'linewidth': 1.8}),
                 (dataset.mean, {'color': MEASURED, 'linewidth': 0.6, 'marker': 'o', 'ms': 4.5}),
-            ):
+            )
+            for places, style in styles:
                 from_base = 1e3 * np.insert(places, 0, 0.0, axis=1)
                 axes.plot(from_base[..., axis].T, from_base[..., 2].T, **style)
             axes.plot(0.0, 0.0, 's', color='black', markersize=7.0)
@@ -298,7 +299,7 @@ def _inputs(axes: Axes, dataset: DataSet, measured: StillMeasurements) -> None:
         axes.set_prop_cycle(color=COLOURS)
         times = begin + piece.recording.state_times[part]
         lines = axes.plot(times, scale * piece.inputs[part], linewidth=1.0)
-    place = {'loc': 'lower left', 'bbox_to_anchor': (0.0, 1.0)}  # above
+    place: Any = {'loc': 'lower left', 'bbox_to_anchor': (0.0, 1.0)}  # above
     axes.legend(lines, dataset.input_names, ncols=4, borderpad=0.0, **place)
     _shade(axes, measured)
     axes.set_ylabel(unit)

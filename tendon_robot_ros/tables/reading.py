@@ -277,7 +277,8 @@ def _frames(table: RawTable, head: Head) -> tuple[FloatArray, str]:
             remedy = 'export it again, with the columns of frames and times'
             raise DataSetError(table.name, problem, remedy)
         note += f', every {every}th of {head.frames:,} frames' if every > 1 else ''
-    return np.arange(len(table)) * float(every), note
+    count: FloatArray = np.arange(len(table), dtype=float)
+    return every * count, note
 
 
 def _count_rows(
@@ -474,5 +475,6 @@ def _whose(table: RawTable, time: str) -> str | None:
 
 def _numbered(table: RawTable, column: str) -> FloatArray:
     """Return the numbers (R,) of a column; of texts their numbers in alphabetical order."""
-    values = table.columns[column]
-    return np.unique(values, return_inverse=True)[1] if table.is_text(column) else values
+    if table.is_text(column):
+        return np.unique(table.columns[column], return_inverse=True)[1].astype(float)
+    return table.columns[column]
