@@ -17,7 +17,7 @@ import numpy as np
 import yaml
 
 from ..common.errors import DataSetError, InputError, refusal
-from ..common.words import TYPED_LENGTHS, UNITS, digits, find_unit, listing
+from ..common.words import TYPED_LENGTHS, UNITS, Unit, digits, find_unit, listing
 from ..data.arrays import Vector
 from ..data.dataset import PATHS
 from ..data.folder import DatasetFields, read_text
@@ -374,34 +374,45 @@ def choose_columns(tables: Sequence[RawTable], robot: Robot, recipe: Recipe) -> 
     recipe = _choose_inputs(tables, robot, recipe, reasons)
     recipe, points = _choose_markers(tables, recipe, reasons, assumed)
     recipe = _choose_position_unit(tables, robot, recipe, assumed)
-    used = set(reasons)
-    unused = [c for t in tables for c in t.names if c not in used]
     units = {find_unit(use.unit) for use in (recipe.inputs or {}).values()}
     kinds = {unit.kind for unit in units if unit is not None}
     kind = 'tension' if kinds <= {'force', 'current'} else 'displacement'
     if kind == 'displacement' and not kinds <= {'length', 'angle', 'counts'}:
-        raise InputError(
-            'inputs: all are tensions or all are wire pulls; give columns of one kind'
-        )
+        problem = 'all are tensions or all are wire pulls; give columns of one kind'
+        raise InputError(f'inputs: {problem}')
     if recipe.zero is None:
         turned = bool(kinds & {'angle', 'counts'})
         recipe = replace(recipe, zero=turned)
         if turned:
             assumed.append('motors count from where they are when the arm first stands still')
-    warnings = tuple(_units_contradicted(tables, recipe))
-    triples = {c for table in tables for triple in triples_of(table) for c in triple.columns}
-    unused = [column for column in dict.fromkeys(unused) if column not in triples]
-    chosen = Selection(recipe, reasons, tuple(unused), tuple(assumed), kind, warnings)
-    if points is None:
+    warnings = _units_contradicted(tables, recipe)
+    taken = set(reasons) | {
+        c for table in tables for triple in triples_of(table) for c in triple.columns
+    }
+    unused = [c for c in dict.fromkeys(c for t in tables for c in t.names) if c not in taken]
+    chosen = Selection(
+        recipe,
+        reasons,
+        tuple(unused),
+        tuple(assumed),
+        kind,
+        tuple(warnings),
+        points.aside if points else (),
+        points.nameless if points else (),
+    )
+    if points is None or points.unused_fraction <= 0.5:
         return chosen
-    chosen = replace(chosen, aside=points.aside, nameless=points.nameless)
-    if points.unused_fraction > 0.5:  # most of them
-        question = (
-            f'{100 * points.unused_fraction:.0f} % of all x, y, z are left out, '
-            f'{listing(chosen.unused_points)}: are the markers those that are taken?'
-        )
-        chosen = replace(chosen, warnings=(*warnings, question))
-    return chosen
+    question = (  # about most of them
+        f'{100 * points.unused_fraction:.0f} % of all x, y, z are left out, '
+        f'{listing(chosen.unused_points)}: are the markers those that are taken?'
+    )
+    return replace(chosen, warnings=(*warnings, question))
+
+
+def written_units(tables: Sequence[RawTable]) -> dict[str, Unit]:
+    """Return the unit of every column that has one, by its name or by the file."""
+    names = (name for table in reversed(tables) for name in names_of(table))
+    return {name.column: name.unit for name in names if name.unit is not None}
 
 
 def _units_contradicted(tables: Sequence[RawTable], recipe: Recipe) -> list[str]:
@@ -416,25 +427,25 @@ def _units_contradicted(tables: Sequence[RawTable], recipe: Recipe) -> list[str]
     columns = [column for marker in recipe.markers or () for column in marker.columns]
     used_as |= dict.fromkeys(columns, ('positions', recipe.positions or ''))
     used_as |= {column: ('time', unit) for column, unit in (recipe.time or {}).items()}
-    contradictions: dict[tuple[str, str, str], list[str]] = {}
-    for name in (name for table in tables for name in names_of(table)):
-        what, text = used_as.get(name.column, ('', ''))
+    contradictions: dict[tuple[str, Unit, Unit], list[str]] = {}
+    for column, written in written_units(tables).items():
+        what, text = used_as.get(column, ('', ''))
         unit = find_unit(text)
-        if name.unit is None or unit is None or unit.kind == name.unit.kind == 'counts':
+        if unit is None or unit.kind == written.kind == 'counts':
             continue
-        if (name.unit.kind, name.unit.factor) != (unit.kind, unit.factor):
-            contradictions.setdefault((what, name.unit.text, unit.text), []).append(name.column)
+        if (written.kind, written.factor) != (unit.kind, unit.factor):
+            contradictions.setdefault((what, written, unit), []).append(column)
     lines = []
-    for (what, written, text), own in contradictions.items():
-        one, other = find_unit(text), find_unit(written)
+    for (what, written, unit), own in contradictions.items():
         size = ', another kind of quantity'
-        if one is not None and other is not None and one.kind == other.kind:
-            ratio = one.factor / other.factor
+        if unit.kind == written.kind:
+            ratio = unit.factor / written.factor
             times = digits(max(ratio, 1.0 / ratio), 3)
             size = f', {times} times as {"much" if ratio > 1.0 else "little"}'
         lines.append(
-            f'the table says {written} of {listing(own)}, and {text} was taken{size}: if the '
-            f'table is right, leave out --unit {what}={text} (or take the unit out of import.yaml)'
+            f'the table says {written.text} of {listing(own)}, and {unit.text} was taken{size}: '
+            f'if the table is right, leave out --unit {what}={unit.text} (or take the unit out of '
+            'import.yaml)'
         )
     return lines
 
@@ -478,11 +489,10 @@ def _time_unit(table: RawTable, column: str) -> tuple[str, str]:
     if table.is_text(column):
         return 's', ''
     step = float(np.nanmedian(np.abs(np.diff(table.columns[column])))) if len(table) > 1 else 0.0
-    for unit, factor in (('s', 1.0), ('ms', 1e-3), ('us', 1e-6), ('ns', 1e-9)):
-        if step * factor <= STEP_MAX_S:
-            rate = (
-                '' if step == 0.0 else f', then there are {1 / (step * factor):.3g} rows a second'
-            )
+    for unit in ('s', 'ms', 'us', 'ns'):
+        seconds = step * UNITS['time'][unit]
+        if seconds <= STEP_MAX_S:
+            rate = f', then there are {1 / seconds:.3g} rows a second' if seconds else ''
             return unit, f'{column} is in {unit}{rate}'
     return 's', ''
 
@@ -515,13 +525,10 @@ def _choose_inputs(
             )
         inputs |= guess.columns
         reasons |= {use.column: guess.reason for use in guess.columns.values()}
-    units = ((n.column, n.unit) for t in tables for n in names_of(t) if n.unit is not None)
-    written: dict[str, str] = {}
-    for column, unit in units:
-        written.setdefault(column, unit.text)
+    written = written_units(tables)
     for name, use in inputs.items():  # the unit of an option, of the recipe, or of the file
-        text = recipe.input_unit or use.unit or written.get(use.column, '')
-        inputs[name] = replace(use, unit=text)
+        own = written[use.column].text if use.column in written else ''
+        inputs[name] = replace(use, unit=recipe.input_unit or use.unit or own)
     lacking = [use.column for use in inputs.values() if not use.unit]
     if lacking:
         raise DataSetError(
@@ -556,12 +563,9 @@ def _choose_position_unit(
 ) -> Recipe:
     if recipe.positions is not None:
         return recipe
-    columns = [column for marker in recipe.markers or () for column in marker.columns]
-    written = set()
-    for table in tables:
-        for name in names_of(table):
-            if name.column in columns:
-                written.add(None if name.unit is None else name.unit.text)
+    units = written_units(tables)
+    columns = (column for marker in recipe.markers or () for column in marker.columns)
+    written = {units[c].text if c in units else None for c in columns}
     if len(written) == 1 and (unit := written.pop()) is not None:
         return replace(recipe, positions=unit)
     if len(written - {None}) > 1:
