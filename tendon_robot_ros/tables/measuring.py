@@ -25,9 +25,9 @@ from ..data.still_segments import (
 )
 from ..data.tracker_faults import unseen_lines
 from ..robot import Robot
-from .columns import NOISE_FACTOR, TRACKER_NOISE_M, FloatArray, marker_label
+from .columns import NOISE_FACTOR, FloatArray, marker_label
 from .recipe import Recipe, Selection
-from .traces import JUMP_FACTOR, Traces, cut_out
+from .traces import Traces
 
 FROM_STRAIGHT, SEQUENCE, VISITS = 'from_straight', 'sequence', 'visits'
 # [1] of the range from the lowest input to the smallest load, below which inputs are let go,
@@ -322,36 +322,20 @@ def _piece(traces: Traces, moved: ArmMotion | None, rule: Rule) -> Piece:
             if np.isfinite(positions[i]).any()
         )
         return Piece(recording, inputs, None, rows, (), traces.cut)
-    cleaned, cut = _without_jumps(recording, still_stretches(moved, rule))
+    cleaned = _without_gaps(recording, still_stretches(moved, rule))
     segments, _ = find_segments(cleaned, inputs, moved, rule, sequence=True)
     visible = [one for one in segments if np.isfinite(one.positions).any()]
-    cut = np.concatenate([traces.cut, cut])
-    return Piece(recording, inputs, moved, tuple(visible), (), cut)
+    return Piece(recording, inputs, moved, tuple(visible), (), traces.cut)
 
 
-def _without_jumps(
-    recording: Recording, stretches: Sequence[tuple[float, float]]
-) -> tuple[Recording, FloatArray]:
-    """Exclude frames in which a marker is far from its median in a still stretch."""
+def _without_gaps(recording: Recording, stretches: Sequence[tuple[float, float]]) -> Recording:
+    """Exclude a marker that is missing most of a still stretch: the arm may settle in the gap."""
     track = recording.tracks[0]
     positions = track.positions.copy()
-    cut = [np.zeros((0, 5))]
     for begin, end in stretches:
-        inside = slice(*np.searchsorted(track.times, [begin - 1e-9, end + 1e-9]))
-        times, frames = track.times[inside], positions[inside]  # views: positions change
-        for j in range(frames.shape[1]):
-            known = np.flatnonzero(np.isfinite(frames[:, j, 0]))
-            if len(known) < 0.5 * len(frames):  # the arm may have settled in the gap
-                frames[:, j] = np.nan
-            if len(known) < 5:
-                continue
-            off = np.linalg.norm(frames[known, j] - np.median(frames[known, j], axis=0), axis=1)
-            usual = float(np.median(off)) / 1.54  # [m] robust standard deviation
-            far = off > max(JUMP_FACTOR * usual, TRACKER_NOISE_M)
-            if far.any():
-                cut.append(cut_out(frames, times, j, known[far]))
-    cleaned = replace(recording, tracks=(replace(track, positions=positions),))
-    return cleaned, np.concatenate(cut)
+        frames = positions[slice(*np.searchsorted(track.times, [begin - 1e-9, end + 1e-9]))]
+        frames[:, np.isfinite(frames[..., 0]).mean(axis=0) < 0.5] = np.nan  # a view
+    return replace(recording, tracks=(replace(track, positions=positions),))
 
 
 def _sizes(segments: Sequence[Segment]) -> FloatArray:

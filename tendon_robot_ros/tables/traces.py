@@ -165,8 +165,7 @@ def _next_best(match: FloatArray, best: int) -> float:
 IntArray = npt.NDArray[np.int64]
 # [s] for which a marker is taken for another one at most, so that motions are not cut out
 JUMP_MAX_S = 0.3
-# [1] times the usual step between frames, or deviation of a still marker, because an arm moves
-# smoothly and noise is never so large by chance
+# [1] times the usual step between frames, because an arm moves smoothly
 JUMP_FACTOR = 10.0
 # [1] of the distance that the arm moves: smaller steps from row to row are those of a recording,
 # because postures that somebody chose are farther apart
@@ -405,13 +404,6 @@ def _clock(
     return delay, drift, how
 
 
-def cut_out(positions: FloatArray, times: FloatArray, marker: int, frames: IntArray) -> FloatArray:
-    """Take readings of a marker out of positions (T, J, 3) in place; return them, (K, 5)."""
-    cut = np.column_stack([times[frames], np.full(len(frames), marker), positions[frames, marker]])
-    positions[frames, marker] = np.nan
-    return cut
-
-
 def _cut_jumps(positions: FloatArray, times: FloatArray) -> FloatArray:
     """Take out frames in which a marker leaps away and, a moment later, is back."""
     step_s = float(np.median(np.diff(times))) if len(times) > 2 else 1.0
@@ -435,7 +427,9 @@ def _cut_jumps(positions: FloatArray, times: FloatArray) -> FloatArray:
             back = np.linalg.norm(path[frame : frame + frames_max] - path[before], axis=1)
             near = np.flatnonzero(back < 0.25 * leap)
             out |= set(range(frame, frame + int(near[0]))) if len(near) else set()
-        cut.append(cut_out(positions, times, j, visible[sorted(out)]))
+        frames = visible[sorted(out)]
+        cut.append(np.column_stack([times[frames], np.full(len(frames), j), positions[frames, j]]))
+        positions[frames, j] = np.nan
     return np.concatenate(cut)
 
 
