@@ -33,7 +33,6 @@ FROM_STRAIGHT, SEQUENCE, VISITS = 'from_straight', 'sequence', 'visits'
 # [1] of the range from the lowest input to the smallest load, below which inputs are let go,
 # because a load cell does not go back to exactly zero
 LET_GO_FRACTION = 0.2
-LOADED_MIN = 3  # [1] loaded postures, because fewer do not show how an arm was moved
 
 RESTED = (
     'every posture was loaded from the straight arm (path: from_straight); if the arm went from '
@@ -70,7 +69,7 @@ def history_assumed(
 def _was_let_go(counts: Sequence[tuple[int, int, float]]) -> bool:
     """Return whether the inputs were released before most loaded postures, however briefly."""
     let_go, of = sum(count for count, _, _ in counts), sum(of for _, of, _ in counts)
-    return of >= LOADED_MIN and let_go > 0.5 * of
+    return let_go > 0.5 * of
 
 
 def let_go_between(
