@@ -18,6 +18,8 @@ from ..common.errors import DataSetError, refusal, short
 from ..common.words import UNITS, listed
 from ..robot import Robot
 
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 DIGITS = 9  # [1] decimals of metres and newtons, because nothing that measures an arm has more
 RESOLUTION = 10.0**-DIGITS  # [m] or [N], because values are rounded to it
 # [1] times the largest tension, or the length of the arm, beyond which a value is refused, because
@@ -88,7 +90,6 @@ def markers_of(
         raise refusal(f'{name}: markers', MARKERS_EXPECTED, given) from None
 
 
-Codes = NDArray[np.int64]
 POSITION = ('x', 'y', 'z')
 QUATERNION = ('qx', 'qy', 'qz', 'qw')
 HINT = 'a table over time goes through import_table'
@@ -171,15 +172,30 @@ def read_frame(
             f'{kept[row, column]:g}',
             'a trial has one value for each input',
         )
-    measured = ~np.isinf(each)
-    mean = np.where(measured, each, 0.0).sum(axis=1) / measured.sum(axis=1)
-    spread = np.where(measured, np.abs(each - mean[:, None]), 0.0)
-    if np.nan_to_num(spread).max() >= RESOLUTION:
-        arrays['trial_inputs'] = np.where(measured, each, np.nan)
+    mean, arrays['trial_inputs'] = mean_inputs(each, ~np.isinf(each[..., 0]))
     return arrays | {'inputs': mean}, markers, arc_lengths
 
 
-def _codes(column: Any) -> tuple[tuple[str, ...], Codes]:
+def mean_inputs(each: Floats, measured: BoolArray) -> tuple[Floats, Floats | None]:
+    """
+    Return the inputs of postures, (P, m), and of their trials where these differ, (P, Q, m).
+
+    Parameters
+    ----------
+    each : (P, Q, m) [N] or [m]
+        Of every trial.
+    measured : (P, Q)
+        Whether there is such a trial.
+
+    """
+    known = measured[..., None]
+    mean = np.where(known, each, 0.0).sum(axis=1) / known.sum(axis=1)
+    spread = np.where(known, np.abs(each - mean[:, None]), 0.0)
+    differ = np.nan_to_num(spread).max() >= RESOLUTION
+    return mean, np.where(known, each, np.nan) if differ else None
+
+
+def _codes(column: Any) -> tuple[tuple[str, ...], IntArray]:
     """
     Return the names in a column, and the index of each row's name.
 
@@ -221,8 +237,6 @@ def too_tense(name: str, tension: float, limit: float) -> tuple[str, str]:
     )
 
 
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 STRAIGHT = -1  # [1] index of the straight arm as the command before, so that it is no command
 
 

@@ -162,7 +162,7 @@ def import_bag(
         remedy = 'record metres in the base frame (are these mm?)'
         raise DataSetError(recording.name, problem, remedy)
     segments = plausible_inputs(recording.name, segments, robot, described.input, rule)
-    dataset = segments_dataset(recording.name, segments, robot, described, markers)
+    dataset = segments_dataset(recording.name, segments, robot, markers, **described.values())
     return Imported(
         dataset,
         tuple(segments),

@@ -11,10 +11,9 @@ import numpy as np
 
 from ..common.errors import DataSetError, short
 from ..robot import Robot
-from .arrays import DIGITS, NO_ROTATION, RESOLUTION, VALUES_MAX, Marker
+from .arrays import DIGITS, NO_ROTATION, RESOLUTION, VALUES_MAX, Marker, mean_inputs
 from .bag_reader import Recording
 from .dataset import READINGS, DataSet, FloatArray, IntArray
-from .folder import Description
 from .measurement_files import sort_trials
 
 STEPS_PER_WINDOW = 10  # [1] of the time grid, so that a stretch is found to a tenth of the window
@@ -369,11 +368,13 @@ def segments_dataset(
     bag: str,
     segments: Sequence[Segment],
     robot: Robot,
-    description: Description,
     markers: tuple[Marker, ...],
+    **values: Any,
 ) -> DataSet:
     """
     Return the data set of named segments; without trials, the noise is that of the frames.
+
+    Other values are those of `DataSet`.
 
     Raises
     ------
@@ -397,27 +398,23 @@ def segments_dataset(
         )
     arrays: dict[str, Any] = {}
     for key in ('inputs', *READINGS):
-        values = np.array([getattr(one, key) for one in segments])
-        arrays[key] = np.full((*size, *values.shape[1:]), np.nan)
-        arrays[key][at] = values
+        rows = np.array([getattr(one, key) for one in segments])
+        arrays[key] = np.full((*size, *rows.shape[1:]), np.nan)
+        arrays[key][at] = rows
     inputs, turned = arrays.pop('inputs'), arrays['orientations']
-    total = np.where(filled[..., None] > 0, inputs, 0.0).sum(axis=1)
-    mean = (total / filled.sum(axis=1)[:, None]).round(DIGITS)
-    if np.nan_to_num(np.abs(inputs - mean[:, None]))[filled > 0].max() > RESOLUTION:
-        arrays['trial_inputs'] = inputs
+    mean, arrays['trial_inputs'] = mean_inputs(inputs, filled > 0)
     known = np.isfinite(turned)
     if np.all(turned[known].reshape(-1, 4) == NO_ROTATION):
         del arrays['orientations']
-    described = description.values()
-    if description.position_noise is None and len(trials) == 1:
-        described['position_noise'] = frame_noise(segments)
+    if values.get('position_noise') is None and len(trials) == 1:
+        values['position_noise'] = frame_noise(segments)
     return DataSet(
         name=bag,
         robot=robot,
         markers=markers,
         postures=postures,
         trial_names=trials,
-        inputs=mean,
+        inputs=mean.round(DIGITS),
         **arrays,
-        **described,
+        **values,
     )

@@ -15,7 +15,6 @@ from ..comparison.noise import input_effect, input_slopes
 from ..comparison.predict import Predictor
 from ..data import DataSet, Marker
 from ..data.arrays import split_by_order
-from ..data.folder import Description
 from ..data.still_segments import Segment, frame_noise, rows_of, segments_dataset
 from ..effects import Catalogue, CatalogueLike, load_catalogue
 from ..robot import Robot, RobotLike, load_robot
@@ -212,8 +211,7 @@ def _in_tracker_frame(
         for one in measured.segments
     ]
     path = SEQUENCE if chosen.recipe.path == VISITS else chosen.recipe.path
-    described = Description(chosen.kind, path, None, None, 0.0, 0.0, None, {}, placed)
-    dataset = segments_dataset(name, segments, robot, described, placed)
+    dataset = segments_dataset(name, segments, robot, placed, input=chosen.kind, path=path)
     if chosen.recipe.path == VISITS:
         dataset = as_visits(dataset, segments, measured.begins)
     return dataset, markers
