@@ -109,28 +109,28 @@ def never_still(
     remedy = 'let the arm rest longer in every posture'
     if shorter >= shortest:
         remedy = f'allow a shorter duration, say {shorter:.2g}'
-    limit, duration = f'{1e3 * rule.speed:g} mm/s', f'{rule.duration:g} s'
-    if lasts < rule.duration:
-        problem = f'lasts {lasts:.3g} s, and the arm counts as still after {duration}'
-    elif rule.duration < shortest:
+    limit, duration = 1e3 * rule.speed, rule.duration  # [mm/s] and [s]
+    if lasts < duration:
+        problem = f'lasts {lasts:.3g} s, and the arm counts as still after {duration:g} s'
+    elif duration < shortest:
         problem = (
-            f'holds a place every {0.25 * shortest:.2g} s, too few to see in {duration} whether '
-            'the arm stands still'
+            f'holds a place every {0.25 * shortest:.2g} s, too few to see in {duration:g} s '
+            'whether the arm stands still'
         )
         remedy = f'ask for a duration of {2.0 * shortest:.2g} or more'
     elif slowest == np.inf:
         problem, remedy = 'no marker was ever seen', 'record the markers again'
-    elif slowest < 1e3 * rule.speed:
+    elif slowest < limit:
         problem = (
-            f'the arm never stands still for {duration} at once, in a recording of {lasts:.3g} s '
-            f'(still: slower than {limit}, inputs change by less than {rule.change or 0.0:.2g} in '
-            'half of that time)'
+            f'the arm never stands still for {duration:g} s at once, in a recording of '
+            f'{lasts:.3g} s (still: slower than {limit:g} mm/s, inputs change by less than '
+            f'{rule.change or 0.0:.2g} in half of that time)'
         )
         remedy += ', or a higher speed where noise looks like one'
     else:
         problem = (
-            f'the arm is never slower than {limit} for {duration} (at its slowest moment '
-            f'{slowest:.2g} mm/s)'
+            f'the arm is never slower than {limit:g} mm/s for {duration:g} s (at its slowest '
+            f'moment {slowest:.2g} mm/s)'
         )
         remedy = 'allow a higher speed or a shorter duration'
     return DataSetError(name, problem, remedy)

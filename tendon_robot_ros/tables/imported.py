@@ -186,7 +186,9 @@ def frame_lines(frame: TrackerFrame, robot: Robot) -> list[str]:
 # [1] of the colours of markers, dark at the base: that of the tip, because lighter ones are hard
 # to see on white
 TIP_SHADE = 0.62
-EXCLUDED_STYLE: Any = {'facecolor': 'none', 'edgecolor': LEFT_OUT, 'hatch': '////'}
+EXCLUDED_
+
+
 STYLE: Any = {
     'font.size': 14.0,
     'axes.spines.top': False,
@@ -226,7 +228,8 @@ def draw(
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    with rc_context(STYLE):
+    style: Any = {'facecolor': 'none', 'edgecolor': LEFT_OUT, 'hatch': '////'}
+    with rc_context(style):
         figure = Figure(figsize=(8.0, 12.5), dpi=150, layout='constrained')  # 1200 pixels wide
         heights = figure.add_gridspec(3, 2, height_ratios=[1.0, 1.0, 1.6])
         _inputs(figure.add_subplot(heights[0, :]), dataset, measured)
@@ -237,9 +240,9 @@ def draw(
                 (predicted, {'color': PREDICTED, 'linewidth': 1.8}),
                 (dataset.mean, {'color': MEASURED, 'linewidth': 0.6, 'marker': 'o', 'ms': 4.5}),
             )
-            for places, style in styles:
+            for places, line in styles:
                 from_base = 1e3 * np.insert(places, 0, 0.0, axis=1)
-                axes.plot(from_base[..., axis].T, from_base[..., 2].T, **style)
+                axes.plot(from_base[..., axis].T, from_base[..., 2].T, **line)
             axes.plot(0.0, 0.0, 's', color='black', markersize=7.0)
             axes.set_aspect('equal', adjustable='datalim')
             axes.set_xlabel(f'{name} [mm]')
