@@ -186,17 +186,7 @@ def frame_lines(frame: TrackerFrame, robot: Robot) -> list[str]:
 # [1] of the colours of markers, dark at the base: that of the tip, because lighter ones are hard
 # to see on white
 TIP_SHADE = 0.62
-EXCLUDED_
-
-
-STYLE: Any = {
-    'font.size': 14.0,
-    'axes.spines.top': False,
-    'axes.spines.right': False,
-    'legend.frameon': False,
-    'legend.handlelength': 1.1,
-    'legend.columnspacing': 1.1,
-}
+EXCLUDED_STYLE: Any = {'facecolor': 'none', 'edgecolor': LEFT_OUT, 'hatch': '////'}
 
 
 def draw(
@@ -228,7 +218,14 @@ def draw(
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    style: Any = {'facecolor': 'none', 'edgecolor': LEFT_OUT, 'hatch': '////'}
+    style: Any = {
+        'font.size': 14.0,
+        'axes.spines.top': False,
+        'axes.spines.right': False,
+        'legend.frameon': False,
+        'legend.handlelength': 1.1,
+        'legend.columnspacing': 1.1,
+    }
     with rc_context(style):
         figure = Figure(figsize=(8.0, 12.5), dpi=150, layout='constrained')  # 1200 pixels wide
         heights = figure.add_gridspec(3, 2, height_ratios=[1.0, 1.0, 1.6])
