@@ -33,15 +33,8 @@ from .dataset import INPUTS, PATHS, DataSet, HasDataSet, Known, as_dataset
 from .measurement_files import KEYS, ORIGIN, VISIT, Commands, read_inputs, read_shapes
 
 DESCRIPTION_KEYS = (
-    'robot',
-    'input',
-    'path',
-    'gravity',
-    'position_noise',
-    'tension_noise',
-    'accuracy',
-    'known',
-    'markers',
+    *('robot', 'input', 'path', 'gravity', 'position_noise', 'tension_noise', 'accuracy'),
+    *('known', 'markers'),
 )
 
 

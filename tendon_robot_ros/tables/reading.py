@@ -34,19 +34,17 @@ from .columns import (
 from .headers import Head, first_row_of_data, maker_of, read_head, unnamed
 from .markers import kind_of_flag
 
-# ending -> system that writes it, and the format to export instead
+# endings -> system that writes them, and the format to export instead
 MAKERS_OWN = {
-    '.tak': ('Motive (OptiTrack)', 'export the take as CSV, with header information, or as C3D'),
-    '.tra': ('Motive (OptiTrack)', 'export the take as CSV, with header information, or as C3D'),
+    '.tak .tra': (
+        'Motive (OptiTrack)',
+        'export the take as CSV, with header information, or as C3D',
+    ),
     '.qtm': ('Qualisys Track Manager', 'export it as TSV, with its header, or as C3D'),
-    '.x1d': ('Vicon Nexus', 'export the trajectories as ASCII (CSV) or C3D'),
-    '.x2d': ('Vicon Nexus', 'export the trajectories as ASCII (CSV) or C3D'),
-    '.cap': ('Cortex (Motion Analysis)', 'export it as .trc or C3D'),
-    '.trb': ('Cortex (Motion Analysis)', 'export it as .trc or C3D'),
-    '.fbx': ('animation programs', 'export the markers as CSV or C3D'),
-    '.bvh': ('animation programs', 'export the markers as CSV or C3D'),
-    '.xlsx': ('Excel', 'save the sheet as CSV'),
-    '.xls': ('Excel', 'save the sheet as CSV'),
+    '.x1d .x2d': ('Vicon Nexus', 'export the trajectories as ASCII (CSV) or C3D'),
+    '.cap .trb': ('Cortex (Motion Analysis)', 'export it as .trc or C3D'),
+    '.fbx .bvh': ('animation programs', 'export the markers as CSV or C3D'),
+    '.xlsx .xls': ('Excel', 'save the sheet as CSV'),
     '.mat': ('MATLAB', 'write it with writetable as CSV'),
 }
 # of a .c3d file: the axis that points up on the screen, as it is written
@@ -96,9 +94,9 @@ def read_tables(path: str | Path) -> list[RawTable]:
         return [table_of(shown, frame, {}, None, ())]
     if ending == '.c3d':
         return [read_c3d(shown, path)]
-    if ending in MAKERS_OWN:
-        maker, remedy = MAKERS_OWN[ending]
-        raise DataSetError(shown, f'is a file of {maker} and cannot be read', remedy)
+    for endings, (maker, remedy) in MAKERS_OWN.items():
+        if ending in endings.split():
+            raise DataSetError(shown, f'is a file of {maker} and cannot be read', remedy)
     if ending not in TEXT_ENDINGS:
         problem = f'is no table that can be read ({ending or "no ending"})'
         remedy = f'save it as CSV; known endings: {", ".join(TABLE_ENDINGS)}'
