@@ -17,8 +17,7 @@ from tendon_robot_ros.drivers import make_driver
 from tendon_robot_ros.drivers.serial_board import messages
 from tendon_robot_ros.drivers.serial_board.link import BoardLink
 from tendon_robot_ros.drivers.serial_board.messages import FrameReceiver, Message, encode
-from tendon_robot_ros.emulator.port import Plug
-from tendon_robot_ros.emulator.process import EmulatorProcess
+from tendon_robot_ros.emulator.port import EmulatorProcess, Plug
 from tendon_robot_ros.robot import load_robot
 
 ROBOT = Path(__file__).resolve().parents[1] / 'config/robots/kato_10_1.yaml'

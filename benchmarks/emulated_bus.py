@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from tendon_robot_ros.drivers import make_driver
-from tendon_robot_ros.emulator.process import EmulatorProcess
+from tendon_robot_ros.emulator.port import EmulatorProcess
 from tendon_robot_ros.emulator.rig import BALANCED_N
 from tendon_robot_ros.robot import load_robot
 

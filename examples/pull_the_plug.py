@@ -20,7 +20,7 @@ from sensor_msgs.msg import JointState
 
 from tendon_robot_ros.common.files import shared_file
 from tendon_robot_ros.common.rotations import towards
-from tendon_robot_ros.emulator.process import EmulatorProcess
+from tendon_robot_ros.emulator.port import EmulatorProcess
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.ros.shared.messages import COMMAND, LATCHED, LISTEN, pose_stamped

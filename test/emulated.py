@@ -13,7 +13,7 @@ from tendon_robot_ros.drivers import make_driver
 from tendon_robot_ros.drivers.dynamixel.control_table import MODELS
 from tendon_robot_ros.drivers.serial_board.link import BoardLink
 from tendon_robot_ros.emulator.bus import EmulatedBus
-from tendon_robot_ros.emulator.process import EmulatorProcess
+from tendon_robot_ros.emulator.port import EmulatorProcess
 from tendon_robot_ros.emulator.rig import Rig, SpringArm, Wire
 from tendon_robot_ros.emulator.servo import Servo
 from tendon_robot_ros.robot import parse_robot

@@ -15,17 +15,17 @@ import math
 import os
 import shutil
 import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..common.errors import DriverError
+from ..common.errors import DriverError, TendonRobotError
+from ..common.files import new_file, shared_file
 from ..common.words import STANDARD_GRAVITY
 from ..drivers.serial_board.messages import CELL_COUNTS_MAX, ChannelFault
 from .port import COMMON_HELP, Command, Plug
@@ -48,62 +48,41 @@ class Sensors(ctypes.Structure):
     )
 
 
-def folder() -> Path:
-    """Find the sources: in a source tree, or where pip and colcon install shared files."""
-    roots = [Path(__file__).resolve().parents[2]]
-    prefixes = [sys.prefix, *os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)]
-    roots += [Path(prefix, 'share', 'tendon_robot_ros') for prefix in prefixes if prefix]
-    for root in roots:
-        if (root / 'firmware' / SOURCES[0]).is_file():
-            return root / 'firmware'
-    raise DriverError('the folder firmware is missing; install the package again')
-
-
 def compiler() -> str | None:
     """Find a C compiler: $CC, cc, gcc or clang."""
     names = (os.environ.get('CC', ''), 'cc', 'gcc', 'clang')
     return next((path for name in names if name and (path := shutil.which(name))), None)
 
 
-@contextlib.contextmanager
-def library(channels: int) -> Iterator[Path]:
+def compile_firmware(output: Path, channels: int) -> None:
     """
     Compile the firmware for this computer, once for every version of its sources.
 
-    Yields
-    ------
-    Path
-        The library: in the user's cache, or gone afterwards where there can be none.
+    It is kept in the user's cache, where there can be one.
+
+    Parameters
+    ----------
+    output : Path
+        The library to make.
+    channels : int
 
     Raises
     ------
     DriverError
-        There is no C compiler, or it refuses.
+        The sources or a C compiler are missing, or it refuses.
 
     """
-    source = folder()
+    found = shared_file(f'firmware/{SOURCES[0]}')
+    if found is None:
+        raise DriverError('the folder firmware is missing; install the package again')
+    source = found.parent
     files = sorted(source.glob('*.[ch]'))
     digest = hashlib.sha256(b''.join(file.read_bytes() for file in files)).hexdigest()[:16]
-    name = f'board-{digest}-{channels}.so'
     cache = Path(os.environ.get('XDG_CACHE_HOME') or os.path.expanduser('~/.cache'))
-    cache /= 'tendon_robot_ros'
-    if (cache / name).is_file():
-        yield cache / name
+    cached = cache / 'tendon_robot_ros' / f'board-{digest}-{channels}.so'
+    if cached.is_file():
+        shutil.copyfile(cached, output)
         return
-    with contextlib.ExitStack() as stack:
-        try:
-            cache.mkdir(parents=True, exist_ok=True)
-            draft = Path(stack.enter_context(tempfile.TemporaryDirectory(dir=cache)), name)
-        except OSError:  # no home, or nothing may be written there
-            own = stack.enter_context(tempfile.TemporaryDirectory(prefix='tendon_robot_ros_'))
-            cache, draft = Path(own), Path(own, name)
-        compile_firmware(source, draft, channels)
-        os.replace(draft, cache / name)
-        yield cache / name
-
-
-def compile_firmware(source: Path, output: Path, channels: int) -> None:
-    """Compile the sources of a folder into a library; DriverError where that fails."""
     cc = compiler()
     if cc is None:
         raise DriverError('no C compiler for the emulated board; type: sudo apt install gcc')
@@ -112,6 +91,10 @@ def compile_firmware(source: Path, output: Path, channels: int) -> None:
     run = subprocess.run(command, capture_output=True, text=True)
     if run.returncode:
         raise DriverError(f'{source}: {cc}: {(run.stderr.splitlines() or ["failed"])[0]}')
+    with contextlib.suppress(OSError, TendonRobotError):  # no home, or nothing may be written
+        cached.parent.mkdir(parents=True, exist_ok=True)
+        with new_file(cached) as draft:
+            shutil.copyfile(output, draft)
 
 
 class Firmware:
@@ -131,10 +114,10 @@ class Firmware:
     def __init__(self, channels: int) -> None:
         """Switch a board with so many channels on."""
         self.channels = channels
-        # a copy of its own: the board's memory is that of the library
-        with library(channels) as compiled, tempfile.NamedTemporaryFile(suffix='.so') as own:
-            shutil.copyfile(compiled, own.name)
-            self._library = ctypes.CDLL(own.name)
+        # a library of its own: the board's memory is that of the library
+        with tempfile.TemporaryDirectory(prefix='tendon_robot_ros_') as folder:
+            compile_firmware(own := Path(folder, 'board.so'), channels)
+            self._library = ctypes.CDLL(str(own))
         self._library.host_step.argtypes = (
             ctypes.c_void_p,
             ctypes.c_uint32,
@@ -334,10 +317,8 @@ class EmulatedBoard(Plug):
             'overheating': functools.partial(self.fail, ChannelFault.OVERHEATING),
             'voltage': functools.partial(self.fail, ChannelFault.VOLTAGE),
             'cool': functools.partial(self.fail, ChannelFault(0)),
-            'overload': lambda values: self.hang(int(values[0]), float(values[1])),
-            'weight': lambda values: self.hang(
-                int(values[0]), STANDARD_GRAVITY * float(values[1])
-            ),
+            'overload': functools.partial(self.hang, 1.0),
+            'weight': functools.partial(self.hang, STANDARD_GRAVITY),
             'block': lambda values: rig.blocked.add(range(rig.channels)[int(values[0])]),
             'free': lambda values: rig.blocked.discard(range(rig.channels)[int(values[0])]),
             'cell': lambda values: setattr(rig.cells[int(values[0])], 'broken', True),
@@ -354,9 +335,9 @@ class EmulatedBoard(Plug):
         """Let the bridge of a channel report a fault."""
         self.rig.faults[int(values[0])] = fault
 
-    def hang(self, channel: int, force: float) -> None:
-        """Hang a weight [N] on a load cell."""
-        self.rig.cells[channel].hung = force
+    def hang(self, unit: float, values: list[str]) -> None:
+        """Hang a weight on the load cell of a channel, in a unit [N]."""
+        self.rig.cells[int(values[0])].hung = unit * float(values[1])
 
     def state(self) -> dict[str, object]:
         """Return the state of motors and wires as plain values."""

@@ -52,11 +52,16 @@ class InstructionCode(IntEnum):
     BULK_WRITE = 0x93
 
 
+class SpecialId(IntEnum):
+    """Ids that are no servo's: manual, "Packet ID" and address 12."""
+
+    BROADCAST = 0xFE
+    NO_SECONDARY = 253  # and those above it
+
+
 HEADER = b'\xff\xff\xfd\x00'
-BROADCAST = 0xFE  # [id] of all servos: manual, "Packet ID"
 PACKET_BYTES_MAX = 1024  # [bytes] else a broken length would swallow all that follows
 PACKET_GAP_S = 0.02  # [s] of silence that ends a broken packet, else it would wait for its end
-SECONDARY_OFF = 253  # [id] from which a secondary id is none: manual, address 12
 BOOT_TIME_S = 0.3  # [s] of silence after a reboot, so that a driver has to wait for it
 LOG_MAX = 200_000  # [entries] so that minutes of goals at 100 Hz are kept
 # [level] of status return (address 68) from which a servo answers; the others need 2: manual
@@ -128,7 +133,7 @@ def fast_status(parts: list[tuple[int, int, bytes]]) -> bytes:
 
     """
     length = sum(len(data) + 4 for _, _, data in parts) + 1
-    out = HEADER + bytes([BROADCAST]) + length.to_bytes(2, 'little')
+    out = HEADER + bytes([SpecialId.BROADCAST]) + length.to_bytes(2, 'little')
     out += bytes([InstructionCode.STATUS])
     for identity, error, data in parts:
         out = with_crc(out + bytes([error, identity]) + data)
@@ -233,7 +238,7 @@ class Responder:
         if code == InstructionCode.WRITE and len(parameters) > 2:
             address, data = int.from_bytes(parameters[:2], 'little'), parameters[2:]
             self._shadowed(servos, instruction.identity, address, data)
-        everyone = instruction.identity == BROADCAST
+        everyone = instruction.identity == SpecialId.BROADCAST
         addressed = sorted(servos) if everyone else [instruction.identity]
         answers = [self.answer(servos[i], code, parameters) for i in addressed if i in servos]
         return b'' if everyone and code != InstructionCode.PING else b''.join(answers)
@@ -260,7 +265,7 @@ class Responder:
         """Let servos whose secondary id is meant obey, without an answer; not in their flash."""
         for servo in servos.values():
             shadows = servo.get('secondary_id') == identity != servo.identity
-            if shadows and identity < SECONDARY_OFF and address >= RAM_BEGIN:
+            if shadows and identity < SpecialId.NO_SECONDARY and address >= RAM_BEGIN:
                 self._write(servo, address, data)
 
     def _write(self, servo: Servo, address: int, data: bytes) -> int:
@@ -350,14 +355,14 @@ class EmulatedBus(Plug):
             **hardware_errors,
             'silent': lambda values: self.silence(values, True),
             'hear': lambda values: self.silence(values, False),
-            'hot': lambda values: self.heat(int(values[0]), float(values[1])),
-            'volts': lambda values: self.supply(float(values[0])),
+            'hot': self.heat,
+            'volts': self.supply,
             'restart': lambda values: self.restart(*map(int, values)),
             'trip': self.trip,
-            'weight': lambda values: self.hang(int(values[0]), float(values[1])),
+            'weight': self.hang,
             'state': lambda values: json.dumps(self.state()),
-            'log': lambda values: self.log(float(values[0])),
-            'trace': lambda values: self.trace(float(values[0])),
+            'log': self.log,
+            'trace': self.trace,
         }
 
     def servo(self, identity: int) -> Servo:
@@ -383,35 +388,35 @@ class EmulatedBus(Plug):
             else:
                 self.responder.silent.discard(int(identity))
 
-    def heat(self, identity: int, celsius: float) -> None:
-        """Set the temperature of a motor [°C]."""
-        self.servo(identity).temperature = celsius
+    def heat(self, values: list[str]) -> None:
+        """Set the temperature of a motor, by its id [°C]."""
+        self.servo(int(values[0])).temperature = float(values[1])
 
-    def supply(self, volts: float) -> None:
+    def supply(self, values: list[str]) -> None:
         """Set the supply of all motors [V]."""
         for servo in self.rig.servos.values():
-            servo.voltage = volts
+            servo.voltage = float(values[0])
 
     def trip(self, identities: list[str]) -> None:
         """Trip the bus watchdogs of servos."""
         for identity in identities:
             self.servo(int(identity)).put('bus_watchdog', WATCHDOG_TRIPPED)
 
-    def hang(self, identity: int, mass: float) -> None:
-        """Hang a weight [kg] on the wire of a servo."""
+    def hang(self, values: list[str]) -> None:
+        """Hang a weight [kg] on the wire of a servo, by its id."""
         arm = self.rig.arm
         if not isinstance(arm, HangingWeights):
             raise ValueError('start the emulator with --weights')
-        arm.hang(list(self.rig.servos).index(identity), mass)
+        arm.hang(list(self.rig.servos).index(int(values[0])), float(values[1]))
 
-    def log(self, seconds: float) -> str:
+    def log(self, values: list[str]) -> str:
         """Return as JSON what the servos accepted in the last seconds."""
-        begin = time.monotonic() - seconds
+        begin = time.monotonic() - float(values[0])
         return json.dumps([entry for entry in self.responder.log.copy() if entry[0] >= begin])
 
-    def trace(self, seconds: float) -> str:
+    def trace(self, values: list[str]) -> str:
         """Return as JSON what motors and wires did in the last seconds."""
-        begin = time.monotonic() - seconds
+        begin = time.monotonic() - float(values[0])
         recent = [entry for entry in self.rig.trace.copy() if entry[0] >= begin]
         return json.dumps([[t, *(np.round(v, 6).tolist() for v in rest)] for t, *rest in recent])
 

@@ -23,13 +23,14 @@ Array = NDArray[np.float64]
 # [N] of change in which an arm keeps its compliance: a probe for every wire costs as many calls of
 # the model, so that one at every step would be slower than the time that it emulates
 LINEAR_N = 0.2
-UNCHANGED_N = 1e-6  # [N] an arm at rest is not evaluated again, else it would take a core for ever
 # [1] of the largest compliance: by how much a minor may be below zero by rounding, because wires
 # that pull against each other have minors of zero
 MINOR_ROUNDING = 1e-9
 SOFTER_MIN = 0.01  # [1] of the largest compliance: first addition, so that doubling ends soon
 FOLLOWING_S = 0.01  # [s] time constant with which the arm takes on a shape, else it would jump
-BALANCED_N = 1e-3  # [N] between a motor and its wires, so that it is below the noise of any sensor
+# [N] of change without an effect, between a motor and its wires and of an arm at rest, so that it
+# is below the noise of any sensor
+BALANCED_N = 1e-3
 # [1] of turning all motors in a step; else two that share a load might never balance
 ITERATIONS_MAX = 50
 TRACE_MAX = 20_000  # [entries] so that more than 40 s are kept (benchmarks ask for so much)
@@ -62,42 +63,31 @@ class SpringArm:
         """Take stiffness [N/m] and slack [m] per wire, shape (m,)."""
         self.stiffness: Array = np.asarray(stiffness, dtype=float)
         self.slack = np.zeros_like(self.stiffness) if slack is None else np.asarray(slack)
+        self.weights = np.full_like(self.stiffness, np.inf)  # [N] that a spring pulls at most
         self._pull: Array = -self.stiffness * self.slack
 
     def tensions(self, wound: Array, passed: float) -> Array:
-        """Return stiffness times what is wound beyond the slack."""
-        self._pull = self.stiffness * (wound - self.slack)
+        """Return stiffness times what is wound beyond the slack, or the weight."""
+        self._pull = np.minimum(self.stiffness * (wound - self.slack), self.weights)
         return np.maximum(0.0, self._pull)
 
     def resistance(self, wire: int) -> tuple[float, float]:
-        """Return the pull of the spring, negative while slack, and its stiffness."""
-        return float(self._pull[wire]), float(self.stiffness[wire])
+        """Return the pull, negative while slack; a weight pulls the same wherever it hangs."""
+        pull = float(self._pull[wire])
+        return pull, 0.0 if pull >= self.weights[wire] else float(self.stiffness[wire])
 
 
-class HangingWeights:
+class HangingWeights(SpringArm):
     """A weight on every wire, for a calibration: constant tension once it is off the ground."""
 
-    def __init__(
-        self, masses: Array, gravity: float = STANDARD_GRAVITY, stiffness: float = 2e4
-    ) -> None:
-        """Take the masses [kg], shape (m,), gravity [m/s²] and the wire's stiffness [N/m]."""
-        self.weights = np.asarray(masses, dtype=float) * gravity
-        self.stiffness, self.gravity = stiffness, gravity
-        self._pull = np.zeros_like(self.weights)
+    def __init__(self, masses: Array, stiffness: float = 2e4) -> None:
+        """Take the masses [kg], shape (m,), and the stiffness of the wires [N/m]."""
+        super().__init__(np.full(len(masses), stiffness))
+        self.weights = STANDARD_GRAVITY * np.asarray(masses, dtype=float)
 
     def hang(self, wire: int, mass: float) -> None:
         """Hang another weight [kg] on a wire."""
-        self.weights[wire] = mass * self.gravity
-
-    def tensions(self, wound: Array, passed: float) -> Array:
-        """Return the weight, or less while the wire only begins to lift it."""
-        self._pull = np.minimum(self.stiffness * wound, self.weights)
-        return np.maximum(0.0, self._pull)
-
-    def resistance(self, wire: int) -> tuple[float, float]:
-        """Return the pull; a weight that hangs pulls the same wherever it is."""
-        pull = float(self._pull[wire])
-        return pull, 0.0 if pull >= self.weights[wire] else self.stiffness
+        self.weights[wire] = STANDARD_GRAVITY * mass
 
 
 class ElasticArm:
@@ -166,7 +156,7 @@ class ElasticArm:
         tensions = np.minimum(self._held(wound), self.highest)
         if self._since >= self.period:
             self._since = 0.0
-            if np.abs(tensions - self._point).max() >= UNCHANGED_N:
+            if np.abs(tensions - self._point).max() >= BALANCED_N:
                 self._evaluate(tensions, wound)
                 tensions = np.minimum(self._held(wound), self.highest)
         return tensions

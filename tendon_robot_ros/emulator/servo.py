@@ -46,8 +46,7 @@ STEP_S = 1e-3
 # hides most of it
 DAMPING = 0.01
 POSITION_GAIN = 40.0  # [1/s] of the position loop, so that a servo is 25 ms behind a moving goal
-# [address] of the first register in RAM; the manual's "EEPROM area" ends before it
-RAM_BEGIN = 64
+RAM_BEGIN = REGISTERS['torque_enable'].address  # the manual's "EEPROM area" ends before it
 
 
 class StatusError(IntEnum):
@@ -62,17 +61,8 @@ class StatusError(IntEnum):
     ALERT = 0x80
 
 
-READ_ONLY = (
-    'model_number',
-    'firmware_version',
-    'hardware_error_status',
-    'moving',
-    'present_current',
-    'present_velocity',
-    'present_position',
-    'present_input_voltage',
-    'present_temperature',
-)
+PRESENT = {name for name in REGISTERS if name.startswith('present_')}
+READ_ONLY = PRESENT | {'model_number', 'firmware_version', 'hardware_error_status', 'moving'}
 GOALS = ('goal_pwm', 'goal_current', 'goal_velocity', 'goal_position')
 WITHIN_LIMIT = {'goal_current': 'current_limit', 'goal_pwm': 'pwm_limit'}
 # of the XL330-M077, by its manual; only the position's own counts here
@@ -187,13 +177,7 @@ class ServoMotion:
         self.drag = torque - load.torque(self.speed * step)
 
     def drive_position(
-        self,
-        goal: float,
-        limit: float,
-        load: Load,
-        step: float,
-        top: float = math.inf,
-        gain: float = 1.0,
+        self, goal: float, limit: float, load: Load, step: float, top: float, gain: float
     ) -> None:
         """
         Turn towards an angle for one step.
@@ -231,11 +215,7 @@ class Servo:
     """A servo of one model with an id."""
 
     def __init__(
-        self,
-        model: ServoModel,
-        identity: int,
-        baud: int = 1_000_000,
-        firmware: int = 48,
+        self, model: ServoModel, identity: int, baud: int = 1_000_000, firmware: int = 48
     ) -> None:
         """Switch the power on."""
         self.model, self.identity, self.firmware = model, identity, firmware
@@ -244,7 +224,7 @@ class Servo:
         self.voltage = 0.5 * sum(model.voltage)  # [V]
         self._bytes = bytearray(TABLE_BYTES)
         self._leg = 0.0  # [rad] from where the last goal position found it
-        self._eeprom = {
+        eeprom = {
             'model_number': model.number,
             'firmware_version': firmware,
             'id': identity,
@@ -260,7 +240,7 @@ class Servo:
             'max_voltage_limit': round(10 * model.voltage[1]) + 12,
             'min_voltage_limit': round(10 * model.voltage[0]) - 5,
         }
-        for name, value in self._eeprom.items():
+        for name, value in eeprom.items():
             self.put(name, value)
         self.boot()
 
@@ -292,6 +272,11 @@ class Servo:
         register = REGISTERS[name]
         start = register.address
         self._bytes[start : start + register.size] = encode(register, value)
+
+    @property
+    def sign(self) -> int:
+        """Direction of growing positions: -1 where the drive mode turns the motor round."""
+        return -1 if self.get('drive_mode') & DriveMode.REVERSE else 1
 
     @property
     def torque(self) -> bool:
@@ -383,12 +368,10 @@ class Servo:
 
     def _to_angle(self, position: int) -> float:
         """Return the angle [rad] of a position as the table has it."""
-        sign = -1 if self.get('drive_mode') & DriveMode.REVERSE else 1
-        return sign * (position - self.get('homing_offset')) * RADIANS_PER_TICK
+        return self.sign * (position - self.get('homing_offset')) * RADIANS_PER_TICK
 
     def _to_position(self, ticks: int) -> int:
-        sign = -1 if self.get('drive_mode') & DriveMode.REVERSE else 1
-        return sign * ticks + self.get('homing_offset')
+        return self.sign * ticks + self.get('homing_offset')
 
     def feed_watchdog(self) -> None:
         """Reset the watchdog's timer, as every instruction packet on the bus does."""
@@ -424,8 +407,7 @@ class Servo:
         duty = min(self.get('pwm_limit'), abs(self.get('goal_pwm'))) / PWM_FULL
         stalled = duty * model.stall_torque / model.torque_per_ampere  # [A]
         limit = min(self.get('current_limit') * unit, stalled)
-        sign = -1 if drive_mode & DriveMode.REVERSE else 1
-        current = sign * self.get('goal_current') * unit
+        current = self.sign * self.get('goal_current') * unit
         mode = self.get('operating_mode')
         if mode == OperatingMode.CURRENT:
             self.motion.drive_current(max(-limit, min(limit, current)), load, step)
