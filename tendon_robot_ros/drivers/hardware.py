@@ -170,12 +170,46 @@ def nearest(item: ConfigFields, top: ConfigFields, key: str) -> ConfigFields:
     return item if item.has(key) else top
 
 
-def read_baudrate(top: ConfigFields, known: tuple[int, ...]) -> int:
-    """Return one of the known baud rates [1/s], 1 Mbit/s where the file names none."""
-    value = top.content.get('baudrate', 1_000_000)
-    if value not in known:
-        raise top.error('baudrate', f'one of {", ".join(map(str, known))}', value)
-    return int(value)
+@dataclass(frozen=True)
+class PortConfig:
+    """What the configuration of every driver on a serial port holds, by the keys of its file."""
+
+    port: str
+    baudrate: int  # [1/s]
+    zero: str  # 'find' slack at enabling, or 'here': pull 0 is where the wires are
+    home_tension: float  # [N] of the search for slack
+    home_travel: float  # [m] that it may wind
+
+
+def read_port_config(
+    top: ConfigFields, robot: Robot, mode: str, known: tuple[int, ...], slack: float
+) -> dict[str, Any]:
+    """
+    Return the fields of `PortConfig`.
+
+    Parameters
+    ----------
+    top : ConfigFields
+    robot : Robot
+    mode : str
+        `tension` or `pull`.
+    known : tuple of int
+        Baud rates [1/s] that are possible.
+    slack : float
+        Tension of a wire that is just taut, as a fraction of the robot's highest.
+
+    """
+    low, high = robot.tension_limits
+    port, baudrate = top.port(), top.content.get('baudrate', 1_000_000)
+    if baudrate not in known:
+        raise top.error('baudrate', f'one of {", ".join(map(str, known))}', baudrate)
+    return {
+        'port': port,
+        'baudrate': int(baudrate),
+        'zero': top.choice('zero', ('find', 'here'), 'find' if mode == 'pull' else 'here'),
+        'home_tension': top.value('home_tension', max(low, slack * high), 1e-6, high, 'N'),
+        'home_travel': top.value('home_travel', 0.05, 1e-4, 1.0, 'm'),
+    }
 
 
 def read_spool_radius(item: ConfigFields, top: ConfigFields) -> float:

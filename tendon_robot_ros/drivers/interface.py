@@ -6,6 +6,7 @@ import abc
 import importlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import compress
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -224,9 +225,7 @@ class Driver(abc.ABC):
                 f'{", ".join(self.inputs)}, got shape {values.shape}'
             )
         if not np.all(np.isfinite(values)):
-            bad = ', '.join(
-                n for n, v in zip(self.inputs, values, strict=True) if not np.isfinite(v)
-            )
+            bad = ', '.join(compress(self.inputs, ~np.isfinite(values)))
             raise DriverError(
                 f'{type(self).__name__}: write: expected finite values, got '
                 f'nan or inf for {bad}; nothing was sent'

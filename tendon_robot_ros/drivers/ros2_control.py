@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from itertools import compress
 from typing import Any, Protocol, Self
 
 import numpy as np
@@ -27,20 +28,7 @@ from .hardware import (
 )
 from .interface import Array, Fault, Reading
 
-CONFIG_KEYS = (
-    'command_topic',
-    'state_topic',
-    'joints',
-    'spool_radius',
-    'timeout',
-    'tension_source',
-    'tension_rate',
-    'pull_rate',
-    'pull_limits',
-    'tendons',
-)
 PULL_DEFAULT_M = 0.05  # [m] either way without `pull_limits`, else nothing would bound a pull
-JOINT_KEYS = ('joint', 'spool_radius', 'direction', 'zero')
 
 
 class JointLink(Protocol):
@@ -60,57 +48,62 @@ MakeLink = Callable[[str, str], JointLink]  # of the topics of commands and stat
 
 
 @dataclass(frozen=True)
+class Joint:
+    """The joint of one input, by the keys of the file."""
+
+    joint: str
+    spool_radius: float  # [m], 1 for a prismatic joint
+    direction: int  # 1: growing positions wind
+    zero: float  # [rad] or [m], position of the joint at zero pull
+
+
+@dataclass(frozen=True)
 class Ros2ControlConfig:
-    """Which joint is which tendon; arrays (m,) in the order of the robot's inputs."""
+    """Checked configuration of the driver, by the keys of its file."""
 
     command_topic: str
     state_topic: str
     joints: tuple[str, ...]  # as the group controller lists them
-    names: tuple[str, ...]  # joint of every input
-    radii: Array  # [m] of the spools, 1 for prismatic joints
-    directions: Array  # 1: growing positions wind
-    zeros: Array  # [rad] or [m], position of the joint at zero pull
     timeout: float  # [s] of silence of a joint
-    source: str
+    tension_source: str
     tension_rate: float  # [N/s]
     pull_rate: float  # [m/s]
     pull_limits: tuple[float, float]  # [m]
+    tendons: tuple[Joint, ...]  # of every input
 
     @classmethod
     def checked(cls, robot: Robot, content: Mapping[str, Any], mode: str, source: str) -> Self:
         """Read a mapping; DriverError says key, what was expected and what came."""
         top = ConfigFields(source, '', dict(content))
-        top.only(*CONFIG_KEYS)
-        items = list(fields_of_inputs(top, 'tendons', 'a joint', robot).values())
-        for item in items:
-            item.only(*JOINT_KEYS)
-        names = tuple(item.name('joint') for item in items)
-        joints = top.content.get('joints')
+        top.only(*(field.name for field in fields(cls)), 'spool_radius')
+        tendons = []
+        for item in fields_of_inputs(top, 'tendons', 'a joint', robot).values():
+            item.only(*(field.name for field in fields(Joint)))
+            rolled = nearest(item, top, 'spool_radius').has('spool_radius')
+            tendons.append(
+                Joint(
+                    item.name('joint'),
+                    read_spool_radius(item, top) if rolled else 1.0,
+                    read_direction(item, 'growing positions wind'),
+                    item.value('zero', 0.0, -1e6, 1e6, 'rad or m'),
+                )
+            )
+        names, joints = [tendon.joint for tendon in tendons], top.content.get('joints')
         if not isinstance(joints, list) or sorted(map(str, joints)) != sorted(names):
             expected = f'the joints of the tendons, {", ".join(names)}, as the controller has them'
             raise top.error('joints', expected, joints)
         kind = 'effort' if mode == 'tension' else 'position'
-        pull_limits = -PULL_DEFAULT_M, PULL_DEFAULT_M
-        if top.has('pull_limits'):
-            pull_limits = read_pull_limits(top, 10.0)
-        rolled = [nearest(item, top, 'spool_radius').has('spool_radius') for item in items]
-        radii = [
-            read_spool_radius(item, top) if drum else 1.0
-            for item, drum in zip(items, rolled, strict=True)
-        ]
+        limited = top.has('pull_limits')
         return cls(
             str(top.content.get('command_topic') or f'{kind}_group_controller/commands'),
             str(top.content.get('state_topic') or '/joint_states'),
             tuple(map(str, joints)),
-            names,
-            np.array(radii),
-            np.array([read_direction(item, 'growing positions wind') for item in items]),
-            np.array([item.value('zero', 0.0, -1e6, 1e6, 'rad or m') for item in items]),
             top.value('timeout', 0.1, 0.005, 10.0, 's'),
             top.choice('tension_source', ('load_cell', 'current'), 'current'),
             top.value('tension_rate', 20.0, 0.01, 1000.0, 'N/s'),
             top.value('pull_rate', 0.05, 1e-5, 10.0, 'm/s'),
-            pull_limits,
+            read_pull_limits(top, 10.0) if limited else (-PULL_DEFAULT_M, PULL_DEFAULT_M),
+            tuple(tendons),
         )
 
 
@@ -132,7 +125,11 @@ class Ros2ControlDriver(HardwareDriver):
         limits, rates = np.tile([low, high], (m, 1)), np.full(m, rate)
         super().__init__(robot, mode, config.command_topic, limits, rates)
         self.config, self.link = config, link
-        self._order = [config.names.index(joint) for joint in config.joints]
+        self._names = [tendon.joint for tendon in config.tendons]
+        self._order = [self._names.index(joint) for joint in config.joints]
+        self._radii, self._directions, self._zeros = np.array(
+            [(tendon.spool_radius, tendon.direction, tendon.zero) for tendon in config.tendons]
+        ).T
         self._on = np.zeros(m, dtype=bool)
 
     @classmethod
@@ -192,30 +189,28 @@ class Ros2ControlDriver(HardwareDriver):
         """Return the newest joint states; joints that are silent are nan."""
         self._require_open('read')
         now, states, config = time.monotonic(), self.link.states(), self.config
-        values = np.array([states.get(name, (-np.inf, np.nan, np.nan)) for name in config.names])
+        values = np.array([states.get(name, (-np.inf, np.nan, np.nan)) for name in self._names])
         silent = now - values[:, 0] > config.timeout
         values[silent, 1:] = np.nan
-        turned = (values[:, 1] - config.zeros) * config.directions
         faults: tuple[Fault, ...] = ()
         if silent.any():
-            names = [n for n, quiet in zip(config.names, silent, strict=True) if quiet]
-            inputs = tuple(n for n, quiet in zip(self.inputs, silent, strict=True) if quiet)
+            names = ', '.join(compress(self._names, silent))
             text = (
-                f'{config.state_topic}: nothing of {", ".join(names)} for {config.timeout:g} s; '
+                f'{config.state_topic}: nothing of {names} for {config.timeout:g} s; '
                 'is joint_state_broadcaster active?'
             )
-            faults = (Fault('silent', text, inputs=inputs),)
-        tensions = values[:, 2] * config.directions / config.radii
-        return Reading(now, turned * config.radii, tensions, config.source, faults=faults)
+            faults = (Fault('silent', text, inputs=tuple(compress(self.inputs, silent))),)
+        pulls = (values[:, 1] - self._zeros) * self._directions * self._radii
+        tensions = values[:, 2] * self._directions / self._radii
+        return Reading(now, pulls, tensions, config.tension_source, faults=faults)
 
     def describe(self) -> dict[str, str]:
         """Name the topics."""
         return {'commands': self.config.command_topic, 'states': self.config.state_topic}
 
     def _send(self) -> None:
-        config = self.config
         if self.mode == 'tension':
-            values = self._goal * config.radii * config.directions
+            values = self._goal * self._radii * self._directions
         else:
-            values = self._goal / config.radii * config.directions + config.zeros
+            values = self._goal / self._radii * self._directions + self._zeros
         self.link.send(values[self._order].tolist())

@@ -12,6 +12,7 @@ After any release, commands are followed again only after `resume` (the sender h
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import compress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -261,12 +262,8 @@ class Supervisor:
 
         """
         if self.rules.mode == 'pull' and not np.all(np.isfinite(reading.pulls)):
-            missing = [
-                n
-                for n, p in zip(self.rules.inputs, reading.pulls, strict=True)
-                if not np.isfinite(p)
-            ]
-            raise DriverError(f'cannot start: no wire pull measured for {", ".join(missing)}')
+            missing = ', '.join(compress(self.rules.inputs, ~np.isfinite(reading.pulls)))
+            raise DriverError(f'cannot start: no wire pull measured for {missing}')
         self._output = self._measured(reading, np.zeros(len(self.rules.inputs)))
         self._requested, self._requested_at, self._now = None, now, now
         self._clipped, self._let_go, self._stop_rate = (), '', 0.0
@@ -356,11 +353,8 @@ class Supervisor:
                 self._output, self._reduction = self._measured(reading, self._output), 0.0
             goal = self._output if self._requested is None else self._requested
             self._move(goal, self.rules.rates, passed, reading)
-        off = (
-            self.rules.inputs
-            if self.state == LIMP
-            else tuple(name for name in self.rules.inputs if name in self._tripped)
-        )
+        limp = self.state == LIMP
+        off = tuple(name for name in self.rules.inputs if limp or name in self._tripped)
         return Decision(
             self._output.copy(),
             off,
@@ -379,11 +373,7 @@ class Supervisor:
             return
         self._requested = bounded(command, self.rules.limits)
         outside = np.abs(command - self._requested) > 1e-9
-        self._clipped = ()
-        if outside.any():
-            self._clipped = tuple(
-                name for name, bad in zip(self.rules.inputs, outside, strict=True) if bad
-            )
+        self._clipped = tuple(compress(self.rules.inputs, outside))
 
     def _watch(self, reading: Reading) -> list[str]:
         """Latch hardware errors; after a lost connection start from the measured state."""

@@ -17,7 +17,7 @@ import time
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import serial
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from ..common.errors import DriverError, MovedError
 from ..robot import Robot
-from .hardware import HardwareDriver, WireConfig
+from .hardware import HardwareDriver, PortConfig, WireConfig
 from .interface import Array, Fault, Reading
 
 # exceptions of an unplugged port: serial's error is an OSError, termios.error is none
@@ -193,18 +193,6 @@ class PortLink:
             raise PortLostError(f'{self.path}: {error}') from None
 
 
-class PortConfig(Protocol):
-    """The keys that every configuration of such a driver has."""
-
-    @property
-    def port(self) -> str:
-        """Path of the port."""
-
-    @property
-    def zero(self) -> str:
-        """`find` slack at enabling, or `here`: pull 0 is where the wires are."""
-
-
 class PortDriver(HardwareDriver):
     """
     Opens a port, identifies the motors and finds the slack of the wires before the first torque.
@@ -335,6 +323,11 @@ class PortDriver(HardwareDriver):
             self._goal, self._written = known, time.monotonic()
         else:
             self._goal = np.where(which, known, self._goal)
+
+    def refuse_cancelled(self) -> None:
+        """Raise DriverError where the search for slack was cancelled."""
+        if self.cancelled():
+            raise DriverError(f'{self.port}: looking for slack was cancelled; torque is off')
 
     @abstractmethod
     def _shake_hands(self) -> None:

@@ -22,14 +22,15 @@ from ...robot import Robot
 from ..hardware import (
     WEIGHTS_MIN,
     LineFit,
+    PortConfig,
     Spool,
     WireConfig,
     fields_of_inputs,
     fit_line,
     nearest,
-    read_baudrate,
     read_calibrations,
     read_direction,
+    read_port_config,
     read_spool_radius,
     read_wire_limits,
 )
@@ -322,18 +323,13 @@ def read_calibration(item: ConfigFields, model: ServoModel, radius: float) -> Ca
 
 
 @dataclass(frozen=True)
-class DynamixelConfig:
+class DynamixelConfig(PortConfig):
     """Checked configuration of the driver, by the keys of its file; SI units."""
 
-    port: str
-    baudrate: int
     watchdog: float | None  # [s], 0 = off, None = by the scheduling of the caller
     answer_time: float  # [s]
     pull_operation: str  # in pull mode: 'current_based' or 'extended'
-    zero: str  # 'find' slack at enabling, or 'here': pull 0 is where it is enabled
-    home_tension: float  # [N]
-    home_speed: float  # [m/s]
-    home_travel: float  # [m]
+    home_speed: float  # [m/s] of the search for slack
     temperature_margin: float  # [°C] below the motor's own limit at which the arm is released
     allow_coarse: bool
     allow_latency: bool
@@ -363,19 +359,14 @@ def read_config(
     """
     top = ConfigFields(source, '', dict(content))
     top.only(*KEYS)
-    low, high = robot.tension_limits
     config = DynamixelConfig(
-        port=top.port(),
-        baudrate=read_baudrate(top, tuple(BAUD_RATES.values())),
+        **read_port_config(top, robot, mode, tuple(BAUD_RATES.values()), slack=0.02),
         watchdog=top.value('watchdog', 0.0, 0.0, 2.54, 's') if top.has('watchdog') else None,
         answer_time=top.value('answer_time', 0.012, 0.001, 0.1, 's'),
         pull_operation=top.choice(
             'pull_operation', ('current_based', 'extended'), 'current_based'
         ),
-        zero=top.choice('zero', ('find', 'here'), 'find' if mode == 'pull' else 'here'),
-        home_tension=top.value('home_tension', max(low, 0.02 * high), 1e-6, high, 'N'),
         home_speed=top.value('home_speed', 0.005, 1e-5, 0.1, 'm/s'),
-        home_travel=top.value('home_travel', 0.05, 1e-4, 1.0, 'm'),
         temperature_margin=top.value('temperature_margin', 5.0, 0.0, 50.0, '°C'),
         allow_coarse=top.flag('allow_coarse'),
         allow_latency=top.flag('allow_latency'),

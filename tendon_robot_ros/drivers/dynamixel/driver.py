@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from itertools import compress
 
 import numpy as np
 
@@ -83,7 +84,7 @@ class DynamixelDriver(PortDriver):
 
     def _find_slack(self) -> None:
         with naming_second_talker(self.bus):
-            find_slack(self.bus, self.config, list(self.motors.values()), self.cancelled)
+            find_slack(self.bus, self.config, list(self.motors.values()), self.refuse_cancelled)
 
     def _torque_on(self) -> None:
         seconds, why = watchdog_time(self.config)
@@ -270,6 +271,4 @@ class DynamixelDriver(PortDriver):
                     motor.zero = float(motor.ticks)
 
     def _motors_of(self, inputs: Sequence[str]) -> list[Motor]:
-        chosen = self._chosen(inputs)
-        named = [m for (m, *_), named in zip(self._wires, chosen, strict=True) if named]
-        return [motor for motor in self.motors.values() if motor in named]
+        return list(dict.fromkeys(m for m, *_ in compress(self._wires, self._chosen(inputs))))

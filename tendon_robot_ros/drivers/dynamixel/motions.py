@@ -204,7 +204,7 @@ class SlackSearch:
 
 
 def find_slack(
-    bus: Bus, config: DynamixelConfig, motors: list[Motor], cancelled: Callable[[], bool]
+    bus: Bus, config: DynamixelConfig, motors: list[Motor], refuse_cancelled: Callable[[], None]
 ) -> None:
     """
     Wind the slack up and set the zero of every motor; torque is off afterwards.
@@ -223,7 +223,7 @@ def find_slack(
     try:
         torque_on(bus, motors, MODE, WATCHDOG_COUNTS)
         try:
-            wind_until_taut(bus, config, searches, cancelled)
+            wind_until_taut(bus, config, searches, refuse_cancelled)
         except (DriverError, PortLostError) as error:
             raise error if isinstance(error, MovedError) else MovedError(str(error)) from None
     finally:
@@ -231,7 +231,10 @@ def find_slack(
 
 
 def wind_until_taut(
-    bus: Bus, config: DynamixelConfig, searches: list[SlackSearch], cancelled: Callable[[], bool]
+    bus: Bus,
+    config: DynamixelConfig,
+    searches: list[SlackSearch],
+    refuse_cancelled: Callable[[], None],
 ) -> None:
     """
     Move all motors until every zero is known.
@@ -242,8 +245,7 @@ def wind_until_taut(
     remaining = 3.0 * config.home_travel / config.home_speed + 2.0 * TURNING_TIMEOUT_S
     before = time.monotonic()
     while not all(search.finished for search in searches):
-        if cancelled():
-            raise DriverError(f'{bus.path}: looking for slack was cancelled; torque is off')
+        refuse_cancelled()
         now = time.monotonic()
         passed, before = min(now - before, 2.0 * CYCLE_S), now
         remaining -= passed

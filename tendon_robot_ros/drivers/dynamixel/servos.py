@@ -84,7 +84,7 @@ class Setting:
 
 # [register counts] In the order in which they are written, so that none undoes another: a new
 # operating mode resets gains (76 to 91), profile and PWM, and a goal PWM is at most the PWM limit.
-# Goals (102, 116) become the present state, see torque.py. The velocity limit (44) bounds the goal
+# Goals (102, 116) become the present state, see `hold`. The velocity limit (44) bounds the goal
 # velocity and a profile velocity above 0, the position limits (48, 52) single-turn positions:
 # nothing of that is used in modes 0, 4 and 5. Indirect addresses (168 and more) act where their
 # data are read or written, which nothing here does.

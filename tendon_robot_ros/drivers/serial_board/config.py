@@ -22,14 +22,15 @@ from ...common.yaml_reading import ConfigFields
 from ...robot import Robot
 from ..hardware import (
     WEIGHTS_MIN,
+    PortConfig,
     Spool,
     WireConfig,
     fields_of_inputs,
     fit_line,
     nearest,
-    read_baudrate,
     read_calibrations,
     read_direction,
+    read_port_config,
     read_spool_radius,
     read_wire_limits,
 )
@@ -189,12 +190,10 @@ BAUD_RATES = (115_200, 230_400, 250_000, 500_000, 1_000_000, 2_000_000)
 
 
 @dataclass(frozen=True)
-class BoardConfig:
+class BoardConfig(PortConfig):
     """Checked configuration of the driver, by the keys of its file; SI units."""
 
     source: str  # the file
-    port: str
-    baudrate: int
     telemetry_rate: float  # [Hz]
     command_timeout: float  # [s] of silence after which the board releases
     release_rate: float  # [N/s]
@@ -203,10 +202,7 @@ class BoardConfig:
     tension_gain: float  # [m/(N·s)] of the tension loop
     tension_rate: float  # [N/s]
     pull_rate: float  # [m/s]
-    zero: str  # 'find' slack at enabling, or 'here': pull 0 is where it is opened
-    home_tension: float  # [N]
-    home_time: float  # [s]
-    home_travel: float  # [m]
+    home_time: float  # [s] of the search for slack
     tendons: tuple[ChannelWire, ...]  # of every input
 
     @property
@@ -243,9 +239,8 @@ def read_config(
     pull_rate = top.value('pull_rate', 0.05, 1e-5, 1.0, 'm/s')
     rate = tension_rate if mode == 'tension' else pull_rate
     return BoardConfig(
+        **read_port_config(top, robot, mode, BAUD_RATES, slack=0.05),
         source=source,
-        port=top.port(),
-        baudrate=read_baudrate(top, BAUD_RATES),
         telemetry_rate=top.value('telemetry_rate', 250.0, 20.0, 1000.0, 'Hz'),
         command_timeout=top.value('command_timeout', 0.2, 0.02, 10.0, 's'),
         release_rate=top.value('release_rate', 2.0 * high, 1e-3, 1e3, 'N/s'),
@@ -254,9 +249,6 @@ def read_config(
         tension_gain=top.value('tension_gain', 0.015, 1e-6, 1.0, 'm/(N·s)'),
         tension_rate=tension_rate,
         pull_rate=pull_rate,
-        zero=top.choice('zero', ('find', 'here'), 'find' if mode == 'pull' else 'here'),
-        home_tension=top.value('home_tension', max(low, 0.05 * high), 1e-6, high, 'N'),
         home_time=top.value('home_time', 10.0, 0.5, 120.0, 's'),
-        home_travel=top.value('home_travel', 0.05, 1e-4, 1.0, 'm'),
         tendons=read_wires(top, robot, mode, rate, calibrated),
     )

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from itertools import compress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,6 +76,7 @@ class SerialDriver(PortDriver):
         return not bool(np.isfinite(self.zero).all())
 
     def _torque_on(self) -> None:
+        self.link.give_limits(self.config, np.nan_to_num(self.zero))
         self.switch_on(self.mode)
         self.torque_requested[:], self.restarted[:] = True, False
 
@@ -193,10 +195,9 @@ class SerialDriver(PortDriver):
             message = f'{port}: no telemetry from the board; check its cable and supply'
             return (Fault('silent', message),)
         faults = self._latched_faults()
-        for tendon, off in zip(self.config.tendons, self.restarted, strict=True):
-            if off:
-                message = f'{port}: {tendon}: the board restarted or switched it off; reset'
-                faults.append(Fault('restarted', message, True, (tendon.name,)))
+        for tendon in compress(self.config.tendons, self.restarted):
+            message = f'{port}: {tendon}: the board restarted or switched it off; reset'
+            faults.append(Fault('restarted', message, True, (tendon.name,)))
         if self._tripped:
             silence = f'the board heard no command for {self.config.command_timeout:g} s, released'
             faults.append(Fault('watchdog', f'{port}: {silence}'))
@@ -269,7 +270,6 @@ class SerialDriver(PortDriver):
         if self.config.zero == 'here' and self.telemetry is not None:
             measured = self.telemetry.pulls[self.config.places]
             self.zero = np.where(np.isfinite(self.zero), self.zero, measured)
-            self.link.give_limits(self.config, self.zero)
 
     def _find_slack(self) -> None:
         """
@@ -291,14 +291,8 @@ class SerialDriver(PortDriver):
             raise MovedError(f'no pull zero found: {error}') from None
         self.link.give_limits(self.config, origin, (-travel, travel))
         self.switch_on('tension')
-        try:
-            self.zero = self._wind_until_taut(origin)
-            distances.clear()
-            self.link.give_limits(self.config, self.zero)
-        except MovedError:
-            raise
-        except (DriverError, PortLostError) as error:
-            raise MovedError(str(error)) from None
+        self.zero = self._wind_until_taut(origin)
+        distances.clear()
 
     def _wind_until_taut(self, origin: Array) -> Array:
         """Command the homing tension until every wire has it; return where they are, (m,) [m]."""
@@ -308,10 +302,7 @@ class SerialDriver(PortDriver):
         steady = time.monotonic()
         try:
             while time.monotonic() - steady < SETTLE_S:
-                if self.cancelled():
-                    raise DriverError(
-                        f'{config.port}: looking for slack was cancelled; torque is off'
-                    )
+                self.refuse_cancelled()
                 self.command('tension', goal)
                 self.read_fresh()
                 off_target = ~(np.abs(self.measured_tensions() - goal) < TENSION_TOLERANCE * goal)
@@ -322,8 +313,9 @@ class SerialDriver(PortDriver):
                 reach = config.home_travel - TRAVEL_TOLERANCE_M
                 self._refuse_too_far(off_target & (np.abs(self._board_pulls() - origin) > reach))
                 if time.monotonic() > deadline:
+                    names = ', '.join(compress(self.inputs, off_target))
                     raise DriverError(
-                        f'{config.port}: {self._names(off_target)}: not at '
+                        f'{config.port}: {names}: not at '
                         f'{config.home_tension:g} N within {config.home_time:g} s; is the wire '
                         'attached, and the direction right?'
                     )
@@ -350,10 +342,8 @@ class SerialDriver(PortDriver):
     def _refuse_too_far(self, which: NDArray[np.bool_]) -> None:
         """Raise DriverError for inputs (m,) whose search for slack has gone too far."""
         if which.any():
+            names = ', '.join(compress(self.inputs, which))
             raise DriverError(
-                f'{self.config.port}: {self._names(which)}: no resistance within home_travel = '
+                f'{self.config.port}: {names}: no resistance within home_travel = '
                 f'{self.config.home_travel:g} m; is the wire on its spool, is direction right?'
             )
-
-    def _names(self, which: NDArray[np.bool_]) -> str:
-        return ', '.join(n for n, bad in zip(self.inputs, which, strict=True) if bad)
