@@ -261,11 +261,10 @@ class PortDriver(HardwareDriver):
                 self._find_slack()
                 failed = MovedError
             self._torque_on()
-        except MovedError:
-            self.disable()
-            raise
         except (DriverError, PortLostError) as error:
             self.disable()
+            if isinstance(error, MovedError):
+                raise
             raise failed(str(error)) from None
         self._start_from_measured()
 
