@@ -9,7 +9,7 @@ from tendon_robot_ros.common.errors import EffectError
 from tendon_robot_ros.effects import STAGES, Catalogue, Effect, Parameter, load_catalogue
 from tendon_robot_ros.model.compile import kernel_key, stages_source
 from tendon_robot_ros.robot import load_robot
-from tendon_robot_ros.simulation.hidden import Built
+from tendon_robot_ros.simulation.hidden import Built, Damage
 from tendon_robot_ros.simulation.plant import parts_per_cell, real_robot
 
 
@@ -75,7 +75,6 @@ def test_a_plant_divides_cells_only_where_every_effect_says_how():
 
 
 def test_finer_cells_have_the_parameters_that_the_effect_asks_for():
-    import numpy as np
 
     owner, catalogue = robot(), with_softening()
     effects = {
@@ -85,9 +84,8 @@ def test_finer_cells_have_the_parameters_that_the_effect_asks_for():
         'nonlinear_stiffness': {'cubic': 2.0},
     }
     n = owner.cells
-    real = real_robot(
-        owner, effects, catalogue, 3, np.ones(n), np.zeros((n, 3)), True, Built.exact(owner)
-    )
+    none = Damage.none(owner, 0)
+    real = real_robot(owner, effects, catalogue, 3, none, True, Built.exact(owner))
     assert real.cells == 3 * n
     assert real.effects['softening']['loss'] == pytest.approx(0.9)
     # three springs in a row: each three times as stiff, a third of the bend, nine times the cube

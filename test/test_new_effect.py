@@ -17,7 +17,7 @@ from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.report.diagnosis_page import diagnosis_page
 from tendon_robot_ros.report.diagnosis_text import lines
-from tendon_robot_ros.simulation.hidden import Built, plant_catalogue
+from tendon_robot_ros.simulation.hidden import Built, Damage, plant_catalogue
 from tendon_robot_ros.simulation.plant import make_plant, parts_per_cell, real_robot
 
 sys.path.insert(0, str(ROOT / 'tools'))
@@ -69,9 +69,8 @@ def test_a_plant_has_it_in_its_finer_cells(catalogue):
     n = owner.cells
     hidden = {**owner.effects, **LOSS}
     assert parts_per_cell(owner, hidden, catalogue, 3) == 3
-    real = real_robot(
-        owner, hidden, catalogue, 3, np.ones(n), np.zeros((n, 3)), True, Built.exact(owner)
-    )
+    none = Damage.none(owner, 0)
+    real = real_robot(owner, hidden, catalogue, 3, none, True, Built.exact(owner))
     assert real.cells == 3 * n and real.effects[NAME] == LOSS[NAME]
     assert NAME in plant_catalogue(catalogue)
 

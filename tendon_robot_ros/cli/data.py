@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -331,22 +332,18 @@ def with_columns(recipe: Recipe, args: argparse.Namespace, inputs: tuple[str, ..
     if 'positions' in units:
         unit_of_places = read_unit('--unit positions', units['positions'], 'length').text
         recipe = replace(recipe, positions=unit_of_places)
-    spool: dict[str, float] = {}
-    for key, value in (
-        ('radius', None if args.spool is None else length('--spool', args.spool, 'mm')),
-        ('counts_per_turn', args.counts_per_turn),
-        ('torque_constant', args.torque_constant),
-    ):
-        if value is not None:
-            refuse_outside('--' + key.replace('_', '-').replace('radius', 'spool'), value, 0.0)
-            spool[key] = value
+    spool = {
+        'radius': None if args.spool is None else length('--spool', args.spool, 'mm'),
+        'counts_per_turn': args.counts_per_turn,
+        'torque_constant': args.torque_constant,
+    }
     return replace(
         recipe,
         inputs=uses or None,
         input_unit=unit,
         time_unit=time_unit if 'time' in units else None,
         zero=args.zero or recipe.zero,
-        spool=replace(recipe.spool, **spool),
+        spool=replace(recipe.spool, **given(spool, radius='--spool')),
     )
 
 
@@ -377,26 +374,36 @@ def _lengths(option: str, text: str) -> tuple[float, ...]:
 
 def with_measurements(recipe: Recipe, args: argparse.Namespace) -> Recipe:
     """Return a recipe with the thresholds of the arguments."""
-    given: dict[str, Any] = {}
-    still: dict[str, float] = {}
-    for key, value in (
-        ('speed', None if args.speed is None else 1e-3 * args.speed),
-        ('duration', args.duration),
-        ('same', input_size('--same', args.same)),
-        ('rest', input_size('--rest', args.rest)),
-    ):
-        if value is not None:
-            refuse_outside(f'--{key}', value, 0.0 if key != 'rest' else -1.0)
-            (still if key in ('speed', 'duration') else given)[key] = value
-    given |= {} if args.delay is None else {'delay': (args.delay,)}
-    given |= {} if args.path is None else {'path': args.path}
-    return replace(recipe, still=replace(recipe.still, **still), **given)
+    still = {
+        'speed': None if args.speed is None else 1e-3 * args.speed,
+        'duration': args.duration,
+    }
+    same = {'same': input_size('--same', args.same), 'rest': input_size('--rest', args.rest)}
+    more = {'delay': None if args.delay is None else (args.delay,), 'path': args.path}
+    more = {key: value for key, value in more.items() if value is not None}
+    recipe = replace(recipe, still=replace(recipe.still, **given(still)))
+    return replace(recipe, **given(same), **more)
 
 
-def refuse_outside(option: str, value: float, low: float) -> None:
-    """Raise InputError if a number is not above a bound, or implausibly large."""
-    if not low < value < 1e9:
-        raise InputError(f'{option}: expected a number above {low:g}, got {value:g}')
+def given(values: Mapping[str, float | None], **options: str) -> dict[str, Any]:
+    """
+    Return the numbers that were given.
+
+    `options` names those whose option is called otherwise.
+
+    Raises
+    ------
+    InputError
+        One is not above 0 (a rest: -1), or implausibly large.
+
+    """
+    known = {key: value for key, value in values.items() if value is not None}
+    for key, value in known.items():
+        low, option = -1.0 if key == 'rest' else 0.0, '--' + key.replace('_', '-')
+        if not low < value < 1e9:
+            option = options.get(key, option)
+            raise InputError(f'{option}: expected a number above {low:g}, got {value:g}')
+    return known
 
 
 class ExportBag:
@@ -413,25 +420,18 @@ class ExportBag:
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Declare the arguments."""
-        default = Timing()
-        parser.add_argument('data', metavar='DATA', help='folder of the data set')
-        parser.add_argument(
-            'output', metavar='OUT', help='new folder, or new file that ends in .mcap'
-        )
-        parser.add_argument(
-            '--robot', help='robot description instead of the one the data set names'
-        )
-        parser.add_argument(
-            '--storage', choices=STORAGES, default='mcap', help='of a folder (default: mcap)'
-        )
+        add, default = parser.add_argument, Timing()
+        add('data', metavar='DATA', help='folder of the data set')
+        add('output', metavar='OUT', help='new folder, or new file that ends in .mcap')
+        add('--robot', help='robot description instead of the one the data set names')
+        what = 'of a folder (default: mcap)'
+        add('--storage', choices=STORAGES, default='mcap', help=what)
         for name, value, text in (
             ('hold', default.hold, 'seconds that every measurement lasts'),
             ('move', default.move, 'seconds from one to the next'),
             ('rate', default.rate, 'messages per second'),
         ):
-            parser.add_argument(
-                f'--{name}', type=float, default=value, help=f'{text} (default: {value:g})'
-            )
+            add(f'--{name}', type=float, default=value, help=f'{text} (default: {value:g})')
 
     def run(self, args: argparse.Namespace) -> int:
         """Write the recording."""

@@ -122,26 +122,18 @@ def tip_line(shape: Shape) -> str:
 def shape_table(model: Model, shape: Shape) -> str:
     """Return what a person reads: tip, bends of the sections, tensions and wire pulls."""
     robot, lines = model.robot, [tip_line(shape)]
-    start = 0
-    for section in robot.sections:
-        x, y = np.degrees(shape.bend[start : start + section.cells].sum(axis=0))
+    ends = np.cumsum([section.cells for section in robot.sections])
+    for section, cells in zip(robot.sections, np.split(np.arange(ends[-1]), ends), strict=False):
+        x, y = np.degrees(shape.bend[cells].sum(axis=0))
         line = f'{section.name}: bends {x:.2f}° towards x, {y:.2f}° towards y'
         if model.arrays.twists:
-            twist = np.degrees(shape.twist[start : start + section.cells].sum())
-            line += f', twists {twist:.2f}°'
+            line += f', twists {np.degrees(shape.twist[cells].sum()):.2f}°'
         lines.append(line)
-        start += section.cells
     rows = [['tendon', 'tension [N]', 'at its end [N]', 'wire pull [mm]']]
     for k, tendon in enumerate(robot.tendons):
         along = shape.tendon_tensions[: robot.tendon_cells[k], k]
-        rows.append(
-            [
-                tendon.name,
-                f'{along[0]:.3f}',
-                f'{along[-1]:.3f}',
-                f'{1e3 * shape.tendon_pulls[k]:.3f}',
-            ]
-        )
+        numbers = along[0], along[-1], 1e3 * shape.tendon_pulls[k]
+        rows.append([tendon.name, *(f'{number:.3f}' for number in numbers)])
     return '\n'.join([*lines, columns(rows)])
 
 
@@ -213,6 +205,7 @@ def stiffness_content(model: Model, reach: Reach) -> dict[str, float]:
 
 def reach_content(model: Model, reach: Reach) -> dict[str, Any]:
     """Return what the JSON holds (SI)."""
+    stiffness = stiffness_content(model, reach)
     return {
         'tensions': dict(zip(model.inputs, reach.tensions.tolist(), strict=True)),
         'pulls': dict(zip(model.inputs, reach.pulls.tolist(), strict=True)),
@@ -220,10 +213,7 @@ def reach_content(model: Model, reach: Reach) -> dict[str, Any]:
         'error': {'position': reach.position_error, 'direction': reach.direction_error},
         'status': reach.status,
         'region': reach.region,
-        'tip_stiffness': {
-            axis: value if np.isfinite(value) else None
-            for axis, value in stiffness_content(model, reach).items()
-        },
+        'tip_stiffness': {k: v if np.isfinite(v) else None for k, v in stiffness.items()},
     }
 
 
@@ -235,16 +225,14 @@ def reach_table(model: Model, reach: Reach) -> str:
     rows = [['input', 'tension [N]', 'wire pull [mm]']]
     for name, tension, pull in zip(model.inputs, reach.tensions, reach.pulls, strict=True):
         rows.append([name, f'{tension:.3f}', f'{1e3 * pull:.3f}'])
-    return '\n'.join(
-        [
-            f'{reach.status}{limit}: off by {1e3 * reach.position_error:.3f} mm, '
-            f'{np.degrees(reach.direction_error):.3f}°',
-            tip_line(reach.shape),
-            'the tip is {x:.3g}, {y:.3g}, {z:.3g} N/m stiff along x, y, z, at least '
-            '{softest:.3g}'.format(**stiff),
-            columns(rows),
-        ]
-    )
+    off = f'{1e3 * reach.position_error:.3f} mm, {np.degrees(reach.direction_error):.3f}°'
+    lines = [
+        f'{reach.status}{limit}: off by {off}',
+        tip_line(reach.shape),
+        'the tip is {x:.3g}, {y:.3g}, {z:.3g} N/m stiff along x, y, z, at least '
+        '{softest:.3g}'.format(**stiff),
+    ]
+    return '\n'.join([*lines, columns(rows)])
 
 
 class WorkspaceCommand:

@@ -10,7 +10,8 @@ import argparse
 import signal
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
@@ -131,10 +132,8 @@ def find_files(args: argparse.Namespace) -> None:
         return
     contents: dict[str, dict[str, Any]] = {}
     for path in sorted(Path().glob('*.yaml')):
-        try:
+        with suppress(InputError):
             contents[str(path)] = _content(str(path))
-        except InputError:
-            continue
     if args.robot is None:
         robots = [name for name, content in contents.items() if 'sections' in content]
         args.robot = _only(robots, 'a robot description', '--robot FILE')
@@ -174,9 +173,7 @@ def check_tendons(args: argparse.Namespace) -> int:
     with make_driver(args.kind, robot, content, mode='tension', source=args.config) as driver:
         if tension is None:
             tension = CHECK_FRACTION * float(driver.limits[:, 1].min())
-        print(f'pulling all tendons with {tension:g} N; keep hands away', file=sys.stderr)
-        if not args.yes:
-            input('press Enter when ready ')
+        wait_for(args, f'pulling all tendons with {tension:g} N; keep hands away')
         now = measure_reference(driver, tension)
     if before is None:
         save_reference(path, now)
@@ -211,24 +208,19 @@ def calibrate_motor(args: argparse.Namespace) -> int:
 
     if not (1.0 <= args.travel <= 1000.0 and 0.1 <= args.speed <= 200.0):
         raise InputError('--travel, --speed: expected 1 to 1000 mm and 0.1 to 200 mm/s')
-    bus, motor, wire = open_motor(args, STANDARD_GRAVITY)
+    bus, motor, wire = open_motor(args)
     try:
         points = []
         for mass in args.weights:
-            print(
+            wait_for(
+                args,
                 f'hang {mass:g} kg on {args.tendon}: it stands on the ground, the wire is just '
                 'taut; keep hands away',
-                file=sys.stderr,
             )
-            if not args.yes:
-                input('press Enter when ready ')
             weight = mass * STANDARD_GRAVITY
             point = wind_weight(bus, motor, weight, 1e-3 * args.travel, 1e-3 * args.speed)
-            print(
-                f'  {point.tension:.3f} N: winding {point.wind:.4f} A, '
-                f'paying out {point.pay_out:.4f} A',
-                file=sys.stderr,
-            )
+            currents = f'winding {point.wind:.4f} A, paying out {point.pay_out:.4f} A'
+            print(f'  {point.tension:.3f} N: {currents}', file=sys.stderr)
             points.append(point)
     finally:
         bus.close()
@@ -245,23 +237,34 @@ def calibrate_motor(args: argparse.Namespace) -> int:
     return 0
 
 
-def open_motor(args: argparse.Namespace, gravity: float) -> tuple[Bus, Motor, Any]:
+def chosen(args: argparse.Namespace, tendons: Sequence[Any]) -> Any:
+    """Return the one of some tendons that --tendon names."""
+    by_name = {tendon.name: tendon for tendon in tendons}
+    if args.tendon not in by_name:
+        raise InputError(f'--tendon: expected one of {", ".join(by_name)}, got {args.tendon!r}')
+    return by_name[args.tendon]
+
+
+def wait_for(
+    args: argparse.Namespace, text: str, question: str = 'press Enter when ready '
+) -> None:
+    """Say what is needed before a measurement, and wait for it."""
+    print(text, file=sys.stderr)
+    if not args.yes:
+        input(question)
+
+
+def open_motor(args: argparse.Namespace) -> tuple[Bus, Motor, Any]:
     """Open the bus and find the motor; its current may lift twice the heaviest weight."""
     from ..drivers.dynamixel.bus import Bus
     from ..drivers.dynamixel.config import read_config
     from ..drivers.dynamixel.motor import Motor
     from ..drivers.dynamixel.servos import shake_hands
 
-    robot = load_robot(args.robot)
-    content = _content(args.config)
-    content = {**content, 'allow_coarse': True}
-    config = read_config(robot, content, 'tension', args.config)
-    wires = [wire for wire in config.motors if wire.name == args.tendon]
-    if not wires:
-        raise InputError(
-            f'--tendon: expected one of {", ".join(robot.inputs)}, got {args.tendon!r}'
-        )
-    wire = replace(wires[0], tension_limit=2.0 * gravity * max(args.weights))
+    content = {**_content(args.config), 'allow_coarse': True}
+    config = read_config(load_robot(args.robot), content, 'tension', args.config)
+    heaviest = 2.0 * STANDARD_GRAVITY * max(args.weights)
+    wire = replace(chosen(args, config.motors), tension_limit=heaviest)
     motor = Motor(wire.motor, (wire,), 'pull')
     bus = Bus(config.port, config.baudrate, config.answer_time)
     bus.open()
@@ -292,18 +295,11 @@ def draw(fitted: Calibration, points: list[CurrentPoint], tendon: str, path: Pat
         ('wind', 'winding', MEASURED),
         ('pay_out', 'paying out', PREDICTED),
     ):
-        line = getattr(fitted, name)
         currents = [getattr(point, name) for point in points]
         axes.plot(tensions, currents, 'o', color=colour, label=words)
-        axes.plot(ends, [line.current(t) for t in ends], color=colour)
-    mean, half_gap = fitted.mean, fitted.uncertainty(max(tensions))
-    axes.plot(
-        ends,
-        [mean.current(t) for t in ends],
-        '--',
-        color=ERROR,
-        label=f'mean, ±{half_gap:.2g} N',
-    )
+        axes.plot(ends, [getattr(fitted, name).current(t) for t in ends], color=colour)
+    label = f'mean, ±{fitted.uncertainty(max(tensions)):.2g} N'
+    axes.plot(ends, [fitted.mean.current(t) for t in ends], '--', color=ERROR, label=label)
     axes.set(xlabel='tension [N]', ylabel='current [A]', title=f'{tendon}: calibration')
     axes.legend()
     axes.grid(alpha=0.3)
@@ -316,28 +312,21 @@ def measure_cell(args: argparse.Namespace) -> dict[str, Any]:
     from ..drivers.serial_board.config import cell_mapping, fit_counts, read_config
     from ..drivers.serial_board.link import connect
 
-    robot = load_robot(args.robot)
-    content = _content(args.config)
+    robot, content = load_robot(args.robot), _content(args.config)
     config = read_config(robot, content, 'tension', args.config, calibrated=False)
-    tendon = next((tendon for tendon in config.tendons if tendon.name == args.tendon), None)
-    if tendon is None:
-        raise InputError(
-            f'--tendon: expected one of {", ".join(robot.inputs)}, got {args.tendon!r}'
-        )
+    tendon = chosen(args, config.tendons)
     link = connect(config)
     points: list[CountsPoint] = []
     try:
         for mass in (0.0, *args.weights):
             hang = f'hang {mass:g} kg on' if mass else 'nothing may pull at'
-            print(f'{hang} the load cell of {tendon}', file=sys.stderr)
-            if not args.yes:
-                input('press Enter when it hangs still ')
+            text = f'{hang} the load cell of {tendon}'
+            wait_for(args, text, 'press Enter when it hangs still ')
             force = mass * STANDARD_GRAVITY
-            points.append(link.measure_counts(tendon.channel, force, SECONDS_PER_WEIGHT))
-            print(
-                f'  {force:.3f} N: {points[-1].mean:.0f} ± {points[-1].spread:.0f} counts',
-                file=sys.stderr,
-            )
+            point = link.measure_counts(tendon.channel, force, SECONDS_PER_WEIGHT)
+            counts = f'{point.mean:.0f} ± {point.spread:.0f} counts'
+            print(f'  {force:.3f} N: {counts}', file=sys.stderr)
+            points.append(point)
     finally:
         link.close()
     cell = fit_counts(points)

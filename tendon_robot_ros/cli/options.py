@@ -140,21 +140,19 @@ def named_numbers(option: str, text: str, unit: str) -> dict[str, float]:
     """
     values: dict[str, float] = {}
     for part in text.split(','):
-        name, equals, number = part.rpartition('=')
+        name, _, number = (word.strip() for word in part.rpartition('='))
         try:
-            value = float(number)
+            value = float(number) if name else math.nan
         except ValueError:
-            if unit == 'N' and equals and number[:1].isdigit():
-                value = read_quantity(f'{option}: {name.strip()}', number, unit, 'force')
-            else:
-                equals = ''
-        if not equals or not name.strip():
-            raise InputError(
-                f'{option}: expected NAME=NUMBER,NAME=NUMBER in {unit}, got {part.strip()!r}'
-            )
-        if name.strip() in values:
-            raise InputError(f'{option}: {name.strip()!r} stands twice')
-        values[name.strip()] = value
+            value = math.nan
+            if unit == 'N' and number[:1].isdigit():
+                value = read_quantity(f'{option}: {name}', number, unit, 'force')
+        if math.isnan(value):
+            expected = f'expected NAME=NUMBER,NAME=NUMBER in {unit}'
+            raise InputError(f'{option}: {expected}, got {part.strip()!r}')
+        if name in values:
+            raise InputError(f'{option}: {name!r} stands twice')
+        values[name] = value
     return values
 
 
@@ -210,10 +208,9 @@ def position(option: str, text: str | None, unit: str, reach: float) -> list[flo
     """
     if text is None:
         return None
-    parts = text.split(',')
-    if len(parts) != 3:
+    if text.count(',') != 2:
         raise InputError(f'{option}: expected three lengths x,y,z, got {text!r}')
-    values = [length(option, part, unit) for part in parts]
+    values = [length(option, part, unit) for part in text.split(',')]
     distance = math.hypot(*values)
     nearest, farthest = (lengths * reach for lengths in TARGET_LENGTHS)
     if distance > farthest or 0.0 < distance < nearest:
@@ -235,13 +232,8 @@ def vector(option: str, text: str | None) -> list[float] | None:
         It is not three numbers.
 
     """
-    if text is None:
-        return None
-    try:
-        values = [float(part) for part in text.split(',')]
-    except ValueError:
-        values = []
-    if len(values) != 3:
+    values = None if text is None else list(_floats(text, ','))
+    if values is not None and len(values) != 3:
         raise InputError(f'{option}: expected three numbers x,y,z, got {text!r}')
     return values
 
@@ -256,13 +248,18 @@ def numbers(what: str, text: str, separator: str) -> tuple[float, ...]:
         One is no finite number.
 
     """
-    try:
-        values = tuple(map(float, text.split(separator)))
-    except ValueError:
-        values = ()
+    values = _floats(text, separator)
     if not values or not all(map(math.isfinite, values)):
         raise InputError(f'{what}: expected numbers, got {text!r}')
     return values
+
+
+def _floats(text: str, separator: str) -> tuple[float, ...]:
+    """Return the numbers of a text; none where one of them is not."""
+    try:
+        return tuple(map(float, text.split(separator)))
+    except ValueError:
+        return ()
 
 
 def pairs(option: str, texts: Sequence[str], what: str = 'VALUE') -> dict[str, str]:
@@ -324,7 +321,7 @@ def keep_frame_tolerances(dataset: DataSet, paths: Sequence[str]) -> DataSet:
     for path in paths:
         with suppress(TendonRobotError):  # a data set without a description of its own
             own = described_robot(path).tolerances
-            for key in set(FRAME_TOLERANCES) & set(own) - set(dataset.robot.tolerances):
+            for key in {*FRAME_TOLERANCES} & {*own} - {*dataset.robot.tolerances}:
                 kept[key] = max(kept.get(key, 0.0), own[key])
     if not kept:
         return dataset
@@ -384,9 +381,8 @@ def progress(remaining: bool = False) -> Iterator[Progress]:
     A thread shows how long a step has taken so far. `remaining` shows the time left as well, where
     all of the work is counted as one.
     """
-    form = '{desc} {n_fmt}/{total_fmt} |{bar}| {elapsed}' + (
-        ', {remaining} left' if remaining else ''
-    )
+    form = '{desc} {n_fmt}/{total_fmt} |{bar}| {elapsed}'
+    form += ', {remaining} left' if remaining else ''
     start, ended = time.monotonic(), threading.Event()
     now = ('working', 0, 0)  # what was told last
 

@@ -253,14 +253,14 @@ def ask_stiffness(questions: Questions, length: float) -> Stiffness:
             lambda size: stiffness_from_sag(force, drop, size.sections * size.cells, size.length),
             10.0,
         )
+    tension, angle, percent = None, math.pi, 50.0  # not known: the highest bends by 180°
     if source == 'bend':
         tension = questions.number('One tendon alone, tension [N]', 1.0, 1e-6, 1e5)
         angle = math.radians(questions.number('Its section then bends by [°]', 45.0, 1e-3, 1e4))
-        return Stiffness(
-            lambda size: stiffness_from_bend(tension, angle, size.cells, size.radius), 20.0
-        )
+        percent = 20.0
     return Stiffness(
-        lambda size: stiffness_from_bend(size.highest, math.pi, size.cells, size.radius), 50.0
+        lambda size: stiffness_from_bend(tension or size.highest, angle, size.cells, size.radius),
+        percent,
     )
 
 
@@ -275,16 +275,12 @@ def tendons_of(
             {'name': f'{prefix}_{side}', 'offset': [x, 0.0], 'section': section}
             for side, x in list(sides.items())[:many]
         ]
-    offset = math.pi / many * (index % 2)
-    angles = [offset + 2.0 * math.pi * j / many for j in range(many)]
-    return [
-        {
-            'name': f'{prefix}_{j + 1}',
-            'offset': [round(radius * math.cos(a), 9), round(radius * math.sin(a), 9)],
-            'section': section,
-        }
-        for j, a in enumerate(angles)
-    ]
+    tendons = []
+    for j in range(many):
+        angle = math.pi / many * (index % 2) + 2.0 * math.pi * j / many
+        offset = [round(radius * math.cos(angle), 9), round(radius * math.sin(angle), 9)]
+        tendons.append({'name': f'{prefix}_{j + 1}', 'offset': offset, 'section': section})
+    return tendons
 
 
 def bounded[T: (int, float)](
@@ -341,9 +337,7 @@ class Questions:
 
         def read(answer: str) -> list[str]:
             names = [name.strip() for name in answer.split(',')]
-            if len(set(names)) < len(known) or len(names) != len(known) or '' in names:
-                raise ValueError
-            if any('=' in name for name in names):
+            if not len({*names}) == len(names) == len(known) or '' in names or '=' in answer:
                 raise ValueError
             return names
 

@@ -16,10 +16,12 @@ example: python -m tendon_robot_ros simulate robot.yaml --output rehearsal
 from __future__ import annotations
 
 import argparse
-from dataclasses import asdict, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
 
+from ..common.arrays import Floats
 from ..common.errors import InputError, whole
+from ..common.words import PROGRAM
 from ..data import DataSet, Marker, even_markers, save_dataset
 from ..data.dataset import INPUTS, PATHS
 from ..data.folder import refuse_dataset_in
@@ -66,13 +68,10 @@ def add_measuring(parser: argparse.ArgumentParser) -> None:
     count = 'so many default postures (default: 12, 20 in a sequence; a check has half)'
     add('--count', type=int, metavar='N', help=count)
     add('--trials', type=int, default=5, metavar='N', help='trials of a posture (default: 5)')
+    default = f'position={1e3 * usual.position:g},setting={usual.setting:g},trial={usual.trial:g}'
     noise = (
         '1 sd of position [mm], setting (relative, shared by the trials of a posture), trial '
-        '(relative); default: '
-        + ','.join(
-            f'{name}={1e3 * value if name == "position" else value:g}'
-            for name, value in asdict(usual).items()
-        )
+        f'(relative); default: {default}'
     )
     add('--noise', default='', metavar='NAME=VALUE,...', help=noise)
     add('--undeclared', action='store_true', help='do not write the noise into dataset.yaml')
@@ -86,9 +85,8 @@ def add_measuring(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write the data sets."""
     robot = load_robot(args.robot)
-    if args.gravity:
-        x, y, z = vector('--gravity', args.gravity) or (0.0, 0.0, 0.0)
-        robot = replace(robot, gravity=(x, y, z))
+    if gravity := vector('--gravity', args.gravity or None):
+        robot = replace(robot, gravity=(gravity[0], gravity[1], gravity[2]))
     hidden = dict(map(hidden_effect, args.hidden))
     if 'gravity' in hidden and robot.gravity is None:
         raise InputError(
@@ -108,35 +106,33 @@ def run(args: argparse.Namespace) -> int:
     plant = make_plant(robot, hidden, seed=args.seed, catalogue=catalogue, work=work)
     if args.table:
         return write_tables(args, plant)
-    datasets = [(args.output, _measured(args, plant, 0))]
-    if args.check:
-        datasets.append((args.check, _measured(args, plant, 1)))
-    for folder, dataset in datasets:
+    folders = [*filter(None, (args.output, args.check))]
+    datasets = [_measured(args, plant, which) for which in range(len(folders))]
+    for folder, dataset in zip(folders, datasets, strict=True):
         save_dataset(dataset, folder, args.overwrite)
         P, Q, J = dataset.positions.shape[:3]
         print(f'written: {folder}: {P} postures x {Q} trials x {J} markers')
-    _print_hidden(args, plant)
-    print(f'next:    python -m tendon_robot_ros compare {args.output}')
+    _print_hidden(args, plant, f'compare {args.output}')
     return 0
 
 
-def _print_hidden(args: argparse.Namespace, plant: Plant) -> None:
-    """Print the hidden effects and the imperfections of the arm."""
+def _print_hidden(args: argparse.Namespace, plant: Plant, following: str) -> None:
+    """Print the hidden effects, the imperfections of the arm, and what to type next."""
     print(f'hidden:  {", ".join(args.hidden) or "nothing"}')
     for line in () if args.exact else plant.built.text():
         print(f'built:   {line}')
+    print(f'next:    {PROGRAM} {following}')
 
 
 def write_tables(args: argparse.Namespace, plant: Plant) -> int:
     """Write a table over time, and that of a check."""
     if args.input != 'tension' or args.path != 'from_straight':
         raise InputError('--table: of tensions and from straight only')
-    count = 12 if args.count is None else whole('--count', args.count, 1)
     for which, path in enumerate(filter(None, (args.table, args.check))):
         with progress() as show:
             names, values = raw_table(
                 plant,
-                default_postures(plant.robot, max(count // (1 + which), 1), which),
+                _default_postures(args, plant.robot, which),
                 noise=simulated_noise(args.noise),
                 lab=Laboratory(trials=args.trials),
                 seed=args.seed,
@@ -147,8 +143,7 @@ def write_tables(args: argparse.Namespace, plant: Plant) -> int:
         write_table(path, names, values)
         rows, columns = values.shape
         print(f'written: {path}: {rows:,} rows of {columns} columns, {values[-1, 0]:.0f} s')
-    _print_hidden(args, plant)
-    print(f'next:    python -m tendon_robot_ros import-table {args.table} --robot {args.robot}')
+    _print_hidden(args, plant, f'import-table {args.table} --robot {args.robot}')
     return 0
 
 
@@ -161,11 +156,7 @@ def _measured(args: argparse.Namespace, plant: Plant, which: int) -> DataSet:
         )
         inputs, names = commands.by_posture(), commands.postures
     else:
-        usual = round(12 * SEQUENCE_FACTOR) if args.path == 'sequence' else 12
-        count = usual if args.count is None else whole('--count', args.count, 1)
-        inputs = default_postures(
-            robot, max(count // (1 + which), 1), which, args.input, args.path
-        )
+        inputs = _default_postures(args, robot, which)
     with progress() as show:
         return simulate(
             plant,
@@ -180,6 +171,13 @@ def _measured(args: argparse.Namespace, plant: Plant, which: int) -> DataSet:
             declare=not args.undeclared,
             progress=show,
         )
+
+
+def _default_postures(args: argparse.Namespace, robot: Robot, which: int) -> Floats:
+    """Return as many default postures as are wanted, for a check half of them."""
+    usual = round(12 * SEQUENCE_FACTOR) if args.path == 'sequence' else 12
+    count = usual if args.count is None else whole('--count', args.count, 1)
+    return default_postures(robot, max(count // (1 + which), 1), which, args.input, args.path)
 
 
 def hidden_effect(text: str) -> tuple[str, dict[str, float | tuple[float, ...]]]:

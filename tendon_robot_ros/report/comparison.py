@@ -19,7 +19,6 @@ from ..diagnosis.verdict import SAME_ERROR_RATIO
 from ..model.shape import bending_azimuth, views_of
 from .error_plots import Step, angles, per_marker, per_posture, staircase, tip_boxes
 from .page import (
-    FLAT_FRACTION,
     HEIGHTS_PX,
     Figure,
     Page,
@@ -65,14 +64,13 @@ def sentences(comparison: Comparison) -> list[str]:
 
 def size(comparison: Comparison) -> str:
     """Describe the number of postures, trials and markers."""
-    measured = comparison.measured
-    minimum, maximum = int(measured.trials[measured.trials > 0].min()), int(measured.trials.max())
+    measured, visited = comparison.measured, comparison.measured.trials > 0
+    minimum, maximum = int(measured.trials[visited].min()), int(measured.trials.max())
     trials = f'{maximum}' if minimum == maximum else f'{minimum} to {maximum}'
-    measured_postures = measured.trials > 0
     parts = (trials, 'trial'), (len(measured.markers), 'marker')
     counts = [f'{n} {name}{"" if str(n) == "1" else "s"}' for n, name in parts]
-    resting = int(at_rest(measured.inputs)[measured_postures].sum())
-    return ' x '.join([postures(int(measured_postures.sum()), resting), *counts])
+    resting = int(at_rest(measured.inputs)[visited].sum())
+    return ' x '.join([postures(int(visited.sum()), resting), *counts])
 
 
 def label(model: ModelErrors) -> str:
@@ -144,12 +142,10 @@ def verdict(comparison: Comparison) -> str:
             'again.'
         )
     ratio = best.rms / floor
-    if is_good(comparison):
-        return (
-            f'{who} is as good as your measurements can tell: its error is {digits(ratio, 2)} '
-            'times your repeatability.'
-        )
-    return f'{who} is off by {times(ratio)} your repeatability.'
+    if not is_good(comparison):
+        return f'{who} is off by {times(ratio)} your repeatability.'
+    size = f'{digits(ratio, 2)} times your repeatability'
+    return f'{who} is as good as your measurements can tell: its error is {size}.'
 
 
 def is_good(comparison: Comparison) -> bool:
@@ -221,12 +217,10 @@ def add_verdict(page: Page, comparison: Comparison) -> None:
 
 def steps(comparison: Comparison) -> list[Step]:
     """Return the errors of the models as steps, the largest first, down to the noise floor."""
-    order = sorted(range(len(comparison.models)), key=lambda i: -comparison.models[i].rms)
-    of_models = [
-        Step(comparison.models[i].name, comparison.models[i].rms, 'before', model=i) for i in order
-    ]
+    steps = [Step(one.name, one.rms, model=i) for i, one in enumerate(comparison.models)]
+    steps.sort(key=lambda step: -step.error)
     floor = comparison.noise_floor
-    return [*of_models, Step('noise floor', floor, 'floor')] if floor is not None else of_models
+    return [*steps, Step('noise floor', floor, 'floor')] if floor is not None else steps
 
 
 def add_shapes(page: Page, comparison: Comparison, faults: Sequence[Fault] = ()) -> None:
@@ -279,12 +273,11 @@ def shape_figures(
 
 def shape_key(comparison: Comparison, faults: Sequence[Fault] = ()) -> list[tuple[str, str]]:
     """Return the legend that the pictures share."""
-    entries = [(symbol(MEASURED, dot=True), 'measured (mean of the trials)')]
-    for i, model in enumerate(comparison.models):
-        entries.append((symbol(line_style(i).colour, line_style(i).stroke), model.name))
+    styles = [(line_style(i), model.name) for i, model in enumerate(comparison.models)]
+    entries = [(symbol(style.colour, style.stroke), name) for style, name in styles]
     if any(fault['along'] is not None for fault in faults):
         entries.append((symbol(WARN, dot=True), 'here the model is wrong'))
-    return entries
+    return [(symbol(MEASURED, dot=True), 'measured (mean of the trials)'), *entries]
 
 
 def chosen_postures(comparison: Comparison) -> list[int]:
@@ -298,7 +291,7 @@ def is_planar(comparison: Comparison) -> bool:
     """Return whether all shapes lie in the x-z plane."""
     length = comparison.measured.arc_lengths.max()
     shapes = [comparison.measured.mean, *(model.markers for model in comparison.models)]
-    return all(np.nanmax(np.abs(shape[..., 1])) < FLAT_FRACTION * length for shape in shapes)
+    return all(np.nanmax(np.abs(shape[..., 1])) < Shown.FLAT_FRACTION * length for shape in shapes)
 
 
 @dataclass(frozen=True)
@@ -380,10 +373,10 @@ def scene_figure(comparison: Comparison, drawn: Sequence[DrawnPosture]) -> Figur
     for i, one in enumerate(drawn):
         for trace in one.traces:
             drawn_trace = {**trace, 'type': 'scatter3d', 'visible': i == active}
-            if 'line' in trace:  # in the sizes of a scene in space
-                drawn_trace['line'] = {**trace['line'], 'width': 2.0 * trace['line']['width']}
-            if 'marker' in trace:
-                drawn_trace['marker'] = {**trace['marker'], 'size': 0.6 * trace['marker']['size']}
+            # in the sizes of a scene in space
+            for part, size, factor in (('line', 'width', 2.0), ('marker', 'size', 0.6)):
+                if part in trace:
+                    drawn_trace[part] = {**trace[part], size: factor * trace[part][size]}
             data.append(drawn_trace)
     owner = np.repeat(np.arange(len(drawn)), [len(one.traces) for one in drawn])
     buttons = []

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from ..common.errors import NoEquilibriumError
 from ..common.words import PROGRAM, capital, listed, mm, percent, probability
 from ..comparison.compare import compare
@@ -93,15 +95,14 @@ def with_effects(diagnosis: Diagnosis, robot: Robot) -> Robot:
     """Return a description with the effects at the values that were found."""
     for effect in diagnosis.effects:
         values: EffectValues = dict(robot.effects.get(effect.name, {}))
-        sections = [section.name for section in robot.sections]
+        sections = [f'{section.name}]' for section in robot.sections]
         for key, value in effect.parameters.items():
             name, _, section = key.partition('[')
             if not section:
                 values[name] = value.value
                 continue
-            old = values.get(name, 0.0)
-            each = list(old) if isinstance(old, tuple) else [old] * len(sections)
-            each[sections.index(section.removesuffix(']'))] = value.value
+            each = np.broadcast_to(values.get(name, 0.0), len(sections)).tolist()
+            each[sections.index(section)] = value.value
             values[name] = tuple(each)
         robot = robot.with_effect(effect.name, values)
     return robot
@@ -180,27 +181,31 @@ def add_staircase(page: Page, diagnosis: Diagnosis, addition: Addition | None) -
     partly = not diagnosis.adds
     page.heading('A part of the error falls' if partly else 'The error falls')
     if addition is None:
-        steps = [Step('before', diagnosis.error_before)]
-        if diagnosis_text.with_arm(diagnosis):
-            steps.append(Step('effects alone', diagnosis.error_alone, 'after', model=2))
-        steps += [
-            Step('after', diagnosis.error_after, 'after'),
-            Step('noise floor', diagnosis.noise_floor, 'floor'),
-        ]
+        alone = diagnosis.error_alone if diagnosis_text.with_arm(diagnosis) else None
+        steps = falling(
+            diagnosis.error_before, alone, diagnosis.error_after, diagnosis.noise_floor
+        )
     else:
         never_used = diagnosis_text.never_used(addition).replace('->', '→').replace('  ', ' ')
         page.text(f'{capital(never_used)}.')
-        steps = []
-        for errors in (addition.fitted, addition.check):
-            group = GROUPS[errors.kind]
-            steps.append(Step('before', errors.before, 'before', group))
-            if errors.alone is not None and math.isfinite(errors.alone):
-                steps.append(Step('effects alone', errors.alone, 'after', group, 2))
-            steps.append(Step('after', errors.after, 'after', group))
-            if errors.floor is not None:
-                steps.append(Step('noise floor', errors.floor, 'floor', group))
+        steps = [
+            step
+            for one in (addition.fitted, addition.check)
+            for step in falling(one.before, one.alone, one.after, one.floor, GROUPS[one.kind])
+        ]
         page.text(*map(capital, diagnosis_text.addition_warnings(addition)))
     page.figures([staircase(steps, height=HEIGHTS_PX['low'])])
+
+
+def falling(
+    before: float, alone: float | None, after: float, floor: float | None, group: str = ''
+) -> list[Step]:
+    """Return the steps from an error [m] to that of a perfect model, of one group of postures."""
+    steps = [Step('before', before, 'before', group)]
+    if alone is not None and math.isfinite(alone):
+        steps.append(Step('effects alone', alone, 'after', group, 2))
+    steps.append(Step('after', after, 'after', group))
+    return steps if floor is None else [*steps, Step('noise floor', floor, 'floor', group)]
 
 
 def add_alternatives(page: Page, diagnosis: Diagnosis) -> None:
@@ -214,14 +219,12 @@ def add_alternatives(page: Page, diagnosis: Diagnosis) -> None:
         page.box(map(capital, lines), 'warn', 'Cannot be told apart')
     elif alike:
         page.text(f'{capital(alike)}.')
-    rows, kinds = [], []
-    for row in sorted(diagnosis.candidates, key=lambda row: row.status != 'best'):
-        rows.append(candidate_row(row))
-        kinds.append({'best': 'strong', 'rejected': 'faint'}.get(row.status, ''))
-    if rows:
+    candidates = sorted(diagnosis.candidates, key=lambda row: row.status != 'best')
+    if candidates:
+        kinds = [{'best': 'strong', 'rejected': 'faint'}.get(one.status, '') for one in candidates]
         with_arm = diagnosis_text.with_arm(diagnosis)
         with_what = 'the effect and the arm as it was found' if with_arm else 'the effect'
-        page.table(CANDIDATE_HEAD, rows, kinds, left=(5, 6))
+        page.table(CANDIDATE_HEAD, [*map(candidate_row, candidates)], kinds, left=(5, 6))
         page.text(
             '“Explains” is the share of the error above the noise floor that goes away; “error '
             f'left” is that of the description with {with_what}; “left-out postures” is the error '
@@ -230,10 +233,8 @@ def add_alternatives(page: Page, diagnosis: Diagnosis) -> None:
             f'{P_SINGLE_MIN:g} it may be; “best” is the likeliest of those, or of all where none '
             'may be.'
         )
-    untested = diagnosis_text.untested(diagnosis)
-    page.text(
-        *(f'{capital(text)}.' for text in (untested, diagnosis_text.detectable(diagnosis)) if text)
-    )
+    texts = diagnosis_text.untested(diagnosis), diagnosis_text.detectable(diagnosis)
+    page.text(*(f'{capital(text)}.' for text in texts if text))
 
 
 def candidate_row(row: CandidateRow) -> list[str]:

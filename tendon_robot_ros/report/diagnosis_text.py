@@ -114,7 +114,7 @@ def verdict(diagnosis: Diagnosis) -> str:
     """Return the verdict in one line, or two: its sentence with what the diagnosis found."""
     sentence = diagnosis.verdict.sentence
     names = [name for _, name, _, _ in Formatter().parse(sentence) if name]
-    return sentence.format(**{name: _FIELDS[name](diagnosis) for name in names})
+    return sentence.format(**{name: _fields[name](diagnosis) for name in names})
 
 
 def explained_part(diagnosis: Diagnosis) -> str:
@@ -206,7 +206,7 @@ def what_remains(diagnosis: Diagnosis) -> str:
 
 # field of a sentence of `diagnosis.verdict.Verdict` -> what stands there, so that a sentence names
 # what it needs
-_FIELDS: dict[str, Callable[[Diagnosis], str]] = {
+_fields: dict[str, Callable[[Diagnosis], str]] = {
     'alike': lambda diagnosis: listed(diagnosis.cannot_tell_apart, 'or'),
     'best': lambda diagnosis: diagnosis.effects[0].name,
     'best_values': lambda diagnosis: quantities(
@@ -345,27 +345,24 @@ def trust_lines(diagnosis: Diagnosis) -> list[str]:
             'postures ended in the time that it has. Try it on a machine that does nothing else.'
         ]
     low, high = 100.0 * trust['alarm_rate_low'], 100.0 * trust['alarm_rate_high']
+    rate = digits(100.0 * trust['alarm_rate'])
     sentences = [
-        f'With nothing missing, this procedure raises an alarm in '
-        f'{digits(100.0 * trust["alarm_rate"])} % of cases ({trust["runs"]} simulated on your '
-        f'postures; 95 %: {digits(low)} to {digits(high)} %).'
+        f'With nothing missing, this procedure raises an alarm in {rate} % of cases '
+        f'({trust["runs"]} simulated on your postures; 95 %: {digits(low)} to {digits(high)} %).'
     ]
     sizes = []
     for name, own in trust['detectable'].items():
-        shown = [
-            f'{key} too small to see'
-            if one['size'] is None
-            else described_quantity(key, one['unit'], [one['size']], 2)
-            for key, one in own.items()
-        ]
+        shown = []
+        for key, one in own.items():
+            known = one['size'] is not None
+            size = described_quantity(key, one['unit'], [one['size']], 2) if known else ''
+            shown.append(size or f'{key} too small to see')
         sizes.append(f'{name} {", ".join(shown)}')
     sentences.append('Smallest sizes that raise it four times in five: ' + '; '.join(sizes) + '.')
     if trust['checked']:
-        rate = 100.0 * trust['detected'] / trust['checked']
-        sentences.append(
-            f'Of {trust["checked"]} simulated robots with an effect of such a size, '
-            f'{rate:.0f} % raised it.'
-        )
+        robots = f'Of {trust["checked"]} simulated robots with an effect of such a size'
+        rate = f'{100.0 * trust["detected"] / trust["checked"]:.0f}'
+        sentences.append(f'{robots}, {rate} % raised it.')
     if diagnosis.verdict is Verdict.OUTSIDE_CATALOGUE:
         sentences.append(
             'All of this is about effects of the catalogue; of a cause outside it it says nothing.'

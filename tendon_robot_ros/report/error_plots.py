@@ -30,11 +30,6 @@ from .page import (
 )
 from .sentences import interval_name, posture_name
 
-# [1] noise floors of an error above which the floor would lie on the zero line: 15 px of a figure
-LOG_AXIS_FROM_FLOORS = 25.0
-# [1] noise sd between which the largest deviation must lie for colours to end there, so that noise
-# stays pale and one wild posture does not take the colour off all others
-COLOURS_END_SD = (4.0, 30.0)
 FILLED = {'fill': 'tozeroy', 'fillcolor': BAND}
 # what the missing moment may follow, and what that means
 CAUSES = {
@@ -181,7 +176,7 @@ def _error_axis(comparison: Comparison, title: str) -> dict[str, Any]:
     """Return the axis of errors: logarithmic where the noise would else lie on the zero line."""
     floor = comparison.noise_floor
     largest = max(float(model.per_marker_rms[-1]) for model in comparison.models)
-    wide = floor and largest > LOG_AXIS_FROM_FLOORS * floor
+    wide = floor and largest > Shown.LOG_AXIS_FROM_FLOORS * floor
     return titled(title, **(LOG_AXIS if wide else {'rangemode': 'tozero'}))
 
 
@@ -202,7 +197,7 @@ def heat_maps(
     comparison: Comparison, before: MissingMoment, after: MissingMoment | None
 ) -> list[Figure]:
     """Return signed deviations, marker by posture, before and after, in the same colours."""
-    largest = float(np.clip(np.nanmax(np.abs(before.deviation)), *COLOURS_END_SD))
+    largest = float(np.clip(np.nanmax(np.abs(before.deviation)), *Shown.COLOURS_END_SD))
     measured, figures = comparison.measured, []
     rows = np.flatnonzero(measured.trials).tolist()
     for model, lacks in zip(comparison.models, (before, after), strict=False):

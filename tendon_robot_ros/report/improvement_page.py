@@ -74,46 +74,33 @@ def sentences(improvement: Improvement) -> list[str]:
         'Where the number of steps is chosen without them as well: '
         f'{_reached(improvement, inside)}.',
     ]
+    why = 'no other effect promises to lower the error'
     if not improvement.more_at_work:
-        texts.append(
-            f'It stops there: what remains is noise ({probability(improvement.probability)}).'
-        )
+        why = f'what remains is noise ({probability(improvement.probability)})'
     elif improvement.taken + 1 < len(improvement.steps):
-        texts.append('It stops there: what follows takes off too little to be told from chance.')
-    else:
-        texts.append('It stops there: no other effect promises to lower the error.')
-    return texts
+        why = 'what follows takes off too little to be told from chance'
+    return [*texts, f'It stops there: {why}.']
 
 
 def _reached(improvement: Improvement, errors: Floats) -> str:
     """Say rms errors (J,) [m] of all markers, and of the last one where there are more."""
-    tip = (
-        f' ({mm(float(errors[-1]))} at marker {improvement.markers[-1]})'
-        if len(errors) > 1
-        else ''
-    )
-    return f'{mm(total(errors))}{tip}'
+    tip = f' ({mm(float(errors[-1]))} at marker {improvement.markers[-1]})'
+    return f'{mm(total(errors))}{tip if len(errors) > 1 else ""}'
 
 
 def profile(improvement: Improvement) -> list[str]:
     """Say how the stiffness along the arm and the routes of the tendons have changed."""
-    texts = []
-    if improvement.routes:
-        rotations = ', '.join(
-            f'{name} by {degrees(rotation)}, winding by {degrees(helix)}/m'
-            for name, (rotation, helix) in improvement.routes.items()
-        )
-        texts.append(f'tendon_routes, turned about the axis: {rotations}')
-    if not improvement.profile:
-        return texts
-    places = zip(('base', 'middle', 'tip'), improvement.profile, strict=True)
-    changes = ', '.join(f'{100.0 * change:+.0f} % at the {where}' for where, change in places)
-    return [*texts, f'bending_stiffness along the arm: {changes}']
-
-
-def degrees(radians: float) -> str:
-    """Show an angle."""
-    return f'{math.degrees(radians):.1f}°'
+    texts, rotations = [], []
+    for name, angles in improvement.routes.items():
+        turn, helix = (f'{math.degrees(angle):.1f}°' for angle in angles)
+        rotations.append(f'{name} by {turn}, winding by {helix}/m')
+    if rotations:
+        texts.append(f'tendon_routes, turned about the axis: {", ".join(rotations)}')
+    if improvement.profile:
+        places = zip(('base', 'middle', 'tip'), improvement.profile, strict=True)
+        changes = ', '.join(f'{100.0 * change:+.0f} % at the {where}' for where, change in places)
+        texts.append(f'bending_stiffness along the arm: {changes}')
+    return texts
 
 
 def remains(improvement: Improvement) -> list[str]:

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from html import escape
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +24,6 @@ FOLDER = Path(__file__).parent
 KEYS = 'Tab comes here, arrow keys show the next.'
 # how high figures are [px], so that two rows fit on a screen and a shape keeps its proportions
 HEIGHTS_PX = {'low': 280, 'normal': 360, 'tall': 460, 'scene': 520}
-# [1] of the length of an arm: shapes that leave the x-z plane by less are drawn as flat, because
-# another view would show a line
-FLAT_FRACTION = 0.03
 FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "DejaVu Sans", sans-serif'
 
 
@@ -99,7 +97,18 @@ def curve(
 
 
 class Shown:
-    """How many of a kind are shown at most; the others are in tables and files."""
+    """How pictures are drawn, and how many of a kind at most; others are in tables and files."""
+
+    # [1] of the length of an arm: shapes that leave the x-z plane by less are drawn as flat,
+    # because another view would show a line
+    FLAT_FRACTION = 0.03
+    # [1] of the arm's length, lines that show where tips look: short, so that they do not cross
+    DIRECTION_FRACTION = 0.08
+    # [1] noise sd between which the largest deviation must lie for colours to end there, so that
+    # noise stays pale and one wild posture does not take the colour off all others
+    COLOURS_END_SD = (4.0, 30.0)
+    # [1] noise floors of an error above which the floor would lie on the zero line: 15 px
+    LOG_AXIS_FROM_FLOORS = 25.0
 
     FIGURES = 4  # of a kind: two rows, so that the next heading is seen
     POSTURES = 12  # as pictures, so that the page opens at once
@@ -130,12 +139,7 @@ class Figure:
 
     def html(self) -> str:
         """Return the figure as a part of a page; page.js draws what it holds."""
-        axis = {
-            'gridcolor': '#e6e9ed',
-            'linecolor': ERROR,
-            'zerolinecolor': '#c3cad2',
-            'automargin': True,
-        }
+        lines = {'gridcolor': '#e6e9ed', 'linecolor': ERROR, 'zerolinecolor': '#c3cad2'}
         layout = {
             'font': {'family': FONT, 'size': 13, 'color': INK},
             'margin': {'l': 56, 'r': 16, 't': 12, 'b': 44},
@@ -147,10 +151,10 @@ class Figure:
             **self.layout,
         }
         for name in ('xaxis', 'yaxis'):
-            layout[name] = {**axis, **layout.get(name, {})}
-        content = json.dumps(
-            {'data': self.data, 'layout': layout}, allow_nan=False, separators=(',', ':')
-        ).replace('<', '\\u003c')
+            layout[name] = {**lines, 'automargin': True, **layout.get(name, {})}
+        drawn = {'data': self.data, 'layout': layout}
+        content = json.dumps(drawn, allow_nan=False, separators=(',', ':'))
+        content = content.replace('<', '\\u003c')
         title = f'<p class="title">{escape(self.title)}</p>' if self.title else ''
         chosen = {'sliders', 'updatemenus'} & set(self.layout)  # page.js handles the keys
         words = ' '.join(filter(None, [self.caption, KEYS if chosen else '']))
@@ -199,15 +203,13 @@ class Page:
         sides = ['left' if i in left else '' for i in range(len(header))]
         # wide tables are scrolled by keyboard; roles stay where page.css folds rows to blocks
         label = escape(f'table of {header[0]}' if header[0] else 'table')
-        self.parts.append(
-            f'<div class="scroll" tabindex="0" role="region" aria-label="{label}">'
-            '<table role="table">'
-        )
-        self.parts.append(_row('th', header, sides, 'head'))
-        for i, row in enumerate(rows):
-            kind = kinds[i] if i < len(kinds) else ''
-            self.parts.append(_row('td', row, sides, kind, header))
-        self.parts.append('</table></div>')
+        region = f'<div class="scroll" tabindex="0" role="region" aria-label="{label}">'
+        body = [
+            _row('td', row, sides, kind or '', header)
+            for row, kind in zip_longest(rows, kinds[: len(rows)])
+        ]
+        head = _row('th', header, sides, 'head')
+        self.parts += [f'{region}<table role="table">', head, *body, '</table></div>']
 
     def figures(self, figures: Sequence[Figure], across: str = '') -> None:
         """Add figures; `across`: 'two' or 'many' beside each other where there is room."""
@@ -263,11 +265,10 @@ def plotly_source() -> str:
 
 def symbol(colour: str, dash: str = '', dot: bool = False) -> str:
     """Draw the symbol of a legend: a line, or a dot."""
+    pattern = f' stroke-dasharray="{dash}"' if dash else ''
+    inside = f'<path d="M1 6H27" stroke="{colour}" stroke-width="3"{pattern}/>'
     if dot:
         inside = f'<circle cx="14" cy="6" r="4" fill="{colour}"/>'
-    else:
-        pattern = f' stroke-dasharray="{dash}"' if dash else ''
-        inside = f'<path d="M1 6H27" stroke="{colour}" stroke-width="3"{pattern}/>'
     return f'<svg width="28" height="12" aria-hidden="true">{inside}</svg>'
 
 

@@ -6,6 +6,7 @@ The second as a table, too.
 
 from __future__ import annotations
 
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +19,7 @@ from ..common.files import new_file
 from ..common.words import columns
 from ..paths.path import PathRun
 from ..robot.estimates import bend_rates
-from .page import FLAT_FRACTION, Shown
+from .page import Shown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -77,12 +78,10 @@ def draw_postures(axes: Any, model: Model, spatial: bool) -> None:
     lengths = model.arrays.cells[:, 0]
     straight = np.zeros((len(lengths) + 1, 3))
     straight[1:, 2] = np.cumsum(lengths)
-    lines = [('straight', straight, FLOOR)]
-    for j, (label, points) in enumerate(postures(model)):
-        lines.append((label, points, COLOURS[j % len(COLOURS)]))
-    for label, points, colour in lines:
-        x, y, z = 1e3 * points.T
-        along = (x, y, z) if spatial else (x, z)
+    lines, colours = [('straight', straight), *postures(model)], cycle(COLOURS)
+    for label, points in lines:
+        along = 1e3 * points.T if spatial else 1e3 * points[:, [0, 2]].T
+        colour = FLOOR if points is straight else next(colours)
         axes.plot(*along, '.-', color=colour, label=label, markersize=6, linewidth=1.8)
     axes.set_aspect('equal')
     axes.set_xlabel('x [mm]', labelpad=10.0 if spatial else None)
@@ -100,21 +99,21 @@ def draw_postures(axes: Any, model: Model, spatial: bool) -> None:
 
 def draw_cross_section(axes: Any, model: Model) -> None:
     """Draw the routes of the tendons from base to tip, with their names around the arm."""
+    from matplotlib.patches import Circle
+
     robot = model.robot
     colours = {s.name: COLOURS[i % len(COLOURS)] for i, s in enumerate(robot.own_sections)}
     places = (model.arrays.offset, model.arrays.cells[:, 6:])
     largest = 1e3 * max(float(np.abs(at).max()) for at in places)
-    angle = np.linspace(0.0, 2.0 * np.pi, 100)
-    axes.plot(1.3 * largest * np.cos(angle), 1.3 * largest * np.sin(angle), color=FLOOR)
+    axes.add_patch(Circle((0.0, 0.0), 1.3 * largest, fill=False, color=FLOOR))
     holes: dict[tuple[float, float], list[str]] = {}  # [mm], tendons that begin there
     for k, tendon in enumerate(robot.tendons):
         route = 1e3 * model.arrays.offset[: robot.tendon_cells[k], k]
         axes.plot(*route.T, '-', color=colours[tendon.section], linewidth=1.5)
         own = holes.setdefault((1e3 * tendon.base[0], 1e3 * tendon.base[1]), [])
         ring = 9.0 + 6.0 * len(own)  # [pt] around what begins at the same place
-        style: dict[str, Any] = {'markersize': ring, 'markeredgewidth': 2.0}
-        style['fillstyle'] = 'none' if own else 'full'
-        axes.plot(*route[0], 'o', color=colours[tendon.section], **style)
+        style = {'color': colours[tendon.section], 'fillstyle': 'none' if own else 'full'}
+        axes.plot(*route[0], 'o', markersize=ring, markeredgewidth=2.0, **style)
         own.append(tendon.name)
     for hole, names in holes.items():
         size = max(float(np.hypot(*hole)), 1e-9)
@@ -132,13 +131,10 @@ def draw_cross_section(axes: Any, model: Model) -> None:
         end = 0.8 * largest * across / np.linalg.norm(across)
         axes.annotate('', end, (0.0, 0.0), arrowprops={'arrowstyle': '->', 'color': ERROR})
         axes.annotate('down', (0.0, 0.0), -0.35 * end, color=ERROR, ha='center', va='center')
-    axes.set_aspect('equal')
-    axes.set_xlim(-2.7 * largest, 2.7 * largest)
-    axes.set_ylim(-1.7 * largest, 1.7 * largest)
-    axes.set_xlabel('x [mm]')
-    axes.set_ylabel('y [mm]')
-    axes.grid(alpha=0.3)
+    x, y = 2.7 * largest, 1.7 * largest
+    axes.set(aspect='equal', xlim=(-x, x), ylim=(-y, y), xlabel='x [mm]', ylabel='y [mm]')
     axes.set_title('tendons from the base (dot) on, seen from the tip')
+    axes.grid(alpha=0.3)
     legend_below(axes)
 
 
@@ -152,12 +148,11 @@ def path_lines(run: PathRun) -> list[str]:
     """Return the table, and what was between the rows."""
     head, *body = tip_rows(run) if run.target_values is None else tendon_rows(run)
     shown = _chosen(len(body), Shown.ROWS)
-    text = [columns([head, *(body[i] for i in shown)])]
+    text = [] if run.target_values is None else [f'tendons: {", ".join(run.inputs)}']
+    text.append(columns([head, *(body[i] for i in shown)]))
     if len(shown) < len(body):
         text.append(f'{len(shown)} of {len(body)} rows')
-    if run.target_values is not None:
-        text.insert(0, f'tendons: {", ".join(run.inputs)}')
-    else:
+    if run.target_values is None:
         rms, worst, across = run.distances()
         text.append(
             f'on the way: {_mm(rms)} rms and {_mm(worst)} at most from the target of the moment, '
@@ -181,9 +176,8 @@ def tip_rows(run: PathRun) -> list[list[str]]:
     rows = [['row', 'time [s]', 'asked x, y, z [mm]', 'reached [mm]', 'error', 'turned by']]
     for i, time in enumerate(run.row_times):
         angle = '' if np.isnan(views[i]).any() else f'{np.degrees(rotations[i]):.2f}°'
-        rows.append(
-            [str(i + 1), f'{time:.2f}', place(goals[i]), place(reached[i]), _mm(errors[i]), angle]
-        )
+        places = [place(goals[i]), place(reached[i])]
+        rows.append([str(i + 1), f'{time:.2f}', *places, _mm(errors[i]), angle])
     return rows
 
 
@@ -230,15 +224,12 @@ def draw_run(run: PathRun, path: str | Path, title: str) -> Path:
 
     size, dots, _ = STYLES['path']
     figure = Figure(figsize=size, layout='constrained')
-    sides = {'xz': 0, 'yz': 1}
     spans = np.ptp(run.tips, axis=0)
-    if spans[1] < FLAT_FRACTION * spans.max():
-        del sides['yz']  # all of it is in the x-z plane
-    left = [*sides]
-    parts = figure.subplot_mosaic(
-        [[*left, 'error'], [*left, 'command']], width_ratios=[*[2.0 / len(left)] * len(left), 1.5]
-    )
-    for name, axis in sides.items():
+    # of a path in the x-z plane the other side shows nothing
+    left = ['xz'] if spans[1] < Shown.FLAT_FRACTION * spans.max() else ['xz', 'yz']
+    widths = [*[2.0 / len(left)] * len(left), 1.5]
+    parts = figure.subplot_mosaic([[*left, 'error'], [*left, 'command']], width_ratios=widths)
+    for axis, name in enumerate(left):
         draw_side(parts[name], run, axis)
     draw_errors(parts['error'], run)
     draw_commands(parts['command'], run)

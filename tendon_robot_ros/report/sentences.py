@@ -162,13 +162,13 @@ def as_built(report: Mapping[str, Any] | None) -> list[str]:
         name, size, low, high = (kind[key] for key in ('kind', 'size', 'low', 'high'))
         if not kind['told']:
             continue
-        amounts = [None if end is None else amount(end, kind['unit']) for end in (size, low, high)]
-        if low <= 0.0:  # where one end is open, the other one alone
-            sizes.append(f'{KIND_NAMES[name]} below {amounts[2]}')
-        elif high is None:
-            sizes.append(f'{KIND_NAMES[name]} above {amounts[1]}')
-        else:
-            sizes.append(f'{KIND_NAMES[name]} {amounts[0]} ({amounts[1]} to {amounts[2]})')
+        most, least, top = (
+            '' if end is None else amount(end, kind['unit']) for end in (size, low, high)
+        )
+        interval = f'{most} ({least} to {top})'
+        if low <= 0.0 or high is None:  # where one end is open, the other one alone
+            interval = f'below {top}' if low <= 0.0 else f'above {least}'
+        sizes.append(f'{KIND_NAMES[name]} {interval}')
     lines = [f'the arm as built scatters by (1 sd, 95 %): {", ".join(sizes)}'] if sizes else []
     strange = [
         f'{name} ({amount(kind["members"][name]["value"], kind["unit"], True)})'
@@ -186,28 +186,27 @@ def as_built(report: Mapping[str, Any] | None) -> list[str]:
 
 def excluded_lines(details: Mapping[str, Any], how: str = 'left out') -> list[str]:
     """Describe excluded readings and trials, and postures without an equilibrium."""
-    unsettled = details.get('unsettled') or []
-    outliers = details.get('outliers') or []
-    trials = [f'trial {o["trial"]} of posture {o["posture"]}' for o in outliers if not o['marker']]
-    readings = [o for o in outliers if o['marker']]
+    unsettled = [f'posture {name}' for name in details.get('unsettled') or []]
+    trials, readings = [], {}  # a reading of a marker: what it is, and how far it is off [m]
+    for one in details.get('outliers') or []:
+        where = f'trial {one["trial"]} of posture {one["posture"]}'
+        if one['marker']:
+            readings[f'marker {one["marker"]} in {where}'] = one['distance']
+        else:
+            trials.append(where)
+    contradicted = f'{how}, because the other trials contradict it'
     sentences = []
     if unsettled:
-        named = [f'posture {name}' for name in unsettled]
-        sentences.append(f'{how}, because the description has no equilibrium: {listed(named)}')
+        sentences.append(f'{how}, because the description has no equilibrium: {listed(unsettled)}')
     if trials:
-        sentences.append(f'{how}, because the other trials contradict it: {listed(trials)}')
+        sentences.append(f'{contradicted}: {listed(trials)}')
     if 0 < len(readings) <= Shown.READINGS:
-        named = [
-            f'marker {o["marker"]} in trial {o["trial"]} of posture {o["posture"]} '
-            f'({mm(o["distance"])})'
-            for o in readings
-        ]
-        sentences.append(f'{how}, because the other trials contradict it: {listed(named)}')
+        named = [f'{what} ({mm(distance)})' for what, distance in readings.items()]
+        sentences.append(f'{contradicted}: {listed(named)}')
     elif readings:
-        far = max(o['distance'] for o in readings)
         sentences.append(
             f'{how}: {len(readings)} readings of single markers that the other trials '
-            f'contradict (by up to {mm(far)})'
+            f'contradict (by up to {mm(max(readings.values()))})'
         )
     return sentences
 
@@ -241,11 +240,10 @@ def sentence(fault: Fault) -> str:
         bends = _range(fault, 1.0)
         kinked = 'bends' if fault['posture'] is not None else 'is kinked at rest: it bends'
         return f'{cell} {kinked} {bends} towards {towards}'
-    if kind == 'channel_gain':
-        return f'input {name} pulls {_range(fault, 1.0)} than it says'
+    size = _range(fault, 1.0)
     if kind == 'hole_radius':
-        return f'tendon {name} lies {_range(fault, 1.0)} off the axis than described'
-    return f'input {name} has wound {_range(fault, 1.0)} than it says'
+        return f'tendon {name} lies {size} off the axis than described'
+    return f'input {name} {"pulls" if kind == "channel_gain" else "has wound"} {size} than it says'
 
 
 def marks(faults: Sequence[Fault], posture: str) -> list[tuple[float, str]]:
@@ -265,13 +263,10 @@ def of_inputs(faults: Sequence[Fault], posture: str) -> list[str]:
 
 def _range(fault: Fault, sign: float) -> str:
     """Say a size with its interval: '1.2° (0.8 to 1.6) more'."""
-    unit = fault['unit']
-    ends = sorted(sign * fault[key] for key in ('size', 'low', 'high'))
-    size = sign * fault['size']
-    if size < 0.0:
-        ends = sorted(-end for end in ends)
-    low, high = (amount(end, unit) for end in (ends[0], ends[-1]))
-    return f'{amount(abs(size), unit)} ({low} to {high}) {"more" if size > 0.0 else "less"}'
+    more = sign * fault['size'] > 0.0
+    low, size, high = sorted((sign if more else -sign) * fault[k] for k in ('low', 'size', 'high'))
+    size, low, high = (amount(one, fault['unit']) for one in (size, low, high))
+    return f'{size} ({low} to {high}) {"more" if more else "less"}'
 
 
 def place_of(fault: Fault) -> str:

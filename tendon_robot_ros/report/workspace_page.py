@@ -42,8 +42,6 @@ LATE_MAX = 0.02
 # [1] of the cubes that are full: where fewer are, tips lie on a sheet or a line, and the volume of
 # the cubes would be that of the cubes' size
 THIN_FRACTION = 0.1
-# [1] of the arm's length, lines that show where tips look: short, so that they do not cross
-DIRECTION_FRACTION = 0.08
 GREY = '#d3d7dc'  # of what only an arm without friction reaches
 SCALE = 'Cividis'  # read alike by all eyes, and in grey
 
@@ -54,17 +52,8 @@ def rows(workspace: Workspace) -> list[list[str]]:
     for family in workspace.families:
         tension = float(family.tensions.max())
         full = ' (the limit)' if np.isclose(tension, workspace.limit) else ''
-        table.append(
-            [
-                degree(family.view),
-                family.pair.name,
-                towards(family),
-                f'{len(family)}',
-                f'{digits(1e3 * across(family), 3)} mm',
-                f'{digits(1e3 * float(family.span[2]), 3)} mm',
-                f'{digits(tension, 3)} N{full}',
-            ]
-        )
+        what = [degree(family.view), family.pair.name, towards(family), f'{len(family)}']
+        table.append([*what, *spans(family), f'{digits(tension, 3)} N{full}'])
     return table
 
 
@@ -81,13 +70,14 @@ def missing(workspace: Workspace) -> list[str]:
 
 def towards(family: Family) -> str:
     """Say to which side a family looks."""
-    flat = np.abs(family.bend[..., 1]).max(initial=0.0) < 1e-9
-    return ('+x' if family.side > 0 else '-x') if flat else 'all around'
+    return ('+x' if family.side > 0 else '-x') if family.is_flat else 'all around'
 
 
-def across(family: Family) -> float:
-    """Range of the tips across the backbone [m]: along x, or the larger of x and y."""
-    return float(family.span[:2].max())
+def spans(family: Family) -> list[str]:
+    """Show the range of the tips across the backbone (x, or the larger of x and y) and along z."""
+    return [
+        f'{digits(1e3 * float(size), 3)} mm' for size in (family.span[:2].max(), family.span[2])
+    ]
 
 
 def degree(angle: float) -> str:
@@ -102,7 +92,7 @@ def view_figures(family: Family) -> list[Figure]:
 
 def postures(family: Family) -> Figure:
     """Positions of all cells in the postures with highest, median and lowest tip; all tips."""
-    planar = np.abs(family.positions[..., 1]).max(initial=0.0) < 1e-9
+    planar = family.is_flat
     title = f'{degree(family.view)} view, {family.pair.name}'
     data: list[Trace] = []
     for i, row in enumerate(family.salient):
@@ -112,14 +102,11 @@ def postures(family: Family) -> Figure:
         line = {'color': style.colour, 'dash': style.dash, 'width': 2 if planar else 5}
         trace = {**_places(points, planar), 'name': HEIGHT_NAMES[i], 'mode': 'lines+markers'}
         data.append({**trace, 'line': line, 'marker': marker})
-    kept = thinned(family.tips, Shown.DRAWN_POINTS)
+    kept = _places(thinned(family.tips, Shown.DRAWN_POINTS), planar)
     marker = {'color': FLOOR, 'size': 5 if planar else 2, 'opacity': 0.6}
-    tips = {**_places(kept, planar), 'name': 'all tips', 'mode': 'markers', 'marker': marker}
-    data.append(tips)
-    caption = (
-        f'{len(family)} postures; tips within {digits(1e3 * across(family), 3)} mm across and '
-        f'{digits(1e3 * float(family.span[2]), 3)} mm along z.'
-    )
+    data.append({**kept, 'name': 'all tips', 'mode': 'markers', 'marker': marker})
+    across, along = spans(family)
+    caption = f'{len(family)} postures; tips within {across} across and {along} along z.'
     if not planar:
         caption += ' Drag to turn.'
         return Figure(data, scene(), title, caption, height=HEIGHTS_PX['tall'])
@@ -130,11 +117,10 @@ def postures(family: Family) -> Figure:
 def displacement(family: Family) -> Figure:
     """Angular displacement per cell of the three postures."""
     cells = list(range(1, family.bend.shape[1] + 1))
-    planar = np.abs(family.bend[..., 1]).max(initial=0.0) < 1e-9
-    data: list[dict[str, Any]] = []
+    data: list[Trace] = []
     for i, b in enumerate(family.salient):
         bend = family.bend[b]
-        angle = bend[:, 0] if planar else np.linalg.norm(bend, axis=1)
+        angle = bend[:, 0] if family.is_flat else np.linalg.norm(bend, axis=1)
         data.append(curve(cells, degrees_list(angle), HEIGHT_NAMES[i], line_style(i), size=6))
     pulled = []
     for name, b in zip(HEIGHT_NAMES, family.salient, strict=True):
@@ -185,11 +171,8 @@ def workspace_page(workspace: Workspace) -> Page:
 def summary(volume: Volume) -> list[str]:
     """Summarise the result, a line for each finding."""
     reached, other = volume.reached, volume.frictionless
-    excluded = []
-    if volume.folded:
-        excluded.append(f'{_percentage(volume.folded, volume.postures)} run into themselves')
-    if volume.unsolved:
-        excluded.append(f'{_percentage(volume.unsolved, volume.postures)} have no equilibrium')
+    why = ((volume.folded, 'run into themselves'), (volume.unsolved, 'have no equilibrium'))
+    excluded = [f'{_percentage(n, volume.postures)} {what}' for n, what in why if n]
     low, high = volume.limits
     lines = [
         f'{volume.postures:,} postures over {len(volume.robot.inputs)} tendons from {low:g} to '
@@ -201,28 +184,25 @@ def summary(volume: Volume) -> list[str]:
     orientations = f'the tip turns up to {degree(volume.largest)} away from the base'
     if not reached.is_flat:
         orientations += f' and looks into {_percentage(volume.sphere, 1.0)} of all directions'
+        parts = f'{digits(float(reached.looks.mean()))} of {SPHERE_PART_COUNT}'
         orientations += (
             '. With one section the place of the tip nearly fixes where it looks: the places of '
             'one view angle are a ring around the base'
             if bends_as_one(volume.robot)
-            else f'; from one cube into {digits(float(reached.looks.mean()))} of '
-            f'{SPHERE_PART_COUNT} equal parts of them (mean)'
+            else f'; from one cube into {parts} equal parts of them (mean)'
         )
     lines.append(orientations)
     if other is not None:
         lost, given = (_percentage(part or 0.0, 1.0) for part in (volume.taken, volume.given))
-        why = ': it bends more near the base, less farther out' if volume.given else ''
+        more = ': it bends more near the base, less farther out' if volume.given else ''
         lines.append(
             f'friction takes {lost} of the places that the same arm without friction reaches '
-            f'({_fill(other)}); {given} of the places with friction lie beyond those{why}'
+            f'({_fill(other)}); {given} of the places with friction lie beyond those{more}'
         )
+    largest = f'the largest tip angle is {degree(volume.largest)}'
     for view, part in volume.views.items():
-        nothing = f'no posture at {degree(view)}: the largest tip angle is'
-        lines.append(
-            f'{degree(view)} view: {_box(part)}'
-            if len(part)
-            else f'{nothing} {degree(volume.largest)}'
-        )
+        reach = f'{degree(view)} view: {_box(part)}' if len(part) else ''
+        lines.append(reach or f'no posture at {degree(view)}: {largest}')
     return [*lines, *_late(volume)]
 
 
@@ -271,10 +251,9 @@ def volume_page(volume: Volume) -> Page:
         page.figures([cloud_figure(volume)])
     page.heading('Sections')
     values, title = _values(volume)
-    if volume.reached.is_flat:
-        page.figures([section_figure(volume, values, title, 1)])
-    else:
-        page.figures([section_figure(volume, values, title, axis) for axis in (1, 2)], 'two')
+    across = (1,) if volume.reached.is_flat else (1, 2)
+    cuts = [section_figure(volume, values, title, axis) for axis in across]
+    page.figures(cuts, 'two' if len(cuts) > 1 else '')
     for view, part in volume.views.items():
         if len(part):
             page.heading(f'{degree(view)} view')
@@ -301,6 +280,11 @@ def scene() -> Trace:
     return {'scene': box, 'legend': legend, 'margin': {'l': 0, 'r': 0, 't': 0, 'b': 0}}
 
 
+def in_space(points: Floats, mode: str, name: str, **more: Any) -> Trace:
+    """Return what is drawn of points (n, 3) [m] in a scene."""
+    return {'type': 'scatter3d', 'mode': mode, 'name': name, **coordinates(points), **more}
+
+
 def cloud_figure(volume: Volume) -> Figure:
     """Tips at the outside of what is reached, the hull, and the straight arm."""
     reached, inputs = volume.reached, volume.robot.inputs
@@ -316,9 +300,8 @@ def cloud_figure(volume: Volume) -> Figure:
         'colorscale': SCALE,
         'colorbar': titled(title, thickness=12, len=0.6),
     }
-    tips: Trace = {'type': 'scatter3d', 'mode': 'markers', 'name': 'tips at the outside'}
-    tips |= {**coordinates(reached.tips[rows]), 'text': pulled, 'hoverinfo': 'x+y+z+text'}
-    tips['marker'] = marker
+    tips = in_space(reached.tips[rows], 'markers', 'tips at the outside', marker=marker)
+    tips |= {'text': pulled, 'hoverinfo': 'x+y+z+text'}
     corners, faces, _ = reached.hull
     hull = {
         'type': 'mesh3d',
@@ -330,13 +313,8 @@ def cloud_figure(volume: Volume) -> Figure:
         'hoverinfo': 'skip',
         'showlegend': True,
     }
-    arm = {
-        'type': 'scatter3d',
-        'mode': 'lines',
-        'name': 'the straight arm',
-        **coordinates(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, volume.robot.length]])),
-        'line': {'color': INK, 'width': 8},
-    }
+    ends = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, volume.robot.length]])
+    arm = in_space(ends, 'lines', 'the straight arm', line={'color': INK, 'width': 8})
     caption = (
         f'{len(rows):,} of {len(reached):,} cubes, each with the posture of least tension. '
         'Drag to turn; a point tells the tensions.'
@@ -348,10 +326,8 @@ def section_figure(volume: Volume, values: Floats, title: str, axis: int) -> Fig
     """Cut through the cubes across y (axis 1) or z (2); a slider moves the cut."""
     reached, other = volume.reached, volume.frictionless
     across, up = (0, 2) if axis == 1 else (0, 1)
-    cells = [reached.cells] + ([other.cells] if other is not None else [])
-    corners = np.array([(c.min(axis=0), c.max(axis=0)) for c in cells], dtype=np.int64)
-    low: Numbers = corners[:, 0].min(axis=0)
-    high: Numbers = corners[:, 1].max(axis=0)
+    cells = np.concatenate([part.cells for part in (reached, other) if part is not None])
+    low, high = cells.min(axis=0), cells.max(axis=0)
     places = np.unique(np.linspace(low[axis], high[axis], Shown.SLICES).round().astype(int))
     middle = int(np.argmin(np.abs(places - (0 if axis == 1 else (low[2] + high[2]) // 2))))
     frame = (low[[across, up]], high[[across, up]], reached.edge)
@@ -371,14 +347,11 @@ def section_figure(volume: Volume, values: Floats, title: str, axis: int) -> Fig
     x, y = titled('x [mm]', constrain='domain'), titled(f'{name} [mm]', scaleanchor='x')
     layout = axes(x, y)
     if len(places) > 1:
-        steps = [
-            {
-                'label': f'{1e3 * (place + 0.5) * reached.edge:.0f}',
-                'method': 'restyle',
-                'args': ['visible', [k // len(parts) == i for k in range(len(data))]],
-            }
-            for i, place in enumerate(places.tolist())
-        ]
+        steps = []
+        for i, place in enumerate(places.tolist()):
+            shown_now = [k // len(parts) == i for k in range(len(data))]
+            label = f'{1e3 * (place + 0.5) * reached.edge:.0f}'
+            steps.append({'label': label, 'method': 'restyle', 'args': ['visible', shown_now]})
         current = {'prefix': f'{other_name} = ', 'suffix': ' mm', 'font': {'size': 13}}
         slider = {'active': middle, 'steps': steps, 'currentvalue': current, 'pad': {'t': 36}}
         layout['sliders'] = [slider]
@@ -412,15 +385,13 @@ def heat_map(frame: tuple[Numbers, Numbers, float], cells: Numbers, values: Floa
 def direction_figure(part: Reached, view: float) -> Figure:
     """Tips that look at an angle, and which way."""
     rows = thinned(np.arange(len(part)), Shown.CLOUD_POINTS)
-    length = DIRECTION_FRACTION * part.robot.length
+    length = Shown.DIRECTION_FRACTION * part.robot.length
     tips, ends = part.tips[rows], part.tips[rows] + length * part.directions[rows]
     lines = np.stack([tips, ends, np.full_like(tips, np.nan)], axis=1).reshape(-1, 3)
-    points: Trace = {'type': 'scatter3d', 'mode': 'markers', 'name': 'tips', **coordinates(tips)}
-    directions: Trace = {'type': 'scatter3d', 'mode': 'lines', **coordinates(lines)}
+    marker, line = {'size': 2.5, 'color': PREDICTED}, {'color': ERROR, 'width': 2}
     data = [
-        {**points, 'marker': {'size': 2.5, 'color': PREDICTED}},
-        {**directions, 'name': 'where they look', 'line': {'color': ERROR, 'width': 2}}
-        | {'hoverinfo': 'skip'},
+        in_space(tips, 'markers', 'tips', marker=marker),
+        in_space(lines, 'lines', 'where they look', line=line, hoverinfo='skip'),
     ]
     caption = f'{len(part):,} cubes whose tips look {degree(view)} away from the base.'
     return Figure(data, scene(), '', caption, height=HEIGHTS_PX['tall'])

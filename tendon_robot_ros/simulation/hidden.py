@@ -8,7 +8,7 @@ imperfections of how a robot is built.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
@@ -20,6 +20,9 @@ from ..robot import Robot
 from ..robot.description import EffectValues
 
 CauseValues = dict[str, float]
+# [1] 1 sd of the stiffness from cell to cell of a plant; its owner would know so much of it
+STIFFNESS_SCATTER = 0.02
+SCATTER_MAX = 0.2  # [1] 1 sd of any imperfection, else cells softer by five of them had none left
 
 
 @dataclass
@@ -132,7 +135,7 @@ def hide(
         if not isinstance(values, Mapping):
             raise refusal(f'hidden: {name}', 'its parameters as a dict', values)
         if name in CAUSES:
-            _refuse_unknown(name, values, tuple(CAUSES[name].parameters))
+            _refuse_unknown(name, values, CAUSES[name].parameters)
             CAUSES[name].act(damage, {key: _one(name, key, v) for key, v in values.items()})
         elif name in catalogue:
             effects[name] = chosen(catalogue[name], values, robot)
@@ -157,7 +160,7 @@ def chosen(effect: Effect, values: HiddenValues, robot: Robot) -> EffectValues:
         A parameter is unknown or out of its bounds.
 
     """
-    _refuse_unknown(effect.name, values, tuple(p.name for p in effect.parameters))
+    _refuse_unknown(effect.name, values, [p.name for p in effect.parameters])
     result: EffectValues = {}
     sections = len(robot.sections)
     for parameter in effect.parameters:
@@ -178,7 +181,7 @@ def checked(
 ) -> float | tuple[float, ...]:
     """Return a number, or one per section or tendon; EffectError where it is out of bounds."""
     many = isinstance(value, Sequence) and not isinstance(value, str)
-    entries = list(value) if isinstance(value, Sequence) and many else [value]
+    entries = value if isinstance(value, Sequence) and many else [value]
     numbers = tuple(_one(effect, parameter.name, number) for number in entries)
     count = {'section': len(robot.sections), 'tendon': len(robot.tendons)}.get(parameter.per)
     if many and len(numbers) != count:
@@ -193,7 +196,7 @@ def checked(
     return numbers if many else numbers[0]
 
 
-def _refuse_unknown(name: str, values: HiddenValues, known: tuple[str, ...]) -> None:
+def _refuse_unknown(name: str, values: HiddenValues, known: Collection[str]) -> None:
     for key in values:
         if key not in known:
             raise EffectError(f'{name}: expected one of {", ".join(known)}, got {key!r}')
@@ -228,15 +231,11 @@ def side_force(  # type: ignore[no-untyped-def]
 
 def plant_catalogue(catalogue: Catalogue) -> Catalogue:
     """Return the catalogue with the capstan for tendon friction, and with a force per cell."""
-    friction = replace(
-        catalogue['tendon_friction'],
-        law=capstan,
-        parameters=(
-            *catalogue['tendon_friction'].parameters,
-            Parameter('wraps', '1', 0.0, math.inf, 1.0, typical=1.0, per_section=True),
-            Parameter('exponential', '1', 0.0, 1.0, 0.0, typical=1.0),
-        ),
-    )
+    friction = catalogue['tendon_friction']
+    wraps = Parameter('wraps', '1', 0.0, math.inf, 1.0, typical=1.0, per_section=True)
+    exponential = Parameter('exponential', '1', 0.0, 1.0, 0.0, typical=1.0)
+    parameters = (*friction.parameters, wraps, exponential)
+    friction = replace(friction, law=capstan, parameters=parameters)
     sides = tuple(
         Parameter(f'side_{axis}', 'N', -math.inf, math.inf, 0.0, typical=1e-2, per_section=True)
         for axis in 'xyz'
@@ -289,12 +288,10 @@ class Workmanship:
         InputError
 
         """
-        for name in (one.name for one in fields(self)):
-            value = getattr(self, name)
-            if not 0.0 <= value <= 0.2:
-                raise InputError(
-                    f'workmanship: {name}: expected a number from 0 to 0.2, got {value}'
-                )
+        for one in fields(self):
+            value, expected = getattr(self, one.name), f'a number from 0 to {SCATTER_MAX:g}'
+            if not 0.0 <= value <= SCATTER_MAX:
+                raise InputError(f'workmanship: {one.name}: expected {expected}, got {value}')
 
     def times(self, factor: float) -> Workmanship:
         """Return better (below 1) or worse work."""
@@ -337,17 +334,17 @@ class Built:
         """Return a description of the imperfections."""
         degrees = np.degrees(np.concatenate([self.kink.ravel()[self.kink.ravel() != 0.0], [0.0]]))
         worst = int(np.argmax(np.abs(self.stiffness)))
+        gains, holes = (
+            ', '.join(f'{100.0 * x:+.1f} %' for x in part) for part in (self.gain, self.hole)
+        )
+        shift, turn = (
+            ', '.join(f'{x:+.2f}' for x in part)
+            for part in (1e3 * self.position, np.degrees(self.rotation))
+        )
         return [
             f'cells scatter by {100.0 * np.std(self.stiffness):.1f} % in stiffness '
             f'(most cell {worst + 1}: {100.0 * self.stiffness[worst]:+.0f} %), '
             f'kinks of {np.sqrt(np.mean(degrees**2)):.2f}°',
-            'inputs off by '
-            + ', '.join(f'{100.0 * g:+.1f} %' for g in self.gain)
-            + '; holes by '
-            + ', '.join(f'{100.0 * h:+.1f} %' for h in self.hole),
-            'tracker off by '
-            + ', '.join(f'{1e3 * x:+.2f}' for x in self.position)
-            + ' mm and '
-            + ', '.join(f'{a:+.2f}' for a in np.degrees(self.rotation))
-            + '°',
+            f'inputs off by {gains}; holes by {holes}',
+            f'tracker off by {shift} mm and {turn}°',
         ]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -263,18 +264,18 @@ def raw_table(
         slipped = rows[p].copy()
         slipped[slipped.argmax()] *= lab.slipped
         places[p + 1, q] = plant.markers(slipped[None], dataset.arc_lengths, dataset.offsets)[0]
-    stops = [(0, 0)]
-    for q in range(lab.trials):
-        for p in range(1, len(rows) + 1):
-            stops += [(p, q), (0, q)]
+    stops = [(0, 0)]  # (posture, trial), with a rest after each
+    for q, p in product(range(lab.trials), range(1, len(rows) + 1)):
+        stops += [(p, q), (0, q)]
     values = over_time([np.append(dataset.inputs[p], places[p, q].ravel()) for p, q in stops], lab)
     m, J = rows.shape[1], len(dataset.markers)
     rotation, shift = tracker_frame(plant.robot.gravity, lab)
     tracked = values[:, m:].reshape(-1, J, 3) @ rotation.T + shift
     tracked += random.normal(0.0, lab.frame_noise, tracked.shape)
     burst = max(round(0.5 * lab.rate), 1)  # [frames] in half a second, in which a marker is lost
+    bursts = round(lab.lost * len(values) / burst)
     for j in range(J):
-        for start in random.integers(0, len(values), round(lab.lost * len(values) / burst)):
+        for start in random.integers(0, len(values), bursts):
             tracked[start : start + burst, j] = np.nan
     shuffled = np.random.default_rng([seed, 8]).permutation(J)
     columns = [

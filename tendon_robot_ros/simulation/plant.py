@@ -27,7 +27,16 @@ from ..model.shape import Shape, ShapeBatch, bends_in, twists_in
 from ..robot import Robot, RobotLike, Section, load_robot
 from ..robot.description import XY, EffectValues, helix_angles
 from ..robot.estimates import natural_sizes
-from .hidden import Built, Damage, Hidden, Workmanship, hide, plant_catalogue
+from .hidden import (
+    SCATTER_MAX,
+    STIFFNESS_SCATTER,
+    Built,
+    Damage,
+    Hidden,
+    Workmanship,
+    hide,
+    plant_catalogue,
+)
 
 
 def parts_per_cell(
@@ -43,8 +52,7 @@ def real_robot(
     effects: dict[str, EffectValues],
     catalogue: Catalogue,
     parts: int,
-    stiffness: Floats,
-    side_force: Floats,
+    damage: Damage,
     exponential: bool,
     built: Built,
 ) -> Robot:
@@ -61,9 +69,8 @@ def real_robot(
         Says how their parameters scale where a cell is divided.
     parts : int
         Finer cells per cell.
-    stiffness : (n,) [1]
-        Factor on the bending stiffness of each of the owner's cells.
-    side_force : (n, 3) [N]
+    damage : Damage
+        Hidden: factors on the stiffness of the owner's cells, forces on them.
     exponential : bool
         Friction follows the capstan's exponential.
     built : Built
@@ -79,9 +86,9 @@ def real_robot(
         for name, values in effects.items()
     }
     scaled['tendon_friction'] = {**scaled.get('tendon_friction', {}), **friction}
-    if side_force.any():
+    if damage.side_force.any():
         forces = np.zeros((n, parts, 3))
-        forces[:, parts // 2] = side_force
+        forces[:, parts // 2] = damage.side_force
         scaled['side_force'] = {
             f'side_{axis}': tuple(forces[..., i].ravel()) for i, axis in enumerate('xyz')
         }
@@ -92,7 +99,7 @@ def real_robot(
             key: tuple((kinks[..., i].ravel() + np.array(before.get(key, 0.0))).tolist())
             for i, key in enumerate(('angle_x', 'angle_y'))
         }
-    sections = cell_sections(robot, parts, stiffness * (1.0 + built.stiffness))
+    sections = cell_sections(robot, parts, damage.stiffness * (1.0 + built.stiffness))
     ends = {s.name: f'{s.name} {s.cells * parts}' for s in robot.sections}
     helix, along = helix_angles(robot), (np.arange(parts) + 0.5) / parts - 0.5
     tendons = []
@@ -289,14 +296,11 @@ class Plant:
         return self.damage.deviations(inputs / self._scale[int(displacement)])
 
 
-SCATTER_MAX = 0.2  # [1] 1 sd of the stiffness, else cells softer by five of them had none left
-
-
 def make_plant(
     robot: RobotLike,
     hidden: Hidden | None = None,
     refine: int = 3,
-    scatter: float = 0.02,
+    scatter: float = STIFFNESS_SCATTER,
     capstan: bool = True,
     seed: int = 0,
     catalogue: CatalogueLike | None = None,
@@ -338,14 +342,11 @@ def make_plant(
     catalogue = load_catalogue(catalogue).sized(natural_sizes(robot))
     damage = Damage.none(robot, seed)
     effects = hide(robot, {} if hidden is None else hidden, catalogue, damage)
-    stiffness, built = damage.stiffness, Built.exact(robot)
     if work is not None:
         built = Built.draw(robot, work, seed)
     else:
-        random = np.random.default_rng(seed)
-        stiffness = stiffness * (1.0 + scatter * random.normal(size=robot.cells).clip(-4, 4))
+        random, built = np.random.default_rng(seed), Built.exact(robot)
+        damage.stiffness *= 1.0 + scatter * random.normal(size=robot.cells).clip(-4, 4)
     parts = parts_per_cell(robot, effects, catalogue, refine)
-    real = real_robot(
-        robot, effects, catalogue, parts, stiffness, damage.side_force, capstan, built
-    )
+    real = real_robot(robot, effects, catalogue, parts, damage, capstan, built)
     return Plant(robot, Model(real, plant_catalogue(catalogue)), parts, damage, built)

@@ -17,7 +17,7 @@ from ..robot import Robot
 from ..robot.description import EffectValues
 from ..robot.estimates import natural_sizes
 from ..workspace.postures import default_postures
-from .hidden import CAUSES, chosen
+from .hidden import CAUSES, STIFFNESS_SCATTER, chosen
 
 Array = NDArray[np.float64]
 NOTHING_HIDDEN = 'none'
@@ -27,8 +27,6 @@ REFINEMENTS = ('eyelet_wrap', 'tendon_travel')  # what the mock's wires do, and 
 TIP_ERRORS = (0.02, 0.05)
 # [1] in lengths of the arm: an effect that cannot make more is not drawn, else nobody would see it
 TIP_ERROR_VISIBLE = 0.003
-# [1] 1 sd from cell to cell of the plant; its owner would know so much of it
-STIFFNESS_SCATTER = 0.02
 ERROR_REDUCTION_MIN = 0.8  # [1] of the tip error, else the story did not come true
 
 
@@ -201,12 +199,9 @@ class Story:
                 f'tip error on postures never used: {mm(self.before)} -> {mm(self.after)} '
                 f'({100.0 * self.error_reduction:.0f} % gone)'
             )
-        quiet = 'nothing was hidden and nothing was found'
-        return (
-            quiet
-            if self.hidden.name == NOTHING_HIDDEN
-            else 'a cause that no effect describes: called so'
-        )
+        if self.hidden.name == NOTHING_HIDDEN:
+            return 'nothing was hidden and nothing was found'
+        return 'a cause that no effect describes: called so'
 
 
 def reveal(hidden: Hidden, units: dict[str, str]) -> str:

@@ -19,6 +19,7 @@ import argparse
 import collections
 import sys
 from collections.abc import Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -86,11 +87,8 @@ def run(args: argparse.Namespace) -> int:
         title = f'Campaign: {Path(args.plan).stem}'
         campaign_page(rows, title, len(plan.cases), mixed).write(page)
     if stopped:
-        print(
-            f'stopped: {len(rows):,} of {len(plan.cases):,} cases are in {folder}; '
-            'the same command goes on from there',
-            file=sys.stderr,
-        )
+        there = f'{len(rows):,} of {len(plan.cases):,} cases are in {folder}'
+        print(f'stopped: {there}; the same command goes on from there', file=sys.stderr)
         return ExitCode.INTERRUPTED
     lines = [*summary(rows), *power_lines(rows), *mixed, f'written: {folder}/table, {page}']
     emit(args, to_json(rows), '\n'.join(lines))
@@ -180,11 +178,11 @@ def interval_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
         for name, held in zip(row.parameter, row.held, strict=True):
             hits.setdefault((row.robot, row.hidden, name), []).append(held)
     refused = collections.Counter((row.robot, row.hidden) for row in rows if row.problem)
-    table = []
-    for (robot, hidden, name), every in sorted(hits.items()):
-        counts = [f'{np.mean(every):.1%}', f'{len(every)}', f'{refused[robot, hidden]}']
-        table.append([f'{robot}: {hidden} {name}', *counts])
-    return table
+    return [
+        [f'{robot}: {hidden} {name}', f'{np.mean(every):.1%}', f'{len(every)}']
+        + [f'{refused[robot, hidden]}']
+        for (robot, hidden, name), every in sorted(hits.items())
+    ]
 
 
 def smallest_text(power: Power) -> str:
@@ -231,11 +229,8 @@ def campaign_page(
         curves.setdefault(power.hidden, []).append(power)
     page.figures([power_figure(name, members) for name, members in curves.items()], 'many')
     header: Sequence[str] = ('robot', 'effect', 'measured so', 'named in four of five cases')
-    cells = [
-        [power.robot, power.hidden, power.way or 'all', smallest_text(power)]
-        for members in curves.values()
-        for power in members
-    ]
+    members = chain.from_iterable(curves.values())
+    cells = [[one.robot, one.hidden, one.way or 'all', smallest_text(one)] for one in members]
     page.table(header, cells, left=[0, 1, 2, 3])
 
     page.heading('What is said of what is hidden')

@@ -6,6 +6,7 @@ import itertools
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -225,30 +226,15 @@ def simulated(
     robot, chance = described(case, arm, catalogue), Chance.of(case, seed)
     values = hidden_values(case.hidden, case.size, robot, catalogue, chance.direction)
     work = Workmanship().times(case.level) if case.level else None
-    real = {'refine': 1, 'capstan': False} if own_model else {}
-    plant = make_plant(
-        robot,
-        {} if case.hidden == NOTHING else {case.hidden: values},
-        scatter=case.scatter,
-        seed=chance.arm,
-        catalogue=catalogue,
-        work=work,
-        **real,  # type: ignore[arg-type]
-    )
+    options: dict[str, Any] = {'refine': 1, 'capstan': False} if own_model else {}
+    options |= {'scatter': case.scatter, 'seed': chance.arm, 'catalogue': catalogue, 'work': work}
+    plant = make_plant(robot, {} if case.hidden == NOTHING else {case.hidden: values}, **options)
+    trials = design.trials if design.data is None else int(design.data.positions.shape[1])
     sets = []
     for which, own in enumerate((chance.fit, chance.check)):
         inputs, kind, path = postures_of(case, robot, design, catalogue, which)
-        trials = design.trials if design.data is None else int(design.data.positions.shape[1])
-        one = simulate(
-            plant,
-            inputs,
-            noise=noise,
-            trials=trials,
-            seed=own,
-            markers=design.placed(robot),
-            input=kind,
-            path=path,
-        )
+        how: dict[str, Any] = {'input': kind, 'path': path, 'markers': design.placed(robot)}
+        one = simulate(plant, inputs, noise=noise, trials=trials, seed=own, **how)
         sets.append(with_lost_readings(one, own) if case.level else one)
     return Simulated(robot, sets[0], sets[1], values, plant.built, catalogue)
 
@@ -259,12 +245,11 @@ def postures_of(
     """Return the inputs, what they are and how postures are reached."""
     need, data = needs(case.hidden, catalogue), design.data
     path = 'sequence' if need == 'history' else 'from_straight'
-    kind = 'displacement' if need == 'pulls' else 'tension'
+    kind, count = 'displacement' if need == 'pulls' else 'tension', design.postures
     if data is not None:
-        path, kind = data.path, data.input
+        path, kind, count = data.path, data.input, len(data.postures)
         if which == 0:
             return data.inputs, kind, path
-    count = len(data.postures) if data is not None else design.postures
     count = round(SEQUENCE_FACTOR * count) if path == 'sequence' else count
     return default_postures(robot, count, which, kind, path), kind, path
 
@@ -310,15 +295,13 @@ def is_visible(case: Case, sim: Simulated) -> bool:
 
 def true_values(case: Case, sim: Simulated) -> dict[str, float | tuple[float, ...]]:
     """Spread the hidden values over sections as the plant does."""
-    values: dict[str, float | tuple[float, ...]] = {}
-    for parameter in sim.catalogue[case.hidden].parameters:
-        value = sim.values[parameter.name]
-        if parameter.per_section:
-            spread = np.broadcast_to(value, len(sim.robot.sections))
-            values[parameter.name] = tuple(spread.tolist())
-        else:
-            values[parameter.name] = float(np.asarray(value))
-    return values
+    sections = len(sim.robot.sections)
+    return {
+        parameter.name: tuple(np.broadcast_to(sim.values[parameter.name], sections).tolist())
+        if parameter.per_section
+        else float(np.asarray(sim.values[parameter.name]))
+        for parameter in sim.catalogue[case.hidden].parameters
+    }
 
 
 def truth_of(case: Case, sim: Simulated, keys: Mapping[str, object]) -> dict[str, float]:

@@ -22,6 +22,8 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..cli.options import add_cluster, declare, emit, progress
 from ..common.colours import BEFORE, FLOOR, PREDICTED
 from ..common.errors import InputError, Progress, TendonRobotError
@@ -35,7 +37,7 @@ from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import CandidateRow, Diagnosis, EffectFinding, Value
 from ..diagnosis.verdict import Verdict
 from ..model.versions import Preparation, UserEffect, catalogue_of
-from ..report.page import Figure, Page, axes, error_bars, titled, trace
+from ..report.page import Figure, Page, axes, error_bars, mm_list, titled, trace
 from ..robot import dump_robot
 from .judge import diagnosis_fields, fitted_values
 from .running import ERROR, TABLE, GrowingTable, Row, judge_all
@@ -218,12 +220,8 @@ def run_fleet(
         By robot and time.
 
     """
-    inside = output.resolve()
-    cases = [
-        FleetCase.of(path, folder)
-        for path in datasets_below(folder)
-        if inside not in path.resolve().parents
-    ]
+    places, inside = datasets_below(folder), output.resolve()
+    cases = [FleetCase.of(p, folder) for p in places if inside not in p.resolve().parents]
     table = GrowingTable(output / TABLE, FleetRow)
     rows = judge_all(Fleet(effects), cases, table, workers, progress, 'recordings')
     return sorted(rows, key=lambda row: (row.robot, row.when, row.place))
@@ -260,11 +258,9 @@ class Change:
 def histories(rows: Iterable[FleetRow]) -> dict[str, list[FleetRow]]:
     """Collect what could be read by robot, in the order of time."""
     by_robot: dict[str, list[FleetRow]] = {}
-    for row in rows:
+    for row in sorted(rows, key=lambda row: (row.when, row.place)):
         if row.verdict != ERROR:
             by_robot.setdefault(row.robot, []).append(row)
-    for own in by_robot.values():
-        own.sort(key=lambda row: (row.when, row.place))
     return by_robot
 
 
@@ -321,7 +317,6 @@ def words_of(row: FleetRow) -> str:
 
 
 COLUMNS = ('robot', 'when', 'measurements', 'verdict', 'error', 'with it', 'noise floor')
-NO_CHANGE = 'Nothing changed from one recording to the next.'
 
 
 def fleet_rows(rows: Sequence[FleetRow]) -> list[list[str]]:
@@ -346,11 +341,12 @@ def _readable(when: str) -> str:
 
 
 def change_lines(rows: Sequence[FleetRow]) -> list[str]:
-    """Describe the changes, a line each."""
-    return [
+    """Describe the changes, a line each, or say that there are none."""
+    lines = [
         f'{c.robot}, {_readable(c.when)} (since {_readable(c.since)}): {c.text}'
         for c in changes(rows)
     ]
+    return lines or ['Nothing changed from one recording to the next.']
 
 
 def problems(rows: Sequence[FleetRow]) -> list[str]:
@@ -360,9 +356,8 @@ def problems(rows: Sequence[FleetRow]) -> list[str]:
 
 def fleet_text(rows: Sequence[FleetRow]) -> list[str]:
     """Return table, changes and problems."""
-    lines = [columns([COLUMNS, *fleet_rows(rows)])]
-    lines += change_lines(rows) or [NO_CHANGE]
-    return lines + [f'left out: {line}' for line in problems(rows)]
+    left_out = [f'left out: {line}' for line in problems(rows)]
+    return [columns([COLUMNS, *fleet_rows(rows)]), *change_lines(rows), *left_out]
 
 
 def fleet_page(rows: Sequence[FleetRow], title: str) -> Page:
@@ -371,7 +366,7 @@ def fleet_page(rows: Sequence[FleetRow], title: str) -> Page:
     counts = {'recording': sum(map(len, own.values())), 'robot': len(own)}
     totals = [f'{count} {what}{"" if count == 1 else "s"}' for what, count in counts.items()]
     page = Page(title, ' of '.join(totals))
-    page.box(change_lines(rows) or [NO_CHANGE], 'verdict', 'What changed when')
+    page.box(change_lines(rows), 'verdict', 'What changed when')
     if problems(rows):
         page.box(problems(rows), 'warn', 'Left out')
     for robot, history in own.items():
@@ -384,16 +379,23 @@ def fleet_page(rows: Sequence[FleetRow], title: str) -> Page:
 def error_figure(history: Sequence[FleetRow]) -> Figure:
     """Draw the errors of a robot's description over time."""
     when = [row.when for row in history]
-    kinds = (
-        ('as described', BEFORE, [row.before for row in history]),
-        ('with what was named', PREDICTED, [row.after for row in history]),
-        ('noise floor', FLOOR, [row.floor for row in history]),
-    )
-    text, data = [escape(words_of(row)) for row in history], []
-    for name, colour, errors in kinds:
-        points = when, [None if error is None else 1e3 * error for error in errors]
-        line = {'color': colour}
-        data.append(trace(*points, name, 'lines+markers', text=text, line=line))
+    kinds = {
+        'as described': (BEFORE, [row.before for row in history]),
+        'with what was named': (PREDICTED, [row.after for row in history]),
+        'noise floor': (FLOOR, [row.floor for row in history]),
+    }
+    text = [escape(words_of(row)) for row in history]
+    data = [
+        trace(
+            when,
+            mm_list(np.array(errors, dtype=float)),
+            name,
+            'lines+markers',
+            text=text,
+            line={'color': colour},
+        )
+        for name, (colour, errors) in kinds.items()
+    ]
     layout = axes({'type': 'date'}, titled('error, rms [mm]', rangemode='tozero'))
     return Figure(data, layout, 'Errors over time')
 
@@ -402,18 +404,16 @@ def map_parameters(history: Sequence[FleetRow]) -> list[Figure]:
     """Draw the parameters of all effects ever named of a robot, over time."""
     figures = []
     for name in tracked(history):
-        fitted = [(row, row.fitted(name)) for row in history]
-        known = [(row, values) for row, values in fitted if values is not None]
-        unit = next(row.unit[row.parameter.index(name)] for row, _ in known)
-        largest = max(max(map(abs, values)) for _, values in known)
-        factor, unit = scale_of(unit, largest, name.rpartition(' ')[2])
+        rows = [row for row in history if name in row.parameter]
+        known = np.array([row.fitted(name) for row in rows])  # (r, 3) value, low, high
+        unit = rows[0].unit[rows[0].parameter.index(name)]
+        factor, unit = scale_of(unit, float(np.abs(known).max()), name.rpartition(' ')[2])
+        value, low, high = factor * known.T
         bars = error_bars(
-            [factor * max(high - value, 0.0) for _, (value, _, high) in known],
-            [factor * max(value - low, 0.0) for _, (value, low, _) in known],
+            np.maximum(high - value, 0.0).tolist(), np.maximum(value - low, 0.0).tolist()
         )
-        points = [row.when for row, _ in known], [factor * value for _, (value, _, _) in known]
-        line = {'color': PREDICTED}
-        data = [trace(*points, '', 'lines+markers', line=line, error_y=bars)]
+        when, line = [row.when for row in rows], {'color': PREDICTED}
+        data = [trace(when, value.tolist(), '', 'lines+markers', line=line, error_y=bars)]
         layout = axes({'type': 'date'}, f'[{unit or 1}]')
         caption = '95 % intervals, fitted alone or with what was named beside it'
         figures.append(Figure(data, layout, name, caption))

@@ -28,7 +28,6 @@ from ..common.words import listed
 from ..comparison.statistics import estimate
 from ..data.csv_file import CsvFile
 from ..robot import Robot, load_robot
-from ..robot.description import EffectValues
 
 HELP = 'friction coefficient from slip angles, into a robot description'
 
@@ -67,19 +66,18 @@ def run(args: argparse.Namespace) -> int:
 
 def lines(friction: SlipFriction) -> list[str]:
     """Say the coefficient, its interval, and the outliers."""
-    text = [
+    outliers = 'none'
+    if friction.outliers:
+        outliers = (
+            f'{listed(friction.outliers)}; without them {friction.mean_without:.3f}. '
+            'Look at how they were measured; nothing was removed.'
+        )
+    return [
         f'friction coefficient: {friction.mean:.3f} ± {friction.sd:.3f} '
         f'(mean ± SD of the tangent, n = {friction.n})',
         f'95 % interval of the mean: {friction.low:.3f} to {friction.high:.3f}',
+        f'outliers: {outliers}',
     ]
-    if friction.outliers:
-        text.append(
-            f'outliers: {listed(friction.outliers)}; without them {friction.mean_without:.3f}. '
-            'Look at how they were measured; nothing was removed.'
-        )
-    else:
-        text.append('outliers: none')
-    return text
 
 
 @dataclass(frozen=True)
@@ -117,11 +115,8 @@ def read_slip_angles(path: str | Path) -> tuple[tuple[str, ...], npt.NDArray[np.
     file = CsvFile(Path(path), COLUMNS, COLUMNS, 'leave the row out', remedy)
     degrees = file.read(COLUMNS[:1], COLUMNS[1:]).numbers['angle_deg']
     for i in np.flatnonzero(~((degrees > 0.0) & (degrees < 90.0))):
-        raise file.error(
-            int(i) + 2,
-            f'angle_deg is {degrees[i]:g}',
-            'write the slip angle in degrees, between 0 and 90',
-        )
+        remedy = 'write the slip angle in degrees, between 0 and 90'
+        raise file.error(int(i) + 2, f'angle_deg is {degrees[i]:g}', remedy)
     if degrees.max() < RADIANS_BELOW_DEG:
         problem = f'no angle exceeds {RADIANS_BELOW_DEG}°'
         raise DataSetError(str(path), problem, 'write degrees, not radians')
@@ -144,9 +139,8 @@ def slip_friction(names: tuple[str, ...], angles: npt.ArrayLike) -> SlipFriction
     """
     tangents = np.tan(np.asarray(angles, dtype=float))
     if len(tangents) < ANGLES_MIN:
-        raise InputError(
-            f'slip angles: expected at least {ANGLES_MIN}, got {len(tangents)}; measure more'
-        )
+        expected = f'expected at least {ANGLES_MIN}, got {len(tangents)}'
+        raise InputError(f'slip angles: {expected}; measure more')
     mean = estimate(tangents)
     off = np.abs(tangents - np.median(tangents))
     spread = float(np.median(off)) / NormalDist().inv_cdf(0.75)  # 1 sd if they are normal
@@ -168,17 +162,9 @@ def with_friction(robot: Robot, friction: SlipFriction, data: str, date: str) ->
 
     The spread of the mean becomes the declared tolerance of the coefficient.
     """
-    origin = {
-        'friction_coefficient': {
-            'value': round(friction.mean, 4),
-            'low': round(friction.low, 4),
-            'high': round(friction.high, 4),
-            'unit': '1',
-        },
-        'data': data,
-        'date': date,
-    }
-    values: EffectValues = {'friction_coefficient': round(friction.mean, 4)}
-    changed = robot.with_effect('tendon_friction', values, origin)
+    value, low, high = (round(x, 4) for x in (friction.mean, friction.low, friction.high))
+    interval = {'value': value, 'low': low, 'high': high, 'unit': '1'}
+    origin = {'friction_coefficient': interval, 'data': data, 'date': date}
+    changed = robot.with_effect('tendon_friction', {'friction_coefficient': value}, origin)
     relative = round((friction.high - friction.low) / (2.0 * 1.96) / friction.mean, 4)
     return replace(changed, tolerances={**robot.tolerances, 'friction_coefficient': relative})

@@ -119,35 +119,24 @@ class Setup:
 
     def lost(self, case: Case, workers: int) -> CaseRow:
         """Return the row of a case at which every worker died."""
-        fields = {'verdict': ERROR, 'problem': f'{workers} workers died over it'}
-        return self._row(case, fields)
+        return self._row(case, {'verdict': ERROR, 'problem': f'{workers} workers died over it'})
 
     def _row(self, case: Case, result: Mapping[str, Any]) -> CaseRow:
-        return CaseRow(
-            key=case.key,
-            robot=case.robot,
-            hidden=case.hidden,
-            size=case.size,
-            number=case.number,
-            design=self.designs[case.design].name,
-            noise=self.noises[case.noise][0],
-            level=case.level,
-            **result,
-        )
+        design, noise = self.designs[case.design].name, self.noises[case.noise][0]
+        same = ('key', 'robot', 'hidden', 'size', 'number', 'level')
+        own = {name: getattr(case, name) for name in same}
+        return CaseRow(**own, design=design, noise=noise, **result)
 
 
 def diagnosis_fields(diagnosis: Diagnosis) -> dict[str, Any]:
     """Return the fields of a row that describe a diagnosis."""
-    errors = {
-        'before': diagnosis.error_before,
-        'after': diagnosis.error_after,
-        'floor': diagnosis.noise_floor,
-    }
+    errors = diagnosis.error_before, diagnosis.error_after, diagnosis.noise_floor
+    known = [float(error) if np.isfinite(error) else None for error in errors]
     return {
         'verdict': str(diagnosis.verdict),
         'effects': tuple(effect.name for effect in diagnosis.effects),
         'group': diagnosis.cannot_tell_apart,
-        **{name: float(error) if np.isfinite(error) else None for name, error in errors.items()},
+        **dict(zip(('before', 'after', 'floor'), known, strict=True)),
     }
 
 
@@ -216,14 +205,12 @@ def _beside_truth(case: Case, sim: Simulated, values: Mapping[str, Value]) -> di
 
 def removed_fraction(diagnosis: Diagnosis, sim: Simulated) -> float | None:
     """Return the fraction of (before - floor) that the named effects remove elsewhere."""
-    keys = {
-        (free.effect, free.key): free
-        for free in frees_of([e.name for e in diagnosis.effects], sim.catalogue, sim.robot)
-    }
+    named = {effect.name: effect.parameters for effect in diagnosis.effects}
+    frees = frees_of([*named], sim.catalogue, sim.robot)
     point = {
-        keys[effect.name, key]: value.value
-        for effect in diagnosis.effects
-        for key, value in effect.parameters.items()
+        free: named[free.effect][free.key].value
+        for free in frees
+        if free.key in named[free.effect]
     }
     errors = []
     for one in ({}, point):
@@ -247,10 +234,8 @@ def scatter_held(report: Mapping[str, Any] | None, built: Built) -> list[bool]:
 
 def built_sizes(built: Built) -> dict[str, float]:
     """Return how much the cells scatter (rms): their stiffness [1], their kinks [rad]."""
-    members = {
-        'cell_stiffness': built.stiffness,
-        'cell_kink': built.kink[:, built.kink.any(axis=0)],
-    }
+    kinks = built.kink[:, built.kink.any(axis=0)]
+    members = {'cell_stiffness': built.stiffness, 'cell_kink': kinks}
     return {name: float(np.sqrt(np.mean(np.square(one)))) for name, one in members.items()}
 
 
@@ -327,11 +312,10 @@ def powers(rows: Sequence[CaseRow]) -> list[Power]:
     hidden = [row for row in rows if row.hidden != NOTHING]
     results = []
     for key, members in grouped(hidden, lambda r: (r.robot, r.hidden, method_of(r))).items():
-        by_size = grouped(binned(members), lambda row: row.size)
-        sizes = sorted(by_size)
-        alarms = tuple(Rate.of(row.alarm for row in by_size[size]) for size in sizes)
-        right = tuple(Rate.of(row.right for row in by_size[size]) for size in sizes)
-        results.append(Power(*key, tuple(sizes), alarms, right))
+        by_size = dict(sorted(grouped(binned(members), lambda row: row.size).items()))
+        alarms = tuple(Rate.of(row.alarm for row in of_size) for of_size in by_size.values())
+        right = tuple(Rate.of(row.right for row in of_size) for of_size in by_size.values())
+        results.append(Power(*key, tuple(by_size), alarms, right))
     return results
 
 
@@ -377,16 +361,14 @@ def coverage(rows: Sequence[CaseRow]) -> list[tuple[float, Rate]]:
 def rates(rows: Sequence[CaseRow]) -> dict[str, Rate]:
     """Return the rates that the diagnosis is judged by."""
     effects = [row for row in rows if row.hidden not in (*CAUSES, NOTHING)]
-    named = [row for row in effects if row.right]
+    named, visible = ([r for r in effects if getattr(r, key)] for key in ('right', 'visible'))
     causes = [row for row in rows if row.hidden in CAUSES]
     clean = [row for row in rows if row.hidden == NOTHING]
     twins = {effect.name for effect in load_catalogue() if effect.scales_bends}
     single = [row for row in named if row.hidden not in twins]
     return {
         'right, of all effects': Rate.of(row.right for row in effects),
-        'right, of those that stand out of the noise': Rate.of(
-            row.right for row in effects if row.visible
-        ),
+        'right, of those that stand out of the noise': Rate.of(row.right for row in visible),
         'wrong names, of all effects': Rate.of(row.wrong_name for row in effects),
         'a single name, effects without a twin': Rate.of(len(row.group) <= 1 for row in single),
         'true values inside their 95 % intervals': Rate.of(

@@ -23,7 +23,7 @@ import numpy as np
 
 from ..cli.options import progress
 from ..common.colours import INK, MEASURED, line_style
-from ..common.errors import InputError
+from ..common.errors import InputError, Progress, listener
 from ..common.files import new_folder
 from ..common.words import capital, columns, digits, listed, mm
 from ..comparison.result import Comparison
@@ -156,14 +156,11 @@ class Paper:
 
     def to_json(self) -> dict[str, Any]:
         """Return the table as plain data."""
-        return {
-            'rows': [
-                {**asdict(row), 'difference': row.difference, 'met': row.met} for row in self.rows
-            ]
-        }
+        rows = [asdict(row) | {'difference': row.difference, 'met': row.met} for row in self.rows]
+        return {'rows': rows}
 
 
-def reproduce(robots: Robots, progress: Callable[[str, int, int], None] | None = None) -> Paper:
+def reproduce(robots: Robots, progress: Progress | None = None) -> Paper:
     """Run all experiments; `progress` is called with (what, done, total)."""
     steps: dict[str, Callable[[], Any]] = {
         'friction': rehearsals,
@@ -172,10 +169,9 @@ def reproduce(robots: Robots, progress: Callable[[str, int, int], None] | None =
         'tension': lambda: tension_experiment(robots.single),
         'small': lambda: small_experiment(robots.small),
     }
-    results = {}
+    show, results = listener(progress), {}
     for index, (name, run) in enumerate(steps.items()):
-        if progress:
-            progress(name, index, len(steps))
+        show(name, index, len(steps))
         results[name] = run()
     return Paper(robots=robots, **results)
 
@@ -256,11 +252,9 @@ def rehearsals(seed: int = 0) -> dict[str, SlipFriction]:
     """
     frictions = {}
     for scale, (coefficient, n) in Published.FRICTION.items():
-        random = np.random.default_rng([seed, n])
+        random, reading = np.random.default_rng([seed, n]), Assumed.ANGLE_READING_DEG
         degrees = np.degrees(np.arctan(coefficient + Assumed.TANGENT_SD * random.normal(size=n)))
-        angles = np.radians(
-            np.round(degrees / Assumed.ANGLE_READING_DEG) * Assumed.ANGLE_READING_DEG
-        )
+        angles = np.radians(np.round(degrees / reading) * reading)
         frictions[scale] = slip_friction(tuple(map(str, range(1, n + 1))), angles)
     return frictions
 
@@ -330,15 +324,15 @@ def error_per_cell(comparison: Comparison, data: DataSet, p: int) -> Figure:
 def arrangements(motion: MotionExperiment, published: float) -> Figure:
     """Range of the tips for every arrangement of the wires in a group, against 50 mm."""
     names = [one.name for one in motion.arrangements]
-    across = np.array([one.across for one in motion.arrangements])
-    low = across - [one.low for one in motion.arrangements]
-    high = np.array([one.high for one in motion.arrangements]) - across
+    across, low, high = np.array(
+        [(one.across, one.low, one.high) for one in motion.arrangements]
+    ).T
     bar = {
         'type': 'bar',
         'orientation': 'h',
         'y': names,
         'x': mm_list(across),
-        'error_x': error_bars(mm_list(high), mm_list(low)),
+        'error_x': error_bars(mm_list(high - across), mm_list(across - low)),
         'marker': {'color': line_style(0).colour},
         'name': 'ours; whisker: "180°" is ±1° to ±5°',
     }
@@ -367,14 +361,12 @@ def paper_page(paper: Paper) -> Page:
     table = paper.rows
     contradicted = [row for row in table if row.met == 'not met']
     agreeing = sum(row.met == 'within 15 %' for row in table)
-    page.box(
-        [
-            f'{agreeing} of {len(table)} published numbers are met within 15 %; '
-            f'{len(table) - agreeing - len(contradicted)} more lie in the range that the paper '
-            f'leaves open; {len(contradicted)} are not met.'
-        ],
-        'verdict' if contradicted else 'verdict good',
+    verdict = (
+        f'{agreeing} of {len(table)} published numbers are met within 15 %; '
+        f'{len(table) - agreeing - len(contradicted)} more lie in the range that the paper '
+        f'leaves open; {len(contradicted)} are not met.'
     )
+    page.box([verdict], 'verdict' if contradicted else 'verdict good')
     page.table(ROW_COLUMNS, list(map(number_cells, table)), left=(1, 6, 7))
     page.heading('What is assumed')
     page.text('Tables I to IV of the paper are lost in the text that was used. Assumed instead:')
@@ -439,12 +431,13 @@ def add_displacement(page: Page, experiment: DisplacementExperiment) -> None:
     cells = []
     for one in experiment.others:
         two = list(one.pair.indices)
-        pulls = ', '.join(f'{1e3 * a:.1f} / {1e3 * b:.1f}' for a, b in one.pulls[:, two])
-        tips = ', '.join(f'{1e3 * z:.0f}' for z in one.tips[:, 2])
-        apart = ', '.join(f'{1e3 * d:.1f}' for d in one.apart)
-        everywhere = ' to '.join(f'{1e3 * d:.1f}' for d in one.everywhere)
-        texts = [f'{text} mm' for text in (pulls, tips, apart, everywhere)]
-        cells.append([one.pair.kind, mm(one.arm, 2), *texts])
+        texts = (
+            ', '.join(f'{1e3 * a:.1f} / {1e3 * b:.1f}' for a, b in one.pulls[:, two]),
+            ', '.join(f'{1e3 * z:.0f}' for z in one.tips[:, 2]),
+            ', '.join(f'{1e3 * d:.1f}' for d in one.apart),
+            ' to '.join(f'{1e3 * d:.1f}' for d in one.everywhere),
+        )
+        cells.append([one.pair.kind, mm(one.arm, 2), *(f'{text} mm' for text in texts)])
     page.table((*header, 'at all heights'), cells, left=(2, 3, 4))
     low, high = experiment.heights.everywhere
     page.text(
@@ -458,12 +451,10 @@ def add_displacement(page: Page, experiment: DisplacementExperiment) -> None:
     )
     pairs = [test for test in experiment.comparison.paired_t if test.posture is not None]
     page.text(*(f'{capital(say.paired(test))} (published: P < 0.01).' for test in pairs))
-    for p in range(len(experiment.comparison.measured.postures)):
-        page.figures(
-            [posture(experiment.comparison, experiment.data, p), angles(experiment.comparison, p)],
-            'two',
-        )
-    page.figures([tip_boxes(experiment.comparison)])
+    comparison = experiment.comparison
+    for p in range(len(comparison.measured.postures)):
+        page.figures([posture(comparison, experiment.data, p), angles(comparison, p)], 'two')
+    page.figures([tip_boxes(comparison)])
 
 
 def add_tension(page: Page, experiment: TensionExperiment) -> None:
@@ -477,18 +468,15 @@ def add_tension(page: Page, experiment: TensionExperiment) -> None:
         f'PCCA predicts the same shape for 0.51 N alone and for 0.99 against 0.48 N (apart by '
         f'{1e3 * experiment.same:.2f} mm), as published.'
     )
-    page.box(
-        diagnosis_lines(experiment.alone), 'warn', 'What diagnose says about these two postures'
-    )
+    title = 'What diagnose says about these two postures'
+    page.box(diagnosis_lines(experiment.alone), 'warn', title)
     for i, one in enumerate(experiment.more):
         title = 'With the posture that it asks for' if i == 0 else 'And with the next one'
         page.box(diagnosis_lines(one), '', title)
-    ends = Counter(
-        f'{one.verdict} ({listed(effect.name for effect in one.effects)})'
-        for one in experiment.redrawn
-    )
+    redrawn = experiment.redrawn
+    ends = Counter(f'{one.verdict} ({listed(e.name for e in one.effects)})' for one in redrawn)
     page.text(
-        f'The same with {len(experiment.redrawn)} other draws of the noise ends '
+        f'The same with {len(redrawn)} other draws of the noise ends '
         f'{listed(f"{count} times {end}" for end, count in ends.items())}. "adequate": the '
         'declared uncertainties of tension, friction and stiffness cover the error, and nothing '
         'is asked for.'

@@ -291,13 +291,12 @@ def arrangement(name: str, robot: Robot, pair: Pair) -> Arrangement:
     wide = np.radians(max(Assumed.VIEW_TOLERANCES_DEG))
     views = Published.VIEW_ANGLES_RAD[:1]
     workspace = find_workspace(Model(robot), views, step, low, wide, [pair])
-    spans = []
+    spans = []  # [m] along x, of the postures near enough to the view
     for tolerance in Assumed.VIEW_TOLERANCES_DEG:
-        span = 0.0  # [m] along x, of the postures near enough to the view
+        near = np.zeros(0)
         for family in workspace.of(Published.VIEW_ANGLES_RAD[0])[:1]:
             deviations = np.abs(np.abs(family.angle) - family.view)
             near = family.tips[deviations <= np.radians(tolerance), 0]
-            span = float(np.ptp(near)) if len(near) else 0.0
-        spans.append(span)
+        spans.append(float(np.ptp(near)) if len(near) else 0.0)
     middle = spans[Assumed.VIEW_TOLERANCES_DEG.index(2.5)]
     return Arrangement(name, middle, min(spans), max(spans), workspace.largest)

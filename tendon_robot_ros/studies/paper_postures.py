@@ -7,7 +7,8 @@ pair, and what they can tell. Section IV.E: a bend of 90°.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import astuple, dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -170,10 +171,7 @@ def trials(plant: Plant, heights: Heights, seed: int) -> DataSet:
     play = Published.CELL_SCATTER_RAD * random.normal(size=robot.cells)
     positions = np.full((3, max(Published.TRIALS_PER_HEIGHT), robot.cells, 3), np.nan)
     for p, count in enumerate(Published.TRIALS_PER_HEIGHT):
-        pulls = heights.pulls[p] + Assumed.CALIPER_SD_M * random.normal(
-            size=(count, len(robot.inputs))
-        )
-        shapes = plant.shapes(pulls, displacement=True).positions
+        shapes = pulled_by_hand(plant, heights, p, random)
         own = play + Assumed.TRIAL_SCATTERS_RAD[1] * random.normal(size=(count, robot.cells))
         photos = turned(shapes, held(own, robot))
         photos[..., [0, 2]] += Assumed.PIXEL_M * random.normal(size=(*photos.shape[:2], 2))
@@ -189,6 +187,13 @@ def trials(plant: Plant, heights: Heights, seed: int) -> DataSet:
     )
 
 
+def pulled_by_hand(plant: Plant, heights: Heights, p: int, random: np.random.Generator) -> Floats:
+    """Return the cells (t, n, 3) [m] of a posture in all its trials, pulled by the caliper."""
+    shape = Published.TRIALS_PER_HEIGHT[p], len(plant.robot.inputs)
+    pulls = heights.pulls[p] + Assumed.CALIPER_SD_M * random.normal(size=shape)
+    return plant.shapes(pulls, displacement=True).positions
+
+
 def many_prototypes(
     plant: Plant, heights: Heights, comparison: Comparison
 ) -> dict[tuple[str, str], Spread]:
@@ -197,16 +202,12 @@ def many_prototypes(
     spreads: dict[tuple[str, str], Spread] = {}
     play = Published.CELL_SCATTER_RAD * random.normal(size=(Assumed.PROTOTYPES, 1, robot.cells))
     for p, count in enumerate(Published.TRIALS_PER_HEIGHT):
-        pulls = heights.pulls[p] + Assumed.CALIPER_SD_M * random.normal(
-            size=(count, len(robot.inputs))
-        )
-        shapes = plant.shapes(pulls, displacement=True).positions
+        shapes = pulled_by_hand(plant, heights, p, random)
         change = random.normal(size=(Assumed.PROTOTYPES, count, robot.cells))
+        many = np.broadcast_to(shapes, (Assumed.PROTOTYPES, *shapes.shape))
         tips = [
-            turned(np.broadcast_to(shapes, (Assumed.PROTOTYPES, *shapes.shape)), held(own, robot))[
-                :, :, -1
-            ]
-            for own in (play + size * change for size in Assumed.TRIAL_SCATTERS_RAD)
+            turned(many, held(play + size * change, robot))[:, :, -1]
+            for size in Assumed.TRIAL_SCATTERS_RAD
         ]
         for model in comparison.models:
             tip = model.markers[p, -1]
@@ -293,41 +294,47 @@ def tension_experiment(
         for model in comparison.models
     }
     levers = [errors_of_lever(robot, factor * lever) for factor in Assumed.LEVER_FACTORS]
+    low, high = ({k: ends(one[k] for one in levers) for k in levers[0]} for ends in (min, max))
     (_, alone), (first, second) = Published.POSTURES_N.values()
     tips = Model(pcca(robot)).shapes([[0.0, alone], [first, second]]).tip_position
     diagnoses = diagnose_and_measure(robot, data, lever, seed)
+    redrawn = [
+        diagnose_and_measure(robot, paper_postures(robot, lever, other), lever, other)[-1]
+        for other in range(seed + 1, seed + 1 + Assumed.NOISE_DRAWS)
+    ]
     return TensionExperiment(
         data=data,
         comparison=comparison,
         lever=lever,
         largest=largest,
-        low={key: min(one[key] for one in levers) for key in levers[0]},
-        high={key: max(one[key] for one in levers) for key in levers[0]},
+        low=low,
+        high=high,
         same=float(np.linalg.norm(tips[0] - tips[1])),
         alone=diagnoses[0],
         more=diagnoses[1:],
-        redrawn=tuple(
-            diagnose_and_measure(robot, paper_postures(robot, lever, other), lever, other)[-1]
-            for other in range(seed + 1, seed + 1 + Assumed.NOISE_DRAWS)
-        ),
+        redrawn=tuple(redrawn),
     )
 
 
 def measured(
-    robot: Robot, inputs: list[tuple[float, ...]], names: tuple[str, ...], lever: float, seed: int
+    robot: Robot, postures: Mapping[str, tuple[float, ...]], lever: float, seed: int
 ) -> DataSet:
-    """Simulate ten trials of postures of the prototype that has friction in its hinges."""
+    """Simulate ten trials of postures [N] of the prototype that has friction in its hinges."""
     plant = make_plant(robot, {'hinge_friction': {'lever': lever}}, scatter=0.0, seed=seed)
     data = simulate(
-        plant, inputs, noise=Assumed.NOISE, trials=Published.TRIALS, seed=seed, postures=names
+        plant,
+        [*postures.values()],
+        noise=Assumed.NOISE,
+        trials=Published.TRIALS,
+        seed=seed,
+        postures=tuple(postures),
     )
     return replace(data, name='section IV.D, simulated', setting_noise=Assumed.SETTING_NOISE)
 
 
 def paper_postures(robot: Robot, lever: float, seed: int) -> DataSet:
     """Simulate the two published postures."""
-    names = tuple(Published.POSTURES_N)
-    return measured(robot, list(Published.POSTURES_N.values()), names, lever, seed)
+    return measured(robot, Published.POSTURES_N, lever, seed)
 
 
 def models_of(robot: Robot, lever: float) -> list[tuple[str, Robot]]:
@@ -353,15 +360,15 @@ def diagnose_and_measure(
     robot: Robot, data: DataSet, lever: float, seed: int
 ) -> tuple[Diagnosis, ...]:
     """Diagnose, measure the posture that the diagnosis proposes, and again, a few times."""
-    rows: list[tuple[float, ...]] = list(Published.POSTURES_N.values())
-    names, diagnoses = tuple(Published.POSTURES_N), [diagnose(data)]
+    postures: dict[str, tuple[float, ...]] = dict(Published.POSTURES_N)
+    diagnoses = [diagnose(data)]
     while len(diagnoses) <= Assumed.DIAGNOSIS_ROUNDS:
         following = diagnoses[-1].next_measurement
         if following is None:
             break
-        rows = [*rows, tuple(following.input[name] for name in robot.inputs)]
-        names = (*names, f'asked for {len(diagnoses)}')
-        diagnoses.append(diagnose(measured(robot, rows, names, lever, seed)))
+        inputs = tuple(following.input[name] for name in robot.inputs)
+        postures[f'asked for {len(diagnoses)}'] = inputs
+        diagnoses.append(diagnose(measured(robot, postures, lever, seed)))
     return tuple(diagnoses)
 
 
@@ -393,15 +400,9 @@ def small_experiment(robot: Robot) -> SmallExperiment:
     ):
         one = with_cells(with_arm(robot, arm), cells)
         gaps.append(gap(one.with_effect('tendon_friction', {'friction_coefficient': friction}))[0])
-    fields = ('tension', 'pull', 'hinge')
-    assumed, tension, lever = *gap(robot), scaled_lever(robot)
-    return SmallExperiment(
-        assumed,
-        Gap(*(min(getattr(one, name) for one in gaps) for name in fields)),
-        Gap(*(max(getattr(one, name) for one in gaps) for name in fields)),
-        lever,
-        tension,
-    )
+    assumed, tension = gap(robot)
+    low, high = (Gap(*map(ends, zip(*map(astuple, gaps), strict=True))) for ends in (min, max))
+    return SmallExperiment(assumed, low, high, scaled_lever(robot), tension)
 
 
 def gap(robot: Robot) -> tuple[Gap, float]:
@@ -411,12 +412,8 @@ def gap(robot: Robot) -> tuple[Gap, float]:
     (tensions,) = at_view(fkm, (0, 1), np.zeros(1), Published.BEND_ANGLE_RAD, 1)
     (equal,) = at_view(constant, (0, 1), np.zeros(1), Published.BEND_ANGLE_RAD, 1)
     tip = fkm.shape(tensions).tip_position
-    others = (
-        constant.shape(tensions).tip_position,
-        constant.shape(equal).tip_position,
-        hinge.shape(tensions).tip_position,
-    )
-    distances = [float(np.linalg.norm(other - tip)) for other in others]
+    others = constant.shape(tensions), constant.shape(equal), hinge.shape(tensions)
+    distances = [float(np.linalg.norm(other.tip_position - tip)) for other in others]
     return Gap(*distances), float(tensions[1])
 
 

@@ -13,7 +13,7 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from ..model.versions import UserEffect, catalogue_of, differences, refuse_diffe
 from ..robot import dump_robot, load_robot
 from ..simulation.hidden import CAUSES
 from ..simulation.measurements import SimulatedNoise
+from ..simulation.plant import SCATTER_MAX
 from .cases import NOTHING, Case, Design, PlannedRobot, needs
 from .judge import DIAGNOSIS, INTERVALS, QUESTIONS, CaseRow, Setup
 from .running import TABLE, GrowingTable, judge_all
@@ -72,6 +73,10 @@ class PlanReader(Reader):
                 raise self.error(key, 'names of ' + ', '.join(known), word)
         return value
 
+    def entries(self, key: str) -> Iterator[Self]:
+        """Open each entry of a list; none where there is no such key."""
+        return self.items(key) if self.has(key) else iter(())
+
     def count(self, key: str, default: int, low: int = 0, high: int = COUNT_MAX) -> int:
         """Return a whole number within bounds."""
         return self.whole(key, low, high) if self.has(key) else default
@@ -92,12 +97,12 @@ class CampaignPlan:
         digests = {'question': setup.question, 'seed': str(setup.seed)}
         for arm in setup.arms:
             digests[f'robot {arm.name}'] = _digest(dump_robot(arm.robot), arm.down)
-        for i, design in enumerate(setup.designs):
-            data = design.data
-            measured = () if data is None else (data.inputs.tobytes(), data.trials.tobytes())
-            digests[f'design {i + 1}'] = _digest(
-                design.name, design.postures, design.trials, design.markers, *measured
+        for i, one in enumerate(setup.designs):
+            data = (
+                () if one.data is None else (one.data.inputs.tobytes(), one.data.trials.tobytes())
             )
+            counts = one.postures, one.trials, one.markers
+            digests[f'design {i + 1}'] = _digest(one.name, *counts, *data)
         for i, (name, noise) in enumerate(setup.noises):
             digests[f'noise {i + 1}'] = _digest(name, noise)
         return digests
@@ -160,9 +165,8 @@ def arms_of(
     if not isinstance(value, list) or not value:
         raise top.error('robots', 'a list of robot descriptions', value)
     for i, item in enumerate(value):
-        entry = PlanReader(
-            top.source, f'robots[{i}]', {'file': item} if isinstance(item, str) else item
-        )
+        keys = {'file': item} if isinstance(item, str) else item
+        entry = PlanReader(top.source, f'robots[{i}]', keys)
         entry.only('file', 'but', 'down')
         path = entry.content.get('file')
         if not isinstance(path, str):
@@ -178,7 +182,7 @@ def arms_of(
 def designs_of(top: PlanReader, folder: Path) -> Iterator[Design]:
     """Yield the designs of a plan."""
     names = []
-    for entry in top.items('designs') if top.has('designs') else ():
+    for entry in top.entries('designs'):
         entry.only('name', 'postures', 'trials', 'markers', 'data')
         data = entry.content.get('data')
         if data is not None and not isinstance(data, str):
@@ -186,11 +190,8 @@ def designs_of(top: PlanReader, folder: Path) -> Iterator[Design]:
         postures = entry.count('postures', 12, 3)
         trials = entry.count('trials', 5, 1)
         markers = entry.count('markers', 0)
-        if data:
-            title = f'as {Path(data).name}'
-        else:
-            placed = f'{markers} markers' if markers else 'a marker per cell'
-            title = f'{postures} postures x {trials} x {placed}'
+        placed = f'{markers} markers' if markers else 'a marker per cell'
+        title = f'as {Path(data).name}' if data else f'{postures} postures x {trials} x {placed}'
         names.append(entry.name('name') if entry.has('name') else title)
         measured = load_dataset(folder / data) if data else None
         yield Design(names[-1], postures, trials, markers, measured)
@@ -200,7 +201,7 @@ def designs_of(top: PlanReader, folder: Path) -> Iterator[Design]:
 def noises_of(top: PlanReader) -> Iterator[tuple[str, SimulatedNoise]]:
     """Yield the noises of a plan, by name."""
     names = []
-    for entry in top.items('noise') if top.has('noise') else ():
+    for entry in top.entries('noise'):
         known = tuple(field.name for field in fields(SimulatedNoise))
         entry.only('name', *known)
         values = {key: entry.number(key, 0.0, 0.5) for key in known if entry.has(key)}
@@ -224,28 +225,28 @@ def cases_of(
     full = set(top.words('full_size', [*catalogue.names, *CAUSES], ()))
     usual = 0.0 if setup.question == INTERVALS else 1.0  # that arm is the model's own
     levels = top.numbers_in('imperfections', 0.0, 5.0, (usual,))
-    exact, scatter = top.flag('exact'), 0.0
-    if top.has('scatter'):
-        scatter = top.number('scatter', 0.0, 0.2)
+    scatter = top.number('scatter', 0.0, SCATTER_MAX) if top.has('scatter') else 0.0
     seeds, clean = top.count('seeds', 20), top.count('clean', 0)
     sizes = sizes_of(top)
-    shared: dict[str, Any] = {'exact': exact, 'scatter': scatter, 'declared': top.flag('declared')}
+    shared: dict[str, Any] = {'scatter': scatter}
+    shared |= {key: top.flag(key) for key in ('exact', 'declared')}
     methods = list(itertools.product(range(len(setup.designs)), range(len(setup.noises)), levels))
+    shown = {
+        arm.name: [
+            name
+            for name in hidden
+            if name not in skipped[arm.name] and can_show(name, arm, setup, catalogue)
+        ]
+        for arm in setup.arms
+    }
     for number in range(max(seeds, clean)):
         for arm in setup.arms:
-            if number < clean:
-                yield from (
-                    Case(arm.name, NOTHING, 0.0, number, *method, **shared) for method in methods
-                )
-            if number >= seeds:
-                continue
-            for name in hidden:
-                if name in skipped[arm.name] or not can_show(name, arm, setup, catalogue):
-                    continue
-                for size in [1.0] if name in full else sizes(setup.seed, number, name):
-                    yield from (
-                        Case(arm.name, name, size, number, *method, **shared) for method in methods
-                    )
+            what = [(NOTHING, 0.0)] if number < clean else []
+            for name in shown[arm.name] if number < seeds else ():
+                drawn = [1.0] if name in full else sizes(setup.seed, number, name)
+                what += [(name, size) for size in drawn]
+            for (name, size), method in itertools.product(what, methods):
+                yield Case(arm.name, name, size, number, *method, **shared)
 
 
 def sizes_of(top: PlanReader) -> Callable[[int, int, str], list[float]]:
@@ -254,7 +255,7 @@ def sizes_of(top: PlanReader) -> Callable[[int, int, str], list[float]]:
         raise top.error('drawn', 'either sizes or drawn', top.content['drawn'])
     if not top.has('drawn'):
         listed = top.numbers_in('sizes', *SIZES, (0.1, 0.3, 1.0))
-        return lambda seed, number, name: listed
+        return lambda *_: listed
     bounds = top.numbers_in('drawn', *SIZES, ())
     if len(bounds) != 2 or bounds[0] >= bounds[1]:
         raise top.error('drawn', '[smallest, largest] size', bounds)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
@@ -99,6 +99,11 @@ class Family:
         """Tip positions (b, 3) [m]."""
         tip: Floats = self.positions[:, -1]
         return tip
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether all bends lie in the x-z plane."""
+        return bool(np.abs(self.bend[..., 1]).max(initial=0.0) < 1e-9)
 
     @property
     def span(self) -> Floats:
@@ -209,62 +214,42 @@ def find_workspace(
         raise InputError(
             f'workspace: {total:,} postures are more than {POSTURES_MAX:,}; make the step larger'
         )
-    kept = _Kept(tuple(float(view) for view in views), tolerance)
-    count = len(levels) ** 2
+    parts: dict[tuple[int, int, int], list[tuple[Floats, ...]]] = {}
+    count, unsolved, largest = len(levels) ** 2, 0, 0.0
     for which, pair in enumerate(chosen):
         for start in range(0, count, POSTURES_AT_ONCE):
             own = np.arange(start, min(start + POSTURES_AT_ONCE, count))
             tensions = np.full((len(own), len(model.inputs)), low)
             tensions[:, pair.indices] = levels[np.stack(np.divmod(own, len(levels)), axis=1)]
-            kept.add(which, *model.solve(tensions))
+            batch, changes = model.solve(tensions)
+            good, angle = changes < TOLERANCE, tip_angles(batch.bend, batch.tip_direction)
+            unsolved += int((~good).sum())
+            largest = max(largest, float(np.abs(angle[good]).max(initial=0.0)))
+            arrays = (batch.inputs, batch.bend, batch.positions, angle)
+            for (v, view), side in product(enumerate(views), (1, -1)):
+                rows = good & (np.abs(side * angle - view) <= tolerance)
+                if rows.any():
+                    part = tuple(array[rows] for array in arrays)
+                    parts.setdefault((v, which, side), []).append(part)
             show('postures', which * count + start + len(own), total)
+    families = [
+        Family(chosen[which], float(views[v]), side, *map(np.concatenate, zip(*rows, strict=True)))
+        for (v, which, side), rows in parts.items()
+    ]
+    order = [float(view) for view in views]
     return Workspace(
         robot=model.robot,
         step=step,
         pretension=low,
         limit=high,
         tolerance=tolerance,
-        views=kept.views,
+        views=tuple(order),
         pairs=chosen,
-        families=kept.families(chosen),
+        families=tuple(sorted(families, key=lambda one: (order.index(one.view), -len(one)))),
         postures=total,
-        unsolved=kept.unsolved,
-        largest=kept.largest,
+        unsolved=unsolved,
+        largest=largest,
     )
-
-
-class _Kept:
-    """The postures of a grid that look at a view angle."""
-
-    def __init__(self, views: tuple[float, ...], tolerance: float) -> None:
-        self.views, self.tolerance = views, tolerance
-        self.unsolved, self.largest = 0, 0.0
-        self._parts: dict[tuple[int, int, int], list[tuple[Floats, ...]]] = {}
-
-    def add(self, which: int, batch: ShapeBatch, changes: Floats) -> None:
-        """Keep what looks at a view angle."""
-        good = changes < TOLERANCE
-        angle = tip_angles(batch.bend, batch.tip_direction)
-        self.unsolved += int((~good).sum())
-        self.largest = max(self.largest, float(np.abs(angle[good]).max(initial=0.0)))
-        for v, view in enumerate(self.views):
-            for side in (1, -1):
-                rows = good & (np.abs(side * angle - view) <= self.tolerance)
-                if rows.any():
-                    arrays = (batch.inputs, batch.bend, batch.positions, angle)
-                    part = tuple(array[rows] for array in arrays)
-                    self._parts.setdefault((v, which, side), []).append(part)
-
-    def families(self, pairs: Sequence[Pair]) -> tuple[Family, ...]:
-        """Return them by view and pair, the largest family of a view first."""
-        families = [
-            Family(
-                pairs[which], self.views[v], side, *map(np.concatenate, zip(*rows, strict=True))
-            )
-            for (v, which, side), rows in self._parts.items()
-        ]
-        order = {view: v for v, view in enumerate(self.views)}
-        return tuple(sorted(families, key=lambda family: (order[family.view], -len(family))))
 
 
 def tip_angles(bend: Floats, direction: Floats) -> Floats:

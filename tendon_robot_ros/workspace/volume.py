@@ -111,28 +111,22 @@ class Sampling:
         if edge is None:
             # tips fill about three squares, or four cubes, of the length of the arm; those of one
             # section in space are a shell of about four squares
-            cubes, flat = postures / POSTURES_PER_CUBE, not tendon_offsets(robot)[..., 1].any()
+            flat, wanted = not tendon_offsets(robot)[..., 1].any(), postures / POSTURES_PER_CUBE
             sheet = flat or bends_as_one(robot)
-            count = (max(cubes, 0.0) / (3.0 if flat else 4.0)) ** (1 / 2 if sheet else 1 / 3)
+            count = (max(wanted, 0.0) / (3.0 if flat else 4.0)) ** (1 / 2 if sheet else 1 / 3)
             edge = robot.length / float(np.clip(count, minimum, maximum))
+        smallest, expected = robot.length / maximum, ''
         if not 0 < postures <= POSTURES_MAX:
-            raise InputError(
-                f'workspace: expected 1 to {POSTURES_MAX:,} postures, got {postures:,}'
-            )
-        if not 0.0 <= low < high:
-            raise InputError(
-                'workspace: expected a pretension from 0 to below the limit, '
-                f'got {low:g} N and {high:g} N'
-            )
-        if (len(views) and min(views) < 0.0) or not tolerance > 0.0:
-            raise InputError(
-                'workspace: expected view angles of 0° or more and a tolerance above 0'
-            )
-        if not robot.length / maximum <= edge <= robot.length:
-            raise InputError(
-                f'workspace: expected cubes of {1e3 * robot.length / maximum:.2g} mm to the '
-                f'length of the arm, got {1e3 * edge:.3g} mm'
-            )
+            expected = f'1 to {POSTURES_MAX:,} postures, got {postures:,}'
+        elif not 0.0 <= low < high:
+            expected = f'a pretension from 0 to below the limit, got {low:g} N and {high:g} N'
+        elif (len(views) and min(views) < 0.0) or not tolerance > 0.0:
+            expected = 'view angles of 0° or more and a tolerance above 0'
+        elif not smallest <= edge <= robot.length:
+            cubes = f'cubes of {1e3 * smallest:.2g} mm to the length of the arm'
+            expected = f'{cubes}, got {1e3 * edge:.3g} mm'
+        if expected:
+            raise InputError(f'workspace: expected {expected}')
         files = model.catalogue.files
         return cls(robot, files, postures, tuple(views), tolerance, (low, high), edge, seed)
 
@@ -406,12 +400,11 @@ def find_volume(
     """
     robot, catalogue = sampling.robot, load_catalogue(sampling.files)
     samplings = [sampling]
-    friction = {name for name in robot.effects if catalogue[name].takes_force}
-    if friction:
+    if friction := {name for name in robot.effects if catalogue[name].takes_force}:
         without = {
             name: values
             for name, values in robot.effects.items()
-            if name not in friction and catalogue[name].acts_on not in friction
+            if not {name, catalogue[name].acts_on} & friction
         }
         samplings.append(replace(sampling, robot=replace(robot, effects=without)))
     streams = [
@@ -437,9 +430,7 @@ def find_volume(
         late=(len(reached) - streams[0].late) / len(reached),
         largest=float(tally.largest[0]),
         sphere=float(tally.sphere.mean()),
-        views={
-            view: cubes.reached() for view, cubes in zip(sampling.views, tally.views, strict=True)
-        },
+        views={v: cubes.reached() for v, cubes in zip(sampling.views, tally.views, strict=True)},
         frictionless=streams[1].tally.all.reached() if len(streams) > 1 else None,
     )
 
