@@ -184,8 +184,8 @@ def test_names_cannot_break_out_of_the_page(planar):
 
 
 def test_the_staircase_stands_in_groups():
-    steps = [Step('before', 2e-3, 'before', g) for g in ('fitted', 'check')]
-    steps += [Step('after', 3e-4, 'after', g) for g in ('fitted', 'check')]
+    steps = [Step('before', 2e-3, '#111111', g) for g in ('fitted', 'check')]
+    steps += [Step('after', 3e-4, '#222222', g) for g in ('fitted', 'check')]
     figure = staircase(steps)
     assert [trace['x'] for trace in figure.data] == [['fitted', 'check']] * 2
     assert [trace['text'] for trace in figure.data] == [['2.00'] * 2, ['0.300'] * 2]

@@ -374,10 +374,7 @@ def _lengths(option: str, text: str) -> tuple[float, ...]:
 
 def with_measurements(recipe: Recipe, args: argparse.Namespace) -> Recipe:
     """Return a recipe with the thresholds of the arguments."""
-    still = {
-        'speed': None if args.speed is None else 1e-3 * args.speed,
-        'duration': args.duration,
-    }
+    still = {'speed': None if args.speed is None else 1e-3 * args.speed, 'duration': args.duration}
     same = {'same': input_size('--same', args.same), 'rest': input_size('--rest', args.rest)}
     more = {'delay': None if args.delay is None else (args.delay,), 'path': args.path}
     more = {key: value for key, value in more.items() if value is not None}

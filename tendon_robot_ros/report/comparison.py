@@ -25,7 +25,8 @@ from .page import (
     Shown,
     Trace,
     axes,
-    coordinates,
+    from_the_side,
+    placed,
     plain,
     symbol,
     titled,
@@ -217,10 +218,11 @@ def add_verdict(page: Page, comparison: Comparison) -> None:
 
 def steps(comparison: Comparison) -> list[Step]:
     """Return the errors of the models as steps, the largest first, down to the noise floor."""
-    steps = [Step(one.name, one.rms, model=i) for i, one in enumerate(comparison.models)]
+    models = enumerate(comparison.models)
+    steps = [Step(one.name, one.rms, line_style(i).colour) for i, one in models]
     steps.sort(key=lambda step: -step.error)
     floor = comparison.noise_floor
-    return [*steps, Step('noise floor', floor, 'floor')] if floor is not None else steps
+    return [*steps, Step('noise floor', floor, FLOOR)] if floor is not None else steps
 
 
 def add_shapes(page: Page, comparison: Comparison, faults: Sequence[Fault] = ()) -> None:
@@ -328,18 +330,14 @@ def fault_rings(line: Floats, places: Sequence[tuple[float, str]]) -> list[Trace
     at = [distance for distance, _ in places]
     points = np.column_stack([np.interp(at, along, nodes[:, axis]) for axis in range(3)])
     ring = {'color': WARN, 'symbol': 'circle-open', 'size': 16, 'line': {'width': 3}}
-    rings = {**coordinates(points), 'name': 'wrong here', 'mode': 'markers', 'marker': ring}
-    return [{**rings, 'text': [escape(text) for _, text in places], 'hoverinfo': 'text'}]
+    more = {'text': [escape(text) for _, text in places], 'hoverinfo': 'text', 'marker': ring}
+    return [placed(points, 'markers', 'wrong here', **more)]
 
 
 def flat_figure(drawn: DrawnPosture) -> Figure:
     """Draw one posture in the x-z plane, as seen along y."""
-    data = []
-    for trace in drawn.traces:
-        rest = {key: value for key, value in trace.items() if key != 'z'}
-        data.append({**rest, 'y': trace['z']})
-    layout = small_axes('x [mm]')
-    return Figure(data, layout, drawn.title, drawn.caption, HEIGHTS_PX['low'])
+    data = [*map(from_the_side, drawn.traces)]
+    return Figure(data, small_axes('x [mm]'), drawn.title, drawn.caption, HEIGHTS_PX['low'])
 
 
 def small_axes(x: str | Trace, **more: Trace) -> Trace:
@@ -430,19 +428,15 @@ def posture_traces(comparison: Comparison, p: int) -> list[Trace]:
     """Return the lines and points of one posture in space."""
     measured, traces = comparison.measured, []
     for i, model in enumerate(comparison.models):
-        style = line_style(i)
-        line = {'color': style.colour, 'dash': style.dash, 'width': 3}
-        arm = coordinates(np.concatenate([np.zeros((1, 3)), model.line[p]]))
-        traces.append({**arm, 'name': escape(model.name), 'mode': 'lines', 'line': line})
+        style, arm = line_style(i), np.concatenate([np.zeros((1, 3)), model.line[p]])
+        line: Trace = {'color': style.colour, 'dash': style.dash, 'width': 3}
+        traces.append(placed(arm, 'lines', model.name, line=line))
         if model.centreline is not None:  # markers beside the arm, joined with the measured ones
             gap = np.full_like(measured.mean[p], np.nan)
             joined = np.stack([measured.mean[p], model.markers[p], gap], axis=1).reshape(-1, 3)
             line = {'color': FLOOR, 'width': 1.5}
-            error = {**coordinates(joined), 'mode': 'lines', 'line': line, 'name': 'error'}
-            traces.append({**error, 'hoverinfo': 'skip'})
-            marker = {'color': style.colour, 'symbol': 'circle-open', 'size': 7}
-            ring = {**coordinates(model.markers[p]), 'mode': 'markers', 'marker': marker}
-            traces.append({**ring, 'name': 'predicted marker'})
-    points = {**coordinates(measured.mean[p]), 'text': [*map(escape, measured.markers)]}
-    marker = {'color': MEASURED, 'size': 5}
-    return [*traces, {**points, 'name': 'measured', 'mode': 'markers', 'marker': marker}]
+            traces.append(placed(joined, 'lines', 'error', line=line, hoverinfo='skip'))
+            ring = {'color': style.colour, 'symbol': 'circle-open', 'size': 7}
+            traces.append(placed(model.markers[p], 'markers', 'predicted marker', marker=ring))
+    dot, names = {'color': MEASURED, 'size': 5}, [*map(escape, measured.markers)]
+    return [*traces, placed(measured.mean[p], 'markers', 'measured', marker=dot, text=names)]

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..common.colours import FLOOR, line_style
 from ..common.errors import NoEquilibriumError
 from ..common.words import PROGRAM, capital, listed, mm, percent, probability
 from ..comparison.compare import compare
@@ -201,11 +202,12 @@ def falling(
     before: float, alone: float | None, after: float, floor: float | None, group: str = ''
 ) -> list[Step]:
     """Return the steps from an error [m] to that of a perfect model, of one group of postures."""
-    steps = [Step('before', before, 'before', group)]
+    first, last, middle = (line_style(i).colour for i in range(3))
+    steps = [Step('before', before, first, group)]
     if alone is not None and math.isfinite(alone):
-        steps.append(Step('effects alone', alone, 'after', group, 2))
-    steps.append(Step('after', after, 'after', group))
-    return steps if floor is None else [*steps, Step('noise floor', floor, 'floor', group)]
+        steps.append(Step('effects alone', alone, middle, group))
+    steps.append(Step('after', after, last, group))
+    return steps if floor is None else [*steps, Step('noise floor', floor, FLOOR, group)]
 
 
 def add_alternatives(page: Page, diagnosis: Diagnosis) -> None:

@@ -46,9 +46,8 @@ class Step:
 
     label: str
     error: float
-    kind: str = 'before'  # 'before', 'after' or 'floor'
+    colour: str
     group: str = ''  # which postures
-    model: int | None = None  # place in a list of models; default: before 0, after 1
 
 
 def symbols(model: int, size: int | None = None) -> Trace:
@@ -148,8 +147,6 @@ def staircase(
     data: list[Trace] = []
     for label in dict.fromkeys(step.label for step in steps):
         part = [step for step in steps if step.label == label]
-        first = part[0]
-        model = int(first.kind == 'after') if first.model is None else first.model
         data.append(
             {
                 'type': 'bar',
@@ -159,7 +156,7 @@ def staircase(
                 'textposition': 'outside',
                 'cliponaxis': False,
                 'name': escape(label),
-                'marker': {'color': FLOOR if first.kind == 'floor' else line_style(model).colour},
+                'marker': {'color': part[0].colour},
             }
         )
     layout = axes(

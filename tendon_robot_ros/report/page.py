@@ -80,6 +80,17 @@ def trace(
     return {'x': x, 'y': y, 'name': escape(name), 'mode': mode, **more}
 
 
+def placed(points: npt.NDArray[np.float64], mode: str, name: str, **more: Any) -> Trace:
+    """Return what is drawn of points (n, 3) [m], in mm; its name is escaped."""
+    return {**coordinates(points), 'mode': mode, 'name': escape(name), **more}
+
+
+def from_the_side(drawn: Trace) -> Trace:
+    """Return what is drawn of points in space as seen along y."""
+    rest = {key: value for key, value in drawn.items() if key not in ('z', 'type')}
+    return {**rest, 'y': drawn['z']}
+
+
 def curve(
     x: Sequence[Any],
     y: Sequence[Any],

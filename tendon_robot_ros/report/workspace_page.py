@@ -28,7 +28,9 @@ from .page import (
     coordinates,
     curve,
     degrees_list,
+    from_the_side,
     mm_list,
+    placed,
     titled,
 )
 
@@ -100,18 +102,19 @@ def postures(family: Family) -> Figure:
         points = np.concatenate([np.zeros((1, 3)), family.positions[row]])
         marker: Trace = {'color': style.colour, 'symbol': style.symbol, 'size': 5 if planar else 3}
         line = {'color': style.colour, 'dash': style.dash, 'width': 2 if planar else 5}
-        trace = {**_places(points, planar), 'name': HEIGHT_NAMES[i], 'mode': 'lines+markers'}
-        data.append({**trace, 'line': line, 'marker': marker})
-    kept = _places(thinned(family.tips, Shown.DRAWN_POINTS), planar)
+        drawn = in_space(points, 'lines+markers', HEIGHT_NAMES[i], line=line, marker=marker)
+        data.append(drawn)
+    kept = thinned(family.tips, Shown.DRAWN_POINTS)
     marker = {'color': FLOOR, 'size': 5 if planar else 2, 'opacity': 0.6}
-    data.append({**kept, 'name': 'all tips', 'mode': 'markers', 'marker': marker})
+    data.append(in_space(kept, 'markers', 'all tips', marker=marker))
     across, along = spans(family)
     caption = f'{len(family)} postures; tips within {across} across and {along} along z.'
     if not planar:
         caption += ' Drag to turn.'
         return Figure(data, scene(), title, caption, height=HEIGHTS_PX['tall'])
     layout = axes('x [mm]', titled('z [mm]', scaleanchor='x'))
-    return Figure(data, layout, title, caption, height=HEIGHTS_PX['tall'])
+    flat = [*map(from_the_side, data)]
+    return Figure(flat, layout, title, caption, height=HEIGHTS_PX['tall'])
 
 
 def displacement(family: Family) -> Figure:
@@ -129,13 +132,6 @@ def displacement(family: Family) -> Figure:
     title, caption = 'Angular displacement per cell', '; '.join(pulled)
     layout = axes('cell', 'angular displacement per cell [°]')
     return Figure(data, layout, title, caption, height=HEIGHTS_PX['tall'])
-
-
-def _places(points: Floats, planar: bool) -> Trace:
-    """Return points (n, 3) [m] as they are drawn: in the x-z plane, or in space."""
-    if planar:
-        return {'x': mm_list(points[:, 0]), 'y': mm_list(points[:, 2])}
-    return {'type': 'scatter3d', **coordinates(points)}
 
 
 def thinned[T: np.generic](rows: npt.NDArray[T], maximum: int) -> npt.NDArray[T]:
@@ -282,7 +278,7 @@ def scene() -> Trace:
 
 def in_space(points: Floats, mode: str, name: str, **more: Any) -> Trace:
     """Return what is drawn of points (n, 3) [m] in a scene."""
-    return {'type': 'scatter3d', 'mode': mode, 'name': name, **coordinates(points), **more}
+    return {'type': 'scatter3d', **placed(points, mode, name, **more)}
 
 
 def cloud_figure(volume: Volume) -> Figure:

@@ -202,11 +202,6 @@ class MotionExperiment:
     stiffening: Stiffening  # by the tendons that are pulled
     every_tendon: Stiffening  # by all that run there
 
-    @property
-    def main(self) -> Family:
-        """The postures at 180° with most members: figure 8."""
-        return self.workspace.of(Published.VIEW_ANGLES_RAD[0])[0]
-
 
 def motion(robot: Robot) -> MotionExperiment:
     """Sweep a robot of two sections with grouped tendons as section IV.B does."""
