@@ -25,9 +25,8 @@ from ..data import load_dataset
 from ..effects import Catalogue
 from ..model.versions import UserEffect, catalogue_of, differences, refuse_difference, versions
 from ..robot import dump_robot, load_robot
-from ..simulation.hidden import CAUSES
+from ..simulation.hidden import CAUSES, SCATTER_MAX
 from ..simulation.measurements import SimulatedNoise
-from ..simulation.plant import SCATTER_MAX
 from .cases import NOTHING, Case, Design, PlannedRobot, needs
 from .judge import DIAGNOSIS, INTERVALS, QUESTIONS, CaseRow, Setup
 from .running import TABLE, GrowingTable, judge_all

@@ -44,8 +44,8 @@ from ...effects import load_catalogue
 from ...model.model import Model
 from ...robot import Robot, dump_robot, load_robot
 from ...robot.keep_out import KeepOut
+from ...simulation.hidden import STIFFNESS_SCATTER
 from ...simulation.rehearsal import (
-    STIFFNESS_SCATTER,
     Hidden,
     Story,
     TourPosture,
