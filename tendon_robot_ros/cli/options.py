@@ -141,13 +141,12 @@ def named_numbers(option: str, text: str, unit: str) -> dict[str, float]:
     values: dict[str, float] = {}
     for part in text.split(','):
         name, _, number = (word.strip() for word in part.rpartition('='))
-        try:
-            value = float(number) if name else math.nan
-        except ValueError:
-            value = math.nan
-            if unit == 'N' and number[:1].isdigit():
-                value = read_quantity(f'{option}: {name}', number, unit, 'force')
-        if math.isnan(value):
+        value = None
+        with suppress(ValueError):
+            value = float(number)
+        if value is None and name and unit == 'N' and number[:1].isdigit():
+            value = read_quantity(f'{option}: {name}', number, unit, 'force')
+        if value is None or not name:
             expected = f'expected NAME=NUMBER,NAME=NUMBER in {unit}'
             raise InputError(f'{option}: {expected}, got {part.strip()!r}')
         if name in values:

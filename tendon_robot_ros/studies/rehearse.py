@@ -132,12 +132,10 @@ class SimulatedArm:
         self.visited.append(np.array(inputs))
         if self._random.random() < self.lost:
             raise BrokenMeasurementError('the tracker lost the arm')
-        setting = 1.0 + self.noise.setting * self._random.normal(size=inputs.shape)
-        factors = setting * (
-            1.0 + self.noise.trial * self._random.normal(size=(trials, *inputs.shape))
-        )
+        setting = self._random.normal(size=inputs.shape)
+        factors = self.noise.factors(setting, self._random.normal(size=(trials, *inputs.shape)))
         try:
-            mean = self.markers_after(inputs * np.maximum(factors, 0.0))
+            mean = self.markers_after(inputs * factors)
         except (NoEquilibriumError, InputError) as error:
             raise BrokenMeasurementError(f'the arm does not stand: {error}') from None
         size = float(self.position_noise or 0.0)
