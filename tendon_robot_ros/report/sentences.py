@@ -162,12 +162,12 @@ def as_built(report: Mapping[str, Any] | None) -> list[str]:
         name, size, low, high = (kind[key] for key in ('kind', 'size', 'low', 'high'))
         if not kind['told']:
             continue
-        most, least, top = (
+        shown, least, most = (
             '' if end is None else amount(end, kind['unit']) for end in (size, low, high)
         )
-        interval = f'{most} ({least} to {top})'
+        interval = f'{shown} ({least} to {most})'
         if low <= 0.0 or high is None:  # where one end is open, the other one alone
-            interval = f'below {top}' if low <= 0.0 else f'above {least}'
+            interval = f'below {most}' if low <= 0.0 else f'above {least}'
         sizes.append(f'{KIND_NAMES[name]} {interval}')
     lines = [f'the arm as built scatters by (1 sd, 95 %): {", ".join(sizes)}'] if sizes else []
     strange = [
@@ -184,7 +184,7 @@ def as_built(report: Mapping[str, Any] | None) -> list[str]:
     return lines
 
 
-def excluded_lines(details: Mapping[str, Any], how: str = 'left out') -> list[str]:
+def excluded_lines(details: Mapping[str, Any]) -> list[str]:
     """Describe excluded readings and trials, and postures without an equilibrium."""
     unsettled = [f'posture {name}' for name in details.get('unsettled') or []]
     trials, readings = [], {}  # a reading of a marker: what it is, and how far it is off [m]
@@ -194,10 +194,12 @@ def excluded_lines(details: Mapping[str, Any], how: str = 'left out') -> list[st
             readings[f'marker {one["marker"]} in {where}'] = one['distance']
         else:
             trials.append(where)
-    contradicted = f'{how}, because the other trials contradict it'
+    contradicted = 'left out, because the other trials contradict it'
     sentences = []
     if unsettled:
-        sentences.append(f'{how}, because the description has no equilibrium: {listed(unsettled)}')
+        sentences.append(
+            f'left out, because the description has no equilibrium: {listed(unsettled)}'
+        )
     if trials:
         sentences.append(f'{contradicted}: {listed(trials)}')
     if 0 < len(readings) <= Shown.READINGS:
@@ -205,7 +207,7 @@ def excluded_lines(details: Mapping[str, Any], how: str = 'left out') -> list[st
         sentences.append(f'{contradicted}: {listed(named)}')
     elif readings:
         sentences.append(
-            f'{how}: {len(readings)} readings of single markers that the other trials '
+            f'left out: {len(readings)} readings of single markers that the other trials '
             f'contradict (by up to {mm(max(readings.values()))})'
         )
     return sentences

@@ -361,7 +361,8 @@ def coverage(rows: Sequence[CaseRow]) -> list[tuple[float, Rate]]:
 def rates(rows: Sequence[CaseRow]) -> dict[str, Rate]:
     """Return the rates that the diagnosis is judged by."""
     effects = [row for row in rows if row.hidden not in (*CAUSES, NOTHING)]
-    named, visible = ([r for r in effects if getattr(r, key)] for key in ('right', 'visible'))
+    named = [row for row in effects if row.right]
+    visible = [row for row in effects if row.visible]
     causes = [row for row in rows if row.hidden in CAUSES]
     clean = [row for row in rows if row.hidden == NOTHING]
     twins = {effect.name for effect in load_catalogue() if effect.scales_bends}

@@ -216,7 +216,7 @@ def displacement_numbers(experiment: DisplacementExperiment) -> Iterator[Number]
 def tension_numbers(experiment: TensionExperiment) -> Iterator[Number]:
     """Return the errors of section IV.D."""
     why = (
-        f'one hinge lever of {1e3 * experiment.lever:.2f} mm for all four; trials scatter by '
+        f'one hinge lever of {1e3 * Assumed.HINGE_LEVER_M:.2f} mm for all four; trials scatter by '
         '1 mm; the range is over levers within 12.5 %'
     )
     for key, published in Published.ERRORS_M.items():
@@ -444,10 +444,11 @@ def add_displacement(page: Page, experiment: DisplacementExperiment) -> None:
         'The published errors (5.9 and 23.7 mm) require 17.8 to 29.6 mm between the tips of FKM '
         f'and PCCA. Wires on opposite sides give {mm(low)} to {mm(high)} over all tip heights; '
         'this is the arrangement used below.',
-        f'Hinge friction does not show here: at given pulls a lever of {mm(experiment.lever)} '
-        f'moves the tip by {1e3 * experiment.hinge_shift:.2f} mm, because it scales the '
-        'tensions and not the shape. The scatter of the cells alone, 2° per cell with the sum '
-        'over a section held by its wires, makes a tip error of the published size.',
+        'Hinge friction does not show here: at given pulls a lever of '
+        f'{mm(Assumed.HINGE_LEVER_M)} moves the tip by {1e3 * experiment.hinge_shift:.2f} mm, '
+        'because it scales the tensions and not the shape. The scatter of the cells alone, 2° per '
+        'cell with the sum over a section held by its wires, makes a tip error of the published '
+        'size.',
     )
     pairs = [test for test in experiment.comparison.paired_t if test.posture is not None]
     page.text(*(f'{capital(say.paired(test))} (published: P < 0.01).' for test in pairs))

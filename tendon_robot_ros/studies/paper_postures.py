@@ -65,15 +65,12 @@ class DisplacementExperiment:
     others: tuple[Heights, ...]  # other arrangements and arms
     data: DataSet  # of one simulated prototype
     comparison: Comparison
-    lever: float  # [m]
     hinge_shift: float  # [m] largest tip shift that the hinge friction makes at these pulls
     errors: dict[tuple[str, str], Spread]  # height, model: over many prototypes
     scatter: float  # [rad] of the mean angles of the cells about the FKM, in the comparison
 
 
-def displacement_experiment(
-    robot: Robot, lever: float = Assumed.HINGE_LEVER_M, seed: int = 0
-) -> DisplacementExperiment:
+def displacement_experiment(robot: Robot) -> DisplacementExperiment:
     """
     Simulate section IV.C on a robot of two sections.
 
@@ -81,10 +78,6 @@ def displacement_experiment(
     ----------
     robot : Robot
         As its owner describes it (the FKM), planar.
-    lever : float
-        Hinge friction that the simulated prototype has [m].
-    seed : int
-        Of the prototype and its trials.
 
     """
     pairs = {pair.kind: pair for pair in reversed(pairs_of(robot))}
@@ -99,9 +92,9 @@ def displacement_experiment(
         for pair in pairs.values()
         for arm in Assumed.MOMENT_ARMS_M
     ]
-    plant = make_plant(robot, {'hinge_friction': {'lever': lever}}, scatter=0.0, seed=seed)
+    plant = prototype(robot, 0)
     settled = plant.shapes(heights.pulls, displacement=True).tip_position
-    data = trials(plant, heights, seed)
+    data = trials(plant, heights)
     models = [('FKM', robot), ('PCCA', pcca(robot))]
     comparison = compare(data, models, leave_out=False)  # as published
     bands, fkm = comparison.angle_bands(), comparison.models[0].angles
@@ -111,7 +104,6 @@ def displacement_experiment(
         data=data,
         others=tuple(one for one in others if one is not None),
         comparison=comparison,
-        lever=lever,
         hinge_shift=float(np.linalg.norm(settled - heights.tips, axis=1).max()),
         errors=many_prototypes(plant, heights, comparison),
         scatter=float(np.sqrt(np.mean((bands[0] - fkm) ** 2))),
@@ -164,9 +156,9 @@ def constant_curvature(robot: Robot, pair: Pair, pulls: Floats) -> tuple[Floats,
     return model.solve(needed)[0].tip_position, needed[:, two]
 
 
-def trials(plant: Plant, heights: Heights, seed: int) -> DataSet:
+def trials(plant: Plant, heights: Heights) -> DataSet:
     """Pull the wires by hand, photograph: 15, 15 and 20 trials, (3, 20, n, 3) [m]."""
-    random, robot = np.random.default_rng(seed), plant.robot
+    random, robot = np.random.default_rng(0), plant.robot
     # of this prototype, in all its trials
     play = Published.CELL_SCATTER_RAD * random.normal(size=robot.cells)
     positions = np.full((3, max(Published.TRIALS_PER_HEIGHT), robot.cells, 3), np.nan)
@@ -258,7 +250,6 @@ class TensionExperiment:
 
     data: DataSet
     comparison: Comparison  # FKM, PCCA, FKM + hinge friction; the two postures
-    lever: float  # [m] that the simulated prototype hides
     largest: dict[tuple[str, str], float]  # posture, model: largest error [m]
     low: dict[tuple[str, str], float]  # the same over levers from 0.35 to 0.45 mm
     high: dict[tuple[str, str], float]
@@ -268,9 +259,7 @@ class TensionExperiment:
     redrawn: tuple[Diagnosis, ...]  # where that ends with other noise
 
 
-def tension_experiment(
-    robot: Robot, lever: float = Assumed.HINGE_LEVER_M, seed: int = 0
-) -> TensionExperiment:
+def tension_experiment(robot: Robot) -> TensionExperiment:
     """
     Simulate section IV.D on a robot of one section with inputs left and right.
 
@@ -278,34 +267,28 @@ def tension_experiment(
     ----------
     robot : Robot
         As its owner describes it (the FKM).
-    lever : float
-        Hinge friction that the simulated prototype has [m].
-    seed : int
-        Of the noise.
 
     """
     robot = replace(robot, tolerances=Assumed.TOLERANCES)
-    data = paper_postures(robot, lever, seed)
-    models = models_of(robot, lever)
+    data = measured(robot, Published.POSTURES_N, 0)
+    models = models_of(robot, Assumed.HINGE_LEVER_M)
     comparison = compare(data, models, error='sem', leave_out=False)  # as published
     largest = {
         (posture, model.name): float(np.nanmax(model.distance[p]))
         for p, posture in enumerate(Published.POSTURES_N)
         for model in comparison.models
     }
-    levers = [errors_of_lever(robot, factor * lever) for factor in Assumed.LEVER_FACTORS]
+    levers = [
+        errors_of_lever(robot, factor * Assumed.HINGE_LEVER_M) for factor in Assumed.LEVER_FACTORS
+    ]
     low, high = ({k: ends(one[k] for one in levers) for k in levers[0]} for ends in (min, max))
     (_, alone), (first, second) = Published.POSTURES_N.values()
     tips = Model(pcca(robot)).shapes([[0.0, alone], [first, second]]).tip_position
-    diagnoses = diagnose_and_measure(robot, data, lever, seed)
-    redrawn = [
-        diagnose_and_measure(robot, paper_postures(robot, lever, other), lever, other)[-1]
-        for other in range(seed + 1, seed + 1 + Assumed.NOISE_DRAWS)
-    ]
+    diagnoses = diagnose_and_measure(robot, 0)
+    redrawn = [diagnose_and_measure(robot, seed)[-1] for seed in range(1, 1 + Assumed.NOISE_DRAWS)]
     return TensionExperiment(
         data=data,
         comparison=comparison,
-        lever=lever,
         largest=largest,
         low=low,
         high=high,
@@ -316,11 +299,9 @@ def tension_experiment(
     )
 
 
-def measured(
-    robot: Robot, postures: Mapping[str, tuple[float, ...]], lever: float, seed: int
-) -> DataSet:
+def measured(robot: Robot, postures: Mapping[str, tuple[float, ...]], seed: int) -> DataSet:
     """Simulate ten trials of postures [N] of the prototype that has friction in its hinges."""
-    plant = make_plant(robot, {'hinge_friction': {'lever': lever}}, scatter=0.0, seed=seed)
+    plant = prototype(robot, seed)
     data = simulate(
         plant,
         [*postures.values()],
@@ -332,9 +313,10 @@ def measured(
     return replace(data, name='section IV.D, simulated', setting_noise=Assumed.SETTING_NOISE)
 
 
-def paper_postures(robot: Robot, lever: float, seed: int) -> DataSet:
-    """Simulate the two published postures."""
-    return measured(robot, Published.POSTURES_N, lever, seed)
+def prototype(robot: Robot, seed: int) -> Plant:
+    """Return the simulated prototype, which has friction in its hinges."""
+    hidden = {'hinge_friction': {'lever': Assumed.HINGE_LEVER_M}}
+    return make_plant(robot, hidden, scatter=0.0, seed=seed)
 
 
 def models_of(robot: Robot, lever: float) -> list[tuple[str, Robot]]:
@@ -356,19 +338,17 @@ def errors_of_lever(robot: Robot, lever: float) -> dict[tuple[str, str], float]:
     }
 
 
-def diagnose_and_measure(
-    robot: Robot, data: DataSet, lever: float, seed: int
-) -> tuple[Diagnosis, ...]:
-    """Diagnose, measure the posture that the diagnosis proposes, and again, a few times."""
+def diagnose_and_measure(robot: Robot, seed: int) -> tuple[Diagnosis, ...]:
+    """Diagnose the published postures, and again with those that the diagnoses propose."""
     postures: dict[str, tuple[float, ...]] = dict(Published.POSTURES_N)
-    diagnoses = [diagnose(data)]
+    diagnoses = [diagnose(measured(robot, postures, seed))]
     while len(diagnoses) <= Assumed.DIAGNOSIS_ROUNDS:
         following = diagnoses[-1].next_measurement
         if following is None:
             break
         inputs = tuple(following.input[name] for name in robot.inputs)
         postures[f'asked for {len(diagnoses)}'] = inputs
-        diagnoses.append(diagnose(measured(robot, postures, lever, seed)))
+        diagnoses.append(diagnose(measured(robot, postures, seed)))
     return tuple(diagnoses)
 
 
