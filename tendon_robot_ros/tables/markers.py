@@ -41,7 +41,7 @@ CHOICES = ('markers', 'rims', 'bodies')
 # [1] of a length, by which measured distances on the arm and on a rim may be off, because a ruler,
 # noise and a bent arm are no more exact
 DISTANCE_TOLERANCE = 0.05
-NAMELESS = ('unlabeled', 'unlabelled', 'unidentified', 'ghost')
+NAMELESS = {'unlabeled', 'unlabelled', 'unidentified', 'ghost'}
 # words in the name of a column that says whether a marker was visible, then in its cells
 VISIBLE = {'visible', 'visibility', 'seen', 'valid', 'tracked', 'detected'}  # 0: hidden
 HIDDEN = {'occluded', 'occlusion', 'hidden', 'missing', 'lost', 'invalid'}  # 0: visible
@@ -100,7 +100,8 @@ def choose_points(tables: Sequence[RawTable], choice: str | None) -> Points:
             + (f': {listed(_by_quantity(others))} are no measured places' if others else ''),
             'name them alike but for the axis, such as tip_x, tip_y, tip_z',
         )
-    named = [t for t in places if not _is_nameless(t)]
+    nameless = [t for t in places if t.columns[0].startswith('*') or NAMELESS & set(t.name)]
+    named = [t for t in places if t not in nameless]
     if not named:
         seen = [t for t in places if np.isfinite(t.places()).all(axis=1).mean() >= 0.5]
         named = seen or places
@@ -152,10 +153,6 @@ def _by_quantity(triples: Iterable[Triple]) -> list[str]:
         f'{what} ({names[0]}{f" and {len(names) - 1} more" if len(names) > 1 else ""})'
         for what, names in by.items()
     ]
-
-
-def _is_nameless(triple: Triple) -> bool:
-    return triple.columns[0].startswith('*') or bool(set(triple.name) & set(NAMELESS))
 
 
 def _rims(markers: Sequence[Triple]) -> list[list[Triple]]:

@@ -30,6 +30,17 @@ from .recipe import Recipe, Selection
 from .traces import Traces
 
 FROM_STRAIGHT, SEQUENCE, VISITS = 'from_straight', 'sequence', 'visits'
+# [1] of the largest input, to which load cells and the motors that follow them are known, because
+# usual ones are no better
+INPUT_TOLERANCE = 0.01
+# [1] times the usual threshold of stillness, above which noise does not raise it, because what is
+# more is motion, or a command
+RAISED_MAX = 10.0
+# [1] of the time that an arm is still at least, so that this quantile is noise alone
+QUIET_FRACTION = 0.15
+# [1] of the segments, that are at rest where an arm rests between trials, because half of them
+# are, and some are missed
+REST_FRACTION = 0.3
 # [1] of the range from the lowest input to the smallest load, below which inputs are let go,
 # because a load cell does not go back to exactly zero
 LET_GO_FRACTION = 0.2
@@ -51,40 +62,32 @@ IN_ORDER = {
 }
 
 
-def history_assumed(
-    path: str, rest: float, timed: bool, counts: Sequence[tuple[int, int, float]]
-) -> str:
+def history_assumed(path: str, rest: float, timed: bool, let_go: bool) -> str:
     """
     Describe the assumed history of the postures, and the option to contradict it.
 
-    `counts` are of `let_go_between`, recording by recording.
+    The arm was `let_go` where the inputs were released before most postures, however briefly.
     """
     if path != FROM_STRAIGHT:
         return IN_ORDER[path]
     if not timed:
         return ROWS
-    return RESTED if rest or _was_let_go(counts) else NO_REST
+    return RESTED if rest or let_go else NO_REST
 
 
-def _was_let_go(counts: Sequence[tuple[int, int, float]]) -> bool:
-    """Return whether the inputs were released before most loaded postures, however briefly."""
-    let_go, of = sum(count for count, _, _ in counts), sum(of for _, of, _ in counts)
-    return let_go > 0.5 * of
+def _size(segment: Segment) -> float:
+    """Return the largest input [N] or [m]."""
+    return float(np.nan_to_num(segment.inputs).max())
 
 
-def let_go_between(
-    times: FloatArray, inputs: FloatArray, segments: Sequence[Segment], same: float
-) -> tuple[int, int, float]:
+def let_go_between(pieces: Sequence[Piece], same: float) -> tuple[int, int, float]:
     """
     Count the loaded segments before which all inputs were released since the last loaded one.
 
     Parameters
     ----------
-    times : (T,) [s]
-    inputs : (T, m) [N] or [m]
-        Of one recording.
-    segments : sequence of Segment
-        Of the same recording, in order.
+    pieces : sequence of Piece
+        Recordings over time.
     same : float
         [N] or [m] inputs that differ by less are the same.
 
@@ -95,47 +98,31 @@ def let_go_between(
         [N] or [m] below which an input counts as released.
 
     """
-    sizes = np.nan_to_num(inputs).max(axis=1)
-    lowest = float(np.quantile(sizes, 0.01))
-    own = np.array([np.nan_to_num(one.inputs).max() for one in segments])
-    loaded = own > lowest + 3.0 * same
-    if not loaded.any():
-        return 0, 0, lowest
-    level = lowest + max(same, LET_GO_FRACTION * float(own[loaded].min() - lowest))
-    loaded_segments = [one for one, is_loaded in zip(segments, loaded, strict=True) if is_loaded]
-    count = 0
-    for before, after in pairwise(loaded_segments):
-        begin, end = np.searchsorted(times, [before.end, after.begin])
-        count += bool(sizes[begin:end].min(initial=np.inf) < level)
-    return count, len(loaded_segments) - 1, level
+    count, of, level = 0, 0, 0.0
+    for piece in pieces:
+        sizes = np.nan_to_num(piece.inputs).max(axis=1)
+        lowest = float(np.quantile(sizes, 0.01))
+        loaded = [one for one in piece.segments if _size(one) > lowest + 3.0 * same]
+        if not loaded:
+            continue
+        released = lowest + max(same, LET_GO_FRACTION * (min(map(_size, loaded)) - lowest))
+        for before, after in pairwise(loaded):
+            begin, end = np.searchsorted(piece.recording.state_times, [before.end, after.begin])
+            count += bool(sizes[begin:end].min(initial=np.inf) < released)
+        of += len(loaded) - 1
+        level = max(level, released)
+    return count, of, level
 
 
-def history_contradicted(
-    path: str, counts: Sequence[tuple[int, int, float]], unit: str
-) -> list[str]:
+def history_contradicted(path: str, count: int, of: int, level: float, unit: str) -> list[str]:
     """Return a line if the inputs were released between postures although `path` denies it."""
-    if path == FROM_STRAIGHT or not _was_let_go(counts):
+    if path == FROM_STRAIGHT or count <= 0.5 * of:
         return []
-    let_go, of = sum(count for count, _, _ in counts), sum(of for _, of, _ in counts)
-    level = max(level for _, _, level in counts)
     return [
-        f'before {let_go} of {of} loaded postures all inputs were let go (below '
+        f'before {count} of {of} loaded postures all inputs were let go (below '
         f'{digits(level)} {unit}): the arm was loaded from straight every time; leave out '
         f'--path {path}'
     ]
-
-
-# [1] of the largest input, to which load cells and the motors that follow them are known, because
-# usual ones are no better
-INPUT_TOLERANCE = 0.01
-# [1] times the usual threshold of stillness, above which noise does not raise it, because what is
-# more is motion, or a command
-RAISED_MAX = 10.0
-# [1] of the time that an arm is still at least, so that this quantile is noise alone
-QUIET_FRACTION = 0.15
-# [1] of the segments, that are at rest where an arm rests between trials, because half of them
-# are, and some are missed
-REST_FRACTION = 0.3
 
 
 @dataclass(frozen=True)
@@ -223,12 +210,11 @@ def measure(traces: Sequence[Traces], chosen: Selection, robot: Robot) -> StillM
     pieces = [_without_rest(piece, rest, first=index == 0) for index, piece in enumerate(pieces)]
     dropped += _dropped_lines(pieces, labels)
     kept = [one for piece in pieces for one in piece.segments]
-    counts = [  # before how many postures inputs were let go
-        let_go_between(piece.recording.state_times, piece.inputs, piece.segments, same)
-        for piece in pieces
-        if piece.motion is not None
-    ]
-    assumed.append(history_assumed(recipe.path, rest, recipe.time is not None, counts))
+    timed = [piece for piece in pieces if piece.motion is not None]
+    let_go = let_go_between(timed, same)  # before how many postures, and of how many
+    assumed.append(
+        history_assumed(recipe.path, rest, recipe.time is not None, let_go[0] > 0.5 * let_go[1])
+    )
     named = name_segments(kept, replace(rule, change=same), sequence=False)
     if recipe.path == SEQUENCE:  # rounds through it are trials; the last one may end early
         values = np.nan_to_num([one.inputs for one in kept])
@@ -251,7 +237,7 @@ def measure(traces: Sequence[Traces], chosen: Selection, robot: Robot) -> StillM
         tuple(assumed),
         (
             *(f'{one.recording.name}: {line}' for one in traces for line in one.exchanged),
-            *history_contradicted(recipe.path, counts, unit),
+            *history_contradicted(recipe.path, *let_go, unit),
         ),
     )
 
@@ -337,11 +323,6 @@ def _without_gaps(recording: Recording, stretches: Sequence[tuple[float, float]]
     return replace(recording, tracks=(replace(track, positions=positions),))
 
 
-def _sizes(segments: Sequence[Segment]) -> FloatArray:
-    """Return the largest input of every segment."""
-    return np.array([np.nan_to_num(one.inputs).max() for one in segments])
-
-
 def _guess_same(segments: Sequence[Segment]) -> float:
     """
     Return the difference of inputs up to which segments are trials of one posture.
@@ -375,7 +356,8 @@ def _guess_rest(segments: Sequence[Segment], same: float) -> float:
         return 0.0
     from scipy.cluster.hierarchy import fcluster, linkage  # takes half a second to import
 
-    inputs, sizes = np.nan_to_num([one.inputs for one in segments]), _sizes(segments)
+    inputs = np.nan_to_num([one.inputs for one in segments])
+    sizes = inputs.max(axis=1)
     tree = linkage(inputs, 'single', metric='chebyshev')
     postures = fcluster(tree, same, 'distance')  # (N,) number of the posture of each segment
     at_rest = postures == postures[int(sizes.argmin())]
@@ -389,7 +371,7 @@ def _without_rest(piece: Piece, rest: float, first: bool) -> Piece:
     """Exclude the segments at rest but the first one, which shows the straight arm."""
     if not rest:
         return piece
-    resting = _sizes(piece.segments) < rest
+    resting = [_size(one) < rest for one in piece.segments]
     if first and len(resting) and resting[0]:
         resting[0] = False
     pairs = list(zip(piece.segments, resting, strict=True))

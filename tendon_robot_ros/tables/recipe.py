@@ -53,7 +53,11 @@ class RecipeFields(DatasetFields):
     def read(self, kind: type[Part]) -> Part:
         """Read a dataclass by the annotations of its fields; a missing key is the default."""
         hints = get_type_hints(kind, include_extras=True)
-        known = {name: hint.__metadata__[0] for name, hint in hints.items() if _is_key(hint)}
+        known = {
+            name: hint.__metadata__[0]
+            for name, hint in hints.items()
+            if get_origin(hint) is Annotated
+        }
         self.only(*known)
         present = (name for name in known if self.has(name) or not hasattr(kind, name))
         return kind(**{name: known[name](self, name) for name in present})
@@ -141,10 +145,6 @@ class RecipeFields(DatasetFields):
             if frame.has('rotation') or frame.has('shift'):
                 frame.vector(one, 3)
         return frame.read(FrameChoice)
-
-
-def _is_key(hint: object) -> bool:
-    return get_origin(hint) is Annotated
 
 
 def number(low: float, high: float, unit: str) -> Read:

@@ -82,10 +82,14 @@ def find_clock(
     coordinates = positions.reshape(len(times), -1)
     longest = max(float(state_times[-1]), float(times[-1]))
     step = max(STEP_S, longest * coordinates.shape[1] / VALUES_MAX)
-    coarse, fine = (
-        (_inputs_on_grid(state_times, inputs, one), _motions_on_grid(times, coordinates, one))
-        for one in (5.0 * step, step)
-    )
+    grids = []  # coarse and fine: orthonormal columns that span the inputs; the largest motions
+    for one in (5.0 * step, step):
+        spanned, sizes = _modes(state_times, inputs, one)
+        moved, moves = _modes(times, coordinates, one)
+        total = max(float(np.linalg.norm(moves)), 1e-30)  # so that all have variance one together
+        known = sizes > 1e-6 * max(float(sizes.max(initial=0.0)), 1e-30)
+        grids.append((spanned[:, known], (moved * moves / total)[:, :PATTERNS_MAX]))
+    coarse, fine = grids
     count = int(DRIFT_MAX * times[-1] / DRIFT_STEP_S)
     drifts = np.linspace(-DRIFT_MAX, DRIFT_MAX, 2 * count + 1) if count else np.zeros(1)
     matches = np.array([_matches(*coarse, drift).max() for drift in drifts.tolist()])
@@ -111,18 +115,6 @@ def find_clock(
     other = max(_next_best(match, best), _next_best(matches, rough))
     before = len(match) - len(fine[0])  # steps by which the markers' grid may begin earlier
     return ClockFit((place - before) * step, drift, float(match[best]), other)
-
-
-def _inputs_on_grid(times: FloatArray, inputs: FloatArray, step: float) -> FloatArray:
-    """Return orthonormal columns that span the inputs at equal steps."""
-    u, s = _modes(times, inputs, step)
-    return u[:, s > 1e-6 * max(float(s.max(initial=0.0)), 1e-30)]
-
-
-def _motions_on_grid(times: FloatArray, coordinates: FloatArray, step: float) -> FloatArray:
-    """Return the largest principal motions at equal steps, of variance one together."""
-    u, s = _modes(times, coordinates, step)
-    return (u * s / max(float(np.linalg.norm(s)), 1e-30))[:, :PATTERNS_MAX]
 
 
 def _modes(times: FloatArray, values: FloatArray, step: float) -> tuple[FloatArray, FloatArray]:
