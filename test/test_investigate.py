@@ -201,7 +201,7 @@ def test_interrupted_it_lets_go_and_goes_on_where_it_was(tmp_path):
 
 
 def test_of_an_arm_without_a_hidden_effect_it_says_that_the_model_is_adequate():
-    made = Investigation(arm({}, seed=5), Goal()).run()
+    made = Investigation(arm({}, seed=5), Goal(start=7)).run()
     assert made.outcome is InvestigationEnd.ADEQUATE
     assert made.addition is None
 
