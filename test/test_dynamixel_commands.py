@@ -153,8 +153,7 @@ def test_calibrate_finds_the_friction_and_the_torque_of_the_motor(
     slow = SimpleNamespace(sleep=lambda s: time.sleep(s + next(waits)), monotonic=time.monotonic)
     monkeypatch.setattr(motions, 'time', slow)
     masses = FEW if late else MASSES
-    # of a longer way less is standing
-    assert calibrate('east', masses, 12.0 if late else 6.0) == 0
+    assert calibrate('east', masses) == 0
     said = capsys.readouterr().out
     assert 'half the gap' in said
     found = yaml.safe_load((tmp_path / 'lines.yaml').read_text())['east']

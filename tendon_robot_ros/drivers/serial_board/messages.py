@@ -177,14 +177,11 @@ class FrameReceiver:
         if len(self._rest) > FRAME_BYTES_MAX:
             self._rest = self._rest[: FRAME_BYTES_MAX + 1]
         frames = []
-        for piece in whole:
-            if not piece:
-                continue
-            frame = decode(piece)
-            if frame is None:
-                self.bad += 1
-            else:
+        for piece in filter(None, whole):
+            if frame := decode(piece):
                 frames.append(frame)
+            else:
+                self.bad += 1
         return frames
 
 
