@@ -32,9 +32,9 @@ from ..paths.path import PathRun
 from ..report.pictures import draw_run
 from ..robot import load_robot
 from ..tables import import_table
-from ..tables.columns import ColumnUse
+from ..tables.columns import UPS, ColumnUse
 from ..tables.markers import CHOICES
-from ..tables.recipe import INPUT_KINDS, METHODS, UPS, FrameChoice, Recipe, load_recipe
+from ..tables.recipe import INPUT_KINDS, METHODS, FrameChoice, Recipe, load_recipe
 from . import options
 from .options import input_size, length, pairs, progress
 

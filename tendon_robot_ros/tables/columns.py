@@ -155,6 +155,7 @@ WORDS = re.compile(r'[^\W\d_]+|\d+')
 HUMP = re.compile(r'(?<=[a-zß-öø-ÿ])(?=[A-Z])')  # in tagRvecX
 AXIS = re.compile(r'([tprqvawgfm]?)([xyz])')
 AXES = ('x', 'y', 'z')
+UPS = (*AXES, '-x', '-y', '-z')  # axes of a tracker that point up
 TIMES = {'time', 'timestamp', 'seconds', 'sec', 'zeit', 'stamp'}
 FILLERS = word_set(
     'pos position coord coordinate marker markers m point p tvec translation trans tag t'

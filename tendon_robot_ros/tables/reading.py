@@ -22,6 +22,7 @@ from .columns import (
     FRAMES,
     MISSING,
     ROWS_MAX,
+    UPS,
     FloatArray,
     RawTable,
     guess_time,
@@ -47,9 +48,6 @@ MAKERS_OWN = {
     '.xlsx .xls': ('Excel', 'save the sheet as CSV'),
     '.mat': ('MATLAB', 'write it with writetable as CSV'),
 }
-# of a .c3d file: the axis that points up on the screen, as it is written
-UP_OF_SCREEN = {axis.upper(): axis for axis in ('x', 'y', 'z', '-x', '-y', '-z')}
-UP_OF_SCREEN |= {f'+{axis}': axis.lower() for axis in 'XYZ'}
 BYTES_MAX = 1_000_000_000  # [1] bytes, so that a file and its numbers fit into memory
 DELIMITERS = {';': 'semicolons', '\t': 'tabs', ',': 'commas'}  # commas may be decimal ones
 EMPTY_LINES = re.compile(rb'(?:\A|\n)(?:[ \t\r,;]*\n)+')  # between the parts of a file
@@ -342,36 +340,43 @@ def read_c3d(shown: str, path: Path) -> RawTable:
     except Exception as error:  # a damaged file can fail anywhere in the parser
         problem = f'is no .c3d file ({reason_of(error)})'
         raise DataSetError(shown, problem, 'export it again') from None
+
+    def values(group: str, key: str) -> list[Any]:
+        return list(content['parameters'].get(group, {}).get(key, {}).get('value', []))
+
+    def names(group: str, count: int) -> list[str]:
+        """Return the names of points or channels; beyond 255 they go on in further parameters."""
+        labels = [one for n in ('', *range(2, 10)) for one in values(group, f'LABELS{n}')]
+        labels = [*labels, *[''] * count][:count]
+        return [one.strip() or f'{group.lower()} {i + 1}' for i, one in enumerate(labels)]
+
     points = content['data']['points']  # (4, J, F)
-    rate, count = _value(content, 'POINT', 'RATE', 0.0), points.shape[2]
+    rate, count = (values('POINT', 'RATE') or [0.0])[0], points.shape[2]
     if not points.shape[1] or not count or rate <= 0.0:
         raise DataSetError(shown, 'holds no frames of points', 'export the markers, too')
     columns: dict[str, FloatArray] = {'time': np.arange(count) / rate}
     units = {'time': 's'}
-    length = str(_value(content, 'POINT', 'UNITS', 'mm'))
-    written = _labels(content, 'POINT', points.shape[1])
+    length = str((values('POINT', 'UNITS') or ['mm'])[0])
+    written = names('POINT', points.shape[1])
     labels = _apart(written)
     for j, label in enumerate(labels):
-        for axis, values in zip('xyz', points[:3, j], strict=True):
-            columns[f'{label} {axis}'] = values.astype(float)
+        for axis, places in zip('xyz', points[:3, j], strict=True):
+            columns[f'{label} {axis}'] = places.astype(float)
             units[f'{label} {axis}'] = length
     analogs = content['data']['analogs'][0]  # (A, F times frames per point)
-    many = content['parameters'].get('ANALOG', {}).get('UNITS', {}).get('value', [])
-    for a, label in enumerate(_apart(_labels(content, 'ANALOG', len(analogs)))):
-        columns[label] = analogs[a].reshape(count, -1).mean(axis=1)
-        if a < len(many) and find_unit(many[a]):
-            units[label] = many[a].strip()
-    up = UP_OF_SCREEN.get(str(_value(content, 'POINT', 'Y_SCREEN', '')).strip().upper())
+    channels = _apart(names('ANALOG', len(analogs)))
+    columns |= {
+        one: v.reshape(count, -1).mean(axis=1) for one, v in zip(channels, analogs, strict=True)
+    }
+    written_units = zip(channels, values('ANALOG', 'UNITS'), strict=False)
+    units |= {channel: unit.strip() for channel, unit in written_units if find_unit(unit)}
+    screen = str((values('POINT', 'Y_SCREEN') or [''])[0]).strip().lower().lstrip('+')
+    up = screen if screen in UPS else None
     notes = [f'.c3d, lengths in {length}' + (f', {up} up' if up else '')]
     for twice in dict.fromkeys(label for label in written if written.count(label) > 1):
         own = [new for new, old in zip(labels, written, strict=True) if old == twice]
         notes.append(f'{len(own)} points are called {twice!r}: taken as {listing(own)}')
     return RawTable(shown, columns, units=units, up=up, notes=tuple(notes))
-
-
-def _value(content: Any, group: str, key: str, default: Any) -> Any:
-    values = content['parameters'].get(group, {}).get(key, {}).get('value', [])
-    return values[0] if len(values) else default
 
 
 def _apart(labels: Sequence[str]) -> list[str]:
@@ -384,17 +389,6 @@ def _apart(labels: Sequence[str]) -> list[str]:
             name = f'{label} no {number}'
         apart.append(name)
     return apart
-
-
-def _labels(content: Any, group: str, count: int) -> list[str]:
-    """Return the names of points or channels; beyond 255 they continue in further parameters."""
-    parameters = content['parameters'].get(group, {})
-    labels: list[str] = []
-    for number in ('', *map(str, range(2, 10))):
-        labels += list(parameters.get(f'LABELS{number}', {}).get('value', []))
-    labels = [label.strip() or f'{group.lower()} {i + 1}' for i, label in enumerate(labels)]
-    labels += [f'{group.lower()} {i + 1}' for i in range(len(labels), count)]
-    return labels[:count]
 
 
 WHOSE = word_set(

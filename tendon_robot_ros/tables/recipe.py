@@ -25,6 +25,7 @@ from ..data.tracker_faults import FAR_M, without_unseen
 from ..robot import Robot
 from .columns import (
     FRAMES,
+    UPS,
     ColumnUse,
     RawTable,
     guess_inputs,
@@ -35,7 +36,6 @@ from .columns import (
 )
 from .markers import CHOICES, Points, choose_points
 
-UPS = ('x', 'y', 'z', '-x', '-y', '-z')
 METHODS = ('model', 'level', 'straight', 'base')
 INPUT_KINDS = ('force', 'length', 'angle', 'counts', 'current')
 HEAD = """\

@@ -26,8 +26,8 @@ from ..data import DataSet
 from ..data.arrays import DIGITS, Vector
 from ..data.dataset import BoolArray
 from ..effects import Catalogue
-from .columns import NOISE_FACTOR, SHOWN_MAX, TRACKER_NOISE_M, FloatArray
-from .recipe import UPS, FrameChoice, Recipe
+from .columns import NOISE_FACTOR, SHOWN_MAX, TRACKER_NOISE_M, UPS, FloatArray
+from .recipe import FrameChoice, Recipe
 
 ROUNDS = 6  # [1] of weights and fit, because the weights no longer change by then
 # [1] lengths of the arm that the tip of a straight posture may be off the axis, because no arm
