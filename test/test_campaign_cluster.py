@@ -9,7 +9,6 @@ import sys
 
 import processes
 import pytest
-import yaml
 from napping import nap
 from small_campaign import plan, without_time
 from source_tree import ROOT
@@ -23,11 +22,10 @@ pytest.importorskip('pyarrow')
 
 
 @contextlib.contextmanager
-def started(folder, workers, protocol='tcp', **environment):
+def started(folder, workers):
     """Start a scheduler and workers as a user does; yield the address and the scheduler."""
     told, dask = folder / 'scheduler.json', [sys.executable, '-m', 'dask']
     scheduler = ['scheduler', '--port', '0', '--host', '127.0.0.1', '--no-dashboard']
-    scheduler += ['--protocol', protocol]
     worker = ['worker', '--nworkers', str(workers), '--nthreads', '1', '--no-dashboard']
     kept = ['--local-directory', str(folder)]
     where = {'PYTHONPATH': f'{ROOT}:{ROOT / "test"}', 'DASK_TEMPORARY_DIRECTORY': str(folder)}
@@ -38,7 +36,7 @@ def started(folder, workers, protocol='tcp', **environment):
                 cwd=folder,
                 stdout=log,
                 stderr=log,
-                env={**os.environ, **where, **environment},
+                env={**os.environ, **where},
             )
             for which in (scheduler, [*worker, *kept])
         ]
@@ -92,17 +90,28 @@ def test_a_cluster_says_the_same_bit_for_bit(cluster, tmp_path):
 
 @pytest.mark.skipif(shutil.which('openssl') is None, reason='openssl makes the certificate')
 def test_certificates_of_dasks_own_settings_are_respected(tmp_path):
-    pytest.importorskip('distributed')
+    """Of a scheduler and a worker in this process, which is reached as any other."""
+    distributed = pytest.importorskip('distributed')
     import dask.config
 
     key, certificate = str(tmp_path / 'key.pem'), str(tmp_path / 'certificate.pem')
     made = ['openssl', 'req', '-x509', '-newkey', 'rsa:2048', '-nodes', '-subj', '/CN=test']
     processes.run([*made, '-keyout', key, '-out', certificate])
     one = {'cert': certificate, 'key': key}
-    tls = {'ca-file': certificate, 'scheduler': one, 'worker': one, 'client': one}
-    settings = {'distributed': {'comm': {'require-encryption': True, 'tls': tls}}}
-    (tmp_path / 'distributed.yaml').write_text(yaml.safe_dump(settings))
-    with started(tmp_path, 1, 'tls', DASK_CONFIG=str(tmp_path)) as (address, _):
+    keys = {
+        f'tls_{who}_{what}': path
+        for who in ('scheduler', 'worker', 'client')
+        for what, path in one.items()
+    }
+    security = distributed.Security(tls_ca_file=certificate, require_encryption=True, **keys)
+    settings = {'n_workers': 1, 'threads_per_worker': 1, 'dashboard_address': ':0'}
+    with (
+        dask.config.set({'temporary-directory': str(tmp_path)}),
+        distributed.LocalCluster(
+            processes=False, protocol='tls', host='127.0.0.1', security=security, **settings
+        ) as cluster,
+    ):
+        address = cluster.scheduler_address
         assert address.startswith('tls://')
         with pytest.raises(InputError, match=r'tls://.*client.cert and key; dask names no cert'):
             Workers(cluster=address)
