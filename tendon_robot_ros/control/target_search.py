@@ -49,9 +49,9 @@ FIRST_ANSWER_S = 0.006
 # [1] of the length: largest step between two targets of a stream, and of its extrapolation; a
 # larger step is a new target, because arms of this size take a second for it
 STREAM_LENGTH = 0.1
-# [rad] summed over the arm: the wire nearest to the centroid moves through its eyelets by 80
-# presliding lengths and more, so that every law of friction has lost its memory
-FORGETTING_BEND_RAD = 4.0
+# [rad] summed over the arm: wires near its outside move through their eyelets by 80 presliding
+# lengths, those at half of the radius by 40, so that every law of friction has lost its memory
+FORGETTING_BEND_RAD = 3.2
 # [1] iterations in which another model takes over the directions of friction: a direction that
 # needs more is at a kink of friction and would never converge
 CARRIED_ITERATIONS_MAX = 40
