@@ -225,7 +225,7 @@ def test_real_time_is_lent_for_its_share_of_the_time_only(monkeypatch):
         now[0] += 1e-3
         sum_lent += 1e-3 * (lent[-1] > 0)
         loan.limit()
-    assert sum_lent == pytest.approx(processes.LOAN_FRACTION * now[0], rel=0.1)
+    assert sum_lent == pytest.approx(0.5 * now[0], rel=0.1)
     loan.begin(1)
     loan.end()
     told = len(lent)

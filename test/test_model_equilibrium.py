@@ -11,7 +11,6 @@ from scipy.optimize import brentq
 from scipy.special import ellipk
 
 from tendon_robot_ros.common.errors import NoEquilibriumError
-from tendon_robot_ros.model.forward import TOLERANCE
 from tendon_robot_ros.model.model import Model
 
 K, L = 0.027, 0.007
@@ -97,10 +96,6 @@ def test_a_spring_that_gives_way_has_no_equilibrium_and_says_so():
         NoEquilibriumError, match=r'no equilibrium for posture 1 \(left 0 N, right'
     ):
         Model(robot).shapes([[0.0, 1.0], [0.0, 3.0]])
-
-
-def test_the_model_accepts_what_the_kernel_calls_converged():
-    assert Model(planar(3, {})).arrays.part('layout').BEND_TOLERANCE == TOLERANCE
 
 
 def test_solve_marks_the_postures_without_equilibrium_and_keeps_the_others():

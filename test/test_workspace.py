@@ -156,7 +156,7 @@ def test_a_volume_is_the_same_bit_for_bit_from_processes_and_after_an_interrupti
             raise KeyboardInterrupt
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr('tendon_robot_ros.workspace.volume.SAVED_EVERY_S', 0.0)
+        patch.setattr('tendon_robot_ros.workspace.volume.UPKEEP_S', 0.0)
         with pytest.raises(KeyboardInterrupt):
             find_volume(sampling, stop, kept=tmp_path)
     with pytest.raises(InputError, match='is of another robot or other options; delete it'):

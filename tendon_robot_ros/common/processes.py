@@ -42,7 +42,6 @@ SWITCH_INTERVAL_S = 0.0005
 # [1] nice value of what goes first, so that threads of the kernel, at -20, stay before it
 FIRST_NICENESS = -15
 LOAN_MAX_S = 0.05  # [s] lent at once, else a computation would keep a processor from others
-LOAN_FRACTION = 0.5  # [1] of the time in the long run, so that others have the same share
 
 
 class Realtime(IntEnum):
@@ -104,10 +103,11 @@ class RealtimeLoan:
     Lends real-time scheduling to a thread while it computes.
 
     Its priority is below that of what moves motors. The allowance runs down while it works and
-    fills up so that it works in real time for `LOAN_FRACTION` of the time at most. A thread that
-    is itself in real time calls `limit` often: then a computation that never ends does not keep a
-    processor from others. While the thread waits for work it keeps its priority: taken back at
-    once, it would still hold Python's lock, and others would wait until it has a processor again.
+    fills up as fast otherwise, so that it works in real time for half of the time at most. A
+    thread that is itself in real time calls `limit` often: then a computation that never ends does
+    not keep a processor from others. While the thread waits for work it keeps its priority: taken
+    back at once, it would still hold Python's lock, and others would wait until it has a processor
+    again.
     """
 
     def __init__(self) -> None:
@@ -150,8 +150,7 @@ class RealtimeLoan:
         before, self._counted = self._counted, time.monotonic()
         passed = self._counted - before
         lent = self._working and self._borrower is not None
-        more = -1.0 if lent else LOAN_FRACTION / (1.0 - LOAN_FRACTION)
-        self._allowance = min(self._allowance + more * passed, LOAN_MAX_S)
+        self._allowance = min(self._allowance + (-passed if lent else passed), LOAN_MAX_S)
 
 
 def _scheduled(thread: int, policy: int, priority: int) -> bool:

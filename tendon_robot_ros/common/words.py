@@ -14,7 +14,7 @@ TIMES_WORDS = (
     *('eleven', 'twelve'),
 )
 # [1] prefixes of SI (brochure of 2019) in which a person reads lengths and forces
-UNIT_PREFIXES = ((1e6, 'M'), (1e3, 'k'), (1.0, ''), (1e-3, 'm'), (1e-6, 'µ'), (1e-9, 'n'))
+UNIT_PREFIXES = {'M': 1e6, 'k': 1e3, '': 1.0, 'm': 1e-3, 'µ': 1e-6, 'n': 1e-9}
 PROGRAM = 'python -m tendon_robot_ros'
 
 
@@ -28,8 +28,8 @@ def scale_of(unit: str, size: float, name: str = '') -> tuple[float, str]:
         return 1e3, 'g/m'
     if unit in ('1', 'kg/m') or unit.startswith('1/'):
         return 1.0, '' if unit == '1' else unit
-    scale, prefix = next(((s, p) for s, p in UNIT_PREFIXES if size >= 0.1 * s), (1.0, ''))
-    return 1.0 / scale, prefix + unit
+    prefix = next((name for name, scale in UNIT_PREFIXES.items() if size >= 0.1 * scale), '')
+    return 1.0 / UNIT_PREFIXES[prefix], prefix + unit
 
 
 def percent(fraction: float) -> str:
@@ -130,10 +130,9 @@ def columns(rows: Sequence[Sequence[str]]) -> str:
 
 
 STANDARD_GRAVITY = 9.80665  # [m/s²] by definition (CGPM 1901)
-GRAM_FORCE = 1e-3 * STANDARD_GRAVITY  # [N] weight of one gram under standard gravity (CGPM 1901)
-POUND_FORCE = 0.45359237e3 * GRAM_FORCE  # [N] of the pound of 1959
 
-# kind of quantity -> unit as written -> factor to SI (angles to radians; counts need a scale)
+# kind of quantity -> unit as written -> factor to SI (angles to radians; counts need a scale);
+# a mass is its weight under standard gravity, the pound of 1959 0.45359237 kg
 UNITS: dict[str, dict[str, float]] = {
     'time': {'s': 1.0, 'sec': 1.0, 'seconds': 1.0, 'ms': 1e-3, 'us': 1e-6, 'µs': 1e-6, 'ns': 1e-9,
              'min': 60.0},
@@ -141,9 +140,10 @@ UNITS: dict[str, dict[str, float]] = {
                'millimetres': 1e-3, 'cm': 1e-2, 'centimeters': 1e-2, 'um': 1e-6, 'µm': 1e-6,
                'inch': 0.0254, 'inches': 0.0254},
     'force': {'N': 1.0, 'newton': 1.0, 'newtons': 1.0, 'mN': 1e-3, 'cN': 1e-2, 'kN': 1e3,
-              'g': GRAM_FORCE, 'gf': GRAM_FORCE, 'grams': GRAM_FORCE, 'kg': 1e3 * GRAM_FORCE,
-              'kgf': 1e3 * GRAM_FORCE, 'kp': 1e3 * GRAM_FORCE, 'lbf': POUND_FORCE,
-              'lb': POUND_FORCE, 'lbs': POUND_FORCE, 'ozf': POUND_FORCE / 16.0},
+              **dict.fromkeys(('g', 'gf', 'grams'), 1e-3 * STANDARD_GRAVITY),
+              **dict.fromkeys(('kg', 'kgf', 'kp'), STANDARD_GRAVITY),
+              **dict.fromkeys(('lbf', 'lb', 'lbs'), 4.4482216152605),
+              'ozf': 4.4482216152605 / 16.0},
     'angle': {'deg': math.pi / 180.0, 'degrees': math.pi / 180.0, '°': math.pi / 180.0,
               'rad': 1.0, 'rev': 2.0 * math.pi, 'turns': 2.0 * math.pi},
     'counts': {'ticks': 1.0, 'tick': 1.0, 'counts': 1.0, 'count': 1.0, 'steps': 1.0},

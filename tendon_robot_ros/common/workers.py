@@ -31,9 +31,9 @@ LOSSES_MAX = 8
 CHUNK_S = 2.0  # [s] of work in a chunk, because handing one out takes some milliseconds
 AHEAD = 2  # [1] chunks for each thread of a scheduler, so that one waits while one is at work
 CONNECT_S = 10.0  # [s] in which a scheduler answers, else there is none
-# [s] between two saves of unfinished work, so that a lost computer costs no more than this
-SAVED_EVERY_S = 5.0
-IDLE_S = 5.0  # [s] between two looks for new workers, because each is a message to the scheduler
+# [s] between two saves of unfinished work, so that a lost computer costs no more than this, and
+# between two looks for new workers, because each is a message to the scheduler
+UPKEEP_S = 5.0
 
 _LOG = logging.getLogger(__name__)
 Work = Callable[[Any], Any]
@@ -193,7 +193,7 @@ class Workers:
 
         hand_out()
         while waiting and (remaining := until - time.monotonic()) > 0.0:
-            done, _ = wait(waiting, min(remaining, IDLE_S), FIRST_COMPLETED)
+            done, _ = wait(waiting, min(remaining, UPKEEP_S), FIRST_COMPLETED)
             for future in done:
                 index, chunk = waiting.pop(future)
                 try:
@@ -351,7 +351,7 @@ class _Cluster:
     @property
     def slots(self) -> int:
         """Chunks for the current workers, whose number may change."""
-        if time.monotonic() > self.checked_at + IDLE_S:
+        if time.monotonic() > self.checked_at + UPKEEP_S:
             self.checked_at = time.monotonic()
             with contextlib.suppress(OSError, RuntimeError):
                 threads = sum(self.client.nthreads().values())

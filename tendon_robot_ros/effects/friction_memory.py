@@ -4,7 +4,6 @@ import math
 
 from .effect import Effect, Parameter
 
-SLIPS_BELOW = 1e-12  # [1] left to full friction: the tendon slips, else a power of it would round
 # [1] of the radius. Below, the friction after a path depends on reversals that a path in 256 parts
 # does not resolve (model/kernel/shape.py), so that a fit would follow noise.
 SHORTEST = 4e-3
@@ -23,7 +22,7 @@ def law(sign, before, change, presliding_length, exponent):
     remaining, travel = 1.0 - g * before, abs(change) / presliding_length
     if exponent == 1.0:
         return g - (g - before) * math.exp(-travel)
-    if remaining < SLIPS_BELOW:
+    if remaining <= 0.0:  # it slips
         return g
     power = 1.0 - exponent
     part = power * travel * remaining**-power

@@ -7,6 +7,8 @@ kernel calls the laws of a stage one after the other, each on what the one befor
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 
@@ -48,132 +50,95 @@ class Stage:
         return self.outputs + self.context
 
 
-def _quantities(*rows: tuple[str, str, str]) -> tuple[Quantity, ...]:
-    return tuple(Quantity(*row) for row in rows)
+# In the order in which a cell meets them: a stage, and the quantities of its laws, each with unit
+# and meaning. `>`: a law gives it back, and first takes it as it is without the law; `-`: a law
+# only takes it; `*`: the laws use the shape itself.
+TABLE = """
+actuation
+  > tension [N] tension that enters the first cell
+offset_scale
+  > scale [1] factor on every tendon offset
+stiffness
+  > stiffness [N·m/rad] bending stiffness of the cell
+  - tendons [1] number of tendons in the cell
+stiffening
+  > factor [1] secant stiffness over initial stiffness
+  - bend_squared [rad²] square of the bend beyond the rest bend
+rest
+  > rest_x [rad] bend of the unloaded cell towards x
+  > rest_y [rad] bend of the unloaded cell towards y
+tendon_path *
+  > travel [m] path that the tendon has lost in the cell
+  > along [m] derivative of the travel by the bend, in the bend plane
+  > across [1] what multiplies the offset across the bend plane
+  - bend [rad] size of the bend
+  - sin_half [1] sine of half the bend
+  - cos_half [1] cosine of half the bend
+  - radial [m] offset in the bend plane
+  - length [m] length of the cell
+  - hinge [1] 1 where the cell is a hinge, 0 where it is an arc
+load *
+  > force_x [N] force along x, base frame
+  > force_y [N] force along y, base frame
+  > force_z [N] force along z, base frame
+  - mass_length [m] mass_profile times the length of the cell
+  - gravity_x [m/s²] gravity along x, base frame
+  - gravity_y [m/s²] gravity along y, base frame
+  - gravity_z [m/s²] gravity along z, base frame
+tip_load *
+  > force_x [N] force along x, base frame
+  > force_y [N] force along y, base frame
+  > force_z [N] force along z, base frame
+moment
+  > moment [N·m] size of the bending moment
+  - total_tension [N] sum of the tensions in the cell
+  - radius [m] largest distance of a tendon from the centroid
+joint_friction
+  > moment [N·m] size of the moment left after friction in the joint
+  - total_tension [N] sum of the tensions in the cell
+torsion *
+  > twist [rad] turn of the cell about its own axis
+  - moment [N·m] moment about that axis
+  - stiffness [N·m/rad] bending stiffness of the cell
+wrap *
+  > turning [1] sine of half the angle that the eyelet turns the tendon
+  - mean [1] the same for the mean bend of both neighbouring cells
+friction_travel *
+  > here [m] travel that decides the friction
+  - beyond [m] travel in all cells beyond the eyelet
+memory *
+  > sign [1] direction of friction, -1 to 1
+  - before [1] the direction in the posture before
+  - change [m] change of the travel since then
+eyelet
+  > passed [1] tension behind the eyelet over tension before it
+  - turning [1] sine of half the angle that the eyelet turns the tendon
+length
+  > scale [1] length of the cell over its length at rest
+  - total_tension [N] sum of the tensions in the cell
+stretch
+  > stretch [m] elongation of the tendon in a cell
+  - tension [N] tension in the cell
+  - length [m] its length
+winding
+  > pull [m] pull of the wire as it is commanded
+  - tension [N] tension that enters the first cell
+measurement
+  > x [m] x as the tracker sees it
+  > y [m] y as the tracker sees it
+  > z [m] z as the tracker sees it
+"""
 
 
-TOTAL_TENSION = ('total_tension', 'N', 'sum of the tensions in the cell')
-FORCE = _quantities(*((f'force_{axis}', 'N', f'force along {axis}, base frame') for axis in 'xyz'))
+def _stages() -> Iterator[Stage]:
+    """Yield the stages of the table."""
+    for head, *lines in (block.split('\n  ') for block in re.split(r'\n(?! )', TABLE.strip())):
+        rows = [re.fullmatch(r'([>-]) (\w+) \[(.+?)\] (.+)', line) for line in lines]
+        given, taken = (
+            tuple(Quantity(*row.groups()[1:]) for row in rows if row and row[1] == mark)
+            for mark in '>-'
+        )
+        yield Stage(head.removesuffix(' *'), given, taken, head.endswith('*'))
 
-# in the order in which a cell meets them
-_ALL = (
-    Stage(
-        'actuation',
-        _quantities(('tension', 'N', 'tension that enters the first cell')),
-    ),
-    Stage(
-        'offset_scale',
-        _quantities(('scale', '1', 'factor on every tendon offset')),
-    ),
-    Stage(
-        'stiffness',
-        _quantities(('stiffness', 'N·m/rad', 'bending stiffness of the cell')),
-        _quantities(('tendons', '1', 'number of tendons in the cell')),
-    ),
-    Stage(
-        'stiffening',
-        _quantities(('factor', '1', 'secant stiffness over initial stiffness')),
-        _quantities(('bend_squared', 'rad²', 'square of the bend beyond the rest bend')),
-    ),
-    Stage(
-        'rest',
-        _quantities(
-            ('rest_x', 'rad', 'bend of the unloaded cell towards x'),
-            ('rest_y', 'rad', 'bend of the unloaded cell towards y'),
-        ),
-    ),
-    Stage(
-        'tendon_path',
-        _quantities(
-            ('travel', 'm', 'path that the tendon has lost in the cell'),
-            ('along', 'm', 'derivative of the travel by the bend, in the bend plane'),
-            ('across', '1', 'what multiplies the offset across the bend plane'),
-        ),
-        _quantities(
-            ('bend', 'rad', 'size of the bend'),
-            ('sin_half', '1', 'sine of half the bend'),
-            ('cos_half', '1', 'cosine of half the bend'),
-            ('radial', 'm', 'offset in the bend plane'),
-            ('length', 'm', 'length of the cell'),
-            ('hinge', '1', '1 where the cell is a hinge, 0 where it is an arc'),
-        ),
-        implicit=True,
-    ),
-    Stage(
-        'load',
-        FORCE,
-        _quantities(
-            ('mass_length', 'm', 'mass_profile times the length of the cell'),
-            *((f'gravity_{axis}', 'm/s²', f'gravity along {axis}, base frame') for axis in 'xyz'),
-        ),
-        implicit=True,
-    ),
-    Stage('tip_load', FORCE, implicit=True),
-    Stage(
-        'moment',
-        _quantities(('moment', 'N·m', 'size of the bending moment')),
-        _quantities(
-            TOTAL_TENSION, ('radius', 'm', 'largest distance of a tendon from the centroid')
-        ),
-    ),
-    Stage(
-        'joint_friction',
-        _quantities(('moment', 'N·m', 'size of the moment left after friction in the joint')),
-        _quantities(TOTAL_TENSION),
-    ),
-    Stage(
-        'torsion',
-        _quantities(('twist', 'rad', 'turn of the cell about its own axis')),
-        _quantities(
-            ('moment', 'N·m', 'moment about that axis'),
-            ('stiffness', 'N·m/rad', 'bending stiffness of the cell'),
-        ),
-        implicit=True,
-    ),
-    Stage(
-        'wrap',
-        _quantities(('turning', '1', 'sine of half the angle that the eyelet turns the tendon')),
-        _quantities(('mean', '1', 'the same for the mean bend of both neighbouring cells')),
-        implicit=True,
-    ),
-    Stage(
-        'friction_travel',
-        _quantities(('here', 'm', 'travel that decides the friction')),
-        _quantities(('beyond', 'm', 'travel in all cells beyond the eyelet')),
-        implicit=True,
-    ),
-    Stage(
-        'memory',
-        _quantities(('sign', '1', 'direction of friction, -1 to 1')),
-        _quantities(
-            ('before', '1', 'the direction in the posture before'),
-            ('change', 'm', 'change of the travel since then'),
-        ),
-        implicit=True,
-    ),
-    Stage(
-        'eyelet',
-        _quantities(('passed', '1', 'tension behind the eyelet over tension before it')),
-        _quantities(('turning', '1', 'sine of half the angle that the eyelet turns the tendon')),
-    ),
-    Stage(
-        'length',
-        _quantities(('scale', '1', 'length of the cell over its length at rest')),
-        _quantities(TOTAL_TENSION),
-    ),
-    Stage(
-        'stretch',
-        _quantities(('stretch', 'm', 'elongation of the tendon in a cell')),
-        _quantities(('tension', 'N', 'tension in the cell'), ('length', 'm', 'its length')),
-    ),
-    Stage(
-        'winding',
-        _quantities(('pull', 'm', 'pull of the wire as it is commanded')),
-        _quantities(('tension', 'N', 'tension that enters the first cell')),
-    ),
-    Stage(
-        'measurement',
-        _quantities(*((axis, 'm', f'{axis} as the tracker sees it') for axis in 'xyz')),
-    ),
-)
-STAGES = {stage.name: stage for stage in _ALL}
+
+STAGES = {stage.name: stage for stage in _stages()}

@@ -29,6 +29,9 @@ from ..robot import Robot
 from ..robot.description import helix_angles, tendon_offsets
 
 Floats = npt.NDArray[np.float64]
+# [rad] largest change of a bend at which an equilibrium has converged, so that the tip of an arm
+# of 100 cells and 1 m is within 10 nm
+BEND_TOLERANCE = 1e-10
 KERNEL = Path(__file__).parent / 'kernel'
 _COMPOSED: dict[str, ModuleType] = {}
 

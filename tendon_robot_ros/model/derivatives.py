@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
@@ -13,17 +14,16 @@ import numpy.typing as npt
 from ..common.arrays import Floats
 from ..common.errors import InputError
 from .pulls import SLACK_BELOW_N
-from .shape import Shape, ShapeBatch
+from .shape import EPSILON, Shape, ShapeBatch
 
 if TYPE_CHECKING:
     from .forward import ForwardModel
 
 Output = Callable[[ShapeBatch], Floats]
 Column = str | tuple[str, str] | tuple[str, str, int | None]
-EPSILON = float(np.finfo(float).eps)
 # [1] of a parameter or of its typical size: a central difference errs by the square of its step
 # and by EPSILON over it, and would be worse with any other
-DIFFERENCE_STEP = EPSILON ** (1 / 3)
+DIFFERENCE_STEP = math.cbrt(EPSILON)
 TENSION_STEP = DIFFERENCE_STEP  # [N]
 # [1] times as long steps where whole paths are solved twice, because an equilibrium is only known
 # to 1e-10 rad

@@ -17,12 +17,10 @@ from ..effects import STAGES, CatalogueLike, load_catalogue
 from ..robot import RobotLike, load_robot
 from ..robot.estimates import natural_sizes
 from ..robot.inputs import TensionsLike, are_tensions, input_rows, tensions_of
-from .compile import KernelArrays
+from .compile import BEND_TOLERANCE, KernelArrays
 from .shape import FIELDS, ResultLayout, Shape, ShapeBatch
 
-# [rad] last change of an equilibrium; the kernel's BEND_TOLERANCE, which is not imported because
-# numba would be
-TOLERANCE = 1e-10
+TOLERANCE = BEND_TOLERANCE
 # [rad] last step of a search that stalled at a kink of friction, because those of arms that buckle
 # are larger: measured, 6e-3 and more
 STALLED_RAD = 2e-3

@@ -16,8 +16,8 @@ from .pulls import Aim, aim_by_pulls, limits_by_pulls, pull_shape
 from .redundancy import Balance, balanced
 from .shape import Reach, Shape
 from .starts import (
-    GAIN_MIN,
-    SEEKING_WIDTH,
+    FEW_STARTS,
+    SEEKING_WEIGHT,
     TRACKING_GAIN_MIN,
     TRIALS_MAX,
     Start,
@@ -27,7 +27,16 @@ from .starts import (
     seek,
     starts_of,
 )
-from .tip_task import COLD, LOW_TENSION_WEIGHT, Patience, Policy, Preferences, TipTask
+from .tip_task import (
+    COLD,
+    CONVERGED_LENGTH,
+    LOW_TENSION_WEIGHT,
+    Patience,
+    Policy,
+    Preferences,
+    TipTask,
+    cost_of,
+)
 
 # [m] of a target that counts as reached: an order below trackers, so that they see no error
 # (docs/model.md)
@@ -36,37 +45,18 @@ POSITION_TOLERANCE_M = 1e-4
 DIRECTION_TOLERANCE = np.deg2rad(0.2)
 # [m²] cost of a tip at that distance. Where friction remembers, searches from far away end at much
 # tension against much tension, so that what the first start reaches is good enough
-TOLERANCE_COST_M2 = 0.5 * POSITION_TOLERANCE_M**2
-# [1] of the length: nearer, a search has converged, 1.4 µm on 208 mm, else rounding would say what
-# is reached
-CONVERGED_LENGTH = 7e-6
+TOLERANCE_COST_M2 = cost_of(POSITION_TOLERANCE_M)
 # [1] of the length: near enough where tendons stick, because friction near standstill turns within
 # as much (docs/model.md)
 KINK_LENGTH = 3e-5
-# [1] starts after which it is: the next ones seldom come nearer, and would take milliseconds each
-KINK_STARTS = 4
-# [1] weights with which tension is lowered from a solution, one after the other, because from one
-# to the last the tip would be lost
-RELAXING_WEIGHTS = tuple(LOW_TENSION_WEIGHT * 10.0**k for k in (4, 3, 2, 1, 0))
 # [1] of a tension's range: a change that is larger is a jump, because it takes a drive seconds
 JUMP_MAX = 0.1
-# [1] of the cost, that a solution which jumps must have: the tip would hardly be nearer for it
-JUMP_COST_MAX = 0.8
-# [1] of the worth of where the arm is, so that rounding is no reason to set out
-SET_OUT_WORTH_MAX = 0.99
-# [1] of the worth that was reported last: what is better is reported, else every start would be
-REPORT_WORTH_MAX = 0.5
-# [1] weight of tensions among solutions of different starts, where friction remembers: the same as
-# while bends and tensions are found at once, because the same ends at much tension are to be left
-REMEMBERING_WEIGHT = 100.0 * LOW_TENSION_WEIGHT
+# [1] of the cost of the one before, that a solution which jumps, or which is reported before the
+# search ends, must have less than, because the tip would hardly be nearer for it
+WORTHWHILE_MAX = 0.8
 # [1] programs after a search; what has not converged by then is held up by a region, and would
 # stay
 BALANCE_STEPS_MAX = 40
-# [1] shapes outside of regions that are tried; more would take as many programs each
-OUTSIDE_STARTS = 3
-# [m] from a region: nearer, it is what keeps the arm from its target, because that is reached no
-# better
-CLEARANCE_BINDS_M = POSITION_TOLERANCE_M
 
 
 @dataclass(frozen=True)
@@ -144,7 +134,7 @@ class _Search:
         self.give_up, self.report = give_up, report
         self.limits = limits_by_pulls(self.model) if task.by_pulls else self.model.limits
         self.converged_cost, self.kink_cost = (
-            0.5 * (part * self.model.robot.length) ** 2 for part in (CONVERGED_LENGTH, KINK_LENGTH)
+            cost_of(part * self.model.robot.length) for part in (CONVERGED_LENGTH, KINK_LENGTH)
         )  # [m²]
         counts = policy.change_weight > 0.0 and self.model.sticks
         self.previous = task.guess if counts else None  # changes from its tensions cost
@@ -163,7 +153,7 @@ class _Search:
         lowest_worth = cost_at_guess = np.inf
         if self.report is not None and task.guess is not None:
             worth = task.worth(task.cost(task.guess), task.guess.inputs)
-            cost_at_guess = SET_OUT_WORTH_MAX * worth
+            cost_at_guess = WORTHWHILE_MAX * worth
         last_reported = cost_at_guess
         for count, start in enumerate(starts_of(task, self.policy, self.report is not None)):
             trial = self._from(start)
@@ -176,7 +166,7 @@ class _Search:
                 and task.guess is not None
                 and self._jumps(best.inputs, trial.inputs)
             )
-            fraction = JUMP_COST_MAX if jumps and not converged else 1.0
+            fraction = WORTHWHILE_MAX if jumps and not converged else 1.0
             if best is None or worth < fraction * lowest_worth:
                 best, lowest_worth = trial, worth
             # `worth`, since a target beyond reach is no reason to move to the limits of tension
@@ -184,8 +174,8 @@ class _Search:
             if self.report is not None and nearer and (sticks or not converged):
                 early = best if converged or not self._is_tense(best) else self._priced(best, best)
                 self.report(judged(task, early.inputs.copy(), early.state, in_time=False))
-                last_reported = REPORT_WORTH_MAX * task.worth(early.cost, early.inputs)
-            good_enough = (sticks and count >= KINK_STARTS and best.cost < self.kink_cost) or (
+                last_reported = WORTHWHILE_MAX * task.worth(early.cost, early.inputs)
+            good_enough = (sticks and count >= FEW_STARTS and best.cost < self.kink_cost) or (
                 remembers and count == 0 and trial.cost < TOLERANCE_COST_M2
             )
             # the start after the first search is a first move of the arm, and takes no time
@@ -224,11 +214,11 @@ class _Search:
         """Return a solution of lower tension if it still converges, else the given one."""
         task, inputs, state, cost = self.task, best.inputs.copy(), best.state, best.cost
         if self.model.sticks:
-            cost, state = seek(task, 0.1 * SEEKING_WIDTH, inputs, state, self.model.limits)
+            cost, state = seek(task, 0.1, inputs, state, self.model.limits)
         else:
-            for weight in RELAXING_WEIGHTS:
+            for weight in (100.0 * SEEKING_WEIGHT, SEEKING_WEIGHT, LOW_TENSION_WEIGHT):
                 cost, state = aim(
-                    task, GAIN_MIN, inputs, state, self.model.limits, task.tension(weight)
+                    task, 0.0, inputs, state, self.model.limits, task.tension(weight)
                 )
         result = TriedTensions(cost, inputs, state)
         return result if cost < best.cost and self._converged(result) else best
@@ -254,7 +244,7 @@ class _Search:
         """Return the cost [m²] of the tip with those of tension and of the change of tension."""
         task, cost = self.task, self.task.worth(one.cost, one.inputs)
         if self.model.remembers:
-            cost += task.above_lowest(REMEMBERING_WEIGHT, one.inputs)
+            cost += task.above_lowest(SEEKING_WEIGHT, one.inputs)
         if self.previous is not None:
             change = one.inputs - self.previous.inputs
             weight = self.policy.change_weight * task.per_newton
@@ -288,7 +278,7 @@ class _Search:
             return task.worth(one.cost + task.above_lowest(weight, one.inputs), one.inputs)
 
         tension = task.tension(weight, priced=True)
-        search: Aim = partial(aim, task, GAIN_MIN, tension=tension)
+        search: Aim = partial(aim, task, 0.0, tension=tension)
         if self.policy.frugal:
             search = partial(aim_frugally, task, tension, TRIALS_MAX)
         inputs = start.inputs.copy()
@@ -314,12 +304,12 @@ def _balanced(task: TipTask, balance: Balance, first: Reach, give_up: Callable[[
         if not regions:
             return solution
         clearance = regions.clearance(solution.shape.positions)
-        if clearance.distance > -CLEARANCE_BINDS_M or give_up():
+        if clearance.distance > -POSITION_TOLERANCE_M or give_up():
             break
-    if clearance.distance > -CLEARANCE_BINDS_M and solution.status == 'reached':
+    if clearance.distance > -POSITION_TOLERANCE_M and solution.status == 'reached':
         return solution
-    kept = clearance.distance < CLEARANCE_BINDS_M or before.distance < 0.0
-    name = clearance.region if clearance.distance < CLEARANCE_BINDS_M else before.region
+    kept = clearance.distance < POSITION_TOLERANCE_M or before.distance < 0.0
+    name = clearance.region if clearance.distance < POSITION_TOLERANCE_M else before.region
     return replace(solution, status='nearest', region=name) if kept else solution
 
 
@@ -330,7 +320,7 @@ def _starts_outside(balance: Balance, shape: Shape) -> Iterator[Shape]:
         return
     model, task = balance.task.model, balance.task
     free = balance.keep_out.distances(model.library.positions).min(axis=(0, 2)) > 0.0
-    for row in islice((row for row in rows_near(task) if free[row]), OUTSIDE_STARTS):
+    for row in islice((row for row in rows_near(task) if free[row]), FEW_STARTS):
         try:
             yield task.shape(model.library.inputs[row], model.library.state[row])
         except NoEquilibriumError:

@@ -19,9 +19,7 @@ if TYPE_CHECKING:
     from .tip_task import TipTask
 
 Aim = Callable[[Floats, Floats, Floats], tuple[float, Floats]]
-GAP_CLOSED_M = 1e-8  # [m] gap of a wire that ends a search, so that no tip is off by 1 µm
-STRETCH_ERROR_N = 0.1  # [N] error of stretched wires: stiffer springs would correct no more
-# [m] gap that is no reason to refuse, because friction near rest changes sign within 2e-6
+# [m] gap of a wire that ends a search, because friction near rest changes sign within 2e-6
 GAP_ACCEPTED_M = 5e-6
 # [1] stretch of the wires over the arm's compliance: from so soft that each wire finds its tension
 # to so stiff that only 1e-4 of the pulls stretches, each so that the next search begins near
@@ -33,7 +31,6 @@ PRETENSION = 0.25
 HELD_TOLERANCE_N = 1e-3
 SLACK_BELOW_N = 1e-6  # [N] a wire below holds no length, because its tension is rounding
 SEARCH_STEPS_MAX = 20  # [1] of Newton, where tensions may start far: more would not converge
-NEAR_SEARCH_STEPS_MAX = 6  # [1] the same from a guess, because the error is squared at each
 
 
 def pull_shape(
@@ -128,19 +125,19 @@ def _tensions(
     for search in searches(model, target, start):
         inputs, bends = np.array(search.tensions), np.array([search.bend, search.bend])
         problem = (model.arrays.address, inputs, target, bends, past, model.scratch)
-        stretched = True
+        part, stretched = model.arrays.part('pulls'), True
         for ratio in search.springs:
             stretch = ratio * compliance
-            error = model.arrays.part('pulls').solve_elastic_wires(*problem, stretch, search.steps)
-            stretched = error < STRETCH_ERROR_N * stretch
+            error = part.solve_elastic_wires(*problem, stretch, SEARCH_STEPS_MAX)
+            stretched = error < part.STRETCH_ERROR_N * stretch
             if not stretched:
                 break  # stiffer springs would do no better
         if not stretched and search.held:
             continue
-        error = float(model.arrays.part('pulls').solve_stiff_wires(*problem, SEARCH_STEPS_MAX))
+        error = float(part.solve_stiff_wires(*problem, SEARCH_STEPS_MAX))
         if error < gap:
             gap, best = error, (inputs, bends[0])
-        if gap < search.enough:
+        if gap < GAP_ACCEPTED_M:
             return best
     if not np.isfinite(gap):
         raise NoEquilibriumError('these wire pulls', model.implicit_effects, gap)
@@ -159,13 +156,11 @@ def _tensions(
 
 @dataclass(frozen=True)
 class _PullSearch:
-    """Start of a search, the springs it goes through and the gap at which it ends."""
+    """Start of a search, and the springs it goes through."""
 
     tensions: Floats
     bend: Floats
     springs: tuple[float, ...] = SPRING_COMPLIANCES
-    steps: int = SEARCH_STEPS_MAX
-    enough: float = GAP_CLOSED_M  # [m]
     held: bool = True  # stiff wires are tried only where every spring converged
 
 
@@ -181,13 +176,13 @@ def searches(
     wires that do not stretch 35, from more tension 15, both at last 14 and 4; 6 have no solution.
     """
     if start is not None:
-        yield _PullSearch(*start, SPRING_COMPLIANCES[-1:], NEAR_SEARCH_STEPS_MAX, GAP_ACCEPTED_M)
+        yield _PullSearch(*start, SPRING_COMPLIANCES[-1:])
     straight = np.zeros(3 * model.arrays.chain.n)
     pulled, taut = (np.where(on, 0.1, 0.0) for on in (target > 0.0, ~np.isnan(target)))
     yield _PullSearch(pulled, straight)
     yield _PullSearch(pulled, straight, ())
     yield _PullSearch(3.0 * taut, straight, ())
-    last_resort = partial(_PullSearch, bend=straight, enough=GAP_ACCEPTED_M, held=False)
+    last_resort = partial(_PullSearch, bend=straight, held=False)
     yield last_resort(pulled)
     yield last_resort(PRETENSION * model.limits[:, 1] * (taut > 0.0), springs=())
 

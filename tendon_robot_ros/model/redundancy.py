@@ -32,7 +32,7 @@ from .derivatives import (
     tip_stiffness,
 )
 from .program import solved, within
-from .tip_task import Preferences, TipTask
+from .tip_task import CONVERGED_LENGTH, Preferences, TipTask
 
 if TYPE_CHECKING:
     from .shape import Shape
@@ -42,21 +42,17 @@ if TYPE_CHECKING:
 TIP_WEIGHT = 4e5
 KEEP_OUT_RATIO = 1e3  # [1] of that weight, of points inside a region, so that no target keeps them
 NEAR_LENGTH = 0.25  # [1] of the length, so that only regions near the arm take time
-POINTS_MAX = 8  # [1] of the arm held away from a region at once, because neighbours move alike
 TRUST = 0.15  # [1] of a tension's range, the longest step, because slopes change beyond
-TRUST_MIN = 1e-4  # [1] of a range: shorter steps would change less than a motor's resolution
-STEP_MIN = 3e-5  # [1] of a range, a step that is none: it would change no command
+STEP_MIN = 1e-4  # [1] of a range: shorter steps would change less than a motor's resolution
 # [1] of a range, more on all tendons: further starts for a stiff tip, because friction may hold
 # the arm so that every small change makes it softer
 CO_CONTRACTIONS = (0.1, 0.3)
 DAMPING = 1e-4  # [1] against preferences of about 1, so that tensions stay without any
 # [1] of a range, of differences of the stiffness: it is one itself, and shorter would be noise
 STIFFNESS_STEP = 2e-3
-CORRECTIONS_MAX = 3  # [1] of the tip after a step, because its error is squared by each
-CORRECTED_LENGTH = 1e-5  # [1] of the length, an error that stays, because the next step makes more
-SIDES_ITERATIONS_MAX = 3  # [1] of a step and its sides, because it then runs along a kink
-SIDES_FRACTION = 0.1  # [1] of eyelets that may change sides unseen: slopes would hardly change
-LEARNING_STEP_MAX = 5e-3  # [1] of a range: a longer step would tell of slopes elsewhere
+# [1] of the tip after a step, because its error is squared by each, and of a step with the sides
+# of its eyelets, because it then runs along a kink
+CORRECTIONS_MAX = 3
 
 
 @dataclass
@@ -196,12 +192,12 @@ class Balance:
         the slopes on its sides counts.
         """
         tensions, model = self._program(at, trust), self.task.model
-        for count in range(SIDES_ITERATIONS_MAX if model.remembers else 0):
+        for count in range(CORRECTIONS_MAX if model.remembers else 0):
             assert at.slopes is not None and at.state_slopes is not None
             past, fraction = at.past.copy(), 1.0 / (count + 1)
             step = (tensions - at.shape.inputs) @ at.state_slopes
             changed = take_sides(model, at.shape, past, step)
-            if changed <= SIDES_FRACTION * model.arrays.chain.n * model.arrays.chain.k:
+            if not changed:
                 break
             at.past = past
             slopes, state_slopes = self._slopes_after(at.shape, past)
@@ -229,7 +225,7 @@ class Balance:
     def improve(self, at: Linearised, trust: float) -> tuple[Linearised | None, float]:
         """Step to a lower cost, or None; also return the trust of the next step."""
         cost = self.cost(at.shape, at.error)
-        while trust > TRUST_MIN:
+        while trust > STEP_MIN:
             tensions = self.step(at, trust)
             size = float(np.abs((tensions - at.shape.inputs) / self.range).max())
             if size < STEP_MIN:
@@ -255,7 +251,7 @@ class Balance:
 
     def corrected(self, at: Linearised) -> Linearised:
         """Reduce the error of the tip by minimum changes of tension, as far as possible."""
-        near = CORRECTED_LENGTH * self.task.model.robot.length
+        near = CONVERGED_LENGTH * self.task.model.robot.length
         for _ in range(CORRECTIONS_MAX):
             if float(at.error @ at.error) < near**2:
                 break
@@ -267,7 +263,7 @@ class Balance:
             trial = self.solve_at(at, within(u + back, 0.0, 1.0) * self.range + self.low)
             if trial is not None and trial.error @ trial.error < at.error @ at.error:
                 at = trial
-            elif trial is None or max(abs(back)) > LEARNING_STEP_MAX or not self._learn(at, trial):
+            elif trial is None or not self._learn(at, trial):
                 break
         return at
 
@@ -280,24 +276,21 @@ class Balance:
 
     def _walls(self, at: Linearised) -> tuple[Floats, Floats]:
         """Return rows (r, m) and room (r,) [m]: rows @ step >= room is outside, room > 0 in."""
-        model, shape, near = self.task.model, at.shape, NEAR_LENGTH * self.task.model.robot.length
-        rows: list[Floats] = []
-        room: list[float] = []
+        model, shape = self.task.model, at.shape
         distances = self.keep_out.distances(shape.positions)
-        if distances.min() < near:
+        near = distances < NEAR_LENGTH * model.robot.length
+        rows, room = [np.empty((0, len(self.range)))], [np.empty(0)]
+        if near.any():
             past = at.past if model.remembers else None
             moves = derivatives(model, shape.batch, model.inputs, lambda b: b.positions, past)[0]
-            for region, far in zip(self.keep_out.regions, distances, strict=True):
-                nearest = np.argsort(far)[:POINTS_MAX]
-                for i in nearest[far[nearest] < near]:
-                    point, distance = shape.positions[i], region.solid.distance
-                    step = DIFFERENCE_STEP * np.eye(3)  # [m]
-                    normal = (distance(point + step) - distance(point - step)) / (
-                        2.0 * DIFFERENCE_STEP
-                    )
-                    rows.append(normal @ moves[i] * self.range)
-                    room.append(-float(far[i]))
-        return np.array(rows).reshape(-1, len(self.range)), np.array(room)
+            for region, far, close in zip(self.keep_out.regions, distances, near, strict=True):
+                points, distance = shape.positions[close], region.solid.distance
+                steps = DIFFERENCE_STEP * np.eye(3)  # [m]
+                sides = [distance(points + step) - distance(points - step) for step in steps]
+                normals = np.stack(sides, axis=-1) / (2.0 * DIFFERENCE_STEP)
+                rows.append(np.einsum('pc,pcm->pm', normals, moves[close]) * self.range)
+                room.append(-far[close])
+        return np.concatenate(rows), np.concatenate(room)
 
 
 def balanced(

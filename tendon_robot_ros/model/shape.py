@@ -89,7 +89,6 @@ END_TOLERANCE_M = 1e-9  # [m] from a cell's end that is its end, because sums of
 # [1] of the arm's extent, from the x-z plane: an arm farther off is drawn in space, because a
 # picture of 500 pixels would hide more than five of them
 FLATNESS = 0.01
-ELEVATION_DEG = 12.0  # [°] from which arms in space are seen, so that bends towards the eye show
 
 
 def place_markers(shapes: ShapeBatch, arc_length: Floats, offset: Floats) -> Floats:
@@ -450,7 +449,7 @@ def new_axes(arms: Floats) -> Axes:
     figure = plt.figure(layout='constrained')
     subplot: Any = figure.add_subplot(projection='3d' if in_space else None)
     if in_space:
-        subplot.view_init(elev=ELEVATION_DEG, azim=np.degrees(bending_azimuth(arms)) - 90.0)
+        subplot.view_init(azim=np.degrees(bending_azimuth(arms)) - 90.0)
     axes: Axes = subplot
     return axes
 

@@ -19,27 +19,24 @@ import numpy as np
 from ..common.arrays import Floats
 from .program import within
 from .pulls import Aim
-from .tip_task import LOW_TENSION_WEIGHT, Policy, TipTask
+from .tip_task import LOW_TENSION_WEIGHT, Policy, TipTask, cost_of
 
 if TYPE_CHECKING:
     from .shape import Shape, ShapeBatch
 
 Start = tuple[Aim, Floats, Floats]  # how to search, tensions (m,) [N] and bends to start from
-# [1] of the cost, gained by a step: less ends a search, because rounding gains as much
-GAIN_MIN = 1e-6
-# [1] of the cost: less ends a search from near, because the next target comes before more is
-# gained
+# [1] of the cost, gained by a step: less ends a search from near that has reached the target,
+# because the next target comes before more is gained
 TRACKING_GAIN_MIN = 1e-2
 # [1] equilibria of a search; what takes more has been seen to stall, and another start would be
 # quicker
 TRIALS_MAX = 120
-# [1] where friction remembers, because a search then creeps along narrow valleys
-REMEMBERING_TRIALS_MAX = 4 * TRIALS_MAX
 # [1] where tendons stick: what needs more stands at a kink, and another start is quicker
 # (docs/model.md)
 STICKING_TRIALS_MAX = 10
-# [1] starts of an arm that is driven by wire lengths, because each of them is several searches
-PULL_STARTS_MAX = 4
+# [1] starts where each is several searches (an arm driven by wire lengths, regions to keep out of)
+# or seldom comes nearer (a kink of friction), because each takes milliseconds
+FEW_STARTS = 4
 # [1] shapes of the library among which starts are chosen: more than would ever be tried
 LIBRARY_NEIGHBOURS = 128
 # [1] weight of the tensions of a shape of the library, because from much tension against much
@@ -47,17 +44,11 @@ LIBRARY_NEIGHBOURS = 128
 START_TENSION_WEIGHT = 0.1
 # [1] weight of tensions while bends and tensions are found at once (docs/model.md)
 SEEKING_WEIGHT = 100.0 * LOW_TENSION_WEIGHT
-# [1] of the smoothing length, with which such a search begins (docs/model.md)
-SEEKING_WIDTH = 1e3
-# [1] by which it shrinks in a step: ten steps from that width, so that fifteen in all do
-# (docs/model.md)
-SEEKING_SHRINK = 0.5
 # [1] steps of such a search: it settles within these or seldom does (docs/model.md)
 SEEKING_STEPS_MAX = 60
-# [1] of the length, of a first step towards a far target: soon made, else the arm would wait
-FIRST_STEP_LENGTH = 0.03
-# [1] of the length: from a tip farther off, no search from equilibrium to equilibrium would arrive
-FAR_LENGTH = 2.0 * FIRST_STEP_LENGTH
+# [1] of the length: from a tip farther off, no search from equilibrium to equilibrium would
+# arrive; half of it is a first step there
+FAR_LENGTH = 0.06
 
 
 def aim(
@@ -66,7 +57,7 @@ def aim(
     inputs: Floats,
     bend: Floats,
     limits: Floats,
-    tension: Floats | None = None,
+    tension: tuple[float, ...] | None = None,
     cost_max: float = np.inf,
     trials: int = TRIALS_MAX,
 ) -> tuple[float, Floats]:
@@ -80,7 +71,7 @@ def aim(
     inputs, bend : (m,) [N] and (3n,) [rad]
         Where the search starts.
     limits : (m, 2) [N]
-    tension : (4,), optional
+    tension : tuple of float, optional
         Cost of tension (`TipTask.tension`); default: just enough to decide between equal tips.
     cost_max : float
         A start that costs more stays as it is [m²].
@@ -97,7 +88,7 @@ def aim(
 
 def aim_frugally(
     task: TipTask,
-    tension: Floats,
+    tension: tuple[float, ...],
     trials: int,
     inputs: Floats,
     bend: Floats,
@@ -117,7 +108,7 @@ def step_towards(
     task: TipTask, guess: Shape, inputs: Floats, bend: Floats, limits: Floats
 ) -> tuple[float, Floats]:
     """Improve inputs in place by one step towards a far target: a first move of the arm."""
-    near, step = task.target.copy(), FIRST_STEP_LENGTH * task.model.robot.length
+    near, step = task.target.copy(), 0.5 * FAR_LENGTH * task.model.robot.length
     near[:6] += (1.0 - step / np.sqrt(2.0 * task.cost(guess))) * task.tip_error(guess)
     bends = aim(
         replace(task, target=near),
@@ -132,7 +123,7 @@ def step_towards(
 
 def seek(
     task: TipTask,
-    width: float,
+    fraction: float,
     inputs: Floats,
     bend: Floats,
     limits: Floats,
@@ -142,12 +133,12 @@ def seek(
     Improve inputs in place towards a far target; return the cost [m²] and bends at equilibrium.
 
     For tendons that stick and slip: bends and tensions are solved for at once, with a smoothing
-    length of friction that starts `width` times its own.
+    length of friction that starts as a fraction of the widest.
     """
     bends = np.array([bend, bend])
     begin, end = _kernel_arguments(task, inputs, bends, limits)
     part = task.model.arrays.part('inverse')
-    part.seek(*begin, SEEKING_WEIGHT * task.per_newton, width, SEEKING_SHRINK, steps, *end)
+    part.seek(*begin, SEEKING_WEIGHT * task.per_newton, fraction, steps, *end)
     return aim(
         task,
         TRACKING_GAIN_MIN,
@@ -161,7 +152,7 @@ def seek(
 
 def far_cost(task: TipTask) -> float:
     """Return the cost [m²] from which a target counts as far."""
-    return float(0.5 * (FAR_LENGTH * task.model.robot.length) ** 2)
+    return cost_of(FAR_LENGTH * task.model.robot.length)
 
 
 def _kernel_arguments(
@@ -186,15 +177,14 @@ def starts_of(task: TipTask, policy: Policy, reports: bool) -> Iterator[Start]:
     also searches from the guess with a cost of tension; where tendons stick that is one start
     more.
     """
-    model, guess, nearby = task.model, task.guess, partial(aim, task, GAIN_MIN)
+    model, guess, nearby = task.model, task.guess, partial(aim, task, 0.0)
     if model.sticks:
         # for a direction, too, little is free, and another start is quicker
         steps = SEEKING_STEPS_MAX // 2 if task.target[7] else SEEKING_STEPS_MAX
-        nearby = partial(seek, task, SEEKING_WIDTH, steps=steps)
+        nearby = partial(seek, task, 1.0, steps=steps)
     if guess is not None:
         present = within(guess.inputs, *model.limits.T)
-        trials = TRIALS_MAX if not model.remembers else REMEMBERING_TRIALS_MAX
-        trials = STICKING_TRIALS_MAX if model.sticks else trials
+        trials = STICKING_TRIALS_MAX if model.sticks else TRIALS_MAX
         track = partial(aim, task, TRACKING_GAIN_MIN, trials=trials)
         frugal = partial(aim_frugally, task, task.tension(policy.tension_weight), trials)
         far = model.sticks and task.cost(guess) >= far_cost(task)
@@ -205,10 +195,10 @@ def starts_of(task: TipTask, policy: Policy, reports: bool) -> Iterator[Start]:
         if far:
             yield partial(cost_at, task), present, guess.state  # to stay
             if policy.starts:
-                yield partial(seek, task, SEEKING_WIDTH), present.copy(), guess.state
+                yield partial(seek, task, 1.0), present.copy(), guess.state
             if reports:
                 yield _setting_out(task, guess, present, bool(policy.starts))
-    starts = min(policy.starts, PULL_STARTS_MAX) if task.by_pulls else policy.starts
+    starts = min(policy.starts, FEW_STARTS) if task.by_pulls else policy.starts
     if starts:
         yield nearby, model.limits[:, 0].copy(), np.zeros(3 * model.robot.cells)
         for row in islice(rows_near(task), starts):

@@ -24,17 +24,22 @@ if TYPE_CHECKING:
 # (1 + D²) with D a half, so that a tension grows evenly until the error that no tension takes away
 # is half of what it takes away (docs/model.md)
 TENSION_PRICE = 0.8
-# [1] of the range, left where all tendons are at their limit; without it the price would be
-# infinite
-ROOM_MIN = 1e-3
-# [1] lengths of the robot: so far off all places cost the same, else exp would overflow
-FAR_LENGTHS = 100.0
+# [1] of the range, left where all tendons are at their limit, else the price would be infinite
+ROOM_MIN = 0.01
 # [1] lengths of the arm from its base; farther is another unit, because millimetres would be a
-# thousand times as far
+# thousand times as far; all tips so far off cost the same
 UNIT_LENGTHS = 10.0
+# [1] of the length: nearer, a search has converged, 1.4 µm on 208 mm, else rounding would say what
+# is reached
+CONVERGED_LENGTH = 7e-6
 # [1] weight of tensions above their lowest: so little that it only decides between tensions with
 # the same tip; more would leave the tip beside its place (docs/model.md)
 LOW_TENSION_WEIGHT = 4e-5
+
+
+def cost_of(distance: float) -> float:
+    """Return the cost [m²] of a tip at a distance [m] from its target: half of its square."""
+    return 0.5 * distance * distance
 
 
 class Patience:
@@ -220,14 +225,16 @@ class TipTask:
         low, high = self.model.limits.T
         return float((high - low).mean())
 
-    def tension(self, weight: float, priced: bool = False) -> Floats:
+    def tension(self, weight: float, priced: bool = False) -> tuple[float, ...]:
         """
-        Return the cost of tension (4,) as `aim` of the kernel takes it.
+        Return the cost of tension as `aim` of the kernel takes it.
 
         A weight [1] in units of `per_newton` and, if `priced`, the price of `worth`.
         """
         room, price = self._range * len(self.model.inputs), TENSION_PRICE if priced else 0.0
-        return np.array([weight * self.per_newton, price, self.model.robot.length, room])
+        length = self.model.robot.length
+        converged = cost_of(CONVERGED_LENGTH * length)
+        return weight * self.per_newton, price, length, room, ROOM_MIN, converged
 
     def above_lowest(self, weight: float, inputs: Floats) -> float:
         """Return the cost [m²] of tensions (m,) [N] above their lowest, with a weight [1]."""
@@ -245,7 +252,7 @@ class TipTask:
         used = float((inputs - self.model.limits[:, 0]).mean()) / self._range
         length = self.model.robot.length
         lengths = math.sqrt(2.0 * cost) / length
-        size = lengths if lengths < 1.0 else math.exp(min(lengths - 1.0, FAR_LENGTHS))
+        size = lengths if lengths < 1.0 else math.exp(min(lengths - 1.0, UNIT_LENGTHS))
         room = math.pow(max(1.0 - used, ROOM_MIN), TENSION_PRICE)
         return 0.5 * (length * size / room) ** 2
 

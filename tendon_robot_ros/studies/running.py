@@ -15,7 +15,7 @@ from typing import Any, Protocol
 from ..common.errors import DataSetError, Progress, listener
 from ..common.files import new_file
 from ..common.results import arrow
-from ..common.workers import SAVED_EVERY_S, LostWork, Workers
+from ..common.workers import UPKEEP_S, LostWork, Workers
 from ..model.versions import UserEffect, compiled_once
 
 # [1] files of a table before they become one, because reading the keys opens every file
@@ -128,7 +128,7 @@ def judge_all[C: Keyed, R: Row](
             lost = isinstance(result, LostWork)
             buffer += [study.lost(case, result.workers) for case in chunk] if lost else result
             done += len(chunk)
-            if time.monotonic() > written + SAVED_EVERY_S:
+            if time.monotonic() > written + UPKEEP_S:
                 table.append(buffer)
                 buffer, written = [], time.monotonic()
             show(what, done, len(missing))

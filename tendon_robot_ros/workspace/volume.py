@@ -26,7 +26,7 @@ from ..common.arrays import Floats
 from ..common.errors import InputError, Progress, listener
 from ..common.files import new_file
 from ..common.rotations import angle_between
-from ..common.workers import SAVED_EVERY_S, LostWork, Workers
+from ..common.workers import UPKEEP_S, LostWork, Workers
 from ..effects import load_catalogue
 from ..model import forward
 from ..model.model import Model
@@ -300,7 +300,7 @@ class Stream:
                     )
                 self.tally.merge(result)
                 self.finished |= {(number, i) for i, _ in chunk}
-                if self.kept is not None and time.monotonic() > self.saved + SAVED_EVERY_S:
+                if self.kept is not None and time.monotonic() > self.saved + UPKEEP_S:
                     self.save(self.kept)
                 show('postures', computed + int(self.tally.counts[0]), total)
 

@@ -12,6 +12,7 @@ asks for.
 
 import math
 
+from . import stages
 from .layout import (
     DIFFERENCE_STEP,
     EPSILON,
@@ -25,27 +26,12 @@ from .layout import (
     inlined,
     section_of,
 )
-from .stages import (
-    joint_friction,
-    joint_friction_acts,
-    memory_acts,
-    moment,
-    moment_acts,
-    offset_scale,
-    rest,
-    stiffening,
-    stiffening_acts,
-    stiffness,
-    tendon_path_acts,
-    torsion,
-    torsion_acts,
-)
 
 
 @compiled
 def coordinates(chain):
     """Unknowns of a cell: its bend, and its twist where cells twist."""
-    return 3 if torsion_acts(chain) else 2
+    return 3 if stages.torsion_acts(chain) else 2
 
 
 @compiled
@@ -57,25 +43,25 @@ def unknowns(chain):
 @compiled
 def leans(chain):
     """Tell whether tendons may lean: they wind, or cells twist."""
-    return chain.helix != 0 or torsion_acts(chain)
+    return chain.helix != 0 or stages.torsion_acts(chain)
 
 
 @compiled
 def follows_shape(chain):
     """Tell whether the moment arms of the tendons follow the shape."""
-    return tendon_path_acts(chain) or leans(chain)
+    return stages.tendon_path_acts(chain) or leans(chain)
 
 
 @compiled
 def is_general(chain):
     """Tell whether loads do more than bend: cells twist, or weight lies beside the axis."""
-    return torsion_acts(chain) or chain.beside != 0
+    return stages.torsion_acts(chain) or chain.beside != 0
 
 
 @compiled
 def twist_in(chain, state, i):
     """Twist of cell i [rad] in a state at an address; zero where cells do not twist."""
-    return floats(state)[2 * chain.n + i] if torsion_acts(chain) else 0.0
+    return floats(state)[2 * chain.n + i] if stages.torsion_acts(chain) else 0.0
 
 
 @compiled
@@ -242,7 +228,7 @@ def chain_frames(chain, bend, work):
 
     Entry 0 is the base and stays as it is. A cell twists by a half before and behind its bend.
     """
-    twists, co, si = torsion_acts(chain), 1.0, 0.0
+    twists, co, si = stages.torsion_acts(chain), 1.0, 0.0
     frames, origins, bends = floats(work.frames), floats(work.origins), floats(bend)
     half, lengths = floats(work.half), floats(work.lengths)
     a, b, c = (1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0)
@@ -270,23 +256,23 @@ def chain_frames(chain, bend, work):
 @compiled
 def cell_stiffness(chain, i, section):
     """Bending stiffness of cell i with the tendons in it [N·m/rad]."""
-    return stiffness(cell(chain, i, STIFFNESS), cell(chain, i, PRESENT), chain, section)
+    return stages.stiffness(cell(chain, i, STIFFNESS), cell(chain, i, PRESENT), chain, section)
 
 
 @compiled
 def twist_of(chain, i, about):
     """Twist [rad] of cell i under a moment about its axis [N·m]."""
     section = section_of(chain, i)
-    return torsion(0.0, about, cell_stiffness(chain, i, section), chain, section)
+    return stages.torsion(0.0, about, cell_stiffness(chain, i, section), chain, section)
 
 
 @compiled
 def elastic_moment(chain, i, bx, by):
     """Moment (x, y) [N·m] that holds a bend against the backbone's elasticity."""
     section = section_of(chain, i)
-    x0, y0 = rest(0.0, 0.0, chain, section)
+    x0, y0 = stages.rest(0.0, 0.0, chain, section)
     x, y = bx - x0, by - y0
-    k = cell_stiffness(chain, i, section) * stiffening(1.0, x * x + y * y, chain, section)
+    k = cell_stiffness(chain, i, section) * stages.stiffening(1.0, x * x + y * y, chain, section)
     return k * x, k * y
 
 
@@ -294,15 +280,15 @@ def elastic_moment(chain, i, bx, by):
 def bend_of(chain, k, size, section):
     """Solve K t stiffening(t²) = size for the bend t >= 0; NaN when there is none."""
     t = size / k
-    if not stiffening_acts(chain):
+    if not stages.stiffening_acts(chain):
         return t
     t = min(t, 1.0)
     for _ in range(60):
-        g = stiffening(1.0, t * t, chain, section)
+        g = stages.stiffening(1.0, t * t, chain, section)
         h = DIFFERENCE_STEP * (1.0 + t)
         slope = (
-            stiffening(1.0, (t + h) * (t + h), chain, section)
-            - stiffening(1.0, (t - h) * (t - h), chain, section)
+            stages.stiffening(1.0, (t + h) * (t + h), chain, section)
+            - stages.stiffening(1.0, (t - h) * (t - h), chain, section)
         ) / (2.0 * h)
         step = (k * t * g - size) / (k * (g + t * slope))
         t -= step
@@ -314,7 +300,11 @@ def bend_of(chain, k, size, section):
 @compiled
 def is_linear(chain):
     """Tell whether every cell bends in proportion to the moment on it."""
-    return not (moment_acts(chain) or joint_friction_acts(chain) or stiffening_acts(chain))
+    return not (
+        stages.moment_acts(chain)
+        or stages.joint_friction_acts(chain)
+        or stages.stiffening_acts(chain)
+    )
 
 
 @fused
@@ -332,7 +322,7 @@ def bend_linear(chain, work, i, mx, my, load_x, load_y, scale):
         Factor on the tendon offsets, and so on their moment [1].
 
     """
-    x0, y0 = rest(0.0, 0.0, chain, section_of(chain, i))
+    x0, y0 = stages.rest(0.0, 0.0, chain, section_of(chain, i))
     compliance = floats(work.compliance)[i]
     slope = scale * compliance
     return x0 + compliance * load_x + slope * mx, y0 + compliance * load_y + slope * my
@@ -343,22 +333,22 @@ def bend_cell(chain, past, i, mx, my, total):
     """Bend (x, y) of a cell under a moment [N·m] and the sum of tensions [N] that press it."""
     section = section_of(chain, i)
     size = math.sqrt(mx * mx + my * my)
-    if moment_acts(chain) and size > 0.0:
-        radius = chain.radius * offset_scale(1.0, chain, 0)
-        factor = moment(size, total, radius, chain, section) / size
+    if stages.moment_acts(chain) and size > 0.0:
+        radius = chain.radius * stages.offset_scale(1.0, chain, 0)
+        factor = stages.moment(size, total, radius, chain, section) / size
         mx, my = mx * factor, my * factor
-    if joint_friction_acts(chain):
+    if stages.joint_friction_acts(chain):
         hx, hy = 0.0, 0.0
-        if memory_acts(chain):
+        if stages.memory_acts(chain):
             before = floats(past.bend + 16 * i)
             hx, hy = elastic_moment(chain, i, before[0], before[1])
         dx, dy = mx - hx, my - hy
         size = math.sqrt(dx * dx + dy * dy)
         if size > 0.0:
-            factor = joint_friction(size, total, chain, section) / size
+            factor = stages.joint_friction(size, total, chain, section) / size
             mx, my = hx + dx * factor, hy + dy * factor
     size = math.sqrt(mx * mx + my * my)
-    x0, y0 = rest(0.0, 0.0, chain, section)
+    x0, y0 = stages.rest(0.0, 0.0, chain, section)
     if size == 0.0:
         return x0, y0
     t = bend_of(chain, cell_stiffness(chain, i, section), size, section) / size

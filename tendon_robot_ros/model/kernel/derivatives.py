@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from . import stages
 from .cells import half_turns, unknowns
 from .layout import (
     DIFFERENCE_STEP,
@@ -24,13 +25,10 @@ from .layout import (
     largest,
     memory_in,
     memory_size,
-    residual_at,
-    respond_at,
     words,
 )
 from .linearisation import TRAVEL_STEP
 from .shape import SAME_SIGN, mean_pulls, place, remember, wire_pulls, work_in, workspace
-from .stages import actuation, eyelet_acts, length_acts, stretch_acts, winding_acts
 from .sweep import is_implicit
 
 # [N] of forward differences, too: a longer one would err by as much as low tensions weigh in a
@@ -56,39 +54,48 @@ def combine_tendons(chain, inputs, pulls, rows):
     for k in range(chain.k):
         j = tendon[2 * k + 1]
         down = min(tension[j], TENSION_STEP)
-        rate = actuation(tension[j] + TENSION_STEP, chain, 0)
-        rate = (rate - actuation(tension[j] - down, chain, 0)) / (TENSION_STEP + down)
+        rate = stages.actuation(tension[j] + TENSION_STEP, chain, 0)
+        rate = (rate - stages.actuation(tension[j] - down, chain, 0)) / (TENSION_STEP + down)
         for q in range(unknowns(chain)):
             rows[j, q] += rate * pulls[k, q]
 
 
 @compiled
+def sweep_or_residual(chain, inputs, bend, work, past, out):
+    """Fill `out` [rad] with the state of an explicit model, with the residual of another."""
+    if is_implicit(chain):
+        chain.residual(chain, inputs, bend, work, past, out)
+    else:
+        chain.step(chain, inputs, bend, work, past, out)
+
+
+@compiled
 def input_response(chain, inputs, bend, work, past, rows):
     """Fill the derivatives of the state by the input tensions, rows (m, unknowns) [rad/N]."""
-    if is_implicit(chain) and eyelet_acts(chain):
+    if is_implicit(chain) and stages.eyelet_acts(chain):
         pulls, f = np.empty((chain.k, unknowns(chain))), np.empty(unknowns(chain))
-        residual_at(chain.residual)(chain, inputs, bend, work, past, address(f))
-        respond_at(chain.respond)(chain, bend, 0, 0, work, past, 0, address(pulls))
+        chain.residual(chain, inputs, bend, work, past, address(f))
+        chain.respond(chain, bend, 0, 0, work, past, 0, address(pulls))
         combine_tendons(chain, inputs, pulls, rows)
         keep(f)
         return
     m, size = chain.m, unknowns(chain)
     changes, low = np.empty((m, size)), np.empty(size)
-    tension, explicit = floats(inputs), not is_implicit(chain)
-    law, filled = (chain.step, rows) if explicit else (chain.residual, changes)
+    tension, implicit = floats(inputs), is_implicit(chain)
+    filled = changes if implicit else rows
     for j in range(m):
         was = tension[j]
         width = TENSION_STEP + min(was, TENSION_STEP)
         tension[j] = was + TENSION_STEP
-        residual_at(law)(chain, inputs, bend, work, past, address(filled) + 8 * size * j)
+        sweep_or_residual(chain, inputs, bend, work, past, address(filled) + 8 * size * j)
         tension[j] = was + TENSION_STEP - width
-        residual_at(law)(chain, inputs, bend, work, past, address(low))
+        sweep_or_residual(chain, inputs, bend, work, past, address(low))
         tension[j] = was
         for q in range(size):
             filled[j, q] = (filled[j, q] - low[q]) / width
-    if not explicit:
-        residual_at(chain.residual)(chain, inputs, bend, work, past, address(low))
-        respond_at(chain.respond)(chain, bend, address(changes), m, work, past, address(rows), 0)
+    if implicit:
+        chain.residual(chain, inputs, bend, work, past, address(low))
+        chain.respond(chain, bend, address(changes), m, work, past, address(rows), 0)
     keep(changes)
     keep(low)
 
@@ -96,9 +103,9 @@ def input_response(chain, inputs, bend, work, past, rows):
 @compiled
 def place_as(chain, inputs, bend, work, past):
     """Fill work.frames, work.origins and, where they matter, work.tensions at given bends."""
-    if length_acts(chain) or stretch_acts(chain) or winding_acts(chain):
+    if stages.length_acts(chain) or stages.stretch_acts(chain) or stages.winding_acts(chain):
         f = np.empty(unknowns(chain))
-        residual_at(chain.residual)(chain, inputs, bend, work, past, address(f))
+        chain.residual(chain, inputs, bend, work, past, address(f))
         keep(f)
     half_turns(chain, bend, work)
     place(chain, bend, work)
@@ -229,7 +236,7 @@ def residuals(robot, inputs, bends, past, scratch, out):
         bend = address(bends) + 24 * chain.n * b
         for q in range(unknowns(chain), 3 * chain.n):
             floats(row)[q] = 0.0
-        residual_at(chain.residual)(chain, tension, bend, work, then, row)
+        chain.residual(chain, tension, bend, work, then, row)
 
 
 @entry()
@@ -257,7 +264,7 @@ def responses(robot, inputs, bends, past, scratch, changes, rows):
     f = np.empty(size)
     for b in range(inputs.shape[0]):
         tension, bend = address(inputs) + 8 * chain.m * b, address(bends) + 24 * chain.n * b
-        residual_at(chain.residual)(chain, tension, bend, work, then, address(f))
+        chain.residual(chain, tension, bend, work, then, address(f))
         at = 8 * size * count * b
         change, answers = address(changes) + at, address(rows) + at
-        respond_at(chain.respond)(chain, bend, change, count, work, then, answers, 0)
+        chain.respond(chain, bend, change, count, work, then, answers, 0)

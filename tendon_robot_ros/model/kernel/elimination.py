@@ -13,26 +13,10 @@ from collections import namedtuple
 
 import numpy as np
 
+from . import stages
 from .cells import coordinates
 from .layout import (
-    BEFORE,
-    BY_ROTATION,
-    BY_TENSION,
-    BY_TORQUE,
-    LAGS,
     NONE,
-    OWN,
-    PASSED,
-    PULLS,
-    RESPOND,
-    ROTATIONS,
-    SIZE,
-    SLIDES,
-    TENDON,
-    TORQUE_BY_OWN,
-    TORQUE_BY_ROTATION,
-    TRAVELS,
-    WITHIN,
     ZERO,
     add_row,
     address,
@@ -41,13 +25,30 @@ from .layout import (
     floats,
     keep,
     solve_rows,
-    tangent_of,
-    tangent_size,
     words,
 )
-from .linearisation import differentiate
+from .linearisation import (
+    BEFORE,
+    BY_ROTATION,
+    BY_TENSION,
+    BY_TORQUE,
+    LAGS,
+    OWN,
+    PASSED,
+    PULLS,
+    ROTATIONS,
+    SIZE,
+    SLIDES,
+    TENDON,
+    TORQUE_BY_OWN,
+    TORQUE_BY_ROTATION,
+    TRAVELS,
+    WITHIN,
+    differentiate,
+    tangent_of,
+    tangent_size,
+)
 from .loads import loaded
-from .stages import eyelet_acts
 
 # System: sizes and addresses of the equations. Columns: the tensions that come in (kt of them, if
 # there is friction), from `own` on bend and twist before, from `frame` on the rotation of the
@@ -82,7 +83,7 @@ def system_size(chain, count):
 @compiled
 def system_in(chain, count, start):
     """Lay the equations out in an array of `system_size` floats that starts as zeros."""
-    kt = chain.k if eyelet_acts(chain) else 0
+    kt = chain.k if stages.eyelet_acts(chain) else 0
     frame = kt + coordinates(chain)
     right = frame + 3 if loaded(chain) else frame
     width = right + count
@@ -426,7 +427,7 @@ def yielding_to(chain, pivot, preferred):
     return x, y, by_x * x + by_y * y
 
 
-@entry(RESPOND)
+@entry()
 def respond(chain, bend, rates, count, work, past, answers, pulls):
     """
     Fill the response of a state, whose moments `work` holds, to rates of the residual (count, u).

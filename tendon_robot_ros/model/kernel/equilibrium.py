@@ -19,6 +19,7 @@ import math
 
 import numpy as np
 
+from . import stages
 from .cells import (
     bend_cell,
     cell_stiffness,
@@ -31,46 +32,35 @@ from .cells import (
 )
 from .geometry import shaped_travel
 from .layout import (
-    BACKTRACKS_MAX,
     BEND_TOLERANCE,
-    DESCEND,
     DIFFERENCE_STEP,
     EPSILON,
     EVERY_METHOD,
     LENGTH,
+    LINEAR_STEP_RAD,
     LOAD_SCALE,
-    MARCH,
-    NEWTON,
     SHAPED,
     SMOOTHING,
     SMOOTHING_LENGTH,
-    SOLVE,
+    STEPS_MAX,
     TINY,
+    WIDE_SMOOTHING,
     YES,
     address,
     assign,
-    balance_at,
     cell,
     compiled,
     copy,
-    descend_at,
     dot,
     entry,
     floats,
     keep,
     largest,
-    march_at,
-    newton_at,
-    place_travel_at,
-    residual_at,
-    respond_at,
     section_of,
     solve_small,
-    step_at,
     words,
 )
 from .loads import force_at_tip, loaded, weight
-from .stages import eyelet_acts, friction_travel_acts, memory_acts, offset_scale, torsion_acts
 from .sweep import (
     active_stages,
     base_tensions,
@@ -82,30 +72,19 @@ from .sweep import (
     tendons_about,
 )
 
-SWEEPS_MAX = 25  # [1] because Newton is quicker where so many have not converged
 ANDERSON_DEPTH = 5  # [1] last guesses that are combined; more would combine rounding errors
-# [rad] residual of one cell at which it is solved, so that all together meet the tolerance
-CELL_TOLERANCE = 1e-3 * BEND_TOLERANCE
-# [1] of Newton: its error is squared at each, so that what needs more does not converge
-NEWTON_STEPS_MAX = np.int64(12)
-NEAR_STEPS_MAX = np.int64(8)  # [1] the same from a guess, because the error is small there
 STEP_MAX_RAD = 1.0  # [rad] of a bend in one step, because slopes here tell nothing beyond
-WIDE_SMOOTHING = (
-    1e3  # [1] of SMOOTHING_LENGTH at the start: 2 mm, so that every tendon slides a little
-)
-# [1] on the smoothing length after a good step; measured: the second solves 55 of the 876 that the
-# first leaves
+# [1] on the smoothing length after a step that is short enough; measured: the second solves 55 of
+# the 876 that the first leaves
 SHRINK_FACTORS = (0.3, 0.5)
-# [1] where kinks of friction cut steps short: three times those that the second factor takes to
-# 1e-3, because two in three may shrink nothing
+# [1] sweeps, and steps where kinks of friction cut them short: three times those that the second
+# factor takes to 1e-3, because two in three may shrink nothing
 KINKED_STEPS_MAX = np.int64(30)
-STEP_SHRINKING_RAD = 0.1  # [rad] a good step, because slopes hardly change over it
 STEP_NEAR_RAD = 1e-4  # [rad] last step, so that Newton converges from there without own travel
-SLIPPING_FROM = 0.9999  # [1] direction of friction of a tendon that slips, because tanh is never 1
-# [1] of the smoothing length, travel of a tendon whose direction of friction no step changes: tanh
-# is 1 - 2e-7, so that what it lags does not count
-CLEAR_TRAVEL = 8.0
-SLIP_START_TRAVEL = 3.0  # [1] of a tendon that begins to slip, so that it may stick again
+# [1] of the smoothing length, travel of a tendon that slips: tanh is 1 - 1e-4, so that what it
+# lags hardly counts
+CLEAR_TRAVEL = 5.0
+SLIPPING_FROM = math.tanh(CLEAR_TRAVEL)
 STRIDE_MIN = 1e-2  # [1] of the path of a continuation: shorter ones would take more than 100 steps
 # [1] of Euler's load, above which stability is checked: less than the bound of `load_ratio`,
 # because rods are uneven
@@ -117,7 +96,7 @@ DESCENT_STEPS_MAX = 5000
 @compiled
 def residual_size(chain, inputs, bend, work, past, f):
     """Fill f (u,) [rad], the residual at the state in `bend`; return its largest entry."""
-    residual_at(chain.residual)(chain, inputs, bend, work, past, address(f))
+    chain.residual(chain, inputs, bend, work, past, address(f))
     return largest(f)
 
 
@@ -143,7 +122,7 @@ def is_planar(chain, x):
 def sweep_unshaped(chain, inputs, x, work, past):
     """Fill a state x with the one that there is without the effects of shape."""
     floats(work.settings)[SHAPED] = 0.0
-    step_at(chain.step)(chain, inputs, address(x), work, past, address(x))
+    chain.step(chain, inputs, address(x), work, past, address(x))
     floats(work.settings)[SHAPED] = 1.0
 
 
@@ -197,8 +176,8 @@ def repeat_sweeps(chain, inputs, x, work, past):
     steps, changes = rows[4 : 4 + depth], rows[4 + depth :]
     weights, gram, factor = small[0], small[1 : 1 + depth], small[1 + depth :]
     best, first = math.inf, math.inf
-    for count in range(SWEEPS_MAX):
-        step_at(chain.step)(chain, inputs, address(x), work, past, address(swept))
+    for count in range(KINKED_STEPS_MAX):
+        chain.step(chain, inputs, address(x), work, past, address(swept))
         for j in range(size):
             f[j] = swept[j] - x[j]
         change = largest(f)
@@ -228,7 +207,7 @@ def repeat_sweeps(chain, inputs, x, work, past):
 def twist_residual(chain, work, i, x, y, twist):
     """Residual [rad] of the twist of cell i, bent by (x, y), whose tensions are known."""
     s, c = floats(work.half)[2 * i], floats(work.half)[2 * i + 1]
-    shaped_travel(chain, i, x, y, s, c, twist, offset_scale(1.0, chain, 0), work)
+    shaped_travel(chain, i, x, y, s, c, twist, stages.offset_scale(1.0, chain, 0), work)
     return twist - twist_of(chain, i, tendons_about(chain, work, i))
 
 
@@ -238,7 +217,7 @@ def solve_twist(chain, work, state, i, x, y):
     twists, h = floats(state + 16 * chain.n), DIFFERENCE_STEP
     f = twist_residual(chain, work, i, x, y, twists[i])
     for _ in range(KINKED_STEPS_MAX):
-        if abs(f) < CELL_TOLERANCE:
+        if abs(f) < BEND_TOLERANCE:
             break
         twists[i] -= f * h / (twist_residual(chain, work, i, x, y, twists[i] + h) - f)
         f = twist_residual(chain, work, i, x, y, twists[i])
@@ -257,7 +236,7 @@ def cell_residual(chain, work, past, state, i, last_x, last_y, x, y):
         Bend of this cell [rad].
 
     """
-    half, scale = floats(work.half), offset_scale(1.0, chain, 0)
+    half, scale = floats(work.half), stages.offset_scale(1.0, chain, 0)
     half[2 * i], half[2 * i + 1] = half_turn(x * x + y * y)
     if follows_shape(chain):
         twist = twist_in(chain, state, i)
@@ -267,7 +246,7 @@ def cell_residual(chain, work, past, state, i, last_x, last_y, x, y):
         flags, rate, j = active_stages(chain, YES), slip_rate_in(work), i - 1
         passed = ratio_at(chain, work, j, last_x, last_y, x - last_x, y - last_y, flags)
         pass_eyelet(chain, work, past, j, last_x, last_y, passed, rate, moment_arms, scale, flags)
-    if torsion_acts(chain):
+    if stages.torsion_acts(chain):
         solve_twist(chain, work, state, i, x, y)
     mx, my, total = tendon_moment(chain, work, i, moment_arms, factor)
     bx, by = bend_cell(chain, past, i, mx, my, total)
@@ -291,14 +270,14 @@ def solve_cell_alone(chain, work, past, state, i, last_x, last_y, x, y):
     fx, fy = cell_residual(*known, x, y)
     for _ in range(KINKED_STEPS_MAX):
         best = abs(fx) + abs(fy)
-        if best < CELL_TOLERANCE:
+        if best < BEND_TOLERANCE:
             break
         ax, ay = cell_residual(*known, x + h, y)
         bx, by = cell_residual(*known, x, y + h)
         a, b, c, d = (ax - fx) / h, (bx - fx) / h, (ay - fy) / h, (by - fy) / h
         over = 1.0 / (a * d - b * c)
         dx, dy = over * (d * fx - b * fy), over * (a * fy - c * fx)
-        for _ in range(BACKTRACKS_MAX):
+        for _ in range(STEPS_MAX):
             gx, gy = cell_residual(*known, x - dx, y - dy)
             if abs(gx) + abs(gy) < best:
                 break
@@ -310,7 +289,7 @@ def solve_cell_alone(chain, work, past, state, i, last_x, last_y, x, y):
     return x, y
 
 
-@entry(MARCH)
+@entry()
 def march(chain, inputs, bend, work, past):
     """
     Solve for the state in `bend`, cell after cell from the base; return the residual [rad].
@@ -341,7 +320,7 @@ def next_travel(z, travel, width, new_width):
             return new_width * math.atanh(s)
     if s * travel <= 0.0:
         return 0.0
-    return math.copysign(max(abs(travel), SLIP_START_TRAVEL * new_width), s)
+    return math.copysign(max(abs(travel), 0.5 * CLEAR_TRAVEL * new_width), s)
 
 
 @compiled
@@ -360,7 +339,7 @@ def take_over(chain, work, move, own, width, new_width):
 
     """
     tendon, (moment_arms, scale) = words(chain.tendon), moment_arms_of(chain, work)
-    lever, twists = floats(moment_arms), torsion_acts(chain)
+    lever, twists = floats(moment_arms), stages.torsion_acts(chain)
     for k in range(chain.k):
         total = 0.0
         for i in range(tendon[2 * k] - 1, -1, -1):
@@ -390,7 +369,7 @@ def exchange(chain, work, own):
 def own_travel(chain, bend, work):
     """Start with the travel that a state gives: (4, n, k) [m], see `take_over`."""
     own, count = np.zeros((4, chain.n, chain.k)), chain.n * chain.k
-    place_travel_at(chain.place_travel)(chain, bend, work)
+    chain.place_travel(chain, bend, work)
     copy(work.travel, address(own), count)
     copy(work.beyond, address(own) + 8 * count, count)
     return own
@@ -437,8 +416,8 @@ def solve_sliding(chain, inputs, x, work, past, wide, shrink, steps_max):
     for _ in range(steps_max):
         floats(work.settings)[SMOOTHING] = width
         exchange(chain, work, own)
-        balance_at(chain.balance)(chain, inputs, address(x), work, past, address(f))
-        respond_at(chain.respond)(chain, address(x), address(f), 1, work, past, address(move), 0)
+        chain.balance(chain, inputs, address(x), work, past, address(f))
+        chain.respond(chain, address(x), address(f), 1, work, past, address(move), 0)
         longest = largest(move)
         if not longest < math.inf:
             break
@@ -448,16 +427,16 @@ def solve_sliding(chain, inputs, x, work, past, wide, shrink, steps_max):
             x[j] += move[j]
         if longest < STEP_NEAR_RAD and width == SMOOTHING_LENGTH:
             break
-        new_width = (
-            max(shrink * width, SMOOTHING_LENGTH) if longest < STEP_SHRINKING_RAD else width
-        )
+        new_width = width
+        if longest < LINEAR_STEP_RAD:
+            new_width = max(shrink * width, SMOOTHING_LENGTH)
         take_over(chain, work, move, own, width, new_width)
         width = new_width
-        place_travel_at(chain.place_travel)(chain, address(x), work)
+        chain.place_travel(chain, address(x), work)
     end_sliding(chain, work)
     if not longest < STEP_NEAR_RAD:
         return math.inf
-    return newton_at(chain.newton)(chain, inputs, address(x), work, past, NEWTON_STEPS_MAX)
+    return chain.newton(chain, inputs, address(x), work, past, STEPS_MAX)
 
 
 @compiled
@@ -480,7 +459,7 @@ def solve_sticking(chain, inputs, x, bend, work, past, cold):
     change = math.inf
     restart(chain, inputs, x, bend, work, past, cold)
     if not cold:
-        change = solve_sliding(chain, inputs, x, work, past, 1.0, 1.0, NEAR_STEPS_MAX)
+        change = solve_sliding(chain, inputs, x, work, past, 1.0, 1.0, STEPS_MAX)
     for shrink in SHRINK_FACTORS:
         quick = floats(work.settings)[EVERY_METHOD] == 0.0 and shrink != SHRINK_FACTORS[0]
         if change < BEND_TOLERANCE or quick:
@@ -513,7 +492,7 @@ def newton_step(chain, inputs, bend, f, move, work, past, trial, trial_f):
     """
     before, x = dot(f, f), floats(bend)
     fraction = min(1.0, STEP_MAX_RAD / max(largest(move), TINY))
-    for _ in range(BACKTRACKS_MAX):
+    for _ in range(STEPS_MAX):
         for j in range(f.shape[0]):
             trial[j] = x[j] + fraction * move[j]
         change = residual_size(chain, inputs, address(trial), work, past, trial_f)
@@ -525,7 +504,7 @@ def newton_step(chain, inputs, bend, f, move, work, past, trial, trial_f):
     return -1.0
 
 
-@entry(NEWTON)
+@entry()
 def newton(chain, inputs, bend, work, past, steps_max):
     """
     Newton on the state with a line search; return the last residual [rad].
@@ -544,7 +523,7 @@ def newton(chain, inputs, bend, work, past, steps_max):
     for _ in range(steps_max):
         if change < BEND_TOLERANCE or change == math.inf:
             return change
-        respond_at(chain.respond)(chain, bend, address(f), 1, work, past, address(move), 0)
+        chain.respond(chain, bend, address(f), 1, work, past, address(move), 0)
         if not largest(move) < math.inf:
             return change
         new = newton_step(chain, inputs, bend, f, move, work, past, trial, trial_f)
@@ -564,7 +543,7 @@ def continuation(chain, inputs, x, work, past):
         settings[SMOOTHING] = SMOOTHING_LENGTH * WIDE_SMOOTHING ** (1.0 - aim)
         settings[LOAD_SCALE] = aim
         assign(x, last)
-        change = newton_at(chain.newton)(chain, inputs, address(x), work, past, NEWTON_STEPS_MAX)
+        change = chain.newton(chain, inputs, address(x), work, past, STEPS_MAX)
         if change < BEND_TOLERANCE:
             progress, stride = aim, min(0.5, 1.6 * stride)
             assign(last, x)
@@ -594,7 +573,7 @@ def load_ratio(chain):
     return force * total * total * 4.0 / (math.pi * math.pi * rigidity)
 
 
-@entry(DESCEND)
+@entry()
 def descend(chain, inputs, bend, work, past, ratio):
     """
     Leave an unstable equilibrium, the state in `bend`, for a stable one.
@@ -604,10 +583,10 @@ def descend(chain, inputs, bend, work, past, ratio):
     """
     size = unknowns(chain)
     f, moved, down, x = np.empty(size), np.empty(size), np.empty(size), np.zeros(size)
-    step_at(chain.step)(chain, inputs, address(x), work, past, address(moved))
+    chain.step(chain, inputs, address(x), work, past, address(moved))
     assign(down, moved)
     residual_size(chain, inputs, bend, work, past, f)
-    if respond_at(chain.respond)(chain, bend, 0, 0, work, past, address(down), 0) < 0:
+    if chain.respond(chain, bend, 0, 0, work, past, address(down), 0) < 0:
         return
     push = math.copysign(1e-3 / largest(down), dot(down, moved))
     for j in range(size):
@@ -618,13 +597,13 @@ def descend(chain, inputs, bend, work, past, ratio):
             break
         for j in range(size):
             x[j] -= f[j] / (1.0 + ratio)
-    change = newton_at(chain.newton)(chain, inputs, address(x), work, past, NEWTON_STEPS_MAX)
+    change = chain.newton(chain, inputs, address(x), work, past, STEPS_MAX)
     if change < BEND_TOLERANCE:
         copy(address(x), bend, size)
     keep(x)
 
 
-@entry(SOLVE)
+@entry()
 def solve_equilibrium(chain, inputs, work, past, bend):
     """
     Find the equilibrium for input tensions (m,) [N] from the state [rad] in `bend`.
@@ -632,8 +611,12 @@ def solve_equilibrium(chain, inputs, work, past, bend):
     Returns the last change [rad]: above `BEND_TOLERANCE` there is no equilibrium and the state
     means nothing. work.tensions are those of the equilibrium.
     """
-    size, remembers, friction = unknowns(chain), memory_acts(chain), eyelet_acts(chain)
-    slides = friction and friction_travel_acts(chain)
+    size, remembers, friction = (
+        unknowns(chain),
+        stages.memory_acts(chain),
+        stages.eyelet_acts(chain),
+    )
+    slides = friction and stages.friction_travel_acts(chain)
     x = np.empty(size)
     copy(bend, address(x), size)
     cold = is_zero(x) and not remembers
@@ -648,22 +631,20 @@ def solve_equilibrium(chain, inputs, work, past, bend):
     elif not swept:
         restart(chain, inputs, x, bend, work, past, cold)
         if not (loaded(chain) or slides):
-            change = march_at(chain.march)(chain, inputs, address(x), work, past)
+            change = chain.march(chain, inputs, address(x), work, past)
             if not change < BEND_TOLERANCE:
                 restart(chain, inputs, x, bend, work, past, cold)
         if not change < BEND_TOLERANCE:
-            change = newton_at(chain.newton)(
-                chain, inputs, address(x), work, past, NEWTON_STEPS_MAX
-            )
+            change = chain.newton(chain, inputs, address(x), work, past, STEPS_MAX)
     if not change < BEND_TOLERANCE and floats(work.settings)[EVERY_METHOD] != 0.0:
         change = continuation(chain, inputs, x, work, past)
     if change < BEND_TOLERANCE and loaded(chain):
         ratio = load_ratio(chain)
         if ratio > SAFE_LOAD:
-            descend_at(chain.descend)(chain, inputs, address(x), work, past, ratio)
+            chain.descend(chain, inputs, address(x), work, past, ratio)
             swept = False
     if not swept:
-        step_at(chain.step)(chain, inputs, address(x), work, past, bend)
+        chain.step(chain, inputs, address(x), work, past, bend)
         half_turns(chain, address(x), work)
     copy(address(x), bend, size)
     keep(x)

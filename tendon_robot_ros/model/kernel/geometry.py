@@ -2,10 +2,10 @@
 
 import math
 
+from . import stages
 from .cells import follows_shape, half_turn, leans, twist_in
 from .layout import (
     HINGE,
-    LEANING_TRAVEL,
     LENGTH,
     TINY,
     cell,
@@ -14,11 +14,9 @@ from .layout import (
     floats,
     fused,
     inlined,
-    leaning_travel_at,
     section_of,
     words,
 )
-from .stages import length, length_acts, rest, tendon_path
 
 
 @fused
@@ -36,19 +34,19 @@ def polar(x, y, s, c):
 def scale_lengths(chain, work):
     """Fill work.lengths (n,) [m] under the tensions (n, k) that press the cells."""
     tensions, tendon = floats(work.tensions), words(chain.tendon)
-    for i in range(chain.n if length_acts(chain) else 0):
+    for i in range(chain.n if stages.length_acts(chain) else 0):
         total = 0.0
         for k in range(chain.k):
             if i < tendon[2 * k]:
                 total += tensions[chain.k * i + k]
-        shortened = length(1.0, total, chain, section_of(chain, i))
+        shortened = stages.length(1.0, total, chain, section_of(chain, i))
         floats(work.lengths)[i] = cell(chain, i, LENGTH) * shortened
 
 
 @compiled
 def bent_path(chain, i, radial, bend, sin_half, cos_half):
     """Path lost by a bend [m], derivative by the bend [m], and factor on an offset across it."""
-    return tendon_path(
+    return stages.tendon_path(
         radial * bend,
         radial,
         1.0,
@@ -172,7 +170,7 @@ def plain_travel(chain, bend, scale, work):
     travel, offsets, bends = floats(work.travel), floats(chain.offset), floats(bend)
     tendon = words(chain.tendon)
     for i in range(chain.n):
-        x0, y0 = rest(0.0, 0.0, chain, section_of(chain, i))
+        x0, y0 = stages.rest(0.0, 0.0, chain, section_of(chain, i))
         x, y = scale * (bends[2 * i] - x0), scale * (bends[2 * i + 1] - y0)
         for k in range(chain.k):
             at = chain.k * i + k
@@ -212,7 +210,7 @@ def fill_travel(chain, i, x, y, s, c, twist, scale, work, path_lost):
         floats(work.axial)[at] = about
         moment_arms[2 * at] = along * ux - side * uy
         moment_arms[2 * at + 1] = along * uy + side * ux
-    x0, y0 = rest(0.0, 0.0, chain, section_of(chain, i))
+    x0, y0 = stages.rest(0.0, 0.0, chain, section_of(chain, i))
     if x0 != 0.0 or y0 != 0.0:
         take_rest_off(chain, i, x0, y0, scale, work, path_lost)
 
@@ -229,7 +227,7 @@ def take_rest_off(chain, i, x0, y0, scale, work, path_lost):
             )[0]
 
 
-@entry(LEANING_TRAVEL)
+@entry()
 def leaning_travel(chain, i, x, y, s, c, twist, scale, work):
     """Fill travel and moment arms of a cell (`fill_travel`) whose tendons may lean."""
     fill_travel(chain, i, x, y, s, c, twist, scale, work, leaning_tendon)
@@ -239,7 +237,7 @@ def leaning_travel(chain, i, x, y, s, c, twist, scale, work):
 def shaped_travel(chain, i, x, y, s, c, twist, scale, work):
     """Fill travel and moment arms of a cell (`fill_travel`), each kind by code of its own."""
     if leans(chain):
-        leaning_travel_at(chain.leaning_travel)(chain, i, x, y, s, c, twist, scale, work)
+        chain.leaning_travel(chain, i, x, y, s, c, twist, scale, work)
     else:
         fill_travel(chain, i, x, y, s, c, 0.0, scale, work, straight_tendon)
 

@@ -16,42 +16,39 @@ import math
 
 import numpy as np
 
+from . import stages
 from .cells import unknowns
 from .derivatives import TENSION_STEP, combine_tendons, output_slopes, place_as
-from .equilibrium import end_sliding, exchange, own_travel, take_over
+from .equilibrium import (
+    SHRINK_FACTORS,
+    STEP_NEAR_RAD,
+    end_sliding,
+    exchange,
+    own_travel,
+    take_over,
+)
 from .layout import (
-    BACKTRACKS_MAX,
     DIFFERENCE_STEP,
     EVERY_METHOD,
+    LINEAR_STEP_RAD,
     SMOOTHING,
     SMOOTHING_LENGTH,
+    STEPS_MAX,
     TINY,
+    WIDE_SMOOTHING,
     address,
-    balance_at,
     chain_at,
     compiled,
     entry,
     floats,
     largest,
     monotonic,
-    place_travel_at,
-    respond_at,
     solve_small,
-    step_at,
 )
 from .shape import accept, is_balanced, place, predict, workspace
-from .stages import memory_acts
 from .sweep import is_implicit
 
 # Target (8,): x, y, z [m], direction x, y, z, weight of position [1], weight of direction [m/rad].
-
-# [m²] half the squared error of a tip that has converged, 0.14 µm: so that what is left is far
-# below a motor's step
-COST_REACHED_M2 = 1e-14
-# [1] of the tensions' range, below which the curvature of the price is that there, because the
-# square that touches a sum at no tension would be infinitely narrow
-TOUCHING_MIN = 0.01
-REMAINING_RANGE_MIN = 1e-3  # [1] of that range where all tendons are at their limit, else ln 0
 
 
 @compiled
@@ -80,27 +77,29 @@ def tip_residual(chain, inputs, solver, bend, target, f):
 @compiled
 def cost_of(f, inputs, low, price):
     """Half the squared error plus the cost of tension [m²], see `tension_price`."""
-    total, above, (weight, pull, room) = 0.0, 0.0, price
+    total, above, (weight, pull, room, least) = 0.0, 0.0, price
     for r in range(6):
         total += f[r] * f[r]
     for j in range(inputs.shape[0]):
         above += inputs[j] - low[j]
         total += (weight * (inputs[j] - low[j])) ** 2
-    return 0.5 * total - pull * math.log(max(1.0 - above / room, REMAINING_RANGE_MIN))
+    return 0.5 * total - pull * math.log(max(1.0 - above / room, least))
 
 
 @compiled
 def tension_price(f, inputs, low, tension):
     """
-    Return the cost of tension beside a tip error (6,): weight [m/N], price [m²], room [N].
+    Return the cost of tension beside a tip error (6,): weight [m/N], price [m²], room [N], least.
 
     A search goes down half the squared error e² / 2, to which the weight adds, whose slope is that
     of ln e times e²: a price of `tension[1]` beside ln e is that times e². It is paid for minus
     the logarithm of what is left of the room. Beyond `tension[2]` [m] the price is one beside e
-    itself: a place that is ten lengths away is no reason to do nothing.
+    itself: a place that is ten lengths away is no reason to do nothing. `least` of the room [1]
+    counts as left where all tensions are at their limits.
     """
-    square = 2.0 * cost_of(f, inputs, low, (tension[0], 0.0, tension[3]))
-    return tension[0], tension[1] * min(square, math.sqrt(square) * tension[2]), tension[3]
+    weight, price, length, room, least, _ = tension
+    square = 2.0 * cost_of(f, inputs, low, (weight, 0.0, room, least))
+    return weight, price * min(square, math.sqrt(square) * length), room, least
 
 
 @compiled
@@ -138,10 +137,10 @@ def normal_equations(jacobian, f, inputs, low, price, damping, normal, gradient)
         Take the result [m²/N²], [m²/N].
 
     """
-    m, remaining, (weight, pull, room) = inputs.shape[0], 1.0, price
+    m, remaining, (weight, pull, room, least) = inputs.shape[0], 1.0, price
     for j in range(m):
         remaining -= (inputs[j] - low[j]) / room
-    pull /= room * max(remaining, REMAINING_RANGE_MIN)
+    pull /= room * max(remaining, least)
     for j in range(m):
         above = inputs[j] - low[j]
         gradient[j] = weight * weight * above + pull
@@ -152,7 +151,7 @@ def normal_equations(jacobian, f, inputs, low, price, damping, normal, gradient)
             for r in range(6):
                 normal[j, q] += jacobian[r, j] * jacobian[r, q]
         # a sum has no curvature: that of the square that touches it from above
-        normal[j, j] += weight * weight + pull / max(above, TOUCHING_MIN * room / m)
+        normal[j, j] += weight * weight + pull / max(above, least * room / m)
         normal[j, j] += damping * (normal[j, j] + 1e-12)
 
 
@@ -238,9 +237,7 @@ def explicit_slopes(chain, inputs, high, solver, target, f, moved, slopes):
         was = inputs[j]
         step = TENSION_STEP if was + TENSION_STEP <= high[j] else -TENSION_STEP
         inputs[j] = was + step
-        step_at(chain.step)(
-            chain, address(inputs), solver.near, solver.work, solver.past, solver.near
-        )
+        chain.step(chain, address(inputs), solver.near, solver.work, solver.past, solver.near)
         inputs[j] = was
         place(chain, solver.near, solver.work)
         tip_error(chain, solver.work, target, moved)
@@ -255,9 +252,9 @@ def aim(
     """
     Move inputs (m,) [N] within [low, high] so that the tip meets the target; return the cost.
 
-    `bends` (2, 3n) holds a guess and takes the equilibrium in its first half. With the tip at
-    `COST_REACHED_M2`, the search ends with a step that gains less than `enough` of the cost. It
-    ends at a time, too.
+    `bends` (2, 3n) holds a guess and takes the equilibrium in its first half. Once the tip has
+    converged, the search ends with a step that gains less than `enough` of the cost. It ends at a
+    time, too.
 
     Parameters
     ----------
@@ -271,9 +268,9 @@ def aim(
         Position [m], direction, weight of the position [1], weight of the direction [m/rad].
     low, high : ndarray, shape (m,)
         [N]
-    tension : ndarray, shape (4,)
-        Cost of tension, see `tension_price`: weight of its squares [m/N], price [1], [m], and
-        room, the sum of all ranges [N].
+    tension : tuple of float
+        Cost of tension, see `tension_price`: weight of its squares [m/N], price [1], [m], room,
+        the sum of all ranges [N], and its least part [1]; cost of a tip that has converged [m²].
     trials_max : int
         Equilibria that may be solved.
     enough, far : float
@@ -293,7 +290,7 @@ def aim(
     tip_residual(chain, inputs, solver, solver.bend, target, f)
     price, damping = tension_price(f, inputs, low, tension), 1e-9
     cost = cost_of(f, inputs, low, price)
-    is_explicit = not (is_implicit(chain) or memory_acts(chain))
+    is_explicit = not (is_implicit(chain) or stages.memory_acts(chain))
     floats(solver.work.settings)[EVERY_METHOD] = 0.0
     while trials_max > 0 and cost < far and monotonic() < floats(until)[0]:
         if is_explicit:
@@ -304,7 +301,7 @@ def aim(
                 for j in range(m):
                     jacobian[r, j] *= target[6] if r < 3 else target[7]
         gain = 0.0
-        for _ in range(min(trials_max, BACKTRACKS_MAX)):
+        for _ in range(min(trials_max, STEPS_MAX)):
             trials_max -= 1
             problem = (jacobian, f, inputs, low, high, price, damping)
             if gauss_newton_step(*problem, trial, free) == 0:
@@ -323,18 +320,15 @@ def aim(
         accept(chain, solver, trial, moved, inputs, f)
         price = tension_price(f, inputs, low, tension)
         cost = cost_of(f, inputs, low, price)
-        reached = cost_of(f, low, low, price) < COST_REACHED_M2
-        if gain < 1e-6 * cost or cost < 1e-16 or (reached and gain < enough * cost):
+        reached = cost_of(f, low, low, price) < tension[5]
+        if gain < (max(enough, DIFFERENCE_STEP) if reached else DIFFERENCE_STEP) * cost:
             break
-    return cost_of(f, inputs, low, (tension[0], 0.0, tension[3]))
+    return cost_of(f, inputs, low, (tension[0], 0.0, tension[3], tension[4]))
 
 
-SEEKING_STEP_MAX_RAD = 0.2  # [rad] of a bend in one step, so that no kink is passed unseen
-SEEKING_SHRINKING_RAD = 0.3  # [rad] a good step: any that is hardly cut short, else none would be
-STEP_SETTLED_RAD = 1e-6  # [rad] last step, because the next would move the tip by less than 1 nm
-TENSION_FRACTION = 0.01  # [1] of its weight at the target, where all of it would keep the tip off
-UNDAMPED_STEPS = 15  # [1] so that tensions that go in circles, as they do later, are damped only
-DAMPING = 1e-2  # [1] of the curvature: with less they would still go in circles
+# [1] once friction is as sharp as it is: of the weight of tension, because all of it would keep
+# the tip off its target, and damping, so that tensions do not go in circles
+FINAL_FRACTION = 0.01
 
 
 @compiled
@@ -352,11 +346,9 @@ def find_directions(chain, inputs, bend, work, past, residual, directions, pulls
         Takes [rad/N], and [rad].
 
     """
-    balance_at(chain.balance)(chain, inputs, bend, work, past, address(residual))
+    chain.balance(chain, inputs, bend, work, past, address(residual))
     balancing = address(directions) + 8 * unknowns(chain) * chain.m
-    respond_at(chain.respond)(
-        chain, bend, address(residual), 1, work, past, balancing, address(pulls)
-    )
+    chain.respond(chain, bend, address(residual), 1, work, past, balancing, address(pulls))
     combine_tendons(chain, inputs, pulls, directions)
 
 
@@ -397,7 +389,7 @@ def move_both(chain, inputs, solver, directions, trial, move):
     longest = largest(move)
     if not longest < math.inf:
         return longest
-    fraction = min(1.0, SEEKING_STEP_MAX_RAD / max(longest, TINY))
+    fraction = min(1.0, LINEAR_STEP_RAD / max(longest, TINY))
     for q in range(unknowns(chain)):
         move[q] *= fraction
         bend[q] += move[q]
@@ -408,12 +400,12 @@ def move_both(chain, inputs, solver, directions, trial, move):
 
 @entry()
 def seek(
-    robot, inputs, bends, target, low, high, preference, wide, shrink, steps, until, past, scratch
+    robot, inputs, bends, target, low, high, preference, fraction, steps, until, past, scratch
 ):
     """
     Move inputs (m,) [N] within [low, high] and bends[0] (3n,) [rad] towards a tip target.
 
-    The smoothing length starts `wide` times its own and shrinks by a factor after every good step.
+    The smoothing length starts as a fraction of the widest and shrinks after every short step.
     Returns the last step [rad]: where it is small, an equilibrium is near. The search ends after
     so many steps, and at the time [s] at the address `until`, see `layout.monotonic`.
     """
@@ -424,8 +416,9 @@ def seek(
     residual = np.empty(size)
     f, slopes, move = np.empty(6), np.empty((6, m + 1)), np.empty(size)
     trial, free = np.empty(m), np.empty(m, np.int64)
-    own, width, longest = own_travel(chain, solver.bend, work), wide * SMOOTHING_LENGTH, math.inf
-    for step in range(steps):
+    own, longest = own_travel(chain, solver.bend, work), math.inf
+    width = fraction * WIDE_SMOOTHING * SMOOTHING_LENGTH
+    for _ in range(steps):
         if monotonic() > floats(until)[0]:
             break
         floats(work.settings)[SMOOTHING] = width
@@ -434,17 +427,20 @@ def seek(
         tip_slopes(chain, tensions, solver, target, directions, f, slopes)
         for r in range(6):
             f[r] += slopes[r, m]  # after the step of the bends that balances these tensions
-        damping = 0.0 if step < UNDAMPED_STEPS else DAMPING
-        weight = preference if width > SMOOTHING_LENGTH else TENSION_FRACTION * preference
-        gauss_newton_step(slopes, f, inputs, low, high, (weight, 0.0, 1.0), damping, trial, free)
+        weight, damping = preference, 0.0
+        if width == SMOOTHING_LENGTH:
+            weight, damping = FINAL_FRACTION * preference, FINAL_FRACTION
+        gauss_newton_step(
+            slopes, f, inputs, low, high, (weight, 0.0, 1.0, 1.0), damping, trial, free
+        )
         longest = move_both(chain, inputs, solver, directions, trial, move)
-        if not longest < math.inf or (longest < STEP_SETTLED_RAD and width == SMOOTHING_LENGTH):
+        if not longest < math.inf or (longest < STEP_NEAR_RAD and width == SMOOTHING_LENGTH):
             break
         new_width = width
-        if longest < SEEKING_SHRINKING_RAD:
-            new_width = max(shrink * width, SMOOTHING_LENGTH)
+        if longest < LINEAR_STEP_RAD:
+            new_width = max(SHRINK_FACTORS[1] * width, SMOOTHING_LENGTH)
         take_over(chain, work, move, own, width, new_width)
         width = new_width
-        place_travel_at(chain.place_travel)(chain, solver.bend, work)
+        chain.place_travel(chain, solver.bend, work)
     end_sliding(chain, work)
     return longest

@@ -13,14 +13,14 @@ that of the first float of an array, row-major.
 import math
 from collections import namedtuple
 from functools import partial
-from itertools import accumulate
 from time import CLOCK_MONOTONIC
 from typing import Any
 
 import numpy as np
 from numba import njit, types
-from numba.core import cgutils
 from numba.extending import intrinsic, register_jitable
+
+from tendon_robot_ros.model.compile import BEND_TOLERANCE as BEND_TOLERANCE
 
 from .linking import EntryCompiler, LawCompiler, PartCompiler, record_type
 
@@ -39,16 +39,17 @@ reordered = part(fastmath={'contract', 'reassoc'})
 numeric = part(fastmath={'nnan', 'nsz'})
 
 
-def entry(*signature):
+def entry(signature=None):
     """
     Decorate a function that Python calls: it is compiled and cached at its first call.
 
-    A function with a signature is called by its address, and compiled when `address_of` is called.
+    A function with a signature, its own or one of `CALLED`, is called by its address, and compiled
+    when `address_of` is called.
     """
 
     def make(function):
         dispatcher = jit(cache=True, pipeline_class=EntryCompiler)(function)
-        dispatcher.called_as = signature
+        dispatcher.called_as = signature or CALLED.get(function.__name__)
         return dispatcher
 
     return make
@@ -117,35 +118,51 @@ for _kind in (Chain, Memory, Work, Workspace):
 
 EPSILON = float(np.finfo(np.float64).eps)
 TINY = 1e-300  # [1] divisor instead of 0, so that the square of a number over its root is finite
-# [rad] largest change of a bend at which an equilibrium has converged, so that the tip of an arm
-# of 100 cells and 1 m is within 10 nm
-BEND_TOLERANCE = 1e-10
 # [m] travel over which the sign of friction is smooth, so that Newton meets no jump; docs/model.md
 SMOOTHING_LENGTH = 2e-6
 # [1] of a size of about one: a central difference errs by the square of its step and by EPSILON
 # over it, and would be worse with any other
-DIFFERENCE_STEP = EPSILON ** (1 / 3)
-# [1] trials of one step, each shorter: the last would gain less than 1e-3 of what is to gain
-BACKTRACKS_MAX = 12
+DIFFERENCE_STEP = math.cbrt(EPSILON)
+# [rad] of a bend, over which slopes are those of a guess, because the eyelets' turning and the
+# sides to which tendons slide change beyond
+LINEAR_STEP_RAD = 0.2
+# [1] of SMOOTHING_LENGTH where a search begins without a guess: 2 mm, so that every tendon slides
+WIDE_SMOOTHING = 1e3
+# [1] steps of Newton, because its error is squared at each, and trials of one step, each shorter,
+# because the last would gain less than 1e-3 of what is to gain
+STEPS_MAX = np.int64(12)
 
 WORD, FLOAT = types.int64, types.float64
-CHAIN, _chain_from = record_type(Chain, dict.fromkeys(Chain._fields, WORD) | {'radius': FLOAT})
+CHAIN_KINDS: dict[str, Any] = dict.fromkeys(Chain._fields, WORD) | {'radius': FLOAT}
+CHAIN, _chain_from = record_type(Chain, CHAIN_KINDS)
 WORK_FIELDS = len(Work._fields)
 APART = ('tensions', 'frames', 'origins')  # of Work, may lie elsewhere
 WORK, work_from = record_type(Work, dict.fromkeys(Work._fields, WORD), APART)
 MEMORY = types.NamedUniTuple(WORD, len(Memory._fields), Memory)
-STEP = types.void(CHAIN, WORD, WORD, WORK, MEMORY, WORD)
-PLACE = types.void(CHAIN, WORD, WORK)
-RESPOND = types.int64(CHAIN, WORD, WORD, WORD, WORK, MEMORY, WORD, WORD)
-NEWTON = FLOAT(CHAIN, WORD, WORD, WORK, MEMORY, WORD)
-SOLVE = FLOAT(CHAIN, WORD, WORK, MEMORY, WORD)
-MARCH = FLOAT(CHAIN, WORD, WORD, WORK, MEMORY)
-LOAD_SLOPES = types.void(CHAIN, WORD, WORK, WORD, WORD, FLOAT)
-DESCEND = types.void(CHAIN, WORD, WORD, WORK, MEMORY, FLOAT)
-LEANING_TRAVEL = types.void(CHAIN, WORD, FLOAT, FLOAT, FLOAT, FLOAT, FLOAT, FLOAT, WORK)
-LEANING_SLOPES = types.void(CHAIN, WORK, WORD, FLOAT, FLOAT, FLOAT, FLOAT, WORD)
-REMEMBERED = FLOAT(CHAIN, FLOAT, FLOAT, WORD)
-RAMPED = FLOAT(CHAIN, WORD, WORK, MEMORY, MEMORY, WORD, WORD)
+# Functions that are called by their address, a field of Chain. Numba optimises a function together
+# with all that it calls, again at every level: with these calls the kernel compiles several times
+# faster and runs as fast.
+CALLED = {
+    **dict.fromkeys(
+        ('step', 'prepare', 'balance', 'residual'),
+        types.void(CHAIN, WORD, WORD, WORK, MEMORY, WORD),
+    ),
+    **dict.fromkeys(
+        ('place_travel', 'load_moments', 'flat_moments', 'bow_cells'),
+        types.void(CHAIN, WORD, WORK),
+    ),
+    'respond': WORD(CHAIN, WORD, WORD, WORD, WORK, MEMORY, WORD, WORD),
+    'newton': FLOAT(CHAIN, WORD, WORD, WORK, MEMORY, WORD),
+    'solve_equilibrium': FLOAT(CHAIN, WORD, WORK, MEMORY, WORD),
+    'march': FLOAT(CHAIN, WORD, WORD, WORK, MEMORY),
+    'load_slopes': types.void(CHAIN, WORD, WORK, WORD, WORD, FLOAT),
+    'descend': types.void(CHAIN, WORD, WORD, WORK, MEMORY, FLOAT),
+    'leaning_travel': types.void(CHAIN, WORD, FLOAT, FLOAT, FLOAT, FLOAT, FLOAT, FLOAT, WORK),
+    'leaning_slopes': types.void(CHAIN, WORK, WORD, FLOAT, FLOAT, FLOAT, FLOAT, WORD),
+    'remembered': FLOAT(CHAIN, FLOAT, FLOAT, WORD),
+    'ramped': FLOAT(CHAIN, WORD, WORK, MEMORY, MEMORY, WORD, WORD),
+}
+CHAIN_KINDS |= {name: types.FunctionType(signature) for name, signature in CALLED.items()}
 
 
 def _pointer_to(item):
@@ -161,52 +178,16 @@ def _pointer_to(item):
     return pointer
 
 
-def _function_at(signature):
-    """
-    Make a function that turns an address into something to call.
-
-    Numba optimises a function together with all that it calls, again at every level: with calls
-    by address at two places the kernel compiles several times faster and runs as fast.
-    """
-    kind = types.FunctionType(signature)
-
-    @intrinsic
-    def function(typing_context, address):
-        def generate(context, builder, _, arguments):
-            pointer = builder.inttoptr(arguments[0], cgutils.voidptr_t)
-            value = cgutils.create_struct_proxy(kind)(context, builder)
-            value.c_addr = pointer
-            value.py_addr = cgutils.get_null_value(value.py_addr.type)
-            value.jit_addr = pointer
-            return value._getvalue()
-
-        return kind(address), generate
-
-    return function
-
-
 floats = _pointer_to(types.float64)
 words = _pointer_to(types.int64)
 flags = _pointer_to(types.uint8)
-step_at = prepare_at = balance_at = residual_at = _function_at(STEP)
-respond_at = _function_at(RESPOND)
-newton_at = _function_at(NEWTON)
-solve_at = _function_at(SOLVE)
-march_at = _function_at(MARCH)
-load_moments_at = flat_moments_at = bow_cells_at = place_travel_at = _function_at(PLACE)
-load_slopes_at = _function_at(LOAD_SLOPES)
-descend_at = _function_at(DESCEND)
-leaning_travel_at = _function_at(LEANING_TRAVEL)
-leaning_slopes_at = _function_at(LEANING_SLOPES)
-remembered_at = _function_at(REMEMBERED)
-ramped_at = _function_at(RAMPED)
 clock_gettime: Any = types.ExternalFunction('clock_gettime', types.int32(types.int32, WORD))
 
 
 def address_of(function):
     """Compile an entry that has a signature, if that is not yet done; return its address."""
     if not function.overloads:
-        function.compile(*function.called_as)
+        function.compile(function.called_as)
     (compiled_entry,) = function.overloads.values()
     return compiled_entry.library.get_pointer_to_function(compiled_entry.fndesc.llvm_func_name)
 
@@ -302,49 +283,6 @@ def section_of(chain, i):
 def cell(chain, i, column):
     """One column of cell i."""
     return floats(chain.cells)[COLUMNS * i + column]
-
-
-def _starts(parts):
-    """Return the starts of parts of these sizes in a row, and last their total size."""
-    return accumulate(parts.values(), initial=0)
-
-
-# Derivatives of a cell, filled by `linearisation`: matrices of three by three. The residual [rad]
-# by the own bend and twist, by the rotation of the first frame (rotation vector, base frame) and
-# by the torque [N·m] at the end; the rotation of the last frame by the own bend and twist; the
-# torque at the start by the rotation of the first frame and by the own bend and twist.
-CELL_PARTS = 'OWN BY_ROTATION BY_TORQUE ROTATIONS TORQUE_BY_ROTATION TORQUE_BY_OWN'.split()
-MATRIX = 9  # [1] entries of such a matrix, because bend and twist are three
-OWN, BY_ROTATION, BY_TORQUE, ROTATIONS, TORQUE_BY_ROTATION, TORQUE_BY_OWN, SIZE = _starts(
-    dict.fromkeys(CELL_PARTS, MATRIX)
-)
-# Then of every tendon: the residual by its tension; its tension behind the eyelet at the cell's
-# start by that before it, by bend and twist before and within the cell, by the travel beyond; its
-# travel by the own bend and twist; the torque by its tension; its tension behind the eyelet by
-# what the eyelet's travel lags.
-TENDON_PARTS = {
-    'BY_TENSION': 3,
-    'PASSED': 1,
-    'BEFORE': 3,
-    'WITHIN': 3,
-    'SLIDES': 1,
-    'TRAVELS': 3,
-    'PULLS': 3,
-    'LAGS': 1,
-}
-BY_TENSION, PASSED, BEFORE, WITHIN, SLIDES, TRAVELS, PULLS, LAGS, TENDON = _starts(TENDON_PARTS)
-
-
-@compiled
-def tangent_size(n, k):
-    """Floats that the derivatives of a chain take."""
-    return n * (SIZE + TENDON * k)
-
-
-@compiled
-def tangent_of(chain, tangent, i):
-    """Address of the derivatives of cell i."""
-    return tangent + 8 * i * (SIZE + TENDON * chain.k)
 
 
 @compiled

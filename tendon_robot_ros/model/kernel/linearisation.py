@@ -8,7 +8,9 @@ laws are differentiated as they stand, by central differences of scalars.
 """
 
 import math
+from itertools import accumulate
 
+from . import stages
 from .cells import (
     arc_factor,
     axial_moment,
@@ -26,48 +28,24 @@ from .cells import (
 )
 from .geometry import moment_of_leaning, moment_of_tendons
 from .layout import (
-    BEFORE,
-    BY_ROTATION,
-    BY_TENSION,
-    BY_TORQUE,
     DIFFERENCE_STEP,
     HINGE,
-    LAGS,
-    LEANING_SLOPES,
     LOAD_SCALE,
-    LOAD_SLOPES,
-    OWN,
-    PASSED,
-    PULLS,
-    ROTATIONS,
-    SIZE,
-    SLIDES,
-    TENDON,
     TINY,
-    TORQUE_BY_OWN,
-    TORQUE_BY_ROTATION,
-    TRAVELS,
-    WITHIN,
     YES,
     cell,
     compiled,
     entry,
     floats,
     inlined,
-    leaning_slopes_at,
-    load_slopes_at,
-    remembered_at,
     section_of,
-    tangent_of,
     words,
 )
 from .loads import (
     NO_LOAD,
-    along_middle,
     bow_compliance,
     cell_moment,
     cross,
-    half_arc,
     loaded,
     local,
     plus,
@@ -76,7 +54,6 @@ from .loads import (
     turned,
     weight,
 )
-from .stages import eyelet, friction_travel, length, length_acts, offset_scale, torsion_acts, wrap
 from .sweep import (
     active_stages,
     moment_arms_of,
@@ -86,14 +63,55 @@ from .sweep import (
     tendons_about,
 )
 
+
+def _starts(parts):
+    """Return the starts of parts of these sizes in a row, and last their total size."""
+    return accumulate(parts.values(), initial=0)
+
+
+# Derivatives of a cell, in their order: matrices of three by three. The residual [rad] by the own
+# bend and twist, by the rotation of the first frame (rotation vector, base frame) and by the
+# torque [N·m] at the end; the rotation of the last frame by the own bend and twist; the torque at
+# the start by the rotation of the first frame and by the own bend and twist.
+CELL_PARTS = 'OWN BY_ROTATION BY_TORQUE ROTATIONS TORQUE_BY_ROTATION TORQUE_BY_OWN'.split()
+MATRIX = 9  # [1] entries of such a matrix, because bend and twist are three
+OWN, BY_ROTATION, BY_TORQUE, ROTATIONS, TORQUE_BY_ROTATION, TORQUE_BY_OWN, SIZE = _starts(
+    dict.fromkeys(CELL_PARTS, MATRIX)
+)
+# Then of every tendon: the residual by its tension; its tension behind the eyelet at the cell's
+# start by that before it, by bend and twist before and within the cell, by the travel beyond; its
+# travel by the own bend and twist; the torque by its tension; its tension behind the eyelet by
+# what the eyelet's travel lags.
+TENDON_PARTS = {
+    'BY_TENSION': 3,
+    'PASSED': 1,
+    'BEFORE': 3,
+    'WITHIN': 3,
+    'SLIDES': 1,
+    'TRAVELS': 3,
+    'PULLS': 3,
+    'LAGS': 1,
+}
+BY_TENSION, PASSED, BEFORE, WITHIN, SLIDES, TRAVELS, PULLS, LAGS, TENDON = _starts(TENDON_PARTS)
+
+
+@compiled
+def tangent_size(n, k):
+    """Floats that the derivatives of a chain take."""
+    return n * (SIZE + TENDON * k)
+
+
+@compiled
+def tangent_of(chain, tangent, i):
+    """Address of the derivatives of cell i."""
+    return tangent + 8 * i * (SIZE + TENDON * chain.k)
+
+
 NARROWINGS = (1.0, 1e-3, 1e-6)  # [1] of a difference at a kink: a narrower one would be rounding
 UNEVEN_MAX = 1e-2  # [1] difference of its halves: curvature makes 1e-3, a kink would make 1
 # [1] of the radius, of differences of the memory of friction: far less than the least presliding
 # length, 4e-3, because the law has another slope on its other side
 TRAVEL_STEP = 2e-7
-# [1] square of a direction of friction that no more travel changes: else every eyelet that slips
-# would join the equations of those that stick
-SATURATED_FROM = 1.0 - 1e-9
 
 
 @compiled
@@ -131,7 +149,7 @@ def difference(h, a, b):
     return scaled(0.5 / h, (a[0] - b[0], a[1] - b[1], a[2] - b[2]))
 
 
-@entry(LOAD_SLOPES)
+@entry()
 def load_slopes(chain, bend, work, i, tangent, total):
     """
     Fill what the loads say about cell i, in which the tensions sum up to `total` [N].
@@ -156,12 +174,10 @@ def load_slopes(chain, bend, work, i, tangent, total):
         )
         for r in range(3):
             row[TORQUE_BY_OWN + 3 * r + a] = by_own[r]
-    rotation_slopes(chain, f, work, i, x, y, force, torque, own, row, general)
-    if bow > 0.0:
-        bow_slopes(f, x, y, half_turn(x * x + y * y), bow, plus(force, scaled(0.5, own)), row)
+    rotation_slopes(chain, f, work, i, x, y, (force, torque, own), bow, row, general)
     if general:
         add_column(row, 2, twist_slopes(f, row))
-    if length_acts(chain):
+    if stages.length_acts(chain):
         compression_slopes(chain, bend, work, i, total, tangent)
 
 
@@ -173,16 +189,30 @@ def add_column(row, a, slopes):
 
 
 @compiled
-def rotation_slopes(chain, f, work, i, x, y, force, torque, own, row, general):
+def turned_loads(f, wrench, turn):
+    """Force, torque and weight (3,) in a frame f that a rotation vector turns, to first order."""
+    force, torque, own = wrench
+    force, torque = plus(force, cross(force, turn)), plus(torque, cross(torque, turn))
+    return local(f, force), local(f, torque), local(f, plus(own, cross(own, turn)))
+
+
+@compiled
+def rotation_slopes(chain, f, work, i, x, y, wrench, bow, row, general):
     """
     Fill derivatives by the rotation of the frame of cell i, and that of the next by its bend.
+
+    The moment is a polynomial of second degree in the loads, so that differences over a whole
+    radian of their rotation are exact.
 
     Parameters
     ----------
     x, y : float
         Bend [rad].
-    force, torque, own : tuple of float
-        Of all beyond at the cell's end, and its weight, base frame: (3,) [N], [N·m], [N].
+    wrench : tuple
+        Force and torque of all beyond at the cell's end, and its weight, base frame: (3,) [N],
+        (3,) [N·m], (3,) [N].
+    bow : float
+        `bow_compliance` [m/N].
     row : pointer
         Derivatives of the cell.
 
@@ -190,14 +220,17 @@ def rotation_slopes(chain, f, work, i, x, y, force, torque, own, row, general):
     s, c = half_turn(x * x + y * y)
     sinc, versine = 2.0 * s * c, 2.0 * s * s
     leaning = versine - arc_factor(x * x + y * y, s, c)
-    wrench = (local(f, force), local(f, torque), local(f, own))
-    _, end, middle = loaded_cell(chain, work, i, x, y, wrench, 0.0, general)
+    force, _, own = wrench
+    loads = turned_loads(f, wrench, NO_LOAD)
+    _, end, middle = loaded_cell(chain, work, i, x, y, loads, bow, general)
     end, middle = turned(f, end), turned(f, middle)
     for r in range(3):
         unit = (1.0 if r == 0 else 0.0, 1.0 if r == 1 else 0.0, 1.0 if r == 2 else 0.0)
-        wrench = (cross(force, unit), cross(torque, unit), cross(own, unit))
-        wrench = (local(f, wrench[0]), local(f, wrench[1]), local(f, wrench[2]))
-        m, _, _ = loaded_cell(chain, work, i, x, y, wrench, 0.0, general)
+        loads = turned_loads(f, wrench, unit)
+        m, up, mid = loaded_cell(chain, work, i, x, y, loads, bow, general)
+        loads = turned_loads(f, wrench, scaled(-1.0, unit))
+        n, low, lowmid = loaded_cell(chain, work, i, x, y, loads, bow, general)
+        m = difference(1.0, m, n)
         local_unit = local(f, unit)
         tx, ty = turn_moment(x, y, local_unit, sinc, versine, leaning)
         row[BY_ROTATION + r], row[BY_ROTATION + 3 + r] = m[0], m[1]
@@ -207,49 +240,11 @@ def rotation_slopes(chain, f, work, i, x, y, force, torque, own, row, general):
             about = axial_moment(x, y, sinc, versine, local_unit, local_unit)
             row[BY_ROTATION + 6 + r] = m[2]
             row[BY_TORQUE + 6 + r] = row[ROTATIONS + 3 * r + 2] = about
-        by_rotation = plus(cross(cross(unit, end), force), cross(cross(unit, middle), own))
+        end_by = plus(cross(unit, end), turned(f, difference(1.0, up, low)))
+        middle_by = plus(cross(unit, middle), turned(f, difference(1.0, mid, lowmid)))
+        by_rotation = plus(cross(end_by, force), cross(middle_by, own))
         for a in range(3):
             row[TORQUE_BY_ROTATION + 3 * a + r] = by_rotation[a]
-
-
-@compiled
-def bow_slopes(f, x, y, half, bow, force, row):
-    """
-    Add the part of bowing to the derivatives of moment and torque by a rotation of the frame.
-
-    Parameters
-    ----------
-    f : tuple of float
-        Frame that bends (9,).
-    x, y : float
-        Bend [rad].
-    half : tuple of float
-        Its half angle, see `cells`.
-    bow : float
-        `bow_compliance` [m/N].
-    force : tuple of float
-        Of all beyond the middle, base frame (3,) [N].
-    row : pointer
-        Derivatives of the cell.
-
-    """
-    s, c = half
-    middle, own = (s * x, s * y, c), local(f, force)
-    part = half_arc(x, y, s, c)
-    g, gx, gy = along_middle(x, y, s, c, part, own)
-    turning = cross(middle, own)
-    for r in range(3):
-        unit = (1.0 if r == 0 else 0.0, 1.0 if r == 1 else 0.0, 1.0 if r == 2 else 0.0)
-        change = local(f, cross(force, unit))
-        h, hx, hy = along_middle(x, y, s, c, part, change)
-        row[BY_ROTATION + r] -= bow * (h * gx + g * hx)
-        row[BY_ROTATION + 3 + r] -= bow * (h * gy + g * hy)
-        # the torque is -B g m x F: that in the frame that bends, turned with it and by itself
-        own_change = plus(scaled(h, turning), scaled(g, cross(middle, change)))
-        row[BY_ROTATION + 6 + r] -= 0.5 * bow * own_change[2]
-        torque = plus(turned(f, own_change), scaled(g, cross(unit, turned(f, turning))))
-        for a in range(3):
-            row[TORQUE_BY_ROTATION + 3 * a + r] -= bow * torque[a]
 
 
 @compiled
@@ -276,8 +271,10 @@ def twist_slopes(f, row):
 def compression_slopes(chain, bend, work, i, total, tangent):
     """Fill the derivatives of the loads' moment and of the torque at the start by tensions."""
     h, section = DIFFERENCE_STEP * (1.0 + total), section_of(chain, i)
-    rate = length(1.0, total + h, chain, section) - length(1.0, total - h, chain, section)
-    rate /= 2.0 * h * length(1.0, total, chain, section)
+    rate = stages.length(1.0, total + h, chain, section) - stages.length(
+        1.0, total - h, chain, section
+    )
+    rate /= 2.0 * h * stages.length(1.0, total, chain, section)
     x, y = floats(bend)[2 * i], floats(bend)[2 * i + 1]
     f, wrench = bending_frame(chain, bend, work, i, YES), floats(work.wrench + 48 * i)
     force = (wrench[0], wrench[1], wrench[2])
@@ -361,7 +358,7 @@ def moment_arm_slopes(chain, work, i, x, y, scale):
     return (ax - bx) / (2.0 * h), (ay - by) / (2.0 * h), (cy - dy) / (2.0 * h)
 
 
-@entry(LEANING_SLOPES)
+@entry()
 def leaning_slopes(chain, work, i, x, y, twist, scale, tangent):
     """Fill OWN with derivatives of the leaning tendons' moment by x, y and twist [N·m/rad]."""
     h, tensions, row = DIFFERENCE_STEP, work.tensions + 8 * chain.k * i, floats(tangent)
@@ -393,12 +390,16 @@ def slip_slopes(chain, work, past, at, section, slip, slides, remembers):
     if remembers:
         sign, last, h = floats(past.sign)[at], floats(past.travel)[at], TRAVEL_STEP * chain.radius
         if slides:
-            by_slip = friction_travel(slip + h, beyond, chain, section)
-            by_slip = (by_slip - friction_travel(slip - h, beyond, chain, section)) / (2.0 * h)
-            by_beyond = friction_travel(slip, beyond + h, chain, section)
-            by_beyond = (by_beyond - friction_travel(slip, beyond - h, chain, section)) / (2.0 * h)
-            slip = friction_travel(slip, beyond, chain, section)
-        law = remembered_at(chain.remembered)
+            by_slip = stages.friction_travel(slip + h, beyond, chain, section)
+            by_slip = (by_slip - stages.friction_travel(slip - h, beyond, chain, section)) / (
+                2.0 * h
+            )
+            by_beyond = stages.friction_travel(slip, beyond + h, chain, section)
+            by_beyond = (by_beyond - stages.friction_travel(slip, beyond - h, chain, section)) / (
+                2.0 * h
+            )
+            slip = stages.friction_travel(slip, beyond, chain, section)
+        law = chain.remembered
         s = law(chain, sign, slip - last, section)
         rate = law(chain, sign, slip - last + h, section)
         rate = (rate - law(chain, sign, slip - last - h, section)) / (2.0 * h)
@@ -408,12 +409,12 @@ def slip_slopes(chain, work, past, at, section, slip, slides, remembers):
     by_slip = rate * (1.0 - s * s)
     if slides:
         t, h = smooth_sign(beyond, rate), DIFFERENCE_STEP
-        up = friction_travel(s + h, t, chain, section)
-        by_slip *= (up - friction_travel(s - h, t, chain, section)) / (2.0 * h)
-        up = friction_travel(s, t + h, chain, section)
-        slope = (up - friction_travel(s, t - h, chain, section)) / (2.0 * h)
-        by_beyond = rate * (1.0 - t * t) * slope if t * t < SATURATED_FROM else 0.0
-        s = friction_travel(s, t, chain, section)
+        up = stages.friction_travel(s + h, t, chain, section)
+        by_slip *= (up - stages.friction_travel(s - h, t, chain, section)) / (2.0 * h)
+        up = stages.friction_travel(s, t + h, chain, section)
+        slope = (up - stages.friction_travel(s, t - h, chain, section)) / (2.0 * h)
+        by_beyond = rate * (1.0 - t * t) * slope
+        s = stages.friction_travel(s, t, chain, section)
     return s, by_slip, by_beyond
 
 
@@ -442,15 +443,21 @@ def turning_slopes(chain, i, bx, by, next_x, next_y, wraps):
         s, c = half_turn(q)
         a = math.sqrt(q)
         mean, slope = a * s, 0.25 * c / max(a, TINY)
-        own = wrap(turning + h, mean, chain, section) - wrap(turning - h, mean, chain, section)
-        by_mean = wrap(turning, mean + h, chain, section) - wrap(turning, mean - h, chain, section)
+        own = stages.wrap(turning + h, mean, chain, section) - stages.wrap(
+            turning - h, mean, chain, section
+        )
+        by_mean = stages.wrap(turning, mean + h, chain, section) - stages.wrap(
+            turning, mean - h, chain, section
+        )
         slope *= by_mean / (2.0 * h)
         nx, ny = slope * x, slope * y
         own /= 2.0 * h
         ox, oy = own * ox + nx, own * oy + ny
-        turning = wrap(turning, mean, chain, section)
-    passed, low = eyelet(1.0, turning, chain, section), max(turning - h, 0.0)
-    slope = eyelet(1.0, turning + h, chain, section) - eyelet(1.0, low, chain, section)
+        turning = stages.wrap(turning, mean, chain, section)
+    passed, low = stages.eyelet(1.0, turning, chain, section), max(turning - h, 0.0)
+    slope = stages.eyelet(1.0, turning + h, chain, section) - stages.eyelet(
+        1.0, low, chain, section
+    )
     slope /= turning + h - low
     return passed, slope * ox, slope * oy, slope * nx, slope * ny
 
@@ -502,11 +509,11 @@ def eyelet_slopes(chain, bend, work, past, i, flags, tangent):
 @compiled
 def tendon_slopes(chain, bend, work, i, tangent):
     """Fill OWN with derivatives of the tendons' moment by bend and twist of cell i."""
-    x, y, scale = floats(bend)[2 * i], floats(bend)[2 * i + 1], offset_scale(1.0, chain, 0)
+    x, y, scale = floats(bend)[2 * i], floats(bend)[2 * i + 1], stages.offset_scale(1.0, chain, 0)
     row = floats(tangent)
     if leans(chain):
         twist = twist_in(chain, bend, i)
-        leaning_slopes_at(chain.leaning_slopes)(chain, work, i, x, y, twist, scale, tangent)
+        chain.leaning_slopes(chain, work, i, x, y, twist, scale, tangent)
     else:
         xx, xy, yy = moment_arm_slopes(chain, work, i, x, y, scale)
         row[OWN], row[OWN + 1], row[OWN + 3], row[OWN + 4] = xx, xy, xy, yy
@@ -535,7 +542,7 @@ def cell_slopes(chain, bend, work, past, i, moment_arms, scale, tangent):
     if loads:
         mx += floats(work.load)[2 * i]
         my += floats(work.load)[2 * i + 1]
-        load_slopes_at(chain.load_slopes)(chain, bend, work, i, tangent, total)
+        chain.load_slopes(chain, bend, work, i, tangent, total)
     a, b, c, d, e, f = compliances(chain, past, i, mx, my, total)
     for q in range(9 if loads else 3):
         start = OWN + 9 * (q // 3) + q % 3  # of OWN, BY_ROTATION and BY_TORQUE
@@ -552,7 +559,7 @@ def cell_slopes(chain, bend, work, past, i, moment_arms, scale, tangent):
         slopes[TRAVELS], slopes[TRAVELS + 1] = u, v
         u, v = u + slopes[BY_TENSION], v + slopes[BY_TENSION + 1]
         slopes[BY_TENSION], slopes[BY_TENSION + 1] = -(a * u + c * v + e), -(b * u + d * v + f)
-    if torsion_acts(chain):
+    if stages.torsion_acts(chain):
         fill_twist(chain, work, i, tangent, loads)
 
 

@@ -22,6 +22,7 @@ from numba.core.typing.templates import AttributeTemplate
 from numba.extending import infer_getattr, intrinsic, lower_getattr_generic, register_model
 
 NUMBERS = (types.Float, types.Integer, types.Boolean, types.CPointer)
+_RECORDS: dict[str, Any] = {}  # of every type of record: its fields, and their types by name
 _RESOLVED: dict[Any, Any] = {}  # signatures of operators on numbers, and of their places in memory
 
 
@@ -165,16 +166,14 @@ class RecordType(types.Type):
 
     Attributes
     ----------
-    places : dict
-        Place and type of every field.
     apart : tuple of str
         Fields (int64) that are passed beside the address: they may differ.
 
     """
 
-    def __init__(self, name, places, apart):
+    def __init__(self, name, apart):
         """Name it; `at` becomes its address."""
-        self.places, self.apart = places, apart
+        self.apart = apart
         super().__init__(name)
 
 
@@ -196,31 +195,38 @@ class RecordFields(AttributeTemplate):
 
     def generic_resolve(self, kind, name):  # type: ignore[override]
         """Return the type of a field."""
-        return types.int64 if name == 'at' else kind.places[name][1]
+        return types.int64 if name == 'at' else _RECORDS[kind.name][1][name]
 
 
 @lower_getattr_generic(RecordType)
 def get_field(context, builder, kind, value, name):
-    """Load a field; LLVM may load it once."""
+    """Load a field, a function by its address; LLVM may load it once."""
     record = cgutils.create_struct_proxy(kind)(context, builder, value=value)
     if name == 'at' or name in kind.apart:
         return getattr(record, name)
-    place, item = kind.places[name]
-    start = builder.inttoptr(record.at, context.get_value_type(types.CPointer(item)))
-    loaded = builder.load(cgutils.gep_inbounds(builder, start, place))
+    fields, kinds = _RECORDS[kind.name]
+    item, calls = kinds[name], isinstance(kinds[name], types.FunctionType)
+    place = types.CPointer(types.int64 if calls else item)
+    start = builder.inttoptr(record.at, context.get_value_type(place))
+    loaded = builder.load(cgutils.gep_inbounds(builder, start, fields.index(name)))
     loaded.set_metadata('invariant.load', builder.module.add_metadata([]))
-    return loaded
+    if not calls:
+        return loaded
+    function = cgutils.create_struct_proxy(item)(context, builder)
+    function.c_addr = function.jit_addr = builder.inttoptr(loaded, cgutils.voidptr_t)
+    function.py_addr = cgutils.get_null_value(function.py_addr.type)
+    return function._getvalue()
 
 
 def record_type(fields, kinds, apart=()):
     """
     Return the type of records with the fields of a named tuple, and what makes one of them.
 
-    `kinds` holds the type of every field. The maker is for compiled code, and takes the address
-    and the fields apart.
+    `kinds` holds the type of every field, and may change until code is compiled. The maker is for
+    compiled code, and takes the address and the fields apart.
     """
-    places = {name: (place, kinds[name]) for place, name in enumerate(fields._fields)}
-    kind = RecordType(fields.__name__, places, apart)
+    kind = RecordType(fields.__name__, apart)
+    _RECORDS[kind.name] = fields._fields, kinds
 
     if apart:
 

@@ -10,6 +10,7 @@ bend. A hinge does not bow.
 Of an arm that bends in one plane, x and z, angles say the same as frames (`flat_moments`).
 """
 
+from . import stages
 from .cells import (
     ARC_SERIES_BELOW,
     arc_factor,
@@ -30,9 +31,7 @@ from .layout import (
     MASS,
     MASS_X,
     MASS_Y,
-    PLACE,
     PLANAR_LOADS,
-    bow_cells_at,
     cell,
     compiled,
     contracted,
@@ -41,7 +40,6 @@ from .layout import (
     fused,
     section_of,
 )
-from .stages import load, load_acts, tip_load, tip_load_acts
 
 
 @compiled
@@ -121,20 +119,22 @@ BASE_FRAME = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 @compiled
 def loaded(chain):
     """Tell whether any load acts."""
-    return load_acts(chain) or tip_load_acts(chain)
+    return stages.load_acts(chain) or stages.tip_load_acts(chain)
 
 
 @compiled
 def weight(chain, i):
     """Force of the loads on cell i at its middle (x, y, z) [N]."""
     g = floats(chain.gravity)
-    return load(0.0, 0.0, 0.0, cell(chain, i, MASS), g[0], g[1], g[2], chain, section_of(chain, i))
+    return stages.load(
+        0.0, 0.0, 0.0, cell(chain, i, MASS), g[0], g[1], g[2], chain, section_of(chain, i)
+    )
 
 
 @compiled
 def force_at_tip(chain):
     """Force at the tip (x, y, z) [N]."""
-    return tip_load(0.0, 0.0, 0.0, chain, 0)
+    return stages.tip_load(0.0, 0.0, 0.0, chain, 0)
 
 
 @contracted
@@ -277,10 +277,10 @@ def place_cells(chain, bend, work):
     """Fill frames and origins (`cells.chain_frames`), those of loaded cells as they bow."""
     chain_frames(chain, bend, work)
     if loaded(chain) and bows(chain):
-        bow_cells_at(chain.bow_cells)(chain, bend, work)
+        chain.bow_cells(chain, bend, work)
 
 
-@entry(PLACE)
+@entry()
 def bow_cells(chain, bend, work):
     """Move work.origins by how far cells bow; entry 0 of the frames need not be the base's."""
     general = is_general(chain)
@@ -303,7 +303,7 @@ def bow_cells(chain, bend, work):
             origins[3 * i + 3 + r] += shift[r]
 
 
-@entry(PLACE)
+@entry()
 def load_moments(chain, bend, work):
     """
     Fill work.load (n, 2) [N·m]: minus the gradient of the loads' potential energy by each bend.
@@ -393,7 +393,7 @@ def flat_moment(x, s, c, factors, force, own, reach, hinge, bow):
     return moment, (half * s2 * s2 * x + 0.5 * over[0], reach * s + 0.5 * over[1]), over
 
 
-@entry(PLACE)
+@entry()
 def flat_moments(chain, bend, work):
     """
     Fill work.load (n, 2) [N·m] as `load_moments` does, of an arm that lies flat.

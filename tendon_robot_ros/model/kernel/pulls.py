@@ -13,7 +13,8 @@ import numpy as np
 from .cells import unknowns
 from .derivatives import output_slopes
 from .layout import (
-    BACKTRACKS_MAX,
+    BEND_TOLERANCE,
+    STEPS_MAX,
     TINY,
     ZERO,
     address,
@@ -26,10 +27,6 @@ from .layout import (
     solve_small,
 )
 from .shape import accept, is_balanced, mean_pulls, predict, wire_pulls, workspace
-
-# [m] largest difference of a wire's pull from the requested one: ten times what the tolerance of
-# bends leaves open in an arm of 30 cells with a radius of 5 mm, so that it is reached
-GAP_SETTLED = 1e-10
 
 
 @compiled
@@ -126,14 +123,14 @@ def solve_stiff_wires(robot, inputs, target, bends, past, scratch, steps_max):
         inputs[j] = 0.0 if math.isnan(target[j]) else inputs[j]
     if not pull_residuals(chain, inputs, target, solver, f, solver.bend):
         return math.inf
-    damping = 1e-10
+    damping, settled = 1e-10, BEND_TOLERANCE * chain.n * chain.radius
     for _ in range(steps_max):
         error = violation(inputs, target, f)
-        if error < GAP_SETTLED * GAP_SETTLED:
+        if error < settled * settled:  # as far as bends are known
             break
         pull_slopes(chain, inputs, target, solver, state_slopes, slopes)
         new = math.inf
-        for _ in range(BACKTRACKS_MAX):
+        for _ in range(STEPS_MAX):
             taut_step(slopes, f, inputs, target, damping, trial)
             predict(chain, solver, state_slopes, inputs, trial)
             if pull_residuals(chain, trial, target, solver, moved, solver.near):
@@ -152,10 +149,8 @@ def solve_stiff_wires(robot, inputs, target, bends, past, scratch, steps_max):
     return gap
 
 
-GAP_CLOSED = 1e-2  # [m/m] of a wire's stretch by 1 N, so that its tension is within 10 mN
-STEP_MAX = 3.0  # [1] of the largest tension: a longer step would leap where pulls hardly change
-STEP_MIN_N = 0.01  # [N] that STEP_MAX counts at least, else slack wires would never become taut
-SLOW_STEPS_MAX = 4  # [1] steps that hardly help: more would follow, and a softer spring is quicker
+# [N] error of the tension of a wire that stretches, because stiffer springs would correct no more
+STRETCH_ERROR_N = 0.1
 
 
 @compiled
@@ -178,24 +173,18 @@ def spring_step(slopes, f, inputs, target, stretch, move):
             top = max(top, abs(gap))
     if count == 0:
         return 0.0
-    part, step, high = np.empty((count, count)), np.empty((count, 1)), 0.0
+    part, step = np.empty((count, count)), np.empty((count, 1))
     for p in range(count):
         for q in range(count):
             part[p, q] = slopes[taut[p], taut[q]]
         part[p, p] += stretch
         step[p, 0] = f[taut[p]] + stretch * inputs[taut[p]]
-        high = max(high, inputs[taut[p]])
     solved = solve_rows(address(part), address(step), count, step.shape[1])
     keep(part)
     if not solved:
         return -1.0
-    longest = 0.0
     for p in range(count):
         move[taut[p]] = -step[p, 0]
-        longest = max(longest, abs(step[p, 0]))
-    fraction = min(1.0, STEP_MAX * (high + STEP_MIN_N) / max(longest, TINY))
-    for p in range(count):
-        move[taut[p]] *= fraction
     return top
 
 
@@ -258,13 +247,13 @@ def solve_elastic_wires(robot, inputs, target, bends, past, scratch, stretch, st
         inputs[j] = 0.0 if math.isnan(target[j]) else inputs[j]
     if not pull_residuals(chain, inputs, target, solver, f, solver.bend):
         return math.inf
-    fresh, stale, top, slow = False, True, math.inf, 0
+    fresh, stale, top = False, True, math.inf
     for _ in range(steps_max):
         if stale:
             pull_slopes(chain, inputs, target, solver, state_slopes, slopes)
             fresh, stale = True, False
             top = spring_step(slopes, f, inputs, target, stretch, move)
-        if top < GAP_CLOSED * stretch or slow > SLOW_STEPS_MAX:
+        if top < STRETCH_ERROR_N * stretch:
             break
         fraction, better = 1.0, False
         for _ in range(8 if fresh else 2):
@@ -279,7 +268,6 @@ def solve_elastic_wires(robot, inputs, target, bends, past, scratch, stretch, st
         if not better and fresh:
             break
         stale = not better or new > 0.3 * top
-        slow += 1 if not better or new > 0.7 * top else 0
         if better:
             correct(slopes, moved - f, trial - inputs)
             accept(chain, solver, trial, moved, inputs, f)

@@ -9,21 +9,22 @@ import math
 import numpy as np
 from numba import types
 
+from . import stages
 from .cells import cell_stiffness, is_general, unknowns
-from .equilibrium import NEAR_STEPS_MAX, SAFE_LOAD, is_planar, load_ratio
+from .equilibrium import SAFE_LOAD, is_planar, load_ratio
 from .geometry import scale_lengths, tendon_travel, travel_beyond
 from .layout import (
     BEND_TOLERANCE,
     EVERY_METHOD,
     FLOAT,
     LENGTH,
+    LINEAR_STEP_RAD,
     LOAD_SCALE,
     PLANAR_LOADS,
-    RAMPED,
-    REMEMBERED,
     SHAPED,
     SMOOTHING,
     SMOOTHING_LENGTH,
+    STEPS_MAX,
     WORD,
     YES,
     Workspace,
@@ -38,29 +39,13 @@ from .layout import (
     keep,
     memory_in,
     memory_size,
-    newton_at,
-    ramped_at,
-    residual_at,
     section_of,
-    solve_at,
-    step_at,
     with_results,
     words,
     work_from,
     work_size,
 )
 from .loads import force_at_tip, loaded, place_cells, weight
-from .stages import (
-    friction_travel_acts,
-    measurement,
-    memory,
-    memory_acts,
-    offset_scale,
-    stretch,
-    stretch_acts,
-    winding,
-    winding_acts,
-)
 from .sweep import is_implicit, slip_direction
 
 
@@ -101,15 +86,12 @@ def workspace(chain, bends, past, scratch):
     return Workspace(work, then, now, bend, bend + 24 * n, before, pulls, pulls + 8 * k)
 
 
-GUESS_STEP_MAX = 0.3  # [rad] of a bend: a slope would be a worse guess than none beyond
-
-
 @compiled
 def settle(chain, inputs, work, past, bend):
     """Find the equilibrium (`solve_equilibrium`); an explicit model needs one sweep for it."""
     if is_implicit(chain):
-        return solve_at(chain.solve_equilibrium)(chain, inputs, work, past, bend)
-    step_at(chain.step)(chain, inputs, bend, work, past, bend)
+        return chain.solve_equilibrium(chain, inputs, work, past, bend)
+    chain.step(chain, inputs, bend, work, past, bend)
     for j in range(unknowns(chain)):
         if not abs(floats(bend)[j]) < 1e6:
             return math.inf
@@ -136,8 +118,8 @@ def posture(chain, inputs, work, past, now, bend, before):
         Scratch (3n,).
 
     """
-    if memory_acts(chain):
-        return ramped_at(chain.ramped)(chain, inputs, work, past, now, bend, before)
+    if stages.memory_acts(chain):
+        return chain.ramped(chain, inputs, work, past, now, bend, before)
     change = settle(chain, inputs, work, past, bend)
     copy(bend, now.bend, unknowns(chain))
     copy(inputs, now.inputs, chain.m)
@@ -156,21 +138,21 @@ def wire_pulls(chain, bend, work, pulls):
     """Wire pull (k,) [m] of every tendon, as commanded: its travel, stretch and winding."""
     tendon, tensions = words(chain.tendon), floats(work.tensions)
     totals, k = floats(pulls), chain.k
-    tendon_travel(chain, bend, offset_scale(1.0, chain, 0), work)
+    tendon_travel(chain, bend, stages.offset_scale(1.0, chain, 0), work)
     for j in range(k):
         totals[j] = 0.0
     for i in range(chain.n):  # no tendon waits for the sum of another
         for j in range(k):
             totals[j] += floats(work.travel)[k * i + j]
-    if stretch_acts(chain):
+    if stages.stretch_acts(chain):
         for j in range(k):
             for i in range(tendon[2 * j]):
-                totals[j] += stretch(
+                totals[j] += stages.stretch(
                     0.0, tensions[k * i + j], cell(chain, i, LENGTH), chain, section_of(chain, i)
                 )
-    if winding_acts(chain):
+    if stages.winding_acts(chain):
         for j in range(k):
-            totals[j] = winding(totals[j], tensions[j], chain, j)
+            totals[j] = stages.winding(totals[j], tensions[j], chain, j)
 
 
 @compiled
@@ -207,7 +189,7 @@ def predict(chain, solver, slopes, inputs, trial):
             move += slopes[j, q] * (trial[j] - inputs[j])
         near[q] += move
         longest = max(longest, abs(move)) if move == move else math.inf
-    if not longest < GUESS_STEP_MAX:
+    if not longest < LINEAR_STEP_RAD:
         copy(solver.bend, solver.near, size)
 
 
@@ -305,7 +287,7 @@ def show_postures(robot, block, count, past, scratch):
     for b in range(count):
         row, _, output = results_at(chain, address(block), count, b, work)
         solving = with_results(work, output.tensions, work.frames, work.origins)
-        residual_at(chain.residual)(chain, row[0], row[1], solving, then, address(f))
+        chain.residual(chain, row[0], row[1], solving, then, address(f))
         show(chain, row, output)
 
 
@@ -314,7 +296,7 @@ def measured(robot, points):
     """Move points (p, 3) [m] from the robot's base frame to the tracker's, in place."""
     chain = chain_at(robot)
     for p in range(points.shape[0]):
-        x, y, z = measurement(points[p, 0], points[p, 1], points[p, 2], chain, 0)
+        x, y, z = stages.measurement(points[p, 0], points[p, 1], points[p, 2], chain, 0)
         points[p, 0], points[p, 1], points[p, 2] = x, y, z
 
 
@@ -329,10 +311,10 @@ SAME_RAD = 1e-6
 SAME_SIGN = 1e-2
 
 
-@entry(REMEMBERED)
+@entry()
 def remembered(chain, sign, moved, section):
     """Direction of friction [1], from `sign` before a tendon moved [m]."""
-    return memory(0.0, sign, moved, chain, section)
+    return stages.memory(0.0, sign, moved, chain, section)
 
 
 @compiled
@@ -340,8 +322,8 @@ def remember(chain, inputs, bend, work, past, now):
     """Fill the friction memory `now` after a posture that came after `past`."""
     copy(bend, now.bend, unknowns(chain))
     copy(inputs, now.inputs, chain.m)
-    tendon_travel(chain, bend, offset_scale(1.0, chain, 0), work)
-    slides = friction_travel_acts(chain)
+    tendon_travel(chain, bend, stages.offset_scale(1.0, chain, 0), work)
+    slides = stages.friction_travel_acts(chain)
     if slides:
         travel_beyond(chain, work)
     sign, travel, tendon = floats(now.sign), floats(now.travel), words(chain.tendon)
@@ -364,7 +346,7 @@ def settle_near(chain, inputs, work, past, bend, before):
     heavy = loaded(chain) and load_ratio(chain) > SAFE_LOAD
     if is_implicit(chain) and not (heavy or is_planar(chain, floats(bend))):
         copy(bend, before, unknowns(chain))
-        change = newton_at(chain.newton)(chain, inputs, bend, work, past, NEAR_STEPS_MAX)
+        change = chain.newton(chain, inputs, bend, work, past, STEPS_MAX)
         if change < BEND_TOLERANCE:
             return change
         copy(before, bend, unknowns(chain))
@@ -456,11 +438,13 @@ def sign_error(chain, nodes, at, middle, end):
                 floats(first.travel)[q], floats(half.travel)[q], floats(last.travel)[q]
             )
             if beyond > 0.0:
-                error = max(error, memory(0.0, 0.0, 2.0 * beyond, chain, section_of(chain, i)))
+                error = max(
+                    error, stages.memory(0.0, 0.0, 2.0 * beyond, chain, section_of(chain, i))
+                )
     return error
 
 
-@entry(RAMPED)
+@entry()
 def ramped(chain, inputs, work, past, now, bend, before):
     """
     Solve a posture with friction memory, see `posture`.

@@ -12,6 +12,7 @@ which converges faster, but ties every cell to all before it.)
 
 import math
 
+from . import stages
 from .cells import (
     bend_cell,
     bend_linear,
@@ -24,48 +25,27 @@ from .cells import (
 )
 from .geometry import scale_lengths, tendon_travel, travel_beyond
 from .layout import (
-    PLACE,
     SHAPED,
     SMOOTHING,
-    STEP,
     YES,
-    balance_at,
     compiled,
     entry,
-    flat_moments_at,
     floats,
     fused,
     inlined,
-    load_moments_at,
-    place_travel_at,
-    prepare_at,
-    residual_at,
     section_of,
     words,
 )
 from .loads import lies_flat, loaded
-from .stages import (
-    actuation,
-    eyelet,
-    eyelet_acts,
-    friction_travel,
-    friction_travel_acts,
-    length_acts,
-    memory,
-    memory_acts,
-    offset_scale,
-    rest,
-    torsion_acts,
-    wrap,
-    wrap_acts,
-)
 
 
 @compiled
 def is_implicit(chain):
     """Tell whether an effect acts that needs the shape: one sweep is then no equilibrium."""
-    shaped = wrap_acts(chain) or friction_travel_acts(chain) or memory_acts(chain)
-    return follows_shape(chain) or loaded(chain) or (eyelet_acts(chain) and shaped)
+    shaped = (
+        stages.wrap_acts(chain) or stages.friction_travel_acts(chain) or stages.memory_acts(chain)
+    )
+    return follows_shape(chain) or loaded(chain) or (stages.eyelet_acts(chain) and shaped)
 
 
 @inlined
@@ -105,12 +85,12 @@ def slip_direction(chain, work, past, at, section, travel, slip_rate, slides, re
     """
     beyond = floats(work.beyond)[at] if slides else 0.0
     if remembers:
-        travelled = friction_travel(travel, beyond, chain, section)
+        travelled = stages.friction_travel(travel, beyond, chain, section)
         moved = travelled - floats(past.travel)[at]
         before = floats(past.sign)[at]
-        return memory(0.0, before, moved, chain, section), travelled
+        return stages.memory(0.0, before, moved, chain, section), travelled
     if slides:
-        return friction_travel(
+        return stages.friction_travel(
             smooth_sign(travel, slip_rate), smooth_sign(beyond, slip_rate), chain, section
         ), beyond
     return smooth_sign(travel, slip_rate), travel
@@ -172,7 +152,7 @@ def base_tensions(chain, inputs, work, moment_arms):
     tensions, tendon = floats(work.tensions), words(chain.tendon)
     mx, my, total = 0.0, 0.0, 0.0
     for k in range(chain.k):
-        t = actuation(floats(inputs)[tendon[2 * k + 1]], chain, 0)
+        t = stages.actuation(floats(inputs)[tendon[2 * k + 1]], chain, 0)
         tensions[k] = t
         mx += t * floats(moment_arms)[2 * k]
         my += t * floats(moment_arms)[2 * k + 1]
@@ -184,11 +164,11 @@ def base_tensions(chain, inputs, work, moment_arms):
 def active_stages(chain, shaped):
     """Which act: friction, straight tendons, wrap, travel, memory; `shaped`: a guess counts."""
     return (
-        eyelet_acts(chain),
+        stages.eyelet_acts(chain),
         shaped and follows_shape(chain),
-        shaped and wrap_acts(chain),
-        shaped and friction_travel_acts(chain),
-        memory_acts(chain),
+        shaped and stages.wrap_acts(chain),
+        shaped and stages.friction_travel_acts(chain),
+        stages.memory_acts(chain),
     )
 
 
@@ -220,8 +200,8 @@ def passed_ratio(chain, i, bx, by, ahead_x, ahead_y, sine, sine_mean, flags):
     section, turning = section_of(chain, i), size_of(bx, by) * sine
     if wraps:
         mean = size_of(bx + 0.5 * ahead_x, by + 0.5 * ahead_y) * sine_mean
-        turning = wrap(turning, mean, chain, section)
-    return eyelet(1.0, turning, chain, section)
+        turning = stages.wrap(turning, mean, chain, section)
+    return stages.eyelet(1.0, turning, chain, section)
 
 
 @inlined
@@ -262,7 +242,7 @@ def pass_eyelet(chain, work, past, i, bx, by, passed, slip_rate, moment_arms, sc
     floats(passed_at)[0] = passed
     last, last_sign = -1.0, 0.0  # kept, because tendons on opposite sides travel alike
     if friction:
-        x0, y0 = rest(0.0, 0.0, chain, section)
+        x0, y0 = stages.rest(0.0, 0.0, chain, section)
         x0, y0 = scale * (bx - x0), scale * (by - y0)
     offsets, lever = floats(chain.offset), floats(moment_arms)
     mx, my, total = 0.0, 0.0, 0.0
@@ -324,7 +304,7 @@ def sweep(chain, inputs, guess, work, past, out, shaped):
     load, bends, guesses, half = floats(work.load), floats(out), floats(guess), floats(work.half)
     flags = active_stages(chain, shaped)
     loads, linear, slip_rate = shaped and loaded(chain), is_linear(chain), slip_rate_in(work)
-    friction_scale = offset_scale(1.0, chain, 0)
+    friction_scale = stages.offset_scale(1.0, chain, 0)
     moment_arms, scale = chain.offset, friction_scale
     if flags[1]:
         moment_arms, scale = work.moment_arms, 1.0
@@ -351,7 +331,7 @@ def sweep(chain, inputs, guess, work, past, out, shaped):
                 chain, work, past, i, bx, by, passed, slip_rate, moment_arms, friction_scale, flags
             )
         half[2 * i], half[2 * i + 1] = s, c
-    if torsion_acts(chain):
+    if stages.torsion_acts(chain):
         sweep_twists(chain, work, out, shaped, loads)
 
 
@@ -391,12 +371,12 @@ def carry_tensions(chain, inputs, bend, work, past, flags, moment_arms, scale):
         pass_eyelet(chain, work, past, i, x, y, passed, rate, moment_arms, scale, flags)
 
 
-@entry(STEP)
+@entry()
 def step(chain, inputs, guess, work, past, out):
     """One sweep with everything that the guess decides."""
     shaped = floats(work.settings)[SHAPED] != 0.0
     if shaped and is_implicit(chain):
-        prepare_at(chain.prepare)(chain, inputs, guess, work, past, out)
+        chain.prepare(chain, inputs, guess, work, past, out)
     sweep(chain, inputs, guess, work, past, out, shaped)
 
 
@@ -420,16 +400,16 @@ def moment_arms_of(chain, work):
     """Address of the tendons' moment arms (n, k, 2) [m], and the factor on them [1]."""
     if follows_shape(chain):
         return work.moment_arms, 1.0
-    return chain.offset, offset_scale(1.0, chain, 0)
+    return chain.offset, stages.offset_scale(1.0, chain, 0)
 
 
-@entry(PLACE)
+@entry()
 def place_travel(chain, bend, work):
     """Fill work with what the tendons travel at a state, and with their moment arms."""
     half_turns(chain, bend, work)
-    if eyelet_acts(chain) or follows_shape(chain):
-        tendon_travel(chain, bend, offset_scale(1.0, chain, 0), work)
-    if eyelet_acts(chain) and friction_travel_acts(chain):
+    if stages.eyelet_acts(chain) or follows_shape(chain):
+        tendon_travel(chain, bend, stages.offset_scale(1.0, chain, 0), work)
+    if stages.eyelet_acts(chain) and stages.friction_travel_acts(chain):
         travel_beyond(chain, work)
 
 
@@ -443,7 +423,7 @@ def place_forces(chain, inputs, bend, work, past):
     if loaded(chain):
         scale_lengths(chain, work)
         chain_frames(chain, bend, work)
-        load_moments_at(chain.load_moments)(chain, bend, work)
+        chain.load_moments(chain, bend, work)
 
 
 @compiled
@@ -460,7 +440,7 @@ def imbalance(chain, bend, work, past, out):
         bx, by = bend_cell(chain, past, i, mx, my, total)
         f[2 * i] = bends[2 * i] - bx
         f[2 * i + 1] = bends[2 * i + 1] - by
-    if torsion_acts(chain):
+    if stages.torsion_acts(chain):
         for j in range(chain.n):
             about = tendons_about(chain, work, j)
             if loads:
@@ -468,37 +448,37 @@ def imbalance(chain, bend, work, past, out):
             f[2 * chain.n + j] = bends[2 * chain.n + j] - twist_of(chain, j, about)
 
 
-@entry(STEP)
+@entry()
 def balance(chain, inputs, bend, work, past, out):
     """Fill `out` [rad], the residual at a state whose travel is known, and work with forces."""
     place_forces(chain, inputs, bend, work, past)
     imbalance(chain, bend, work, past, out)
 
 
-@entry(STEP)
+@entry()
 def residual(chain, inputs, bend, work, past, out):
     """Fill `out` [rad], the residual at a state, and work with all that the state gives."""
-    place_travel_at(chain.place_travel)(chain, bend, work)
-    balance_at(chain.balance)(chain, inputs, bend, work, past, out)
+    chain.place_travel(chain, bend, work)
+    chain.balance(chain, inputs, bend, work, past, out)
 
 
-@entry(STEP)
+@entry()
 def prepare(chain, inputs, guess, work, past, out):
     """Fill moment arms, travel, travel beyond and load moments at a guess; `out` is scratch."""
-    if loaded(chain) and length_acts(chain):  # lengths follow the tensions there
-        residual_at(chain.residual)(chain, inputs, guess, work, past, out)
+    if loaded(chain) and stages.length_acts(chain):  # lengths follow the tensions there
+        chain.residual(chain, inputs, guess, work, past, out)
         return
     friction, straight, wraps, slides, _ = active_stages(chain, YES)
     slides = friction and slides
     if straight or wraps or loaded(chain):
         half_turns(chain, guess, work)
     if straight or slides:
-        tendon_travel(chain, guess, offset_scale(1.0, chain, 0), work)
+        tendon_travel(chain, guess, stages.offset_scale(1.0, chain, 0), work)
     if slides:
         travel_beyond(chain, work)
     if loaded(chain):
         if lies_flat(chain, guess, work):
-            flat_moments_at(chain.flat_moments)(chain, guess, work)
+            chain.flat_moments(chain, guess, work)
         else:
             chain_frames(chain, guess, work)
-            load_moments_at(chain.load_moments)(chain, guess, work)
+            chain.load_moments(chain, guess, work)
