@@ -197,32 +197,26 @@ def compiled_beside(catalogue: Catalogue, *entries: tuple[str, str]) -> Iterator
         yield
 
 
-# What only implicit models and derivatives by parameters call, and its module of the kernel:
-# fields of the kernel's chain. A first shape of an explicit model need not wait for them.
+# What only implicit models and derivatives by parameters call: fields of the kernel's chain, by
+# their module. A first shape of an explicit model need not wait for them.
 LINKED = {
-    'prepare': 'sweep',
-    'place_travel': 'sweep',
-    'balance': 'sweep',
-    'residual': 'sweep',
-    'respond': 'elimination',
-    'newton': 'equilibrium',
-    'solve_equilibrium': 'equilibrium',
+    'sweep': ('prepare', 'place_travel', 'balance', 'residual'),
+    'elimination': ('respond',),
+    'equilibrium': ('newton', 'solve_equilibrium', 'descend', 'march'),
+    'loads': ('load_moments', 'flat_moments', 'bow_cells'),
+    'linearisation': ('load_slopes', 'leaning_slopes'),
+    'geometry': ('leaning_travel',),
+    'shape': ('remembered', 'ramped'),
 }
+MODULES = {name: module for module, names in LINKED.items() for name in names}
 # About half of the work: these are compiled by a process of its own.
 BESIDE = ('respond', 'balance', 'residual', 'newton')
-# The same that only loaded arms call, those whose tendons lean, those whose friction remembers,
-# and those without loads whose friction follows the cell alone.
-OF_LOADS = {
-    'load_moments': 'loads',
-    'flat_moments': 'loads',
-    'bow_cells': 'loads',
-    'load_slopes': 'linearisation',
-    'descend': 'equilibrium',
-}
-OF_LEANING = {'leaning_travel': 'geometry', 'leaning_slopes': 'linearisation'}
-OF_MEMORY = {'remembered': 'shape', 'ramped': 'shape'}
-OF_CAUSAL = {'march': 'equilibrium'}
-ALL_LINKED = LINKED | OF_LOADS | OF_LEANING | OF_MEMORY | OF_CAUSAL
+# What only loaded arms call, those whose tendons lean, those whose friction remembers, and those
+# without loads whose friction follows the cell alone.
+OF_LOADS = {'load_moments', 'flat_moments', 'bow_cells', 'load_slopes', 'descend'}
+OF_LEANING = {'leaning_travel', 'leaning_slopes'}
+OF_MEMORY = {'remembered', 'ramped'}
+OF_CAUSAL = {'march'}
 LINKING_STAGES = {'length', 'stretch', 'winding'}  # see `place_as` of the kernel
 LINKING_STAGES |= {name for name, stage in STAGES.items() if stage.implicit}
 
@@ -259,7 +253,7 @@ class KernelArrays:
         for name, values in robot.effects.items():
             self.read(name, values)
         linked = bool(self._acting() & LINKING_STAGES) or bool(self.helix.any())
-        entries = [(LINKED[field], field) for field in BESIDE]
+        entries = [(MODULES[field], field) for field in BESIDE]
         beside = compiled_beside(catalogue, *entries) if linked else nullcontext()
         with beside:
             lay = self.part('layout')
@@ -273,14 +267,14 @@ class KernelArrays:
                 step=lay.address_of(self.part('sweep').step),
                 helix=self.helix.ctypes.data if self.helix.any() else 0,
                 beside=int(any(any(any(xy) for xy in s.mass_offset) for s in robot.sections)),
-                **dict.fromkeys(ALL_LINKED, 0),
+                **dict.fromkeys(MODULES, 0),
                 **{name: getattr(self, name).ctypes.data for name in arrays},
             )
             radius = np.float64(self.chain.radius).view(np.int64)
             self._words = np.array(self.chain._replace(radius=radius), dtype=np.int64)
             self.address = int(self._words.ctypes.data)  # of the chain's fields, for the kernel
             if linked:
-                self._link([field for field in self._called() if field not in BESIDE])
+                self._link(self._called() - {*BESIDE})
                 lay.address_of(self.part('shape').postures)
         if linked:
             self.link()
@@ -366,9 +360,10 @@ class KernelArrays:
         on, index = self.on, self.layout.index
         return frozenset(effect.stage for effect in self.catalogue if on[index[effect.name]])
 
-    def _called(self) -> dict[str, str]:
-        """Return the functions that the active effects call, as `LINKED`."""
-        acting, called = self._acting(), dict(LINKED)
+    def _called(self) -> set[str]:
+        """Return the functions of `LINKED` that the active effects call."""
+        acting = self._acting()
+        called = set(MODULES) - OF_LOADS - OF_LEANING - OF_MEMORY - OF_CAUSAL
         if acting & {'load', 'tip_load'}:
             called |= OF_LOADS
         elif not {'friction_travel', 'eyelet'} <= acting:
@@ -384,7 +379,7 @@ class KernelArrays:
         for name in fields:
             place = self.chain._fields.index(name)
             if not self._words[place]:
-                self._words[place] = address_of(getattr(self.part(ALL_LINKED[name]), name))
+                self._words[place] = address_of(getattr(self.part(MODULES[name]), name))
 
     def scratch(self) -> Floats:
         """Return scratch memory for one thread."""

@@ -80,10 +80,10 @@ def aim(
 
     """
     bends = np.array([bend, bend])
-    begin, end = _kernel_arguments(task, inputs, bends, limits)
+    problem = _kernel_arguments(task, inputs, bends, limits)
     tension = task.tension(LOW_TENSION_WEIGHT) if tension is None else tension
     search = task.model.arrays.part('inverse').aim
-    return float(search(*begin, tension, trials, gain_min, cost_max, *end)), bends[0]
+    return float(search(*problem, tension, trials, gain_min, cost_max)), bends[0]
 
 
 def aim_frugally(
@@ -136,9 +136,9 @@ def seek(
     length of friction that starts as a fraction of the widest.
     """
     bends = np.array([bend, bend])
-    begin, end = _kernel_arguments(task, inputs, bends, limits)
+    problem = _kernel_arguments(task, inputs, bends, limits)
     part = task.model.arrays.part('inverse')
-    part.seek(*begin, SEEKING_WEIGHT * task.per_newton, fraction, steps, *end)
+    part.seek(*problem, SEEKING_WEIGHT * task.per_newton, fraction, steps)
     return aim(
         task,
         TRACKING_GAIN_MIN,
@@ -157,14 +157,12 @@ def far_cost(task: TipTask) -> float:
 
 def _kernel_arguments(
     task: TipTask, inputs: Floats, bends: Floats, limits: Floats
-) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
-    """Return the first and the last arguments that both compiled searches share."""
-    low, high = np.ascontiguousarray(limits[:, 0]), np.ascontiguousarray(limits[:, 1])
+) -> tuple[Any, ...]:
+    """Return the arguments that both compiled searches share."""
+    low, high = np.ascontiguousarray(limits.T)
     model, until = task.model, task.patience.until.ctypes.data
-    return (
-        (model.arrays.address, inputs, bends, task.target, low, high),
-        (until, task.past, model.scratch),
-    )
+    problem = (model.arrays.address, inputs, bends, task.target, low, high)
+    return *problem, until, task.past, model.scratch
 
 
 def starts_of(task: TipTask, policy: Policy, reports: bool) -> Iterator[Start]:

@@ -247,7 +247,7 @@ def explicit_slopes(chain, inputs, high, solver, target, f, moved, slopes):
 
 @entry()
 def aim(
-    robot, inputs, bends, target, low, high, tension, trials_max, enough, far, until, past, scratch
+    robot, inputs, bends, target, low, high, until, past, scratch, tension, trials_max, enough, far
 ):
     """
     Move inputs (m,) [N] within [low, high] so that the tip meets the target; return the cost.
@@ -268,6 +268,12 @@ def aim(
         Position [m], direction, weight of the position [1], weight of the direction [m/rad].
     low, high : ndarray, shape (m,)
         [N]
+    until : int
+        Address of that time [s], see `layout.monotonic`.
+    past : ndarray
+        Memory of the posture before.
+    scratch : int
+        Address of `KernelArrays.scratch`.
     tension : tuple of float
         Cost of tension, see `tension_price`: weight of its squares [m/N], price [1], [m], room,
         the sum of all ranges [N], and its least part [1]; cost of a tip that has converged [m²].
@@ -275,12 +281,6 @@ def aim(
         Equilibria that may be solved.
     enough, far : float
         [1]; cost [m²] from which on nothing is done.
-    until : int
-        Address of that time [s], see `layout.monotonic`.
-    past : ndarray
-        Memory of the posture before.
-    scratch : int
-        Address of `KernelArrays.scratch`.
 
     """
     chain = chain_at(robot)
@@ -400,7 +400,7 @@ def move_both(chain, inputs, solver, directions, trial, move):
 
 @entry()
 def seek(
-    robot, inputs, bends, target, low, high, preference, fraction, steps, until, past, scratch
+    robot, inputs, bends, target, low, high, until, past, scratch, preference, fraction, steps
 ):
     """
     Move inputs (m,) [N] within [low, high] and bends[0] (3n,) [rad] towards a tip target.

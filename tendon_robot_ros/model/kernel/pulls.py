@@ -149,8 +149,10 @@ def solve_stiff_wires(robot, inputs, target, bends, past, scratch, steps_max):
     return gap
 
 
-# [N] error of the tension of a wire that stretches, because stiffer springs would correct no more
+# [N] error of the tension of a wire that stretches, because stiffer springs would correct no more;
+# slack wires count as much, else they would never become taut
 STRETCH_ERROR_N = 0.1
+STEP_MAX = 3.0  # [1] of the largest tension: a longer step would leap where pulls hardly change
 
 
 @compiled
@@ -173,18 +175,24 @@ def spring_step(slopes, f, inputs, target, stretch, move):
             top = max(top, abs(gap))
     if count == 0:
         return 0.0
-    part, step = np.empty((count, count)), np.empty((count, 1))
+    part, step, high = np.empty((count, count)), np.empty((count, 1)), 0.0
     for p in range(count):
         for q in range(count):
             part[p, q] = slopes[taut[p], taut[q]]
         part[p, p] += stretch
         step[p, 0] = f[taut[p]] + stretch * inputs[taut[p]]
+        high = max(high, inputs[taut[p]])
     solved = solve_rows(address(part), address(step), count, step.shape[1])
     keep(part)
     if not solved:
         return -1.0
+    longest = 0.0
     for p in range(count):
         move[taut[p]] = -step[p, 0]
+        longest = max(longest, abs(step[p, 0]))
+    fraction = min(1.0, STEP_MAX * (high + STRETCH_ERROR_N) / max(longest, TINY))
+    for p in range(count):
+        move[taut[p]] *= fraction
     return top
 
 
