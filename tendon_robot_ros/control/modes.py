@@ -21,7 +21,7 @@ from ..common.arrays import Floats
 from ..common.errors import TendonRobotError
 from ..common.rotations import rotated
 from ..drivers.safety import CYCLE_MAX_S, approach, bounded
-from ..model.inverse import BALANCE_STEPS_MAX, CLEARANCE_BINDS_M, judged
+from ..model.inverse import BALANCE_STEPS_MAX, POSITION_TOLERANCE_M, judged
 from ..model.program import STEP_MAX
 from ..model.redundancy import Balance, balanced
 from .inputs import Target, Trajectory, Twist
@@ -377,4 +377,4 @@ def _step_towards(balance: Balance, start: Shape, tensions: Floats) -> Shape | N
     if np.abs((tensions - posture.inputs) / balance.range).max() > size - 0.05 * min(step, size):
         return None  # no step keeps the tip in place
     near = balance.keep_out.clearance(posture.positions).distance
-    return posture if near > -CLEARANCE_BINDS_M else None
+    return posture if near > -POSITION_TOLERANCE_M else None

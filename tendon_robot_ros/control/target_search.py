@@ -17,7 +17,7 @@ import numpy as np
 
 from ..common.arrays import Floats
 from ..common.errors import InputError, NoEquilibriumError
-from ..model.inverse import CLEARANCE_BINDS_M, JUMP_MAX, reach
+from ..model.inverse import JUMP_MAX, POSITION_TOLERANCE_M, reach
 from ..model.program import STEP_MAX
 from ..model.shape import Reach
 from ..model.tip_task import COLD, STREAM, TRACK, Patience, Policy, TipTask
@@ -516,7 +516,7 @@ def keep_out_refusal(
 
 def _allowed(start: Shape, keep_out: KeepOut) -> float:
     """Return the clearance [m] that no later posture may fall below."""
-    return min(keep_out.clearance(start.positions).distance, 0.0) - CLEARANCE_BINDS_M
+    return min(keep_out.clearance(start.positions).distance, 0.0) - POSITION_TOLERANCE_M
 
 
 def _postures(

@@ -6,3 +6,7 @@ These modules are not imported from here. `model.compile` copies them, together 
 every source, and imports the copy: so numba's cache can never serve a stale law. README.md
 has the call graph and a table of the arrays.
 """
+
+from typing import Any
+
+stages: Any  # the laws of a catalogue, a module that `model.compile` writes
