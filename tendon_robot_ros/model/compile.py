@@ -360,10 +360,10 @@ class KernelArrays:
         on, index = self.on, self.layout.index
         return frozenset(effect.stage for effect in self.catalogue if on[index[effect.name]])
 
-    def _called(self) -> set[str]:
+    def _called(self) -> frozenset[str]:
         """Return the functions of `LINKED` that the active effects call."""
         acting = self._acting()
-        called = set(MODULES) - OF_LOADS - OF_LEANING - OF_MEMORY - OF_CAUSAL
+        called = frozenset(MODULES) - OF_LOADS - OF_LEANING - OF_MEMORY - OF_CAUSAL
         if acting & {'load', 'tip_load'}:
             called |= OF_LOADS
         elif not {'friction_travel', 'eyelet'} <= acting:

@@ -153,7 +153,7 @@ class _Search:
         lowest_worth = cost_at_guess = np.inf
         if self.report is not None and task.guess is not None:
             worth = task.worth(task.cost(task.guess), task.guess.inputs)
-            cost_at_guess = WORTHWHILE_MAX * worth
+            cost_at_guess = (1.0 - TRACKING_GAIN_MIN) * worth
         last_reported = cost_at_guess
         for count, start in enumerate(starts_of(task, self.policy, self.report is not None)):
             trial = self._from(start)
