@@ -125,7 +125,7 @@ SMOOTHING_LENGTH = 2e-6
 DIFFERENCE_STEP = math.cbrt(EPSILON)
 # [rad] of a bend, over which slopes are those of a guess, because the eyelets' turning and the
 # sides to which tendons slide change beyond
-LINEAR_STEP_RAD = 0.2
+LINEAR_STEP_RAD = 0.3
 # [1] of SMOOTHING_LENGTH where a search begins without a guess: 2 mm, so that every tendon slides
 WIDE_SMOOTHING = 1e3
 # [1] steps of Newton, because its error is squared at each, and trials of one step, each shorter,

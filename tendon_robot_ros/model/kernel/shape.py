@@ -11,7 +11,7 @@ from numba import types
 
 from . import stages
 from .cells import cell_stiffness, is_general, unknowns
-from .equilibrium import SAFE_LOAD, is_planar, load_ratio
+from .equilibrium import NEAR_STEPS_MAX, SAFE_LOAD, is_planar, load_ratio
 from .geometry import scale_lengths, tendon_travel, travel_beyond
 from .layout import (
     BEND_TOLERANCE,
@@ -24,7 +24,6 @@ from .layout import (
     SHAPED,
     SMOOTHING,
     SMOOTHING_LENGTH,
-    STEPS_MAX,
     WORD,
     YES,
     Workspace,
@@ -346,7 +345,7 @@ def settle_near(chain, inputs, work, past, bend, before):
     heavy = loaded(chain) and load_ratio(chain) > SAFE_LOAD
     if is_implicit(chain) and not (heavy or is_planar(chain, floats(bend))):
         copy(bend, before, unknowns(chain))
-        change = chain.newton(chain, inputs, bend, work, past, STEPS_MAX)
+        change = chain.newton(chain, inputs, bend, work, past, NEAR_STEPS_MAX)
         if change < BEND_TOLERANCE:
             return change
         copy(before, bend, unknowns(chain))
