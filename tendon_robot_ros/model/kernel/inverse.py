@@ -21,7 +21,6 @@ from .cells import unknowns
 from .derivatives import TENSION_STEP, combine_tendons, output_slopes, place_as
 from .equilibrium import (
     SHRINK_FACTORS,
-    STEP_NEAR_RAD,
     end_sliding,
     exchange,
     own_travel,
@@ -29,6 +28,7 @@ from .equilibrium import (
 )
 from .layout import (
     DIFFERENCE_STEP,
+    EPSILON,
     EVERY_METHOD,
     LINEAR_STEP_RAD,
     SMOOTHING,
@@ -321,7 +321,8 @@ def aim(
         price = tension_price(f, inputs, low, tension)
         cost = cost_of(f, inputs, low, price)
         reached = cost_of(f, low, low, price) < tension[5]
-        if gain < (max(enough, DIFFERENCE_STEP) if reached else DIFFERENCE_STEP) * cost:
+        least = max(enough, DIFFERENCE_STEP) if reached else DIFFERENCE_STEP
+        if gain < least * cost or cost < EPSILON:
             break
     return cost_of(f, inputs, low, (tension[0], 0.0, tension[3], tension[4]))
 
@@ -329,6 +330,9 @@ def aim(
 # [1] once friction is as sharp as it is: of the weight of tension, because all of it would keep
 # the tip off its target, and damping, so that tensions do not go in circles
 FINAL_FRACTION = 0.01
+UNDAMPED_STEPS = 15  # [1] so that only tensions that go in circles, as they do later, are damped
+SEEKING_STEP_MAX_RAD = 0.2  # [rad] of a bend in one step, so that no kink is passed unseen
+STEP_SETTLED_RAD = 1e-6  # [rad] last step, because the next would move the tip by less than 1 nm
 
 
 @compiled
@@ -389,7 +393,7 @@ def move_both(chain, inputs, solver, directions, trial, move):
     longest = largest(move)
     if not longest < math.inf:
         return longest
-    fraction = min(1.0, LINEAR_STEP_RAD / max(longest, TINY))
+    fraction = min(1.0, SEEKING_STEP_MAX_RAD / max(longest, TINY))
     for q in range(unknowns(chain)):
         move[q] *= fraction
         bend[q] += move[q]
@@ -418,7 +422,7 @@ def seek(
     trial, free = np.empty(m), np.empty(m, np.int64)
     own, longest = own_travel(chain, solver.bend, work), math.inf
     width = fraction * WIDE_SMOOTHING * SMOOTHING_LENGTH
-    for _ in range(steps):
+    for step in range(steps):
         if monotonic() > floats(until)[0]:
             break
         floats(work.settings)[SMOOTHING] = width
@@ -427,14 +431,13 @@ def seek(
         tip_slopes(chain, tensions, solver, target, directions, f, slopes)
         for r in range(6):
             f[r] += slopes[r, m]  # after the step of the bends that balances these tensions
-        weight, damping = preference, 0.0
-        if width == SMOOTHING_LENGTH:
-            weight, damping = FINAL_FRACTION * preference, FINAL_FRACTION
+        damping = 0.0 if step < UNDAMPED_STEPS else FINAL_FRACTION
+        weight = preference if width > SMOOTHING_LENGTH else FINAL_FRACTION * preference
         gauss_newton_step(
             slopes, f, inputs, low, high, (weight, 0.0, 1.0, 1.0), damping, trial, free
         )
         longest = move_both(chain, inputs, solver, directions, trial, move)
-        if not longest < math.inf or (longest < STEP_NEAR_RAD and width == SMOOTHING_LENGTH):
+        if not longest < math.inf or (longest < STEP_SETTLED_RAD and width == SMOOTHING_LENGTH):
             break
         new_width = width
         if longest < LINEAR_STEP_RAD:

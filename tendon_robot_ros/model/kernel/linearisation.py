@@ -43,9 +43,11 @@ from .layout import (
 )
 from .loads import (
     NO_LOAD,
+    along_middle,
     bow_compliance,
     cell_moment,
     cross,
+    half_arc,
     loaded,
     local,
     plus,
@@ -112,6 +114,9 @@ UNEVEN_MAX = 1e-2  # [1] difference of its halves: curvature makes 1e-3, a kink 
 # [1] of the radius, of differences of the memory of friction: far less than the least presliding
 # length, 4e-3, because the law has another slope on its other side
 TRAVEL_STEP = 2e-7
+# [1] square of a direction of friction that no more travel changes: else every eyelet that slips
+# would join the equations of those that stick
+SATURATED_FROM = 1.0 - 1e-9
 
 
 @compiled
@@ -174,7 +179,9 @@ def load_slopes(chain, bend, work, i, tangent, total):
         )
         for r in range(3):
             row[TORQUE_BY_OWN + 3 * r + a] = by_own[r]
-    rotation_slopes(chain, f, work, i, x, y, (force, torque, own), bow, row, general)
+    rotation_slopes(chain, f, work, i, x, y, force, torque, own, row, general)
+    if bow > 0.0:
+        bow_slopes(f, x, y, half_turn(x * x + y * y), bow, plus(force, scaled(0.5, own)), row)
     if general:
         add_column(row, 2, twist_slopes(f, row))
     if stages.length_acts(chain):
@@ -189,30 +196,16 @@ def add_column(row, a, slopes):
 
 
 @compiled
-def turned_loads(f, wrench, turn):
-    """Force, torque and weight (3,) in a frame f that a rotation vector turns, to first order."""
-    force, torque, own = wrench
-    force, torque = plus(force, cross(force, turn)), plus(torque, cross(torque, turn))
-    return local(f, force), local(f, torque), local(f, plus(own, cross(own, turn)))
-
-
-@compiled
-def rotation_slopes(chain, f, work, i, x, y, wrench, bow, row, general):
+def rotation_slopes(chain, f, work, i, x, y, force, torque, own, row, general):
     """
     Fill derivatives by the rotation of the frame of cell i, and that of the next by its bend.
-
-    The moment is a polynomial of second degree in the loads, so that differences over a whole
-    radian of their rotation are exact.
 
     Parameters
     ----------
     x, y : float
         Bend [rad].
-    wrench : tuple
-        Force and torque of all beyond at the cell's end, and its weight, base frame: (3,) [N],
-        (3,) [N·m], (3,) [N].
-    bow : float
-        `bow_compliance` [m/N].
+    force, torque, own : tuple of float
+        Of all beyond at the cell's end, and its weight, base frame: (3,) [N], [N·m], [N].
     row : pointer
         Derivatives of the cell.
 
@@ -220,17 +213,14 @@ def rotation_slopes(chain, f, work, i, x, y, wrench, bow, row, general):
     s, c = half_turn(x * x + y * y)
     sinc, versine = 2.0 * s * c, 2.0 * s * s
     leaning = versine - arc_factor(x * x + y * y, s, c)
-    force, _, own = wrench
-    loads = turned_loads(f, wrench, NO_LOAD)
-    _, end, middle = loaded_cell(chain, work, i, x, y, loads, bow, general)
+    wrench = (local(f, force), local(f, torque), local(f, own))
+    _, end, middle = loaded_cell(chain, work, i, x, y, wrench, 0.0, general)
     end, middle = turned(f, end), turned(f, middle)
     for r in range(3):
         unit = (1.0 if r == 0 else 0.0, 1.0 if r == 1 else 0.0, 1.0 if r == 2 else 0.0)
-        loads = turned_loads(f, wrench, unit)
-        m, up, mid = loaded_cell(chain, work, i, x, y, loads, bow, general)
-        loads = turned_loads(f, wrench, scaled(-1.0, unit))
-        n, low, lowmid = loaded_cell(chain, work, i, x, y, loads, bow, general)
-        m = difference(1.0, m, n)
+        wrench = (cross(force, unit), cross(torque, unit), cross(own, unit))
+        wrench = (local(f, wrench[0]), local(f, wrench[1]), local(f, wrench[2]))
+        m, _, _ = loaded_cell(chain, work, i, x, y, wrench, 0.0, general)
         local_unit = local(f, unit)
         tx, ty = turn_moment(x, y, local_unit, sinc, versine, leaning)
         row[BY_ROTATION + r], row[BY_ROTATION + 3 + r] = m[0], m[1]
@@ -240,11 +230,49 @@ def rotation_slopes(chain, f, work, i, x, y, wrench, bow, row, general):
             about = axial_moment(x, y, sinc, versine, local_unit, local_unit)
             row[BY_ROTATION + 6 + r] = m[2]
             row[BY_TORQUE + 6 + r] = row[ROTATIONS + 3 * r + 2] = about
-        end_by = plus(cross(unit, end), turned(f, difference(1.0, up, low)))
-        middle_by = plus(cross(unit, middle), turned(f, difference(1.0, mid, lowmid)))
-        by_rotation = plus(cross(end_by, force), cross(middle_by, own))
+        by_rotation = plus(cross(cross(unit, end), force), cross(cross(unit, middle), own))
         for a in range(3):
             row[TORQUE_BY_ROTATION + 3 * a + r] = by_rotation[a]
+
+
+@compiled
+def bow_slopes(f, x, y, half, bow, force, row):
+    """
+    Add the part of bowing to the derivatives of moment and torque by a rotation of the frame.
+
+    Parameters
+    ----------
+    f : tuple of float
+        Frame that bends (9,).
+    x, y : float
+        Bend [rad].
+    half : tuple of float
+        Its half angle, see `cells`.
+    bow : float
+        `bow_compliance` [m/N].
+    force : tuple of float
+        Of all beyond the middle, base frame (3,) [N].
+    row : pointer
+        Derivatives of the cell.
+
+    """
+    s, c = half
+    middle, own = (s * x, s * y, c), local(f, force)
+    part = half_arc(x, y, s, c)
+    g, gx, gy = along_middle(x, y, s, c, part, own)
+    turning = cross(middle, own)
+    for r in range(3):
+        unit = (1.0 if r == 0 else 0.0, 1.0 if r == 1 else 0.0, 1.0 if r == 2 else 0.0)
+        change = local(f, cross(force, unit))
+        h, hx, hy = along_middle(x, y, s, c, part, change)
+        row[BY_ROTATION + r] -= bow * (h * gx + g * hx)
+        row[BY_ROTATION + 3 + r] -= bow * (h * gy + g * hy)
+        # the torque is -B g m x F: that in the frame that bends, turned with it and by itself
+        own_change = plus(scaled(h, turning), scaled(g, cross(middle, change)))
+        row[BY_ROTATION + 6 + r] -= 0.5 * bow * own_change[2]
+        torque = plus(turned(f, own_change), scaled(g, cross(unit, turned(f, turning))))
+        for a in range(3):
+            row[TORQUE_BY_ROTATION + 3 * a + r] -= bow * torque[a]
 
 
 @compiled
@@ -413,7 +441,7 @@ def slip_slopes(chain, work, past, at, section, slip, slides, remembers):
         by_slip *= (up - stages.friction_travel(s - h, t, chain, section)) / (2.0 * h)
         up = stages.friction_travel(s, t + h, chain, section)
         slope = (up - stages.friction_travel(s, t - h, chain, section)) / (2.0 * h)
-        by_beyond = rate * (1.0 - t * t) * slope
+        by_beyond = rate * (1.0 - t * t) * slope if t * t < SATURATED_FROM else 0.0
         s = stages.friction_travel(s, t, chain, section)
     return s, by_slip, by_beyond
 
