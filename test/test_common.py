@@ -135,4 +135,4 @@ def test_compiled_python_is_kept_where_it_may_not_lie_beside_its_sources(tmp_pat
     }
     command = [sys.executable, '-m', 'tendon_robot_ros', 'reach', '--help']
     assert processes.run(command, env={**os.environ, **own}).returncode == 0
-    assert any((tmp_path / 'bytecode').rglob('reach.*.pyc'))
+    assert any((tmp_path / 'bytecode').rglob('cli/model.*.pyc'))
