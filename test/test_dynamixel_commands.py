@@ -130,7 +130,7 @@ def scales(tmp_path, robot_file, monkeypatch, capsys):
             monkeypatch.setattr('builtins.input', lambda _: arm.hang(place, next(pile)))
             code = main(
                 ['calibrate', 'dynamixel', str(config), '--robot', robot_file, '--tendon', tendon]
-                + ['--weights', *map(str, masses), '--output', str(tmp_path / 'lines.yaml')]
+                + ['--weights', *map(str, masses), '--out', str(tmp_path / 'lines.yaml')]
                 + ['--travel', str(travel), '--speed', '10']
             )
             said = capsys.readouterr()

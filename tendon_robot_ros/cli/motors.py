@@ -97,7 +97,7 @@ class Calibrate:
         add('--travel', type=float, default=20.0, metavar='MM')
         add('--speed', type=float, default=5.0, metavar='MM/S')
         what = 'lines of other tendons in it are kept (default %(default)s)'
-        add_file(parser, '--output', what, default='calibration.yaml')
+        add_file(parser, '--output', what, also=('--out',), default='calibration.yaml')
         add_file(parser, '--picture', 'default: beside the output, as PNG')
         add('--yes', action='store_true', help='do not wait for Enter')
 

@@ -79,10 +79,16 @@ def declare(parser: argparse.ArgumentParser, *names: str) -> None:
 
 
 def add_file(
-    parser: argparse.ArgumentParser, name: str, help: str, metavar: str = 'FILE', **more: Any
+    parser: argparse.ArgumentParser,
+    name: str,
+    help: str,
+    metavar: str = 'FILE',
+    also: tuple[str, ...] = (),
+    **more: Any,
 ) -> None:
     """Declare an option that names a file to write; where none can go is said at once."""
-    parser.add_argument(name, type=file_to_write(name), metavar=metavar, help=help, **more)
+    checked = file_to_write(name)
+    parser.add_argument(name, *also, type=checked, metavar=metavar, help=help, **more)
 
 
 def add_report(parser: argparse.ArgumentParser) -> None:
