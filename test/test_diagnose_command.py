@@ -181,10 +181,12 @@ def test_a_cause_outside_is_not_added(capsys, folder):
 def test_partial_adds_it_and_says_that_more_is_at_work(capsys, folder):
     added = ('--robot', exact(folder), '--add', 'better.yaml', '--partial')
     lines = said(capsys, 'diagnose', 'l/fit', *added)
-    assert lines[-2].startswith('note: more is at work than these effects: what is left on the '
+    note, known = lines[-3:-1]
+    assert note.startswith('note: more is at work than these effects: what is left on the '
                                 'fitted postures is 1.9 times the noise')  # fmt: skip
     origin = yaml.safe_load((folder / 'better.yaml').read_text())['fitted']['tip_load']
-    assert lines[-2] == f'note: {origin["more_at_work"]}'
+    assert note == f'note: {origin["more_at_work"]}'
+    assert 'at the tip on postures left out: the file says so, as model_error' in known
     assert any(
         line.startswith('error on postures left out in turn: 1.49 mm -> 0.629') for line in lines
     )

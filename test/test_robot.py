@@ -149,7 +149,7 @@ BAD = [
     (('effects', 'tendon_friction', 'friction_coefficient'), '.3.', 'effects.tendon_friction.'
      "friction_coefficient: expected a number [SI], got '.3.'"),
     (('limits',), [0, 1], "limits: expected one of name, sections, tendons, tension_limits, "
-     "effects, gravity, tolerances, fitted, exact, got 'limits'"),
+     "effects, gravity, tolerances, fitted, exact, model_error, got 'limits'"),
 ]  # fmt: skip
 
 

@@ -20,6 +20,7 @@ from ..data import DataSet
 from ..diagnosis.add import Addition, add_effects, restore
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.improve import improve
+from ..diagnosis.reference import since
 from ..diagnosis.result import Diagnosis
 from ..diagnosis.verdict import Verdict
 from ..report import comparison as comparison_report
@@ -113,6 +114,8 @@ class Diagnose:
         add = parser.add_argument
         options.declare(parser, 'data')
         add('--robot', metavar='ROBOT', help='description to judge (default: the one of DATA)')
+        what = 'earlier recordings of the same arm: judge only what has changed since'
+        add('--reference', nargs='+', metavar='OLD', help=what)
         options.declare(parser, '--json')
         options.add_file(parser, '--add', 'write a description with the effect', 'NEW')
         options.add_report(parser)
@@ -134,6 +137,10 @@ class Diagnose:
         options.refuse_existing('--add', args.add, args.overwrite)
         with options.progress() as show:
             dataset, check, catalogue = options.load_judged(args, show)
+            if args.reference:
+                old = options.load_measurements(args.reference, dataset.robot, show)
+                dataset = since(dataset, old, None, catalogue)
+                check = None if check is None else since(check, old, None, catalogue)
             diagnosis = diagnose(dataset, None, catalogue, args.workers, show)
             if args.trust:
                 from ..diagnosis.trust import SECONDS, assess

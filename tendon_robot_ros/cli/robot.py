@@ -19,7 +19,7 @@ import yaml
 
 from ..common.errors import InputError
 from ..common.files import new_file, write_text
-from ..common.words import STANDARD_GRAVITY, columns
+from ..common.words import STANDARD_GRAVITY, columns, mm
 from ..report.in_words import route, rows
 from ..robot import Robot, dump_robot, load_robot, parse_robot
 from ..robot.estimates import (
@@ -466,6 +466,11 @@ def description(robot: Robot) -> str:
     if robot.tolerances:
         shown = ', '.join(f'{name} {value:g}' for name, value in robot.tolerances.items())
         lines.append(f'not sure (1 sd): {shown}')
+    if robot.model_error:
+        lines.append(
+            f'model_error: known to be off by {mm(robot.model_error, 2)} rms at the tip, which no '
+            'effect explains'
+        )
     return '\n'.join(lines)
 
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
 
 import yaml
 
-from .errors import DriverError, RobotDescriptionError, TendonRobotError
+from .errors import DriverError, InputError, RobotDescriptionError, TendonRobotError
 from .files import read_text
+from .words import read_quantity
 
 NESTING_MAX = 100  # [1] brackets within brackets, else compiled code would run out of memory
 # [1] characters that are read once more for a better message, because that takes ten times as long
@@ -163,6 +165,14 @@ class Reader:
     ) -> float:
         """Return a finite number within bounds."""
         return self._number(key, self.content.get(key), low, high, unit)
+
+    def length(self, key: str) -> float:
+        """Return a length of at least 0 [m]: a number, or text with a unit such as `3 mm`."""
+        value = self.content.get(key)
+        if isinstance(value, str):
+            with suppress(InputError):
+                value = read_quantity(key, value, 'm', 'length')
+        return self._number(key, value, 0.0, 1.0, 'm')
 
     def numbers(self, key: str) -> float | tuple[float, ...]:
         """Return one number, or a list of them."""

@@ -135,6 +135,8 @@ def compare(
                 np.linalg.norm(markers - dataset.mean, axis=2),
                 np.linalg.norm(dataset.positions[:, :, -1] - markers[:, None, -1], axis=2),
                 None if centred else _centreline(dataset, robot, catalogue),
+                (robot.model_error or 0.0)
+                * float(np.sqrt(dataset.arc_lengths.mean() / robot.length)),
             )
         )
     show('noise', len(named), len(named))

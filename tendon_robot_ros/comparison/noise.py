@@ -106,7 +106,8 @@ class Whitener:
     (position noise + trial noise + shift) / trials + setting noise, which all trials share.
     The mean of a marker that one trial lost has the inputs of the others: part of the trial noise
     is then its own. Errors of a model may come on top, no smaller for more trials: `accuracy` [m]
-    of a posture, growing along the arm, and `rough` [m, 1 sd per coordinate] of every marker.
+    growing along the arm, and `rough` [m, 1 sd per coordinate] of every marker; both of all
+    postures, or (P,) of each.
 
     Noise of m inputs adds G'G of m rows to a diagonal D. With G D^-1/2 = B and B B' = V L V' the
     symmetric root of (1 + B'B)^-1 is 1 - B'V f(L) V'B, f(l) = 1 / (1 + l + sqrt(1 + l)): nothing
@@ -118,17 +119,18 @@ class Whitener:
         dataset: DataSet,
         noise: Noise,
         slopes: Floats,
-        accuracy: float = 0.0,
-        rough: float = 0.0,
+        accuracy: float | Floats = 0.0,
+        rough: float | Floats = 0.0,
     ) -> None:
         """Factor the covariance; `slopes` are those of `input_slopes`."""
         self._visible = np.repeat(dataset.counts > 0, 3, axis=1)  # (P, 3 J)
         counts = np.repeat(np.maximum(dataset.counts, 1), 3, axis=1)
         own = noise.position**2 / counts
-        driven = _driven(dataset, noise, slopes, own + rough**2)
+        rest = own + np.broadcast_to(rough, len(own))[:, None] ** 2
+        driven = _driven(dataset, noise, slopes, rest)
         total = own + (driven**2).sum(axis=1)
         self.variance = [one[visible] for one, visible in zip(total, self._visible, strict=True)]
-        self._scale = np.where(self._visible, 1.0 / np.sqrt(own + rough**2), 0.0)  # (P, 3 J)
+        self._scale = np.where(self._visible, 1.0 / np.sqrt(rest), 0.0)  # (P, 3 J)
         scaled = driven * self._scale[:, None]
         values, vectors = np.linalg.eigh(scaled @ scaled.swapaxes(1, 2))
         values = np.maximum(values, 0.0)[..., None]  # (P, m, 1)
@@ -138,13 +140,14 @@ class Whitener:
             self._scale, out=np.zeros_like(self._scale), where=self._visible
         ).sum(axis=1)
         self._dense: list[Floats] | None = None
-        if not accuracy:
+        if not np.any(accuracy):
             return
         self._dense = []
+        each = np.broadcast_to(accuracy, len(own)).tolist()
         for p, rows in enumerate(self.rows):
             g = driven[p][:, rows]
-            block = np.diag((own + rough**2)[p, rows]) + g.T @ g
-            block += common_error(dataset, rows, accuracy)
+            block = np.diag(rest[p, rows]) + g.T @ g
+            block += common_error(dataset, rows, each[p])
             root = np.linalg.inv(np.linalg.cholesky(block)) if len(rows) else block
             self._logs[p] = -2.0 * float(np.log(np.diag(root)).sum())
             self._dense.append(root)

@@ -80,6 +80,7 @@ class ModelErrors:
     distance: Floats  # (P, J) [m] from the trial mean
     tip_errors: Floats  # (P, Q) [m] of the last marker, trial by trial: the residual distance
     centreline: Floats | None = None  # (P, n, 3) [m], where the markers do not lie on it
+    model_error: float = 0.0  # [m] rms over the markers that its description knows to be off
 
     @property
     def line(self) -> Floats:

@@ -66,6 +66,25 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False)
+class EarlierRecording:
+    """
+    An earlier recording of the same arm.
+
+    What the arm deviated from its description there is taken off the positions of a data set, so
+    that only what has changed since is left.
+    """
+
+    name: str  # of the recording
+    error: float  # [m] rms at the tip of what the arm deviated there
+    doubt: FloatArray  # (P,) [m] rms at the tip of what it leaves open for each posture
+    noise: FloatArray  # (P,) [m] 1 sd per coordinate of the tracker in what is taken off
+
+    def rows(self, rows: NDArray[np.intp]) -> EarlierRecording:
+        """Return that of some postures."""
+        return replace(self, doubt=self.doubt[rows], noise=self.noise[rows])
+
+
+@dataclass(frozen=True, eq=False)
 class DataSet(TextResult):
     """
     Postures of a robot: commanded inputs and measured positions of its markers.
@@ -96,6 +115,7 @@ class DataSet(TextResult):
     known: Known = field(default_factory=dict)  # effects that acted here and nowhere else
     parts: tuple[Part, ...] = ()  # the data sets that it was joined from; none: it is one
     part: IntArray | None = None  # (P,) index of the part that a posture belongs to
+    reference: EarlierRecording | None = None  # whose deviations are taken off the positions
 
     def __post_init__(self) -> None:
         """Make the arrays read-only and refuse shapes that do not fit each other."""
@@ -520,7 +540,8 @@ class DataSet(TextResult):
     def _rows(self, rows: NDArray[np.intp]) -> DataSet:
         postures = tuple(self.postures[i] for i in rows)
         arrays = ('inputs', 'part', 'trial_inputs', *READINGS)
-        return self.changed(lambda array: array[rows], *arrays, postures=postures)
+        taken = None if self.reference is None else self.reference.rows(rows)
+        return self.changed(lambda array: array[rows], *arrays, postures=postures, reference=taken)
 
 
 class HasDataSet(Protocol):

@@ -21,6 +21,7 @@ The diagnosis
 verdict.py            thresholds, and the table of the verdicts (sentence, colour, advice); the
                       threshold of the drift alarm is in monitoring/watch.py
 diagnose.py           `diagnose`: from the evidence to a verdict
+reference.py          what has changed since an earlier recording of the arm
 candidates.py         effects that may be missing; which of them the postures test
 patterns.py           patterns without a physical law, for causes outside the catalogue
 local_tests.py        where the best model still misfits: cell, posture, tendon, direction

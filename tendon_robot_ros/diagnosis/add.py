@@ -20,7 +20,7 @@ from ..data import DataSetLike, load_dataset
 from ..effects import CatalogueLike, load_catalogue
 from ..robot import Robot, RobotLike, load_robot
 from .candidates import Candidate, is_tested, why_untested
-from .crossval import Errors, Staircase, Written, errors_on, written
+from .crossval import Errors, Staircase, Written, errors_on, model_error_of, written
 from .fit import Fit
 from .intervals import loads_of, values_with_intervals
 from .result import EffectFinding, LoadVector, Value
@@ -39,6 +39,7 @@ class Addition(TextResult):
     probability: float  # p-value of the remaining error if no other effect acts
     moved: dict[str, float] = field(default_factory=dict)  # tolerance -> declared sd it moved
     more_at_work: str = ''  # note in the file where other effects act as well
+    model_error: float | None = None  # [m] at the tip, on left-out postures; None: only noise
     beside: bool = False  # whether tolerances that moved and imperfections are written, too
     accuracy: float | None = None  # [m] declared, that weighed; None: repeatability alone did
     loads: dict[str, LoadVector] = field(default_factory=dict)  # of effects that are forces
@@ -80,12 +81,13 @@ class Addition(TextResult):
             'moved': self.moved,
             'beside': self.beside,
             'more_at_work': self.more_at_work,
+            'model_error': self.model_error,
         }
 
 
 def with_origin(addition: Addition, before: Robot) -> Robot:
-    """Return the description with the origin of its fitted values."""
-    robot = addition.robot
+    """Return the description with the origin of its fitted values, and its own error."""
+    robot = replace(addition.robot, model_error=_short(addition.model_error))
     error: dict[str, Any] = {'unit': 'm'}
     for one in (addition.fitted, addition.check):
         numbers = {key: _short(getattr(one, key)) for key in ('before', 'after', 'floor')}
@@ -147,7 +149,7 @@ def restore(robot: Robot, name: str) -> tuple[Robot, Mapping[str, Any] | None]:
         The description does not list that effect.
 
     """
-    without = robot.without_effect(name)
+    without = replace(robot.without_effect(name), model_error=None)  # it is another model
     origin = robot.fitted.get(name)
     values = origin.get('replaces') if isinstance(origin, dict) else None
     if not isinstance(values, dict):
@@ -228,7 +230,11 @@ def add_effects(
     else:
         alone = descriptions.alone_left_out if descriptions.beside else None
         on_check = replace(fitted, kind='left out', alone=alone, after=descriptions.left_out)
-    more = more_at_work(fitted, probability) if partial or probability <= P_SINGLE_MIN else ''
+    more, error = '', None
+    if partial or probability <= P_SINGLE_MIN:
+        more = more_at_work(fitted, probability)
+        squares = descriptions.left_out_squares
+        error = model_error_of(session.dataset, squares, session.whitener.floor())
     by = session.accuracy if session.use_accuracy else None
     loads, moved = loads_of(fit, session.predictor, scale), fit.prior_z
     added = Addition(
@@ -239,6 +245,7 @@ def add_effects(
         probability,
         moved,
         more,
+        error,
         descriptions.beside,
         by,
         loads,

@@ -114,9 +114,29 @@ def predict(dataset: DataSet, robot: Robot, catalogue: Catalogue) -> tuple[Predi
 
 def left_out_error(fitter: Fitter, fit: Fit, beside: bool = True) -> float:
     """Return the rms error [m] on postures that were not used; see `left_out_markers`."""
-    dataset = fitter.predictor.dataset
-    measured = dataset.trials > 0
-    return rms((dataset.mean - left_out_markers(fitter, fit, beside))[measured])
+    return rms(fitter.predictor.dataset.mean - left_out_markers(fitter, fit, beside))
+
+
+def model_error_of(dataset: DataSet, squares: Floats, floor: float) -> float:
+    """
+    Return the size at the tip [m] of the error of a model that left-out postures show.
+
+    By least squares, for an error whose square grows along the arm with the arc length, as
+    `comparison.noise.common_error`.
+
+    Parameters
+    ----------
+    dataset : DataSet
+    squares : (P, J) [m²]
+        Squared errors of the predictions of postures that were left out.
+    floor : float
+        Rms [m] that noise alone makes.
+
+    """
+    heights = np.broadcast_to(dataset.arc_lengths / dataset.robot.length, squares.shape)
+    known = np.isfinite(squares)
+    h, excess = heights[known], squares[known] - floor**2
+    return float(np.sqrt(max(float(h @ excess) / float(h @ h), 0.0)))
 
 
 def left_out_markers(fitter: Fitter, fit: Fit, beside: bool = True) -> Floats:
@@ -224,7 +244,17 @@ class Written:
     robot: Robot  # that is written: with the arm as it was found as well, where that helps
     beside: bool  # whether it is
     alone_left_out: float  # [m] error on postures left out in turn
-    left_out: float  # [m] of what is written
+    left_out_squares: Floats  # (P, J) [m²] of what is written
+
+    @property
+    def left_out(self) -> float:
+        """Rms error [m] of what is written, on postures left out in turn."""
+        return _root_mean(self.left_out_squares)
+
+
+def _root_mean(squares: Floats) -> float:
+    """Return the root of the mean of squares (P, J) [m²]; nan where none is known."""
+    return rms(np.sqrt(squares)[..., None])
 
 
 def written(session: Session, fit: Fit) -> Written:
@@ -234,13 +264,19 @@ def written(session: Session, fit: Fit) -> Written:
     The fitted tolerances and imperfections are written as well where they lower the error on
     left-out postures.
     """
-    alone = described_by(session, fit, beside=False)
-    error = left_out_error(session.fitters[0], fit, beside=False)
+    alone, fitter = described_by(session, fit, beside=False), session.fitters[0]
+
+    def squares(beside: bool) -> Floats:
+        off = session.dataset.mean - left_out_markers(fitter, fit, beside)
+        return np.asarray((off**2).sum(axis=2))
+
+    plain = squares(beside=False)
+    error = _root_mean(plain)
     if not fit.as_built and not fit.nuisances:
-        return Written(alone, alone, False, error, error)
-    together = left_out_error(session.fitters[0], fit)
-    if together > LEFT_OUT_RATIO_MAX * error:
-        return Written(alone, alone, False, error, error)
+        return Written(alone, alone, False, error, plain)
+    together = squares(beside=True)
+    if _root_mean(together) > LEFT_OUT_RATIO_MAX * error:
+        return Written(alone, alone, False, error, plain)
     return Written(alone, described_by(session, fit, beside=True), True, error, together)
 
 

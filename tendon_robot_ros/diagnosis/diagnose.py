@@ -17,6 +17,7 @@ from ..effects import CatalogueLike, load_catalogue
 from ..robot import RobotLike, load_robot
 from .marker_hypotheses import exchanged_in
 from .next_measurement import propose
+from .reference import since
 from .report_rows import Concluded, details_of, finding, fitted_errors, remainder_text, rows_of
 from .result import Diagnosis
 from .select import Evidence, gather
@@ -43,6 +44,7 @@ def diagnose(
     catalogue: CatalogueLike | None = None,
     workers: int = 2,
     progress: Progress | None = None,
+    reference: DataSetLike | None = None,
 ) -> Diagnosis:
     """
     Name the physical effect whose absence explains the error of a model on a data set.
@@ -59,6 +61,8 @@ def diagnose(
         Threads.
     progress : callable, optional
         Called with (what, done, total).
+    reference : DataSet, path, or a list of these, optional
+        An earlier recording of the same arm: then only what has changed since is judged.
 
     Raises
     ------
@@ -68,6 +72,9 @@ def diagnose(
     """
     dataset, workers = load_dataset(dataset), whole('workers', workers, 1)
     judged = dataset.robot if robot is None else load_robot(robot)
+    if reference is not None:
+        dataset = since(dataset, reference, judged, catalogue)
+        judged = dataset.robot
     session = Session(dataset, judged, load_catalogue(catalogue), workers, progress)
     obstacle = _obstacle(session)
     if isinstance(obstacle, Mistake):
@@ -190,6 +197,7 @@ def _result(evidence: Evidence, decision: Concluded) -> Diagnosis:
         decision = replace(decision, chosen=None, together=())  # it does not lower the error
         chosen, errors = None, fitted_errors(session, None)
     own = set() if chosen is None else set(chosen.names)
+    details = details_of(evidence, decision)
     return Diagnosis(
         verdict=decision.verdict,
         effects=tuple(finding(evidence, decision, errors)),
@@ -201,9 +209,9 @@ def _result(evidence: Evidence, decision: Concluded) -> Diagnosis:
         error_alone=errors.alone,
         noise_floor=errors.floor,
         next_measurement=propose(session, decision.alike) if decision.alike else None,
-        remainder=remainder_text(evidence, decision, errors.after),
+        remainder=remainder_text(evidence, decision, errors.after, details['as_built']),
         candidates=rows_of(evidence, decision, errors),
-        details=details_of(evidence, decision),
+        details=details,
     )
 
 

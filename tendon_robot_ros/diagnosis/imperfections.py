@@ -29,7 +29,7 @@ KINK, ACROSS, GAIN, HOLE = 'cell_kink', 'cell_kink_across', 'channel_gain', 'hol
 ZERO, POSITION, ROTATION = 'pull_zero', 'position', 'rotation'
 REMAINDER = 'remainder'  # error without a cause, independent in every posture
 KINDS_WITH_FEW_MEMBERS = (GAIN, HOLE, ZERO, POSITION, ROTATION)  # kinds with few members
-REMAINDER_SHAPES = 4  # [1] along the arm, because the others have 1 of 1600 of the variance
+REMAINDER_SHAPES = 4  # [1] along the arm, because the others have a twentieth of the variance
 # Kind -> (unit, plausible sd where none is declared, step of its derivative)
 PLAUSIBLE_SIZES: dict[str, tuple[str, float, float]] = {
     CELLS: ('1', 0.03, 0.01),
@@ -57,6 +57,7 @@ class Kind:
     plausible: float  # scale of the prior of that standard deviation [unit]
     members: tuple[str, ...]
     beside: float = 0.0  # sd [unit] of imperfections with the same influence; widens intervals
+    allowed: float = 0.0  # sd [unit] of a remainder up to which nothing is missing
 
     def __len__(self) -> int:
         """Return the number of members."""
@@ -91,13 +92,12 @@ def remainders(predictor: Predictor) -> Floats:
     """
     Return columns (q, P, J, 3) of a remainder of 1 m sd at the tip, posture by posture.
 
-    The deflection of an arm with random bends along its length: twice integrated white noise,
-    its `REMAINDER_SHAPES` principal shapes in each direction.
+    An error that grows along the arm like a random walk, as `comparison.noise.common_error`: its
+    `REMAINDER_SHAPES` principal shapes in each direction.
     """
     dataset = predictor.dataset
     positions = dataset.arc_lengths / predictor.robot.length
-    low, high = np.minimum.outer(positions, positions), np.maximum.outer(positions, positions)
-    values, shapes = np.linalg.eigh(low**2 * (3.0 * high - low) / 2.0)
+    values, shapes = np.linalg.eigh(np.minimum.outer(positions, positions))
     shapes = (shapes * np.sqrt(np.maximum(values, 0.0)))[:, ::-1][:, :REMAINDER_SHAPES]
     P, J, q = len(dataset.postures), shapes.shape[0], shapes.shape[1]
     columns = np.zeros((P, q, 3, P, J, 3))

@@ -36,6 +36,7 @@ from .crossval import (
     fall,
     last_worthwhile,
     left_out_markers,
+    model_error_of,
     predict,
     written_markers,
 )
@@ -499,13 +500,20 @@ class Searched:
             values, loads = arm.values, arm.loads
         else:
             values, loads = arm.values_of_the_search, arm.loads_of_the_search
+        more, error = '', None
+        if chance <= P_SINGLE_MIN:
+            squares = self.last if self.arm_written else self.errors[self.taken]
+            assert squares is not None
+            more = more_at_work(fitted, chance)
+            error = model_error_of(dataset, squares, floor)
         return Addition(
             robot,
             values,
             fitted,
             errors(kind, judged, floor if check is None else None),
             chance,
-            more_at_work=more_at_work(fitted, chance) if chance <= P_SINGLE_MIN else '',
+            more_at_work=more,
+            model_error=error,
             beside=self.arm_written,
             loads=loads,
         )

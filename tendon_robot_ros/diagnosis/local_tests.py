@@ -131,8 +131,8 @@ def is_absurd(fault: LocalFault) -> bool:
 def faults_of(session: Session, fit: Fit) -> list[dict[str, Any]]:
     """Return the local faults of a fit in a session that was weighed there, as plain data."""
     own: Imperfections | None = session.imperfections
-    if not session.random.kinds:  # of an exact arm, too
-        own = imperfections(SplitPredictor(session.predictor), fit.point)
+    if not fit.members:  # of an exact arm, too, and of one that may have changed
+        own = imperfections(SplitPredictor(session.predictor), fit.point, changed=True)
     if own is None:
         return []
     faults = local_faults(own.kinds, own.moves, session.whitener, fit, session.freedom)

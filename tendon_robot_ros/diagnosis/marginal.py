@@ -474,7 +474,7 @@ class RandomEffects:
         weights : (k,), optional
             Precision of the priors of the parameters, centred at their present values.
         remainder : bool
-            Whether a remainder is allowed.
+            Whether a remainder may be larger than what is allowed of its kind.
         prior : Prior
             With `NONE` the data alone determine the sizes; else the size of kinds with few
             members is fixed. Effects compete with the likeliest sizes (`SIZES`), which are too
@@ -488,7 +488,8 @@ class RandomEffects:
         low = np.where(fixed, usual, NEGLIGIBLE * usual) ** 2
         high = np.where(fixed, usual, SIZE_MAX * self.plausible) ** 2
         free = np.array([remainder or kind.name != REMAINDER for kind in self.kinds], dtype=bool)
-        low, high = np.where(free, low, 0.0), np.where(free, high, 0.0)
+        allowed = np.array([kind.allowed for kind in self.kinds], dtype=float)
+        low, high = np.where(free, low, 0.0), np.where(free, high, allowed**2)
         v = np.clip(sizes**2, low, high)
         cost, offset = work.deviance(v), self._log_offset
         for _ in range(STEPS_MAX):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,6 +32,7 @@ from .verdict import (
     P_SINGLE_MIN,
     PATTERN_GAIN_MIN,
     POSTURES_ENOUGH,
+    REPEATABILITIES_MAX,
     SAME_ERROR_RATIO,
     SIGNIFICANCE,
     Conclusion,
@@ -43,8 +44,14 @@ NOISE_KEYS = ('position', 'shift', 'trial', 'setting', 'source')
 SPAN_MAX = 30.0  # [1] ratio of the ends of an interval, else nobody would know the size
 
 
-def remainder_text(evidence: Evidence, decision: Concluded, residual: float) -> str:
-    """Return sentences on the residual [m] after the chosen effects, if any, and its pattern."""
+def remainder_text(
+    evidence: Evidence, decision: Concluded, residual: float, arm: Mapping[str, Any] | None
+) -> str:
+    """
+    Return sentences on the residual [m] after the chosen effects, if any, and its pattern.
+
+    `arm` is what `arm_report` says of the scatter of the arm.
+    """
     session, outside = evidence.session, decision.verdict is Verdict.OUTSIDE_CATALOGUE
     floor = session.whitener.floor()
     is_noise = residual < SAME_ERROR_RATIO * floor
@@ -53,8 +60,8 @@ def remainder_text(evidence: Evidence, decision: Concluded, residual: float) -> 
         if is_noise
         else f'is {residual / floor:.1f} times your repeatability ({1e3 * floor:.2f} mm).'
     )
-    if not outside and session.random.kinds and not is_noise:
-        return f'{text} How an arm is built accounts for that: see its scatter.'
+    if not outside and not is_noise and (accounted := _accounted(session, residual, arm)):
+        return f'{text} {accounted}'
     if not outside or session.brief:
         return text
     fit = evidence.base if decision.chosen is None else decision.chosen.fit
@@ -72,6 +79,32 @@ def remainder_text(evidence: Evidence, decision: Concluded, residual: float) -> 
     return (
         f'{text} No pattern fits it. It is largest in posture {dataset.postures[posture]} at '
         f'marker {dataset.markers[marker].name} ({1e3 * distance[posture, marker]:.1f} mm).'
+    )
+
+
+def _accounted(session: Session, residual: float, arm: Mapping[str, Any] | None) -> str:
+    """Return the sentence on what accounts for a residual [m] that is more than noise, if any."""
+    reference, known = session.dataset.reference, session.robot.model_error
+    if reference is not None:
+        return (
+            f'How the arm deviates from its description may itself have changed by that much: it '
+            f'deviated by {mm(reference.error, 2)} at the tip in {reference.name}.'
+        )
+    if known:
+        return f'The description is known to be off by {mm(known, 2)} at the tip.'
+    if arm is None:
+        return ''
+    if residual < REPEATABILITIES_MAX * session.whitener.floor():
+        return 'How an arm is built accounts for that: see its scatter.'
+    told = np.array([kind['told'] for kind in arm['kinds']] + [False])
+    measured = session.floor_with(
+        np.where(told, [kind['size'] for kind in arm['kinds']] + [0.0], 0.0)
+    )
+    if measured > residual / SAME_ERROR_RATIO:
+        return 'The scatter of its parts that these measurements show accounts for that.'
+    return (
+        f'The scatter of its parts that these measurements show accounts for {mm(measured, 2)}; '
+        'for the rest they show no cause: other effects may be at work, too.'
     )
 
 
@@ -255,7 +288,12 @@ def details_of(evidence: Evidence, decision: Concluded) -> dict[str, Any]:
         'score': session.score(base.deviance if chosen is None else chosen.score),
         'relative_to_remainder': decision.scale if outside else None,
         'accuracy': session.accuracy if session.use_accuracy else None,
+        'model_error': session.robot.model_error,
+        'reference': None,
     }
+    if session.dataset.reference is not None:
+        taken = session.dataset.reference
+        details['reference'] = {'data': taken.name, 'error': taken.error}
     if decision.rival is not None:
         names = ('name', 'deviance', 'parameters')
         details['rival'] = {name: getattr(decision.rival, name) for name in names}

@@ -168,7 +168,8 @@ class Session:
             Predictor(dataset, self.robot, self.catalogue) for _ in range(self.workers)
         ]
         self.predictor = self.predictors[0]
-        self.splits = [] if self.robot.exact else [SplitPredictor(p) for p in self.predictors]
+        exact = self.robot.exact and dataset.reference is None
+        self.splits = [] if exact else [SplitPredictor(p) for p in self.predictors]
 
     def leave_out_unsettled(self) -> None:
         """
@@ -207,8 +208,10 @@ class Session:
         if noise is None:
             return False
         self.noise = noise
-        accuracy = self.accuracy if self.use_accuracy else 0.0
-        self.whitener = Whitener(self.dataset, noise, slopes, accuracy).without(self.held)
+        taken = self.dataset.reference
+        rough = 0.0 if taken is None else taken.noise
+        whitener = Whitener(self.dataset, noise, slopes, self.model_error, rough)
+        self.whitener = whitener.without(self.held)
         changes = cell_slopes(self.predictor, self.nuisances, point)
         self._columns = {free: -self.whitener.white(change) for free, change in changes.items()}
         built = imperfections(self.splits[0], point, at) if self.splits else None
@@ -219,6 +222,14 @@ class Session:
             self.random = RandomEffects(columns, built.owners, built.kinds)
         self.fitters = [self.fitter(worker) for worker in range(self.workers)]
         return True
+
+    @property
+    def model_error(self) -> Floats | float:
+        """Return the error [m] of the model, of each posture (P,) or of all, that is known."""
+        accuracy = self.accuracy if self.use_accuracy else 0.0
+        reference = self.dataset.reference
+        known = self.robot.model_error or 0.0 if reference is None else reference.doubt
+        return np.maximum(known, accuracy)
 
     def fitter(self, worker: int = 0) -> Fitter:
         """Return a fitter of a worker with the present weights."""

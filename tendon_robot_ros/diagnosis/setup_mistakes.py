@@ -7,7 +7,7 @@ sentence with the error before and after its correction, and the correction itse
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -82,8 +82,11 @@ DISCRETE = (
 HYPOTHESES = (*DISCRETE, registered)
 BESIDE_EFFECTS = (*DISCRETE, dead_inputs)  # the last one has fitted values
 NEARLY_EFFECTS = (gravities,)  # a load can imitate the weight of a light arm
+# that can happen to an arm between two recordings of it, while others are in both, and cancel
+NEW_MISTAKES = (swapped_inputs, loose_inputs, numbered, moved_rows, dead_inputs)
 STEPS_FEW = 8  # [1] of a fit, because hundreds are made and none is reported
 CUT_AS_GOOD_RATIO = 1.05  # [1] to the least error, so that the fewest cells are reported
+Hypothesis = Callable[[Predictor, Floats], Iterable[Mistake]]
 WEIGHT = ('gravity', 'linear_density')  # known from a scale, so that no tolerance is a factor
 
 
@@ -120,7 +123,9 @@ def find_mistake(predictor: Predictor, floor: float, usual: float = 0.0) -> Mist
     before = off(predictor, predictor.dataset.mean, markers)
     if before < ODD_FROM_FLOORS * floor:
         return None
-    tries = HYPOTHESES if before > 2.0 * ODD_FROM_FLOORS * floor else DISCRETE
+    tries = _possible(
+        HYPOTHESES if before > 2.0 * ODD_FROM_FLOORS * floor else DISCRETE, predictor.dataset
+    )
     enough = max(RESIDUAL_RATIO_USUAL * before, QUIET_FLOORS * floor, 2.0 * usual)
     mistakes = few + [one for kind in tries for one in kind(predictor, markers)]
     certain = next((one for one in mistakes if one.certain), None)
@@ -129,6 +134,11 @@ def find_mistake(predictor: Predictor, floor: float, usual: float = 0.0) -> Mist
     enough = min(enough, RESIDUAL_RATIO_MAX * before)
     likely = [one for one in mistakes if one.after < min(enough, one.residual_max)]
     return _plainest(likely, max(floor, 0.3 * usual))
+
+
+def _possible(kinds: Sequence[Hypothesis], dataset: DataSet) -> list[Hypothesis]:
+    """Return the kinds of mistakes that a data set may have."""
+    return [kind for kind in kinds if dataset.reference is None or kind in NEW_MISTAKES]
 
 
 def alone(predictor: Predictor, markers: Floats, floor: float) -> list[Mistake]:
@@ -381,7 +391,8 @@ def _rivals(
     kinds: dict[str, list[Mistake]] = {}
     if not described.quiet:
         kinds['alone'] = alone(predictor, markers, floor)
-    for kind in NEARLY_EFFECTS if described.quiet else BESIDE_EFFECTS:
+    tries = NEARLY_EFFECTS if described.quiet else BESIDE_EFFECTS
+    for kind in _possible(tries, predictor.dataset):
         for one in kind(predictor, markers):
             kinds.setdefault(f'{kind.__name__} {one.name}', []).append(one)
     mistakes = [

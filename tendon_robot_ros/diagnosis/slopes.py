@@ -44,22 +44,28 @@ STEP = 1e-6  # [1], [rad], [N] of differences without solving, because rounding 
 
 
 def imperfections(
-    split: SplitPredictor, point: Point, at: Members | None = None
+    split: SplitPredictor, point: Point, at: Members | None = None, changed: bool = False
 ) -> Imperfections | None:
     """
     Return the kinds and slopes of imperfections at a point, linearised around given ones (`at`).
 
-    None where the model has no equilibrium.
+    Of two recordings of an arm both have the same ones, which cancel; what remains is how far its
+    deviations themselves have changed, which may be as much as they are. With `changed`,
+    imperfections may be new. None where the model has no equilibrium.
     """
-    kinds, split.around = split.kinds(), at or {}
+    reference = split.dataset.reference
+    kinds, split.around = split.kinds() if reference is None or changed else (), at or {}
     if split.markers(point) is None:
         return None
-    if split.model.remembers:
+    if not kinds:
+        moves = np.empty((0, len(split.inputs), len(split.dataset.markers), 3))
+    elif split.model.remembers:
         moves = np.concatenate([_differences(split, point, kind) for kind in kinds])
     else:
         moves = _all_parts(split, [slopes.of(kinds) for slopes in _settled(split, point)])
     columns = remainders(split)
-    rest = Kind(REMAINDER, 'm', np.inf, tuple(map(str, range(len(columns)))))
+    allowed = 0.0 if reference is None else reference.error / np.sqrt(3.0)
+    rest = Kind(REMAINDER, 'm', np.inf, tuple(map(str, range(len(columns)))), allowed=allowed)
     return Imperfections((*kinds, rest), np.concatenate([moves, columns]))
 
 

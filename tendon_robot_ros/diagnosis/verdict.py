@@ -32,7 +32,8 @@ TOLERANCE_SD_MAX = 3.0  # [1] declared sd that a quantity may move; 1 of 370 by 
 CORRELATED_FROM = 0.98  # [1] correlation of two values; else an interval would be 5 times as wide
 # [1] ratio of the errors left out from which the arm as found is written: docs/diagnosis.md
 LEFT_OUT_RATIO_MAX = 0.95
-
+# [1] of the repeatability that may be left; else what accounts for it is said: docs/diagnosis.md
+REPEATABILITIES_MAX = 3.0
 SAME_ERROR_RATIO = 1.25  # [1] of errors that count as equal, because floors are estimates
 
 # Mistakes of the set-up, and measurements that do not suffice: docs/diagnosis.md

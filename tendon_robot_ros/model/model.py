@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
 import numpy.typing as npt
 
 from ..common.arrays import Floats
@@ -24,7 +25,40 @@ class Model(ForwardModel):
     A frictionless chain of cells plus the physical effects that a robot description lists.
 
     PCCA is the chain alone; with `tendon_friction` it is the FKM of Kato et al. 2015.
+
+    Shapes (`shape`, `shapes`, `pull_shape`) and targets (`reach`) are in the base frame of the
+    arm; `observed` returns what a tracker sees, whose frame `base_misalignment` describes.
     """
+
+    def observed(
+        self,
+        shape: Shape | ShapeBatch,
+        arc_lengths: npt.ArrayLike | None = None,
+        offsets: npt.ArrayLike | None = None,
+    ) -> Floats:
+        """
+        Return where the tracker sees markers of a shape (J, 3) [m], or of b shapes (b, J, 3).
+
+        Parameters
+        ----------
+        shape : Shape or ShapeBatch
+            As `shape`, `shapes` or `pull_shape` return it.
+        arc_lengths : (J,) [m], optional
+            Of the markers along the straight arm; default: the end of every cell.
+        offsets : (J, 3) [m], optional
+            Of the markers from the backbone, in the frame there; default: none.
+
+        Raises
+        ------
+        InputError
+            A marker lies beyond the tip.
+
+        """
+        if arc_lengths is None:
+            arc_lengths = np.cumsum(self.robot.cell_lengths)
+        along = np.asarray(arc_lengths, dtype=float)
+        beside = np.zeros((len(along), 3)) if offsets is None else np.asarray(offsets, dtype=float)
+        return self.measured(shape.markers(along, beside))
 
     def jacobian(self, tensions: TensionsLike) -> Floats:
         """Return d (tip position [m], tip direction) / d tensions [N], (6, m)."""

@@ -144,7 +144,9 @@ def verdict(comparison: Comparison) -> str:
         )
     ratio = best.rms / floor
     if not is_good(comparison):
-        return f'{who} is off by {times(ratio)} your repeatability.'
+        known = best.rms < SAME_ERROR_RATIO * np.hypot(floor, best.model_error)
+        said = ', as far off as its description says (model_error)' if known else ''
+        return f'{who} is off by {times(ratio)} your repeatability{said}.'
     size = f'{digits(ratio, 2)} times your repeatability'
     return f'{who} is as good as your measurements can tell: its error is {size}.'
 

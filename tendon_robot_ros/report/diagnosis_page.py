@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -146,7 +147,8 @@ def diagnosis_page(
         add_staircase(page, diagnosis, addition)
         add_alternatives(page, diagnosis)
     if pictures is not None:
-        add_pictures(page, pictures, diagnosis.details.get('local_faults', ()))
+        details = diagnosis.details
+        add_pictures(page, pictures, details.get('local_faults', ()), details.get('reference'))
     add_assumptions(page, diagnosis)
     return page
 
@@ -169,10 +171,12 @@ def add_verdict(page: Page, diagnosis: Diagnosis, outcome: str = '') -> None:
 
 def to_do(diagnosis: Diagnosis) -> str:
     """Say what to type now."""
-    data = diagnosis.details.get('data', 'DATA')
+    command = f'{PROGRAM} diagnose {diagnosis.details.get("data", "DATA")}'
     if not diagnosis.effects:
         return ''
-    return diagnosis.verdict.advice.format(command=f'{PROGRAM} diagnose {data}')
+    if taken := diagnosis.details.get('reference'):
+        command += f' --reference {taken["data"]}'
+    return diagnosis.verdict.advice.format(command=command)
 
 
 def add_staircase(page: Page, diagnosis: Diagnosis, addition: Addition | None) -> None:
@@ -253,10 +257,20 @@ def candidate_row(row: CandidateRow) -> list[str]:
     ]
 
 
-def add_pictures(page: Page, pictures: Pictures, faults: Sequence[Fault] = ()) -> None:
+def add_pictures(
+    page: Page,
+    pictures: Pictures,
+    faults: Sequence[Fault] = (),
+    reference: Mapping[str, Any] | None = None,
+) -> None:
     """Add shapes, errors, heat maps and missing moments, and mark where the model is wrong."""
     comparison = pictures.comparison
     page.heading('Where the model is off')
+    if reference is not None:
+        page.text(
+            'Measured places are shown without what the arm deviated from its description in '
+            f'{reference["data"]}: what is off was not off there.'
+        )
     page.text(*(f'{capital(line)}.' for line in where_wrong(faults)))
     page.figures([per_marker(comparison), per_posture(comparison)], 'two')
     if pictures.before is not None:

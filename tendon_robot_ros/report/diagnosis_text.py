@@ -91,6 +91,13 @@ def declared(diagnosis: Diagnosis) -> list[str]:
         first = f'declared tolerances (1 sd): {listing}; everything else is taken as exact'
     else:
         first = 'no tolerances declared: the description is taken as exact'
+    if known := details.get('model_error'):
+        first += f'; the description is known to be off by {mm(known, 2)} at the tip'
+    if taken := details.get('reference'):
+        first = (
+            f'what the arm deviated from its description in {taken["data"]} '
+            f'({mm(taken["error"], 2)} at the tip) is taken off: what has changed since is judged'
+        )
     noise = details['noise']
     source = 'from the trials' if noise['source'] == 'trials' else 'as declared'
     second = f'noise, {source}: {mm(noise["position"], 2)} per coordinate'
@@ -112,9 +119,11 @@ def tolerance(name: str, size: float) -> str:
 
 def verdict(diagnosis: Diagnosis) -> str:
     """Return the verdict in one line, or two: its sentence with what the diagnosis found."""
+    taken = diagnosis.details.get('reference')
+    since = f'SINCE {taken["data"]}: ' if taken else ''
     sentence = diagnosis.verdict.sentence
     names = [name for _, name, _, _ in Formatter().parse(sentence) if name]
-    return sentence.format(**{name: _fields[name](diagnosis) for name in names})
+    return since + sentence.format(**{name: _fields[name](diagnosis) for name in names})
 
 
 def explained_part(diagnosis: Diagnosis) -> str:
@@ -440,6 +449,14 @@ def _count(changes: Sequence[float], what: str) -> str:
     return f'{len(changes)} {what}{"" if len(changes) == 1 else "s"} ({size})'
 
 
+def model_error_note(error: float) -> str:
+    """Say that a description is written with its own error [m]."""
+    return (
+        f'off by {mm(error, 2)} at the tip on postures left out: the file says so, as model_error,'
+        ' and later diagnoses count with it'
+    )
+
+
 def addition_warnings(addition: Addition) -> list[str]:
     """Say what else is written and at work, which tolerances moved, when a check got worse."""
     sentences = []
@@ -457,6 +474,8 @@ def addition_warnings(addition: Addition) -> list[str]:
         sentences.append(f'weighed by the declared accuracy of {mm(addition.accuracy, 2)}')
     if addition.more_at_work:
         sentences.append(f'note: {addition.more_at_work}')
+    if addition.model_error:
+        sentences.append(model_error_note(addition.model_error))
     if addition.check.after > addition.check.before:
         sentences.append(
             'note: the error on postures that were not fitted grew; do not use these values'

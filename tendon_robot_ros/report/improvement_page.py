@@ -17,6 +17,7 @@ from ..data import DataSet
 from ..diagnosis.result import COLOURS, Improvement, total
 from ..effects import Catalogue
 from .comparison import add_shapes
+from .diagnosis_text import model_error_note
 from .error_plots import per_marker, per_posture
 from .page import HEIGHTS_PX, LOG_AXIS, Figure, Page, Shown, axes, mm_list, titled, trace
 from .sentences import as_built, excluded_lines, quantities, where_wrong
@@ -112,7 +113,11 @@ def remains(improvement: Improvement) -> list[str]:
         *where_wrong(improvement.local_faults),
         *excluded_lines(improvement.left_out),
     ]
-    return [*texts, f'note: {improvement.more_at_work}'] if improvement.more_at_work else texts
+    if improvement.more_at_work:
+        texts.append(f'note: {improvement.more_at_work}')
+    if improvement.robot.model_error:
+        texts.append(model_error_note(improvement.robot.model_error))
+    return texts
 
 
 def write_improvement(

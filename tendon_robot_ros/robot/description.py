@@ -84,6 +84,7 @@ class Robot(TextResult):
     tolerances: dict[str, float] = field(default_factory=dict)  # 1 sd
     fitted: dict[str, Any] = field(default_factory=dict)  # effect -> source of its values
     exact: bool = False  # no scatter but that of `tolerances`
+    model_error: float | None = None  # [m] rms at the tip of what no effect explains, if known
     source: str = 'robot'
 
     def __repr__(self) -> str:
@@ -241,6 +242,7 @@ def check_robot(top: Reader) -> Robot:
         tolerances={key: tolerances.number(key, 0.0, 1.0) for key in tolerances.content},
         fitted=dict(top.mapping('fitted')),
         exact=top.flag('exact'),
+        model_error=top.length('model_error') if top.has('model_error') else None,
         source=top.source,
     )
 

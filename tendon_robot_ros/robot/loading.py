@@ -123,6 +123,8 @@ def dump_robot(robot: RobotLike) -> str:
         content['tolerances'] = dict(robot.tolerances)
     if robot.exact:
         content['exact'] = True
+    if robot.model_error is not None:
+        content['model_error'] = robot.model_error
     content['effects'] = {
         name: {
             key: list(value) if isinstance(value, tuple) else value

@@ -1,0 +1,187 @@
+"""
+What has changed since an earlier recording of the same arm.
+
+An arm deviates from every description of it, and in the same way for the same inputs. How it is
+built is therefore estimated from the earlier recording, what it still deviates there is taken off
+the new one, and only what has changed is left. These deviations d are taken as a Gaussian process
+over the inputs u (Rasmussen and Williams 2006, chapter 2) at heights h along the arm,
+
+    cov d(u, h) d(u', h') = s² exp(-|u - u'|² / 2 l²) min(h, h').
+
+For equal inputs they cancel, for near ones in part, and what stays open is known. Size s and
+length l are the likeliest ones of the earlier recording.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..common.arrays import Floats
+from ..common.errors import DataSetError
+from ..comparison.noise import NEGLIGIBLE
+from ..comparison.outliers import find_outliers
+from ..comparison.predict import mean_inputs
+from ..data import DataSet, DataSetLike, load_dataset
+from ..data.dataset import EarlierRecording
+from ..effects import CatalogueLike, load_catalogue
+from ..robot import RobotLike, load_robot
+from .crossval import described_by, predict
+from .session import Session
+
+ALIKE = ('markers', 'input', 'input_names')  # what both recordings must have in common
+LENGTHS = 12  # [1] that are tried, so that each is within a quarter of the next
+
+
+def since(
+    dataset: DataSetLike,
+    reference: DataSetLike,
+    robot: RobotLike | None = None,
+    catalogue: CatalogueLike | None = None,
+) -> DataSet:
+    """
+    Return a recording without what the arm deviated from its description before.
+
+    Its robot is the arm as it was found in the reference.
+
+    Parameters
+    ----------
+    dataset, reference : DataSet, path, or a list of these
+        The new recording and the earlier one, of the same markers under inputs of one kind.
+    robot : Robot, name, path, text or dict, optional
+        The description; default: that of the new recording.
+    catalogue : Catalogue or paths, optional
+
+    Raises
+    ------
+    DataSetError
+        Markers or inputs differ, or no posture of the reference shows all markers.
+    NoEquilibriumError
+        The description has no equilibrium in many postures of the reference.
+
+    """
+    new, old = load_dataset(dataset), load_dataset(reference)
+    described = new.robot if robot is None else load_robot(robot)
+    for key in ALIKE:
+        if getattr(new, key) != getattr(old, key):
+            raise DataSetError(
+                f'{old.name}: {key}',
+                f'differ from those of {new.name}',
+                'a reference has the same markers and inputs',
+            )
+    whole = np.flatnonzero((old.counts > 0).all(axis=1))
+    if not len(whole):
+        raise DataSetError(old.name, 'no posture shows all markers', 'record one that does')
+    session = Session(
+        old.select(old.postures[p] for p in whole), described, load_catalogue(catalogue), workers=1
+    )
+    session.leave_out_unsettled()
+    if not session.weigh({}):
+        raise DataSetError(
+            old.name,
+            'one trial per posture and no position_noise',
+            'repeat the postures, or declare the noise of the tracker',
+        )
+    session.leave_out(find_outliers(session.predictor, {}))
+    found = described_by(session, session.base_fit(), beside=True)
+    settled = session.dataset
+    off = settled.mean - predict(settled, found, session.catalogue)[1]
+    heights = settled.arc_lengths / described.length
+    tracker = session.noise.position**2 / settled.counts.mean(axis=1)  # (P,) [m²]
+    all_noise = np.array([float(one.mean()) for one in session.whitener.variance])
+    driven = 3.0 * (all_noise - tracker) / heights.mean()  # by inputs: it grows along the arm
+    deviations = _DeviationProcess(
+        np.nan_to_num(session.predictor.inputs), off, heights, driven, tracker
+    )
+    taken, doubt, noise = deviations.at(np.nan_to_num(mean_inputs(new)))
+    return replace(
+        new,
+        robot=found,
+        positions=new.positions - taken[:, None],
+        reference=EarlierRecording(old.name, deviations.size, doubt, noise),
+    )
+
+
+class _DeviationProcess:
+    """
+    A Gaussian process of the deviations of an arm from its description.
+
+    Attributes
+    ----------
+    size : float
+        Rms at the tip [m].
+    length : float
+        Distance of inputs [N] or [m] over which deviations are alike.
+
+    """
+
+    def __init__(
+        self, inputs: Floats, off: Floats, heights: Floats, driven: Floats, tracker: Floats
+    ) -> None:
+        """
+        Find the likeliest size and length.
+
+        Parameters
+        ----------
+        inputs : (P, m) [N] or [m]
+        off : (P, J, 3) [m]
+            Measured minus predicted.
+        heights : (J,) [1]
+            Of the markers, relative to the arm's length.
+        driven : (P,) [m²]
+            Variance of `off` at the tip by noise of inputs, over three coordinates.
+        tracker : (P,) [m²]
+            Variance of `off` at every marker by the tracker, per coordinate.
+
+        """
+        self.inputs, self.off, self.driven, self.tracker = inputs, off, driven, tracker
+        values, shapes = np.linalg.eigh(np.minimum.outer(heights, heights))
+        kept = values > NEGLIGIBLE * values.max()
+        along = shapes[:, kept] / np.sqrt(values[kept])
+        white = np.einsum('pjc,jk->pkc', off, along).reshape(len(off), -1)
+        noise = driven + 3.0 * tracker / heights.mean()
+        self.ratio = noise / max(3.0 * float((white**2).mean()), 1e-30) + NEGLIGIBLE
+        best = np.inf
+        for length in self._lengths():
+            root = np.linalg.cholesky(self._alike(inputs, length) + np.diag(self.ratio))
+            variance = max(float((np.linalg.solve(root, white) ** 2).mean()), 1e-30)
+            logs = 2.0 * float(np.log(np.diag(root)).sum()) + len(off) * np.log(variance)
+            if logs < best:
+                best, self.length, self.size = logs, length, float(np.sqrt(3.0 * variance))
+
+    def _lengths(self) -> list[float]:
+        """Return the lengths to try: from those that make all inputs different to one and all."""
+        apart = self._apart(self.inputs)
+        apart = apart[apart > 0.0]
+        if not apart.size:
+            return [1.0]
+        low, high = 0.3 * np.sqrt(apart.min()), 3.0 * np.sqrt(apart.max())
+        return [float(length) for length in np.geomspace(low, high, LENGTHS)]
+
+    def _apart(self, inputs: Floats) -> Floats:
+        """Return the squared distances (n, P) of inputs (n, m) to those of the reference."""
+        return np.asarray(((inputs[:, None] - self.inputs) ** 2).sum(axis=2))
+
+    def _alike(self, inputs: Floats, length: float) -> Floats:
+        return np.exp(-0.5 * self._apart(inputs) / length**2)
+
+    def at(self, inputs: Floats) -> tuple[Floats, Floats, Floats]:
+        """
+        Return the expected deviations at n inputs, and how well they are known.
+
+        Returns
+        -------
+        off : (n, J, 3) [m]
+        doubt : (n,) [m]
+            Rms at the tip of what stays open, growing along the arm.
+        noise : (n,) [m]
+            1 sd per coordinate of every marker by the tracker.
+
+        """
+        alike, near = self._alike(self.inputs, self.length), self._alike(inputs, self.length)
+        weights = np.linalg.solve(alike + np.diag(self.ratio), near.T).T
+        left = 1.0 - (weights * (2.0 * near - weights @ alike)).sum(axis=1)
+        doubt = self.size**2 * np.maximum(left, 0.0) + weights**2 @ self.driven
+        noise = weights**2 @ self.tracker
+        return np.tensordot(weights, self.off, 1), np.sqrt(doubt), np.sqrt(noise)
