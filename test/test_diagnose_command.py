@@ -80,7 +80,7 @@ def test_a_missing_effect_is_named_added_and_shown(capsys, folder):
         'What is left (0.23 mm) equals your repeatability (0.25 mm).',
     ]
     assert lines[-2:] == [
-        'error on postures never used: 2.50 mm -> 0.245 mm  (floor 0.227 mm)',
+        'error on postures never used: 2.50 mm -> 0.246 mm  (floor 0.227 mm)',
         'written: better.yaml    send it to the robot: controller parameter model := better.yaml',
     ]
     assert_better(folder, 'hinges', {'hinge_friction': {'lever': 1.54e-4}}, 0.245)

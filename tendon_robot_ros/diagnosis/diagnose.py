@@ -86,7 +86,7 @@ def diagnose(
         return _mistaken(session, exchange)
     session.leave_out(find_outliers(session.predictor, {}))
     usual = session.usual_floor
-    mistake = find_mistake(session.predictor, session.whitener.floor(), usual)
+    mistake = find_mistake(session.predictor, session.known_floor, usual)
     plain = mistake is not None and mistake.after <= PLAIN_FLOORS * usual
     if mistake is not None and (mistake.certain or (plain and not mistake.doubtful)):
         return _mistaken(session, mistake)

@@ -266,6 +266,13 @@ class Session:
         return float(np.sqrt(noise**2 + moved[measured].mean()))
 
     @property
+    def known_floor(self) -> float:
+        """Expected rms [m] of the noise and of the known error of the model together."""
+        height = float(self.dataset.arc_lengths.mean()) / self.robot.length
+        known = float(np.mean(np.square(self.model_error))) * height
+        return float(np.sqrt(self.whitener.floor() ** 2 + known))
+
+    @property
     def usual_floor(self) -> float:
         """Expected rms [m] of a perfect model of an arm with imperfections of plausible sizes."""
         return self.floor_with(self.random.plausible)

@@ -441,7 +441,7 @@ def mended_rivals(session: Session, enough: float) -> tuple[Explained | None, li
     Where one effect of a plausible value leaves little more than noise and the usual error of an
     arm as built, only mistakes that an effect can nearly imitate are tested.
     """
-    predictor, floor = session.predictor, session.whitener.floor()
+    predictor, floor = session.predictor, session.known_floor
     markers = predictor.markers({})
     if markers is None:
         return None, []

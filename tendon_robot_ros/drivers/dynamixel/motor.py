@@ -228,7 +228,8 @@ class Motor:
             words = 'it lost its power or its torque was switched off'
             yield fault('restarted', f'{words}; stays off until it is enabled again', True)
         if not self.answers:
-            yield fault('silent', f'no answer; {talker or "check its cable and the motor supply"}')
+            words = 'no answer; check its cable and the motor supply'
+            yield fault('silent', f'no answer; {talker}' if talker else words)
         if self.tripped:
             yield fault('watchdog', 'its bus watchdog stopped it: no instruction came in time')
         if self.temperature is not None and self.temperature >= self.hottest:
@@ -236,8 +237,8 @@ class Motor:
             yield fault('temperature', f'{self.temperature:.0f} °C, {limit}')
         low, high = self.voltage_limits
         if self.voltage is not None and not low <= self.voltage <= high:
-            limits = f'expected {low:.1f} to {high:.1f} V'
-            yield fault('supply', f'supply {self.voltage:.1f} V, {limits}')
+            words = f'supply {self.voltage:.1f} V, expected {low:.1f} to {high:.1f} V'
+            yield fault('supply', words)
 
     def take_health(self, data: bytes) -> None:
         """Decode the three bytes of voltage and temperature."""
