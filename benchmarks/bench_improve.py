@@ -20,10 +20,10 @@ import numpy as np
 
 from tendon_robot_ros.common.processes import one_thread
 from tendon_robot_ros.data import even_markers
-from tendon_robot_ros.diagnosis.crossval import last_worthwhile
 from tendon_robot_ros.diagnosis.improve import as_found, inner
 from tendon_robot_ros.diagnosis.stepwise import Stepwise
 from tendon_robot_ros.effects import load_catalogue
+from tendon_robot_ros.inference.crossval import last_worthwhile
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.robot.estimates import natural_sizes
 from tendon_robot_ros.simulation.hidden import Workmanship

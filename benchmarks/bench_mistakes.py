@@ -22,11 +22,11 @@ import numpy as np
 from machine import machine
 from planned import PLANS
 
-from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.data import DataSet
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.setup_hypotheses import in_frame
 from tendon_robot_ros.effects import load_catalogue
+from tendon_robot_ros.inference.predict import Predictor
 from tendon_robot_ros.robot.estimates import natural_sizes
 from tendon_robot_ros.studies.cases import Case, simulated
 from tendon_robot_ros.studies.judge import NAMING

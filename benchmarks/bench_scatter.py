@@ -17,12 +17,12 @@ from pathlib import Path
 import numpy as np
 from planned import PLANS
 
-from tendon_robot_ros.comparison.outliers import find_outliers
-from tendon_robot_ros.diagnosis.intervals import SizeIntervals
-from tendon_robot_ros.diagnosis.marginal import Prior, RandomEffects
 from tendon_robot_ros.diagnosis.report_rows import arm_report
-from tendon_robot_ros.diagnosis.session import Session
 from tendon_robot_ros.effects import load_catalogue
+from tendon_robot_ros.inference.intervals import SizeIntervals
+from tendon_robot_ros.inference.marginal import Prior, RandomEffects
+from tendon_robot_ros.inference.outliers import find_outliers
+from tendon_robot_ros.inference.session import Session
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.measurements import simulate

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from tendon_robot_ros.data import load_dataset
-from tendon_robot_ros.diagnosis.candidates import Candidate
-from tendon_robot_ros.diagnosis.session import Session
 from tendon_robot_ros.effects import load_catalogue
+from tendon_robot_ros.inference.candidates import Candidate
+from tendon_robot_ros.inference.session import Session
 
 DATA = Path(__file__).parent.parent / 'data' / 'tentacle'
 ORDER = (

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 from source_tree import ROOT
 
-from tendon_robot_ros.comparison.noise import Noise
-from tendon_robot_ros.comparison.predict import FreeParameter, Predictor
 from tendon_robot_ros.data import DataSet, default_markers
 from tendon_robot_ros.diagnosis.trust import simulated_measurements
 from tendon_robot_ros.effects import load_catalogue
+from tendon_robot_ros.inference.noise import Noise
+from tendon_robot_ros.inference.predict import FreeParameter, Predictor
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.workspace.postures import default_postures
 

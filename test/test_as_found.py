@@ -9,13 +9,13 @@ import simulated
 from simulated import CATALOGUE, measured
 
 from tendon_robot_ros import improve
-from tendon_robot_ros.comparison.predict import free_parameters
 from tendon_robot_ros.diagnosis.add import add_effects
-from tendon_robot_ros.diagnosis.description import PROFILE, blocks_of_the_arm
-from tendon_robot_ros.diagnosis.fit import Fit
 from tendon_robot_ros.diagnosis.improve import as_found, of_the_search
 from tendon_robot_ros.diagnosis.result import AS_FOUND, total
 from tendon_robot_ros.diagnosis.stepwise import Stepwise
+from tendon_robot_ros.inference.description import PROFILE, blocks_of_the_arm
+from tendon_robot_ros.inference.fit import Fit
+from tendon_robot_ros.inference.predict import free_parameters
 from tendon_robot_ros.report.improvement_page import improvement_lines
 from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.measurements import simulate

@@ -6,8 +6,8 @@ import pytest
 import simulated
 from simulated import CATALOGUE, measured
 
-from tendon_robot_ros.diagnosis.candidates import why_untested
-from tendon_robot_ros.diagnosis.session import Session
+from tendon_robot_ros.inference.candidates import why_untested
+from tendon_robot_ros.inference.session import Session
 
 ROBOT = simulated.robot()
 HARDLY = 'these postures hardly show it'

@@ -8,7 +8,7 @@ import simulated
 from simulated import CATALOGUE, NOISE, measured
 
 from tendon_robot_ros.diagnosis.diagnose import diagnose
-from tendon_robot_ros.diagnosis.session import Session
+from tendon_robot_ros.inference.session import Session
 
 EXACT = simulated.robot(cells=8, exact=True)
 CELLS = EXACT.cells

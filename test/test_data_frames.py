@@ -13,9 +13,10 @@ import pandas
 
 from tendon_robot_ros import DataSet, Marker, Model, compare, load_dataset, load_robot
 from tendon_robot_ros.common.errors import DataSetError, TendonRobotError
-from tendon_robot_ros.comparison.predict import Predictor
-from tendon_robot_ros.diagnosis.result import CandidateRow, Diagnosis, EffectFinding, Value
+from tendon_robot_ros.diagnosis.result import CandidateRow, Diagnosis, EffectFinding
 from tendon_robot_ros.effects import load_catalogue
+from tendon_robot_ros.inference.intervals import Value
+from tendon_robot_ros.inference.predict import Predictor
 
 ROBOT = load_robot(ROOT / 'config/robots/kato_10_1_single.yaml')
 CELLS = ROBOT.cells

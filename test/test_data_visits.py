@@ -10,12 +10,12 @@ from small_dataset import write
 
 from tendon_robot_ros.common.errors import DataSetError
 from tendon_robot_ros.comparison.compare import compare
-from tendon_robot_ros.comparison.noise import estimate_noise, input_slopes
-from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.data import join, load_dataset, save_dataset
 from tendon_robot_ros.data.bag_writer import export_bag
-from tendon_robot_ros.diagnosis.candidates import why_untested
 from tendon_robot_ros.diagnosis.diagnose import diagnose
+from tendon_robot_ros.inference.candidates import why_untested
+from tendon_robot_ros.inference.noise import estimate_noise, input_slopes
+from tendon_robot_ros.inference.predict import Predictor
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.simulation.measurements import SimulatedNoise, simulate
 from tendon_robot_ros.simulation.plant import make_plant

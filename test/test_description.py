@@ -3,8 +3,8 @@
 import numpy as np
 from arms import planar, spatial
 
-from tendon_robot_ros.diagnosis.description import wound
-from tendon_robot_ros.diagnosis.imperfections import GAIN, ZERO
+from tendon_robot_ros.inference.description import wound
+from tendon_robot_ros.inference.imperfections import GAIN, ZERO
 from tendon_robot_ros.model.model import Model
 
 SPRINGS = {'wire_spring': {'compliance': 1e-3}}

@@ -16,10 +16,10 @@ from simulated import CATALOGUE, NOISE, measure, measured, postures
 
 from tendon_robot_ros.common.errors import NoEquilibriumError, TendonRobotError
 from tendon_robot_ros.data import load_dataset
-from tendon_robot_ros.diagnosis import session as sessions
 from tendon_robot_ros.diagnosis.add import add_effects
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.select import gather
+from tendon_robot_ros.inference import session as sessions
 from tendon_robot_ros.report.diagnosis_text import lines
 
 ROBOT = simulated.robot(cells=8)

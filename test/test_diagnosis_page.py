@@ -13,11 +13,8 @@ from source_tree import ROOT
 
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.comparison.compare import compare
-from tendon_robot_ros.comparison.predict import free_parameters
 from tendon_robot_ros.data import load_dataset, save_dataset
 from tendon_robot_ros.diagnosis.add import Addition
-from tendon_robot_ros.diagnosis.crossval import Errors
-from tendon_robot_ros.diagnosis.description import with_values
 from tendon_robot_ros.diagnosis.missing_moment import blocks_of, missing_moment
 from tendon_robot_ros.diagnosis.result import (
     NOT_NEEDED,
@@ -29,6 +26,9 @@ from tendon_robot_ros.diagnosis.result import (
 )
 from tendon_robot_ros.diagnosis.verdict import Verdict
 from tendon_robot_ros.effects import load_catalogue
+from tendon_robot_ros.inference.crossval import Errors
+from tendon_robot_ros.inference.description import with_values
+from tendon_robot_ros.inference.predict import free_parameters
 from tendon_robot_ros.report.diagnosis_page import (
     diagnosis_page,
     pictures_of,

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tendon_robot_ros.diagnosis.intervals import load_of
 from tendon_robot_ros.diagnosis.report_rows import FittedErrors
 from tendon_robot_ros.diagnosis.result import (
     CandidateRow,
@@ -14,6 +13,7 @@ from tendon_robot_ros.diagnosis.result import (
     NextMeasurement,
     Value,
 )
+from tendon_robot_ros.inference.intervals import load_of
 from tendon_robot_ros.report.diagnosis_text import (
     alike,
     lines,

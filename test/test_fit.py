@@ -8,12 +8,12 @@ import simulated
 from marks import slow
 from simulated import CATALOGUE, NOISE, measured
 
-from tendon_robot_ros.comparison.noise import Whitener, input_slopes
-from tendon_robot_ros.comparison.predict import Predictor, free_parameters
 from tendon_robot_ros.diagnosis.add import fit_effects
-from tendon_robot_ros.diagnosis.fitter import Fitter
-from tendon_robot_ros.diagnosis.intervals import intervals, values_of
-from tendon_robot_ros.diagnosis.session import Session
+from tendon_robot_ros.inference.fitter import Fitter
+from tendon_robot_ros.inference.intervals import intervals, values_of
+from tendon_robot_ros.inference.noise import Whitener, input_slopes
+from tendon_robot_ros.inference.predict import Predictor, free_parameters
+from tendon_robot_ros.inference.session import Session
 from tendon_robot_ros.model.model import Model
 
 ROBOT = simulated.robot(cells=8)

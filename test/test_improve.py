@@ -13,19 +13,19 @@ from source_tree import ROOT
 
 from tendon_robot_ros import improve, load_robot
 from tendon_robot_ros.cli.main import main
-from tendon_robot_ros.comparison.noise import Noise, Whitener
-from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.data import save_dataset
-from tendon_robot_ros.diagnosis.crossval import fall, last_worthwhile, left_out_errors
-from tendon_robot_ros.diagnosis.description import (
+from tendon_robot_ros.diagnosis.improve import how_many, shown
+from tendon_robot_ros.diagnosis.result import total
+from tendon_robot_ros.diagnosis.stepwise import Stepwise
+from tendon_robot_ros.inference.crossval import fall, last_worthwhile, left_out_errors
+from tendon_robot_ros.inference.description import (
     DescribedArm,
     arm_with,
     blocks_of_the_arm,
     profile_factors,
 )
-from tendon_robot_ros.diagnosis.improve import how_many, shown
-from tendon_robot_ros.diagnosis.result import total
-from tendon_robot_ros.diagnosis.stepwise import Stepwise
+from tendon_robot_ros.inference.noise import Noise, Whitener
+from tendon_robot_ros.inference.predict import Predictor
 from tendon_robot_ros.report.improvement_page import (
     improvement_lines,
     sentences,

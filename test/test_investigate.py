@@ -11,10 +11,10 @@ from watched_arm import coarse
 
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import InputError, TendonRobotError
-from tendon_robot_ros.comparison.noise import Noise
 from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.diagnosis.verdict import Verdict
 from tendon_robot_ros.effects import load_catalogue
+from tendon_robot_ros.inference.noise import Noise
 from tendon_robot_ros.investigation.choice import (
     LinearDesign,
     OpenQuestion,

@@ -8,7 +8,6 @@ import scipy  # which imports its parts when they are asked for
 import simulated
 from simulated import CATALOGUE, measure, measured, postures
 
-from tendon_robot_ros.comparison.statistics import false_discovery_control
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.local_tests import (
     Place,
@@ -18,8 +17,9 @@ from tendon_robot_ros.diagnosis.local_tests import (
     is_absurd,
     places_in,
 )
-from tendon_robot_ros.diagnosis.session import Session
 from tendon_robot_ros.diagnosis.verdict import FALSE_DISCOVERY_RATE
+from tendon_robot_ros.inference.session import Session
+from tendon_robot_ros.inference.statistics import false_discovery_control
 from tendon_robot_ros.report.comparison import add_shapes
 from tendon_robot_ros.report.diagnosis_page import pictures_of
 from tendon_robot_ros.report.page import Page

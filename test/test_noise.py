@@ -7,8 +7,8 @@ import pytest
 import simulated
 from simulated import CATALOGUE, NOISE, measured
 
-from tendon_robot_ros.comparison.noise import Noise, Whitener, estimate_noise, input_slopes, rms
-from tendon_robot_ros.comparison.predict import Predictor
+from tendon_robot_ros.inference.noise import Noise, Whitener, estimate_noise, input_slopes, rms
+from tendon_robot_ros.inference.predict import Predictor
 
 HIDDEN = {'hinge_friction': {'lever': 4e-4}}
 ROBOT = simulated.robot()

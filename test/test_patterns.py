@@ -9,7 +9,7 @@ from simulated import CATALOGUE, NOISE, measured
 
 from tendon_robot_ros.diagnosis.patterns import Pattern
 from tendon_robot_ros.diagnosis.patterns import patterns_of as outside
-from tendon_robot_ros.diagnosis.session import Session
+from tendon_robot_ros.inference.session import Session
 
 ROBOT = replace(simulated.robot(), exact=True)  # scatter takes its share of every pattern
 

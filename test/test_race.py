@@ -4,7 +4,7 @@ import pytest
 import simulated
 from simulated import CATALOGUE, measured
 
-from tendon_robot_ros.diagnosis.session import Session, side_by_side
+from tendon_robot_ros.inference.session import Session, side_by_side
 
 ROBOT = simulated.robot()
 HIDDEN = {'tip_load': {'force_x': 5e-3}}

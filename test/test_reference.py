@@ -10,9 +10,9 @@ from simulated import CATALOGUE, NOISE
 
 from tendon_robot_ros import diagnose
 from tendon_robot_ros.common.errors import DataSetError
-from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.data import save_dataset
-from tendon_robot_ros.diagnosis.reference import since
+from tendon_robot_ros.inference.discrepancy import since
+from tendon_robot_ros.inference.predict import Predictor
 from tendon_robot_ros.robot import dump_robot
 from tendon_robot_ros.workspace.postures import default_postures
 

@@ -12,9 +12,9 @@ import pytest
 from arms import UNITS, factor, planar, scaled, spatial, two_sections
 from simulated import measure, postures
 
-from tendon_robot_ros.comparison.noise import Noise
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.effects import load_catalogue
+from tendon_robot_ros.inference.noise import Noise
 from tendon_robot_ros.model.derivatives import take_sides, tip_and_state_slopes
 from tendon_robot_ros.model.inverse import reach
 from tendon_robot_ros.model.model import Model

@@ -8,14 +8,14 @@ from marks import slow
 from simulated import CATALOGUE
 from source_tree import ROOT
 
-from tendon_robot_ros.comparison.statistics import chi2_isf
-from tendon_robot_ros.diagnosis.candidates import gain_p_value
-from tendon_robot_ros.diagnosis.fit import Fit, with_imperfections
-from tendon_robot_ros.diagnosis.imperfections import Kind
-from tendon_robot_ros.diagnosis.intervals import SizeIntervals
-from tendon_robot_ros.diagnosis.marginal import Prior, RandomEffects
 from tendon_robot_ros.diagnosis.report_rows import arm_report
-from tendon_robot_ros.diagnosis.session import Session
+from tendon_robot_ros.inference.candidates import gain_p_value
+from tendon_robot_ros.inference.fit import Fit, with_imperfections
+from tendon_robot_ros.inference.imperfections import Kind
+from tendon_robot_ros.inference.intervals import SizeIntervals
+from tendon_robot_ros.inference.marginal import Prior, RandomEffects
+from tendon_robot_ros.inference.session import Session
+from tendon_robot_ros.inference.statistics import chi2_isf
 from tendon_robot_ros.report.sentences import as_built
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.hidden import Workmanship

@@ -6,7 +6,7 @@ from simulated import CATALOGUE, measured
 
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.select import hints, several
-from tendon_robot_ros.diagnosis.session import Session
+from tendon_robot_ros.inference.session import Session
 
 MEMORY = {'friction_memory': {'presliding_length': 1e-4}}
 HINGES = {'hinge_friction': {'lever': 3e-4}}

@@ -6,9 +6,9 @@ import pytest
 import simulated
 from simulated import CATALOGUE, measured
 
-from tendon_robot_ros.diagnosis.candidates import Candidate, Ranked
-from tendon_robot_ros.diagnosis.session import Session
 from tendon_robot_ros.diagnosis.verdict import APART_FROM_SCORE, indistinct
+from tendon_robot_ros.inference.candidates import Candidate, Ranked
+from tendon_robot_ros.inference.session import Session
 
 ROBOT = simulated.robot()
 

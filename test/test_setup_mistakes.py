@@ -10,12 +10,9 @@ from marks import slow
 from simulated import CATALOGUE, measured
 
 from tendon_robot_ros.common.rotations import about, upright_fit
-from tendon_robot_ros.comparison.noise import rms
-from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.marker_hypotheses import in_one_place
-from tendon_robot_ros.diagnosis.result import EffectFinding, Value
-from tendon_robot_ros.diagnosis.session import Session
+from tendon_robot_ros.diagnosis.result import EffectFinding
 from tendon_robot_ros.diagnosis.setup_hypotheses import dead_inputs, gravities
 from tendon_robot_ros.diagnosis.setup_mistakes import (
     Explaining,
@@ -24,6 +21,10 @@ from tendon_robot_ros.diagnosis.setup_mistakes import (
     mended_rivals,
 )
 from tendon_robot_ros.diagnosis.stepwise import Stepwise
+from tendon_robot_ros.inference.intervals import Value
+from tendon_robot_ros.inference.noise import rms
+from tendon_robot_ros.inference.predict import Predictor
+from tendon_robot_ros.inference.session import Session
 from tendon_robot_ros.report.diagnosis_text import lines
 from tendon_robot_ros.robot import parse_robot
 

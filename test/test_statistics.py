@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import scipy  # which imports its parts when they are asked for
 
-from tendon_robot_ros.comparison import statistics as probability
-from tendon_robot_ros.comparison.statistics import estimate, half_width, paired_t
+from tendon_robot_ros.inference import statistics as probability
+from tendon_robot_ros.inference.statistics import estimate, half_width, paired_t
 
 RANDOM = np.random.default_rng(0)
 CASES = np.exp(RANDOM.uniform(0.0, 8.0, (60, 2)))

@@ -9,14 +9,14 @@ from source_tree import ROOT
 
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.comparison.compare import compare
-from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.data import join, load_dataset
 from tendon_robot_ros.diagnosis.add import Addition, add_effects, fit_effects
-from tendon_robot_ros.diagnosis.crossval import Errors
 from tendon_robot_ros.diagnosis.diagnose import diagnose
-from tendon_robot_ros.diagnosis.fitter import Fitter
-from tendon_robot_ros.diagnosis.session import Session
 from tendon_robot_ros.effects import load_catalogue
+from tendon_robot_ros.inference.crossval import Errors
+from tendon_robot_ros.inference.fitter import Fitter
+from tendon_robot_ros.inference.predict import Predictor
+from tendon_robot_ros.inference.session import Session
 
 TRUNK = ROOT / 'data' / 'trunk'
 

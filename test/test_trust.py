@@ -8,11 +8,9 @@ import simulated
 from simulated import CATALOGUE, NOISE, measured
 
 from tendon_robot_ros.cli.main import main
-from tendon_robot_ros.comparison.predict import Predictor
 from tendon_robot_ros.data import save_dataset
 from tendon_robot_ros.diagnosis import trust as trust_module
 from tendon_robot_ros.diagnosis.diagnose import diagnose
-from tendon_robot_ros.diagnosis.session import Session
 from tendon_robot_ros.diagnosis.trust import (
     assess,
     noncentrality,
@@ -20,6 +18,8 @@ from tendon_robot_ros.diagnosis.trust import (
     smallest_sizes,
     wilson,
 )
+from tendon_robot_ros.inference.predict import Predictor
+from tendon_robot_ros.inference.session import Session
 from tendon_robot_ros.report.diagnosis_text import trust_lines
 
 ROBOT = simulated.robot(cells=8, exact=True)

@@ -15,14 +15,14 @@ from typing import Any
 from ..common.errors import InputError
 from ..comparison.compare import compare
 from ..comparison.result import to_json
-from ..comparison.statistics import ERRORS
 from ..data import DataSet
 from ..diagnosis.add import Addition, add_effects, restore
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.improve import improve
-from ..diagnosis.reference import since
 from ..diagnosis.result import Diagnosis
 from ..diagnosis.verdict import Verdict
+from ..inference.discrepancy import since
+from ..inference.statistics import ERRORS
 from ..report import comparison as comparison_report
 from ..report import diagnosis_text, improvement_page
 from ..report.diagnosis_page import pictures_of, write_diagnosis

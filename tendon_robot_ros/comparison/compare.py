@@ -13,14 +13,14 @@ from ..common.arrays import Floats
 from ..common.errors import InputError, NoEquilibriumError, Progress, choice, listener
 from ..data import DataSet, DataSetLike, default_markers, load_dataset
 from ..effects import Catalogue, CatalogueLike, load_catalogue
+from ..inference.noise import Whitener, estimate_noise, input_slopes
+from ..inference.outliers import find_outliers
+from ..inference.predict import Predictor
+from ..inference.statistics import ERRORS
 from ..model.pulls import pull_shapes
 from ..model.shape import FIELDS, ShapeBatch
 from ..robot import Robot, RobotLike, load_robot
-from .noise import Whitener, estimate_noise, input_slopes
-from .outliers import find_outliers
-from .predict import Predictor
 from .result import Comparison, Measured, ModelErrors
-from .statistics import ERRORS
 
 Models = RobotLike | Sequence[RobotLike | tuple[str, RobotLike]] | Mapping[str, RobotLike]
 

@@ -21,7 +21,7 @@ from ..common.arrays import Floats
 from ..common.errors import InputError
 from ..common.files import read_text
 from ..common.results import TextResult, make_frame
-from .statistics import Estimate, PairedT, estimate, half_width, paired_t
+from ..inference.statistics import Estimate, PairedT, estimate, half_width, paired_t
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -14,17 +14,17 @@ import numpy as np
 from ..common.errors import InputError, NoEquilibriumError, refusal
 from ..common.processes import one_thread
 from ..common.results import TextResult, make_frame
-from ..comparison.outliers import find_outliers
-from ..comparison.predict import Point
 from ..data import DataSetLike, load_dataset
 from ..effects import CatalogueLike, load_catalogue
+from ..inference.candidates import Candidate, is_tested, why_untested
+from ..inference.crossval import Errors, Staircase, Written, errors_on, model_error_of, written
+from ..inference.fit import Fit
+from ..inference.intervals import LoadVector, Value, loads_of, values_with_intervals
+from ..inference.outliers import find_outliers
+from ..inference.predict import Point
+from ..inference.session import Session
 from ..robot import Robot, RobotLike, load_robot
-from .candidates import Candidate, is_tested, why_untested
-from .crossval import Errors, Staircase, Written, errors_on, model_error_of, written
-from .fit import Fit
-from .intervals import loads_of, values_with_intervals
-from .result import EffectFinding, LoadVector, Value
-from .session import Session
+from .result import EffectFinding
 from .verdict import P_SINGLE_MIN
 
 

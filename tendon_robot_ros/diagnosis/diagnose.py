@@ -10,23 +10,23 @@ import numpy as np
 from ..common.errors import NoEquilibriumError, Progress, whole
 from ..common.processes import one_thread
 from ..common.words import listed, mm
-from ..comparison.noise import rms
-from ..comparison.outliers import find_outliers
 from ..data import DataSetLike, load_dataset
 from ..effects import CatalogueLike, load_catalogue
+from ..inference.discrepancy import since
+from ..inference.fitter import BEST_FEW
+from ..inference.noise import rms
+from ..inference.outliers import find_outliers
+from ..inference.session import Session
 from ..robot import RobotLike, load_robot
 from .marker_hypotheses import exchanged_in
 from .next_measurement import propose
-from .reference import since
 from .report_rows import Concluded, details_of, finding, fitted_errors, remainder_text, rows_of
 from .result import Diagnosis
 from .select import Evidence, gather
-from .session import Session
 from .setup_hypotheses import Mistake
 from .setup_mistakes import Explained, Mended, find_mistake, implausible, mended_rivals
 from .verdict import (
     APART_FROM_SCORE,
-    BEST_FEW,
     MISTAKE_HANDICAP,
     PLAIN_FLOORS,
     POSTURES_MIN,

@@ -25,12 +25,9 @@ import numpy.typing as npt
 from ..common.arrays import Floats
 from ..common.errors import InputError, NoEquilibriumError, Progress, listener, whole
 from ..common.processes import one_thread
-from ..comparison.predict import FreeParameter, Predictor
 from ..data import DataSet, DataSetLike, load_dataset
 from ..effects import CatalogueLike, load_catalogue
-from ..robot import Robot, RobotLike, load_robot
-from .add import Addition, fit_effects, more_at_work, settle, with_origin
-from .crossval import (
+from ..inference.crossval import (
     Errors,
     described_by,
     fall,
@@ -40,16 +37,19 @@ from .crossval import (
     predict,
     written_markers,
 )
-from .description import OF_THE_ARM, route_changes, stiffness_change
-from .fit import Fit, covariance_of, covariance_root
-from .fitter import FAILURES
-from .imperfections import POSITION, ROTATION, SplitPredictor
-from .intervals import QUANTILE, loads_of, values_of
+from ..inference.description import OF_THE_ARM, route_changes, stiffness_change
+from ..inference.fit import Fit, covariance_of, covariance_root
+from ..inference.fitter import FAILURES
+from ..inference.imperfections import POSITION, ROTATION, SplitPredictor
+from ..inference.intervals import QUANTILE, LoadVector, Value, loads_of, values_of
+from ..inference.predict import FreeParameter, Predictor
+from ..inference.session import Session
+from ..inference.slopes import imperfections
+from ..robot import Robot, RobotLike, load_robot
+from .add import Addition, fit_effects, more_at_work, settle, with_origin
 from .local_tests import faults_of, local_faults
 from .report_rows import arm_report, left_out
-from .result import AS_FOUND, Improvement, ImprovementStep, LoadVector, Value, total
-from .session import Session
-from .slopes import imperfections
+from .result import AS_FOUND, Improvement, ImprovementStep, total
 from .stepwise import GROUPS_MIN, PRIOR_TYPICALS, STEPS_MAX, Rates, State, Stepwise, grown
 from .verdict import P_SINGLE_MIN, TOLERANCE_SD_MAX
 

@@ -23,12 +23,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.arrays import Floats
-from ..comparison.noise import Whitener
-from ..comparison.predict import CELLS
-from ..comparison.statistics import chi2_isf, false_discovery_control, t_sf
-from ..robot import Robot
-from .fit import Fit
-from .imperfections import (
+from ..inference.fit import Fit
+from ..inference.imperfections import (
     ACROSS,
     BEND_MAX_RAD,
     GAIN,
@@ -39,13 +35,17 @@ from .imperfections import (
     Kind,
     SplitPredictor,
 )
-from .intervals import QUANTILE
-from .marginal import NEGLIGIBLE
-from .slopes import imperfections
+from ..inference.intervals import QUANTILE
+from ..inference.marginal import NEGLIGIBLE
+from ..inference.noise import Whitener
+from ..inference.predict import CELLS
+from ..inference.slopes import imperfections
+from ..inference.statistics import chi2_isf, false_discovery_control, t_sf
+from ..robot import Robot
 from .verdict import FALSE_DISCOVERY_RATE, P_SEVERAL_MIN
 
 if TYPE_CHECKING:
-    from .session import Session
+    from ..inference.session import Session
 
 IN_CELLS = (CELLS, KINK, ACROSS)
 IN_INPUTS = (GAIN, HOLE, ZERO)

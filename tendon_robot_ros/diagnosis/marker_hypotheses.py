@@ -10,10 +10,10 @@ import numpy as np
 
 from ..common.arrays import Floats
 from ..common.words import mm
-from ..comparison.predict import Predictor
 from ..data import DataSet
+from ..inference.marginal import NEGLIGIBLE
+from ..inference.predict import Predictor
 from ..robot import Robot
-from .marginal import NEGLIGIBLE
 from .setup_hypotheses import Mistake, as_unit, evaluated, times
 from .verdict import MISTAKEN_RATIO_MIN, QUIET_FLOORS, RESIDUAL_RATIO_MAX
 

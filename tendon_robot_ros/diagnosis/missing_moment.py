@@ -15,13 +15,13 @@ import numpy as np
 
 from ..common.arrays import Floats
 from ..comparison.compare import bending_axes, equilibria
-from ..comparison.predict import Predictor
 from ..comparison.result import Measured
 from ..data import DataSet
 from ..effects import Catalogue
+from ..inference.imperfections import BEND_MAX_RAD
+from ..inference.predict import Predictor
 from ..model.shape import ShapeBatch
 from ..robot import Robot
-from .imperfections import BEND_MAX_RAD
 
 BLOCKS_PER_SECTION = 3  # [1] because bends of single cells drown in the noise of markers
 BEND_MIN = 1e-3  # [rad] of a cell, else rounding would be its direction

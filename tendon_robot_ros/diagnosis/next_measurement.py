@@ -9,14 +9,13 @@ from itertools import product
 import numpy as np
 
 from ..common.arrays import Floats
-from ..comparison.noise import Whitener, input_slopes
-from ..comparison.predict import Predictor
 from ..data import DataSet
+from ..inference.candidates import Ranked
+from ..inference.noise import Whitener, input_slopes
+from ..inference.predict import Predictor
+from ..inference.session import NEAR_SCORE, Session
 from ..workspace.postures import default_postures
-from .candidates import Ranked
 from .result import NextMeasurement
-from .session import Session
-from .verdict import NEAR_SCORE
 
 GRID_POSTURES_MAX = 400  # [1] of the grid, because each is solved for every effect and parameter
 

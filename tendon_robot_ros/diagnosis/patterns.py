@@ -9,18 +9,18 @@ from functools import partial
 import numpy as np
 
 from ..common.arrays import Floats
-from ..comparison.noise import Whitener
-from ..comparison.predict import CELLS, SOFT_CELL, TAPER, FreeParameter, Point
-from ..comparison.statistics import chi2_isf, chi2_sf
 from ..effects import Parameter
-from .fit import Fit
-from .fitter import FAILURES, REVERSAL_GAIN_MIN, ROUNDS_MAX, Fitter
-from .imperfections import PUSH, SplitPredictor, typical_force
-from .intervals import load_of
-from .search import DIFFERENCE_STEP
-from .session import side_by_side
-from .slopes import pushes
-from .verdict import APART_FROM_SCORE, BEST_FEW, NEAR_SCORE, SAME_ERROR_RATIO, SIGNIFICANCE
+from ..inference.fit import Fit
+from ..inference.fitter import BEST_FEW, FAILURES, REVERSAL_GAIN_MIN, ROUNDS_MAX, Fitter
+from ..inference.imperfections import PUSH, SplitPredictor, typical_force
+from ..inference.intervals import load_of
+from ..inference.noise import Whitener
+from ..inference.predict import CELLS, SOFT_CELL, TAPER, FreeParameter, Point
+from ..inference.search import DIFFERENCE_STEP
+from ..inference.session import NEAR_SCORE, side_by_side
+from ..inference.slopes import pushes
+from ..inference.statistics import SIGNIFICANCE, chi2_isf, chi2_sf
+from .verdict import APART_FROM_SCORE, SAME_ERROR_RATIO
 
 NAMES = ('contact', 'soft_cell', 'taper', 'gain_per_posture', 'rotation_per_posture')
 

@@ -9,21 +9,33 @@ from typing import Any
 import numpy as np
 
 from ..common.words import mm
-from ..comparison.outliers import Outliers
-from ..comparison.statistics import chi2_isf, normal_ppf
 from ..data import DataSet
 from ..data.dataset import at_rest
-from .candidates import Ranked, why_untested
-from .crossval import described_by, error_of, explained_fraction, left_out_error, written
-from .fit import Fit
-from .imperfections import REMAINDER
-from .intervals import QUANTILE, SizeIntervals, loads_of, values_of, values_with_intervals
+from ..inference.candidates import Ranked, why_untested
+from ..inference.crossval import (
+    described_by,
+    error_of,
+    explained_fraction,
+    left_out_error,
+    written,
+)
+from ..inference.fit import Fit
+from ..inference.imperfections import REMAINDER
+from ..inference.intervals import (
+    QUANTILE,
+    SizeIntervals,
+    loads_of,
+    values_of,
+    values_with_intervals,
+)
+from ..inference.marginal import Prior
+from ..inference.outliers import Outliers
+from ..inference.session import Session
+from ..inference.statistics import SIGNIFICANCE, chi2_isf, normal_ppf
 from .local_tests import faults_of
-from .marginal import Prior
 from .patterns import Pattern
 from .result import NOT_NEEDED, CandidateRow, EffectFinding
 from .select import Evidence
-from .session import Session
 from .trust import DETECTION_POWER
 from .verdict import (
     ALARM_LEVEL,
@@ -34,7 +46,6 @@ from .verdict import (
     POSTURES_ENOUGH,
     REPEATABILITIES_MAX,
     SAME_ERROR_RATIO,
-    SIGNIFICANCE,
     Conclusion,
     Verdict,
 )

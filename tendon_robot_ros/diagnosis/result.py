@@ -15,8 +15,9 @@ from ..common.arrays import Floats
 from ..common.colours import ERROR, GOOD, HELD_OUT, PREDICTED
 from ..common.files import write_text
 from ..common.results import TextResult, make_frame
+from ..inference.description import PROFILE
+from ..inference.intervals import LoadVector, Value
 from ..robot import Robot
-from .description import PROFILE
 from .verdict import Verdict
 
 if TYPE_CHECKING:
@@ -28,42 +29,6 @@ NOT_NEEDED = 'not needed'  # status where the model is adequate: there is nothin
 AS_FOUND = 'arm_as_found'  # the step that writes cells, inputs and the frame as they were found
 IMPROVEMENT_FORMAT = 'tendon_robot_ros/improvement@1'
 COLOURS = {'fitted': PREDICTED, 'left out': HELD_OUT, 'check': GOOD}
-
-
-@dataclass(frozen=True)
-class Value:
-    """A fitted parameter with its 95 % interval [unit]."""
-
-    value: float
-    low: float
-    high: float
-    unit: str
-    note: str = ''  # 'at its bound', 'not determined by these postures', 'correlated with ...'
-
-
-@dataclass(frozen=True)
-class LoadVector:
-    """
-    Size and direction of a force at an arm, with 95 % intervals.
-
-    Attributes
-    ----------
-    size : Value
-        [N]
-    from_axis : Value, optional
-        [rad] from the axis of the straight arm (+z of its base); None where undetermined.
-    around_axis : float
-        [rad] about that axis, from x towards y.
-    from_gravity : Value, optional
-        [rad] from the direction in which weights pull; None where undetermined or gravity is not
-        known.
-
-    """
-
-    size: Value
-    from_axis: Value | None
-    around_axis: float
-    from_gravity: Value | None = None
 
 
 @dataclass(frozen=True)

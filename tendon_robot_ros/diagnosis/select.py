@@ -13,22 +13,21 @@ from functools import cached_property
 import numpy as np
 
 from ..common.arrays import Floats
-from ..comparison.predict import Point
-from ..comparison.statistics import chi2_sf
-from .candidates import Candidate, Ranked
-from .fit import Fit
-from .fitter import FAILURES, REVERSAL_GAIN_MIN, ROUNDS_MAX
-from .intervals import QUANTILE
+from ..inference.candidates import Candidate, Ranked
+from ..inference.fit import Fit
+from ..inference.fitter import BEST_FEW, FAILURES, REVERSAL_GAIN_MIN, ROUNDS_MAX
+from ..inference.intervals import QUANTILE
+from ..inference.predict import Point
+from ..inference.search import DIFFERENCE_STEP, LADDER
+from ..inference.session import NEAR_SCORE, Session, better
+from ..inference.statistics import SIGNIFICANCE, chi2_sf
 from .patterns import Pattern, patterns_of
-from .search import DIFFERENCE_STEP, LADDER
-from .session import Session, better
 from .verdict import (
+    ALARM_LEVEL,
     APART_FROM_SCORE,
-    BEST_FEW,
     EFFECTS_MAX,
-    NEAR_SCORE,
     P_SINGLE_MIN,
-    SIGNIFICANCE,
+    holds_together,
 )
 
 
@@ -79,7 +78,7 @@ class Evidence:
 
     def gain_is_significant(self, ranked: Ranked) -> bool:
         """Return whether the gain of an effect is significant among all candidates."""
-        return self.session.gain_is_significant(self.base, ranked, len(self.singles))
+        return gain_is_significant(self.session, self.base, ranked, len(self.singles))
 
     @cached_property
     def patterns(self) -> list[Pattern]:
@@ -108,7 +107,7 @@ class Evidence:
             more = [
                 r
                 for r in extended(session, current)
-                if session.gain_is_significant(current.fit, r, len(session.candidates))
+                if gain_is_significant(session, current.fit, r, len(session.candidates))
                 and r.score < current.score - APART_FROM_SCORE
             ]
             if not more:
@@ -125,6 +124,12 @@ class Evidence:
         base = session.base_fit((self.base,))
         singles = session.refit(self.singles, base)
         return Evidence(session, base, singles, self.not_tested, self.reversed), combined
+
+
+def gain_is_significant(session: Session, base: Fit, ranked: Ranked, among: int) -> bool:
+    """Return whether a gain is significant among so many, on left-out postures as well."""
+    held, _ = base.held_out(session.whitener.owners)
+    return session.gain_p_value(base, ranked) * among < ALARM_LEVEL and ranked.held_out < held
 
 
 def gather(session: Session) -> Evidence:
@@ -209,14 +214,14 @@ def several(session: Session, singles: Sequence[Ranked]) -> Ranked | None:
     best: Ranked | None = None
     for size in range(2, EFFECTS_MAX + 1):
         more = extended(session, current)
-        if size == 2 and not any(session.holds(f) for f in more):
+        if size == 2 and not any(holds_together(f) for f in more):
             more += _pairs(session, order[1 : 2 * BEST_FEW + 1])
         if not more:
             break
         current = best = min(more, key=lambda r: r.score)
-        if session.holds(best):
+        if holds_together(best):
             best = _pruned(session, reweighed(session, best))
-            if session.holds(best):
+            if holds_together(best):
                 break
     return best
 

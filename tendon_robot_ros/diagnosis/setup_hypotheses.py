@@ -14,10 +14,10 @@ import numpy as np
 from ..common.arrays import Floats
 from ..common.rotations import rigid_fit, rotation_angle, rotation_between, upright_fit
 from ..common.words import STANDARD_GRAVITY
-from ..comparison.noise import rms
-from ..comparison.predict import Point, Predictor
 from ..data import DataSet
-from .marginal import NEGLIGIBLE
+from ..inference.marginal import NEGLIGIBLE
+from ..inference.noise import rms
+from ..inference.predict import Point, Predictor
 from .verdict import RESIDUAL_RATIO_MAX
 
 EARTH = round(STANDARD_GRAVITY, 2)  # [m/s²] as descriptions have it, because new-robot rounds so

@@ -15,13 +15,15 @@ import numpy as np
 
 from ..common.arrays import Floats
 from ..common.words import listed, mm
-from ..comparison.noise import Noise, Whitener, rms
-from ..comparison.predict import Point, Predictor
 from ..data import DataSet
 from ..effects import Catalogue
-from .candidates import Candidate, joining_effects, nuisances_of
-from .fit import Fit
-from .fitter import FAILURES, Fitter
+from ..inference.candidates import Candidate, joining_effects, nuisances_of
+from ..inference.fit import Fit
+from ..inference.fitter import BEST_FEW, FAILURES, Fitter
+from ..inference.noise import Noise, Whitener, rms
+from ..inference.predict import Point, Predictor
+from ..inference.search import DIFFERENCE_STEP
+from ..inference.session import Session
 from .marker_hypotheses import (
     by_distances,
     exchanged,
@@ -33,8 +35,6 @@ from .marker_hypotheses import (
     uncut,
 )
 from .result import Diagnosis
-from .search import DIFFERENCE_STEP
-from .session import Session
 from .setup_hypotheses import (
     Mistake,
     dead_inputs,
@@ -51,7 +51,6 @@ from .setup_hypotheses import (
     wrong_units,
 )
 from .verdict import (
-    BEST_FEW,
     EFFECTS_MAX,
     MISTAKE_HANDICAP,
     MISTAKEN_RATIO_MIN,

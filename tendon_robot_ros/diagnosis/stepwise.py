@@ -20,22 +20,28 @@ import numpy.typing as npt
 
 from ..common.arrays import Floats
 from ..common.errors import InputError
-from ..comparison.noise import Whitener, estimate_noise, input_slopes, likely, rms
-from ..comparison.outliers import find_outliers, without_unsettled
-from ..comparison.predict import FreeParameter, Point, Predictor, SettledShapes
-from ..comparison.statistics import chi2_sf, f_sf
 from ..data import DataSet
 from ..effects import Catalogue
+from ..inference.candidates import Candidate, joining_effects
+from ..inference.crossval import Groups, left_out_errors, predict
+from ..inference.description import (
+    OF_THE_ARM,
+    DescribedArm,
+    arm_with,
+    blocks_of_the_arm,
+    changed_robot,
+)
+from ..inference.fit import Fit, Nuisance, covariance_of, covariance_root
+from ..inference.fitter import FAILURES, Fitter
+from ..inference.marginal import NEGLIGIBLE
+from ..inference.marginal import STEPS_MAX as ITERATIONS_MAX
+from ..inference.noise import Whitener, estimate_noise, input_slopes, likely, rms
+from ..inference.outliers import find_outliers, without_unsettled
+from ..inference.predict import FreeParameter, Point, Predictor, SettledShapes
+from ..inference.search import DIFFERENCE_STEP, LADDER
+from ..inference.statistics import chi2_sf, f_sf
 from ..robot import Robot
 from ..robot.estimates import natural_sizes
-from .candidates import Candidate, joining_effects
-from .crossval import Groups, left_out_errors, predict
-from .description import OF_THE_ARM, DescribedArm, arm_with, blocks_of_the_arm, changed_robot
-from .fit import Fit, Nuisance, covariance_of, covariance_root
-from .fitter import FAILURES, Fitter
-from .marginal import NEGLIGIBLE
-from .marginal import STEPS_MAX as ITERATIONS_MAX
-from .search import DIFFERENCE_STEP, LADDER
 from .setup_hypotheses import Mistake
 from .setup_mistakes import find_mistake
 from .verdict import P_SINGLE_MIN, POSTURES_MIN

@@ -12,18 +12,18 @@ import numpy as np
 
 from ..common.errors import Progress, listener
 from ..common.workers import Workers
-from ..comparison.noise import Noise
-from ..comparison.predict import FreeParameter, Point, Predictor
-from ..comparison.statistics import chi2_isf
 from ..data import DataSet
 from ..effects import load_catalogue
+from ..inference.candidates import Candidate
+from ..inference.fit import Fit
+from ..inference.fitter import FAILURES
+from ..inference.intervals import QUANTILE
+from ..inference.noise import Noise
+from ..inference.predict import FreeParameter, Point, Predictor
+from ..inference.session import Session
+from ..inference.statistics import chi2_isf
 from ..robot import Robot
-from .candidates import Candidate
-from .fit import Fit
-from .fitter import FAILURES
-from .intervals import QUANTILE
 from .select import gather
-from .session import Session
 from .verdict import ALARM_LEVEL, is_alarming
 
 SECONDS = 50.0  # [s] of simulations, so that a report with them takes a minute

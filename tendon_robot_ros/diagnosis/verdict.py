@@ -3,8 +3,8 @@ The rule by which a verdict is reached: thresholds, gates, and the table of the 
 
 `decide` is a pure function of the evidence, and the only place where a verdict is reached; the
 reports, the monitor and the live page read sentences and colours from the table here. A threshold
-of a single test is defined beside that test: contradicted readings in comparison/outliers.py, the
-noise of trials in comparison/noise.py, drift in monitoring/watch.py.
+of a single test is defined beside that test: contradicted readings in inference/outliers.py, the
+noise of trials in inference/noise.py, drift in monitoring/watch.py.
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol
 
+from ..inference.statistics import SIGNIFICANCE
+
 # Significance and likelihood
-SIGNIFICANCE = 0.05  # [1] 1 of 20 by chance: of 95 % intervals, and of what is named
 FALSE_DISCOVERY_RATE = SIGNIFICANCE  # among the places at which the best model is said to be wrong
 ALARM_LEVEL = 0.005  # [1] p-value of every alarm, so that measurements of a true model raise few
 # [1] p-value of the misfit of an arm as built; lower because its scatter is estimated as well
@@ -24,14 +25,8 @@ P_SINGLE_MIN = 0.001  # [1] p-value of one effect: the true one falls below in 1
 P_SEVERAL_MIN = 0.01  # [1] p-value of several; stricter because two imitate more than one does
 # [1] of deviance + 2 k: chi² with two degrees of freedom exceeds it by chance in 1 of 100
 APART_FROM_SCORE = 9.21
-NEAR_SCORE = 60.0  # [1] of deviance + 2 k behind the best: docs/diagnosis.md
-TIE_SCORE = 0.5  # [1] of deviance + 2 k: below it twins would be ordered by rounding
 EFFECTS_MAX = 3  # [1] together, because more of them fit any dozen of postures
-BEST_FEW = 3  # [1] of an order by a cheap estimate that are fitted, because the estimate may err
 TOLERANCE_SD_MAX = 3.0  # [1] declared sd that a quantity may move; 1 of 370 by chance
-CORRELATED_FROM = 0.98  # [1] correlation of two values; else an interval would be 5 times as wide
-# [1] ratio of the errors left out from which the arm as found is written: docs/diagnosis.md
-LEFT_OUT_RATIO_MAX = 0.95
 # [1] of the repeatability that may be left; else what accounts for it is said: docs/diagnosis.md
 REPEATABILITIES_MAX = 3.0
 SAME_ERROR_RATIO = 1.25  # [1] of errors that count as equal, because floors are estimates
@@ -179,6 +174,10 @@ class Hypothesis(Protocol):
         """Chance of so large a misfit if it is the truth."""
 
     @property
+    def trust(self) -> float:
+        """Chance of predicting left-out postures so much worse than fitted ones if it is."""
+
+    @property
     def score(self) -> float:
         """Deviance plus twice the number of parameters."""
 
@@ -231,9 +230,6 @@ class Weighing[H](Protocol):
     @property
     def brief(self) -> bool:
         """Whether the remainder is not described where no effect explains the data."""
-
-    def holds(self, ranked: H) -> bool:
-        """Return whether several effects are adequate, on left-out postures as well."""
 
     def best(self, ranked: Sequence[H]) -> H:
         """Return the best by score; within a tie the first of the catalogue."""
@@ -344,7 +340,7 @@ def decide[H: Hypothesis, R: Rival](facts: Facts[H, R]) -> tuple[Facts[H, R], Co
             return facts, Conclusion(Verdict.SEVERAL, more)
         return facts, _named(facts, group)
     facts, combined = facts.combined()
-    holds = combined is not None and facts.session.holds(combined) and facts.differs(combined)
+    holds = combined is not None and holds_together(combined) and facts.differs(combined)
     scores = [r.score for r in (combined, facts.best) if r is not None]
     rival = None
     if scores and (holds or not facts.session.brief):
@@ -352,6 +348,11 @@ def decide[H: Hypothesis, R: Rival](facts: Facts[H, R]) -> tuple[Facts[H, R], Co
     if combined is not None and holds and rival is None:
         return facts, Conclusion(Verdict.SEVERAL, combined)
     return facts, _outside(facts, facts.best, rival)
+
+
+def holds_together(hypothesis: Hypothesis) -> bool:
+    """Return whether several effects are adequate, on left-out postures as well."""
+    return hypothesis.probability > P_SEVERAL_MIN and hypothesis.trust > P_SINGLE_MIN
 
 
 def indistinct[H: Hypothesis](session: Weighing[H], ranked: Sequence[H]) -> list[H]:

@@ -27,14 +27,14 @@ import numpy as np
 
 from ..common.arrays import Floats
 from ..common.errors import InputError, NoEquilibriumError, TendonRobotError
-from ..comparison.noise import Noise, Whitener, input_slopes
-from ..comparison.predict import FreeParameter, Point, Predictor, frees_of
 from ..data import DataSet
-from ..diagnosis.candidates import nuisances_of
-from ..diagnosis.imperfections import REMAINDER, SplitPredictor
-from ..diagnosis.slopes import imperfections
 from ..diagnosis.stepwise import PRIOR_TYPICALS
 from ..effects import Catalogue
+from ..inference.candidates import nuisances_of
+from ..inference.imperfections import REMAINDER, SplitPredictor
+from ..inference.noise import Noise, Whitener, input_slopes
+from ..inference.predict import FreeParameter, Point, Predictor, frees_of
+from ..inference.slopes import imperfections
 from ..model.model import Model
 from ..model.pulls import pull_shapes
 from ..robot import Robot

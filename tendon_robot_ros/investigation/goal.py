@@ -13,11 +13,11 @@ import numpy as np
 
 from ..common.errors import InputError
 from ..common.words import listed, mm
-from ..comparison.predict import Predictor, frees_of
 from ..data import DataSet
 from ..diagnosis.result import Diagnosis
 from ..diagnosis.verdict import POSTURES_ENOUGH, POSTURES_MIN, SEPARABLE_FROM_SD, Verdict
 from ..effects import Catalogue
+from ..inference.predict import Predictor, frees_of
 
 
 @dataclass(frozen=True)

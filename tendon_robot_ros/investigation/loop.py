@@ -22,8 +22,6 @@ import numpy as np
 from ..common.arrays import Floats
 from ..common.files import write_text
 from ..common.words import digits, listed
-from ..comparison.noise import Noise
-from ..comparison.predict import frees_of
 from ..data import DataSet, save_dataset
 from ..data.bag_writer import export_bag
 from ..diagnosis.add import Addition, add_effects
@@ -31,6 +29,8 @@ from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import Diagnosis
 from ..diagnosis.verdict import Verdict
 from ..effects import Catalogue, Effect, load_catalogue
+from ..inference.noise import Noise
+from ..inference.predict import frees_of
 from ..model.model import Model
 from ..monitoring.change import ChangeFinder
 from ..report.diagnosis_page import pictures_of, with_effects, write_diagnosis

@@ -21,8 +21,8 @@ PACKAGE = Path(__file__).parent.parent
 LIBRARIES = ('numpy', 'scipy', 'numba')
 # folders on whose code a row depends; what prints and what moves motors is not among them
 PARTS = (
-    *('common', 'robot', 'effects', 'model', 'data', 'comparison', 'diagnosis'),
-    *('simulation', 'workspace', 'studies'),
+    *('common', 'robot', 'effects', 'model', 'data', 'inference', 'comparison'),
+    *('diagnosis', 'simulation', 'workspace', 'studies'),
 )
 
 

@@ -38,10 +38,10 @@ import numpy as np
 from ..common.arrays import Floats
 from ..common.estimation import kalman_update
 from ..common.words import listed, with_unit
-from ..comparison.predict import FreeParameter, free_parameters
-from ..comparison.statistics import chi2_isf
 from ..data import Marker
-from ..diagnosis.description import with_values
+from ..inference.description import with_values
+from ..inference.predict import FreeParameter, free_parameters
+from ..inference.statistics import chi2_isf
 from ..model.model import Model
 from ..robot import Robot
 from .built_arm import ODD_PROBABILITY, REMAINDERS, BuiltArm

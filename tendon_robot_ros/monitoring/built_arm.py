@@ -21,11 +21,11 @@ import numpy.typing as npt
 
 from ..common.arrays import Floats
 from ..common.estimation import kalman_update
-from ..comparison.predict import Point, Predictor, SettledShapes
 from ..data import DataSet, Marker
-from ..diagnosis.imperfections import GAIN, KINK, PLAUSIBLE_SIZES, SplitPredictor, remainders
-from ..diagnosis.slopes import imperfections
 from ..effects import Catalogue
+from ..inference.imperfections import GAIN, KINK, PLAUSIBLE_SIZES, SplitPredictor, remainders
+from ..inference.predict import Point, Predictor, SettledShapes
+from ..inference.slopes import imperfections
 from ..model.shape import ShapeBatch
 from ..robot import Robot
 from ..robot.estimates import bend_rates, end_sections, natural_sizes

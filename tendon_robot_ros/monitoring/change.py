@@ -29,12 +29,12 @@ import numpy.typing as npt
 from ..common.arrays import Floats
 from ..common.estimation import gauss_newton
 from ..common.words import digits, mm, spoken, with_unit
-from ..comparison.predict import CELLS, FreeParameter, Point, Predictor, free_parameters
-from ..comparison.statistics import chi2_sf
 from ..data import DataSet
-from ..diagnosis.imperfections import GAIN, SplitPredictor
-from ..diagnosis.intervals import load_of, vector_rows
-from ..diagnosis.slopes import imperfections
+from ..inference.imperfections import GAIN, SplitPredictor
+from ..inference.intervals import load_of, vector_rows
+from ..inference.predict import CELLS, FreeParameter, Point, Predictor, free_parameters
+from ..inference.slopes import imperfections
+from ..inference.statistics import chi2_sf
 from ..report.sentences import load_words
 from .built_arm import ODD_PROBABILITY, BuiltArm
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from ..common.errors import DataSetError, InputError, NoEquilibriumError
 from ..comparison.result import mean_over
-from ..comparison.statistics import chi2_isf
 from ..data import DataSet, Marker, default_markers
+from ..inference.statistics import chi2_isf
 from ..robot import Robot
 
 if TYPE_CHECKING:

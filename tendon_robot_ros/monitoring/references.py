@@ -30,7 +30,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.arrays import Floats
-from ..comparison.outliers import outlier_limits
+from ..inference.outliers import outlier_limits
 
 Bools = npt.NDArray[np.bool_]
 # C (n, q), y (n,), B (n, k), and of R (n, n) eigenvalues (n,) and eigenvectors (n, n)

@@ -26,9 +26,9 @@ import numpy.typing as npt
 
 from ..common.arrays import Floats
 from ..common.estimation import gauss_newton
-from ..comparison.predict import FreeParameter, SettledShapes, free_parameters
-from ..comparison.statistics import chi2_isf
-from ..diagnosis.slopes import pushes
+from ..inference.predict import FreeParameter, SettledShapes, free_parameters
+from ..inference.slopes import pushes
+from ..inference.statistics import chi2_isf
 from .built_arm import BuiltArm
 
 EFFECT = 'tip_load'

@@ -36,9 +36,9 @@ from ..common.arrays import Floats
 from ..common.errors import InputError
 from ..common.processes import ComputingThread
 from ..common.words import listed
-from ..comparison.statistics import chi2_sf
 from ..data import Marker
 from ..effects import Catalogue
+from ..inference.statistics import chi2_sf
 from ..model.model import Model
 from ..robot import dump_robot, parse_robot
 from .built_arm import ODD_PROBABILITY, BuiltArm, Expected

@@ -13,9 +13,9 @@ from ..common.arrays import Floats
 from ..common.colours import FLOOR, MEASURED, WARN, line_style
 from ..common.words import PROGRAM, capital, columns, digits, mm, postures, probability, times
 from ..comparison.result import Comparison, ModelErrors
-from ..comparison.statistics import Estimate, PairedT
 from ..data.dataset import at_rest
 from ..diagnosis.verdict import SAME_ERROR_RATIO
+from ..inference.statistics import Estimate, PairedT
 from ..model.shape import bending_azimuth, views_of
 from .error_plots import Step, angles, per_marker, per_posture, staircase, tip_boxes
 from .page import (

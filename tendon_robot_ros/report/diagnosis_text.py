@@ -14,9 +14,9 @@ import numpy as np
 
 from ..common.words import columns, commands, digits, listed, mm, percent, postures
 from ..diagnosis.add import Addition
-from ..diagnosis.crossval import explained_fraction
 from ..diagnosis.result import Diagnosis, NextMeasurement
 from ..diagnosis.verdict import P_SINGLE_MIN, SAME_ERROR_RATIO, SEPARABLE_FROM_SD, Verdict
+from ..inference.crossval import explained_fraction
 from .sentences import (
     amount,
     as_built,

@@ -14,8 +14,8 @@ import numpy as np
 
 from ..common.words import commands, digits, listed, mm, scale_of, spoken, with_unit
 from ..comparison.result import Comparison
-from ..diagnosis.result import LoadVector, Value
 from ..diagnosis.verdict import FALSE_DISCOVERY_RATE
+from ..inference.intervals import LoadVector, Value
 from .page import Shown
 
 # [1] zeros behind the point that are shown of nothing: more would claim to be known

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from ..common.arrays import Floats
-from ..comparison.noise import Whitener, estimate_noise, input_slopes
-from ..comparison.predict import Predictor
 from ..data import DataSet, Marker, even_markers
-from ..diagnosis.imperfections import SplitPredictor
-from ..diagnosis.marginal import RandomEffects
-from ..diagnosis.slopes import imperfections
 from ..effects import Catalogue
+from ..inference.imperfections import SplitPredictor
+from ..inference.marginal import RandomEffects
+from ..inference.noise import Whitener, estimate_noise, input_slopes
+from ..inference.predict import Predictor
+from ..inference.slopes import imperfections
 from ..robot import Robot
 from ..robot.estimates import natural_sizes
 from ..simulation.hidden import CAUSES, Built, Workmanship

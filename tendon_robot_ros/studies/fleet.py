@@ -34,8 +34,9 @@ from ..data import DataSet, load_dataset
 from ..data.bag_reader import is_bag
 from ..data.loading import import_bag
 from ..diagnosis.diagnose import diagnose
-from ..diagnosis.result import CandidateRow, Diagnosis, EffectFinding, Value
+from ..diagnosis.result import CandidateRow, Diagnosis, EffectFinding
 from ..diagnosis.verdict import Verdict
+from ..inference.intervals import Value
 from ..model.versions import Preparation, UserEffect, catalogue_of
 from ..report.page import Figure, Page, axes, error_bars, mm_list, titled, trace
 from ..robot import dump_robot

@@ -25,8 +25,8 @@ import numpy.typing as npt
 from ..cli import options
 from ..common.errors import DataSetError, InputError
 from ..common.words import listed
-from ..comparison.statistics import estimate
 from ..data.csv_file import CsvFile
+from ..inference.statistics import estimate
 from ..robot import Robot, load_robot
 
 HELP = 'friction coefficient from slip angles, into a robot description'

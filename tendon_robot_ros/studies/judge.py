@@ -15,14 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from ..comparison.noise import rms
-from ..comparison.predict import Predictor, frees_of
 from ..diagnosis.add import add_effects
 from ..diagnosis.diagnose import diagnose
-from ..diagnosis.result import Diagnosis, Value
+from ..diagnosis.result import Diagnosis
 from ..diagnosis.trust import DETECTION_POWER, wilson
 from ..diagnosis.verdict import SAME_ERROR_RATIO, Verdict
 from ..effects import load_catalogue
+from ..inference.intervals import Value
+from ..inference.noise import rms
+from ..inference.predict import Predictor, frees_of
 from ..model.model import Model
 from ..model.versions import UserEffect, catalogue_of
 from ..simulation.hidden import CAUSES, Built

@@ -27,9 +27,9 @@ from ..common.errors import InputError, Progress, listener
 from ..common.files import new_folder
 from ..common.words import capital, columns, digits, listed, mm
 from ..comparison.result import Comparison
-from ..comparison.statistics import half_width
 from ..data import DataSet
 from ..diagnosis.result import Diagnosis
+from ..inference.statistics import half_width
 from ..report import comparison as say
 from ..report import diagnosis_text
 from ..report.error_plots import angles, tip_boxes

@@ -11,12 +11,12 @@ import numpy as np
 
 from ..common.errors import DataSetError, Progress, listener, refusal
 from ..common.words import listed, mm
-from ..comparison.noise import input_effect, input_slopes
-from ..comparison.predict import Predictor
 from ..data import DataSet, Marker
 from ..data.arrays import split_by_order
 from ..data.still_segments import Segment, frame_noise, rows_of, segments_dataset
 from ..effects import Catalogue, CatalogueLike, load_catalogue
+from ..inference.noise import input_effect, input_slopes
+from ..inference.predict import Predictor
 from ..robot import Robot, RobotLike, load_robot
 from .columns import SHOWN_MAX, TRACKER_NOISE_M, FloatArray, RawTable, from_frame, marker_label
 from .imported import ImportedTable

@@ -19,13 +19,13 @@ from ..common.rotations import (
     upright_fit,
 )
 from ..common.words import STANDARD_GRAVITY, listed, mm
-from ..comparison.noise import rms
-from ..comparison.outliers import Outliers, find_outliers
-from ..comparison.predict import Predictor
 from ..data import DataSet
 from ..data.arrays import DIGITS, Vector
 from ..data.dataset import BoolArray
 from ..effects import Catalogue
+from ..inference.noise import rms
+from ..inference.outliers import Outliers, find_outliers
+from ..inference.predict import Predictor
 from .columns import NOISE_FACTOR, SHOWN_MAX, TRACKER_NOISE_M, UPS, FloatArray
 from .recipe import FrameChoice, Recipe
 

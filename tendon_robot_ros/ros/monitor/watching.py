@@ -17,7 +17,7 @@ from std_msgs.msg import Float64MultiArray, String
 from ...common.arrays import Floats
 from ...common.errors import InputError
 from ...common.words import with_unit
-from ...diagnosis.intervals import load_of
+from ...inference.intervals import load_of
 from ...model.model import Model
 from ...monitoring import Monitor, StillMeasurement
 from ...monitoring.adaptation import Adaptation, ModelChange

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from ...common.colours import BAD, ERROR, GOOD, INK, KINDS, MEASURED, PREDICTED, WARN, rgb
 from ...common.words import mm, percent
-from ...diagnosis.result import NOT_NEEDED, LoadVector, Value
+from ...diagnosis.result import NOT_NEEDED
+from ...inference.intervals import LoadVector, Value
 from ...report.sentences import load_words, rounded_quantity
 from .state import CURVE_SPAN_S
 

@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.arrays import Floats
-from ..comparison.predict import FreeParameter
-from ..comparison.statistics import chi2_sf, f_sf, normal_ppf, t_ppf
 from .imperfections import Kind, Members
 from .marginal import Prior, RandomEffects, Sizes, root_inverse
+from .predict import FreeParameter
+from .statistics import chi2_sf, f_sf, normal_ppf, t_ppf
 
 LEVERAGE_MAX = 0.999  # [1] of a value on its own prediction, else rounding would predict it
 FREEDOM_MIN = 3.0  # [1] of a variance: below, the t distribution would have no variance

@@ -15,14 +15,14 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.arrays import Floats
-from ..comparison.noise import Whitener
-from ..comparison.predict import CELLS, FreeParameter, Point, Predictor, free_parameters
-from ..comparison.statistics import chi2_sf, f_sf
 from ..data import DataSet
 from ..effects import Catalogue, Effect, Parameter
 from ..robot import Robot
 from .fit import FREEDOM_MANY, Fit, Nuisance
 from .imperfections import PLAUSIBLE_SIZES
+from .noise import Whitener
+from .predict import CELLS, FreeParameter, Point, Predictor, free_parameters
+from .statistics import chi2_sf, f_sf
 
 
 def why_untested(effect: Effect, dataset: DataSet, robot: Robot) -> str:

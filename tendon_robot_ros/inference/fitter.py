@@ -10,8 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..common.arrays import Floats
-from ..comparison.noise import Whitener
-from ..comparison.predict import FreeParameter, Point, Predictor
 from .fit import Fit, Nuisance, with_imperfections
 from .imperfections import (
     GAIN,
@@ -22,10 +20,12 @@ from .imperfections import (
     SplitPredictor,
 )
 from .marginal import STEP_FRACTIONS, STEPS_MAX, Prior, RandomEffects, Sizes
+from .noise import Whitener
+from .predict import FreeParameter, Point, Predictor
 from .search import Search
-from .verdict import BEST_FEW
 
 FAILURES = (ArithmeticError, np.linalg.LinAlgError)  # no equilibrium at a start, or on the path
+BEST_FEW = 3  # [1] of an order by a cheap estimate that are fitted, because the estimate may err
 ROUNDS_MAX = 8  # [1] of parameters, imperfections and sizes in turn, else one that creeps goes on
 DEVIANCE_CONVERGED = 0.1  # [1] of a round, because a likelihood ratio of 5 % decides nothing
 GAINS_TO_COME = 4.0  # [1] of the last round, so that gains falling by a fifth a round all count

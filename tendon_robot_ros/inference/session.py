@@ -11,9 +11,6 @@ import numpy.typing as npt
 
 from ..common.arrays import Floats
 from ..common.errors import Progress, listener
-from ..comparison.noise import Noise, Whitener, estimate_noise, input_slopes
-from ..comparison.outliers import Outliers, without_unsettled
-from ..comparison.predict import FreeParameter, Point, Predictor
 from ..data import DataSet
 from ..effects import Catalogue
 from ..robot import Robot
@@ -31,9 +28,13 @@ from .fit import Fit
 from .fitter import FAILURES, GAINS_TO_COME, Descent, Fitter
 from .imperfections import NO_IMPERFECTIONS, REMAINDER, Imperfections, Members, SplitPredictor
 from .marginal import RandomEffects
+from .noise import Noise, Whitener, estimate_noise, input_slopes
+from .outliers import Outliers, without_unsettled
+from .predict import FreeParameter, Point, Predictor
 from .slopes import imperfections
-from .verdict import ALARM_LEVEL, NEAR_SCORE, P_SEVERAL_MIN, P_SINGLE_MIN, TIE_SCORE
 
+NEAR_SCORE = 60.0  # [1] of deviance + 2 k behind the best: docs/diagnosis.md
+TIE_SCORE = 0.5  # [1] of deviance + 2 k: below it twins would be ordered by rounding
 Starts = Mapping[str, Fit | Point]
 
 
@@ -318,10 +319,6 @@ class Session:
         """Return a score that is comparable with other sessions on the same measurements."""
         return score + self.whitener.log_determinant
 
-    def holds(self, ranked: Ranked) -> bool:
-        """Return whether several effects are adequate, on left-out postures as well."""
-        return ranked.probability > P_SEVERAL_MIN and ranked.trust > P_SINGLE_MIN
-
     def base_fit(self, starts: Sequence[Fit] = ()) -> Fit:
         """
         Fit the declared tolerances and the imperfections alone, also from `starts`.
@@ -364,11 +361,6 @@ class Session:
         shift = self.whitener.white(ranked.fit.markers - base.markers)
         freedom = base.built.random.freedom(shift, base.built.sizes)
         return gain_p_value(base, ranked.fit, described, freedom)
-
-    def gain_is_significant(self, base: Fit, ranked: Ranked, among: int) -> bool:
-        """Return whether a gain is significant among so many, on left-out postures as well."""
-        held, _ = base.held_out(self.whitener.owners)
-        return self.gain_p_value(base, ranked) * among < ALARM_LEVEL and ranked.held_out < held
 
     def best(self, ranked: Sequence[Ranked]) -> Ranked:
         """Return the best by score; within a tie the first of the catalogue."""

@@ -9,25 +9,60 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from ..common.arrays import Floats
 from ..common.words import spoken
-from ..comparison.predict import FreeParameter, Point, Predictor
-from ..comparison.statistics import chi2_isf, chi2_sf, normal_ppf
 from .fit import Fit
 from .fitter import FAILURES, ROUNDS_MAX, Fitter
 from .marginal import NEGLIGIBLE, SIZE_MAX, Likelihood, Prior, RandomEffects
-from .result import LoadVector, Value
-from .verdict import CORRELATED_FROM, SIGNIFICANCE
+from .predict import FreeParameter, Point, Predictor
+from .statistics import SIGNIFICANCE, chi2_isf, chi2_sf, normal_ppf
 
 QUANTILE = normal_ppf(1.0 - 0.5 * SIGNIFICANCE)  # [1] sd, so that 95 % are inside
 CURVATURE_ERROR_MAX = 0.1  # [1] of an end by curvature, else the profile likelihood decides
 DIRECTION_TOLERANCE_RAD = 0.25 * math.pi  # [rad] half an interval, else it would be a guess
+CORRELATED_FROM = 0.98  # [1] correlation of two values; else an interval would be 5 times as wide
 NODES = 14  # [1] sizes at which an estimate is known, so that neighbours differ by a factor of 1.7
+
+
+@dataclass(frozen=True)
+class Value:
+    """A fitted parameter with its 95 % interval [unit]."""
+
+    value: float
+    low: float
+    high: float
+    unit: str
+    note: str = ''  # 'at its bound', 'not determined by these postures', 'correlated with ...'
+
+
+@dataclass(frozen=True)
+class LoadVector:
+    """
+    Size and direction of a force at an arm, with 95 % intervals.
+
+    Attributes
+    ----------
+    size : Value
+        [N]
+    from_axis : Value, optional
+        [rad] from the axis of the straight arm (+z of its base); None where undetermined.
+    around_axis : float
+        [rad] about that axis, from x towards y.
+    from_gravity : Value, optional
+        [rad] from the direction in which weights pull; None where undetermined or gravity is not
+        known.
+
+    """
+
+    size: Value
+    from_axis: Value | None
+    around_axis: float
+    from_gravity: Value | None = None
 
 
 def intervals(

@@ -8,9 +8,9 @@ from typing import Protocol
 import numpy as np
 
 from ..common.arrays import Floats
-from ..comparison.noise import Whitener
-from ..comparison.predict import FreeParameter, Point, Predictor, SettledShapes
 from .fit import Fit, Nuisance
+from .noise import Whitener
+from .predict import FreeParameter, Point, Predictor, SettledShapes
 
 Rates = tuple[Floats, ...]  # states (q, P, 3n) and tensions (q, P, m), per unit
 GAIN_MIN = 1e-3  # [1] of chi²: a smaller gain ends a search, because no decision rests on it

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from ..common.arrays import Floats
-from ..comparison.predict import CELLS, Conditions, FreeParameter, Point, Predictor
 from ..data import DataSet
 from ..effects import Catalogue, Parameter
 from ..robot import Robot
@@ -22,6 +21,7 @@ from ..robot.description import EffectValues, helix_angles, tendon_offsets
 from .candidates import Candidate
 from .fit import Fit
 from .imperfections import GAIN, HOLE, POSITION, ROTATION, ZERO
+from .predict import CELLS, Conditions, FreeParameter, Point, Predictor
 
 WRITABLE_KINDS = (CELLS, GAIN, HOLE, ZERO, POSITION, ROTATION)  # kinds that a description can hold
 PROFILE = 'bending_stiffness'  # of the description: how it changes along the arm

@@ -20,14 +20,14 @@ import numpy as np
 
 from ..common.arrays import Floats
 from ..common.errors import DataSetError
-from ..comparison.noise import NEGLIGIBLE
-from ..comparison.outliers import find_outliers
-from ..comparison.predict import mean_inputs
 from ..data import DataSet, DataSetLike, load_dataset
 from ..data.dataset import EarlierRecording
 from ..effects import CatalogueLike, load_catalogue
 from ..robot import RobotLike, load_robot
 from .crossval import described_by, predict
+from .noise import NEGLIGIBLE
+from .outliers import find_outliers
+from .predict import mean_inputs
 from .session import Session
 
 ALIKE = ('markers', 'input', 'input_names')  # what both recordings must have in common

@@ -17,7 +17,6 @@ from itertools import product
 import numpy as np
 
 from ..common.arrays import Floats
-from ..comparison.predict import CELLS, Point
 from ..model.derivatives import residuals, responses, shown
 from ..model.pulls import SLACK_BELOW_N
 from ..model.shape import ShapeBatch
@@ -39,6 +38,7 @@ from .imperfections import (
     planar_axis,
     remainders,
 )
+from .predict import CELLS, Point
 
 STEP = 1e-6  # [1], [rad], [N] of differences without solving, because rounding is 1e-16
 

@@ -15,8 +15,6 @@ import numpy.typing as npt
 
 from ..common.arrays import Floats
 from ..common.errors import NoEquilibriumError
-from ..comparison.noise import Whitener, estimate_noise, input_slopes, rms
-from ..comparison.predict import Predictor
 from ..data import DataSet
 from ..effects import Catalogue
 from ..robot import Robot
@@ -24,12 +22,15 @@ from .description import changed_robot, with_members, with_tolerances, written_m
 from .fit import LEVERAGE_MAX, Fit, covariance_root, gram_eigen
 from .fitter import Fitter
 from .marginal import RIDGE
-from .verdict import LEFT_OUT_RATIO_MAX
+from .noise import Whitener, estimate_noise, input_slopes, rms
+from .predict import Predictor
 
 if TYPE_CHECKING:
     from .session import Session
 
 FOLDS = 6  # [1] groups of postures left out in turn, because each costs a run of the model
+# [1] ratio of the errors left out from which the arm as found is written: docs/diagnosis.md
+LEFT_OUT_RATIO_MAX = 0.95
 Groups = npt.NDArray[np.int64]
 
 
@@ -122,7 +123,7 @@ def model_error_of(dataset: DataSet, squares: Floats, floor: float) -> float:
     Return the size at the tip [m] of the error of a model that left-out postures show.
 
     By least squares, for an error whose square grows along the arm with the arc length, as
-    `comparison.noise.common_error`.
+    `noise.common_error`.
 
     Parameters
     ----------

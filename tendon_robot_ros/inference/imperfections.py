@@ -19,11 +19,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.arrays import Floats
-from ..comparison.predict import CELLS, Conditions, FreeParameter, Point, Predictor, SettledShapes
 from ..effects import Catalogue
 from ..model.shape import ShapeBatch
 from ..robot import Robot, Section
 from ..robot.description import EffectValues
+from .predict import CELLS, Conditions, FreeParameter, Point, Predictor, SettledShapes
 
 KINK, ACROSS, GAIN, HOLE = 'cell_kink', 'cell_kink_across', 'channel_gain', 'hole_radius'
 ZERO, POSITION, ROTATION = 'pull_zero', 'position', 'rotation'
@@ -92,7 +92,7 @@ def remainders(predictor: Predictor) -> Floats:
     """
     Return columns (q, P, J, 3) of a remainder of 1 m sd at the tip, posture by posture.
 
-    An error that grows along the arm like a random walk, as `comparison.noise.common_error`: its
+    An error that grows along the arm like a random walk, as `noise.common_error`: its
     `REMAINDER_SHAPES` principal shapes in each direction.
     """
     dataset = predictor.dataset

@@ -16,6 +16,7 @@ from scipy import special
 
 from ..common.arrays import Floats
 
+SIGNIFICANCE = 0.05  # [1] 1 of 20 by chance: of 95 % intervals, and of what is named
 ERRORS = ('ci', 'sem')  # 95 % t-interval of the mean, or its standard error
 
 
