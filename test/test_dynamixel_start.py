@@ -226,7 +226,7 @@ def test_a_motor_that_does_not_turn_is_refused_and_the_torque_is_off():
 def test_a_motor_that_winds_too_slowly_is_named(monkeypatch):
     monkeypatch.setattr(motions, 'TURNING_TIMEOUT_S', 0.25)
     arm = SpringArm(np.full(4, emulated.STIFFNESS), np.array([0.004, 0.004, 0.5, 0.004]))
-    changes = {'home_speed': 0.1, 'home_travel': 0.02}
+    changes = {'home_speed': 0.1, 'home_travel': 0.1}
     with emulated.line(arm=arm) as line, driver_for(line, 'pull', **changes) as driver:
         driver.cancelled = lambda: line.servo(3).put('profile_velocity', 24)  # 11 mm/s
         with pytest.raises(DriverError, match=r': west \(id 3\): looking for slack took too long'):

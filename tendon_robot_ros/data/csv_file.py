@@ -25,6 +25,7 @@ from .dataset import BoolArray, FloatArray, IntArray
 NEEDED = 'every data set needs this file'
 BLOCK_ROWS = 1 << 13  # [1] that are parsed at once, so that they stay in the cache
 EMPTY_CELL = re.compile(r',(?=[,\n]|\Z)')
+EMPTY_ROW = re.compile('^,+$', re.M)
 Block = NDArray[np.void]  # rows of a CSV file: names as text, numbers as floats
 
 
@@ -282,7 +283,7 @@ def _parse(lines: Sequence[str], dtype: np.dtype[Any]) -> Block | None:
     """Parse lines of valid numbers; empty cells become NaN. None: use `_parse_exactly`."""
     text, missing = '\n'.join(lines), 0
     if ',,' in text or ',\n' in text or text.endswith(','):
-        if '"' in text or 'nan' in text.lower():
+        if '"' in text or 'nan' in text.lower() or EMPTY_ROW.search(text):
             return None
         text, missing = EMPTY_CELL.subn(',nan', text)
         lines = text.split('\n')

@@ -70,6 +70,8 @@ class Fit:
     jacobian: Floats  # (N + priors, q) whitened derivative of the residual
     markers: Floats  # (P, J, 3) [m] of the model alone, without the imperfections
     built: Scatter = NO_SCATTER
+    response: float = 0.0  # relative 1 sd of the model's response, where its error is known
+    described: Floats | float = 0.0  # (k,) SI, of the freed parameters
 
     @property
     def as_built(self) -> bool:
@@ -143,12 +145,14 @@ class Fit:
         each kind in `covariance` grows by the ratio of the mean of its variance (log-normal) to
         the likeliest one, and by imperfections that act like it (`Kind.beside`); few degrees of
         freedom behind the sizes make the tails longer (Satterthwaite 1946, applied as by Kenward
-        and Roger 1997).
+        and Roger 1997). A model that is known to be off by a share of what it moves is off by that
+        share in what a change of a value does, too.
         """
         k, q = len(self.frees), len(self.all_frees)
-        plain = self.covariance[:k, :k]
+        change = self.response * (self.values[:k] - self.described)
+        known, plain = np.outer(change, change), self.covariance[:k, :k]
         if not self.as_built or not k:
-            return plain
+            return plain + known
         random, sizes = self.built.random, self.built.sizes
         doubt = random.log_variance_of_sizes(sizes)
         more = np.expm1(np.minimum(0.5 * np.diag(doubt), 0.5))
@@ -163,7 +167,7 @@ class Fit:
             freedom = max(2.0 * size**2 / own, FREEDOM_MIN) if own > 0.0 else np.inf
             if np.isfinite(size) and freedom <= FREEDOM_MANY:
                 tails[i] = t_ppf(0.975, freedom) / normal_ppf(0.975)
-        return np.asarray(grown * np.outer(tails, tails))
+        return np.asarray(grown * np.outer(tails, tails) + known)
 
     @property
     def prior_z(self) -> dict[str, float]:

@@ -58,6 +58,8 @@ class Fitter:
         Default: none, the description is exact.
     imperfections : Imperfections
         Slopes of the markers by these.
+    response : float
+        Known relative error of the model's response, which widens intervals.
 
     """
 
@@ -69,7 +71,9 @@ class Fitter:
         columns: Mapping[FreeParameter, Floats] | None = None,
         random: RandomEffects | None = None,
         imperfections: Imperfections = NO_IMPERFECTIONS,
+        response: float = 0.0,
     ) -> None:
+        self.response = response
         self.predictor, self.whitener = predictor, whitener
         self.columns: Mapping[FreeParameter, Floats] = dict(columns or {})
         self.random = random or RandomEffects.none(whitener.size)
@@ -253,6 +257,8 @@ class Fitter:
             with self.predictor.as_described():
                 described = self.predictor.markers(search.point)
             plain = plain if described is None else replace(plain, markers=described)
+        described = np.array([self.predictor.value(free) for free in search.frees])
+        plain = replace(plain, response=self.response, described=described)
         return with_imperfections(plain, self.random, self.sizes, self.around)
 
     def linearise_around(self, members: Members) -> None:
