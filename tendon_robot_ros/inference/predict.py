@@ -285,18 +285,8 @@ class Predictor:
         )
         self.inputs = mean_inputs(dataset)
         self.visits = None if dataset.visits is None else dataset.visits.masked(dataset.trial_mask)
-        self.around: Mapping[str, Floats] = {}  # imperfections by kind; see `SplitPredictor`
         self.settled: SettledShapes | None = None  # of the last prediction
         self._first: SettledShapes | None = None
-
-    @contextmanager
-    def as_described(self) -> Iterator[None]:
-        """Predict without imperfections while the block runs."""
-        around, self.around = self.around, {}
-        try:
-            yield
-        finally:
-            self.around = around
 
     def value(self, free: FreeParameter) -> float:
         """Value that the description gives a parameter (neutral where it is not listed)."""
