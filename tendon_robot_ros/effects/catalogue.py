@@ -24,6 +24,7 @@ BUILT_IN = (
     'straight_tendon',
     'eyelet_clearance',
     'hinge_friction',
+    'bending_hysteresis',
     'backbone_stiffness',
     'section_stiffness',
     'tendon_stiffness',

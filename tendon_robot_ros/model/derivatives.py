@@ -29,6 +29,8 @@ TENSION_STEP = DIFFERENCE_STEP  # [N]
 # to 1e-10 rad
 REMEMBERED_STEP = 16.0
 RIGID_BELOW = EPSILON / DIFFERENCE_STEP  # [m/N] rounding of places of 1 m, and no compliance
+# [1] of the largest: lengths of opposite wires do not determine how hard these pull
+HELD_RCOND = 1e-9
 
 
 def tip_jacobian(model: ForwardModel, tensions: Floats) -> Floats:
@@ -139,6 +141,71 @@ def derivatives(
                 sides.append(output(model.shapes(move.inputs(shapes.inputs, side), shapes.state)))
         slopes.append(_per_unit(sides, move))
     return np.stack(slopes, axis=-1)
+
+
+@dataclass(frozen=True)
+class PathSlopes:
+    """
+    Derivatives of equilibria that follow one another, b in a sequence from straight.
+
+    With them a model that is a little other is solved to first order along the whole path
+    (`shapes`): by a step of Newton at every posture, each after the memory that the step before
+    leaves. For arms whose bends remember; friction that remembers follows the tensions between
+    the postures, too.
+    """
+
+    model: ForwardModel
+    inputs: Floats  # (b, m) [N]
+    states: Floats  # (b, 3n) [rad]
+    answers: Floats  # (b, u, u) [1] state by residual
+    by_tension: Floats  # (b, m, u) [rad/N] state
+    held: Floats  # (b, m, m) [N/m] tensions by the wire pulls that motors hold
+    by_pulls: bool  # whether they hold pulls, else tensions
+
+    @classmethod
+    def of(
+        cls, model: ForwardModel, inputs: Floats, states: Floats, by_pulls: bool
+    ) -> PathSlopes:
+        """Take the derivatives at equilibria of the model as it is now, by tensions or pulls."""
+        model.arrays.link()
+        (b, m), u = inputs.shape, _unknowns(model)
+        inputs, states = np.ascontiguousarray(inputs), np.ascontiguousarray(states)
+        answers, by_tension = np.empty((b, u, u)), np.empty((b, m, u))
+        pulls, held = np.empty((b, m, m)), np.zeros((b, m, m))
+        past, part = model.arrays.fresh_memory(), model.arrays.part('derivatives')
+        part.path_slopes(
+            model.arrays.address, inputs, states, past, model.scratch, answers, by_tension, pulls
+        )
+        for own, tensions, slopes in zip(held, inputs, pulls, strict=True):
+            taut = np.ix_(*[np.flatnonzero(tensions > SLACK_BELOW_N)] * 2)
+            own[taut] = np.linalg.pinv(slopes[taut], rcond=HELD_RCOND) if by_pulls else 0.0
+        return cls(model, inputs, states, answers, by_tension, held, by_pulls)
+
+    def shapes(self, commanded: Floats) -> ShapeBatch:
+        """
+        Return the shapes (b) of the model as it is now, to first order.
+
+        Parameters
+        ----------
+        commanded : (b, m)
+            Tensions [N], or wire pulls [m] where the motors hold these; NaN: a slack wire.
+
+        """
+        model = self.model
+        inputs = (self.inputs if self.by_pulls else np.ascontiguousarray(commanded)).copy()
+        states, past = self.states.copy(), model.arrays.fresh_memory()
+        model.arrays.part('derivatives').path_steps(
+            model.arrays.address,
+            inputs,
+            states,
+            np.nan_to_num(commanded),
+            past,
+            model.scratch,
+            self.answers,
+            self.by_tension,
+            self.held,
+        )
+        return shown(model, inputs, states)
 
 
 class Move(Protocol):

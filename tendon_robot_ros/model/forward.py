@@ -104,8 +104,8 @@ class ForwardModel:
 
     @property
     def remembers(self) -> bool:
-        """Whether friction remembers the loading history."""
-        return self.acts_at('memory')
+        """Whether the arm remembers the loading history, by its friction or its bends."""
+        return self.acts_at('memory') or self.acts_at('hysteresis')
 
     @property
     def sticks(self) -> bool:

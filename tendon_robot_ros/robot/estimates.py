@@ -210,7 +210,7 @@ def natural_sizes(robot: Robot) -> dict[str, float]:
     Return natural sizes of a robot, in SI units; a robot scaled in length or force scales them.
 
     They are the scales of its physics, not its limits: radius [m] of the outermost tendon, length
-    [m], stiffness [N·m/rad] of a cell, tension [N] of one tendon that bends the arm by one radian
+    [m], bend [rad] of a cell of an arm that bends by one radian, stiffness [N·m/rad] of a cell, tension [N] of one tendon that bends the arm by one radian
     (at most the limit), force [N] across the tip that does about the same, density [kg/m] whose
     weight is such a force, and the inverse of the tension per unit of length, compliance [1/N],
     and per radius, give [m/N].
@@ -231,6 +231,7 @@ def natural_sizes(robot: Robot) -> dict[str, float]:
     return {
         'radius': radius,
         'length': robot.length,
+        'bend': 1.0 / len(stiffness),
         'stiffness': len(stiffness) / softness,
         'tension': tension,
         'force': force,

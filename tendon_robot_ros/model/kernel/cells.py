@@ -304,6 +304,7 @@ def is_linear(chain):
         stages.moment_acts(chain)
         or stages.joint_friction_acts(chain)
         or stages.stiffening_acts(chain)
+        or stages.hysteresis_acts(chain)
     )
 
 
@@ -329,6 +330,67 @@ def bend_linear(chain, work, i, mx, my, load_x, load_y, scale):
 
 
 @compiled
+def moment_held(chain, past, i, bx, by):
+    """Moment (x, y) [N·m] that cell i holds against its bend after it has moved to (bx, by)."""
+    section, held, before = section_of(chain, i), floats(past.moment), floats(past.bend)
+    return stages.hysteresis(
+        held[2 * i],
+        held[2 * i + 1],
+        bx - before[2 * i],
+        by - before[2 * i + 1],
+        cell_stiffness(chain, i, section),
+        chain,
+        section,
+    )
+
+
+@compiled
+def unbalanced(chain, past, i, bx, by, mx, my):
+    """Moment (x, y) [N·m] by which a bend needs more than acts on the cell."""
+    ex, ey = elastic_moment(chain, i, bx, by)
+    hx, hy = moment_held(chain, past, i, bx, by)
+    return ex + hx - mx, ey + hy - my
+
+
+@compiled
+def bend_against(chain, past, i, mx, my):
+    """
+    Bend (x, y) of a cell whose hysteresis takes part of the moment on it.
+
+    By Broyden's method from the bend in the posture before, with slopes (xx, xy; yx, yy) of which
+    the first are differences; NaN where there is none.
+    """
+    stiffness = cell_stiffness(chain, i, section_of(chain, i))
+    x, y = floats(past.bend)[2 * i], floats(past.bend)[2 * i + 1]
+    fx, fy = unbalanced(chain, past, i, x, y, mx, my)
+    ax, ay = unbalanced(chain, past, i, x + DIFFERENCE_STEP, y, mx, my)
+    bx, by = unbalanced(chain, past, i, x - DIFFERENCE_STEP, y, mx, my)
+    cx, cy = unbalanced(chain, past, i, x, y + DIFFERENCE_STEP, mx, my)
+    dx, dy = unbalanced(chain, past, i, x, y - DIFFERENCE_STEP, mx, my)
+    half = 0.5 / DIFFERENCE_STEP
+    xx, yx, xy, yy = half * (ax - bx), half * (ay - by), half * (cx - dx), half * (cy - dy)
+    for _ in range(60):
+        size, over, part = fx * fx + fy * fy, 1.0 / (xx * yy - xy * yx), 1.0
+        if size < (EPSILON * stiffness) ** 2:
+            return x, y
+        to_x, to_y = over * (xy * fy - yy * fx), over * (yx * fx - xx * fy)
+        gx, gy = unbalanced(chain, past, i, x + to_x, y + to_y, mx, my)
+        while not gx * gx + gy * gy < size and part > 1e-3:
+            part *= 0.5
+            gx, gy = unbalanced(chain, past, i, x + part * to_x, y + part * to_y, mx, my)
+        to_x, to_y = part * to_x, part * to_y
+        moved = to_x * to_x + to_y * to_y
+        if moved < (10.0 * EPSILON) ** 2:
+            return x, y
+        x, y = x + to_x, y + to_y
+        ex = (gx - fx - xx * to_x - xy * to_y) / moved
+        ey = (gy - fy - yx * to_x - yy * to_y) / moved
+        xx, xy, yx, yy = xx + ex * to_x, xy + ex * to_y, yx + ey * to_x, yy + ey * to_y
+        fx, fy = gx, gy
+    return math.nan, math.nan
+
+
+@compiled
 def bend_cell(chain, past, i, mx, my, total):
     """Bend (x, y) of a cell under a moment [N·m] and the sum of tensions [N] that press it."""
     section = section_of(chain, i)
@@ -347,6 +409,8 @@ def bend_cell(chain, past, i, mx, my, total):
         if size > 0.0:
             factor = stages.joint_friction(size, total, chain, section) / size
             mx, my = hx + dx * factor, hy + dy * factor
+    if stages.hysteresis_acts(chain):
+        return bend_against(chain, past, i, mx, my)
     size = math.sqrt(mx * mx + my * my)
     x0, y0 = stages.rest(0.0, 0.0, chain, section)
     if size == 0.0:

@@ -17,8 +17,10 @@ from .cells import half_turns, unknowns
 from .layout import (
     DIFFERENCE_STEP,
     address,
+    assign,
     chain_at,
     compiled,
+    copy,
     entry,
     floats,
     keep,
@@ -26,9 +28,19 @@ from .layout import (
     memory_in,
     memory_size,
     words,
+    work_size,
 )
 from .linearisation import TRAVEL_STEP
-from .shape import SAME_SIGN, mean_pulls, place, remember, wire_pulls, work_in, workspace
+from .shape import (
+    SAME_SIGN,
+    mean_pulls,
+    place,
+    remember,
+    remember_bends,
+    wire_pulls,
+    work_in,
+    workspace,
+)
 from .sweep import is_implicit
 
 # [N] of forward differences, too: a longer one would err by as much as low tensions weigh in a
@@ -220,6 +232,99 @@ def take_sides(robot, inputs, bends, step, past, scratch):
                 changed += 1
     keep(kept)
     return changed
+
+
+@entry()
+def path_slopes(robot, inputs, states, past, scratch, answers, by_tension, pulls):
+    """
+    Fill the derivatives of equilibria that follow one another, each after the memory of the last.
+
+    Parameters
+    ----------
+    robot : int
+        Address of a Chain.
+    inputs, states : ndarray, shapes (b, m) and (b, 3n)
+        Equilibria [N], [rad].
+    past : ndarray
+        Memory before the first; moves on.
+    scratch : int
+        Address of `KernelArrays.scratch`.
+    answers, by_tension : ndarray, shapes (b, u, u) and (b, m, u)
+        Take the derivatives of the state by its residual [1] and by the tensions [rad/N].
+    pulls : ndarray, shape (b, m, m)
+        Takes the derivatives of the wire pulls by the tensions [m/N].
+
+    """
+    chain = chain_at(robot)
+    size, m = unknowns(chain), chain.m
+    bends, both = np.zeros((2, 3 * chain.n)), np.empty((6 + m, m))
+    solver, unit, f = workspace(chain, bends, past, scratch), np.eye(size), np.empty(size)
+    for b in range(inputs.shape[0]):
+        tension = address(inputs) + 8 * m * b
+        copy(address(states) + 24 * chain.n * b, solver.bend, size)
+        output_slopes(chain, tension, solver, by_tension[b], both)
+        pulls[b] = both[6:]
+        chain.residual(chain, tension, solver.bend, solver.work, solver.past, address(f))
+        rows = address(answers) + 8 * size * size * b
+        chain.respond(
+            chain, solver.bend, address(unit), size, solver.work, solver.past, rows, 0
+        )
+        remember_bends(chain, tension, solver.bend, solver.past, solver.now)
+        copy(solver.now.bend, solver.past.bend, memory_size(chain.n, chain.k, m))
+    keep(bends)
+    keep(unit)
+    keep(f)
+
+
+@entry()
+def path_steps(robot, inputs, states, pulls, past, scratch, answers, by_tension, held):
+    """
+    Move equilibria that follow one another by a step of Newton each, memory included.
+
+    Parameters
+    ----------
+    robot : int
+        Address of a Chain, a little other than that of the equilibria.
+    inputs, states : ndarray, shapes (b, m) and (b, 3n)
+        [N], [rad]; moved in place.
+    pulls : ndarray, shape (b, m)
+        Requested wire pulls [m].
+    past : ndarray
+        Memory before the first; moves on.
+    scratch : int
+        Address of `KernelArrays.scratch`.
+    answers, by_tension : ndarray, shapes (b, u, u) and (b, m, u)
+        See `path_slopes`, of the equilibria before they move.
+    held : ndarray, shape (b, m, m)
+        Tensions by wire pulls [N/m] that the motors hold; zero where they hold tensions.
+
+    """
+    chain = chain_at(robot)
+    size, m, k = unknowns(chain), chain.m, chain.k
+    work, then = work_in(chain, scratch), memory_in(chain, address(past))
+    now = memory_in(chain, scratch + 8 * work_size(chain.n, k))
+    f, wires, means, before = np.empty(size), np.empty(k), np.empty(m), np.empty(m)
+    for b in range(inputs.shape[0]):
+        tension, bend = address(inputs) + 8 * m * b, address(states) + 24 * chain.n * b
+        chain.residual(chain, tension, bend, work, then, address(f))
+        for r in range(size):
+            for q in range(size):
+                states[b, r] += f[q] * answers[b, q, r]
+        if held[b].any():
+            place_as(chain, tension, bend, work, then)
+            wire_pulls(chain, bend, work, address(wires))
+            mean_pulls(chain, address(wires), address(means))
+            assign(before, inputs[b])
+            for j in range(m):
+                for r in range(m):
+                    inputs[b, j] += held[b, j, r] * (pulls[b, r] - means[r])
+                for q in range(size):
+                    states[b, q] += (inputs[b, j] - before[j]) * by_tension[b, j, q]
+        remember_bends(chain, tension, bend, then, now)
+        copy(now.bend, then.bend, memory_size(chain.n, k, m))
+    keep(f)
+    keep(wires)
+    keep(means)
 
 
 @entry()

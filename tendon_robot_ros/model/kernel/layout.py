@@ -86,9 +86,9 @@ LENGTH, STIFFNESS, MASS, HINGE, SECTION, PRESENT, MASS_X, MASS_Y = range(COLUMNS
 # The state of a posture: bends (n, 2) [rad], and behind them twists (n,) [rad], which count only
 # where cells twist; `bend` and `bends` are addresses of states.
 
-# Memory: what friction remembers of the last posture: its state (3n,) [rad], sign (n, k),
-# travel (n, k) [m], inputs (m,) [N]; one array, in this order.
-Memory = namedtuple('Memory', 'bend sign travel inputs')
+# Memory: what the arm remembers of the last posture: its state (3n,) [rad], of friction sign (n, k)
+# and travel (n, k) [m], inputs (m,) [N], moment (n, 2) [N·m] held against the bend; one array.
+Memory = namedtuple('Memory', 'bend sign travel inputs moment')
 
 # Work: scratch of one posture. half (n, 2): half angles, see `cells`; wrench (n, 6): force [N]
 # and torque [N·m] at the cells' ends of the loads beyond; lag (2, n, k): by how much the travel
@@ -194,8 +194,8 @@ def address_of(function):
 
 @register_jitable
 def memory_size(n, k, m):
-    """Floats that the friction memory takes."""
-    return 3 * n + 2 * n * k + m
+    """Floats that the memory of a posture takes."""
+    return 5 * n + 2 * n * k + m
 
 
 @register_jitable
@@ -260,11 +260,12 @@ def chain_at(start):
 
 @compiled
 def memory_in(chain, start):
-    """Friction memory in an array of `memory_size` floats; all zero is straight and slack."""
+    """Memory in an array of `memory_size` floats; all zero is straight and slack."""
     n, k = chain.n, chain.k
     sign = start + 8 * 3 * n
     travel = sign + 8 * n * k
-    return Memory(start, sign, travel, travel + 8 * n * k)
+    inputs = travel + 8 * n * k
+    return Memory(start, sign, travel, inputs, inputs + 8 * chain.m)
 
 
 @compiled

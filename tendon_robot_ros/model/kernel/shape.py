@@ -10,7 +10,7 @@ import numpy as np
 from numba import types
 
 from . import stages
-from .cells import cell_stiffness, is_general, unknowns
+from .cells import cell_stiffness, is_general, moment_held, unknowns
 from .equilibrium import NEAR_STEPS_MAX, SAFE_LOAD, is_planar, load_ratio
 from .geometry import scale_lengths, tendon_travel, travel_beyond
 from .layout import (
@@ -120,9 +120,19 @@ def posture(chain, inputs, work, past, now, bend, before):
     if stages.memory_acts(chain):
         return chain.ramped(chain, inputs, work, past, now, bend, before)
     change = settle(chain, inputs, work, past, bend)
+    remember_bends(chain, inputs, bend, past, now)
+    return change
+
+
+@compiled
+def remember_bends(chain, inputs, bend, past, now):
+    """Fill what the memory `now` has of state, inputs and held moments after `past`."""
+    if stages.hysteresis_acts(chain):
+        for i in range(chain.n):
+            x, y = moment_held(chain, past, i, floats(bend)[2 * i], floats(bend)[2 * i + 1])
+            floats(now.moment)[2 * i], floats(now.moment)[2 * i + 1] = x, y
     copy(bend, now.bend, unknowns(chain))
     copy(inputs, now.inputs, chain.m)
-    return change
 
 
 @compiled
@@ -318,9 +328,8 @@ def remembered(chain, sign, moved, section):
 
 @compiled
 def remember(chain, inputs, bend, work, past, now):
-    """Fill the friction memory `now` after a posture that came after `past`."""
-    copy(bend, now.bend, unknowns(chain))
-    copy(inputs, now.inputs, chain.m)
+    """Fill the memory `now` after a posture that came after `past`, with friction that remembers."""
+    remember_bends(chain, inputs, bend, past, now)
     tendon_travel(chain, bend, stages.offset_scale(1.0, chain, 0), work)
     slides = stages.friction_travel_acts(chain)
     if slides:
