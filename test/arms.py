@@ -17,6 +17,7 @@ OWN_SIZES = {  # where the typical size, or its sign, would show less
     'straight_tendon': {'fraction': 0.8},
     'eyelet_clearance': {'clearance': 2e-4},
     'hinge_friction': {'lever': 2e-4},
+    'bending_hysteresis': {'lag': 0.02, 'presliding': 0.5},
     'backbone_stiffness': {'relative_change': 0.1},
     'section_stiffness': {'relative_change': (0.2, -0.1)},
     'tendon_stiffness': {'per_tendon': 5e-4},

@@ -11,7 +11,7 @@ import math
 from functools import cache, lru_cache
 
 import numpy as np
-from scipy.optimize import brentq
+from scipy.optimize import brentq, root
 from scipy.spatial.transform import Rotation
 
 STEP = 1e-5  # [rad] of central differences
@@ -250,7 +250,18 @@ class Reference:
         cubic = self.get('nonlinear_stiffness', 'cubic')
         most = 2.0 * size / k if cubic >= 0.0 else (-3.0 * cubic) ** -0.5  # there it gives way
         angle = brentq(lambda t: k * t * (1.0 + cubic * t * t) - size, 0.0, most, xtol=1e-15)
-        return self.rest + angle * along
+        bend = self.rest + angle * along
+        lag = self.get('bending_hysteresis', 'lag', section=self.sections[i])
+        if lag == 0.0:
+            return bend
+        rate = self.get('bending_hysteresis', 'presliding', 1.0) / lag
+
+        def excess(b):  # of an arm that comes from straight
+            t, turned = b - self.rest, np.hypot(*b)
+            held = k * lag * (1.0 - math.exp(-rate * turned)) * b / max(turned, 1e-300)
+            return k * t * (1.0 + cubic * t @ t) + held - size * along
+
+        return root(excess, bend, tol=1e-14).x
 
     def implied(self, inputs, state, signs=None):
         """State (3n,) [rad] that the laws ask for, arms and loads taken at `state`."""

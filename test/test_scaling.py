@@ -30,8 +30,8 @@ TENSIONS = np.array([[0.1, 0.9, 0.1, 0.5], [1.2, 0.1, 0.1, 0.4]])
 
 
 def test_natural_sizes_scale_as_their_units():
-    units = {'radius': 'm', 'length': 'm', 'stiffness': 'N·m/rad', 'tension': 'N', 'force': 'N'}
-    units |= {'density': 'kg/m', 'compliance': '1/N', 'give': 'm/N'}
+    units = {'radius': 'm', 'length': 'm', 'bend': 'rad', 'stiffness': 'N·m/rad'}
+    units |= {'tension': 'N', 'force': 'N', 'density': 'kg/m', 'compliance': '1/N', 'give': 'm/N'}
     robot = spatial(taper=0.7)
     for length, stiffness in SCALES:
         found = natural_sizes(scaled(robot, length, stiffness))

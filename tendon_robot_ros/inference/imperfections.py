@@ -182,17 +182,6 @@ class SplitPredictor(Predictor):
             return 0.0
         return float(known.get(HOLE, PLAUSIBLE_SIZES[HOLE][1]))
 
-    def markers(
-        self,
-        point: Point,
-        inputs: Floats | None = None,
-        stiffness: Floats | None = None,
-        near: SettledShapes | None = None,
-    ) -> Floats | None:
-        """Predict marker positions of the arm as built; see `Predictor.markers`."""
-        given = self.given(self.inputs if inputs is None else inputs)
-        return super().markers(point, given, stiffness, near)
-
     def set_parameters(
         self, point: Point, part: Conditions, stiffness: Floats | None = None
     ) -> None:

@@ -16,7 +16,7 @@ from ..data import DataSet, Part
 from ..data.arrays import Visits
 from ..effects import Catalogue, Effect, Parameter
 from ..model.compile import KernelArrays
-from ..model.derivatives import TENSION_STEP, Move, follow
+from ..model.derivatives import TENSION_STEP, Move, PathSlopes, follow
 from ..model.forward import TOLERANCE, ForwardModel
 from ..model.model import Model
 from ..model.pulls import SLACK_BELOW_N, pull_shapes
@@ -320,7 +320,7 @@ class Predictor:
             To start from (`settled` of a neighbouring point); default: the first one.
 
         """
-        inputs, near = self.inputs if inputs is None else inputs, near or self._first
+        inputs, near = self.given(self.inputs if inputs is None else inputs), near or self._first
         P, n = len(inputs), self.model.arrays.chain.n
         placed = np.empty((P, len(self.dataset.markers), 3))
         settled = SettledShapes(np.empty(inputs.shape), np.empty((P, 3 * n)))
@@ -337,6 +337,10 @@ class Predictor:
             self._first = settled
         return placed
 
+    def given(self, inputs: Floats) -> Floats:
+        """Return the inputs (P, m) [N] or [m] that reach the arm."""
+        return inputs
+
     def tangent(
         self, point: Point, frees: Sequence[FreeParameter], settled: SettledShapes
     ) -> Tangent | None:
@@ -344,10 +348,15 @@ class Predictor:
         Return the derivatives of equilibria by freed parameters, without solving again.
 
         By the implicit function theorem (`model.derivatives.follow`); where wire pulls are
-        commanded, tensions answer so that taut wires keep theirs. None where friction remembers:
-        only further solutions show it.
+        commanded, tensions answer so that taut wires keep theirs. None where friction remembers,
+        or bends do and postures have several visits: only further solutions show it.
         """
         P, n, q = len(settled.state), self.model.arrays.chain.n, len(frees)
+        stages = {self.model.catalogue[f.effect].stage for f in frees if self.is_effect(f)}
+        if 'memory' in stages or self.model.friction_remembers:
+            return None
+        if self.carries or ('hysteresis' in stages and self.dataset.path != 'from_straight'):
+            return None if self.visits is not None else self._path_tangent(point, frees, settled)
         moved = Tangent(
             np.empty((q, P, len(self.dataset.markers), 3)),
             np.empty((q, P, 3 * n)),
@@ -356,8 +365,6 @@ class Predictor:
         for part in self.parts:
             start, count = settled.of(part.rows), len(part.rows)
             self.set_parameters(point, part)
-            if self.model.remembers:
-                return None
             moves: list[Move] = [self._freed(point, part, free) for free in frees]
             if self.dataset.input == 'displacement':
                 m = start.tensions.shape[1]
@@ -377,12 +384,66 @@ class Predictor:
             moved.states[:, part.rows] = states
         return moved
 
+    @property
+    def carries(self) -> bool:
+        """Whether a posture depends on the one before, by what the model is set to remember."""
+        return self.model.remembers and self.dataset.path != 'from_straight'
+
+    def is_effect(self, free: FreeParameter) -> bool:
+        """Tell whether a parameter belongs to an effect of the catalogue."""
+        return free.effect in self.model.catalogue
+
+    def along_path(
+        self, point: Point, settled: SettledShapes
+    ) -> Callable[[Point], tuple[Floats, SettledShapes]]:
+        """
+        Return a function that predicts markers (P, J, 3) [m] of a sequence near a point.
+
+        To first order, at the cost of one step for every posture; see `PathSlopes`.
+        """
+        slopes, by_pulls = [], self.dataset.input == 'displacement'
+        for part in self.parts:
+            self.set_parameters(point, part)
+            start = settled.of(part.rows)
+            slopes.append(PathSlopes.of(self.model, start.tensions, start.state, by_pulls))
+
+        def near(moved: Point) -> tuple[Floats, SettledShapes]:
+            placed = np.empty((len(self.inputs), len(self.dataset.markers), 3))
+            then = SettledShapes(np.empty_like(settled.tensions), np.empty_like(settled.state))
+            for part, path in zip(self.parts, slopes, strict=True):
+                self.set_parameters(moved, part)
+                shapes = path.shapes(self.given(self.inputs)[part.rows])
+                placed[part.rows] = self.see(shapes)
+                then.tensions[part.rows], then.state[part.rows] = shapes.inputs, shapes.state
+            return placed, then
+
+        return near
+
+    def _path_tangent(
+        self, point: Point, frees: Sequence[FreeParameter], settled: SettledShapes
+    ) -> Tangent:
+        """Return the derivatives of a sequence that remembers its bends; see `tangent`."""
+        start = {**{free: self.value(free) for free in frees if self.is_effect(free)}, **point}
+        near, columns = self.along_path(start, settled), []
+        for free in frees:
+            down, up = self._ends(start, free)
+            value, width = start.get(free, 0.0), up - down
+            low, high = (near({**start, free: value + side}) for side in (down, up))
+            pairs = zip(_moved(low), _moved(high), strict=True)
+            columns.append([(above - below) / width for below, above in pairs])
+        return Tangent(*(np.array(part) for part in zip(*columns, strict=True)))
+
+    def _ends(self, point: Point, free: FreeParameter) -> tuple[float, float]:
+        """Return how far a parameter varies down and up, within its bounds."""
+        value, own = point.get(free, self.value(free)), free.parameter
+        step = TANGENT_STEP * max(abs(value), own.typical)
+        return max(-step, own.low - value), min(step, own.high - value)
+
     def _freed(self, point: Point, part: Conditions, free: FreeParameter) -> Freed | Shifted:
         """Return the variation of a parameter about a point; the model is set to the point."""
         value, own, count = point.get(free, self.value(free)), free.parameter, len(part.rows)
-        step = TANGENT_STEP * max(abs(value), own.typical)
-        ends = (max(-step, own.low - value), min(step, own.high - value))
-        if free.effect in self.model.catalogue and (free.effect, own.name) not in part.known:
+        ends = self._ends(point, free)
+        if self.is_effect(free) and (free.effect, own.name) not in part.known:
             return Shifted(
                 self.model.arrays, ends, count, free.effect, own.name, self.columns(free)
             )
@@ -446,16 +507,15 @@ class Predictor:
 
     def shapes(self, inputs: Floats, near: SettledShapes | None) -> ShapeBatch | None:
         """Shapes (b) of the model as it is set, under inputs (b, m); None without equilibrium."""
-        carry = self.model.remembers and self.dataset.path != 'from_straight'
         if self.dataset.input == 'displacement':
-            memory = self.model.arrays.fresh_memory() if carry else None
+            memory = self.model.arrays.fresh_memory() if self.carries else None
             tensions, bends = (None, None) if near is None else (near.tensions, near.state)
             try:
                 return pull_shapes(self.model, inputs, tensions, bends, memory)
             except TendonRobotError:
                 return None
         if self.model.remembers:
-            batch, changes = self.model.solve(inputs, carry=carry)
+            batch, changes = self.model.solve(inputs, carry=self.carries)
             return batch if (changes < TOLERANCE).all() else None
         batch, changes = self.model.solve(inputs, None if near is None else near.state)
         far = np.flatnonzero(~(changes < TOLERANCE))
@@ -500,6 +560,12 @@ class Predictor:
                 arrays.set(free.effect, free.parameter.name, free.column, value)
         for (effect, parameter), value in part.known.items():
             arrays.set(effect, parameter, None, value)
+
+
+def _moved(predicted: tuple[Floats, SettledShapes]) -> tuple[Floats, Floats, Floats]:
+    """Return markers, states and tensions of a prediction, in the order of `Tangent`."""
+    markers, settled = predicted
+    return markers, settled.state, settled.tensions
 
 
 def together(batches: Sequence[ShapeBatch | None]) -> ShapeBatch | None:

@@ -59,8 +59,8 @@ def imperfections(
         return None
     if not kinds:
         moves = np.empty((0, len(split.inputs), len(split.dataset.markers), 3))
-    elif split.model.remembers:
-        moves = np.concatenate([_differences(split, point, kind) for kind in kinds])
+    elif split.model.friction_remembers or split.carries:
+        moves = _differences(split, point, kinds)
     else:
         moves = _all_parts(split, [slopes.of(kinds) for slopes in _settled(split, point)])
     columns = remainders(split)
@@ -98,21 +98,29 @@ def _all_parts(split: SplitPredictor, parts: Sequence[Floats]) -> Floats:
     return moves
 
 
-def _differences(split: SplitPredictor, point: Point, kind: Kind) -> Floats:
-    """Return central differences (q, P, J, 3) of settled shapes by the members of a kind."""
-    near, at, step = split.settled, split.around, PLAUSIBLE_SIZES[kind.name][2]
-    centre = at.get(kind.name, np.zeros(len(kind)))
-    moves = np.zeros((len(kind), len(split.inputs), len(split.dataset.markers), 3))
-    for i, unit in enumerate(step * np.eye(len(kind))):
-        sides = []
-        for moved in (centre + unit, centre - unit):
-            split.around = {**at, kind.name: moved}
-            sides.append(split.markers(point, near=near))
-        up, down = sides
-        if up is not None and down is not None:
-            moves[i] = (up - down) / (2.0 * step)
+def _differences(split: SplitPredictor, point: Point, kinds: Sequence[Kind]) -> Floats:
+    """Return central differences (q, P, J, 3) of the markers by the members of all kinds."""
+    near, at = split.settled, split.around
+    assert near is not None
+    predict: Callable[[], Floats | None] = partial(split.markers, point, near=near)
+    if not split.model.friction_remembers and split.visits is None:
+        along = split.along_path(point, near)
+
+        def predict() -> Floats:
+            return along(point)[0]
+
+    moves, zero = [], np.zeros((len(split.inputs), len(split.dataset.markers), 3))
+    for kind in kinds:
+        step, centre = PLAUSIBLE_SIZES[kind.name][2], at.get(kind.name, np.zeros(len(kind)))
+        for unit in step * np.eye(len(kind)):
+            sides = []
+            for moved in (centre + unit, centre - unit):
+                split.around = {**at, kind.name: moved}
+                sides.append(predict())
+            up, down = sides
+            moves.append(zero if up is None or down is None else (up - down) / (2.0 * step))
     split.around = at
-    return moves
+    return np.array(moves)
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ HELD_RCOND = 1e-9
 
 def tip_jacobian(model: ForwardModel, tensions: Floats) -> Floats:
     """Return d (tip position, tip direction) / d tensions, (6, m) [m/N], [1/N], from straight."""
-    if model.remembers:
+    if model.friction_remembers:
 
         def tip(batch: ShapeBatch) -> Floats:
             return np.concatenate([batch.tip_position, batch.tip_direction], axis=1)
@@ -130,7 +130,7 @@ def derivatives(
     """
     output = output or (lambda batch: model.measured(batch.positions))
     moves = [_Move.of(model, shapes, column) for column in columns]
-    if memory is not None or not model.remembers:
+    if memory is not None or not model.friction_remembers:
         rates, _ = follow(model, shapes.inputs, shapes.state, moves, output, memory)
         return np.moveaxis(rates, 0, -1)
     slopes = []
@@ -287,7 +287,7 @@ class _Move:
     @classmethod
     def of(cls, model: ForwardModel, shapes: ShapeBatch, column: Column) -> _Move:
         """Choose the steps: central, one-sided at zero tension and at a parameter's bound."""
-        ones, longer = np.ones(len(shapes)), REMEMBERED_STEP if model.remembers else 1.0
+        ones, longer = np.ones(len(shapes)), REMEMBERED_STEP if model.friction_remembers else 1.0
         if isinstance(column, str):
             if column not in model.inputs:
                 raise InputError(f'unknown input {column!r}; known: {", ".join(model.inputs)}')

@@ -105,13 +105,18 @@ class ForwardModel:
     @property
     def remembers(self) -> bool:
         """Whether the arm remembers the loading history, by its friction or its bends."""
-        return self.acts_at('memory') or self.acts_at('hysteresis')
+        return self.friction_remembers or self.acts_at('hysteresis')
+
+    @property
+    def friction_remembers(self) -> bool:
+        """Whether friction follows the tensions between a posture and the one before."""
+        return self.acts_at('memory')
 
     @property
     def sticks(self) -> bool:
         """Whether tendons stick by the travel beyond an eyelet, without friction memory."""
         slides = self.acts_at('eyelet') and self.acts_at('friction_travel')
-        return slides and not self.acts_at('memory')
+        return slides and not self.friction_remembers
 
     def tensions(self, tensions: TensionsLike) -> Floats:
         """

@@ -1,0 +1,100 @@
+"""A backbone that keeps part of its bend: Dahl's law in the bend, and the same however it is cut."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from arms import planar, spatial, two_sections
+
+from tendon_robot_ros.effects import load_catalogue
+from tendon_robot_ros.model.derivatives import PathSlopes
+from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.model.pulls import pull_shapes
+
+LAG, RATIO, STIFFNESS, ARM = 0.03, 2.0, 0.027, 0.0055
+HELD = {'bending_hysteresis': {'lag': LAG, 'presliding': RATIO}}
+FRICTION = {'tendon_friction': {'friction_coefficient': 0.3}, 'tendon_travel': {'fraction': 1.0}}
+LAW = load_catalogue()['bending_hysteresis'].law
+
+
+def test_the_moment_held_tends_to_the_lag_along_the_motion():
+    random = np.random.default_rng(4)
+    for held, angle, size in zip(
+        random.uniform(-0.5, 0.5, (40, 2)),
+        random.uniform(0, 2 * np.pi, 40),
+        random.uniform(0, 0.1, 40),
+        strict=True,
+    ):
+        u = np.array([math.cos(angle), math.sin(angle)])
+        most, kept = STIFFNESS * LAG, math.exp(-RATIO * size / LAG)
+        after = LAW(*(most * held), *(size * u), STIFFNESS, LAG, RATIO)
+        assert np.allclose(after, most * (u + (held - u) * kept), rtol=0, atol=1e-15)
+        # two parts of a straight motion are the whole; full resistance is never passed
+        first = LAW(*(most * held), *(0.3 * size * u), STIFFNESS, LAG, RATIO)
+        assert np.allclose(LAW(*first, *(0.7 * size * u), STIFFNESS, LAG, RATIO), after)
+        assert np.hypot(*after) <= most
+        # where it turns back from full resistance, the cell is stiffer by twice K presliding
+        step = 1e-7 * LAG
+        back = np.subtract(LAW(*(-most * u), *(step * u), STIFFNESS, LAG, RATIO), -most * u)
+        assert back @ u / step == pytest.approx(2.0 * RATIO * STIFFNESS, rel=1e-5)
+    assert LAW(0.1, -0.2, 0.0, 0.0, STIFFNESS, LAG, RATIO) == (0.1, -0.2)
+    assert LAW(0.1, -0.2, 0.3, 0.4, STIFFNESS, 0.0, RATIO) == (0.0, 0.0)
+
+
+def test_a_loop_of_one_cell_has_its_closed_form():
+    """Loaded far, let go, pulled from the other side, let go: bends M / K - u lag, and +- lag."""
+    model = Model(planar(1, HELD))
+    far = 4.0
+    turns = model.sequence([[0.0, far], [0.0, 0.0], [far, 0.0], [0.0, 0.0]]).bend[:, 0, 0]
+    elastic = far * ARM / STIFFNESS
+    # e^(-2 x 0.8 / 0.03) of the loading is left of what came before
+    assert turns == pytest.approx([elastic - LAG, LAG, LAG - elastic, -LAG], abs=1e-9)
+
+
+@pytest.mark.parametrize('robot', [two_sections(4, HELD), spatial(3, HELD)])
+@pytest.mark.parametrize('friction', [{}, FRICTION], ids=['alone', 'with friction'])
+def test_a_shape_that_follows_another_is_that_of_the_sequence(robot, friction):
+    model = Model(replace(robot, effects=robot.effects | friction))
+    random = np.random.default_rng(3)
+    tensions = random.uniform(0.0, 1.0, (6, len(robot.inputs)))
+    last, shapes = None, model.sequence(tensions)
+    for row, bend in zip(tensions, shapes.bend, strict=True):
+        last = model.follow(last, row)
+        assert np.allclose(last.bend, bend, rtol=0, atol=1e-9)
+    # the same tensions from another side hold another shape, by up to the lag
+    there = np.abs(model.shape(tensions[-1]).bend - shapes.bend[-1]).max()
+    assert 0.1 * LAG < there < 2.0 * LAG
+    pulled = pull_shapes(model, shapes.pulls, memory=model.arrays.fresh_memory())
+    assert np.allclose(pulled.pulls, shapes.pulls, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize('by_pulls', [False, True], ids=['tensions', 'pulls'])
+@pytest.mark.parametrize('robot', [two_sections(4), spatial(3)])
+def test_derivatives_along_a_path_are_those_of_differences(robot, by_pulls):
+    effects = HELD | {'wire_spring': {'compliance': 1e-3}, 'tip_load': {'force_x': 0.01}}
+    model = Model(replace(robot, effects=effects))
+    tensions = np.random.default_rng(5).uniform(0.1, 1.0, (8, len(robot.inputs)))
+    base = model.sequence(tensions)
+    commanded = base.pulls if by_pulls else tensions
+
+    def solved():
+        if by_pulls:
+            fresh = model.arrays.fresh_memory()
+            return pull_shapes(model, commanded, base.inputs, base.state, fresh)
+        return model.sequence(commanded)
+
+    path = PathSlopes.of(model, base.inputs, base.state, by_pulls)
+    assert np.allclose(path.shapes(commanded).positions, base.positions, rtol=0, atol=1e-9)
+    moved = [('bending_hysteresis', 'lag', 1e-5), ('bending_hysteresis', 'presliding', 1e-3)]
+    moved += [('backbone_stiffness', 'relative_change', 1e-4), ('tip_load', 'force_y', 1e-6)]
+    for effect, parameter, step in moved:
+        value, slopes, differences = model.arrays.get(effect, parameter, 0), [], []
+        for side in (step, -step):
+            model.arrays.set(effect, parameter, None, value + side)
+            slopes.append(path.shapes(commanded).positions)
+            differences.append(solved().positions)
+        model.arrays.set(effect, parameter, None, value)
+        expected = np.subtract(*differences)
+        error = np.abs(np.subtract(*slopes) - expected).max()
+        assert error < 1e-3 * np.abs(expected).max() + 1e-9
