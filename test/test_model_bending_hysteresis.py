@@ -1,4 +1,4 @@
-"""A backbone that keeps part of its bend: Dahl's law in the bend, and the same however it is cut."""
+"""A backbone that keeps part of its bend: Dahl's law in two directions, loops and derivatives."""
 
 import math
 from dataclasses import replace

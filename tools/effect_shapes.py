@@ -27,6 +27,7 @@ OWN_SIZES = {
     'straight_tendon': {'fraction': 1.0},
     'eyelet_clearance': {'clearance': 3e-4},
     'hinge_friction': {'lever': 4e-4},
+    'bending_hysteresis': {'lag': 0.02, 'presliding': 1.0},
     'backbone_stiffness': {'relative_change': 0.15},
     'section_stiffness': {'relative_change': (0.3, -0.2)},
     'tendon_stiffness': {'per_tendon': 2e-3},
@@ -189,11 +190,11 @@ def look_alikes(name, tensions, least=0.7):
 
 
 def moved(name, robot, rows):
-    """Return all positions (p, n, 3) [m]; postures follow each other where friction remembers."""
+    """Return all positions (p, n, 3) [m]; postures follow each other where the arm remembers."""
     model = Model(robot, CATALOGUE)
     if by_pulls(name):
         return model.measured(pull_shapes(model, rows).positions)
-    one_after_the_other = CATALOGUE[name].stage == 'memory'
+    one_after_the_other = CATALOGUE[name].needs == 'history'
     batch = model.sequence(rows) if one_after_the_other else model.shapes(rows)
     return model.measured(batch.positions)
 
@@ -205,7 +206,8 @@ def small(name, values, base):
 
 def scaled(effect, key, value, base):
     """Return a small step of one parameter from where the base has it."""
-    if effect.stage == 'memory':
+    defaults = {parameter.name for parameter in effect.parameters if parameter.has_default}
+    if effect.stage == 'memory' or key in defaults:
         return value
     at = np.array(base.effects.get(effect.name, {}).get(key, 0.0))
     step = at + SMALL * np.array(value)

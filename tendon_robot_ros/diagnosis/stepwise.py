@@ -47,7 +47,6 @@ from .setup_mistakes import find_mistake
 from .verdict import P_SINGLE_MIN, POSTURES_MIN
 
 Held = Sequence[int] | npt.NDArray[np.int64]
-SOLVED = ('torsion', 'memory')  # stages whose absent effects have no analytic slopes
 GROUPS_MIN = POSTURES_MIN + 1  # [1] of different inputs, because one is left out
 PRIOR_TYPICALS = 10.0  # [1] sd of the priors, so that only what nothing tells stays as described
 STEPS_MAX = 12  # [1] effects that may join, else a model that fits nothing would collect them all
@@ -92,7 +91,7 @@ class Rates:
             free
             for block in blocks
             for free in block.frees
-            if free.effect not in effects or effects[free.effect].stage not in SOLVED
+            if free.effect not in effects or self.predictor.has_slopes(effects[free.effect])
         ]
         moved = self.predictor.tangent(self.fit.point, smooth, self.settled) if smooth else None
         slopes, before = dict[FreeParameter, Floats](), self.fit.residual[: self.whitener.size]

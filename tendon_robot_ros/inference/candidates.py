@@ -177,7 +177,7 @@ def is_tested(
 ) -> bool:
     """Return whether a typical size of the effect changes the markers (P, J, 3) at a point."""
     effect = predictor.model.catalogue[candidate.names[0]]
-    if effect.stage == 'memory' and not candidate.present and not unloads(predictor.dataset):
+    if effect.needs == 'history' and not candidate.present and not unloads(predictor.dataset):
         return False
     if effect.always_on and not candidate.present:
         # without it the arm is the base, from which its typical values differ

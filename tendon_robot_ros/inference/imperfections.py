@@ -23,7 +23,7 @@ from ..effects import Catalogue
 from ..model.shape import ShapeBatch
 from ..robot import Robot, Section
 from ..robot.description import EffectValues
-from .predict import CELLS, Conditions, FreeParameter, Point, Predictor, SettledShapes
+from .predict import CELLS, Conditions, FreeParameter, Point, Predictor
 
 KINK, ACROSS, GAIN, HOLE = 'cell_kink', 'cell_kink_across', 'channel_gain', 'hole_radius'
 ZERO, POSITION, ROTATION = 'pull_zero', 'position', 'rotation'

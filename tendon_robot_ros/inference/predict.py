@@ -16,7 +16,7 @@ from ..data import DataSet, Part
 from ..data.arrays import Visits
 from ..effects import Catalogue, Effect, Parameter
 from ..model.compile import KernelArrays
-from ..model.derivatives import TENSION_STEP, Move, PathSlopes, follow
+from ..model.derivatives import HELD_RCOND, TENSION_STEP, Move, PathSlopes, follow
 from ..model.forward import TOLERANCE, ForwardModel
 from ..model.model import Model
 from ..model.pulls import SLACK_BELOW_N, pull_shapes
@@ -181,7 +181,7 @@ def held(tensions: Floats, rows: Floats, states: Floats, q: int) -> tuple[Floats
     for b, own in enumerate(tensions):
         taut = np.flatnonzero(own > SLACK_BELOW_N)
         by_tension = rows[q:, b, :m][np.ix_(taut, taut)]
-        answers[:, b, taut] = -rows[:q, b, taut] @ np.linalg.pinv(by_tension, rcond=1e-9)
+        answers[:, b, taut] = -rows[:q, b, taut] @ np.linalg.pinv(by_tension, rcond=HELD_RCOND)
     return (
         rows[:q] + np.einsum('qbm,mbx->qbx', answers, rows[q:]),
         states[:q] + np.einsum('qbm,mbx->qbx', answers, states[q:]),
@@ -388,6 +388,11 @@ class Predictor:
     def carries(self) -> bool:
         """Whether a posture depends on the one before, by what the model is set to remember."""
         return self.model.remembers and self.dataset.path != 'from_straight'
+
+    def has_slopes(self, effect: Effect) -> bool:
+        """Whether derivatives show an effect that is absent; else only further solutions do."""
+        follows = effect.stage == 'hysteresis' and self.visits is not None
+        return effect.stage not in ('torsion', 'memory') and not follows
 
     def is_effect(self, free: FreeParameter) -> bool:
         """Tell whether a parameter belongs to an effect of the catalogue."""

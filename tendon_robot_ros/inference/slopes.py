@@ -17,7 +17,7 @@ from itertools import product
 import numpy as np
 
 from ..common.arrays import Floats
-from ..model.derivatives import residuals, responses, shown
+from ..model.derivatives import HELD_RCOND, residuals, responses, shown
 from ..model.pulls import SLACK_BELOW_N
 from ..model.shape import ShapeBatch
 from .imperfections import (
@@ -183,7 +183,7 @@ class _Slopes:
         for p, tensions in enumerate(self.shapes.inputs):
             taut = np.flatnonzero(tensions > SLACK_BELOW_N)
             by_tension = self.by_tension.pulls[p][np.ix_(taut, taut)]
-            answer = -moved.pulls[p][:, taut] @ np.linalg.pinv(by_tension, rcond=1e-9)
+            answer = -moved.pulls[p][:, taut] @ np.linalg.pinv(by_tension, rcond=HELD_RCOND)
             markers[p] += np.tensordot(answer, self.by_tension.markers[p, taut], 1)
         return markers
 

@@ -29,7 +29,8 @@ TENSION_STEP = DIFFERENCE_STEP  # [N]
 # to 1e-10 rad
 REMEMBERED_STEP = 16.0
 RIGID_BELOW = EPSILON / DIFFERENCE_STEP  # [m/N] rounding of places of 1 m, and no compliance
-# [1] of the largest: lengths of opposite wires do not determine how hard these pull
+# [1] of the largest singular value, because lengths of opposite wires do not determine how hard
+# these pull on each other
 HELD_RCOND = 1e-9
 
 
@@ -163,9 +164,7 @@ class PathSlopes:
     by_pulls: bool  # whether they hold pulls, else tensions
 
     @classmethod
-    def of(
-        cls, model: ForwardModel, inputs: Floats, states: Floats, by_pulls: bool
-    ) -> PathSlopes:
+    def of(cls, model: ForwardModel, inputs: Floats, states: Floats, by_pulls: bool) -> PathSlopes:
         """Take the derivatives at equilibria of the model as it is now, by tensions or pulls."""
         model.arrays.link()
         (b, m), u = inputs.shape, _unknowns(model)

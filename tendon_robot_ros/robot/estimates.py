@@ -210,10 +210,10 @@ def natural_sizes(robot: Robot) -> dict[str, float]:
     Return natural sizes of a robot, in SI units; a robot scaled in length or force scales them.
 
     They are the scales of its physics, not its limits: radius [m] of the outermost tendon, length
-    [m], bend [rad] of a cell of an arm that bends by one radian, stiffness [N·m/rad] of a cell, tension [N] of one tendon that bends the arm by one radian
-    (at most the limit), force [N] across the tip that does about the same, density [kg/m] whose
-    weight is such a force, and the inverse of the tension per unit of length, compliance [1/N],
-    and per radius, give [m/N].
+    [m], bend [rad] of a cell of an arm that bends by one radian, stiffness [N·m/rad] of a cell,
+    tension [N] of one tendon that bends the arm by one radian (at most the limit), force [N]
+    across the tip that does about the same, density [kg/m] whose weight is such a force, and the
+    inverse of the tension per unit of length, compliance [1/N], and per radius, give [m/N].
     """
     stiffness = [k for section in robot.sections for k in section.bending_stiffness]
     softness = sum(1.0 / k for k in stiffness)

@@ -266,9 +266,7 @@ def path_slopes(robot, inputs, states, past, scratch, answers, by_tension, pulls
         pulls[b] = both[6:]
         chain.residual(chain, tension, solver.bend, solver.work, solver.past, address(f))
         rows = address(answers) + 8 * size * size * b
-        chain.respond(
-            chain, solver.bend, address(unit), size, solver.work, solver.past, rows, 0
-        )
+        chain.respond(chain, solver.bend, address(unit), size, solver.work, solver.past, rows, 0)
         remember_bends(chain, tension, solver.bend, solver.past, solver.now)
         copy(solver.now.bend, solver.past.bend, memory_size(chain.n, chain.k, m))
     keep(bends)

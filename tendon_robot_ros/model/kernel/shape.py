@@ -328,7 +328,7 @@ def remembered(chain, sign, moved, section):
 
 @compiled
 def remember(chain, inputs, bend, work, past, now):
-    """Fill the memory `now` after a posture that came after `past`, with friction that remembers."""
+    """Fill the memory `now` after a posture that came after `past`, that of friction, too."""
     remember_bends(chain, inputs, bend, past, now)
     tendon_travel(chain, bend, stages.offset_scale(1.0, chain, 0), work)
     slides = stages.friction_travel_acts(chain)
