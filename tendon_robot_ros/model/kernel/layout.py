@@ -86,8 +86,9 @@ LENGTH, STIFFNESS, MASS, HINGE, SECTION, PRESENT, MASS_X, MASS_Y = range(COLUMNS
 # The state of a posture: bends (n, 2) [rad], and behind them twists (n,) [rad], which count only
 # where cells twist; `bend` and `bends` are addresses of states.
 
-# Memory: what the arm remembers of the last posture: its state (3n,) [rad], of friction sign (n, k)
-# and travel (n, k) [m], inputs (m,) [N], moment (n, 2) [N·m] held against the bend; one array.
+# Memory: what the arm remembers of the last posture: its state (3n,) [rad], of friction sign
+# (n, k) and travel (n, k) [m], inputs (m,) [N], moment (n, 2) [N·m] held against the bend; one
+# array, in this order.
 Memory = namedtuple('Memory', 'bend sign travel inputs moment')
 
 # Work: scratch of one posture. half (n, 2): half angles, see `cells`; wrench (n, 6): force [N]
