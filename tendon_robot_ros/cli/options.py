@@ -36,8 +36,6 @@ TARGET_LENGTHS = (0.01, 10.0)
 # [s] between two lines of a log; work that takes less stays silent. Later lines come when a tenth
 # of the time so far has passed, so that the log stays short
 LOG_EVERY_S = 5.0
-# [s] between two bars, so that the seconds in them pass
-DRAWN_EVERY_S = 1.0
 FRAME_TOLERANCES = ('position', 'rotation')  # of the tracker, in a robot.yaml
 DATA_HELP = 'data set (folder), or a recording (rosbag2 folder, .mcap or .db3 file)'
 
@@ -345,11 +343,6 @@ def load_judged(
     return dataset, check, effects_of(args)
 
 
-def add_check(parser: argparse.ArgumentParser, what: str) -> None:
-    """Declare --check."""
-    parser.add_argument('--check', metavar='DATA2', help=f'other postures, {what}')
-
-
 def add_workers(parser: argparse.ArgumentParser) -> None:
     """Declare --workers of a fit."""
     what = 'at a time (default: 2)'
@@ -406,7 +399,7 @@ def progress(remaining: bool = False) -> Iterator[Progress]:
             return f'{what}{count}, {elapsed:.0f} s so far{end}'
 
         def show_regularly() -> None:
-            pause = LOG_EVERY_S if bar.disable else DRAWN_EVERY_S
+            pause = LOG_EVERY_S if bar.disable else 1.0  # [s] so that those in the bar pass
             while not ended.wait(pause):
                 if bar.disable:
                     print(line(), file=sys.stderr, flush=True)

@@ -8,10 +8,10 @@ hardware component decides the behaviour of the motors (docs/operate.md).
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from itertools import compress
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -29,22 +29,6 @@ from .hardware import (
 from .interface import Array, Fault, Reading
 
 PULL_DEFAULT_M = 0.05  # [m] either way without `pull_limits`, else nothing would bound a pull
-
-
-class JointLink(Protocol):
-    """Transport of commands and joint states; topics in a running system."""
-
-    def send(self, values: list[float]) -> None:
-        """Send one value per joint of the group controller."""
-
-    def states(self) -> Mapping[str, tuple[float, float, float]]:
-        """Return joint -> (monotonic time [s], position, effort), the newest of each."""
-
-    def close(self) -> None:
-        """Close it."""
-
-
-MakeLink = Callable[[str, str], JointLink]  # of the topics of commands and states
 
 
 @dataclass(frozen=True)
@@ -113,12 +97,20 @@ class Ros2ControlDriver(HardwareDriver):
 
     A group controller has no torque to switch off: what is disabled gets no effort, or in pull
     mode stays where it is.
+
+    Parameters
+    ----------
+    robot : Robot
+    config : Ros2ControlConfig
+    mode : str
+        `tension` or `pull`.
+    link : object
+        The topics of commands and states, as `ros.driver.backend.Ros2ControlLink`.
+
     """
 
-    def __init__(
-        self, robot: Robot, config: Ros2ControlConfig, mode: str, link: JointLink
-    ) -> None:
-        """Take robot, checked configuration, `tension` or `pull`, and what carries messages."""
+    def __init__(self, robot: Robot, config: Ros2ControlConfig, mode: str, link: Any) -> None:
+        """Create a closed driver."""
         low, high = robot.tension_limits if mode == 'tension' else config.pull_limits
         rate = config.tension_rate if mode == 'tension' else config.pull_rate
         m = len(robot.inputs)
@@ -134,9 +126,9 @@ class Ros2ControlDriver(HardwareDriver):
 
     @classmethod
     def from_config(
-        cls, robot: Robot, config: Mapping[str, Any], *, mode: str, source: str, link: MakeLink
+        cls, robot: Robot, config: Mapping[str, Any], *, mode: str, source: str, link: Any
     ) -> Self:
-        """Make the driver from what its configuration file says."""
+        """Make the driver from its configuration; `link` makes the link of its two topics."""
         checked = Ros2ControlConfig.checked(robot, config, mode, source)
         return cls(robot, checked, mode, link(checked.command_topic, checked.state_topic))
 

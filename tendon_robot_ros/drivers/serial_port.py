@@ -23,7 +23,7 @@ import numpy as np
 import serial
 from numpy.typing import NDArray
 
-from ..common.errors import DriverError, MovedError
+from ..common.errors import REASON_MAX, DriverError, MovedError
 from ..robot import Robot
 from .hardware import HardwareDriver, PortConfig, WireConfig
 from .interface import Array, Fault, Reading
@@ -39,7 +39,6 @@ RESTART_TIMEOUT_S = 4.0
 # [s] between two attempts to get a port or a motor back, so that those that fail, with their
 # time-outs, leave most cycles to the motors that are there
 RETRY_PERIOD_S = 2.0 * ANSWER_TIMEOUT_S
-COMMAND_SHOWN = 60  # [characters] of another process's command, so that a message is a line
 
 
 class PortLostError(Exception):
@@ -105,9 +104,8 @@ def held_by(path: str, others: bool = False) -> str:
                 return 'this process has the port already'
             command = Path('/proc', link.parts[2], 'cmdline').read_bytes()
             name = ' '.join(command.decode(errors='replace').replace('\0', ' ').split())
-            return (
-                f'another process has the port (process {link.parts[2]}: {name[:COMMAND_SHOWN]})'
-            )
+            name = name[:REASON_MAX]
+            return f'another process has the port (process {link.parts[2]}: {name})'
         except OSError:  # it has ended, or belongs to somebody else
             continue
     return ''

@@ -27,7 +27,7 @@ import numpy as np
 from ..common.errors import DriverError, TendonRobotError
 from ..common.files import new_file, shared_file
 from ..common.words import STANDARD_GRAVITY
-from ..drivers.serial_board.messages import CELL_COUNTS_MAX, ChannelFault
+from ..drivers.serial_board.messages import ChannelFault, Protocol
 from .port import COMMON_HELP, Command, Plug
 from .rig import TIME_STEP_MAX_S, Arm
 from .servo import STEP_S
@@ -248,7 +248,8 @@ class BoardRig:
             if sensor.fresh:
                 force = float(self.tensions[i]) + cell.hung
                 counts = cell.zero + force / cell.newtons_per_count + noise[i]
-                sensor.cell = max(-CELL_COUNTS_MAX, min(CELL_COUNTS_MAX, round(counts)))
+                largest = Protocol.CELL_COUNTS_MAX
+                sensor.cell = max(-largest, min(largest, round(counts)))
             sensor.ticks = int(ticks[i])
             sensor.current = min(30000, round(1000.0 * abs(self.firmware.duties[i])))
             sensor.faults = int(self.faults[i])

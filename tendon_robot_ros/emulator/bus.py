@@ -17,6 +17,7 @@ import json
 import termios
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -347,18 +348,29 @@ class EmulatedBus(Plug):
 
     def commands(self) -> dict[str, Command]:
         """Return its commands by their first word."""
-        hardware_errors: dict[str, Command] = {
-            str(error.name).lower(): functools.partial(self.fail, error) for error in HardwareError
-        }
+        silent = self.responder.silent
+
+        def of_each(act: Callable[[Servo], object]) -> Command:
+            """Return a command that acts on the servos whose ids follow it."""
+
+            def carry_out(identities: list[str]) -> None:
+                for identity in identities:
+                    act(self.servo(int(identity)))
+
+            return carry_out
+
         return {
             **super().commands(),
-            **hardware_errors,
-            'silent': lambda values: self.silence(values, True),
-            'hear': lambda values: self.silence(values, False),
+            **{
+                str(error.name).lower(): of_each(functools.partial(Servo.fail, bits=error))
+                for error in HardwareError
+            },
+            'silent': of_each(lambda servo: silent.add(servo.identity)),
+            'hear': of_each(lambda servo: silent.discard(servo.identity)),
             'hot': self.heat,
             'volts': self.supply,
-            'restart': lambda values: self.restart(*map(int, values)),
-            'trip': self.trip,
+            'restart': of_each(lambda servo: self.restart(servo.identity)),
+            'trip': of_each(lambda servo: servo.put('bus_watchdog', WATCHDOG_TRIPPED)),
             'weight': self.hang,
             'state': lambda values: json.dumps(self.state()),
             'log': self.log,
@@ -369,24 +381,10 @@ class EmulatedBus(Plug):
         """Return the servo with an id."""
         return self.rig.servos[identity]
 
-    def restart(self, *identities: int) -> None:
-        """Let servos lose their power for a moment."""
-        for identity in identities:
-            with self._lock:
-                self.rig.rebooted(identity)
-
-    def fail(self, error: HardwareError, identities: list[str]) -> None:
-        """Give servos a hardware error."""
-        for identity in identities:
-            self.servo(int(identity)).fail(error)
-
-    def silence(self, identities: list[str], silent: bool) -> None:
-        """Let servos neither hear nor answer, or let them do so again."""
-        for identity in identities:
-            if silent:
-                self.responder.silent.add(self.servo(int(identity)).identity)
-            else:
-                self.responder.silent.discard(int(identity))
+    def restart(self, identity: int) -> None:
+        """Let a servo lose its power for a moment."""
+        with self._lock:
+            self.rig.rebooted(identity)
 
     def heat(self, values: list[str]) -> None:
         """Set the temperature of a motor, by its id [°C]."""
@@ -396,11 +394,6 @@ class EmulatedBus(Plug):
         """Set the supply of all motors [V]."""
         for servo in self.rig.servos.values():
             servo.voltage = float(values[0])
-
-    def trip(self, identities: list[str]) -> None:
-        """Trip the bus watchdogs of servos."""
-        for identity in identities:
-            self.servo(int(identity)).put('bus_watchdog', WATCHDOG_TRIPPED)
 
     def hang(self, values: list[str]) -> None:
         """Hang a weight [kg] on the wire of a servo, by its id."""
@@ -422,17 +415,6 @@ class EmulatedBus(Plug):
 
     def state(self) -> dict[str, object]:
         """Return the state of servos and wires as plain values."""
-        registers = (
-            'torque_enable',
-            'operating_mode',
-            'goal_current',
-            'goal_position',
-            'present_current',
-            'present_position',
-            'bus_watchdog',
-            'hardware_error_status',
-            'current_limit',
-        )
         wires = ('tensions', 'wound', 'highest', 'held', 'least', 'most')
         return {
             'port': self.port,
@@ -440,7 +422,7 @@ class EmulatedBus(Plug):
             **getattr(self.rig.arm, 'shown', {}),
             **{name: np.round(getattr(self.rig, name), 6).tolist() for name in wires},
             'servos': {
-                i: {name: servo.get(name) for name in registers}
+                i: {name: servo.get(name) for name in REGISTERS}
                 for i, servo in self.rig.servos.items()
             },
             'extremes': {

@@ -19,8 +19,8 @@ from enum import IntEnum, IntFlag
 from functools import cached_property
 
 TICKS_PER_TURN = 4096  # [ticks] of the encoder: manual, "Resolution"
-RADIANS_PER_TICK = 2.0 * math.pi / TICKS_PER_TURN  # [rad] manual, as above
-RPM = 2.0 * math.pi / 60.0  # [rad/s] in one revolution per minute: the manual's unit of speed
+RADIANS_PER_TICK = math.tau / TICKS_PER_TURN  # [rad] manual, as above
+RPM = math.tau / 60.0  # [rad/s] in one revolution per minute: the manual's unit of speed
 POSITION_MAX_TICKS = 256 * TICKS_PER_TURN - 1  # [ticks] either way: manual, extended position mode
 PWM_FULL = 885  # [counts] 100 %: manual, address 36
 WATCHDOG_TRIPPED = 0xFF  # [counts] -1 as an unsigned byte: manual, address 98

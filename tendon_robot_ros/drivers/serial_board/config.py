@@ -35,7 +35,7 @@ from ..hardware import (
     read_wire_limits,
 )
 from ..interface import Array
-from .messages import CHANNELS_MAX, RELEASES
+from .messages import RELEASES, Protocol
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ def read_wires(
     wires = []
     for name, item in fields_of_inputs(top, 'tendons', 'a channel', robot).items():
         item.only(*TENDON_KEYS)
-        channel = item.whole('channel', 0, CHANNELS_MAX - 1)
+        channel = item.whole('channel', 0, Protocol.CHANNELS_MAX - 1)
         direction = read_direction(item, 'growing encoder ticks wind')
         radius = read_spool_radius(item, top)
         counted = nearest(item, top, 'ticks_per_turn')

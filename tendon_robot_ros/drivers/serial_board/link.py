@@ -26,7 +26,7 @@ from ..serial_port import (
 )
 from . import messages
 from .config import BoardConfig, CountsPoint
-from .messages import VERSION, Frame, FrameReceiver, Identity, Message, Telemetry, encode
+from .messages import Frame, FrameReceiver, Identity, Message, Protocol, Telemetry, encode
 
 ATTEMPTS = 8  # [1] of a message, so that noise on the cable does not end a configuration
 RELEASE_TIME_S = 10.0  # [s] of a board left under tension, so that a slow release comes to an end
@@ -162,9 +162,9 @@ class BoardLink(PortLink):
             self.send(Message.HELLO)
             for frame in self.wait_for(Message.IDENTITY, ANSWER_TIMEOUT_S):
                 self.identity = messages.read_identity(frame) or self.identity
-        if self.identity.version != VERSION:
+        if self.identity.version != Protocol.VERSION:
             raise DriverError(
-                f'{self.path}: protocol: expected version {VERSION}, got '
+                f'{self.path}: protocol: expected version {Protocol.VERSION}, got '
                 f'{self.identity.version}; put the firmware of this package on the board'
             )
         for wire in config.tendons:
@@ -261,7 +261,7 @@ class BoardLink(PortLink):
         values = values[np.append(True, np.diff(values) != 0.0)]  # the same value, read twice
         if len(values) < READINGS_MIN:
             raise DriverError(f'{where}: no values of its load cell')
-        if np.max(np.abs(values)) >= messages.CELL_COUNTS_MAX:
+        if np.max(np.abs(values)) >= Protocol.CELL_COUNTS_MAX:
             raise DriverError(f'{where}: load cell saturated; less weight')
         spread = float(values.std(ddof=1))
         noise = 1.05 * float(np.median(np.abs(np.diff(values))))  # 1 sd, of any that hangs still

@@ -17,18 +17,26 @@ from enum import IntEnum, IntFlag
 import numpy as np
 from numpy.typing import NDArray
 
-VERSION = 1  # [1] of the protocol, docs/serial_protocol.md
-CHANNELS_MAX = 8  # [1] a board can have: docs/serial_protocol.md, a byte has a bit for each
-CRC_BYTES = 3  # [bytes] six bits in each: docs/serial_protocol.md
 MICRO = 1e-6  # [N], [m] of one count: docs/serial_protocol.md
-CELL_COUNTS_MAX = 2**23 - 1  # [counts] of 24 bits, where a cell is overloaded: HX711 datasheet
+
+
+class Protocol(IntEnum):
+    """Numbers of docs/serial_protocol.md."""
+
+    VERSION = 1
+    CRC_BYTES = 3  # six bits in each
+    CHANNELS_MAX = 8  # a byte has a bit for each
+    CELL_COUNTS_MAX = 2**23 - 1  # of 24 bits, where a cell is overloaded: HX711 datasheet
+
 
 _HEADER = struct.Struct('BBBB')  # version, type, sequence, length of the payload
 _TELEMETRY = struct.Struct('<IBBBBH')
 _CHANNEL = np.dtype([('tension', '<i4'), ('pull', '<i4'), ('current', '<i2'), ('faults', '<u2')])
 _IDENTITY = struct.Struct('<BBHI')
 # [bytes] between two delimiters: the longest telemetry, stuffed: docs/serial_protocol.md
-FRAME_BYTES_MAX = _HEADER.size + _TELEMETRY.size + CHANNELS_MAX * _CHANNEL.itemsize + 1 + CRC_BYTES
+FRAME_BYTES_MAX = 1 + sum(
+    (_HEADER.size, _TELEMETRY.size, Protocol.CHANNELS_MAX * _CHANNEL.itemsize, Protocol.CRC_BYTES)
+)
 
 
 class Message(IntEnum):
@@ -136,7 +144,9 @@ def unstuff(data: bytes) -> bytes | None:
     return bytes(plain[1:]) if place == end else None
 
 
-def encode(kind: int, sequence: int, payload: bytes = b'', version: int = VERSION) -> bytes:
+def encode(
+    kind: int, sequence: int, payload: bytes = b'', version: int = Protocol.VERSION
+) -> bytes:
     """Return the bytes of a frame, delimiters before and after it."""
     body = stuff(_HEADER.pack(version, kind, sequence & 0xFF, len(payload)) + payload)
     return b'\0' + body + _crc_bytes(body) + b'\0'
@@ -144,10 +154,10 @@ def encode(kind: int, sequence: int, payload: bytes = b'', version: int = VERSIO
 
 def decode(data: bytes) -> Frame | None:
     """Read what stood between two delimiters; None when anything about it is wrong."""
-    if not _HEADER.size + 1 + CRC_BYTES <= len(data) <= FRAME_BYTES_MAX:
+    if not _HEADER.size + 1 + Protocol.CRC_BYTES <= len(data) <= FRAME_BYTES_MAX:
         return None
-    stuffed = data[:-CRC_BYTES]
-    if data[-CRC_BYTES:] != _crc_bytes(stuffed):
+    stuffed, check = data[: -Protocol.CRC_BYTES], data[-Protocol.CRC_BYTES :]
+    if check != _crc_bytes(stuffed):
         return None
     body = unstuff(stuffed)
     if body is None or body[3] != len(body) - _HEADER.size:
@@ -231,7 +241,7 @@ class Telemetry:
 
 def read_telemetry(frame: Frame, channels: int) -> Telemetry | None:
     """Read telemetry of a board with so many channels; None when it is something else."""
-    known = frame.type == Message.TELEMETRY and frame.version == VERSION
+    known = frame.type == Message.TELEMETRY and frame.version == Protocol.VERSION
     if not known or len(frame.payload) != _TELEMETRY.size + channels * _CHANNEL.itemsize:
         return None
     values = np.frombuffer(frame.payload, _CHANNEL, offset=_TELEMETRY.size)

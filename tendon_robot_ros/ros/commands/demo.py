@@ -27,7 +27,7 @@ from ...robot import load_robot
 from ...workspace.view_angle import Posture, salient
 from ..shared.robot_client import Pilot
 from ..shared.runtime import NodeProcess, ros
-from ..shared.timing import STAND_TIMEOUT_S, WORK_TIMEOUT_S
+from ..shared.timing import REACTION_TIMEOUT_S, WORK_TIMEOUT_S
 
 HELP = "the paper's postures with a mock arm: a table and a picture, in under a minute"
 ROBOT = 'kato_10_1'
@@ -124,7 +124,7 @@ def go(pilot: Pilot, posture: Posture) -> Outcome:
     pilot.clear()
     sent = time.monotonic()
     stamp = pilot.send(posture.position, posture.direction)
-    pilot.settle(stamp, STAND_TIMEOUT_S, f'the arm at {posture.name!r}')
+    pilot.settle(stamp, REACTION_TIMEOUT_S, f'the arm at {posture.name!r}')
     pilot.stand()
     (place, along), (times, commands) = pilot.tip(), pilot.commands()
     changed = times[(commands != commands[0]).any(axis=1)]

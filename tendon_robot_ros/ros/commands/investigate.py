@@ -65,7 +65,7 @@ from ..shared.messages import (
 from ..shared.parameters import parsed
 from ..shared.robot_client import MESSAGES_MAX, MOVE_MIN_S, WORKING_CODES, Pilot, add_controller
 from ..shared.runtime import SPIN_S, Ending, repeat, ros
-from ..shared.timing import NODE_TIMEOUT_S, SILENCE_S, STAND_TIMEOUT_S, STATUS_PERIOD_S
+from ..shared.timing import REACTION_TIMEOUT_S, SILENCE_S, STATUS_PERIOD_S
 
 HELP = 'the running robot chooses postures by itself until it knows what its model lacks'
 DRIVER = 'driver'  # name of the node whose status has the source of tensions
@@ -170,7 +170,7 @@ class RunningArm(Pilot):
         self._frames.clear()
         self.wait(
             lambda: self._frames and self._kinds,
-            NODE_TIMEOUT_S,
+            REACTION_TIMEOUT_S,
             f'{self._monitor}/measured and tendon_states: does the tracker see the arm?',
         )
         self.spin(SILENCE_S)  # single readings of a load cell may be missing
@@ -220,7 +220,9 @@ class RunningArm(Pilot):
             return self.status.get('code') in (*WORKING_CODES, 'released')
 
         late = self.status.get('code') == 'no_driver'
-        return works() or (late and self.wait(works, NODE_TIMEOUT_S, 'the driver', strict=False))
+        return works() or (
+            late and self.wait(works, REACTION_TIMEOUT_S, 'the driver', strict=False)
+        )
 
     def _measured(self, inputs: Floats, trials: int) -> PostureMeasured:
         """Measure a posture once."""
@@ -253,7 +255,7 @@ class RunningArm(Pilot):
         if self._own is None or not self._commands:
             return
         stamp = self.play(self._move(self._rest()))
-        end = time.monotonic() + STAND_TIMEOUT_S
+        end = time.monotonic() + REACTION_TIMEOUT_S
         while time.monotonic() < end and not self.settled(stamp, ('played',)):
             self._executor.spin_once(timeout_sec=SPIN_S)
             if self.status.get('code') == 'stopped':
@@ -306,7 +308,7 @@ class RunningArm(Pilot):
         """Play the path to a command and wait for its end."""
         path = self._move(target)
         stamp = self.play(path)
-        self.settle(stamp, path.times[-1] + STAND_TIMEOUT_S, 'the arm to get there')
+        self.settle(stamp, path.times[-1] + REACTION_TIMEOUT_S, 'the arm to get there')
 
     def _stand(self) -> StillMeasurement:
         """Wait until the arm is at rest and visible; return the mean of its frames."""
@@ -316,7 +318,7 @@ class RunningArm(Pilot):
         still = MonitorSettings()
         window = StillWindow(still.still_time, still.still_speed, change)
         self._frames.clear()
-        since, end = time_now(self), time.monotonic() + STAND_TIMEOUT_S
+        since, end = time_now(self), time.monotonic() + REACTION_TIMEOUT_S
         visible = 0
         while time.monotonic() < end:
             self.spin_once(SPIN_S)
@@ -334,8 +336,8 @@ class RunningArm(Pilot):
                 inputs = settled.inputs if mean is None else self._own_half(mean)
                 return replace(settled, inputs=inputs)
         if not visible:
-            raise BrokenMeasurementError(f'the tracker saw nothing for {STAND_TIMEOUT_S:g} s')
-        raise BrokenMeasurementError(f'the arm did not stand within {STAND_TIMEOUT_S:g} s')
+            raise BrokenMeasurementError(f'the tracker saw nothing for {REACTION_TIMEOUT_S:g} s')
+        raise BrokenMeasurementError(f'the arm did not stand within {REACTION_TIMEOUT_S:g} s')
 
     @property
     def _by_gears(self) -> bool:
@@ -422,7 +424,7 @@ class Investigator:
             print(*lines, sep='\n', flush=True)
             if (folder / BETTER).exists() and not args.keep:
                 better = str((folder / BETTER).resolve())
-                accepted, reason = self.arm.put('model', better, 2.0 * NODE_TIMEOUT_S)
+                accepted, reason = self.arm.put('model', better, 2.0 * REACTION_TIMEOUT_S)
                 answer = 'uses it' if accepted else f'refuses it: {reason}'
                 text = f'the controller {answer}'
                 self.publish_news(News('sent', text, {'taken': accepted}))

@@ -57,7 +57,7 @@ from ...simulation.rehearsal import (
 from ..shared.messages import LATCHED, LATCHED_BY_MANY, LISTEN, STATE, seconds, time_now, xyz
 from ..shared.robot_client import MESSAGES_MAX, TIP_AVERAGE_S, RobotClient
 from ..shared.runtime import Ending, NodeProcess, ros
-from ..shared.timing import MOVE_TIMEOUT_S, STAND_TIMEOUT_S, WORK_TIMEOUT_S
+from ..shared.timing import MOVE_TIMEOUT_S, REACTION_TIMEOUT_S, WORK_TIMEOUT_S
 from . import investigate as investigation
 
 HELP = 'a mock robot that hides something: watch, diagnose, add, see the error fall'
@@ -261,7 +261,7 @@ class Director(RobotClient):
             self._standing_since = min(self._standing_since, soon) if settled else np.inf
             return self._measured_enough() or not self.touring
 
-        at_rest = self.wait(standing, STAND_TIMEOUT_S, 'the arm to stand', strict=False)
+        at_rest = self.wait(standing, REACTION_TIMEOUT_S, 'the arm to stand', strict=False)
         return at_rest and self.touring
 
     def record(self, stop: TourPosture) -> bool:
@@ -270,7 +270,7 @@ class Director(RobotClient):
         if not self.go(stop):
             return False
         return self.wait(
-            lambda: self.recorded > before, STAND_TIMEOUT_S, 'a recording', strict=False
+            lambda: self.recorded > before, REACTION_TIMEOUT_S, 'a recording', strict=False
         )
 
     @property

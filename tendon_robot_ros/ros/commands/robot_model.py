@@ -21,7 +21,7 @@ from ...common.arrays import Floats
 from ...common.errors import TendonRobotError
 from ...robot import Robot, load_robot
 from ...robot.urdf import joint_angles, joint_names, transforms, urdf
-from ..shared.messages import LATCHED, LISTEN, STATE, joint_state, matrix, quaternion
+from ..shared.messages import LATCHED, LISTEN, STATE, matrix, quaternion, refilled
 from ..shared.parameters import Parameters, RemoteParameter
 from ..shared.runtime import Runnable, repeat, run
 from ..shared.timing import STATUS_PERIOD_S
@@ -84,7 +84,8 @@ class RobotModelNode(Runnable, Node):
         frames = np.array([matrix(pose.orientation) for pose in message.poses])
         angles = joint_angles(robot, frames)
         stamp = message.header.stamp
-        self._joints.publish(joint_state(stamp, joint_names(robot), angles))
+        joints = JointState(name=joint_names(robot))
+        self._joints.publish(refilled(joints, stamp, angles, None))
         if self._broadcaster is not None:
             self._broadcaster.sendTransform(stamped(robot, angles, self._prefix, stamp))
 

@@ -14,11 +14,8 @@ from ...common.arrays import Floats
 from ...common.errors import DriverError, MovedError
 from ...drivers import Driver, Fault, Reading
 from ...drivers.safety import FOLLOWING, LIMP, OFF, RELEASED, Decision, Supervisor
-from ..shared.timing import CALL_TIMEOUT_S
+from ..shared.timing import CALL_TIMEOUT_S, WORK_TIMEOUT_S
 
-# [s] to switch torque on, because a driver may search for the slack of its wires first: else
-# each of a dozen wires would have at most 10 s
-ENABLE_TIMEOUT_S = 120.0
 # [s] that motors may lag behind the end of the ramp: twenty cycles at the default rate, else
 # torque would be switched off while they still move
 RAMP_SETTLE_S = 0.1
@@ -100,7 +97,7 @@ class MotorLoop:
 
     def activate(self) -> None:
         """Switch torque on, starting from the measured state."""
-        self.call(self._enable, ENABLE_TIMEOUT_S)
+        self.call(self._enable, WORK_TIMEOUT_S)
 
     def reset(self) -> None:
         """Clear latched stops, and undo the travel of failed searches for slack."""

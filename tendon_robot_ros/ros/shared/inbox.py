@@ -39,8 +39,6 @@ from .timing import SILENCE_S, VALUES_PERIOD_S
 
 # [B] of a message that is parsed between commands: measured, 10 MB take seconds
 MESSAGE_BYTES_MAX = 250_000
-# [1] manual of rmw, rmw/types.h: RMW_MESSAGE_INFO_SEQUENCE_NUMBER_UNSUPPORTED
-NOT_COUNTED = 2**64 - 1
 # [B] behind each structure, because a newer library may write a longer one
 SPARE_BYTES = 256
 
@@ -87,8 +85,8 @@ class _Info(ctypes.Structure):
     _fields_ = (
         ('sent', ctypes.c_int64),
         ('received', ctypes.c_int64),
-        ('number', ctypes.c_uint64),
-        ('received_number', ctypes.c_uint64),
+        ('number', ctypes.c_int64),  # -1 where the middleware does not count: rmw/types.h
+        ('received_number', ctypes.c_int64),
         ('middleware', ctypes.c_char_p),
         ('publisher', ctypes.c_uint8 * 16),
         ('spare', ctypes.c_uint8 * SPARE_BYTES),
@@ -141,8 +139,8 @@ class Inbox[M]:
                     self._problem = problem
                     continue
                 info = self._info
-                number = info.number if info.number < NOT_COUNTED else 0
-                messages.append(Received(message, info.sent, number, bytes(info.publisher)))
+                gid = bytes(info.publisher)
+                messages.append(Received(message, info.sent, max(info.number, 0), gid))
         return messages
 
     def refused(self) -> str:

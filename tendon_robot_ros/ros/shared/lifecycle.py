@@ -28,20 +28,32 @@ LEVELS = {'ok': OK, 'warn': WARN, 'error': ERROR}
 STOP_CALLED = 'stop was called'
 
 
-class ManagedNode(Runnable, LifecycleNode):
+class StoppableNode(Runnable, LifecycleNode):
     """
-    A lifecycle node whose transitions are plain methods.
+    A lifecycle node whose transitions are plain methods, and that can be stopped at once.
 
     A subclass has `configure`, `activate`, `deactivate` and `cleanup`; each may raise a
     TendonRobotError, which refuses the transition with its text.
+
+    The service ~/stop, the topic `stop` and the command `stop` stop it. A stop that arrives before
+    there is anything to stop is kept: a subclass calls `latch_early_stops` at the end of its
+    `configure`.
+
+    Parameters
+    ----------
+    name : str
+    drives : bool
+        Whether the node drives motors.
+
     """
 
     parameters: Parameters
     status: Status
 
-    def __init__(self, name: str) -> None:
-        """Create the node, unconfigured."""
+    def __init__(self, name: str, drives: bool) -> None:
+        """Create the node, unconfigured; `listen` subscribes to stops."""
         super().__init__(name)
+        self._drives, self._stopped = drives, False
         service = self._service_change_state
         change_state = service.callback
 
@@ -96,7 +108,7 @@ class ManagedNode(Runnable, LifecycleNode):
 
     def problem(self, message: str) -> None:
         """Report why a transition was refused."""
-        self.get_logger().error(message)
+        self.status.publish(ERROR, 'not_ready', message, once=True)
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Run `configure`."""
@@ -142,6 +154,54 @@ class ManagedNode(Runnable, LifecycleNode):
             raise
         self.phase = phase
         return TransitionCallbackReturn.SUCCESS
+
+    def listen(self, *services: Service) -> None:
+        """Receive stops and answer services in a thread of their own."""
+        stop = Service(self, Trigger, '~/stop', lambda _, send: send(self.stop_called()))
+
+        def cleared() -> None:
+            if (latch := self.latch) is not None:
+                latch.cause_removed('stop topic')
+
+        self.stop_topic = StopTopic(self, self.stop_by_topic, cleared, [stop, *services])
+        self._local_stop = StopListener(
+            self.context.get_domain_id(),
+            Stoppable(self.get_fully_qualified_name(), self._drives),
+            self.stop_now,
+        )
+
+    @property
+    def latch(self) -> StopLatch | None:
+        """The latch of stops; None while there is nothing to stop."""
+        raise NotImplementedError
+
+    def stop_called(self) -> Trigger.Response:
+        """Stop, and return the response of the service `~/stop`."""
+        raise NotImplementedError
+
+    def stop_by_topic(self, reason: str) -> None:
+        """Latch the stop of the topic `stop`."""
+        if (latch := self.latch) is not None:
+            latch.stop('stop topic', reason, lasting=True)
+
+    def stop_now(self) -> None:
+        """Latch a stop, in the thread that receives it."""
+        self._stopped = True
+        if (latch := self.latch) is not None:
+            latch.stop('stop', STOP_CALLED)
+
+    def latch_early_stops(self) -> None:
+        """Latch the stops that arrived before there was anything to stop."""
+        if self.stop_topic.active:
+            self.stop_by_topic(STOP_REASON)
+        if self._stopped:
+            self.stop_now()
+
+    def destroy_node(self) -> None:
+        """Close the subscriptions and destroy the node."""
+        self.stop_topic.close()
+        self._local_stop.close()
+        super().destroy_node()
 
 
 class Status:
@@ -236,76 +296,3 @@ class Status:
         array = DiagnosticArray(status=[status])
         array.header.stamp = stamp_now(self._node)
         self._diagnostics.publish(array)
-
-
-class StoppableNode(ManagedNode):
-    """
-    A node that the service ~/stop, the topic `stop` and the command `stop` stop at once.
-
-    A stop that arrives before there is anything to stop is kept: a subclass calls
-    `latch_early_stops` at the end of its `configure`.
-
-    Parameters
-    ----------
-    name : str
-    drives : bool
-        Whether the node drives motors.
-
-    """
-
-    def __init__(self, name: str, drives: bool) -> None:
-        """Create the node, unconfigured; `listen` subscribes to stops."""
-        super().__init__(name)
-        self._drives, self._stopped = drives, False
-
-    def listen(self, *services: Service) -> None:
-        """Receive stops and answer services in a thread of their own."""
-        stop = Service(self, Trigger, '~/stop', lambda _, send: send(self.stop_called()))
-
-        def cleared() -> None:
-            if (latch := self.latch) is not None:
-                latch.cause_removed('stop topic')
-
-        self.stop_topic = StopTopic(self, self.stop_by_topic, cleared, [stop, *services])
-        self._local_stop = StopListener(
-            self.context.get_domain_id(),
-            Stoppable(self.get_fully_qualified_name(), self._drives),
-            self.stop_now,
-        )
-
-    @property
-    def latch(self) -> StopLatch | None:
-        """The latch of stops; None while there is nothing to stop."""
-        raise NotImplementedError
-
-    def stop_called(self) -> Trigger.Response:
-        """Stop, and return the response of the service `~/stop`."""
-        raise NotImplementedError
-
-    def stop_by_topic(self, reason: str) -> None:
-        """Latch the stop of the topic `stop`."""
-        if (latch := self.latch) is not None:
-            latch.stop('stop topic', reason, lasting=True)
-
-    def stop_now(self) -> None:
-        """Latch a stop, in the thread that receives it."""
-        self._stopped = True
-        if (latch := self.latch) is not None:
-            latch.stop('stop', STOP_CALLED)
-
-    def latch_early_stops(self) -> None:
-        """Latch the stops that arrived before there was anything to stop."""
-        if self.stop_topic.active:
-            self.stop_by_topic(STOP_REASON)
-        if self._stopped:
-            self.stop_now()
-
-    def problem(self, message: str) -> None:
-        """Report why a transition was refused."""
-        self.status.publish(ERROR, 'not_ready', message, once=True)
-
-    def destroy_node(self) -> None:
-        """Close the subscriptions and destroy the node."""
-        self.stop_topic.close()
-        self._local_stop.close()
-        super().destroy_node()

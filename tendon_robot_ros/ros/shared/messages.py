@@ -132,17 +132,14 @@ def header_now(node: Node, frame: str = '') -> Header:
     return Header(frame_id=frame, stamp=stamp_now(node))
 
 
-def joint_state(
-    stamp: Time, names: Sequence[str], position: Floats | None = None, effort: Floats | None = None
-) -> JointState:
-    """Return a joint message: position = wire pull [m], effort = tension [N]."""
-    return refilled(JointState(name=list(names)), stamp, position, effort)
-
-
 def refilled(
     message: JointState, stamp: Time, position: Floats | None, effort: Floats | None
 ) -> JointState:
-    """Fill a joint message with new values and return it: cheaper than a new message."""
+    """
+    Fill a joint message with new values and return it: cheaper than a new message.
+
+    Of tendons, position is the wire pull [m] and effort the tension [N].
+    """
     message.header.stamp = stamp
     message.position = () if position is None else position.tolist()
     message.effort = () if effort is None else effort.tolist()

@@ -24,6 +24,7 @@ from ...common.rotations import towards
 from ...control.inputs import Trajectory
 from ...control.inputs import direction as looks
 from ...control.loading import load
+from ...drivers.safety import CYCLE_MAX_S
 from ...effects import load_catalogue
 from ...model.model import Model
 from ...robot import load_robot
@@ -44,17 +45,14 @@ from .messages import (
 )
 from .parameters import RemoteParameter, declared
 from .runtime import SPIN_S, Ending
-from .timing import NODE_TIMEOUT_S
+from .timing import CALL_TIMEOUT_S, REACTION_TIMEOUT_S
 
 SETTLED_CODES = ('reached', 'nearest', 'at_limit')
 WORKING_CODES = ('holding', 'searching', 'moving', 'playing', 'played', 'jogging', *SETTLED_CODES)
 # [s] over which a tip at rest is averaged: ten frames at 30 Hz, so that the noise of a tracker
 # falls to a third
 TIP_AVERAGE_S = 0.3
-# [s] to wait for rest, else an arm that vibrates would never be reported
-STANDING_TIMEOUT_S = 4.0
-# [s] of the shortest move: ten cycles at the default rate, so that no command jumps
-MOVE_MIN_S = 0.05
+MOVE_MIN_S = CYCLE_MAX_S  # [s] of the shortest move, so that no command jumps
 # [1] messages kept of a kind, so that they cover several seconds of rest, and memory does not
 # grow
 MESSAGES_MAX = 500
@@ -188,9 +186,9 @@ class RobotClient(Node):
     def triggered(self, name: str) -> str:
         """Call a Trigger service; return its message, raise TendonRobotError if it refuses."""
         request, answers = Request(self, Trigger, name), list[Trigger.Response]()
-        self.wait(lambda: request.ready, NODE_TIMEOUT_S, f'the service {name}')
+        self.wait(lambda: request.ready, REACTION_TIMEOUT_S, f'the service {name}')
         request.ask(Trigger.Request(), answers.append)
-        self.wait(lambda: answers, NODE_TIMEOUT_S, f'an answer of {name}')
+        self.wait(lambda: answers, REACTION_TIMEOUT_S, f'an answer of {name}')
         if not answers[0].success:
             raise TendonRobotError(f'{name}: {answers[0].message}')
         return str(answers[0].message)
@@ -210,10 +208,10 @@ class RobotClient(Node):
             remote.ask(values.append)
             return bool(values)
 
-        self.wait(answered, NODE_TIMEOUT_S, f'the parameter {name} of {node}: is it running?')
+        self.wait(answered, REACTION_TIMEOUT_S, f'the parameter {name} of {node}: is it running?')
         return values[0]
 
-    def put(self, name: str, value: str, timeout: float = NODE_TIMEOUT_S) -> tuple[bool, str]:
+    def put(self, name: str, value: str, timeout: float = REACTION_TIMEOUT_S) -> tuple[bool, str]:
         """Set a parameter of the controller that was read before; return success and reason."""
         answers: list[tuple[bool, str]] = []
         self._remotes[self._controller, name].put(value, lambda *answer: answers.append(answer))
@@ -261,7 +259,7 @@ class Pilot(RobotClient):
         subscribe(PoseStamped, 'measured_tip', measured, LISTEN)
         subscribe(JointState, 'tendon_command', command, COMMAND)
 
-    def connect(self, timeout: float = NODE_TIMEOUT_S) -> None:
+    def connect(self, timeout: float = REACTION_TIMEOUT_S) -> None:
         """
         Wait for the controller.
 
@@ -344,8 +342,8 @@ class Pilot(RobotClient):
         self.wait(at_rest, timeout, what)
 
     def stand(self) -> None:
-        """Wait until the tip is at rest, at most `STANDING_TIMEOUT_S`: motors, trackers lag."""
-        end = time.monotonic() + STANDING_TIMEOUT_S
+        """Wait until the tip is at rest, at most `CALL_TIMEOUT_S`: motors, trackers lag."""
+        end = time.monotonic() + CALL_TIMEOUT_S
         # between the mean tips of both halves of the time; with a noise of 0.2 mm and five frames
         # each, seven of eight arms at rest would pass at once
         tolerance = declared()['monitor']['still_speed'].default * TIP_AVERAGE_S / 2

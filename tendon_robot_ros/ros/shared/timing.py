@@ -28,19 +28,17 @@ ANSWER_TIMEOUT_S = 3.0
 # [s] Without an answer after which a request to stop is repeated, because sixty cycles of the
 # default rate are enough for an answer that is not lost.
 STOP_ANSWER_S = 0.3
-# [s] For the motors to carry out a call or a release, and a process to end, because a Dynamixel
-# that restarts answers after up to 2 s, and a release of 5 N at the default release_rate takes
-# 0.5 s.
+# [s] For the motors to carry out a call or a release, a process to end, and a tip to come to rest,
+# because a Dynamixel that restarts answers after up to 2 s, and a release of 5 N at the default
+# release_rate takes 0.5 s.
 CALL_TIMEOUT_S = 5.0
-# [s] For a running node to be discovered and to answer, because discovery alone takes 0.1 to
-# 2.3 s, and several times that on a busy machine.
-NODE_TIMEOUT_S = 15.0
-# [s] For an arm to come to rest after a move, be seen and be recorded, because motors lag,
-# trackers lose frames, and a busy machine is late with both.
-STAND_TIMEOUT_S = 20.0
+# [s] For a running node to be discovered and to answer, and for an arm to come to rest after a
+# move, be seen and be recorded, because discovery alone takes 0.1 to 2.3 s, motors lag, trackers
+# lose frames, and a busy machine is several times as late with all of that.
+REACTION_TIMEOUT_S = 20.0
 # [s] For an arm to go anywhere within its reach: at the default rate_limit of 10 N/s a tension
 # would change by 600 N, a hundred times the range of the shipped robots.
 MOVE_TIMEOUT_S = 60.0
-# [s] For all nodes to start or a diagnosis to end, because models compile for minutes on a slow
-# machine the first time.
+# [s] For all nodes to start, torque to come on or a diagnosis to end, because models compile for
+# minutes on a slow machine the first time, and a driver may search for the slack of a dozen wires.
 WORK_TIMEOUT_S = 600.0

@@ -29,8 +29,6 @@ BUTTONS: tuple[tuple[str, str, str, str], ...] = (  # name, label, hint, colour
 # [1] of the robot's length: the measured arm is wide and translucent, the predicted one a third of
 # that, so that both are visible where they coincide
 MEASURED_WIDTH = 0.034
-# [m] of the arm until it is known, a typical one of a laboratory, else nothing would be visible
-FIRST_LENGTH_M = 0.2
 # [1] of the robot's length: a camera that is closer to its placement was not moved by a user,
 # because a browser rounds
 VIEW_TOLERANCE = 0.01
@@ -110,7 +108,7 @@ class LivePage:
 
     """
 
-    def __init__(self, host: str, port: int, token: str, size: float = FIRST_LENGTH_M) -> None:
+    def __init__(self, host: str, port: int, token: str, size: float = 1.0) -> None:
         """Open the port."""
         try:
             import viser
