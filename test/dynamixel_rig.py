@@ -12,7 +12,7 @@ from sensor_msgs.msg import JointState
 
 from tendon_robot_ros.common.files import shared_file
 from tendon_robot_ros.drivers.dynamixel.config import from_data_sheet
-from tendon_robot_ros.drivers.dynamixel.control_table import MODELS, TICKS_PER_TURN
+from tendon_robot_ros.drivers.dynamixel.control_table import MODELS, Counts
 from tendon_robot_ros.ros.shared.messages import COMMAND
 
 ROBOT = 'kato_10_1'
@@ -118,7 +118,7 @@ class Rig:
         """Return by how many counts of current, or ticks, goals change with a command."""
         content = self.servos.content()
         if self.mode == 'pull':
-            return change * TICKS_PER_TURN / (2.0 * np.pi * content['spool_radius'])
+            return change * Counts.TICKS_PER_TURN / (2.0 * np.pi * content['spool_radius'])
         model = MODELS[content['model']]
         line = from_data_sheet(model, content['spool_radius']).mean
         return change * line.slope / model.current_unit

@@ -21,7 +21,7 @@ from tendon_robot_ros.drivers.dynamixel.config import (
 from tendon_robot_ros.drivers.dynamixel.control_table import (
     MODELS,
     REGISTERS,
-    TICKS_PER_TURN,
+    Counts,
     decode,
     encode,
 )
@@ -124,9 +124,9 @@ def test_a_calibration_file_is_found_beside_the_configuration(tmp_path):
 
 @given(st.floats(1e-3, 0.1), st.sampled_from([1, -1]), st.floats(-0.1, 0.1))
 def test_ticks_and_pull_undo_each_other(radius, direction, pull):
-    spool = Spool(radius, direction, TICKS_PER_TURN)
+    spool = Spool(radius, direction, Counts.TICKS_PER_TURN)
     assert spool.pull(spool.ticks(pull)) == pytest.approx(pull, abs=1e-12)
-    assert spool.pull(direction * TICKS_PER_TURN) == pytest.approx(2.0 * math.pi * radius)
+    assert spool.pull(direction * Counts.TICKS_PER_TURN) == pytest.approx(2.0 * math.pi * radius)
 
 
 @given(st.sampled_from(list(REGISTERS.values())), st.data())

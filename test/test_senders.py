@@ -28,7 +28,6 @@ from tendon_robot_ros.ros.shared.inbox import Inbox, Received
 from tendon_robot_ros.ros.shared.messages import LATCHED, seconds
 from tendon_robot_ros.ros.shared.senders import (
     OwnPublisher,
-    PublisherNames,
     SenderProcess,
     Senders,
     gid_of,
@@ -49,7 +48,7 @@ def said_by(publisher):
 
 
 def test_the_first_is_followed_until_it_is_gone():
-    senders = Senders()
+    senders = Senders(None, 'tendon_command')
     assert senders.first(0.0) is None
     assert senders.counts(0.0, said_by(ONE))
     assert not senders.counts(0.01, said_by(TWO))
@@ -67,7 +66,7 @@ def test_the_first_is_followed_until_it_is_gone():
 
 
 def test_who_comes_is_named_in_place_of_those_who_have_gone():
-    senders, now = Senders(), 0.0
+    senders, now = Senders(None, 'tendon_command'), 0.0
     for i in range(3 * NAMES_LISTED_MAX):  # as many people, each with `ros2 topic pub --once`
         now += 0.5 * SILENCE_S
         assert senders.counts(now, said_by(ONE))
@@ -105,7 +104,7 @@ threading.Event().wait()
 
 
 def test_the_death_of_who_is_followed_is_seen_and_the_next_is_followed_at_once():
-    senders = Senders()
+    senders = Senders(None, 'tendon_command')
     pipes = {'stdout': processes.PIPE, 'env': child_environment()}
     with Forked(['-c', PUBLISHES], **pipes) as process:
         publisher = bytes.fromhex(process.stdout.readline())
@@ -122,7 +121,7 @@ def test_the_death_of_who_is_followed_is_seen_and_the_next_is_followed_at_once()
 
 
 def test_who_is_of_another_computer_or_package_is_known_by_its_silence_only():
-    senders = Senders()
+    senders = Senders(None, 'tendon_command')
     assert senders.counts(0.0, said_by(ONE))
     assert not senders.died()
 
@@ -150,16 +149,16 @@ def test_a_publisher_is_found_by_its_gid_among_those_of_its_topic_with_the_name_
     node = rclpy.create_node('one', namespace='/named')
     try:
         publisher = node.create_publisher(JointState, 'tendon_command', 1)
-        names, gid = PublisherNames(node, 'tendon_command'), gid_of(publisher)
+        senders, gid = Senders(node, 'tendon_command'), gid_of(publisher)
         assert gid_text(gid).count('.') == len(gid) - 1
-        assert names.of([]) == ''
+        assert senders.names([]) == ''
         own = OwnPublisher(node, publisher)
         end = time.monotonic() + 30.0
-        while names.of([gid]) != f'/named/one (process {os.getpid()})':
-            assert time.monotonic() < end, names.of([gid])
+        while senders.names([gid]) != f'/named/one (process {os.getpid()})':
+            assert time.monotonic() < end, senders.names([gid])
         own.close()
-        assert names.known(gid)
-        assert 'not discovered' in names.of([TWO])
+        assert senders.known(gid)
+        assert 'not discovered' in senders.names([TWO])
     finally:
         node.destroy_node()
         rclpy.try_shutdown()

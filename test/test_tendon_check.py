@@ -72,7 +72,8 @@ def test_readings_that_come_one_by_one_from_a_busy_computer_are_waited_for(drive
 
     driver.enable()
     monkeypatch.setattr(driver, 'read', late)
-    arm = tendon_check._HeldTendons(driver, lambda: now[0], lambda: None, np.ones(4))
+    arm = tendon_check._HeldTendons(driver, lambda: None, np.ones(4))
+    arm.clock = lambda: now[0]
     pulls, _ = arm.still()
     assert pulls == pytest.approx(1e-3, abs=3e-5)
     assert now[0] > 1.0

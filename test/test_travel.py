@@ -14,7 +14,7 @@ pytest.importorskip('dynamixel_sdk')
 
 from tendon_robot_ros.drivers.dynamixel import driver as module
 from tendon_robot_ros.drivers.dynamixel import motions
-from tendon_robot_ros.drivers.dynamixel.control_table import WATCHDOG_TRIPPED
+from tendon_robot_ros.drivers.dynamixel.control_table import Counts
 
 TRAVEL = 0.01  # [m]
 MORE = 0.002  # [m] the back-off, and what a motor turns until it is told to stop
@@ -85,7 +85,7 @@ def test_a_motor_that_its_watchdog_stopped_has_found_no_wire(free):
     def trip():
         free.wait_until_on_the_way(way=0.004)  # behind the back-off
         for number in (1, 2, 3, 4):
-            free.line.servo(number).put('bus_watchdog', WATCHDOG_TRIPPED)
+            free.line.servo(number).put('bus_watchdog', Counts.WATCHDOG_TRIPPED)
 
     with free.driver(free.line) as driver:
         trips = threading.Thread(target=trip)
@@ -102,7 +102,7 @@ def test_a_motor_that_its_watchdog_stopped_while_it_pays_out_is_not_one_that_doe
         torque_on(bus, motors, mode, watchdog)
         monkeypatch.setattr(motions, 'torque_on', torque_on)
         for motor in motors:
-            line.servo(motor.identity).put('bus_watchdog', WATCHDOG_TRIPPED)
+            line.servo(motor.identity).put('bus_watchdog', Counts.WATCHDOG_TRIPPED)
 
     torque_on = motions.torque_on
     with emulated.line() as line, emulated.driver_for(line, 'pull') as driver:

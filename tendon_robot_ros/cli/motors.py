@@ -12,9 +12,8 @@ import sys
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -371,46 +370,29 @@ class Emulate:
 
     def run(self, args: argparse.Namespace) -> int:
         """Serve until the input says quit or a signal comes."""
-        robot = load_robot(args.robot)
-        emulated = (
-            emulated_servos(args, robot)
-            if args.kind == 'dynamixel'
-            else emulated_board(args, robot)
-        )
+        emulated = emulated_servos if args.kind == 'dynamixel' else emulated_board
+        plug, config, words = emulated(args, load_robot(args.robot))
         ending = threading.Event()
-
-        def end(number: int, frame: FrameType | None) -> None:
-            ending.set()
-
-        before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
+        ends = (signal.SIGINT, signal.SIGTERM)
+        before = {number: signal.signal(number, lambda *_: ending.set()) for number in ends}
         try:
-            serve(args, emulated, ending)
+            with plug as line:
+                if args.write_config:
+                    text = yaml.safe_dump(config, sort_keys=False, default_flow_style=None)
+                    write_text(args.write_config, f'# emulated: {words}\n{text}')
+                print(line.port, flush=True)
+                print(f'{words}; type help for faults', file=sys.stderr)
+                more = (line.obey, ending, args.ends_with_input)
+                threading.Thread(target=listen, args=more, daemon=True).start()
+                ending.wait()
         finally:
             for number, handler in before.items():
                 signal.signal(number, handler)
         return 0
 
 
-@dataclass(frozen=True)
-class Emulated:
-    """An emulated device: its port, a configuration for the driver, and a description."""
-
-    line: Plug
-    config: dict[str, Any]
-    words: str
-
-
-def serve(args: argparse.Namespace, emulated: Emulated, ending: threading.Event) -> None:
-    """Write the configuration and say where the port is, then wait for the end."""
-    with emulated.line as line:
-        if args.write_config:
-            text = yaml.safe_dump(emulated.config, sort_keys=False, default_flow_style=None)
-            write_text(args.write_config, f'# emulated: {emulated.words}\n{text}')
-        print(line.port, flush=True)
-        print(f'{emulated.words}; type help for faults', file=sys.stderr)
-        more = (line.obey, ending, args.ends_with_input)
-        threading.Thread(target=listen, args=more, daemon=True).start()
-        ending.wait()
+# port, configuration for the driver, description
+Emulated = tuple[Plug, dict[str, Any], str]
 
 
 def listen(obey: Callable[[str], str], ending: threading.Event, to_the_end: bool) -> None:
@@ -446,7 +428,7 @@ def emulated_servos(args: argparse.Namespace, robot: Robot) -> Emulated:
         'motors': {name: {'id': i} for name, i in zip(robot.inputs, many, strict=True)},
     }
     words = f'{len(servos)} x {args.model}, ids 1 to {len(servos)}, spools of {1e3 * radius:g} mm'
-    return Emulated(line, config, words)
+    return line, config, words
 
 
 def emulated_board(args: argparse.Namespace, robot: Robot) -> Emulated:
@@ -455,7 +437,7 @@ def emulated_board(args: argparse.Namespace, robot: Robot) -> Emulated:
     line = EmulatedBoard(rig, args.port)
     words = f'a board with {rig.channels} motors and load cells, channels 0 to {rig.channels - 1}'
     config = {'port': line.port, **rig.config(robot.inputs)}
-    return Emulated(line, config, words)
+    return line, config, words
 
 
 def _arm(args: argparse.Namespace, robot: Robot) -> Arm:

@@ -10,7 +10,6 @@ import argparse
 import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TextIO
@@ -101,17 +100,16 @@ def ask(questions: Questions, name: str) -> dict[str, Any]:
     count = questions.whole('How many sections', 2, 1, 20)
     cells = questions.whole('Cells (guide to guide) per section', 15, 1, 1000)
     length = 1e-3 * questions.number('Length of a cell [mm]', 7.0, 1e-3, 1e4)
-    stiff = ask_stiffness(questions, count * cells * length)
+    stiffness_of, percent = ask_stiffness(questions, count, cells, length)
     bends = questions.choice('Cells bend as', ('arc', 'hinge'))
     many = questions.whole('Tendons per section (2: planar)', 2, 1, 12)
     radius = 1e-3 * questions.number('Tendons are off the centre by [mm]', 5.5, 1e-3, 1e3)
     low = questions.number('Lowest tension [N]', 0.1, 0.0, 1e4)
     high = questions.number('Highest tension [N]', max(5.0, 10.0 * low), low, 1e5, above=True)
     friction = questions.number('Friction of tendon on eyelet, coefficient', 0.3, 0.0, 1.0)
-    size = Size(count, cells, length, radius, high)
     names = {1: ['arm'], 2: ['proximal', 'distal']}.get(count)
     names = names or [f'section_{i + 1}' for i in range(count)]
-    stiffness = float(f'{stiff.of_cell(size):.4g}')
+    stiffness = float(f'{stiffness_of(radius, high):.4g}')
     section = {'cells': cells, 'cell_length': length, 'bending_stiffness': stiffness}
     content: dict[str, Any] = {
         'name': name,
@@ -121,7 +119,7 @@ def ask(questions: Questions, name: str) -> dict[str, Any]:
         'effects': {'tendon_friction': {'friction_coefficient': friction}} if friction else {},
     }
     content |= ask_weight(questions, count * cells * length, content['effects'])
-    content |= ask_tolerances(questions, stiff, friction)
+    content |= ask_tolerances(questions, percent, friction)
     ask_guides(questions, content['effects'])
     content |= ask_down(questions, content.get('gravity', (0.0, 0.0, 0.0)), content['tendons'])
     if 'eyelet_wrap' in content['effects']:  # friction may begin below the first cell
@@ -155,9 +153,9 @@ def ask_weight(questions: Questions, length: float, effects: dict[str, Any]) -> 
     return {'gravity': [0.0, 0.0, acceleration]}
 
 
-def ask_tolerances(questions: Questions, known: Stiffness, friction: float) -> dict[str, Any]:
+def ask_tolerances(questions: Questions, percent: float, friction: float) -> dict[str, Any]:
     """Ask how sure values are; a diagnosis moves them so far before it calls something missing."""
-    percent = questions.number('How sure is the stiffness [± %]', known.percent, 0, 90)
+    percent = questions.number('How sure is the stiffness [± %]', percent, 0, 90)
     tolerances = {'bending_stiffness': percent / 100.0} if percent else {}
     if friction and (percent := questions.number('How sure is the friction [± %]', 20, 0, 90)):
         tolerances['friction_coefficient'] = percent / 100.0
@@ -205,33 +203,34 @@ def ask_rotation(questions: Questions, tendons: list[dict[str, Any]]) -> None:
         tendon['offset'] = [round(c * x - s * y, 9) + 0.0, round(s * x + c * y, 9) + 0.0]
 
 
-@dataclass(frozen=True)
-class Size:
-    """The dimensions from which a stiffness is computed."""
+def ask_stiffness(
+    questions: Questions, sections: int, cells: int, length: float
+) -> tuple[Callable[[float, float], float], float]:
+    """
+    Ask for the stiffness of a cell, or for what it follows from.
 
-    sections: int
-    cells: int  # of a section
-    length: float  # [m] of a cell
-    radius: float  # [m] of the tendons
-    highest: float  # [N]
+    Parameters
+    ----------
+    questions : Questions
+    sections, cells : int
+        Number of sections, and of the cells of each.
+    length : float
+        Of a cell [m].
 
+    Returns
+    -------
+    stiffness_of : callable
+        Radius of the tendons [m] and highest tension [N] -> stiffness of a cell [N·m/rad].
+    percent : float
+        Its usual accuracy [%].
 
-@dataclass(frozen=True)
-class Stiffness:
-    """The source of the stiffness, and its usual accuracy [%]."""
-
-    of_cell: Callable[[Size], float]  # [N·m/rad]
-    percent: float
-
-
-def ask_stiffness(questions: Questions, length: float) -> Stiffness:
-    """Ask for the stiffness of a cell, or for what it follows from; the arm is so long [m]."""
+    """
     source = questions.choice(
         'The bending stiffness is known as', ('number', 'rod', 'tube', 'sag', 'bend', 'unknown')
     )
     if source == 'number':
         value = questions.number('Bending stiffness of a cell [N·m/rad]', 0.027, 1e-9, 1e6)
-        return Stiffness(lambda size: value, 5.0)
+        return lambda *_: value, 5.0
     if source in ('rod', 'tube'):
         outer = 1e-3 * questions.number('Outer diameter [mm]', 1.0, 1e-3, 1e3)
         inner = 0.0
@@ -240,28 +239,26 @@ def ask_stiffness(questions: Questions, length: float) -> Stiffness:
             inner = outer - 2e-3 * wall
         known = 'nitinol 60, steel 200, glass fibre 40, PEEK 3.6, nylon 2'
         modulus = 1e9 * questions.number(f'Modulus E [GPa] ({known})', 60.0, 1e-6, 1e4)
-        return Stiffness(lambda size: rod_stiffness(modulus, outer, inner, size.length), 10.0)
+        value = rod_stiffness(modulus, outer, inner, length)
+        return lambda *_: value, 10.0
     if source == 'sag':
         grams = questions.number('Hold the arm level, weight at its tip [g]', 10.0, 1e-3, 1e6)
-        sag_max = 1e3 * SAG_FRACTION_MAX * length
+        sag_max = 1e3 * SAG_FRACTION_MAX * sections * cells * length
         why = f'{100 * SAG_FRACTION_MAX:g} % of the arm; if it sags more, take a lighter weight'
         sags = questions.number(
             'Its tip then sags by [mm]', min(5.0, 0.5 * sag_max), 1e-3, sag_max, why=why
         )
-        force, drop = 1e-3 * STANDARD_GRAVITY * grams, 1e-3 * sags
-        return Stiffness(
-            lambda size: stiffness_from_sag(force, drop, size.sections * size.cells, size.length),
-            10.0,
-        )
+        force = 1e-3 * STANDARD_GRAVITY * grams
+        value = stiffness_from_sag(force, 1e-3 * sags, sections * cells, length)
+        return lambda *_: value, 10.0
     tension, angle, percent = None, math.pi, 50.0  # not known: the highest bends by 180°
     if source == 'bend':
         tension = questions.number('One tendon alone, tension [N]', 1.0, 1e-6, 1e5)
         angle = math.radians(questions.number('Its section then bends by [°]', 45.0, 1e-3, 1e4))
         percent = 20.0
-    return Stiffness(
-        lambda size: stiffness_from_bend(tension or size.highest, angle, size.cells, size.radius),
-        percent,
-    )
+    return (
+        lambda radius, highest: stiffness_from_bend(tension or highest, angle, cells, radius)
+    ), percent
 
 
 def tendons_of(

@@ -70,9 +70,7 @@ class TendonChange:
         return f'{self.name}: {"; ".join(words)}' if words else ''
 
 
-def measure_reference(
-    driver: Driver, tension: float, clock: Callable[[], float] = time.monotonic
-) -> TendonReference:
+def measure_reference(driver: Driver, tension: float) -> TendonReference:
     """
     Bring all tendons slowly to a tension [N], wait until they rest, read, then release them.
 
@@ -96,7 +94,7 @@ def measure_reference(
         driver.enable()
         try:
             present = np.clip(np.nan_to_num(driver.read().tensions), lowest, highest)
-            arm = _HeldTendons(driver, clock, check, present)
+            arm = _HeldTendons(driver, check, present)
             try:
                 arm.ramp(goal, RAMP_S)
                 pulls, tensions = arm.still()
@@ -195,9 +193,9 @@ class _HeldTendons:
     """All tendons on a ramp or at rest; readings are checked after every command."""
 
     driver: Driver
-    clock: Callable[[], float]
     check: Callable[[], None]  # raises when a signal requests the end
     command: Array  # (m,) [N] the last one
+    clock = staticmethod(time.monotonic)
 
     def ramp(self, end: Array, seconds: float) -> None:
         """Bring the tensions from the last command to an end (m,) [N]."""

@@ -26,7 +26,7 @@ import numpy as np
 from ..drivers.dynamixel.control_table import (
     BAUD_RATES,
     REGISTERS,
-    WATCHDOG_TRIPPED,
+    Counts,
     HardwareError,
 )
 from .port import COMMON_HELP, Command, Plug
@@ -87,9 +87,9 @@ def crc_of_byte(byte: int) -> int:
     return value & 0xFFFF
 
 
-def crc(data: bytes, start: int = 0) -> int:
-    """Compute the CRC-16 of the bytes, continuing from `start`."""
-    value = start
+def crc(data: bytes) -> int:
+    """Compute the CRC-16 of the bytes."""
+    value = 0
     for byte in data:
         value = (value << 8 & 0xFFFF) ^ crc_of_byte(value >> 8 ^ byte)
     return value
@@ -370,7 +370,7 @@ class EmulatedBus(Plug):
             'hot': self.heat,
             'volts': self.supply,
             'restart': of_each(lambda servo: self.restart(servo.identity)),
-            'trip': of_each(lambda servo: servo.put('bus_watchdog', WATCHDOG_TRIPPED)),
+            'trip': of_each(lambda servo: servo.put('bus_watchdog', Counts.WATCHDOG_TRIPPED)),
             'weight': self.hang,
             'state': lambda values: json.dumps(self.state()),
             'log': self.log,

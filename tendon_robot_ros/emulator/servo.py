@@ -25,12 +25,10 @@ from enum import IntEnum
 
 from ..drivers.dynamixel.control_table import (
     BAUD_RATES,
-    PWM_FULL,
     RADIANS_PER_TICK,
     REGISTERS,
     TABLE_BYTES,
-    TICKS_PER_TURN,
-    WATCHDOG_TRIPPED,
+    Counts,
     DriveMode,
     HardwareError,
     OperatingMode,
@@ -232,7 +230,7 @@ class Servo:
             'return_delay_time': 250,
             'operating_mode': OperatingMode.POSITION,
             'secondary_id': 255,
-            'pwm_limit': PWM_FULL,
+            'pwm_limit': Counts.PWM_FULL,
             'pwm_slope': model.pwm_slope or 0,
             'shutdown': model.shutdown,
             'temperature_limit': model.temperature_limit,
@@ -252,7 +250,7 @@ class Servo:
         """
         self._bytes[RAM_BEGIN:] = bytes(TABLE_BYTES - RAM_BEGIN)
         self.put('status_return_level', 2)
-        self.motion.angle = self.motion.ticks % TICKS_PER_TURN * RADIANS_PER_TICK
+        self.motion.angle = self.motion.ticks % Counts.TICKS_PER_TURN * RADIANS_PER_TICK
         self.motion.speed = self.motion.current = self.motion.drag = 0.0
         self.silence = 0.0  # [s] since the last instruction packet
         self._mode_to_defaults()
@@ -286,7 +284,7 @@ class Servo:
     @property
     def tripped(self) -> bool:
         """Whether the bus watchdog has tripped."""
-        return self.get('bus_watchdog') == WATCHDOG_TRIPPED
+        return self.get('bus_watchdog') == Counts.WATCHDOG_TRIPPED
 
     @property
     def alert(self) -> int:
@@ -361,7 +359,7 @@ class Servo:
         self.put('profile_velocity', 0)
         self.put('profile_acceleration', 0)
         if self.get('operating_mode') == OperatingMode.CURRENT_BASED_POSITION:
-            self.put('pwm_limit', PWM_FULL)
+            self.put('pwm_limit', Counts.PWM_FULL)
         in_current_mode = self.get('operating_mode') == OperatingMode.CURRENT
         self.put('goal_current', 0 if in_current_mode else self.get('current_limit'))
         self.put('goal_pwm', self.get('pwm_limit'))
@@ -388,7 +386,7 @@ class Servo:
         self.silence += passed
         watchdog = self.get('bus_watchdog') * REGISTERS['bus_watchdog'].unit
         if self.torque and not self.tripped and 0 < watchdog < self.silence:
-            self.put('bus_watchdog', WATCHDOG_TRIPPED)
+            self.put('bus_watchdog', Counts.WATCHDOG_TRIPPED)
             self.put('goal_position', self._to_position(self.motion.ticks))
             if self.get('operating_mode') == OperatingMode.CURRENT:
                 self.put('goal_current', 0)
@@ -404,7 +402,7 @@ class Servo:
             self.motion.drive_current(0.0, load, step)
             return
         unit, model, drive_mode = self.model.current_unit, self.model, self.get('drive_mode')
-        duty = min(self.get('pwm_limit'), abs(self.get('goal_pwm'))) / PWM_FULL
+        duty = min(self.get('pwm_limit'), abs(self.get('goal_pwm'))) / Counts.PWM_FULL
         stalled = duty * model.stall_torque / model.torque_per_ampere  # [A]
         limit = min(self.get('current_limit') * unit, stalled)
         current = self.sign * self.get('goal_current') * unit

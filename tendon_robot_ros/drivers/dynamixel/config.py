@@ -38,8 +38,8 @@ from .control_table import (
     BAUD_RATES,
     INSTEAD,
     MODELS,
-    TICKS_PER_TURN,
     WITHOUT_CURRENT,
+    Counts,
     ServoModel,
     plain_model,
 )
@@ -283,7 +283,9 @@ def read_wires(top: ConfigFields, robot: Robot, mode: str) -> tuple[MotorWire, .
         wires.append(
             MotorWire(
                 name,
-                Spool(radius, read_direction(item, 'counter-clockwise winds'), TICKS_PER_TURN),
+                Spool(
+                    radius, read_direction(item, 'counter-clockwise winds'), Counts.TICKS_PER_TURN
+                ),
                 **read_wire_limits(item, top, robot, mode),
                 rate=nearest(item, top, key).value(key, default, low, high, unit),
                 motor=identity,

@@ -18,12 +18,19 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from functools import cached_property
 
-TICKS_PER_TURN = 4096  # [ticks] of the encoder: manual, "Resolution"
-RADIANS_PER_TICK = math.tau / TICKS_PER_TURN  # [rad] manual, as above
 RPM = math.tau / 60.0  # [rad/s] in one revolution per minute: the manual's unit of speed
-POSITION_MAX_TICKS = 256 * TICKS_PER_TURN - 1  # [ticks] either way: manual, extended position mode
-PWM_FULL = 885  # [counts] 100 %: manual, address 36
-WATCHDOG_TRIPPED = 0xFF  # [counts] -1 as an unsigned byte: manual, address 98
+
+
+class Counts(IntEnum):
+    """Numbers of ticks and counts that the manual names."""
+
+    TICKS_PER_TURN = 4096  # of the encoder: "Resolution"
+    POSITION_MAX_TICKS = 256 * TICKS_PER_TURN - 1  # either way, in the extended position mode
+    PWM_FULL = 885  # 100 %: address 36
+    WATCHDOG_TRIPPED = 0xFF  # -1 as an unsigned byte: address 98
+
+
+RADIANS_PER_TICK = math.tau / Counts.TICKS_PER_TURN
 
 
 class OperatingMode(IntEnum):

@@ -26,7 +26,7 @@ from ..interface import CYCLE_S, travelled
 from ..serial_port import PortLostError
 from .bus import Bus
 from .config import CurrentPoint, DynamixelConfig
-from .control_table import RADIANS_PER_TICK, REGISTERS, WATCHDOG_TRIPPED, OperatingMode
+from .control_table import RADIANS_PER_TICK, REGISTERS, Counts, OperatingMode
 from .motor import Motor
 from .servos import (
     WATCHDOG_S,
@@ -163,7 +163,7 @@ class SlackSearch:
         position is known.
         """
         motor = self.motor
-        if self.bus.read(motor.identity, 'bus_watchdog') != WATCHDOG_TRIPPED:
+        if self.bus.read(motor.identity, 'bus_watchdog') != Counts.WATCHDOG_TRIPPED:
             return False
         self.trips += 1
         if self.trips > HICCUPS_MAX:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 from ..interface import Fault
 from .config import DynamixelConfig, MotorWire
-from .control_table import POSITION_MAX_TICKS, REGISTERS, ServoModel, decode, hardware_errors
+from .control_table import REGISTERS, Counts, ServoModel, decode, hardware_errors
 
 # [1] readings, of which a motor carries the largest current, so that ripple does not lower it
 RECENT_READINGS = 5
@@ -157,7 +157,7 @@ class Motor:
         present = self.ticks or 0
         if self.zero is None:
             return present, present
-        low, high = -float(POSITION_MAX_TICKS), float(POSITION_MAX_TICKS)
+        low, high = -float(Counts.POSITION_MAX_TICKS), float(Counts.POSITION_MAX_TICKS)
         for wire in self.wires:
             ends = [self.zero + wire.spool.ticks(pull) for pull in wire.pull_limits]
             low, high = max(low, min(ends)), min(high, max(ends))

@@ -28,10 +28,9 @@ from .control_table import (
     GAINS,
     INSTEAD,
     MODEL_NAMES,
-    PWM_FULL,
     REGISTERS,
-    WATCHDOG_TRIPPED,
     WITHOUT_CURRENT,
+    Counts,
     OperatingMode,
     hardware_errors,
 )
@@ -106,12 +105,12 @@ SETTINGS = (
     Setting('status_return_level', 2, 'whether it took a command stays unknown', refused=True),
     Setting('secondary_id', 255, 'it also obeys what another motor is told'),
     Setting('operating_mode', None, 'goals mean something else'),
-    Setting('pwm_limit', PWM_FULL, 'it turns slowly and with little torque'),
+    Setting('pwm_limit', Counts.PWM_FULL, 'it turns slowly and with little torque'),
     Setting('current_limit', None, 'it pulls more, or less, than it may'),
     Setting('startup_configuration', 0, 'its torque is on after a power cut', newer=True),
     Setting('pwm_slope', None, 'its torque comes late'),
     Setting('bus_watchdog', 0, 'a tripped one takes no goals; set when the torque is on'),
-    Setting('goal_pwm', PWM_FULL, 'as the PWM limit'),
+    Setting('goal_pwm', Counts.PWM_FULL, 'as the PWM limit'),
     Setting('profile_acceleration', 0, 'it follows late'),
     Setting('profile_velocity', 0, 'it follows slowly'),
 )
@@ -430,7 +429,7 @@ def come_back(bus: Bus, motor: Motor, mode: int, watchdog: int) -> bool:
         lost_power(motor)
         bus.write(motor.identity, 'torque_enable', 0)
     else:
-        recover_watchdog(bus, motor, mode, watchdog, tripped=state == WATCHDOG_TRIPPED)
+        recover_watchdog(bus, motor, mode, watchdog, tripped=state == Counts.WATCHDOG_TRIPPED)
     return motor.answers
 
 
@@ -506,7 +505,7 @@ class Watch:
             self.check('hardware_error_status', motor, status)
             if not motor.errors:
                 lost_power(motor)
-        elif value == WATCHDOG_TRIPPED:
+        elif value == Counts.WATCHDOG_TRIPPED:
             recover_watchdog(self.bus, motor, self.mode, self.watchdog, tripped=True)
             motor.tripped, self._reported = True, time.monotonic()
             self.tripped.append(motor)

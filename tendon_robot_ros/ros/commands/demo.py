@@ -79,9 +79,9 @@ def main(arguments: Sequence[str]) -> int:
     missed = [
         posture.name
         for posture, outcome in zip(postures, outcomes, strict=True)
-        if outcome.reachable and outcome.position_error > MISS_MAX_M
+        if outcome.status == 'reached' and outcome.position_error > MISS_MAX_M
     ]
-    if missed or not outcomes[0].reachable:
+    if missed or outcomes[0].status != 'reached':
         print(
             f'error: missed by more than {1e3 * MISS_MAX_M:g} mm: {", ".join(missed)}',
             file=sys.stderr,
@@ -112,11 +112,6 @@ class Outcome:
     status: str
     at_limit: tuple[str, ...]
     latency: float  # [s] from sending the target to the first command that differs
-
-    @property
-    def reachable(self) -> bool:
-        """Whether the controller has reached the target."""
-        return self.status == 'reached'
 
 
 def go(pilot: Pilot, posture: Posture) -> Outcome:

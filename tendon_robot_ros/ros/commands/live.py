@@ -283,17 +283,9 @@ class Director(RobotClient):
         models = [values.get('model', '') for values in self.statuses.values()]
         return all(name in model for name in effects for model in models)
 
-    def tip(self) -> Floats:
-        """Return the mean measured tip (3,) [m] since the arm is at rest."""
-        return self._mean('tip')
-
     def error(self) -> float:
         """Return the norm of the mean tip error [m] since the arm is at rest."""
-        return float(np.linalg.norm(self._mean('error')))
-
-    def tensions(self) -> Floats:
-        """Return the mean measured tensions (m,) [N] since the arm is at rest."""
-        return self._mean('tensions')
+        return float(np.linalg.norm(self.mean('error')))
 
     def _standing(self, name: str) -> list[Floats]:
         """Return the finite values since the arm is at rest, by their stamps."""
@@ -303,7 +295,8 @@ class Director(RobotClient):
     def _measured_enough(self) -> bool:
         return all(len(self._standing(name)) >= MESSAGES_MIN for name in self._samples)
 
-    def _mean(self, name: str) -> Floats:
+    def mean(self, name: str) -> Floats:
+        """Return the mean `tip` (3,) [m] or `tensions` (m,) [N] since the arm is at rest."""
         values = self._standing(name)
         return np.array(np.mean(values, axis=0)) if values else np.full(3, np.nan)
 
@@ -344,10 +337,10 @@ def play_as_text(director: Director, model: Model, story: Story, postures: int) 
         if not director.go(stop):
             continue
         try:  # where the description before the addition has the tip
-            old = model.shape(np.maximum(director.tensions(), 0.0)).tip_position
+            old = model.shape(np.maximum(director.mean('tensions'), 0.0)).tip_position
         except NoEquilibriumError:
             old = np.full(3, np.nan)
-        before.append(float(np.linalg.norm(director.tip() - old)))
+        before.append(float(np.linalg.norm(director.mean('tip') - old)))
         after.append(director.error())
     if after:
         story.before, story.after = _rms(before), _rms(after)

@@ -44,7 +44,7 @@ from ..shared.messages import (
 )
 from ..shared.parameters import Parameters
 from ..shared.runtime import has_priority, repeat, run
-from ..shared.senders import OwnPublisher, PublisherNames, Senders, gid_text
+from ..shared.senders import OwnPublisher, Senders, gid_text
 from ..shared.timing import NEWS_PERIOD_S
 from . import parameters
 from .actions import Actions
@@ -84,7 +84,7 @@ class ControllerNode(StoppableNode):
         self._solver: Worker | None = None
         self._targets: list[Subscription] = []
         self._actions: Actions | None = None
-        self._drivers, self._names = Senders(), PublisherNames(self, 'tendon_states')
+        self._drivers = Senders(self, 'tendon_states')
         self._speaking = threading.Lock()
         self._command = JointState()
         self._commands = self.create_publisher(JointState, 'tendon_command', COMMAND)
@@ -302,7 +302,7 @@ class ControllerNode(StoppableNode):
         """Publish the status."""
         status = controller_status(core, now)
         level, message = LEVELS[status.level], status.message
-        drivers = self._names.of(self._drivers.others(now))
+        drivers = self._drivers.names(self._drivers.others(now))
         controllers = self._own.others(now)
         if drivers or controllers:
             level = max(level, LEVELS['warn'])

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PointStamped, PoseArray, PoseStamped, TwistStamped
+from geometry_msgs.msg import Point, PointStamped, PoseArray, PoseStamped, TwistStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
@@ -87,26 +87,23 @@ class Incoming:
 
     def pose(self, message: PoseStamped, what: str = 'target_pose') -> Target:
         """Return a target with position and approach direction (+z of the orientation)."""
-        rotation, shift = self._to_base(message.header, what)
         along = direction(xyzw(message.pose.orientation), what)
-        point = finite(xyz(message.pose.position), what)
-        place = self._within_reach(rotation @ point + shift, what)
+        place, rotation = self._place(message.header, message.pose.position, what)
         return Target(place, rotation @ along, stamp_text(message.header.stamp))
 
     def point(self, message: PointStamped, what: str = 'target_point') -> Target:
         """Return a target with a position alone."""
-        rotation, shift = self._to_base(message.header, what)
-        place = self._within_reach(rotation @ finite(xyz(message.point), what) + shift, what)
+        place, _ = self._place(message.header, message.point, what)
         return Target(place, stamp=stamp_text(message.header.stamp))
 
     def measured_tip(self, message: PoseStamped) -> Floats:
         """Return a measured tip (3,) [m] in the base frame."""
         what = 'measured_tip'
-        rotation, shift = self._to_base(message.header, what)
-        point = finite(xyz(message.pose.position), what)
+        place, _ = self._place(message.header, message.pose.position, what)
+        point = np.array(xyz(message.pose.position))
         if is_missing(point):  # sent by trackers for a marker that is not visible
-            raise Refusal('not_finite', f'measured_tip: {point.tolist()} says that it is not seen')
-        return self._within_reach(rotation @ point + shift, what)
+            raise Refusal('not_finite', f'{what}: {point.tolist()} says that it is not seen')
+        return place
 
     def twist(self, message: TwistStamped) -> Twist:
         """Return a velocity [m/s, rad/s] in the axes of base or tip."""
@@ -168,9 +165,15 @@ class Incoming:
         stamp = stamp_text(message.header.stamp)
         return replace(Trajectory.checked(times, values, limits, inputs), stamp=stamp)
 
-    def _within_reach(self, place: Floats, what: str) -> Floats:
-        """Return a position (3,) [m]; Refusal: it is farther than any tip of this robot."""
-        return position(place.tolist(), self._farthest, what)
+    def _place(self, header: Header, point: Point, what: str) -> tuple[Floats, Floats]:
+        """
+        Return a position (3,) [m] in the base frame, and the rotation (3, 3) to it.
+
+        Refusal: it is farther than any tip of this robot.
+        """
+        rotation, shift = self._to_base(header, what)
+        place = rotation @ finite(xyz(point), what) + shift
+        return position(place.tolist(), self._farthest, what), rotation
 
     def _to_base(self, header: Header, what: str) -> tuple[Floats, Floats]:
         """Return rotation and translation of a message to the base; Refusal: stale, or no TF."""

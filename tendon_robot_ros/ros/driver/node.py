@@ -37,7 +37,7 @@ from ..shared.lifecycle import ERROR, OK, WARN, Status, StoppableNode
 from ..shared.messages import JOINTS, STATE, check_age, offer_trigger, refilled, stamp_now
 from ..shared.parameters import Parameters
 from ..shared.runtime import end_requested, has_priority, on_end_request, repeat, run
-from ..shared.senders import OwnPublisher, PublisherNames, Senders, gid_text
+from ..shared.senders import OwnPublisher, Senders, gid_text
 from ..shared.timing import SILENCE_S, VALUES_PERIOD_S
 from . import backend
 from .backend import MockTracker
@@ -71,7 +71,7 @@ class DriverNode(StoppableNode):
         self._refusal: Refusal | None = None
         self._check_due = ''  # why the tendons need a check
         self._cycle: Cycle | None = None
-        self._senders, self._names = Senders(), PublisherNames(self, 'tendon_command')
+        self._senders = Senders(self, 'tendon_command')
         self._state = JointState()
         self._states = self.create_publisher(JointState, 'tendon_states', STATE)
         self._own = OwnPublisher(self, self._states)
@@ -234,9 +234,9 @@ class DriverNode(StoppableNode):
             level, code = max(level, WARN), f'refused_{self._refusal.code}'
             message = f'{self._refusal}; {message}'
         now = time.monotonic()
-        first, others = self._senders.first(now), self._senders.others(now)
-        follows = '' if first is None else self._names.of([first])
-        ignored, drivers = self._names.of(others), self._own.others(now)
+        senders, drivers = self._senders, self._own.others(now)
+        first, ignored = senders.first(now), senders.names(senders.others(now))
+        follows = '' if first is None else senders.names([first])
         notes = [f'follows {follows}, ignores tendon_command of {ignored}'] if ignored else []
         notes += [f'another publishes tendon_states: {drivers}'] if drivers else []
         if notes:
@@ -258,7 +258,7 @@ class DriverNode(StoppableNode):
                 'faults': ', '.join(faults),
                 'follows': follows,
                 # empty where the gids of messages and of discovery differ
-                'follows_gid': gid_text(first) if first and self._names.known(first) else '',
+                'follows_gid': gid_text(first) if first and senders.known(first) else '',
                 'ignored': ignored,
                 'other_drivers': drivers,
                 **loop.driver.describe(),

@@ -137,7 +137,8 @@ class MonitorNode(Runnable, Node):
                 self._measured = MarkerInput(
                     self, self.parameters, self._base, self.monitor, self._frame
                 )
-                self.watching = Watching.if_enabled(self, self.parameters, self.monitor)
+                if self.parameters['force_rate'] or self.parameters['reference_postures']:
+                    self.watching = Watching(self, self.parameters, self.monitor)
                 self.adapting = Adapting(
                     self, self.parameters, self.monitor, self._loading, self._remote.put
                 )

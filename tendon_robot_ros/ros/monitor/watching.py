@@ -61,13 +61,6 @@ class Watching:
 
     force: TipForce | None
 
-    @classmethod
-    def if_enabled(cls, node: Node, parameters: Parameters, monitor: Monitor) -> Watching | None:
-        """Return an instance, None if the parameters request neither force nor drift."""
-        if parameters['force_rate'] > 0.0 or parameters['reference_postures'] > 0.0:
-            return cls(node, parameters, monitor)
-        return None
-
     def set_model(self, model: Model) -> None:
         """Restart the learning with another description."""
         self.watch = ArmWatch(model, self.watch.markers, self.watch.settings)

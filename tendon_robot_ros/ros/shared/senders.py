@@ -107,10 +107,17 @@ class SenderProcess:
 
 
 class Senders:
-    """Selects the publisher whose messages count, by the gid that a message carries."""
+    """
+    Selects the publisher of a topic whose messages count, by the gid that a message carries.
 
-    def __init__(self) -> None:
+    Also names publishers: node, and process if it is on this computer.
+    """
+
+    def __init__(self, node: Node, topic: str) -> None:
         """Start without a publisher."""
+        self._node, self._topic = node, topic
+        self._known: dict[bytes, str] = {}  # gid -> name
+        self._checked_at = float('-inf')
         self._first: bytes | None = None
         self._received_at = float('-inf')
         self._others: dict[bytes, float] = {}  # gid -> when its last message came [s]
@@ -151,21 +158,11 @@ class Senders:
         """Return the gids of the other publishers that have sent within `SILENCE_S`."""
         return [one for one, at in list(self._others.items()) if now - at <= SILENCE_S]
 
-
-class PublisherNames:
-    """Names of the publishers of a topic: node, and process if it is on this computer."""
-
-    def __init__(self, node: Node, topic: str) -> None:
-        """Start without names."""
-        self._node, self._topic = node, topic
-        self._known: dict[bytes, str] = {}
-        self._checked_at = float('-inf')
-
     def known(self, publisher: bytes) -> bool:
         """Return whether a gid has a name."""
         return publisher in self._known
 
-    def of(self, publishers: Collection[bytes]) -> str:
+    def names(self, publishers: Collection[bytes]) -> str:
         """Return the names of publishers, '' for none; checked at most ten times a second."""
         now = time.monotonic()
         if now - self._checked_at >= VALUES_PERIOD_S and not self._known.keys() >= set(publishers):

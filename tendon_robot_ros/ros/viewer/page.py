@@ -176,13 +176,10 @@ class LivePage:
     def update(self, state: ViewState, now: float) -> None:
         """Update the panel; only changes are sent."""
         self._hold_views()
-        times = list(state.times)
         self._html('scene', page_parts.scene(state.measured, state.predicted))
         self._html('statuses', page_parts.statuses(state.statuses(now)))
         self._html('error', page_parts.big_error(state.rolling(now), state.per_marker()))
-        self._html(
-            'curve', page_parts.curve(times, list(state.rollings), now, state.marks, state.floor)
-        )
+        self._html('curve', page_parts.curve(state.curve, now, state.marks, state.floor))
         low, high = state.limits
         self._html('bars', page_parts.bars(state.inputs, state.tensions, low, high))
         self._html('verdict', page_parts.verdict(state.verdict))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import Any
@@ -107,8 +107,7 @@ def big_error(rolling: float, tip: str) -> str:
 
 
 def curve(
-    times: Sequence[float],
-    errors: Sequence[float],
+    errors: Iterable[tuple[float, float]],
     now: float,
     marks: Sequence[tuple[float, str]],
     floor: float | None,
@@ -118,7 +117,7 @@ def curve(
 
     Parameters
     ----------
-    times, errors : sequence of float
+    errors : iterable of (time, error)
         [s] and [m].
     now : float
         Right edge [s].
@@ -128,11 +127,7 @@ def curve(
         Noise floor of the last diagnosis [m].
 
     """
-    shown = [
-        (now - t, 1e3 * e)
-        for t, e in zip(times, errors, strict=True)
-        if now - t <= CURVE_SPAN_S and np.isfinite(e)
-    ]
+    shown = [(now - t, 1e3 * e) for t, e in errors if now - t <= CURVE_SPAN_S and np.isfinite(e)]
     sizes = [e for _, e in shown] or [0.0]
     usual = PEAK * float(np.quantile(sizes, 0.75))
     axes = _Axes(max(1.15 * min(max(sizes), usual), 0.6))

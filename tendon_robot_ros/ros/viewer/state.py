@@ -33,10 +33,6 @@ RECORD_HINT = 'Click 1 to record again.'
 LEVEL_NAMES = 'ok', 'warn', 'error', 'silent'  # by the numbers of DiagnosticStatus
 
 
-def _curve() -> deque[float]:
-    return deque(maxlen=round(CURVE_SPAN_S / PANEL_PERIOD_S) + 1)
-
-
 @dataclass
 class ViewState:
     """The last messages of all topics; times are monotonic [s]."""
@@ -49,8 +45,9 @@ class ViewState:
     force: Floats | None = None  # (3,) [N] at the tip
     force_at: float = -np.inf
     marker_errors: deque[tuple[float, Floats]] = field(default_factory=deque)  # [s], (J,) [m]
-    times: deque[float] = field(default_factory=_curve)
-    rollings: deque[float] = field(default_factory=_curve)
+    curve: deque[tuple[float, float]] = field(  # [s], rolling error [m]
+        default_factory=lambda: deque(maxlen=round(CURVE_SPAN_S / PANEL_PERIOD_S) + 1)
+    )
     marks: list[tuple[float, str]] = field(default_factory=list)
     verdict: dict[str, Any] = field(default_factory=dict)
     progress: str = ''
@@ -136,9 +133,8 @@ class ViewState:
 
     def add_error(self, now: float, rolling: float) -> None:
         """Append a rolling error [m] to the curve."""
-        if not self.times or now - self.times[-1] >= PANEL_PERIOD_S:
-            self.times.append(now)
-            self.rollings.append(rolling)
+        if not self.curve or now - self.curve[-1][0] >= PANEL_PERIOD_S:
+            self.curve.append((now, rolling))
 
     def add_marker_errors(self, now: float, errors: Sequence[float]) -> None:
         """Append the errors (J,) [m] of the markers; those of the last `STEADY_S` are kept."""
@@ -168,8 +164,7 @@ class ViewState:
 
     def rolling(self, now: float) -> float:
         """Return the median rolling error [m] of the last `STEADY_S`; nan: there is none."""
-        samples = zip(self.times, self.rollings, strict=True)
-        recent = [error for at, error in samples if now - at < STEADY_S and np.isfinite(error)]
+        recent = [e for at, e in self.curve if now - at < STEADY_S and np.isfinite(e)]
         return float(np.median(recent)) if recent else float('nan')
 
     def errors(self) -> Floats | None:
@@ -240,7 +235,7 @@ class ViewState:
         if self.verdict:
             fell_through = self.verdict.get('may_add', True)  # an effect was found, and not added
             return RECORD_HINT if fell_through else str(self.verdict.get('guide'))
-        if not self.times:
+        if not self.curve:
             return 'Waiting for the robot. What the nodes say is at the bottom.'
         return (
             'The measured arm is not where the model predicts it? Some physical effect is missing '
