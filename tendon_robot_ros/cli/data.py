@@ -199,9 +199,7 @@ class ImportTable:
         refuse_swapped(args)
         refuse_dataset_in(args.output, args.overwrite)
         recipe = load_recipe(args.recipe) if args.recipe else Recipe()
-        if (
-            args.raw
-        ):  # another recording: its trials are others, and its clocks began at other times
+        if args.raw:  # another recording has other trials, and its clocks began at other times
             recipe = replace(recipe, leave_out=None, delay=None, drift=None)
         robot_path = args.robot or recipe.robot
         if robot_path is None:

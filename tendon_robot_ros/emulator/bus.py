@@ -23,12 +23,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from ..drivers.dynamixel.control_table import (
-    BAUD_RATES,
-    REGISTERS,
-    Counts,
-    HardwareError,
-)
+from ..drivers.dynamixel.control_table import BAUD_RATES, REGISTERS, Counts, HardwareError
 from .port import COMMON_HELP, Command, Plug
 from .rig import HangingWeights, Rig
 from .servo import RAM_BEGIN, Servo, StatusError

@@ -17,13 +17,7 @@ import numpy as np
 from ...common.errors import DriverError
 from ..hardware import READINGS_MIN
 from ..interface import CYCLE_S, Array
-from ..serial_port import (
-    ANSWER_TIMEOUT_S,
-    RESTART_TIMEOUT_S,
-    PortLink,
-    PortLostError,
-    write_all,
-)
+from ..serial_port import ANSWER_TIMEOUT_S, RESTART_TIMEOUT_S, PortLink, PortLostError, write_all
 from . import messages
 from .config import BoardConfig, CountsPoint
 from .messages import Frame, FrameReceiver, Identity, Message, Protocol, Telemetry, encode

@@ -138,12 +138,10 @@ def draw(
     path: Path, model: Model, postures: Sequence[Posture], outcomes: Sequence[Outcome]
 ) -> None:
     """Draw the arm in every posture, and its targets, in the x-z plane [mm]."""
-    import matplotlib
+    from matplotlib.figure import Figure
 
-    matplotlib.use('Agg')
-    from matplotlib import pyplot as plt
-
-    figure, axes = plt.subplots(figsize=(7.0, 6.0), layout='constrained')
+    figure = Figure(figsize=(7.0, 6.0), layout='constrained')
+    axes = figure.add_subplot()
     straight = np.cumsum(np.full(model.robot.cells, 1e3 * model.robot.length / model.robot.cells))
     axes.plot(np.zeros(len(straight) + 1), [0.0, *straight], ':', color=ERROR, label='straight')
     for posture, outcome, color in zip(postures, outcomes, COLOURS, strict=False):
@@ -165,4 +163,3 @@ def draw(
     path.parent.mkdir(parents=True, exist_ok=True)
     with new_file(path) as draft:
         figure.savefig(draft, dpi=120)
-    plt.close(figure)

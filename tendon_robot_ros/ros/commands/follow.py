@@ -90,10 +90,7 @@ class GoTo:
             if not 1e-9 < size < np.inf:
                 raise InputError(f'--direction: expected a direction, got {args.direction}')
             along /= size
-        with (
-            ros(ros_arguments) as ending,
-            Pilot('go_to', ending, args.controller) as pilot,
-        ):
+        with ros(ros_arguments) as ending, Pilot('go_to', ending, args.controller) as pilot:
             pilot.connect()
             pilot.clear()
             pilot.settle(pilot.send(target, along), MOVE_TIMEOUT_S, 'the arm to stand there')
@@ -169,10 +166,7 @@ class Follow:
             raise DataSetError(args.path, 'is empty', NO_PATH)
         if args.keep_out:
             load_keep_out(args.keep_out)
-        with (
-            ros(ros_arguments) as ending,
-            Pilot('follow', ending, args.controller) as pilot,
-        ):
+        with ros(ros_arguments) as ending, Pilot('follow', ending, args.controller) as pilot:
             pilot.connect()
             rows = _read(args, pilot)
             if isinstance(rows, TendonRows):

@@ -36,12 +36,7 @@ from ...data import Marker, default_markers
 from ...data.dataset import LOADINGS
 from ...investigation.goal import add_goal, goal_of
 from ...investigation.loop import Findings, Investigation, write_results
-from ...investigation.measuring import (
-    BETTER,
-    BrokenMeasurementError,
-    News,
-    PostureMeasured,
-)
+from ...investigation.measuring import BETTER, BrokenMeasurementError, News, PostureMeasured
 from ...model.model import Model
 from ...monitoring import History, MonitorSettings, StillMeasurement, StillWindow
 from ...monitoring.change import ChangeFinder

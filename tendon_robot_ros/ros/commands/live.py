@@ -45,15 +45,7 @@ from ...model.model import Model
 from ...robot import Robot, dump_robot, load_robot
 from ...robot.keep_out import KeepOut
 from ...simulation.hidden import STIFFNESS_SCATTER
-from ...simulation.rehearsal import (
-    Hidden,
-    Story,
-    TourPosture,
-    draw,
-    refined,
-    reveal,
-    tour,
-)
+from ...simulation.rehearsal import Hidden, Story, TourPosture, draw, refined, reveal, tour
 from ..shared.messages import LATCHED, LATCHED_BY_MANY, LISTEN, STATE, seconds, time_now, xyz
 from ..shared.robot_client import MESSAGES_MAX, TIP_AVERAGE_S, RobotClient
 from ..shared.runtime import Ending, NodeProcess, ros

@@ -21,15 +21,7 @@ from ...common.errors import DriverError
 from ...common.processes import Realtime, go_realtime
 from ...control.inputs import Refusal, by_name, finite
 from ...drivers.mock import MockDriver
-from ...drivers.safety import (
-    FOLLOWING,
-    HOLDING,
-    LIMP,
-    OFF,
-    RELEASED,
-    StopLatch,
-    Supervisor,
-)
+from ...drivers.safety import FOLLOWING, HOLDING, LIMP, OFF, RELEASED, StopLatch, Supervisor
 from ...drivers.tendon_check import due
 from ...robot import load_robot
 from ..shared.inbox import Inbox, Received

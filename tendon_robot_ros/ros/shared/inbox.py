@@ -118,10 +118,8 @@ class Inbox[M]:
         self._info = _Info()  # of the last message
         self._take_bytes = ctypes.CDLL('librcl.so').rcl_take_serialized_message
         utilities = ctypes.CDLL('librcutils.so')
-        self._free, allocator = (
-            utilities.rcutils_uint8_array_fini,
-            utilities.rcutils_get_default_allocator,
-        )
+        self._free = utilities.rcutils_uint8_array_fini
+        allocator = utilities.rcutils_get_default_allocator
         allocator.restype = _Allocator
         self._bytes = _Bytes(allocator=allocator())
         with self.handle:

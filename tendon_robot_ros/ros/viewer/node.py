@@ -121,15 +121,6 @@ class ViewerNode(Runnable, Node):
         def force(message: WrenchStamped) -> None:
             state.force, state.force_at = np.array(xyz(message.wrench.force)), now()
 
-        def rolling(message: Float64) -> None:
-            state.add_error(now(), message.data)
-
-        def errors(message: Float64MultiArray) -> None:
-            state.add_marker_errors(now(), message.data)
-
-        def news(message: String) -> None:
-            state.add_investigation(message.data)
-
         def keep(name: str, value: Callable[[Any], object]) -> Callable[[Any], None]:
             return lambda message: setattr(state, name, value(message))
 
@@ -137,17 +128,23 @@ class ViewerNode(Runnable, Node):
             self.create_subscription(
                 DiagnosticStatus, f'{name}/status', partial(status, key), LATCHED
             )
+        errors, change = f'{monitor}/marker_errors', f'{investigate}/progress'
         subscriptions: tuple[tuple[type, str, Callable[[Any], None], Any], ...] = (
             (JointState, 'tendon_states', states, LISTEN),
             (PoseArray, 'measured_shape', measured, LISTEN),
             (PoseArray, f'{monitor}/predicted', keep('predicted', points_of), LISTEN),
             (WrenchStamped, f'{monitor}/tip_force', force, LISTEN),
-            (Float64, f'{monitor}/rolling_error', rolling, LISTEN),
-            (Float64MultiArray, f'{monitor}/marker_errors', errors, LISTEN),
+            (
+                Float64,
+                f'{monitor}/rolling_error',
+                lambda m: state.add_error(now(), m.data),
+                LISTEN,
+            ),
+            (Float64MultiArray, errors, lambda m: state.add_marker_errors(now(), m.data), LISTEN),
             (String, f'{monitor}/progress', keep('progress', lambda m: m.data), STATE),
             (String, f'{monitor}/verdict', lambda m: state.set_verdict(m.data), LATCHED),
             (Bool, 'tour', keep('touring', lambda m: m.data), LATCHED),
-            (String, f'{investigate}/progress', news, LATCHED_BY_MANY),
+            (String, change, lambda m: state.add_investigation(m.data), LATCHED_BY_MANY),
         )
         for kind, topic, callback, quality in subscriptions:
             self.create_subscription(kind, topic, callback, quality)
