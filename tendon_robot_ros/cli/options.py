@@ -399,7 +399,7 @@ def progress(remaining: bool = False) -> Iterator[Progress]:
             return f'{what}{count}, {elapsed:.0f} s so far{end}'
 
         def show_regularly() -> None:
-            pause = LOG_EVERY_S if bar.disable else 1.0  # [s] so that those in the bar pass
+            pause = LOG_EVERY_S if bar.disable else 0.2 * LOG_EVERY_S  # its seconds pass
             while not ended.wait(pause):
                 if bar.disable:
                     print(line(), file=sys.stderr, flush=True)

@@ -40,7 +40,7 @@ from ...investigation.measuring import BETTER, BrokenMeasurementError, News, Pos
 from ...model.model import Model
 from ...monitoring import History, MonitorSettings, StillMeasurement, StillWindow
 from ...monitoring.change import ChangeFinder
-from ...monitoring.monitor import read_markers
+from ...monitoring.monitor import PULL_STILL, TENSION_STILL, read_markers
 from ...monitoring.watch import load_change
 from ...robot import Robot
 from ...robot.estimates import natural_sizes
@@ -309,7 +309,7 @@ class RunningArm(Pilot):
         """Wait until the arm is at rest and visible; return the mean of its frames."""
         robot = self.robot
         tension = self.input == 'tension'
-        change = 0.01 * robot.tension_limits[1] if tension else 0.002 * robot.length
+        change = TENSION_STILL * robot.tension_limits[1] if tension else PULL_STILL * robot.length
         still = MonitorSettings()
         window = StillWindow(still.still_time, still.still_speed, change)
         self._frames.clear()

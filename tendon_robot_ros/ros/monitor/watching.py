@@ -21,7 +21,7 @@ from ...inference.intervals import load_of
 from ...model.model import Model
 from ...monitoring import Monitor, StillMeasurement
 from ...monitoring.adaptation import Adaptation, ModelChange
-from ...monitoring.monitor import FrameMean
+from ...monitoring.monitor import TENSION_STILL, FrameMean
 from ...monitoring.tip_force import TipForce
 from ...monitoring.watch import ArmWatch, WatchSettings
 from ...report.sentences import load_words
@@ -29,9 +29,6 @@ from ...robot import Robot, dump_robot
 from ..shared.messages import LATCHED, STATE, header_now, vector
 from ..shared.parameters import Parameters
 
-# [1] of the largest tension: frames under tensions that differ by less are averaged, so that the
-# noise of a load cell does not start a new mean
-SAME_TENSION = 0.01
 LOG = 'adaptation.jsonl'  # in the folder of the monitor: a line for every change
 Send = Callable[[str, Callable[[bool, str], None]], None]
 
@@ -51,7 +48,7 @@ class Watching:
         self._due, self.force = 0.0, None
         high = monitor.model.robot.tension_limits[1]
         self._frames = FrameMean(
-            parameters['tracker_noise'], SAME_TENSION * high, parameters['force_time']
+            parameters['tracker_noise'], TENSION_STILL * high, parameters['force_time']
         )
         publish = node.create_publisher
         self._wrench = publish(WrenchStamped, '~/tip_force', STATE)
