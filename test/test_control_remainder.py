@@ -5,7 +5,7 @@ import pytest
 
 from tendon_robot_ros.control import ControllerCore, Settings, Target
 from tendon_robot_ros.control.status import controller_status
-from tendon_robot_ros.control.tip_loop import NO_NEARER_S, Remainder, TipProgress, foreign
+from tendon_robot_ros.control.tip_loop import SILENCE_MAX_S, Remainder, TipProgress, foreign
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
 
@@ -54,7 +54,7 @@ def test_the_remainder_is_reported_once_it_is_constant_and_a_new_target_restarts
     assert 3.0 < now < 4.5
     progress.take(now, target, remainder([5e-3, 0.0, 0.0]))
     assert progress.settled(now) is None
-    assert progress.settled(now + NO_NEARER_S) is not None
+    assert progress.settled(now + SILENCE_MAX_S) is not None
     progress.take(now + 2.0, object(), remainder([5e-3, 0.0, 0.0]))
     assert progress.settled(now + 2.0) is None
 

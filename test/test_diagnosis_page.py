@@ -33,7 +33,6 @@ from tendon_robot_ros.report.diagnosis_page import (
     diagnosis_page,
     pictures_of,
     with_effects,
-    write_diagnosis,
 )
 from tendon_robot_ros.report.error_plots import heat_maps, moments
 from tendon_robot_ros.robot import load_robot
@@ -271,5 +270,5 @@ def test_the_page_of_a_spatial_arm_opens(tmp_path):
     data = load_dataset(blind('e') / 'fit')
     tip = EffectFinding('tip_load', {'force_x': Value(2.5e-3, 2.4e-3, 2.6e-3, 'N')}, 0.99)
     found = diagnosis('missing_effect', (tip,))
-    page = write_diagnosis(found, pictures_of(found, data), tmp_path / 'page.html')
+    page = diagnosis_page(found, pictures_of(found, data)).write(tmp_path / 'page.html')
     assert_fine(open_page(page, tmp_path, (1200, 390)), (1200, 390))

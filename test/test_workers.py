@@ -111,7 +111,7 @@ def test_without_dask_a_cluster_says_what_to_install(monkeypatch):
 
 def test_a_scheduler_that_is_not_there_is_one_line(monkeypatch):
     pytest.importorskip('distributed')
-    monkeypatch.setattr('tendon_robot_ros.common.workers.CONNECT_S', 0.2)
+    monkeypatch.setattr('tendon_robot_ros.common.workers.UPKEEP_S', 0.1)
     with pytest.raises(InputError, match=r'--cluster tcp://127.0.0.1:9: no scheduler answers'):
         Workers(cluster='tcp://127.0.0.1:9')
 

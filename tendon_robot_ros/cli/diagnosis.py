@@ -25,7 +25,7 @@ from ..inference.discrepancy import since
 from ..inference.statistics import ERRORS
 from ..report import comparison as comparison_report
 from ..report import diagnosis_text, improvement_page
-from ..report.diagnosis_page import pictures_of, write_diagnosis
+from ..report.diagnosis_page import diagnosis_page, pictures_of
 from ..robot import Robot, load_robot
 from . import options
 from .main import ExitCode
@@ -171,9 +171,8 @@ class Diagnose:
             better = None if added is None else added.robot
             pictures = pictures_of(diagnosis, dataset, catalogue, better)
             said = outcome.replace('    ', '; ')
-            lines.append(
-                f'report: {write_diagnosis(diagnosis, pictures, args.report, added, said)}'
-            )
+            diagnosis_page(diagnosis, pictures, added, said).write(args.report)
+            lines.append(f'report: {args.report}')
         written = added is not None and added.helps and args.add and may_add
         if added is not None and written:
             options.write_description(added.robot, args.add)
@@ -328,6 +327,7 @@ class Improve:
         robot = improvement.robot if improvement.taken else None
         lines, page = improvement_page.improvement_lines(improvement), None
         if args.report:
-            page = improvement_page.write_improvement(improvement, dataset, catalogue, args.report)
+            built = improvement_page.improvement_page(improvement, dataset, catalogue)
+            page = built.write(args.report)
         refusal = improvement_page.NOT_WRITTEN
         return conclude(args, improvement.to_json(), lines, robot, refusal, page)

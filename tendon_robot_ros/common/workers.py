@@ -21,7 +21,7 @@ from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ProcessP
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 from .errors import ClusterLostError, InputError, MissingExtraError
 from .processes import end_with_parent, one_thread
@@ -29,8 +29,6 @@ from .processes import end_with_parent, one_thread
 # [1] workers that may die over a chunk, else one that kills its worker would be tried for ever
 LOSSES_MAX = 8
 CHUNK_S = 2.0  # [s] of work in a chunk, because handing one out takes some milliseconds
-AHEAD = 2  # [1] chunks for each thread of a scheduler, so that one waits while one is at work
-CONNECT_S = 10.0  # [s] in which a scheduler answers, else there is none
 # [s] between two saves of unfinished work, so that a lost computer costs no more than this, and
 # between two looks for new workers, because each is a message to the scheduler
 UPKEEP_S = 5.0
@@ -46,27 +44,6 @@ class LostWork:
     """Result of a chunk over which every worker died."""
 
     workers: int
-
-
-class Engine(Protocol):
-    """Where chunks are computed."""
-
-    @property
-    def slots(self) -> int:
-        """Chunks that it should have at a time."""
-        ...
-
-    def submit(self, work: Work, chunk: Any) -> Future[Any]:
-        """Hand out a chunk."""
-        ...
-
-    def is_loss(self, error: BaseException) -> bool:
-        """Return whether an error means that a worker died; if so, replace the worker."""
-        ...
-
-    def close(self) -> None:
-        """End what still runs."""
-        ...
 
 
 class Workers:
@@ -93,7 +70,7 @@ class Workers:
         if count < 1:
             raise InputError(f'--workers: expected at least 1, got {count}')
         self.prepare = prepare
-        self.engine: Engine | None = None
+        self.engine: _Processes | _Cluster | None = None
         if cluster:
             self.engine = _Cluster(cluster)
         elif count > 1:
@@ -178,7 +155,11 @@ class Workers:
             yield handed[index], result
 
     def _spread(
-        self, engine: Engine, work: Work, coming: Iterator[tuple[int, Any]], until: float
+        self,
+        engine: _Processes | _Cluster,
+        work: Work,
+        coming: Iterator[tuple[int, Any]],
+        until: float,
     ) -> Iterator[tuple[int, Any]]:
         waiting: dict[Future[Any], tuple[int, Any]] = {}
         retries: deque[tuple[int, Any]] = deque()
@@ -235,7 +216,7 @@ def _prepared(prepare: Prepare) -> None:
 
 class _Processes:
     def __init__(self, count: int, prepare: Prepare | None) -> None:
-        self.slots = count
+        self.slots = count  # chunks that it should have at a time
         self.free = [_Slot(prepare) for _ in range(count)]
         self.busy: dict[Future[Any], _Slot] = {}
 
@@ -254,6 +235,7 @@ class _Processes:
         return future
 
     def is_loss(self, error: BaseException) -> bool:
+        """Return whether an error means that a worker died; if so, replace the worker."""
         for future, slot in self.busy.items():
             if future.done() and isinstance(future.exception(), BrokenProcessPool):
                 slot.restart()
@@ -339,7 +321,7 @@ class _Cluster:
         self.killed: type[BaseException] = distributed.KilledWorker
         _check_certificates(address)
         try:  # certificates, and all else, are those of dask's own settings
-            self.client = distributed.Client(address, timeout=CONNECT_S, set_as_default=False)
+            self.client = distributed.Client(address, timeout=2.0 * UPKEEP_S, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
             raise InputError(
                 f'--cluster {address}: no scheduler answers ({error or type(error).__name__}); '
@@ -358,7 +340,7 @@ class _Cluster:
                 if not threads and self.threads:
                     _LOG.warning('%s has no workers; waiting for some to come', self.address)
                 self.threads = threads
-        return AHEAD * max(self.threads, 1)
+        return 2 * max(self.threads, 1)  # one waits while one is at work
 
     def submit(self, work: Work, chunk: Any) -> Future[Any]:
         try:

@@ -178,10 +178,7 @@ class Reader:
         """Return one number, or a list of them."""
         value = self.content.get(key)
         if isinstance(value, list):
-            return tuple(
-                self._number(f'{key}[{i}]', v, -math.inf, math.inf, 'SI')
-                for i, v in enumerate(value)
-            )
+            return self.vector(key, len(value))
         return self._number(key, value, -math.inf, math.inf, 'SI')
 
     def vector(self, key: str, size: int) -> tuple[Any, ...]:

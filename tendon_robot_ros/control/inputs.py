@@ -204,19 +204,12 @@ def check_stamp(stamp: float, now: float, tolerance: float, what: str) -> None:
         Names the message.
 
     """
-    if stamp == 0.0:
-        return
     age = now - stamp
-    if age > tolerance:
+    if stamp != 0.0 and abs(age) > tolerance:
+        code, when = ('stale', 'old') if age > 0.0 else ('future', 'in the future')
         raise Refusal(
-            'stale',
-            f'{what}: stamp is {age:.3g} s old, expected at most '
-            f'{tolerance:g} s; check clocks, or send stamp 0 for now',
-        )
-    if age < -tolerance:
-        raise Refusal(
-            'future',
-            f'{what}: stamp is {-age:.3g} s in the future, expected at most '
+            code,
+            f'{what}: stamp is {abs(age):.3g} s {when}, expected at most '
             f'{tolerance:g} s; check clocks, or send stamp 0 for now',
         )
 

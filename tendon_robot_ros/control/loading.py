@@ -17,6 +17,7 @@ import numpy as np
 from ..common.errors import TendonRobotError
 from ..common.files import cache_folder
 from ..common.processes import (
+    FIRST_NICENESS,
     ComputingThread,
     child_environment,
     end_with_parent,
@@ -28,9 +29,6 @@ from .inputs import check_inputs
 
 if TYPE_CHECKING:
     from ..model.model import Model
-
-# [1] of POSIX: a tenth of the processor, so that the control thread has priority
-NICENESS = 10
 
 
 def load(robot: Robot, catalogue: Catalogue) -> Model:
@@ -115,7 +113,7 @@ class Loader:
     def _load(self) -> None:
         if self._inputs:  # the priority of this thread, which its child inherits (Linux)
             with contextlib.suppress(OSError):
-                os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)
+                os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), -FIRST_NICENESS)
         try:
             self._loading.set_result(self._make())
         except Exception as error:

@@ -21,7 +21,7 @@ from ..common.arrays import Floats
 from ..common.errors import TendonRobotError
 from ..common.rotations import rotated
 from ..drivers.safety import CYCLE_MAX_S, approach, bounded
-from ..model.inverse import BALANCE_STEPS_MAX, POSITION_TOLERANCE_M, judged
+from ..model.inverse import ITERATIONS_MAX, POSITION_TOLERANCE_M, judged
 from ..model.program import STEP_MAX
 from ..model.redundancy import Balance, balanced
 from .inputs import Target, Trajectory, Twist
@@ -303,13 +303,13 @@ class NullSpace:
             if closed:  # no limit of the stiffness: the motion ends where it is enough
                 unlimited = replace(preferences, stiffness_enough=0.0)
                 further = Balance(held, unlimited, settings.keep_out)
-                preferred = balanced(further, start, BALANCE_STEPS_MAX, give_up)
+                preferred = balanced(further, start, ITERATIONS_MAX, give_up)
                 stiff = preferences.stiffness > 0.0
                 enough = float(np.exp(balance.log_stiffness(preferred))) if stiff else np.inf
                 return preferred.inputs, enough, None
             tensions = known
             if tensions is None:
-                tensions = balanced(balance, start, BALANCE_STEPS_MAX, give_up).inputs
+                tensions = balanced(balance, start, ITERATIONS_MAX, give_up).inputs
             posture = _step_towards(balance, start, tensions)
             reach = None if posture is None else judged(task, posture.inputs, posture.state)
             return tensions, np.inf, reach

@@ -16,12 +16,11 @@ import numpy as np
 from ..common.arrays import Floats
 from ..common.errors import InputError, NoEquilibriumError
 from ..drivers.safety import StopLatch, bounded
-from ..model.program import bounded_least_squares
+from ..model.program import RANGE_TOLERANCE, bounded_least_squares
 from .inputs import Refusal, Settings, Target, Trajectory, Twist
 from .solver import GiveUp, Solver
 from .tip_estimator import (
     NOISE_SAMPLES,
-    RANGE_TOLERANCE,
     NullSpaceMotion,
     TipEstimate,
     bias_part,
@@ -33,14 +32,11 @@ if TYPE_CHECKING:
 
 GO_ON = 'send another target or call reset'
 # [s] of silence of driver or tracker, beyond which it counts as lost; a busy machine delays it by
-# less, else every such pause would drop the arm
+# less, else every such pause would drop the arm. A tip that comes no nearer for so long has
+# settled: five times the 0.2 s of its loop
 SILENCE_MAX_S = 1.0
 # [1] standard deviations; one reading of 16,000 is beyond by chance
 NOISE_SD_MAX = 4.0
-# [1] of the highest tension: noise of poor load cells; more would be a real error of the tension
-NOISE_MAX = 1e-2
-# [1] cycles by which a measured tension may lag behind its command, because of bus and driver
-CYCLES_LATE = 2.0
 # [s] near the command, within four standard deviations of the noise of load cells: five time
 # constants of a drive of 20 ms, so that noise alone does not pass for settled
 SETTLED_S = 0.1
@@ -153,9 +149,11 @@ class ActingTensions:
                 square = 0.5 * (measured - last[1] - (command - before)) ** 2
                 square = np.minimum(square, NOISE_SD_MAX**2 * self._variance)  # jumps are clipped
                 self._variance = self._variance + (square - self._variance) / NOISE_SAMPLES
-            noise = np.clip(np.sqrt(self._variance), noise_min, NOISE_MAX * highest)
+            # poor load cells have fifty times the least; more is an error of the tension
+            noise = np.clip(np.sqrt(self._variance), noise_min, 50.0 * noise_min)
             self._last = command.copy(), measured.copy()
-            width = NOISE_SD_MAX * noise + CYCLES_LATE * np.abs(command - before)
+            # bus and driver delay a measured tension by a cycle each
+            width = NOISE_SD_MAX * noise + 2.0 * np.abs(command - before)
             differs = measured - command
             mean, samples = differs if self._mean is None else self._mean, 2.0 * NOISE_SAMPLES
             self._mean = mean = mean + (differs - mean) / samples

@@ -86,12 +86,9 @@ def controller_status(core: ControllerCore, now: float) -> ControllerStatus:
         if core.command is None:
             message = 'no tendon_states yet: is the driver running?'
             return ControllerStatus(WARN, 'waiting', message)
-        message = (
-            f'no tendon_states for {core.settings.state_timeout:g} s; holding the last command'
-        )
-        if core.driver.timed_out(now, core.settings):
-            timeout = core.settings.state_timeout
-            message = f'no tendon_states for {timeout:g} s; no commands until they are back'
+        over = core.driver.timed_out(now, core.settings)
+        follows = 'no commands until they are back' if over else 'holding the last command'
+        message = f'no tendon_states for {core.settings.state_timeout:g} s; {follows}'
         return ControllerStatus(ERROR, 'no_driver', message)
     if core.driver.released:
         refusal = core.refusals.get('target')

@@ -17,7 +17,7 @@ import numpy as np
 
 from ..common.arrays import Floats
 from ..common.errors import InputError, NoEquilibriumError
-from ..model.inverse import JUMP_MAX, POSITION_TOLERANCE_M, reach
+from ..model.inverse import ITERATIONS_MAX, JUMP_MAX, POSITION_TOLERANCE_M, reach
 from ..model.program import STEP_MAX
 from ..model.shape import Reach
 from ..model.tip_task import COLD, STREAM, TRACK, Patience, Policy, TipTask
@@ -52,12 +52,6 @@ STREAM_LENGTH = 0.1
 # [rad] summed over the arm: wires near its outside move through their eyelets by 80 presliding
 # lengths, those at half of the radius by 40, so that every law of friction has lost its memory
 FORGETTING_BEND_RAD = 3.2
-# [1] iterations in which another model takes over the directions of friction: a direction that
-# needs more is at a kink of friction and would never converge
-CARRIED_ITERATIONS_MAX = 40
-# [1] of a straight leg: first step between two clearance checks; nearer regions would shorten it,
-# to a tenth at most
-CHECK_STEP = 0.05
 
 
 @dataclass(frozen=True)
@@ -437,7 +431,7 @@ def carry_friction(
     signs = slice(len(last.state), len(last.state) + last.tendon_tensions.size)
     directions, memory, shape = last.memory[signs].copy(), last.memory, last
     with suppress(NoEquilibriumError):
-        for _ in range(CARRIED_ITERATIONS_MAX):
+        for _ in range(ITERATIONS_MAX):
             shape = model.shape(tensions, shape.state, memory)
             if np.allclose(shape.memory[signs], directions, rtol=0.0, atol=1e-3):
                 break  # of full friction: noise of load cells would change them by more
@@ -528,7 +522,7 @@ def _postures(
     No point moves by more than half of the clearance between two of them, as far as the shortest
     step allows it, so that none cuts a corner of a region.
     """
-    fraction, step = 0.0, CHECK_STEP
+    fraction, step = 0.0, STEP_MAX
     while fraction < 1.0:
         fraction = min(fraction + step, 1.0)
         new = solve(shape, begin + fraction * (end - begin))
@@ -536,4 +530,4 @@ def _postures(
         clearance = keep_out.clearance(new.positions)
         yield fraction, new, clearance
         factor = 0.5 * clearance.distance / max(moved, 1e-9)
-        step, shape = min(max(step * factor, 0.1 * CHECK_STEP), 2.0 * step), new
+        step, shape = min(max(step * factor, 0.1 * STEP_MAX), 2.0 * step), new

@@ -19,7 +19,13 @@ import numpy as np
 from ..common.arrays import Floats
 from ..common.estimation import kalman_update
 from ..model.derivatives import tip_slopes
-from ..model.program import STEP_DAMPING, STEP_GAIN, STEP_MAX, bounded_step
+from ..model.program import (
+    RANGE_TOLERANCE,
+    STEP_DAMPING,
+    STEP_GAIN,
+    STEP_MAX,
+    bounded_step,
+)
 
 if TYPE_CHECKING:
     from ..model.model import Model
@@ -33,7 +39,8 @@ TRACKER_NOISE_M = 3e-4
 # 10 %; the mean offset is over twice as many
 NOISE_SAMPLES = 50
 # [1] of the model's Jacobian, 1 sd of D: friction alone changes it by as much. D is limited to
-# it, because by errors of friction a larger D would reverse the sign of the Jacobian
+# it, because by errors of friction a larger D would reverse the sign of the Jacobian. In a
+# null-space motion, where the model's tip stays, of the arm's length (docs/control.md)
 MODEL_SLOPE_SD = 0.5
 # [1] of the arm's length: path of the tip along which D changes to 1/e (docs/control.md)
 SLOPE_LENGTH = 0.15
@@ -44,9 +51,6 @@ BIAS_RADIUS = 0.25
 REST_SD = 1.5
 # [1] of the largest slope: below it the loop's steps would be lost in friction (docs/control.md)
 WEAK_SLOPE = 0.02
-# [1] of a tension's range: tolerance of a reached goal or limit, because noise of load cells is
-# half of it
-RANGE_TOLERANCE = 2e-3
 # [1] of a step, tried in sequence, because tendons that stick need more, those that slip less
 STEP_LENGTHS = 1.0, 4.0, 0.25
 # [1] of the predicted decrease that a step has to reach; less would be noise (Armijo 1966)
@@ -59,9 +63,6 @@ SPEED_MAX = RANGE_TOLERANCE
 # [1/s] of the length: velocity of the tip, 1 sd, that doubt of slopes may cause: 0.1 mm/s on 208
 # mm, so that the tracker measures it before it is a millimetre (docs/control.md)
 DRIFT = 5e-4
-# [1] of the arm's length over the ranges: bias that such a motion causes, 1 sd, because on an arm
-# that differs from its model the tip drifts by a quarter of it and more (docs/control.md)
-SLOPE_LENGTH_SD = 0.5
 # [1/s] of the estimator: slower than `tip_gain`, because only noise moves the tip
 # (docs/control.md)
 HOLD_GAIN = 0.5

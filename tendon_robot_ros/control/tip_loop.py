@@ -19,14 +19,13 @@ import numpy as np
 
 from ..common.arrays import Floats
 from ..common.errors import TendonRobotError
-from ..model.program import bounded_least_squares
+from ..model.program import RANGE_TOLERANCE, bounded_least_squares
+from ..robot.estimates import MODEL_ERROR_MAX
 from .inputs import interpolated
-from .state import ControllerState, TipCorrection, TrackedTip
+from .state import SILENCE_MAX_S, ControllerState, TipCorrection, TrackedTip
 from .tip_estimator import (
     HOLD_GAIN,
     MODEL_SLOPE_SD,
-    RANGE_TOLERANCE,
-    SLOPE_LENGTH_SD,
     TRACKER_NOISE_M,
     WEAK_SLOPE,
     NullSpaceMotion,
@@ -48,11 +47,6 @@ BIAS_LENGTH_MAX = 0.4
 # [1] of `tip_gain`: rate at which the distance to a setpoint shrinks, so that the bias is known
 # before the tip arrives (docs/control.md)
 PACE = 2.0
-# [s] without progress, after which the remainder is reported, so that it has settled; five times
-# the loop's 0.2 s
-NO_NEARER_S = 1.0
-# [1] of the arm's length: the bias of a calibrated model is smaller (docs/control.md)
-FOREIGN_LENGTH = 0.05
 
 
 @dataclass(frozen=True)
@@ -145,7 +139,7 @@ class TipProgress:
 
     def settled(self, now: float) -> Remainder | None:
         """Return the remainder once it does not change any more."""
-        return self.remainder if now - self.since >= NO_NEARER_S else None
+        return self.remainder if now - self.since >= SILENCE_MAX_S else None
 
 
 def foreign(offset: float, length: float, remembers: bool) -> str:
@@ -160,7 +154,7 @@ def foreign(offset: float, length: float, remembers: bool) -> str:
         Whether the model has friction memory.
 
     """
-    if offset < FOREIGN_LENGTH * length:
+    if offset < MODEL_ERROR_MAX * length:
         return ''
     lacks = '' if remembers else ', often friction_memory'
     return (
@@ -303,7 +297,7 @@ class TipLoop(TipCorrection):
             if motion is None:
                 doubt = MODEL_SLOPE_SD * np.linalg.norm(step.slopes, axis=0)
             else:
-                doubt = np.full(len(at), SLOPE_LENGTH_SD * model.robot.length)
+                doubt = np.full(len(at), MODEL_SLOPE_SD * model.robot.length)
             new = (known or TipEstimate.begin(at, limits, doubt)).about(at)
             if motion is not None and motion.place is None:
                 new = new.without_slopes(doubt)  # slopes of motions of the tip do not apply

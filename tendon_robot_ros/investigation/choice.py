@@ -48,8 +48,6 @@ POOL_POSTURES = 120
 # [1] places on the path to a posture at which the arm has to keep clear of regions; between two of
 # them a point may come closer by half of its motion, so that more places leave more room
 PATH_POINTS = 16
-# [1] of the arm's length, how far it may be from an untried model, so that regions stay free
-MARGIN_FRACTION = 0.05
 # [1] of a typical size, steps of a parameter for its derivative: the first, so that laws with a
 # threshold show; the second where the model has no equilibrium at the first
 STEP_FRACTIONS = (0.3, 0.03)

@@ -33,12 +33,12 @@ from ..inference.noise import Noise
 from ..inference.predict import frees_of
 from ..model.model import Model
 from ..monitoring.change import ChangeFinder
-from ..report.diagnosis_page import pictures_of, with_effects, write_diagnosis
+from ..report.diagnosis_page import diagnosis_page, pictures_of, with_effects
 from ..report.diagnosis_text import addition_warnings, lines, never_used
 from ..robot import Robot, dump_robot
-from ..robot.estimates import natural_sizes
+from ..robot.estimates import MODEL_ERROR_MAX, natural_sizes
 from ..robot.keep_out import KeepOut
-from .choice import MARGIN_FRACTION, Choice, OpenQuestion, Room, choose, fresh, pool
+from .choice import Choice, OpenQuestion, Room, choose, fresh, pool
 from .goal import (
     IN_QUESTION_MAX,
     SENTENCES,
@@ -145,7 +145,7 @@ class Investigation:
         self.record = begin(arm, folder, trials)  # type: ignore[arg-type]
         self.diagnosis: Diagnosis | None = None
         self._suspected: list[str] = []  # effects that have appeared since an alarm
-        room = Room(regions or KeepOut(), MARGIN_FRACTION * arm.robot.length)
+        room = Room(regions or KeepOut(), MODEL_ERROR_MAX * arm.robot.length)
         self.measurer = Measurer(arm, self.record, room, trials, goal, report)
         self._deadline = time.monotonic() + 60.0 * goal.minutes
 
@@ -279,7 +279,7 @@ class Investigation:
         length, unexcluded = self.arm.robot.length, dict[str, float]()
         if diagnosis.verdict.judged and np.isfinite(diagnosis.error_after):
             # as far from the regions as the best model is off (3 sd), but no farther than before
-            margin = min(3.0 * diagnosis.error_after, MARGIN_FRACTION * length)
+            margin = min(3.0 * diagnosis.error_after, MODEL_ERROR_MAX * length)
             self.measurer.room = Room(self.measurer.room.regions, margin)
         if diagnosis.verdict is Verdict.ADEQUATE:
             unexcluded = possible(diagnosis, dataset, self.catalogue, self.goal.visible * length)
@@ -382,7 +382,7 @@ def write_results(findings: Findings, folder: Path, catalogue: Catalogue, add: b
             data = findings.dataset
             better = with_effects(diagnosis, data.robot) if added is None else added.robot
             pictures = pictures_of(diagnosis, data, catalogue, better)
-            write_diagnosis(diagnosis, pictures, folder / REPORT, added)
+            diagnosis_page(diagnosis, pictures, added).write(folder / REPORT)
             written.append(REPORT)
     if added is not None:
         text += [never_used(added), *addition_warnings(added)]

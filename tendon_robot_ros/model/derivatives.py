@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -134,14 +135,11 @@ def derivatives(
     if memory is not None or not model.friction_remembers:
         rates, _ = follow(model, shapes.inputs, shapes.state, moves, output, memory)
         return np.moveaxis(rates, 0, -1)
-    slopes = []
-    for move in moves:
-        sides = []
-        for side in (move.up, move.down):
-            with move.applied(model, side):
-                sides.append(output(model.shapes(move.inputs(shapes.inputs, side), shapes.state)))
-        slopes.append(_per_unit(sides, move))
-    return np.stack(slopes, axis=-1)
+
+    def solved(move: Move, side: Floats) -> Floats:
+        return output(model.shapes(move.inputs(shapes.inputs, side), shapes.state))
+
+    return np.stack([_per_unit(model, move, partial(solved, move)) for move in moves], axis=-1)
 
 
 @dataclass(frozen=True)
@@ -242,37 +240,40 @@ def follow(
         Friction memory of these shapes; without it nothing may remember. See `derivatives`.
 
     """
-    arrays, slopes = model.arrays, []
+    arrays, on, acting = model.arrays, model.arrays.on.copy(), model.arrays.on
     past = arrays.fresh_memory() if memory is None else memory
-    rates, on, acting = (
-        np.empty((len(states), len(moves), states.shape[1])),
-        arrays.on.copy(),
-        arrays.on,
-    )
+
+    def unbalanced(move: Move, side: Floats) -> Floats:
+        on[:] |= acting & arrays.twisting
+        return residuals(model, move.inputs(inputs, side), states, past)
+
+    rates = np.empty((len(states), len(moves), states.shape[1]))
     for q, move in enumerate(moves):
-        sides = []
-        for side in (move.up, move.down):
-            with move.applied(model, side):
-                sides.append(residuals(model, move.inputs(inputs, side), states, past))
-                on |= arrays.on & arrays.twisting
-        rates[:, q] = _per_unit(sides, move)
+        rates[:, q] = _per_unit(model, move, partial(unbalanced, move))
     before = acting.copy()
     try:  # cells twist for all if they do for one, else their twist would follow nothing
         acting[:] = on
         state_slopes = responses(model, inputs, states, past, rates).swapaxes(0, 1)
     finally:
         acting[:] = before
-    for state_slope, move in zip(state_slopes, moves, strict=True):
-        sides = []
-        for side in (move.up, move.down):
-            with move.applied(model, side):
-                state = states + side[:, None] * state_slope
-                sides.append(output(shown(model, move.inputs(inputs, side), state, past)))
-        slopes.append(_per_unit(sides, move))
+
+    def moved(move: Move, state_slope: Floats, side: Floats) -> Floats:
+        state = states + side[:, None] * state_slope
+        return output(shown(model, move.inputs(inputs, side), state, past))
+
+    slopes = [
+        _per_unit(model, move, partial(moved, move, state_slope))
+        for state_slope, move in zip(state_slopes, moves, strict=True)
+    ]
     return np.array(slopes), state_slopes
 
 
-def _per_unit(sides: Sequence[Floats], move: Move) -> Floats:
+def _per_unit(model: ForwardModel, move: Move, value_at: Callable[[Floats], Floats]) -> Floats:
+    """Return the difference quotient of a value (b, ...) on both sides of a move."""
+    sides = []
+    for side in (move.up, move.down):
+        with move.applied(model, side):
+            sides.append(value_at(side))
     width = (move.up - move.down).reshape(-1, *[1] * (sides[0].ndim - 1))
     return np.asarray((sides[0] - sides[1]) / width)
 

@@ -54,9 +54,9 @@ JUMP_MAX = 0.1
 # [1] of the cost of the one before, that a solution which jumps, or which is reported before the
 # search ends, must have less than, because the tip would hardly be nearer for it
 WORTHWHILE_MAX = 0.8
-# [1] programs after a search; what has not converged by then is held up by a region, and would
-# stay
-BALANCE_STEPS_MAX = 40
+# [1] programs after a search, or models after another one took over the directions of friction;
+# what has not converged by then is held up by a region or a kink of friction, and would stay
+ITERATIONS_MAX = 40
 
 
 @dataclass(frozen=True)
@@ -297,7 +297,7 @@ def _balanced(task: TipTask, balance: Balance, first: Reach, give_up: Callable[[
         return first  # wires of given lengths leave no freedom
     solution, clearance = first, before
     for start in _starts_outside(balance, first.shape):
-        shape = balanced(balance, start, BALANCE_STEPS_MAX, give_up)
+        shape = balanced(balance, start, ITERATIONS_MAX, give_up)
         if task.by_pulls:
             shape = pull_shape(task.model, shape.pulls, shape, task.past)
         solution = judged(task, shape.inputs, shape.state, in_time=not give_up())

@@ -9,6 +9,9 @@ from ..common.arrays import Floats
 # [1] of the largest slope: along directions of the tip with less, a step would ask for much
 # tension
 STEP_DAMPING = 0.1
+# [1] of a tension's range: tolerance of a reached goal or limit, because noise of load cells is
+# half of it
+RANGE_TOLERANCE = 2e-3
 # [1] of a range, changed by one step of the tip: beyond it, slopes with friction would be others
 STEP_MAX = 0.03
 # [1] of what the tip is off, taken off in one step, so that a loop with some delay does not

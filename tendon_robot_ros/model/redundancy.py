@@ -31,7 +31,7 @@ from .derivatives import (
     tip_and_state_slopes,
     tip_stiffness,
 )
-from .program import solved, within
+from .program import RANGE_TOLERANCE, solved, within
 from .tip_task import CONVERGED_LENGTH, Preferences, TipTask
 
 if TYPE_CHECKING:
@@ -43,13 +43,12 @@ TIP_WEIGHT = 4e5
 KEEP_OUT_RATIO = 1e3  # [1] of that weight, of points inside a region, so that no target keeps them
 NEAR_LENGTH = 0.25  # [1] of the length, so that only regions near the arm take time
 TRUST = 0.15  # [1] of a tension's range, the longest step, because slopes change beyond
-STEP_MIN = 1e-4  # [1] of a range: shorter steps would change less than a motor's resolution
+# [1] of a range: shorter steps would change less than a motor's resolution; also the damping,
+# beside preferences of about 1, so that tensions stay without any
+STEP_MIN = 1e-4
 # [1] of a range, more on all tendons: further starts for a stiff tip, because friction may hold
 # the arm so that every small change makes it softer
 CO_CONTRACTIONS = (0.1, 0.3)
-DAMPING = 1e-4  # [1] against preferences of about 1, so that tensions stay without any
-# [1] of a range, of differences of the stiffness: it is one itself, and shorter would be noise
-STIFFNESS_STEP = 2e-3
 # [1] of the tip after a step, because its error is squared by each, and of a step with the sides
 # of its eyelets, because it then runs along a kink
 CORRECTIONS_MAX = 3
@@ -143,7 +142,7 @@ class Balance:
         slope = np.zeros(len(self.range))
         base = self.log_stiffness(shape)
         for j, width in enumerate(self.range):
-            step = STIFFNESS_STEP * width
+            step = RANGE_TOLERANCE * width  # less would be noise: stiffness is a difference itself
             if shape.inputs[j] + step > self.low[j] + width:
                 step = -step
             moved = shape.inputs.copy()
@@ -168,7 +167,7 @@ class Balance:
     def _preferred(self, at: Linearised) -> tuple[Floats, Floats]:
         """Return diagonal (m,) and slope (m,) of the preferences, in fractions of the range."""
         preferences, u = self.preferences, (at.shape.inputs - self.low) / self.range
-        diagonal = np.full(len(u), DAMPING + preferences.low_tension + preferences.smooth)
+        diagonal = np.full(len(u), STEP_MIN + preferences.low_tension + preferences.smooth)
         slope = preferences.low_tension * u
         if self.present is not None:
             slope = slope + preferences.smooth * (at.shape.inputs - self.present) / self.range
@@ -257,7 +256,7 @@ class Balance:
                 break
             u = (at.shape.inputs - self.low) / self.range
             slopes = self.slopes(at)
-            matrix = self.tip_weight * slopes.T @ slopes + DAMPING * np.eye(len(u))
+            matrix = self.tip_weight * slopes.T @ slopes + STEP_MIN * np.eye(len(u))
             slope = self.tip_weight * slopes.T @ at.error
             back = solved(matrix, slope, None, -u, 1.0 - u)
             trial = self.solve_at(at, within(u + back, 0.0, 1.0) * self.range + self.low)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -56,26 +57,16 @@ class ResultLayout:
         }
 
     @cached_property
-    def starts(self) -> dict[str, int]:
-        """Floats of one posture that lie before each field."""
-        starts, size = {}, 0
-        for name, shape in self.fields.items():
-            starts[name] = size
-            size += math.prod(shape)
-        return starts
-
-    @cached_property
     def size(self) -> int:
         """Floats of one posture without the memory."""
-        return self.starts['change'] + 1
+        return sum(map(math.prod, self.fields.values()))
 
     @cached_property
     def one(self) -> dict[str, tuple[slice, tuple[int, ...]]]:
         """Slice and shape of each field of a single posture."""
-        return {
-            name: (slice(start, start + math.prod(self.fields[name])), self.fields[name])
-            for name, start in self.starts.items()
-        }
+        ends = list(accumulate(map(math.prod, self.fields.values()), initial=0))
+        places = zip(pairwise(ends), self.fields.items(), strict=True)
+        return {name: (slice(*ends), shape) for ends, (name, shape) in places}
 
     def views(self, block: Floats, count: int) -> dict[str, Floats]:
         """Return the fields (count, ...) of a block of `count` postures."""
@@ -165,21 +156,40 @@ def frames_inside(
 FIELDS = 'inputs', 'state', 'tendon_tensions', 'frames', 'positions', 'tendon_pulls', 'pulls'
 
 
-def bends_in(state: Floats) -> Floats:
-    """Bends (..., n, 2) [rad] of states (..., 3n)."""
-    n = state.shape[-1] // 3
-    bends: Floats = state[..., : 2 * n].reshape(*state.shape[:-1], n, 2)
-    return bends
+class Bent:
+    """Bends, twists and tip of one shape, or of a batch of shapes (b, ...)."""
 
+    state: Floats
+    positions: Floats
+    frames: Floats
 
-def twists_in(state: Floats) -> Floats:
-    """Twists (..., n) [rad] of states (..., 3n)."""
-    twists: Floats = state[..., 2 * (state.shape[-1] // 3) :]
-    return twists
+    @property
+    def bend(self) -> Floats:
+        """Bends (..., n, 2) [rad]."""
+        state, n = self.state, self.state.shape[-1] // 3
+        return state[..., : 2 * n].reshape(*state.shape[:-1], n, 2)
+
+    @property
+    def twist(self) -> Floats:
+        """Twists (..., n) [rad] about the cells' own axis; zero without `torsion`."""
+        twists: Floats = self.state[..., 2 * (self.state.shape[-1] // 3) :]
+        return twists
+
+    @property
+    def tip_position(self) -> Floats:
+        """Tip position (..., 3) [m]."""
+        tip: Floats = self.positions[..., -1, :]
+        return tip
+
+    @property
+    def tip_direction(self) -> Floats:
+        """Approach direction (..., 3): +z of the last frame."""
+        along: Floats = self.frames[..., -1, :, 2]
+        return along
 
 
 @dataclass(frozen=True)
-class ShapeBatch:
+class ShapeBatch(Bent):
     """Shapes of b postures of a robot with n cells, k tendons and m inputs."""
 
     inputs: Floats  # (b, m) [N]
@@ -199,28 +209,6 @@ class ShapeBatch:
     def __repr__(self) -> str:
         """Name the numbers of postures and cells."""
         return f'<ShapeBatch: {len(self)} postures of {len(self.cell_length)} cells>'
-
-    @property
-    def bend(self) -> Floats:
-        """Bends (b, n, 2) [rad]."""
-        return bends_in(self.state)
-
-    @property
-    def twist(self) -> Floats:
-        """Twists (b, n) [rad] about the cells' own axis; zero without `torsion`."""
-        return twists_in(self.state)
-
-    @property
-    def tip_position(self) -> Floats:
-        """Tip positions (b, 3) [m]."""
-        tip: Floats = self.positions[:, -1]
-        return tip
-
-    @property
-    def tip_direction(self) -> Floats:
-        """Approach directions (b, 3): +z of the last frame."""
-        along: Floats = self.frames[:, -1, :, 2]
-        return along
 
     def markers(self, arc_length: Floats, offset: Floats) -> Floats:
         """
@@ -246,7 +234,7 @@ class ShapeBatch:
         return place_markers(self, np.asarray(arc_length, float), np.asarray(offset, float))
 
 
-class Shape(TextResult):
+class Shape(Bent, TextResult):
     """One posture: the fields of `ShapeBatch` without the first axis."""
 
     def __init__(self, form: ResultLayout, block: Floats) -> None:
@@ -306,16 +294,6 @@ class Shape(TextResult):
         return self._field('state')
 
     @cached_property
-    def bend(self) -> Floats:
-        """Bends (n, 2) [rad]."""
-        return bends_in(self.state)
-
-    @cached_property
-    def twist(self) -> Floats:
-        """Twists (n,) [rad] about the cells' own axis; zero without `torsion`."""
-        return twists_in(self.state)
-
-    @cached_property
     def positions(self) -> Floats:
         """Distal ends of the cells (n, 3) [m]."""
         return self._field('positions')
@@ -344,18 +322,6 @@ class Shape(TextResult):
     def memory(self) -> Floats:
         """Friction memory after this posture, for the next call."""
         return self.block[self.form.size :]
-
-    @property
-    def tip_position(self) -> Floats:
-        """Tip position (3,) [m]."""
-        tip: Floats = self.positions[-1]
-        return tip
-
-    @property
-    def tip_direction(self) -> Floats:
-        """Approach direction (3,)."""
-        along: Floats = self.frames[-1, :, 2]
-        return along
 
     @cached_property
     def batch(self) -> ShapeBatch:

@@ -31,8 +31,6 @@ TRACKING_GAIN_MIN = 1e-2
 # [1] equilibria of a search; what takes more has been seen to stall, and another start would be
 # quicker
 TRIALS_MAX = 120
-# [1] where friction remembers, because a search then creeps along narrow valleys
-REMEMBERING_TRIALS_MAX = 4 * TRIALS_MAX
 # [1] where tendons stick: what needs more stands at a kink, and another start is quicker
 # (docs/model.md)
 STICKING_TRIALS_MAX = 10
@@ -184,7 +182,8 @@ def starts_of(task: TipTask, policy: Policy, reports: bool) -> Iterator[Start]:
         nearby = partial(seek, task, 1.0, steps=steps)
     if guess is not None:
         present = within(guess.inputs, *model.limits.T)
-        trials = REMEMBERING_TRIALS_MAX if model.remembers else TRIALS_MAX
+        # where friction remembers, a search creeps along narrow valleys
+        trials = 4 * TRIALS_MAX if model.remembers else TRIALS_MAX
         trials = STICKING_TRIALS_MAX if model.sticks else trials
         track = partial(aim, task, TRACKING_GAIN_MIN, trials=trials)
         frugal = partial(aim_frugally, task, task.tension(policy.tension_weight), trials)

@@ -158,9 +158,9 @@ def _report(diagnosis: Any, path: Path, addition: Any = None, pictures: Any = No
     """Write the HTML report where the report extra is installed; return its path or ''."""
     if importlib.util.find_spec('plotly') is None:
         return ''
-    from ..report.diagnosis_page import write_diagnosis
+    from ..report.diagnosis_page import diagnosis_page
 
-    write_diagnosis(diagnosis, pictures, path, addition)
+    diagnosis_page(diagnosis, pictures, addition).write(path)
     return str(path)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -108,17 +107,6 @@ def with_effects(diagnosis: Diagnosis, robot: Robot) -> Robot:
             values[name] = tuple(each)
         robot = robot.with_effect(effect.name, values)
     return robot
-
-
-def write_diagnosis(
-    diagnosis: Diagnosis,
-    pictures: Pictures | None,
-    path: str | Path,
-    addition: Addition | None = None,
-    outcome: str = '',
-) -> Path:
-    """Write the page; it opens without a network."""
-    return diagnosis_page(diagnosis, pictures, addition, outcome).write(path)
 
 
 def diagnosis_page(

@@ -17,6 +17,7 @@ from ..diagnosis.add import Addition
 from ..diagnosis.result import Diagnosis, NextMeasurement
 from ..diagnosis.verdict import P_SINGLE_MIN, SAME_ERROR_RATIO, SEPARABLE_FROM_SD, Verdict
 from ..inference.crossval import explained_fraction
+from ..robot.estimates import stiffnesses
 from .sentences import (
     amount,
     as_built,
@@ -419,10 +420,7 @@ def also_written(addition: Addition) -> list[str]:
     if before is None:
         return []
     changes = []
-    stiffness = _changes(
-        [k for s in before.sections for k in s.bending_stiffness],
-        [k for s in robot.sections for k in s.bending_stiffness],
-    )
+    stiffness = _changes(*(stiffnesses(one).tolist() for one in (before, robot)))
     if stiffness:
         changes.append(f'stiffness of {_count(stiffness, "cell")}')
     offsets = _changes(*([np.hypot(*t.base) for t in one.tendons] for one in (before, robot)))

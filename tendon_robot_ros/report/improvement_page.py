@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from html import escape
-from pathlib import Path
 from textwrap import wrap
 
 import numpy as np
@@ -118,13 +117,6 @@ def remains(improvement: Improvement) -> list[str]:
     if improvement.robot.model_error:
         texts.append(model_error_note(improvement.robot.model_error))
     return texts
-
-
-def write_improvement(
-    improvement: Improvement, dataset: DataSet, catalogue: Catalogue, path: str | Path
-) -> Path:
-    """Write the page; it opens without a network."""
-    return improvement_page(improvement, dataset, catalogue).write(path)
 
 
 def improvement_page(improvement: Improvement, dataset: DataSet, catalogue: Catalogue) -> Page:

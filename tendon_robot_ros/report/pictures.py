@@ -6,7 +6,7 @@ The second as a table, too.
 
 from __future__ import annotations
 
-from itertools import cycle
+from itertools import chain, cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +17,7 @@ from ..common.colours import COLOURS, ERROR, FLOOR, INK, MEASURED, PREDICTED
 from ..common.errors import NoEquilibriumError
 from ..common.files import new_file
 from ..common.words import columns
+from ..model.shape import plot_arms
 from ..paths.path import PathRun
 from ..robot.estimates import bend_rates
 from .page import Shown
@@ -54,7 +55,7 @@ def draw_robot(model: Model, path: Path) -> Figure:
 
 def postures(model: Model) -> list[tuple[str, Floats]]:
     """
-    Return positions (n + 1, 3) [m] under each input alone, base included.
+    Return positions (n, 3) [m] of the ends of the cells under each input alone.
 
     Each bends its section by a right angle, where its limits allow that.
     """
@@ -68,30 +69,23 @@ def postures(model: Model) -> list[tuple[str, Floats]]:
             shape = model.shape(tensions)
         except NoEquilibriumError:  # the description may still lack a sensible load
             continue
-        points = np.concatenate([np.zeros((1, 3)), shape.positions])
-        rows.append((f'{name} {tensions[j]:.2g} N', points))
+        rows.append((f'{name} {tensions[j]:.2g} N', shape.positions))
     return rows
 
 
 def draw_postures(axes: Any, model: Model, spatial: bool) -> None:
     """Draw the straight arm, and the arm under each input alone."""
-    lengths = model.arrays.cells[:, 0]
-    straight = np.zeros((len(lengths) + 1, 3))
-    straight[1:, 2] = np.cumsum(lengths)
-    lines, colours = [('straight', straight), *postures(model)], cycle(COLOURS)
-    for label, points in lines:
-        along = 1e3 * points.T if spatial else 1e3 * points[:, [0, 2]].T
-        colour = FLOOR if points is straight else next(colours)
-        axes.plot(*along, '.-', color=colour, label=label, markersize=6, linewidth=1.8)
-    axes.set_aspect('equal')
-    axes.set_xlabel('x [mm]', labelpad=10.0 if spatial else None)
+    ends = np.cumsum(model.arrays.cells[:, 0])
+    arms = [('straight', np.outer(ends, [0.0, 0.0, 1.0])), *postures(model)]
+    colours = chain([FLOOR], cycle(COLOURS))
+    for (label, points), colour in zip(arms, colours, strict=False):
+        plot_arms(points[None], axes, color=colour, label=label, markersize=6, linewidth=1.8)
     if spatial:
         axes.view_init(elev=22.0, azim=-42.0)  # no tendon of three or six hides another
         axes.locator_params(nbins=4)
-        axes.set_ylabel('y [mm]', labelpad=10.0)
-        axes.set_zlabel('z [mm]', labelpad=10.0)
+        for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+            axis.labelpad = 10.0
     else:
-        axes.set_ylabel('z [mm]')
         axes.grid(alpha=0.3)
     axes.set_title('each input alone, the others at their lower limit')
     legend_below(axes)

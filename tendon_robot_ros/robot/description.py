@@ -13,6 +13,7 @@ import numpy as np
 from ..common.arrays import Floats
 from ..common.errors import InputError, RobotDescriptionError
 from ..common.results import TextResult
+from ..common.rotations import turned_in_plane
 from ..common.yaml_reading import Reader, parse_yaml
 
 TOLERANCES = (
@@ -190,8 +191,6 @@ class Robot(TextResult):
         return replace(self, effects=keep, fitted=origin)
 
 
-# [rad] that a tendon winds about the axis in one cell, because it is straight within a cell
-HELIX_MAX_RAD = math.pi / 2.0
 # [1] characters of a description, so that a file of something else is refused at once
 DESCRIPTION_MAX = 1_000_000
 
@@ -308,7 +307,8 @@ def _route(item: Reader, sections: tuple[Section, ...]) -> tuple[XY, XY, float, 
         return offsets[0], offsets[-1], 0.0, offsets
     base = route.offset('base')
     end = route.offset('end') if route.has('end') or not route.has('helix') else base
-    helix_max = HELIX_MAX_RAD / max(section.cell_length for section in sections)
+    # a quarter of a turn in one cell at most, because a tendon is straight within a cell
+    helix_max = 0.5 * math.pi / max(section.cell_length for section in sections)
     helix = route.number('helix', -helix_max, helix_max, 'rad/m') if route.has('helix') else 0.0
     return base, end, helix, ()
 
@@ -353,8 +353,5 @@ def _tendon_ends(robot: Robot, k: int) -> tuple[Floats, Floats]:
 def _offset_at(tendon: Tendon, arc_length: Floats, whole: float) -> Floats:
     """Offset (j, 2) [m] of a tendon at arc lengths (j,): a line that turns by its helix."""
     base, end = np.array(tendon.base), np.array(tendon.end)
-    x, y = (base + arc_length[:, None] / whole * (end - base)).T
-    if tendon.helix == 0.0:
-        return np.stack([x, y], axis=1)
-    c, s = np.cos(tendon.helix * arc_length), np.sin(tendon.helix * arc_length)
-    return np.stack([c * x - s * y, s * x + c * y], axis=1)
+    straight = base + arc_length[:, None] / whole * (end - base)
+    return turned_in_plane(straight, tendon.helix * arc_length)

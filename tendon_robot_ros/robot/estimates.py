@@ -22,6 +22,9 @@ TENSION_FRACTION_MIN = 0.01
 MILLIMETRES = math.sqrt(1000.0)
 # [1] of the length, beyond which no sag is said, because that of a straight beam is too large then
 SAG_FRACTION_MAX = 0.3
+# [1] of the length, that the tip of an untried model may be off; beyond it a load or an effect is
+# missing, because the bias of a calibrated model is smaller (docs/control.md)
+MODEL_ERROR_MAX = 0.05
 
 
 def stiffnesses(robot: Robot) -> Floats:

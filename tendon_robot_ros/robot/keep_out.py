@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -29,13 +29,6 @@ from ..common.yaml_reading import Reader, parse_yaml
 FAR_M = 100.0  # [m] a larger number is refused, because it is a slip of the pen
 TEXT_MAX = 20_000  # [1] characters, because it is read while the arm is commanded
 KINDS = 'plane', 'sphere', 'box'
-
-
-class Solid(Protocol):
-    """Geometry of a region."""
-
-    def distance(self, points: Floats) -> Floats:
-        """Return how far points (..., 3) [m] are outside, (...) [m]; negative: inside."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +73,9 @@ class Box:
         outside = np.linalg.norm(np.maximum(over, 0.0), axis=-1)
         distance: Floats = outside + np.minimum(over.max(axis=-1), 0.0)
         return distance
+
+
+Solid = Plane | Sphere | Box
 
 
 @dataclass(frozen=True)

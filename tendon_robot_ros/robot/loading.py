@@ -111,59 +111,40 @@ def _plain(value: Any) -> Any:
 def dump_robot(robot: RobotLike) -> str:
     """Write a robot description as YAML text; `parse_robot` reads the same robot back."""
     robot = load_robot(robot)
+    usual = Robot(robot.name, robot.sections, robot.tendons, robot.tension_limits)
     content: dict[str, Any] = {
         'name': robot.name,
         'sections': [section_to_yaml(section) for section in robot.sections],
         'tendons': [tendon_to_yaml(tendon) for tendon in robot.tendons],
-        'tension_limits': list(robot.tension_limits),
+        'tension_limits': robot.tension_limits,
     }
-    if robot.gravity is not None:
-        content['gravity'] = list(robot.gravity)
-    if robot.tolerances:
-        content['tolerances'] = dict(robot.tolerances)
-    if robot.exact:
-        content['exact'] = True
-    if robot.model_error is not None:
-        content['model_error'] = robot.model_error
-    content['effects'] = {
-        name: {
-            key: list(value) if isinstance(value, tuple) else value
-            for key, value in values.items()
-        }
-        for name, values in robot.effects.items()
-    }
-    if robot.fitted:
-        content['fitted'] = robot.fitted
-    return yaml.safe_dump(content, sort_keys=False, default_flow_style=None, allow_unicode=True)
+    for key in ('gravity', 'tolerances', 'exact', 'model_error', 'effects', 'fitted'):
+        value = getattr(robot, key)
+        if key == 'effects' or value != getattr(usual, key):
+            content[key] = value
+    plain = _plain(content)
+    return yaml.safe_dump(plain, sort_keys=False, default_flow_style=None, allow_unicode=True)
 
 
 def section_to_yaml(section: Section) -> dict[str, Any]:
-    """Return the keys of a section; values that all cells share stand once."""
-
-    def short(values: tuple[float, ...]) -> float | list[float]:
-        return values[0] if len(set(values)) == 1 else list(values)
-
-    plain = {
-        'name': section.name,
-        'cells': section.cells,
-        'cell_length': section.cell_length,
-        'bending_stiffness': short(section.bending_stiffness),
-    }
-    if set(section.mass_profile) != {1.0}:
-        plain['mass_profile'] = short(section.mass_profile)
-    if section.mass_offset:
-        rows = [list(at) for at in section.mass_offset]
-        plain['mass_offset'] = rows[0] if len(set(section.mass_offset)) == 1 else rows
-    return {**plain, 'bends_as': section.bends_as}
+    """Return the keys of a section but for usual masses; what all cells share stands once."""
+    plain = dict(vars(section))
+    for key in ('bending_stiffness', 'mass_profile', 'mass_offset'):
+        if len(set(plain[key])) == 1:
+            plain[key] = plain[key][0]
+    for key, usual in (('mass_profile', 1.0), ('mass_offset', ())):
+        if plain[key] == usual:
+            del plain[key]
+    return plain
 
 
 def tendon_to_yaml(tendon: Tendon) -> dict[str, Any]:
     """Return the keys of a tendon, but for those that have their default."""
-    offset: Any = list(tendon.base)
+    offset: Any = tendon.base
     if tendon.offsets:
-        offset = {'cells': [list(at) for at in tendon.offsets]}
+        offset = {'cells': tendon.offsets}
     elif tendon.base != tendon.end or tendon.helix:
-        offset = {'base': list(tendon.base), 'end': list(tendon.end)}
+        offset = {'base': tendon.base, 'end': tendon.end}
         if tendon.helix:
             offset['helix'] = tendon.helix
     plain = {'name': tendon.name, 'offset': offset, 'section': tendon.section}

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from typing import NamedTuple
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -66,19 +68,36 @@ def transforms(robot: Robot, angles: Floats, prefix: str) -> list[Transform]:
         Of the links; the last one is the tip.
 
     """
-    parent, before, links = f'{prefix}base', 0.0, list[Transform]()
-    lengths = robot.cell_lengths.tolist()
-    axes = len(joint_axes(robot))
-    for i, name in enumerate(_cell_names(robot)):
-        cell_angles = angles[axes * i : axes * (i + 1)]
-        up, middle, child = 0.5 * (before + lengths[i]), f'{prefix}{name}_middle', prefix + name
-        bent = f'{prefix}{name}_bent' if axes == 3 else child
-        links.append((parent, middle, about(1, cell_angles[0]), up))
-        links.append((middle, bent, about(0, -cell_angles[1]), 0.0))
-        if axes == 3:
-            links.append((bent, child, about(2, cell_angles[2]), 0.0))
-        parent, before = child, lengths[i]
-    return [*links, (parent, f'{prefix}tip', np.eye(3), 0.5 * before)]
+    links = [
+        (joint.parent, joint.child, about(joint.axis, joint.sign * angle), joint.up)
+        for joint, angle in zip(_joints(robot, prefix), angles.tolist(), strict=True)
+    ]
+    tip = 0.5 * float(robot.cell_lengths[-1])
+    return [*links, (links[-1][1], f'{prefix}tip', np.eye(3), tip)]
+
+
+class _Joint(NamedTuple):
+    """A revolute joint of a cell."""
+
+    name: str
+    parent: str
+    child: str
+    up: float  # [m] along the parent
+    axis: int  # x (0), y (1) or z (2)
+    sign: int  # of the rotation about it
+
+
+def _joints(robot: Robot, prefix: str) -> Iterator[_Joint]:
+    """Yield the joints from the base to the tip."""
+    axes, parent, before = joint_axes(robot), f'{prefix}base', 0.0
+    for cell, length in zip(_cell_names(robot), robot.cell_lengths.tolist(), strict=True):
+        up, before = 0.5 * (before + length), length
+        children = ['_middle', ''] if len(axes) == 2 else ['_middle', '_bent', '']
+        about_axes = zip(axes, children, (1, 0, 2), (1, -1, 1), strict=False)
+        for name, ending, axis, sign in about_axes:
+            child = f'{prefix}{cell}{ending}'
+            yield _Joint(f'{cell}_{name}', parent, child, up, axis, sign)
+            parent, up = child, 0.0
 
 
 def urdf(robot: Robot, prefix: str = '') -> str:
@@ -95,26 +114,28 @@ def urdf(robot: Robot, prefix: str = '') -> str:
     colours = [i % 2 for i, s in enumerate(robot.sections) for _ in range(s.cells)]
     lines = ['<?xml version="1.0"?>', f'<robot name={quoteattr(robot.name)}>', *_MATERIALS]
     lines += _link(f'{prefix}base', 0.5 * lengths[0], radius, 0)
-    parent, before, twists = f'{prefix}base', 0.0, len(joint_axes(robot)) == 3
-    for i, name in enumerate(_cell_names(robot)):
-        up = 0.5 * (before + lengths[i])
-        beyond = 0.5 * (lengths[i] + lengths[i + 1]) if i + 1 < len(lengths) else 0.5 * lengths[i]
-        link, middle = prefix + name, f'{prefix}{name}_middle'
-        lines += _joint(f'{name}_x', parent, middle, up, '0 1 0')
-        lines.append(f'  <link name="{middle}"/>')
-        bent = f'{prefix}{name}_bent' if twists else link
-        lines += _joint(f'{name}_y', middle, bent, 0.0, '-1 0 0')
-        if twists:
-            lines.append(f'  <link name="{bent}"/>')
-            lines += _joint(f'{name}_z', bent, link, 0.0, '0 0 1')
-        lines += _link(link, beyond, radius, colours[i])
-        parent, before = link, lengths[i]
+    halves, axes = 0.5 * np.append(lengths, 0.0), len(joint_axes(robot))
+    beyond = (halves[:-1] + halves[1:]).tolist()
+    for count, joint in enumerate(_joints(robot, prefix)):
+        cell, within = divmod(count, axes)
+        direction = ' '.join(map(str, (joint.sign * np.eye(3, dtype=int)[joint.axis]).tolist()))
+        lines += [
+            f'  <joint name="{joint.name}" type="revolute">',
+            f'    <parent link="{joint.parent}"/><child link="{joint.child}"/>',
+            f'    <origin xyz="0 0 {joint.up:.9g}"/><axis xyz="{direction}"/>',
+            '    <limit lower="-3.1416" upper="3.1416" effort="0" velocity="10"/>',
+            '  </joint>',
+        ]
+        if within == axes - 1:
+            lines += _link(joint.child, beyond[cell], radius, colours[cell])
+        else:
+            lines.append(f'  <link name="{joint.child}"/>')
     if prefix:
         lines += [
             f'  <link name="{prefix}tip"/>',
             '  <joint name="tip" type="fixed">',
-            f'    <parent link="{parent}"/><child link="{prefix}tip"/>',
-            f'    <origin xyz="0 0 {0.5 * before:.9g}"/>',
+            f'    <parent link="{joint.child}"/><child link="{prefix}tip"/>',
+            f'    <origin xyz="0 0 {halves[-2]:.9g}"/>',
             '  </joint>',
         ]
     return '\n'.join([*lines, '</robot>'])
@@ -138,14 +159,4 @@ def _link(name: str, length: float, radius: float, colour: int) -> list[str]:
         f'<geometry><cylinder radius="{radius:.9g}" length="{length:.9g}"/></geometry>'
         f'<material name="section_{colour}"/></visual>',
         '  </link>',
-    ]
-
-
-def _joint(name: str, parent: str, child: str, up: float, axis: str) -> list[str]:
-    return [
-        f'  <joint name="{name}" type="revolute">',
-        f'    <parent link="{parent}"/><child link="{child}"/>',
-        f'    <origin xyz="0 0 {up:.9g}"/><axis xyz="{axis}"/>',
-        '    <limit lower="-3.1416" upper="3.1416" effort="0" velocity="10"/>',
-        '  </joint>',
     ]

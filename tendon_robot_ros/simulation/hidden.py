@@ -18,6 +18,7 @@ from ..common.errors import EffectError, InputError, refusal, suggestion
 from ..effects import Catalogue, Effect, Parameter
 from ..robot import Robot
 from ..robot.description import EffectValues
+from ..robot.estimates import stiffnesses
 
 CauseValues = dict[str, float]
 # [1] 1 sd of the stiffness from cell to cell of a plant; its owner would know so much of it
@@ -71,8 +72,7 @@ def tether(damage: Damage, values: CauseValues) -> None:
     """Let a cable pull at one cell: a constant force [N] in the base frame."""
     robot = damage.robot
     cell = damage.cell(values, (2 * robot.cells + 2) // 3)
-    stiffness = np.mean([k for section in robot.sections for k in section.bending_stiffness])
-    usual = {'force_x': 0.5 * float(stiffness) / (robot.cells * robot.length)}
+    usual = {'force_x': 0.5 * float(stiffnesses(robot).mean()) / (robot.cells * robot.length)}
     parameters = {key: value for key, value in values.items() if key != 'cell'} or usual
     damage.side_force[cell] += [parameters.get(f'force_{axis}', 0.0) for axis in 'xyz']
 

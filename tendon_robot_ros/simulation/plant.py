@@ -23,7 +23,7 @@ from ..common.rotations import bent
 from ..effects import Catalogue, CatalogueLike, Effect, load_catalogue
 from ..model.model import Model
 from ..model.pulls import pull_shapes
-from ..model.shape import Shape, ShapeBatch, bends_in, twists_in
+from ..model.shape import Shape, ShapeBatch
 from ..robot import Robot, RobotLike, Section, load_robot
 from ..robot.description import XY, EffectValues, helix_angles
 from ..robot.estimates import natural_sizes
@@ -240,8 +240,8 @@ class Plant:
         n, ends = self.robot.cells, slice(self.parts - 1, None, self.parts)
         # bends and twists of finer cells add up
         b = len(fine.state)
-        bends = bends_in(fine.state).reshape(b, n, self.parts, 2).sum(axis=2).reshape(b, 2 * n)
-        twists = twists_in(fine.state).reshape(b, n, self.parts).sum(axis=2)
+        bends = fine.bend.reshape(b, n, self.parts, 2).sum(axis=2).reshape(b, 2 * n)
+        twists = fine.twist.reshape(b, n, self.parts).sum(axis=2)
         return replace(
             fine,
             state=np.concatenate([bends, twists], axis=1),
