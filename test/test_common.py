@@ -21,9 +21,9 @@ from tendon_robot_ros.common.rotations import (
     bent,
     from_quaternion,
     quaternions,
+    rigid_fit,
     rotated,
     towards,
-    upright_fit,
 )
 
 ANGLE = st.floats(-3.1, 3.1)
@@ -111,11 +111,12 @@ def test_colours_stand_in_the_palette_only():
 def test_points_that_turned_about_an_axis_are_laid_back(angle, axis):
     points = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.2], [0.0, 2.0, 0.1], [0.3, 0.1, 3.0]])
     shift = np.array([0.4, -0.2, 0.1])
-    turn, moved = upright_fit(points, points @ about(axis, angle).T + shift, np.eye(3)[axis])
+    turned = points @ about(axis, angle).T + shift
+    turn, moved = rigid_fit(points, turned, axis=np.eye(3)[axis])
     np.testing.assert_allclose(turn, about(axis, angle), atol=1e-9)
     np.testing.assert_allclose(moved, shift, atol=1e-9)
     tilted = points @ about((axis + 1) % 3, 0.3).T  # what another axis does stays
-    turn, _ = upright_fit(points, tilted, np.eye(3)[axis])
+    turn, _ = rigid_fit(points, tilted, axis=np.eye(3)[axis])
     np.testing.assert_allclose(turn @ np.eye(3)[axis], np.eye(3)[axis], atol=1e-9)
 
 

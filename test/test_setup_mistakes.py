@@ -9,7 +9,7 @@ import simulated
 from marks import slow
 from simulated import CATALOGUE, measured
 
-from tendon_robot_ros.common.rotations import about, upright_fit
+from tendon_robot_ros.common.rotations import about, rigid_fit
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.marker_hypotheses import in_one_place
 from tendon_robot_ros.diagnosis.result import EffectFinding
@@ -154,7 +154,7 @@ def registered(dataset):
     robot = replace(dataset.robot, tolerances={'position': 2e-3, 'rotation': 0.035})
     markers = Predictor(dataset, robot, CATALOGUE).markers({})
     down = np.array(robot.gravity) / np.linalg.norm(robot.gravity)
-    turn, shift = upright_fit(dataset.mean.reshape(-1, 3), markers.reshape(-1, 3), down)
+    turn, shift = rigid_fit(dataset.mean.reshape(-1, 3), markers.reshape(-1, 3), axis=down)
     return replace(dataset, robot=robot, positions=dataset.positions @ turn.T + shift)
 
 

@@ -103,29 +103,24 @@ def from_quaternion(quaternion: Sequence[float]) -> Array:
     return rotation
 
 
-def rigid_fit(points: Array, onto: Array, weights: Array | None = None) -> tuple[Array, Array]:
+def rigid_fit(
+    points: Array, onto: Array, weights: Array | None = None, axis: Array | None = None
+) -> tuple[Array, Array]:
     """
     Return the rotation (3, 3) and the translation (3,) [m] that fit points to others.
 
-    Least squares over weighted (n, 3) [m] pairs: `rotation @ point + shift` (Kabsch 1976).
+    Least squares over weighted (n, 3) [m] pairs: `rotation @ point + shift` (Kabsch 1976). With a
+    unit vector `axis` (3,) the rotation is about it.
     """
     middle = np.average(points, axis=0, weights=weights)
     target_middle = np.average(onto, axis=0, weights=weights)
     scaled = points - middle if weights is None else weights[:, None] * (points - middle)
-    u, _, vt = np.linalg.svd(scaled.T @ (onto - target_middle))
-    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(vt.T @ u.T))])
-    rotation: Array = vt.T @ flip @ u.T
-    return rotation, target_middle - rotation @ middle
-
-
-def upright_fit(
-    points: Array, onto: Array, axis: Array, weights: Array | None = None
-) -> tuple[Array, Array]:
-    """Return the `rigid_fit` whose rotation is about a unit vector (3,)."""
-    middle = np.average(points, axis=0, weights=weights)
-    target_middle = np.average(onto, axis=0, weights=weights)
-    scaled = points - middle if weights is None else weights[:, None] * (points - middle)
-    rotation = rotation_about(axis, scaled, onto - target_middle)
+    if axis is not None:
+        rotation = rotation_about(axis, scaled, onto - target_middle)
+    else:
+        u, _, vt = np.linalg.svd(scaled.T @ (onto - target_middle))
+        flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(vt.T @ u.T))])
+        rotation = vt.T @ flip @ u.T
     return rotation, target_middle - rotation @ middle
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..common.arrays import Floats
-from ..common.rotations import rigid_fit, rotation_angle, rotation_between, upright_fit
+from ..common.rotations import rigid_fit, rotation_angle, rotation_between
 from ..common.words import STANDARD_GRAVITY
 from ..data import DataSet
 from ..inference.marginal import NEGLIGIBLE
@@ -101,7 +101,7 @@ def _frame(predictor: Predictor, measured: Floats, markers: Floats, down: Floats
     points, onto = measured[visible.all(axis=2)], markers[visible.all(axis=2)]
     size = float(np.linalg.norm(down))
     if known < FRAME_LEVEL_RAD and size > 0.0:
-        return upright_fit(points, onto, down / size)
+        return rigid_fit(points, onto, axis=down / size)
     return rigid_fit(points, onto)
 
 

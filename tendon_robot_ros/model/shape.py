@@ -289,17 +289,17 @@ class Shape(Bent, TextResult):
         return self._field('inputs')
 
     @cached_property
-    def state(self) -> Floats:
+    def state(self) -> Floats:  # type: ignore[override]
         """Bends (n, 2) and behind them twists (n,) [rad]: where another search may start."""
         return self._field('state')
 
     @cached_property
-    def positions(self) -> Floats:
+    def positions(self) -> Floats:  # type: ignore[override]
         """Distal ends of the cells (n, 3) [m]."""
         return self._field('positions')
 
     @cached_property
-    def frames(self) -> Floats:
+    def frames(self) -> Floats:  # type: ignore[override]
         """Frames at the distal ends of the cells (n, 3, 3)."""
         return self._field('frames')
 

@@ -16,7 +16,6 @@ from ..common.rotations import (
     rigid_fit,
     rotation_about,
     towards,
-    upright_fit,
 )
 from ..common.words import STANDARD_GRAVITY, listed, mm
 from ..data import DataSet
@@ -222,7 +221,7 @@ def _weighted(
             rotation, shift = rigid_fit(a, b, w)
         else:
             first = towards(above) @ towards(up_axis(up)).T  # the tracker's up onto the base's
-            about, shift = upright_fit(a @ first.T, b, above, w)
+            about, shift = rigid_fit(a @ first.T, b, w, above)
             rotation = about @ first
         squares = np.where(mask, ((measured @ rotation.T + shift - markers) ** 2).sum(axis=2), 0.0)
         weights = np.broadcast_to(_weights(squares, mask, arc_lengths), mask.shape)
