@@ -35,7 +35,7 @@ def equilibria(predictor: Predictor) -> ShapeBatch:
         With the posture and what acts in it.
 
     """
-    parts = []
+    parts, postures = [], []
     for part, shapes in predictor.settle({}, predictor.inputs):
         if shapes is None:
             model, dataset, inputs = (
@@ -54,8 +54,9 @@ def equilibria(predictor: Predictor) -> ShapeBatch:
                 f'a posture of {dataset.name}', model.implicit_effects, np.inf
             )
         rows = predictor.last_visits(part)
+        postures.append(part.rows)
         parts.append(replace(shapes, **{name: getattr(shapes, name)[rows] for name in FIELDS}))
-    order = np.argsort(np.concatenate([part.rows for part in predictor.parts]))
+    order = np.argsort(np.concatenate(postures))
     fields = {
         name: np.concatenate([getattr(batch, name) for batch in parts])[order] for name in FIELDS
     }

@@ -28,6 +28,8 @@ PLAUSIBLE_FACTOR = 3.0
 VALUES_MAX = 20_000_000  # [1] readings in an array, so that it fits into memory
 # [1] quaternion x, y, z, w of trackers that measure no orientation, because messages need one
 NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
+# [1] of the largest input, by which a path may be simplified, because motors stop no closer
+CORNER_FRACTION = 0.02
 MARKERS_EXPECTED = 'the arc length [m] of each, or a Marker'
 Vector = tuple[float, float, float]
 
@@ -310,6 +312,28 @@ class Visits:
         last = np.zeros(len(self.commands), dtype=np.int64)
         last[self.rows] = np.arange(len(self.rows))
         return last
+
+
+def corners(path: NDArray[np.float64], kept: IntArray) -> IntArray:
+    """
+    Return the rows between which a path (P, m) is straight, the rows in `kept` among them.
+
+    Every other row lies no further beside the straight line than `CORNER_FRACTION` of the largest
+    value (Ramer 1972, Douglas and Peucker 1973).
+    """
+    limit, rows = CORNER_FRACTION * float(np.abs(path).max()), {0, *kept.tolist()}
+    inner = sorted(rows)
+    stale = list(zip(inner[:-1], inner[1:], strict=True))
+    while stale:
+        a, b = stale.pop()
+        way, between = path[b] - path[a], path[a + 1 : b] - path[a]
+        along = np.clip(between @ way / max(float(way @ way), RESOLUTION**2), 0.0, 1.0)
+        beside = np.abs(between - along[:, None] * way).max(axis=1, initial=0.0)
+        if beside.max(initial=0.0) > limit:
+            corner = a + 1 + int(beside.argmax())
+            rows.add(corner)
+            stale += [(a, corner), (corner, b)]
+    return np.array(sorted(rows))
 
 
 def join_visits(parts: Sequence[Visits]) -> Visits:

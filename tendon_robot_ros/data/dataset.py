@@ -23,6 +23,7 @@ from .arrays import (
     Split,
     Vector,
     Visits,
+    corners,
     place_markers,
     read_frame,
     too_tense,
@@ -45,6 +46,9 @@ LIMITS = {
     'setting_noise': (0.5, '1'),
     'trial_noise': (0.5, '1'),
 }
+# [1] blocks of time of a sequence, whose neighbours are alike, that are left out at once, because
+# a longer block has whole motions
+BLOCKS_MAX = 32
 LOADINGS = ('from_straight', 'sequence')  # every trial of a posture has the same history
 PATHS = (*LOADINGS, 'visits')
 READINGS = ('positions', 'orientations')  # arrays (P, Q, J, n)
@@ -116,6 +120,7 @@ class DataSet(TextResult):
     parts: tuple[Part, ...] = ()  # the data sets that it was joined from; none: it is one
     part: IntArray | None = None  # (P,) index of the part that a posture belongs to
     reference: EarlierRecording | None = None  # whose deviations are taken off the positions
+    thinned_from: int = 0  # [1] measured postures of which these are some; 0: these are all
 
     def __post_init__(self) -> None:
         """Make the arrays read-only and refuse shapes that do not fit each other."""
@@ -390,12 +395,13 @@ class DataSet(TextResult):
     @cached_property
     def groups(self) -> IntArray:
         """
-        Index (P,) of the command: the same for postures of the same inputs.
+        Index (P,) of the command, of a sequence of the block of time: the same where alike.
 
         Such postures are not independent: leave all of them out to judge a prediction.
         """
         if self.path == 'sequence':
-            return np.arange(len(self.postures))
+            measured = np.cumsum(self.trials > 0) - 1
+            return measured * BLOCKS_MAX // max(int(measured[-1]) + 1, BLOCKS_MAX)
         commanded = np.nan_to_num(self.inputs, nan=np.inf)
         return np.unique(commanded, axis=0, return_inverse=True)[1].reshape(-1)
 
@@ -473,6 +479,22 @@ class DataSet(TextResult):
         part = self._rows(np.arange(end))
         hidden = ~chosen[: len(part.postures), None, None, None]
         return part.changed(lambda array: np.where(hidden, np.nan, array), *READINGS)
+
+    def thinned(self, count: int) -> DataSet:
+        """
+        Return the data set with so many of its measured postures, evenly spread over their order.
+
+        A sequence keeps also the postures at which its path turns, without their measurements,
+        because the arm may remember them, and visits keep all.
+        """
+        measured = np.flatnonzero(self.trials > 0)
+        if len(measured) <= count:
+            return self
+        kept = measured[np.linspace(0, len(measured) - 1, count).round().astype(int)]
+        chosen = self.select(self.postures[i] for i in kept)
+        if self.path == 'sequence':
+            chosen = chosen._rows(corners(np.nan_to_num(chosen.inputs), kept))
+        return replace(chosen, thinned_from=len(measured))
 
     def changed(self, change: Callable[[Any], Any], *names: str, **values: Any) -> DataSet:
         """Return the data set with these arrays changed, as far as it has them, and values."""

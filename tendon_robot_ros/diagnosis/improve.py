@@ -28,6 +28,7 @@ from ..common.processes import one_thread
 from ..data import DataSet, DataSetLike, load_dataset
 from ..effects import CatalogueLike, load_catalogue
 from ..inference.crossval import (
+    FOLDS,
     Errors,
     described_by,
     fall,
@@ -301,10 +302,12 @@ def improve(
         raise InputError(
             f'{search.dataset.name}: {len(groups)} different inputs, expected {GROUPS_MIN} or more'
         )
-    folds = min(GROUPS_MAX, len(groups))
+    folds = min(FOLDS if search.dataset.thinned_from else GROUPS_MAX, len(groups))
     held = [measured[np.isin(grouped, groups[fold::folds])] for fold in range(folds)]
     states = search.path(show=lambda k: show('searching', k, STEPS_MAX * (1 + folds)))
     search.refuse_mistake(states[-1])
+    states = search.settled(states)
+    search.without_hopeless()
     finished, every = len(states), len(states) * (1 + folds)
 
     def search_without(group: Held, own: Stepwise) -> list[State]:
@@ -436,7 +439,7 @@ class Searched:
             steps.insert(last_step + 1 if self.arm_written else len(steps), step)
             if self.arm_written:
                 last_step, errors, robot = last_step + 1, self.last, arm.robot
-        predictor, markers = predict(dataset, robot, search.catalogue)
+        predictor, markers = predict(search.dataset, robot, search.catalogue)
         addition = self._addition(steps[: last_step + 1], robot, markers)
         tips = np.sqrt(errors[:, -1])
         return Improvement(
@@ -472,7 +475,7 @@ class Searched:
         return ImprovementStep(
             joined,
             removed,
-            errors(self.search.dataset),
+            errors(self.search.whole),
             np.sqrt(np.nanmean(after, axis=0)),
             None if self.check is None else errors(self.check),
             *fall(before, after),

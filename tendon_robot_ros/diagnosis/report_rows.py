@@ -366,9 +366,14 @@ def caveats(session: Session) -> list[str]:
 def left_out(
     dataset: DataSet, outliers: Outliers | None, unsettled: Sequence[str]
 ) -> dict[str, Any]:
-    """Return the postures without equilibrium, and readings that other trials contradict."""
+    """Return what had no part: postures without equilibrium, contradicted readings, how many."""
     rows = [] if outliers is None else outliers.rows(dataset)
-    return {'unsettled': list(unsettled), 'outliers': rows}
+    thinned = [int((dataset.trials > 0).sum()), dataset.thinned_from]
+    return {
+        'unsettled': list(unsettled),
+        'outliers': rows,
+        'thinned': thinned if dataset.thinned_from else None,
+    }
 
 
 def _next_best(evidence: Evidence, decision: Concluded) -> tuple[dict[str, Any] | None, list[str]]:

@@ -10,6 +10,7 @@ size is estimated after every step.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
@@ -23,7 +24,7 @@ from ..common.errors import InputError
 from ..data import DataSet
 from ..effects import Catalogue
 from ..inference.candidates import Candidate, joining_effects
-from ..inference.crossval import Groups, left_out_errors, predict
+from ..inference.crossval import Groups, left_out_errors, predict, rms_of
 from ..inference.description import (
     OF_THE_ARM,
     DescribedArm,
@@ -39,6 +40,7 @@ from ..inference.noise import Whitener, estimate_noise, input_slopes, likely, rm
 from ..inference.outliers import find_outliers, without_unsettled
 from ..inference.predict import FreeParameter, Point, Predictor, SettledShapes
 from ..inference.search import DIFFERENCE_STEP, LADDER
+from ..inference.session import POSTURES_MAX
 from ..inference.statistics import chi2_sf, f_sf
 from ..robot import Robot
 from ..robot.estimates import natural_sizes
@@ -118,8 +120,14 @@ class Rates:
             yield Joining(block, start, 0.0, np.array(own).T)
 
     def _jumping(self, block: Candidate) -> Iterator[Joining]:
-        """Yield a block whose presence changes the residual at every value, from several sizes."""
-        own = self.fit.residual[: self.whitener.size]
+        """
+        Yield a block whose presence changes the residual at every value, from the best of sizes.
+
+        Sizes grow until a larger one is worse, the parameters of the fit adjusted linearly.
+        """
+        n = self.whitener.size
+        own, slopes = self.fit.residual[:n], self.fit.jacobian[:n]
+        best, lowest = None, np.inf
         for size in LADDER[::2]:
             start = {
                 free: float(np.clip(size * p.typical, p.low, p.high))
@@ -127,13 +135,20 @@ class Rates:
             }
             jumped = self._residual({**self.fit.point, **start})
             if jumped is None:
-                continue
-            columns = []
-            for free, value in start.items():
-                step = DIFFERENCE_STEP * value
-                moved = self._residual({**self.fit.point, **start, free: value + step})
-                columns.append(np.zeros_like(jumped) if moved is None else (moved - jumped) / step)
-            yield Joining(block, start, jumped - own, np.array(columns).T)
+                break
+            rest = jumped - slopes @ np.linalg.lstsq(slopes, jumped)[0]
+            if float(rest @ rest) > lowest:
+                break
+            lowest, best = float(rest @ rest), (start, jumped)
+        if best is None:
+            return
+        start, jumped = best
+        columns = []
+        for free, value in start.items():
+            step = DIFFERENCE_STEP * value
+            moved = self._residual({**self.fit.point, **start, free: value + step})
+            columns.append(np.zeros_like(jumped) if moved is None else (moved - jumped) / step)
+        yield Joining(block, start, jumped - own, np.array(columns).T)
 
     def _residual(self, point: Mapping[FreeParameter, float]) -> Floats | None:
         """Return the whitened residual (N,) at a point; None without equilibrium."""
@@ -225,10 +240,11 @@ class Stepwise:
         if int((dataset.trials > 0).sum()) < GROUPS_MIN:
             raise InputError(f'{dataset.name}: expected {GROUPS_MIN} or more measured postures')
         self.robot, self.catalogue = robot, catalogue.sized(natural_sizes(robot))
-        every = DescribedArm(dataset, robot, self.catalogue)
+        every = DescribedArm(dataset.thinned(POSTURES_MAX), robot, self.catalogue)
         settled, self.unsettled = without_unsettled(every)
         self.outliers = find_outliers(predict(settled, robot, catalogue)[0], {})
         self.dataset = self.outliers.without(settled) if self.outliers.any else settled
+        self.whole = dataset if self.dataset.thinned_from else self.dataset
         self.predictor = DescribedArm(self.dataset, robot, self.catalogue)
         self.measured = self.dataset.mean
         self.slopes = input_slopes(self.predictor, {})
@@ -248,6 +264,7 @@ class Stepwise:
             *joining_effects(robot, self.catalogue, self.dataset),
             *blocks_of_the_arm(robot),
         ]
+        self.promised = set[str]()  # labels of the blocks that promised to help at some step
 
     def _refuse(self, mistake: Mistake) -> None:
         before = rms(self.measured - self.predict({}))
@@ -276,6 +293,22 @@ class Stepwise:
         other = copy(self)
         other.predictor = DescribedArm(self.dataset, self.robot, self.catalogue)
         return other
+
+    def without_hopeless(self) -> None:
+        """Leave out the blocks that only solutions can judge and that never promised to help."""
+        self.blocks = [
+            block
+            for block in self.blocks
+            if block.label in self.promised
+            or not any(self.catalogue[n].always_on for n in block.names if n in self.catalogue)
+        ]
+
+    def settled(self, states: list[State]) -> list[State]:
+        """Return the states before the first without an equilibrium in a posture not used."""
+        for k, state in enumerate(states if self.dataset.thinned_from else ()):
+            if math.isnan(rms_of(self.whole, self.written(state), self.catalogue)):
+                return states[: max(k, 1)]
+        return states
 
     def path(self, held: Held = (), show: Callable[[int], None] | None = None) -> list[State]:
         """Return the states of a search without the held postures; the first has no blocks."""
@@ -336,8 +369,9 @@ class Stepwise:
         best: dict[str, tuple[float, Joining]] = {}
         for joining in rates.of([block for block in self.blocks if self.may_join(block, state)]):
             error, label = self.promise(state, joining), joining.block.label
-            if error < best.get(label, (state.score,))[0]:
+            if error < state.score:
                 best[label] = (error, joining)
+        self.promised |= best.keys()
         order = sorted(best.values(), key=lambda pair: pair[0])
         return [joining for _, joining in order[:TRIED_MAX]]
 

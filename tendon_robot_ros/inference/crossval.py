@@ -292,4 +292,4 @@ def described_by(session: Session, fit: Fit, beside: bool) -> Robot:
 
 def error_of(session: Session, robot: Robot) -> float:
     """Return the rms error [m] on the measurements; nan without an equilibrium."""
-    return rms_of(session.dataset, robot, session.catalogue)
+    return rms_of(session.whole, robot, session.catalogue)

@@ -285,6 +285,8 @@ class Predictor:
         )
         self.inputs = mean_inputs(dataset)
         self.visits = None if dataset.visits is None else dataset.visits.masked(dataset.trial_mask)
+        self._shown = (dataset.trials > 0) | (dataset.thinned_from == 0)
+        self._shown[[part.rows[0] for part in self.parts]] = True  # for those behind it
         self.settled: SettledShapes | None = None  # of the last prediction
         self._first: SettledShapes | None = None
 
@@ -319,10 +321,12 @@ class Predictor:
         near : SettledShapes, optional
             To start from (`settled` of a neighbouring point); default: the first one.
 
+        Where nothing is remembered, postures that only lie on the path of a thinned sequence are
+        those before them.
         """
         inputs, near = self.given(self.inputs if inputs is None else inputs), near or self._first
         P, n = len(inputs), self.model.arrays.chain.n
-        placed = np.empty((P, len(self.dataset.markers), 3))
+        placed, stand_in = np.empty((P, len(self.dataset.markers), 3)), np.zeros(P, dtype=int)
         settled = SettledShapes(np.empty(inputs.shape), np.empty((P, 3 * n)))
         for part, shapes in self.settle(point, inputs, stiffness, near):
             if shapes is None:
@@ -332,9 +336,11 @@ class Predictor:
             settled.state[part.rows] = shapes.state[rows]
             shown, visits = self.see(shapes), self._visits(part)
             placed[part.rows] = shown if visits is None else visits.mean(shown)
-        self.settled = settled
+            stand_in[part.rows] = part.rows
+        stand_in = np.maximum.accumulate(stand_in)  # where a posture is not predicted
+        placed, self.settled = placed[stand_in], settled.of(stand_in)
         if self._first is None:  # later ones would make results depend on the order
-            self._first = settled
+            self._first = self.settled
         return placed
 
     def given(self, inputs: Floats) -> Floats:
@@ -358,14 +364,15 @@ class Predictor:
         if self.carries or ('hysteresis' in stages and self.dataset.path != 'from_straight'):
             return None if self.visits is not None else self._path_tangent(point, frees, settled)
         moved = Tangent(
-            np.empty((q, P, len(self.dataset.markers), 3)),
-            np.empty((q, P, 3 * n)),
+            np.zeros((q, P, len(self.dataset.markers), 3)),
+            np.zeros((q, P, 3 * n)),
             np.zeros((q, *settled.tensions.shape)),
         )
         for part in self.parts:
-            start, count = settled.of(part.rows), len(part.rows)
             self.set_parameters(point, part)
-            moves: list[Move] = [self._freed(point, part, free) for free in frees]
+            rows = self.predicted(part).rows
+            start, count = settled.of(rows), len(rows)
+            moves: list[Move] = [self._freed(point, part, free, count) for free in frees]
             if self.dataset.input == 'displacement':
                 m = start.tensions.shape[1]
                 moves += [Pulled(j, start.tensions[:, j]) for j in range(m)]
@@ -373,15 +380,15 @@ class Predictor:
                 def pulls_and_markers(shapes: ShapeBatch) -> Floats:  # (b, m + 3 J) [m]
                     return np.hstack([shapes.pulls, self.see(shapes).reshape(len(shapes), -1)])
 
-                rows, states = follow(
+                rates, states = follow(
                     self.model, start.tensions, start.state, moves, pulls_and_markers
                 )
-                rows, states, answers = held(start.tensions, rows, states, q)
-                moved.tensions[:, part.rows], rows = answers, rows[..., m:]
+                rates, states, answers = held(start.tensions, rates, states, q)
+                moved.tensions[:, rows], rates = answers, rates[..., m:]
             else:
-                rows, states = follow(self.model, start.tensions, start.state, moves, self.see)
-            moved.markers[:, part.rows] = rows.reshape(q, count, -1, 3)
-            moved.states[:, part.rows] = states
+                rates, states = follow(self.model, start.tensions, start.state, moves, self.see)
+            moved.markers[:, rows] = rates.reshape(q, count, -1, 3)
+            moved.states[:, rows] = states
         return moved
 
     @property
@@ -407,6 +414,7 @@ class Predictor:
         To first order, at the cost of one step for every posture; see `PathSlopes`.
         """
         slopes, by_pulls = [], self.dataset.input == 'displacement'
+        settled = self._on_the_way(point, settled)
         for part in self.parts:
             self.set_parameters(point, part)
             start = settled.of(part.rows)
@@ -423,6 +431,18 @@ class Predictor:
             return placed, then
 
         return near
+
+    def _on_the_way(self, point: Point, settled: SettledShapes) -> SettledShapes:
+        """Return the equilibria of all postures, those between the measured ones included."""
+        before, shown, self._shown = self.settled, self._shown, np.ones_like(self._shown)
+        try:
+            todo = not (shown.all() or self.carries)
+            if todo and self.markers(point, near=settled) is not None:
+                assert self.settled is not None
+                return self.settled
+            return settled
+        finally:
+            self.settled, self._shown = before, shown
 
     def _path_tangent(
         self, point: Point, frees: Sequence[FreeParameter], settled: SettledShapes
@@ -444,9 +464,11 @@ class Predictor:
         step = TANGENT_STEP * max(abs(value), own.typical)
         return max(-step, own.low - value), min(step, own.high - value)
 
-    def _freed(self, point: Point, part: Conditions, free: FreeParameter) -> Freed | Shifted:
+    def _freed(
+        self, point: Point, part: Conditions, free: FreeParameter, count: int
+    ) -> Freed | Shifted:
         """Return the variation of a parameter about a point; the model is set to the point."""
-        value, own, count = point.get(free, self.value(free)), free.parameter, len(part.rows)
+        value, own = point.get(free, self.value(free)), free.parameter
         ends = self._ends(point, free)
         if self.is_effect(free) and (free.effect, own.name) not in part.known:
             return Shifted(
@@ -487,8 +509,9 @@ class Predictor:
         Where friction depends on the history and postures were visited in any order, there is a
         shape for every visit.
         """
-        for part in self.parts:
-            self.set_parameters(point, part, stiffness)
+        for conditions in self.parts:
+            self.set_parameters(point, conditions, stiffness)
+            part = self.predicted(conditions)
             start = None if near is None else near.of(part.rows)
             visits, own = self._visits(part), inputs[part.rows]
             if visits is None:
@@ -499,6 +522,12 @@ class Predictor:
                 rows = visits.rows[leg]
                 legs.append(self.shapes(own[rows], None if start is None else start.of(rows)))
             yield part, together(legs)
+
+    def predicted(self, part: Conditions) -> Conditions:
+        """Return a part with those of its postures that the present model has to predict."""
+        if self.model.remembers:
+            return part
+        return replace(part, rows=part.rows[self._shown[part.rows]])
 
     def _visits(self, part: Conditions) -> Visits | None:
         """Return the visits to the postures of a part; None where the arm keeps no memory."""

@@ -33,6 +33,9 @@ from .outliers import Outliers, without_unsettled
 from .predict import FreeParameter, Point, Predictor
 from .slopes import imperfections
 
+# [1] postures of a long recording that fits use, because a fit takes its time for each, and the
+# errors of more are alike
+POSTURES_MAX = 100
 NEAR_SCORE = 60.0  # [1] of deviance + 2 k behind the best: docs/diagnosis.md
 TIE_SCORE = 0.5  # [1] of deviance + 2 k: below it twins would be ordered by rounding
 Starts = Mapping[str, Fit | Point]
@@ -142,7 +145,8 @@ class Session:
         self.robot, self.catalogue = robot, catalogue.sized(natural_sizes(robot))
         self.workers = max(1, workers)
         self.progress = listener(progress)
-        self._set_dataset(dataset)
+        self._all = dataset
+        self._set_dataset(dataset.thinned(POSTURES_MAX))
         self.outliers: Outliers | None = None
         self.unsettled: tuple[str, ...] = ()  # excluded postures
         self.held: Sequence[int] | npt.NDArray[np.int64] = ()  # postures without weight in fits
@@ -171,6 +175,11 @@ class Session:
         self.predictor = self.predictors[0]
         exact = self.robot.exact and dataset.reference is None
         self.splits = [] if exact else [SplitPredictor(p) for p in self.predictors]
+
+    @property
+    def whole(self) -> DataSet:
+        """The data set, the postures of a long recording included that are not used."""
+        return self._all if self.dataset.thinned_from else self.dataset
 
     def leave_out_unsettled(self) -> None:
         """

@@ -92,9 +92,9 @@ def _settled(split: SplitPredictor, point: Point) -> Iterator[_Slopes]:
 
 def _all_parts(split: SplitPredictor, parts: Sequence[Floats]) -> Floats:
     """Assemble the postures (q, b, J, 3) of all parts into (q, P, J, 3)."""
-    moves = np.empty((len(parts[0]), len(split.inputs), *parts[0].shape[2:]))
+    moves = np.zeros((len(parts[0]), len(split.inputs), *parts[0].shape[2:]))
     for part, own in zip(split.parts, parts, strict=True):
-        moves[:, part.rows] = own
+        moves[:, split.predicted(part).rows] = own
     return moves
 
 

@@ -196,6 +196,12 @@ def excluded_lines(details: Mapping[str, Any]) -> list[str]:
             trials.append(where)
     contradicted = 'left out, because the other trials contradict it'
     sentences = []
+    if details.get('thinned'):
+        used, every = details['thinned']
+        sentences.append(
+            f'{used:,} of {every:,} postures were used, evenly spread, because neighbours are '
+            'alike; the error is of all'
+        )
     if unsettled:
         sentences.append(
             f'left out, because the description has no equilibrium: {listed(unsettled)}'
