@@ -186,7 +186,7 @@ def test_where_a_fit_has_no_equilibrium_the_search_goes_on(arm, monkeypatch):
     search = Stepwise(arm[0], ROBOT, CATALOGUE)
     state = search.path()[0]
     monkeypatch.setattr(Stepwise, 'state', fails)
-    assert search.step(state) is None
+    assert search.step(state, {}) is None
 
 
 def test_the_command_writes_what_it_says(arm, tmp_path, capsys, monkeypatch):

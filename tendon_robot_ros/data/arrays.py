@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -323,7 +324,7 @@ def corners(path: NDArray[np.float64], kept: IntArray) -> IntArray:
     """
     limit, rows = CORNER_FRACTION * float(np.abs(path).max()), {0, *kept.tolist()}
     inner = sorted(rows)
-    stale = list(zip(inner[:-1], inner[1:], strict=True))
+    stale = list(pairwise(inner))
     while stale:
         a, b = stale.pop()
         way, between = path[b] - path[a], path[a + 1 : b] - path[a]

@@ -307,7 +307,6 @@ def improve(
     states = search.path(show=lambda k: show('searching', k, STEPS_MAX * (1 + folds)))
     search.refuse_mistake(states[-1])
     states = search.settled(states)
-    search.without_hopeless()
     finished, every = len(states), len(states) * (1 + folds)
 
     def search_without(group: Held, own: Stepwise) -> list[State]:

@@ -102,8 +102,7 @@ class Rates:
             finite = np.isfinite(columns).all(axis=1)
             slopes = {free: columns[i] for i, free in enumerate(smooth) if finite[i]}
         for block in blocks:
-            absent = set(block.names) - set(self.predictor.robot.effects)
-            if any(effects[name].always_on for name in absent & set(effects)):
+            if jumps(block, self.predictor):
                 yield from self._jumping(block)
                 continue
             start, own = {}, []
@@ -123,12 +122,13 @@ class Rates:
         """
         Yield a block whose presence changes the residual at every value, from the best of sizes.
 
-        Sizes grow until a larger one is worse, the parameters of the fit adjusted linearly.
+        Sizes grow until a larger one is worse, the parameters of the fit adjusted linearly; they
+        stay below the typical ones, from where a fit goes on.
         """
         n = self.whitener.size
         own, slopes = self.fit.residual[:n], self.fit.jacobian[:n]
         best, lowest = None, np.inf
-        for size in LADDER[::2]:
+        for size in LADDER[:4:2]:
             start = {
                 free: float(np.clip(size * p.typical, p.low, p.high))
                 for free, p in ((free, free.parameter) for free in block.frees)
@@ -156,6 +156,12 @@ class Rates:
         if markers is None:
             return None
         return self.whitener.white(self.predictor.dataset.mean - markers)
+
+
+def jumps(block: Candidate, predictor: Predictor) -> bool:
+    """Return whether the description lacks an effect of a block that acts whatever its value."""
+    catalogue, present = predictor.model.catalogue, predictor.robot.effects
+    return any(n in catalogue and n not in present and catalogue[n].always_on for n in block.names)
 
 
 def described(predictor: Predictor, free: FreeParameter) -> float:
@@ -264,7 +270,8 @@ class Stepwise:
             *joining_effects(robot, self.catalogue, self.dataset),
             *blocks_of_the_arm(robot),
         ]
-        self.promised = set[str]()  # labels of the blocks that promised to help at some step
+        # [m²] that a block was to gain when it was first judged, by its label; see `promising`
+        self.gains = dict[str, float]()
 
     def _refuse(self, mistake: Mistake) -> None:
         before = rms(self.measured - self.predict({}))
@@ -294,15 +301,6 @@ class Stepwise:
         other.predictor = DescribedArm(self.dataset, self.robot, self.catalogue)
         return other
 
-    def without_hopeless(self) -> None:
-        """Leave out the blocks that only solutions can judge and that never promised to help."""
-        self.blocks = [
-            block
-            for block in self.blocks
-            if block.label in self.promised
-            or not any(self.catalogue[n].always_on for n in block.names if n in self.catalogue)
-        ]
-
     def settled(self, states: list[State]) -> list[State]:
         """Return the states before the first without an equilibrium in a posture not used."""
         for k, state in enumerate(states if self.dataset.thinned_from else ()):
@@ -313,13 +311,13 @@ class Stepwise:
     def path(self, held: Held = (), show: Callable[[int], None] | None = None) -> list[State]:
         """Return the states of a search without the held postures; the first has no blocks."""
         whitener = self.weights(self.predict({}), held)
-        states = [self.state((), {}, whitener)]
+        states, gains = [self.state((), {}, whitener)], dict(self.gains)
         for k in range(STEPS_MAX):
             if show is not None:
                 show(k)
             if self.chance(states[-1], held) > P_SINGLE_MIN:
                 break  # nothing but noise remains
-            better = self.step(states[-1])
+            better = self.step(states[-1], gains)
             if better is None:
                 break
             whitener = self.weights(better.fit.markers, held)
@@ -327,10 +325,10 @@ class Stepwise:
             states.append(replace(refitted or better, removed=better.removed))
         return states
 
-    def step(self, state: State) -> State | None:
+    def step(self, state: State, gains: dict[str, float]) -> State | None:
         """Return the state with the best further block, without idle ones; None if none helps."""
         attempts = []
-        for joining in self.promising(state):
+        for joining in self.promising(state, gains):
             blocks, start = (*state.blocks, joining.block), {**state.fit.point, **joining.start}
             label = joining.block.label
             fitted = self.state_or_none(blocks, start, state.whitener, label, STEPS_TRIED)
@@ -360,18 +358,37 @@ class Stepwise:
         shaped = {self.catalogue[name].acts_on for name in state.effects_in}
         return bool(shaped & set(block.names))
 
-    def promising(self, state: State) -> list[Joining]:
-        """Return the blocks with the smallest linearised left-out errors."""
+    def promising(self, state: State, gains: dict[str, float]) -> list[Joining]:
+        """
+        Return the blocks with the smallest linearised left-out errors.
+
+        Those that only solutions judge come last, and only where they may beat the others: what a
+        block gains falls as others join, so that its gain in an earlier step, `gains` [m²] by its
+        label, is a bound (lazy greedy search, Minoux 1978).
+        """
         try:
             rates = Rates(self.predictor, state.whitener, state.fit)
         except ArithmeticError:
             return []
         best: dict[str, tuple[float, Joining]] = {}
-        for joining in rates.of([block for block in self.blocks if self.may_join(block, state)]):
-            error, label = self.promise(state, joining), joining.block.label
+        blocks = [block for block in self.blocks if self.may_join(block, state)]
+        slow = [block for block in blocks if jumps(block, self.predictor)]
+        for joining in rates.of([block for block in blocks if block not in slow]):
+            error = self.promise(state, joining)
             if error < state.score:
-                best[label] = (error, joining)
-        self.promised |= best.keys()
+                best[joining.block.label] = (error, joining)
+        for block in slow:
+            errors = sorted(error for error, _ in best.values())
+            beaten = state.score if len(errors) < TRIED_MAX else errors[TRIED_MAX - 1]
+            if state.score - gains.get(block.label, np.inf) >= beaten:
+                continue
+            error = state.score
+            for joining in rates.of([block]):
+                error = self.promise(state, joining)
+                if error < state.score:
+                    best[block.label] = (error, joining)
+            gains[block.label] = state.score - error
+            self.gains.setdefault(block.label, gains[block.label])
         order = sorted(best.values(), key=lambda pair: pair[0])
         return [joining for _, joining in order[:TRIED_MAX]]
 
