@@ -97,7 +97,7 @@ def test_every_kind_of_story_comes_true(name):
     [
         (['--hidden', 'gremlins'], 'hidden: expected one of '),
         (['--postures', '1'], 'expected at least 4, got 1'),
-        (['--hide', 'x'], 'unknown argument --hide x; see live --help'),
+        (['--hide', 'x'], 'unrecognized arguments: --hide x; did you mean --hidden? see '),
     ],
 )
 def test_what_cannot_be_is_one_line(arguments, words, capsys):

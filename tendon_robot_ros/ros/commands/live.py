@@ -1,16 +1,7 @@
 """
 A mock robot hides something; compare, record, diagnose, add, and watch the error fall.
 
-Opens a page: two arms in two colours do not coincide; find out why by clicking. Options:
-
-  --hidden NAME   hide this: an effect, a cause outside the catalogue, or none (default: drawn)
-  --seed N        draws what is hidden, how large it is, and the noise (default: from the clock)
-  --reveal        say at the end what was hidden
-  --headless      no page: the same story as text; exits with 0 only if it came true
-  --postures N    of the tour that is recorded (default: 14)
-  --investigate   the arm chooses its postures by itself, until it knows (docs/investigate.md)
-  --port N        of the page (default: 8080)
-  --robot NAME    in config/robots (default: kato_10_1)
+Opens a page: two arms in two colours do not coincide; find out why by clicking.
 """
 
 from __future__ import annotations
@@ -19,7 +10,6 @@ import argparse
 import importlib.util
 import json
 import os
-import shlex
 import sys
 import tempfile
 import time
@@ -123,12 +113,30 @@ class Performance:
         return 1 if story.problem else 0
 
 
-def main(arguments: Sequence[str]) -> int:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add = parser.add_argument
+    what = 'hide this: an effect, a cause outside the catalogue, or none (default: drawn)'
+    add('--hidden', default='', metavar='NAME', help=what)
+    what = 'draws what is hidden, how large it is, and the noise (default: from the clock)'
+    add('--seed', type=int, metavar='N', help=what)
+    add('--reveal', action='store_true', help='say at the end what was hidden')
+    what = 'no page: the same story as text; exits with 0 only if it came true'
+    add('--headless', action='store_true', help=what)
+    what = 'of the tour that is recorded (default: 14)'
+    add('--postures', type=int, default=14, metavar='N', help=what)
+    what = 'the arm chooses its postures by itself, until it knows (docs/investigate.md)'
+    add('--investigate', action='store_true', help=what)
+    add('--port', type=int, default=8080, metavar='N', help='of the page (default: 8080)')
+    what = 'in config/robots (default: kato_10_1)'
+    add('--robot', default='kato_10_1', metavar='NAME', help=what)
+
+
+def run(options: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
     """Run the page, or the story as text."""
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    words = list(arguments)
-    at = words.index('--ros-args') if '--ros-args' in words else len(words)
-    options = _options(words[:at])
+    if options.postures < 4:
+        raise InputError(f'live: --postures: expected at least 4, got {options.postures}')
     if not options.headless and importlib.util.find_spec('viser') is None:
         raise MissingExtraError('viser', 'viewer')
     catalogue = load_catalogue()
@@ -137,7 +145,7 @@ def main(arguments: Sequence[str]) -> int:
     print('loading the model (the first time it is compiled: a minute)', file=sys.stderr)
     model = load(robot, catalogue)
     hidden = draw(robot, catalogue, options.hidden, seed)
-    with ros(words[at:]) as ending, ExitStack() as stack:
+    with ros(ros_arguments) as ending, ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix='tendon_live_')))
         if not options.headless:
             folder = Path('live') / time.strftime('%Y-%m-%d_%H-%M-%S')
@@ -159,27 +167,6 @@ def main(arguments: Sequence[str]) -> int:
             effect = catalogue[hidden.name].parameters if hidden.values else ()
             print(reveal(hidden, {parameter.name: parameter.unit for parameter in effect}))
     return code
-
-
-def _options(arguments: list[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog='live', add_help=False, exit_on_error=False)
-    parser.add_argument('--hidden', default='')
-    parser.add_argument('--seed', type=int)
-    parser.add_argument('--reveal', action='store_true')
-    parser.add_argument('--headless', action='store_true')
-    parser.add_argument('--investigate', action='store_true')
-    parser.add_argument('--postures', type=int, default=14)
-    parser.add_argument('--port', type=int, default=8080)
-    parser.add_argument('--robot', default='kato_10_1')
-    try:
-        options, unknown = parser.parse_known_args(arguments)
-    except argparse.ArgumentError as error:
-        raise InputError(f'live: {error}; see live --help') from None
-    if unknown:
-        raise InputError(f'live: unknown argument {shlex.join(unknown)}; see live --help')
-    if options.postures < 4:
-        raise InputError(f'live: --postures: expected at least 4, got {options.postures}')
-    return options
 
 
 class Director(RobotClient):
