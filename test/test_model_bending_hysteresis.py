@@ -2,15 +2,23 @@
 
 import math
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
-from arms import planar, spatial, two_sections
+from arms import COARSE, planar, spatial, two_sections
 
+from tendon_robot_ros.comparison.compare import compare
+from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.derivatives import PathSlopes
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.pulls import pull_shapes
+from tendon_robot_ros.report.comparison import comparison_page
+from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.simulation.measurements import simulate
+from tendon_robot_ros.simulation.plant import make_plant
+from tendon_robot_ros.workspace.postures import default_postures
 
 LAG, RATIO, STIFFNESS, ARM = 0.03, 2.0, 0.027, 0.0055
 HELD = {'bending_hysteresis': {'lag': LAG, 'presliding': RATIO}}
@@ -98,3 +106,49 @@ def test_derivatives_along_a_path_are_those_of_differences(robot, by_pulls):
         expected = np.subtract(*differences)
         error = np.abs(np.subtract(*slopes) - expected).max()
         assert error < 1e-3 * np.abs(expected).max() + 1e-9
+
+
+@pytest.mark.parametrize(('name', 'lag'), [('kato_10_1', 0.02), ('spatial_3', 0.01)])
+def test_a_target_is_reached_from_any_side(name, lag):
+    """As near as wires hold it, where an inverse without memory ends elsewhere each time."""
+    robot = load_robot(name)
+    arm = Model(robot.with_effect('bending_hysteresis', {'lag': lag, 'presliding': RATIO}))
+    forgets, size = Model(robot), 0.8 if name == 'kato_10_1' else 0.3 * robot.tension_limits[1]
+    low, random = np.full(len(robot.inputs), 0.1), np.random.default_rng(2)
+    target = forgets.shape(low + size * random.uniform(0.0, 0.6, len(low))).tip_position
+    spread = {}
+    for model, by_pulls in product((arm, forgets), (False, True)):
+        tips = []
+        for side in size * random.uniform(0.0, 1.0, (3, len(low))):
+            start = arm.follow(arm.shape(low), low + side)
+            past = start if model is arm else model.shape(start.inputs)
+            memory = start.memory if model is arm else None
+            reach = model.reach(target, guess=past, memory=memory, by_pulls=by_pulls)
+            if by_pulls:
+                end = arm.pull_shape(reach.pulls, reach.shape, start.memory)
+            else:
+                end = arm.follow(start, reach.tensions)
+            tips.append(end.tip_position)
+        spread[model is arm, by_pulls] = np.ptp(tips, axis=0).max()
+    for by_pulls in (False, True):
+        assert 3.0 * spread[True, by_pulls] < spread[False, by_pulls]
+
+
+@pytest.mark.parametrize('robot', [load_robot('kato_10_1'), COARSE], ids=['planar', 'spatial'])
+def test_it_is_named_where_the_arm_remembers_and_its_loops_are_drawn(robot):
+    """A sequence of an arm as built: named alone, lag and presliding in their intervals."""
+    true = {'lag': 0.24 / robot.cells, 'presliding': 1.5}
+    plant = make_plant(robot, {'bending_hysteresis': true}, seed=2)
+    tensions = default_postures(robot, 16)
+    data = simulate(plant, np.concatenate([tensions, tensions[::-1]]), trials=1, path='sequence')
+    found = diagnose(data)
+    assert [effect.name for effect in found.effects] == ['bending_hysteresis']
+    for key, value in found.effects[0].parameters.items():
+        assert value.low <= true[key.partition('[')[0]] <= value.high
+    named = robot.with_effect('bending_hysteresis', true)
+    page = comparison_page(compare(data, [('plain', robot), ('named', named)]))
+    figures = [f for f in page.parts if 'Tip over' in f]
+    assert 'What the arm remembers' in ''.join(page.parts) and figures
+    one_by_one = simulate(plant, tensions[:4], trials=2)
+    page = comparison_page(compare(one_by_one, [('plain', robot)]))
+    assert 'What the arm remembers' not in ''.join(page.parts)

@@ -222,7 +222,10 @@ class ImportTable:
 def add_columns(group: argparse._ArgumentGroup) -> None:
     """Declare the roles of columns, and their units."""
     add = group.add_argument
-    what = 'column of an input, or of time; may be repeated'
+    what = (
+        'column of an input, or of time; may be repeated; time=none: every row was taken after '
+        'the arm had settled'
+    )
     add('--column', action='append', default=[], metavar='INPUT=COLUMN', help=what)
     what = 'where no name says it: inputs=g, positions=mm, time=ms; may be repeated'
     add('--unit', action='append', default=[], metavar='WHAT=UNIT', help=what)
@@ -321,7 +324,8 @@ def with_columns(recipe: Recipe, args: argparse.Namespace, inputs: tuple[str, ..
             raise InputError(f'--unit {name}=...: expected inputs, positions or time')
     time_unit = read_unit('--unit time', units.get('time', 's'), 'time').text
     if 'time' in columns:
-        recipe = replace(recipe, time={columns['time']: time_unit})
+        named = {} if columns['time'] == 'none' else {columns['time']: time_unit}
+        recipe = replace(recipe, time=named)
     unit = units.get('inputs')
     if unit is not None:
         unit = read_unit('--unit inputs', unit, *INPUT_KINDS).text

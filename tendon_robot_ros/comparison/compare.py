@@ -212,6 +212,7 @@ def _measured(dataset: DataSet, predictor: Predictor, angles: Floats | None) -> 
         angles=angles,
         position_noise=None if noise is None else noise.position,
         floor=floor,
+        path=dataset.path,
     )
 
 

@@ -51,6 +51,7 @@ class Measured:
     position_noise: float | None  # [m] 1 sd per coordinate and trial
     floor: Floats | None  # (P, J) [m²] expected squared distance for a perfect model
     left_out: tuple[Mapping[str, Any], ...] = ()  # as `Outliers.rows` names them
+    path: str = 'from_straight'  # how postures were reached, as in a data set
 
     @cached_property
     def noise_floor(self) -> float | None:
@@ -323,6 +324,7 @@ def to_json(comparison: Comparison) -> dict[str, Any]:
         'per_cell': measured.per_cell,
         'input': measured.input,
         'left_out': [dict(row) for row in measured.left_out],
+        'path': measured.path,
         'measured': [
             {
                 'posture': posture,
@@ -416,6 +418,7 @@ def from_json(content: dict[str, Any]) -> Comparison:
         position_noise=content['position_noise'],
         floor=floor,
         left_out=tuple(content.get('left_out', ())),  # files of older versions have none
+        path=content.get('path', 'from_straight'),
     )
     models = []
     for model in content['models']:

@@ -31,8 +31,8 @@ EFFECT = Effect(
     parameters=(
         # `bend`: of a cell of an arm that bends by one radian, the most that is left of it
         Parameter('lag', 'rad', 0.0, 1.0, 0.0, 0.1, of='bend', per_section=True, parts_power=-1),
-        # a thirtieth would be a spring in all of the lag; 30 times the stiffness, a kink
-        Parameter('presliding', '1', 1.0 / 30.0, 30.0, 1.0, typical=1.0, has_default=True),
+        # a tenth would be a spring in ten lags; with ten, it turns back in a tenth of the lag
+        Parameter('presliding', '1', 0.1, 10.0, 1.0, typical=1.0, has_default=True),
     ),
     divisible=True,
 )

@@ -17,7 +17,7 @@ from ..data.dataset import at_rest
 from ..diagnosis.verdict import SAME_ERROR_RATIO
 from ..inference.statistics import Estimate, PairedT
 from ..model.shape import bending_azimuth, views_of
-from .error_plots import Step, angles, per_marker, per_posture, staircase, tip_boxes
+from .error_plots import Step, angles, loops, per_marker, per_posture, staircase, tip_boxes
 from .page import (
     HEIGHTS_PX,
     Figure,
@@ -197,6 +197,7 @@ def comparison_page(comparison: Comparison) -> Page:
     figures = [per_marker(comparison), per_posture(comparison), tip_boxes(comparison)]
     figures.append(staircase(steps(comparison), 'Models and noise floor'))
     page.figures(figures, 'two')
+    add_loops(page, comparison)
     add_shapes(page, comparison)
     add_angles(page, comparison)
     return page
@@ -225,6 +226,19 @@ def steps(comparison: Comparison) -> list[Step]:
     steps.sort(key=lambda step: -step.error)
     floor = comparison.noise_floor
     return [*steps, Step('noise floor', floor, FLOOR)] if floor is not None else steps
+
+
+def add_loops(page: Page, comparison: Comparison) -> None:
+    """Add the loops of a sequence, which show what the arm remembers."""
+    figures = loops(comparison)
+    if figures:
+        page.heading('What the arm remembers')
+        page.text(
+            'The tip while an input goes and returns, in the order of the sequence. Where the '
+            'measured tip returns on another way, the arm remembers; a model that does not follow '
+            'lacks a memory, or has another.'
+        )
+        page.figures(figures, 'two')
 
 
 def add_shapes(page: Page, comparison: Comparison, faults: Sequence[Fault] = ()) -> None:

@@ -23,7 +23,7 @@ from ..effects import Catalogue, load_catalogue
 from ..robot import Robot
 from ..robot.description import EffectValues
 from . import diagnosis_text
-from .comparison import add_shapes
+from .comparison import add_loops, add_shapes
 from .diagnosis_text import next_measurement, trust_lines
 from .error_plots import Step, heat_maps, moments, per_marker, per_posture, staircase
 from .page import HEIGHTS_PX, Page
@@ -273,6 +273,7 @@ def add_pictures(
             'What it follows hints at its cause; the verdict does not rest on these pictures.'
         )
         page.figures(moments(pictures.before), 'two')
+    add_loops(page, comparison)
     add_shapes(page, comparison, faults)
 
 

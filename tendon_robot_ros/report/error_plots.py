@@ -139,6 +139,50 @@ def tip_boxes(comparison: Comparison) -> Figure:
     return Figure(data, layout, 'Tip error', caption)
 
 
+def loops(comparison: Comparison) -> list[Figure]:
+    """
+    Show what the arm remembers: the tip over the input that moves it, while that goes and returns.
+
+    Of a sequence, for each input the postures in a row in which it moves most beside the others;
+    those inputs first whose tip is farthest from a straight line. The tip is seen along the
+    direction in which it moves most meanwhile.
+    """
+    measured = comparison.measured
+    if measured.path != 'sequence' or len(measured.postures) < Shown.LOOP:
+        return []
+    inputs, figures = np.nan_to_num(measured.inputs), []
+    moved = np.abs(np.diff(inputs, axis=0, prepend=inputs[:1]))
+    windows = [
+        np.lib.stride_tricks.sliding_window_view(one, Shown.LOOP, axis=0).sum(axis=-1)
+        for one in (moved, moved.sum(axis=1))
+    ]
+    alone = windows[0] ** 2 / np.maximum(windows[1], np.finfo(float).tiny)[:, None]
+    for j, name in enumerate(measured.input_names):
+        rows = int(alone[:, j].argmax()) + np.arange(Shown.LOOP)
+        tips, own = measured.mean[rows, -1], inputs[rows, j]
+        seen = np.isfinite(tips[:, 0])
+        if seen.sum() < Shown.LOOP / 2 or np.ptp(own) == 0.0:
+            continue
+        middle = tips[seen].mean(axis=0)
+        along = np.linalg.svd(tips[seen] - middle)[2][0]
+        along = along * np.sign(((tips[seen] - middle) @ along) @ (own[seen] - own[seen].mean()))
+        unit, factor = ('N', 1.0) if measured.input == 'tension' else ('mm', 1e3)
+        x, y = (factor * own).tolist(), (tips - middle) @ along
+        text = [escape(measured.postures[row]) for row in rows]
+        marker = {'color': MEASURED, 'size': 5}
+        data = [trace(x, mm_list(y), 'measured', 'lines+markers', text=text, marker=marker,
+                      line={'color': MEASURED, 'width': 1})]  # fmt: skip
+        for i, model in enumerate(comparison.models):
+            predicted = (model.markers[rows, -1] - middle) @ along
+            data.append(curve(x, mm_list(predicted), model.name, line_style(i)))
+        straight = np.polynomial.Polynomial.fit(own[seen], y[seen], 1)
+        width = float(np.std(y[seen] - straight(own[seen])))
+        layout = axes(f'{escape(name)} [{unit}]', 'tip, where it moves most [mm]')
+        figures.append((width, Figure(data, layout, f'Tip over {escape(name)}')))
+    figures.sort(key=lambda pair: -pair[0])
+    return [figure for _, figure in figures[: Shown.FIGURES]]
+
+
 def staircase(
     steps: Sequence[Step], title: str = '', height: int = HEIGHTS_PX['normal']
 ) -> Figure:

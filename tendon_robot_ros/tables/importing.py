@@ -254,7 +254,7 @@ def _history_warnings(
 ) -> list[str]:
     """Return contradictions of the assumed history, that is the posture before each posture."""
     lines = [*measured.warnings, *frames_only(dataset)]
-    if recipe.path != FROM_STRAIGHT or measured.rest or recipe.time is None:
+    if recipe.path != FROM_STRAIGHT or measured.rest or not recipe.time:
         return lines
     segments = measured.segments
     places = np.array([one.positions[list(order.members)] for one in segments])

@@ -182,7 +182,8 @@ def measure(traces: Sequence[Traces], chosen: Selection, robot: Robot) -> StillM
     labels = [marker_label(marker.columns) for marker in recipe.markers or ()]
     dropped = unseen_lines(unseen, labels)
     assumed = [one.clocks for one in traces if one.clocks]
-    if recipe.time is not None:
+    rows = sum(len(one.recording.tracks[0].times) for one in traces)
+    if recipe.time:
         traces = [replace(one, recording=_denser(one.recording, rule)) for one in traces]
         motions = [_without_peaks(motion(one.recording, one.inputs, rule)) for one in traces]
         rule = _still_rule([m for m in motions if m is not None], traces, rule, recipe)
@@ -201,6 +202,7 @@ def measure(traces: Sequence[Traces], chosen: Selection, robot: Robot) -> StillM
         known = [motion for motion in motions if motion is not None]
         times = [one.recording.tracks[0].times for one in traces]
         raise never_still(traces[0].recording.name, known, times, rule)
+    sparse = _rows_hardly_show(traces, rows, len(segments), rule) if recipe.time else []
     same = _guess_same(segments) if recipe.same is None else recipe.same
     rest = recipe.rest
     if rest is None:
@@ -213,7 +215,7 @@ def measure(traces: Sequence[Traces], chosen: Selection, robot: Robot) -> StillM
     timed = [piece for piece in pieces if piece.motion is not None]
     let_go = let_go_between(timed, same)  # before how many postures, and of how many
     assumed.append(
-        history_assumed(recipe.path, rest, recipe.time is not None, let_go[0] > 0.5 * let_go[1])
+        history_assumed(recipe.path, rest, bool(recipe.time), let_go[0] > 0.5 * let_go[1])
     )
     named = name_segments(kept, replace(rule, change=same), sequence=False)
     if recipe.path == SEQUENCE:  # rounds through it are trials; the last one may end early
@@ -238,8 +240,22 @@ def measure(traces: Sequence[Traces], chosen: Selection, robot: Robot) -> StillM
         (
             *(f'{one.recording.name}: {line}' for one in traces for line in one.exchanged),
             *history_contradicted(recipe.path, *let_go, unit),
+            *sparse,
         ),
     )
+
+
+def _rows_hardly_show(traces: Sequence[Traces], rows: int, still: int, rule: Rule) -> list[str]:
+    """Return a line where few of many rows show the arm at rest because they are far apart."""
+    intervals = [np.diff(one.recording.state_times) for one in traces]
+    apart = float(np.median(np.concatenate(intervals)))
+    if apart <= rule.duration / 4 or still > rows / 4:
+        return []
+    return [
+        f'the rows are {apart:.2g} s apart, too far to show that the arm stood still for '
+        f'{rule.duration:g} s, so that {still:,} of {rows:,} count: if each was taken after the '
+        'arm had settled, say --column time=none'
+    ]
 
 
 def _denser(recording: Recording, rule: Rule) -> Recording:

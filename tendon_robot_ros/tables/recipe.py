@@ -225,7 +225,7 @@ class Recipe:
 
     sources: Annotated[tuple[str, ...], RecipeFields.texts] = ()
     robot: Text = None
-    # column -> unit; each table has one of them
+    # column -> unit; each table has one of them; {}: times do not count, a row is a measurement
     time: Annotated[Mapping[str, str] | None, RecipeFields.times] = None
     inputs: Annotated[Mapping[str, ColumnUse] | None, RecipeFields.uses] = None  # by input
     # inputs count from their value when the arm first stands still
@@ -314,6 +314,7 @@ def dump_recipe(recipe: Recipe, folder: Path) -> str:
         )
     )
     keys['leave_out'] = plain(recipe.leave_out or ())  # none is a choice, too
+    keys |= {'time': {}} if recipe.time == {} else {}
     return HEAD + str(
         yaml.safe_dump(keys, sort_keys=False, default_flow_style=None, allow_unicode=True)
     )
@@ -453,6 +454,8 @@ def _units_contradicted(tables: Sequence[RawTable], recipe: Recipe) -> list[str]
 def _choose_times(
     tables: Sequence[RawTable], recipe: Recipe, reasons: dict[str, str], assumed: list[str]
 ) -> Recipe:
+    if recipe.time == {}:  # as given: every row is a measurement
+        return recipe
     times = dict(recipe.time or {})
     for column in times:
         need_column(tables, column, 'time')

@@ -274,10 +274,10 @@ def _trace(
             marker_table.name, 'no marker was ever seen', 'export the markers again'
         )
     clocks, drift = '', drift or 0.0
-    if recipe.time is None:
+    if not recipe.time:
         steps = np.linalg.norm(np.diff(positions, axis=0), axis=2)
         moved = np.linalg.norm(np.nanmax(positions, axis=0) - np.nanmin(positions, axis=0), axis=1)
-        is_recording = len(positions) > ROWS_MAX
+        is_recording = recipe.time is None and len(positions) > ROWS_MAX
         if is_recording and np.nanmedian(steps) < FRAME_STEP_FRACTION * moved.max():
             raise DataSetError(
                 marker_table.name,
