@@ -167,6 +167,22 @@ def test_it_is_said_where_the_way_to_a_posture_is_taken_not_to_matter(calm):
     assert told in import_table(walked()[0], ARM, {'up': 'y'}).text()
 
 
+def test_rows_that_were_taken_after_the_arm_had_settled_are_each_a_measurement(tmp_path):
+    """Too far apart to show stillness; said, and asked for with `--column time=none`."""
+    (frame, places), path = walked(), tmp_path / 'rows.csv'
+    settled = frame.iloc[::48].assign(time_s=lambda rows: 0.6 * np.arange(len(rows)))
+    guess = {'up': 'y', 'path': 'sequence', 'frame': {'method': 'model'}}
+    with pytest.raises(DataSetError, match=r'0.6 s apart, .*say --column time=none'):
+        import_table(settled, ARM, guess)
+    imported = import_table(settled, ARM, guess | {'time': {}})
+    assert imported.dataset.trials.sum() == len(settled) == len(places)
+    assert 'time=none' not in imported.text()
+    settled.to_csv(path, index=False)
+    import_table(path, ARM, guess | {'time': {}}).save(tmp_path / 'set')
+    again = import_table((), None, tmp_path / 'set' / 'import.yaml')
+    assert_allclose(again.dataset.inputs, imported.dataset.inputs)
+
+
 def walked(seed=4, drift=0.0, **hidden):
     """
     Return a table of an arm that goes from posture to posture in any order, and its visits.

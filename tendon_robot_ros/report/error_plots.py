@@ -148,20 +148,21 @@ def loops(comparison: Comparison) -> list[Figure]:
     direction in which it moves most meanwhile.
     """
     measured = comparison.measured
-    if measured.path != 'sequence' or len(measured.postures) < Shown.LOOP:
+    if measured.path != 'sequence':
         return []
+    count = min(Shown.LOOP, len(measured.postures))
     inputs, figures = np.nan_to_num(measured.inputs), []
     moved = np.abs(np.diff(inputs, axis=0, prepend=inputs[:1]))
     windows = [
-        np.lib.stride_tricks.sliding_window_view(one, Shown.LOOP, axis=0).sum(axis=-1)
+        np.lib.stride_tricks.sliding_window_view(one, count, axis=0).sum(axis=-1)
         for one in (moved, moved.sum(axis=1))
     ]
     alone = windows[0] ** 2 / np.maximum(windows[1], np.finfo(float).tiny)[:, None]
     for j, name in enumerate(measured.input_names):
-        rows = int(alone[:, j].argmax()) + np.arange(Shown.LOOP)
+        rows = int(alone[:, j].argmax()) + np.arange(count)
         tips, own = measured.mean[rows, -1], inputs[rows, j]
         seen = np.isfinite(tips[:, 0])
-        if seen.sum() < Shown.LOOP / 2 or np.ptp(own) == 0.0:
+        if seen.sum() < 3 or np.ptp(own) == 0.0:
             continue
         middle = tips[seen].mean(axis=0)
         along = np.linalg.svd(tips[seen] - middle)[2][0]

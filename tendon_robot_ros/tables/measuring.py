@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from ..common.errors import DataSetError
 from ..common.words import digits
 from ..data.bag_reader import Recording, Track
 from ..data.loading import plausible_inputs
@@ -183,6 +184,7 @@ def measure(traces: Sequence[Traces], chosen: Selection, robot: Robot) -> StillM
     dropped = unseen_lines(unseen, labels)
     assumed = [one.clocks for one in traces if one.clocks]
     rows = sum(len(one.recording.tracks[0].times) for one in traces)
+    sparse = _too_far_apart(traces, rule) if recipe.time else ''
     if recipe.time:
         traces = [replace(one, recording=_denser(one.recording, rule)) for one in traces]
         motions = [_without_peaks(motion(one.recording, one.inputs, rule)) for one in traces]
@@ -198,11 +200,12 @@ def measure(traces: Sequence[Traces], chosen: Selection, robot: Robot) -> StillM
             checked = plausible_inputs(piece.recording.name, own, robot, kind, rule)
             pieces[i] = replace(piece, segments=tuple(checked))
     segments = [one for piece in pieces for one in piece.segments]
+    if not segments and sparse:
+        raise DataSetError(traces[0].recording.name, sparse, SETTLED_ROWS)
     if not segments:
         known = [motion for motion in motions if motion is not None]
         times = [one.recording.tracks[0].times for one in traces]
         raise never_still(traces[0].recording.name, known, times, rule)
-    sparse = _rows_hardly_show(traces, rows, len(segments), rule) if recipe.time else []
     same = _guess_same(segments) if recipe.same is None else recipe.same
     rest = recipe.rest
     if rest is None:
@@ -240,22 +243,23 @@ def measure(traces: Sequence[Traces], chosen: Selection, robot: Robot) -> StillM
         (
             *(f'{one.recording.name}: {line}' for one in traces for line in one.exchanged),
             *history_contradicted(recipe.path, *let_go, unit),
-            *sparse,
+            *([f'{sparse}: {SETTLED_ROWS}'] if sparse and len(segments) < rows / 4 else []),
         ),
     )
 
 
-def _rows_hardly_show(traces: Sequence[Traces], rows: int, still: int, rule: Rule) -> list[str]:
-    """Return a line where few of many rows show the arm at rest because they are far apart."""
-    intervals = [np.diff(one.recording.state_times) for one in traces]
-    apart = float(np.median(np.concatenate(intervals)))
-    if apart <= rule.duration / 4 or still > rows / 4:
-        return []
-    return [
+def _too_far_apart(traces: Sequence[Traces], rule: Rule) -> str:
+    """Return how far apart rows are that cannot show the arm at rest; '' where they can."""
+    apart = float(np.median(np.concatenate([np.diff(t.recording.state_times) for t in traces])))
+    if apart <= rule.duration / 4:
+        return ''
+    return (
         f'the rows are {apart:.2g} s apart, too far to show that the arm stood still for '
-        f'{rule.duration:g} s, so that {still:,} of {rows:,} count: if each was taken after the '
-        'arm had settled, say --column time=none'
-    ]
+        f'{rule.duration:g} s'
+    )
+
+
+SETTLED_ROWS = 'if each row was taken after the arm had settled, say --column time=none'
 
 
 def _denser(recording: Recording, rule: Rule) -> Recording:
