@@ -35,7 +35,7 @@ from tendon_robot_ros.ros.commands.live import Director
 from tendon_robot_ros.ros.driver import backend as driver_backend
 from tendon_robot_ros.ros.shared import lifecycle, robot_client
 from tendon_robot_ros.ros.shared.messages import Frames, matrix, quaternion
-from tendon_robot_ros.ros.shared.parameters import Spec, read_mapping
+from tendon_robot_ros.ros.shared.parameters import Spec, read_config
 from tendon_robot_ros.ros.shared.robot_client import Pilot
 from tendon_robot_ros.ros.shared.runtime import Ending, ros_arguments
 
@@ -282,7 +282,7 @@ def test_a_robot_comes_from_a_name_a_path_or_text(tmp_path):
 )
 def test_a_configuration_that_cannot_be_read_says_why(text, words):
     with pytest.raises(InputError, match=words):
-        read_mapping(text, 'config')
+        read_config(text)
 
 
 @pytest.mark.parametrize('text', ['', 'mock', 'mock_twin'])
@@ -299,11 +299,11 @@ def test_motors_without_a_configuration_of_theirs_say_what_is_missing(backend, m
 
 
 def test_a_configuration_comes_from_a_name_or_text():
-    assert read_mapping('mock_twin', 'config')['plant'] == {'twin': True}
-    assert read_mapping('{lag: 0.1}', 'config') == {'lag': 0.1}
+    assert read_config('mock_twin')['plant'] == {'twin': True}
+    assert read_config('{lag: 0.1}') == {'lag': 0.1}
     long = {f'number_{i}': i for i in range(40)}  # longer than the name of a file may be
-    assert read_mapping(str(long), 'config') == long
-    assert read_mapping('', 'config') == {}
+    assert read_config(str(long)) == long
+    assert read_config('') == {}
 
 
 @pytest.mark.parametrize('text', ['plain', 'with "quotes" and \\', 'two\nlines: true', ''])

@@ -127,13 +127,13 @@ def test_a_saved_comparison_that_is_none_is_named(content, tmp_path):
 
 def test_a_parameter_that_names_a_file_says_which(tmp_path):
     pytest.importorskip('rclpy')
-    from tendon_robot_ros.ros.shared.parameters import read_mapping
+    from tendon_robot_ros.ros.shared.parameters import read_config
 
     (tmp_path / 'junk.yaml').write_bytes(JUNK)
     for name in ('junk.yaml', 'absent.yaml', '.'):
         path = str(tmp_path / name)
         with pytest.raises(InputError, match=f'config: {path}: '):
-            read_mapping(path, 'config')
+            read_config(path)
 
 
 @pytest.mark.parametrize('content', [b'', JUNK, b'PK\3\4' + JUNK, b'PAR1' + JUNK])

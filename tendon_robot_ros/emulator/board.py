@@ -10,13 +10,11 @@ import contextlib
 import ctypes
 import functools
 import hashlib
-import json
 import math
 import os
 import shutil
 import subprocess
 import tempfile
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -324,7 +322,6 @@ class EmulatedBoard(Plug):
             'free': lambda values: rig.blocked.discard(range(rig.channels)[int(values[0])]),
             'cell': lambda values: setattr(rig.cells[int(values[0])], 'broken', True),
             'mend': lambda values: setattr(rig.cells[int(values[0])], 'broken', False),
-            'state': lambda values: json.dumps(self.state()),
         }
 
     def restart(self) -> None:
@@ -344,9 +341,7 @@ class EmulatedBoard(Plug):
         """Return the state of motors and wires as plain values."""
         rig = self.rig
         return {
-            'port': self.port,
-            'time': time.monotonic(),
-            **getattr(rig.arm, 'shown', {}),
+            **super().state(),
             'enabled': rig.enabled,
             'tensions': np.round(rig.tensions, 4).tolist(),
             'highest': np.round(rig.highest, 4).tolist(),

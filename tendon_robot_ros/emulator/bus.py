@@ -367,7 +367,6 @@ class EmulatedBus(Plug):
             'restart': of_each(lambda servo: self.restart(servo.identity)),
             'trip': of_each(lambda servo: servo.put('bus_watchdog', Counts.WATCHDOG_TRIPPED)),
             'weight': self.hang,
-            'state': lambda values: json.dumps(self.state()),
             'log': self.log,
             'trace': self.trace,
         }
@@ -412,9 +411,7 @@ class EmulatedBus(Plug):
         """Return the state of servos and wires as plain values."""
         wires = ('tensions', 'wound', 'highest', 'held', 'least', 'most')
         return {
-            'port': self.port,
-            'time': time.monotonic(),
-            **getattr(self.rig.arm, 'shown', {}),
+            **super().state(),
             **{name: np.round(getattr(self.rig, name), 6).tolist() for name in wires},
             'servos': {
                 i: {name: servo.get(name) for name in REGISTERS}

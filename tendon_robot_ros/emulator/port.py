@@ -81,8 +81,8 @@ class Plug(abc.ABC):
     """
     An emulated serial port with a thread of its own: a pseudo-terminal that can be unplugged.
 
-    A subclass defines the steps in time and the reaction to bytes, both called with the lock held,
-    and its commands.
+    A subclass defines its motors (`rig`), the steps in time and the reaction to bytes, both called
+    with the lock held, and its commands.
 
     Attributes
     ----------
@@ -96,6 +96,7 @@ class Plug(abc.ABC):
     """
 
     help: ClassVar[str] = COMMON_HELP
+    rig: Any  # motors, and the arm that they pull on
 
     def __init__(self, name: str, port: str | None = None, idle: float = 0.005) -> None:
         """
@@ -150,8 +151,13 @@ class Plug(abc.ABC):
             'slow': lambda values: setattr(faults, 'delay', float(values[0])),
             'unplug': lambda values: self.unplug(float(values[0]) if values else None),
             'plug': lambda values: self.plug(),
+            'state': lambda values: json.dumps(self.state()),
             'help': lambda values: self.help,
         }
+
+    def state(self) -> dict[str, object]:
+        """Return the state of motors and wires as plain values."""
+        return {'port': self.port, 'time': time.monotonic(), **getattr(self.rig.arm, 'shown', {})}
 
     def obey(self, text: str) -> str:
         """

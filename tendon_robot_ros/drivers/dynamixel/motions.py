@@ -48,9 +48,6 @@ TURNING_TIMEOUT_S = 2.0  # [s] without turning, or with too little current, else
 # [1] of the distance at either end that does not count, because there the motor starts, a weight
 # lands, and friction may hold the motor short of its goal
 END_FRACTION = 0.2
-# [1] of the speed within which a reading counts, because a motor that stands holds with anything
-# up to its friction
-SPEED_TOLERANCE = 0.5
 
 
 @dataclass
@@ -360,7 +357,7 @@ def turn_steadily(
     while part < 1.0:
         check()
         turn_to(bus, motor, round(start + part * (end - start)))
-        at_speed = abs(motor.velocity / speed - 1.0) < SPEED_TOLERANCE
+        at_speed = 0.5 < motor.velocity / speed < 1.5
         steady = at_speed and END_FRACTION < part < 1.0 - END_FRACTION
         if steady and motor.current is not None:
             currents.append(wire.spool.direction * motor.current * motor.model.current_unit)

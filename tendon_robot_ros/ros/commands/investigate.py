@@ -71,9 +71,6 @@ SPEED = 0.2
 # [rad] that an arm may bend beyond its description until a slack wire is taut: a missing effect
 # would else pull the wire, and change the posture
 SLACK_ANGLE = 0.6
-# [1] of a requested tension: a motor with a larger error is broken, because neither friction of a
-# transmission nor noise of a load cell reaches half
-OFF_MAX = 0.5
 SLIP_HINT = 'did its tendon slip, or does its motor stick?'
 GEARS_HINT = (
     'the friction of its gears hides so little: start driver and controller with command_mode '
@@ -228,8 +225,9 @@ class RunningArm(Pilot):
             self._go(self._command(inputs))
             measurements.append(self._stand())
         for one in measurements if self.input == 'tension' else ():
-            # motors without the requested tension: a slipped tendon, or a motor that sticks
-            off = np.abs(one.inputs - inputs) - OFF_MAX * inputs
+            # off by more than half: a tendon has slipped or a motor sticks, because neither
+            # friction of a transmission nor noise of a load cell reaches that
+            off = np.abs(one.inputs - inputs) - 0.5 * inputs
             worst = int(np.argmax(off))
             # ten standard deviations, so that noise does not decide for a request near zero
             noise = self.input_noise[0] * self.robot.tension_limits[1]

@@ -38,7 +38,7 @@ from ..shared.messages import (
     pose_array,
     pose_stamped,
 )
-from ..shared.parameters import Parameters, base_frame, read_mapping
+from ..shared.parameters import Parameters, base_frame, read_config
 from ..shared.runtime import repeat
 
 
@@ -140,7 +140,7 @@ WIRE_COMPLIANCE = 1e-4
 def make(robot: Robot, parameters: Parameters, node: Node) -> tuple[Driver, dict[str, Any]]:
     """Return the driver, not open yet, and the configuration of its tracker (backend mock)."""
     text, mode, backend = (parameters[key] for key in ('config', 'command_mode', 'backend'))
-    config = read_mapping(text, 'config')
+    config = read_config(text)
     source = text if text and '\n' not in text and ':' not in text else 'config'
     if backend == 'mock':
         tracker = config.pop('tracker', None) or {}

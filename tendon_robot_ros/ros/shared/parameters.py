@@ -279,21 +279,21 @@ def _sections(content: Any, before: str = '') -> dict[str, dict[str, Any]]:
     return sections
 
 
-def read_mapping(text: str, what: str) -> dict[str, Any]:
-    """Read a configuration: a path, the name of a file in config, or YAML text; '': empty."""
+def read_config(text: str) -> dict[str, Any]:
+    """Read the parameter `config`: a path, the name of a file in config, or YAML text; '': empty."""
     if text.strip() and '\n' not in text and ':' not in text:
         own = None if Path(text).is_file() else shared_file(f'config/{text}.yaml')
         path = own or Path(text)
 
         def refuse(reason: str) -> InputError:
-            return InputError(f'{what}: {path}: {reason}; expected a YAML file or text')
+            return InputError(f'config: {path}: {reason}; expected a YAML file or text')
 
         text = read_text(path, refuse, DESCRIPTION_MAX + 1)
     if len(text) > DESCRIPTION_MAX:
         raise InputError(
-            f'{what}: expected at most {DESCRIPTION_MAX:,} characters, got more than that'
+            f'config: expected at most {DESCRIPTION_MAX:,} characters, got more than that'
         )
-    content: dict[str, Any] = parsed(text, what, dict, 'keys with values')
+    content: dict[str, Any] = parsed(text, 'config', dict, 'keys with values')
     return content
 
 

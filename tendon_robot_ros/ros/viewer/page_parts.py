@@ -23,9 +23,6 @@ Floats32 = NDArray[np.float32]
 # [1] so that the predicted arm, which is thinner, is visible inside the measured one
 MEASURED_OPACITY = 0.4
 SIDES = 12  # [1] of the cross-section of a tube: with fewer it would have visible edges
-# [1] times the upper quartile of the errors: larger peaks are cut off, because they come from
-# moves, and the error at rest would else be a flat line
-PEAK = 2.0
 FITTING = 'fitting '  # its duration is unknown: the bar is indeterminate
 STOP_MARK = 'stop-mark'  # id of the element before the button that is always visible
 HIDDEN = 'position:absolute;width:1px;height:1px;overflow:hidden;clip-path:inset(50%)'
@@ -129,7 +126,9 @@ def curve(
     """
     shown = [(now - t, 1e3 * e) for t, e in errors if now - t <= CURVE_SPAN_S and np.isfinite(e)]
     sizes = [e for _, e in shown] or [0.0]
-    usual = PEAK * float(np.quantile(sizes, 0.75))
+    # twice the upper quartile: larger peaks come from moves, and the error at rest would else be a
+    # flat line
+    usual = 2.0 * float(np.quantile(sizes, 0.75))
     axes = _Axes(max(1.15 * min(max(sizes), usual), 0.6))
     points = ' '.join(f'{axes.x(age):.1f},{axes.y(min(e, axes.top)):.1f}' for age, e in shown)
     cut = f', peaks up to {max(sizes):.2g} are cut off' if max(sizes) > axes.top else ''
