@@ -246,6 +246,22 @@ def start(name, namespace, output, extra=(), **parameters):
 
 
 @contextlib.contextmanager
+def alone(space, logs):
+    """Give a station in a namespace whose `run` starts nodes there, and end what was started."""
+    station, started = Station(space), []
+
+    def run(name, **known):
+        started.append(start(name, space, logs, **known))
+        return started[-1]
+
+    station.run = run
+    yield station
+    for process in started:
+        process.end()
+    station.close()
+
+
+@contextlib.contextmanager
 def holding(space, logs):
     """Start a driver and a controller, and wait until the arm holds; a station beside them."""
     with start('driver', space, logs), start('controller', space, logs):

@@ -14,7 +14,7 @@ pytest.importorskip('rclpy')
 
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from ros_station import LOW, PATIENT, Station, last, stamp, start, values
+from ros_station import LOW, PATIENT, Station, alone, last, stamp, start, values
 from source_tree import ROOT
 
 from tendon_robot_ros.drivers.safety import CYCLE_MAX_S
@@ -29,20 +29,8 @@ RATE_LIMIT = 4.0  # [N/s]: the way back takes half a second
 
 @pytest.fixture
 def space(request, tmp_path):
-    """Give a namespace of its own and a station in it, and end what was started."""
-    name = '/' + request.node.name.split('[')[0][:40]
-    station = Station(name)
-    started = []
-
-    def run(node, **parameters):
-        started.append(start(node, name, tmp_path, **parameters))
-        return started[-1]
-
-    station.run = run
-    yield station
-    for process in started:
-        process.end()
-    station.close()
+    with alone('/' + request.node.name.split('[')[0][:40], tmp_path) as station:
+        yield station
 
 
 def moved(space, **driver):

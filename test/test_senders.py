@@ -18,7 +18,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
-from ros_station import Station, last, point, stamp, start, values
+from ros_station import alone, last, point, stamp, values
 from sensor_msgs.msg import JointState
 
 from tendon_robot_ros.common.processes import child_environment
@@ -166,18 +166,8 @@ def test_a_publisher_is_found_by_its_gid_among_those_of_its_topic_with_the_name_
 
 @pytest.fixture
 def robot(request, tmp_path):
-    space = '/' + request.node.name[:30]
-    station, started = Station(space), []
-
-    def run(name, **known):
-        started.append(start(name, space, tmp_path, **known))
-        return started[-1]
-
-    station.run = run
-    yield station
-    for process in started:
-        process.end()
-    station.close()
+    with alone('/' + request.node.name[:30], tmp_path) as station:
+        yield station
 
 
 def named_at(heard, node, key, name):
