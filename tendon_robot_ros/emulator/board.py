@@ -298,6 +298,7 @@ class EmulatedBoard(Plug):
     """An emulated port with a board."""
 
     help = HELP
+    rig: BoardRig
 
     def __init__(self, rig: BoardRig, port: str | None = None) -> None:
         """Plug it in; `start` starts its clock."""

@@ -332,6 +332,7 @@ class EmulatedBus(Plug):
     """
 
     help = HELP
+    rig: Rig
 
     def __init__(self, rig: Rig, port: str | None = None) -> None:
         """Plug it in, at a path of its own if none is given; `start` begins to answer."""

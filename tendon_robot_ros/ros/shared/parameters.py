@@ -280,7 +280,7 @@ def _sections(content: Any, before: str = '') -> dict[str, dict[str, Any]]:
 
 
 def read_config(text: str) -> dict[str, Any]:
-    """Read the parameter config: a path, the name of a file in config/, or YAML text; '': empty."""
+    """Read the parameter config: a path, a name of a file in config/, or YAML text; '': empty."""
     if text.strip() and '\n' not in text and ':' not in text:
         own = None if Path(text).is_file() else shared_file(f'config/{text}.yaml')
         path = own or Path(text)
