@@ -21,8 +21,8 @@ from ..common.arrays import Floats
 from ..common.errors import TendonRobotError
 from ..common.rotations import rotated
 from ..drivers.safety import CYCLE_MAX_S, approach, bounded
-from ..model.inverse import ITERATIONS_MAX, POSITION_TOLERANCE_M, judged
-from ..model.program import STEP_MAX
+from ..model.inverse import POSITION_TOLERANCE_M, judged
+from ..model.program import ITERATIONS_MAX, STEP_MAX
 from ..model.redundancy import Balance, balanced
 from .inputs import Target, Trajectory, Twist
 from .solver import GiveUp

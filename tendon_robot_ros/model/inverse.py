@@ -11,7 +11,7 @@ import numpy as np
 
 from ..common.arrays import Floats
 from ..common.errors import NoEquilibriumError
-from .program import within
+from .program import ITERATIONS_MAX, within
 from .pulls import Aim, aim_by_pulls, limits_by_pulls, pull_shape
 from .redundancy import Balance, balanced
 from .shape import Reach, Shape
@@ -54,9 +54,6 @@ JUMP_MAX = 0.1
 # [1] of the cost of the one before, that a solution which jumps, or which is reported before the
 # search ends, must have less than, because the tip would hardly be nearer for it
 WORTHWHILE_MAX = 0.8
-# [1] programs after a search, or models after another one took over the directions of friction;
-# what has not converged by then is held up by a region or a kink of friction, and would stay
-ITERATIONS_MAX = 40
 
 
 @dataclass(frozen=True)

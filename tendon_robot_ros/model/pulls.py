@@ -12,6 +12,7 @@ import numpy as np
 from ..common.arrays import Floats
 from ..common.errors import InputError, NoEquilibriumError
 from ..robot.inputs import TensionsLike, wire_pulls
+from .program import ITERATIONS_MAX
 
 if TYPE_CHECKING:
     from .forward import ForwardModel
@@ -30,7 +31,6 @@ PRETENSION = 0.25
 # [N] difference of tensions that counts as held: so that a gap of 5 µm does
 HELD_TOLERANCE_N = 1e-3
 SLACK_BELOW_N = 1e-6  # [N] a wire below holds no length, because its tension is rounding
-SEARCH_STEPS_MAX = 20  # [1] of Newton, where tensions may start far: more would not converge
 
 
 def pull_shape(
@@ -128,13 +128,13 @@ def _tensions(
         part, stretched = model.arrays.part('pulls'), True
         for ratio in search.springs:
             stretch = ratio * compliance
-            error = part.solve_elastic_wires(*problem, stretch, SEARCH_STEPS_MAX)
+            error = part.solve_elastic_wires(*problem, stretch, ITERATIONS_MAX)
             stretched = error < part.STRETCH_ERROR_N * stretch
             if not stretched:
                 break  # stiffer springs would do no better
         if not stretched and search.held:
             continue
-        error = float(part.solve_stiff_wires(*problem, SEARCH_STEPS_MAX))
+        error = float(part.solve_stiff_wires(*problem, ITERATIONS_MAX))
         if error < gap:
             gap, best = error, (inputs, bends[0])
         if gap < GAP_ACCEPTED_M:

@@ -19,7 +19,7 @@ import numpy as np
 from ..common.arrays import Floats
 from .program import within
 from .pulls import Aim
-from .tip_task import LOW_TENSION_WEIGHT, Policy, TipTask, cost_of
+from .tip_task import COLD, LOW_TENSION_WEIGHT, Policy, TipTask, cost_of
 
 if TYPE_CHECKING:
     from .shape import Shape, ShapeBatch
@@ -29,7 +29,8 @@ Start = tuple[Aim, Floats, Floats]  # how to search, tensions (m,) [N] and bends
 # because the next target comes before more is gained
 TRACKING_GAIN_MIN = 1e-2
 # [1] equilibria of a search; what takes more has been seen to stall, and another start would be
-# quicker
+# quicker. A search for bends and tensions at once settles within half as many steps or seldom does
+# (docs/model.md)
 TRIALS_MAX = 120
 # [1] where tendons stick: what needs more stands at a kink, and another start is quicker
 # (docs/model.md)
@@ -37,15 +38,11 @@ STICKING_TRIALS_MAX = 10
 # [1] starts where each is several searches (an arm driven by wire lengths, regions to keep out of)
 # or seldom comes nearer (a kink of friction), because each takes milliseconds
 FEW_STARTS = 4
-# [1] shapes of the library among which starts are chosen: more than would ever be tried
-LIBRARY_NEIGHBOURS = 128
 # [1] weight of the tensions of a shape of the library, because from much tension against much
 # tension there is often no way down
 START_TENSION_WEIGHT = 0.1
 # [1] weight of tensions while bends and tensions are found at once (docs/model.md)
 SEEKING_WEIGHT = 100.0 * LOW_TENSION_WEIGHT
-# [1] steps of such a search: it settles within these or seldom does (docs/model.md)
-SEEKING_STEPS_MAX = 60
 # [1] of the length: from a tip farther off, no search from equilibrium to equilibrium would
 # arrive; half of it is a first step there
 FAR_LENGTH = 0.06
@@ -127,7 +124,7 @@ def seek(
     inputs: Floats,
     bend: Floats,
     limits: Floats,
-    steps: int = SEEKING_STEPS_MAX,
+    steps: int = TRIALS_MAX // 2,
 ) -> tuple[float, Floats]:
     """
     Improve inputs in place towards a far target; return the cost [m²] and bends at equilibrium.
@@ -178,7 +175,7 @@ def starts_of(task: TipTask, policy: Policy, reports: bool) -> Iterator[Start]:
     model, guess, nearby = task.model, task.guess, partial(aim, task, 0.0)
     if model.sticks:
         # for a direction, too, little is free, and another start is quicker
-        steps = SEEKING_STEPS_MAX // 2 if task.target[7] else SEEKING_STEPS_MAX
+        steps = TRIALS_MAX // (4 if task.target[7] else 2)
         nearby = partial(seek, task, 1.0, steps=steps)
     if guess is not None:
         present = within(guess.inputs, *model.limits.T)
@@ -233,7 +230,7 @@ def rows_near(task: TipTask) -> Iterator[int]:
     library, low, high = task.model.library, *task.model.limits.T
     tension = START_TENSION_WEIGHT * task.per_newton * (library.inputs - low).sum(axis=1)
     costs = squared_distances(library, task.target) + tension * tension
-    near = np.argsort(costs)[:LIBRARY_NEIGHBOURS]
+    near = np.argsort(costs)[: 5 * COLD.starts]  # more than would ever be tried
     points, distance = library.inputs[near] / high, np.full(len(near), np.inf)
     for count in range(len(near)):
         remaining = np.flatnonzero(distance > 0.0)

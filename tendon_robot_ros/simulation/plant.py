@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from ..common.arrays import Floats
 from ..common.errors import number, whole
-from ..common.rotations import bent
+from ..common.rotations import bent, turned_in_plane
 from ..effects import Catalogue, CatalogueLike, Effect, load_catalogue
 from ..model.model import Model
 from ..model.pulls import pull_shapes
@@ -106,9 +106,9 @@ def real_robot(
     for k, tendon in enumerate(robot.tendons):
         scale = 1.0 + float(built.hole[k])
         offsets: list[XY] = []  # in every finer cell that of the cell, wound on within it
-        for (x, y), angle in zip(tendon.offsets, helix[:, k].tolist(), strict=False):
-            c, s = scale * np.cos(angle * along), scale * np.sin(angle * along)
-            offsets += zip((c * x - s * y).tolist(), (s * x + c * y).tolist(), strict=True)
+        for at, angle in zip(tendon.offsets, helix[:, k].tolist(), strict=False):
+            wound = turned_in_plane(scale * np.array(at), angle * along)
+            offsets += [(x, y) for x, y in wound.tolist()]
         tendons.append(
             replace(
                 tendon,
