@@ -4,9 +4,11 @@ The force at the tip from measured shape and tensions, on simulated arms as they
 Error against the force that bends the straight arm by a quarter of its length, how often the 95 %
 intervals hold, how often a touch elsewhere is told, and the processor time of an update. The bound
 is that of Cramer and Rao for these frames of an arm that is known exactly: no estimate without
-bias is better in that direction.
+bias is better in that direction. `--lacks EFFECT`: the arm has an effect that its description
+lacks; with and without the `model_error` that this makes at sixty free postures.
 
 example: python benchmarks/bench_tip_force.py --cases 60 --as-built
+example: python benchmarks/bench_tip_force.py --cases 20 --lacks hinge_friction
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
@@ -27,6 +30,7 @@ from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.monitoring.built_arm import BuiltArm
 from tendon_robot_ros.monitoring.tip_force import TipForceObserver
 from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.robot.estimates import natural_sizes
 from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.plant import make_plant
 from tendon_robot_ros.workspace.postures import default_postures
@@ -52,11 +56,32 @@ def quarter_force(robot):
     return small
 
 
-def watched(robot, seed, level, references, frames):
+def lacking(robot, effect):
+    """Return the values of an effect of half the typical size; none for no effect."""
+    if not effect:
+        return {}
+    sized = load_catalogue().sized(natural_sizes(robot))[effect]
+    return {effect: {p.name: p.neutral + 0.5 * p.typical for p in sized.parameters}}
+
+
+def knowing(robot, hidden):
+    """Return a description that knows how far off it is of an arm with something hidden."""
+    markers = default_markers(robot)
+    arcs, offsets = (np.array([getattr(m, k) for m in markers]) for k in ('arc_length', 'offset'))
+    rows = np.clip(default_postures(robot, 60, 99), *robot.tension_limits)
+    exact = Workmanship().times(0.0)
+    is_, said = (
+        make_plant(robot, h, work=exact).markers(rows, arcs, offsets) for h in (hidden, {})
+    )
+    height, square = arcs / robot.length, ((is_ - said) ** 2).sum(axis=2).mean(axis=0)
+    return replace(robot, model_error=float(np.sqrt(square @ height / (height @ height))))
+
+
+def watched(robot, seed, level, references, frames, lacks):
     """Return a plant maker, and the arm as it is known from free reference postures."""
     markers = default_markers(robot)
     arm = BuiltArm(robot, load_catalogue(), markers, NOISE_M, max(level, 0.3))
-    free = make_plant(robot, {}, seed=seed, work=Workmanship().times(level))
+    free = make_plant(robot, lacks, seed=seed, work=Workmanship().times(level))
     rows = np.clip(default_postures(robot, max(references, 1), 100 + seed), *robot.tension_limits)
     seen = looked(free, rows, markers, np.random.default_rng([seed, 6]), frames)
     if references:
@@ -72,7 +97,7 @@ def looked(plant, rows, markers, random, frames=1):
     return seen + random.normal(0.0, NOISE_M / frames**0.5, seen.shape)
 
 
-def case(robot, full, seed, level, references, frames, where='tip'):
+def case(robot, full, seed, level, references, frames, where='tip', lacks=None):
     """Return error over the quarter force, whether three intervals hold, time, cell named."""
     random = np.random.default_rng([seed, 5])
     direction = random.normal(size=3)
@@ -82,8 +107,9 @@ def case(robot, full, seed, level, references, frames, where='tip'):
     }
     if where != 'tip':
         hidden = {'tether': {'cell': robot.cells // 2, 'force_x': float(full * (1 + seed % 3))}}
+    hidden |= (lacks := lacks or {})
     plant = make_plant(robot, hidden, seed=seed, work=Workmanship().times(level))
-    arm, markers = watched(robot, seed, level, references, frames)
+    arm, markers = watched(robot, seed, level, references, frames, lacks)
     rows = np.clip(default_postures(robot, 8, seed), *robot.tension_limits)
     tensions = rows[seed % 8]
     try:
@@ -126,18 +152,20 @@ def bound(observer, tensions, force):
     return NOISE_M / np.linalg.svd(slopes)[1]
 
 
-def bench(name, seeds, level, references, frames):
+def bench(robot, seeds, level, references, frames, lacks):
     """Return the figures of a robot."""
-    robot = load_robot(f'config/robots/{name}.yaml')
     full, half = quarter_force(robot), robot.cells // 2
     both = {'tip': [], 'side': []}
     for where, seed in product(both, seeds):
-        if (found := case(robot, full, seed, level, references, frames, where)) is not None:
+        found = case(robot, full, seed, level, references, frames, where, lacks)
+        if found is not None:
             both[where].append(found)
     tips, sides = both['tip'], both['side']
     near = [c['cell'] is not None and abs(c['cell'] - half) <= robot.cells // 6 for c in sides]
     return {
-        'robot': name,
+        'robot': robot.name,
+        'lacks': lacks,
+        'model_error [mm]': robot.model_error and round(1e3 * robot.model_error, 2),
         'level': level,
         'reference postures': references,
         'frames': frames,
@@ -165,7 +193,7 @@ def along_axes(tips):
         'bound along its axes, median [%]': medians(bounds),
         'axes that are told to 3 % (1.96 sd) [%]': percent(told),
         'error along these: median, nine in ten below [%]': [
-            round(float(np.quantile(errors[told], q)), 2) for q in (0.5, 0.9)
+            round(float(np.quantile(errors[told], q)), 2) for q in (0.5, 0.9) if told.any()
         ],
     }
 
@@ -187,16 +215,20 @@ def main():
     parser.add_argument('--first', type=int, default=0, help='seed')
     parser.add_argument('--robots', nargs='+', default=ROBOTS)
     parser.add_argument('--as-built', action='store_true', help='with twenty references alone')
+    parser.add_argument('--lacks', metavar='EFFECT', help='half its typical size, not described')
     parser.add_argument('--frames', type=int, default=1, help='averaged, in every posture')
     parser.add_argument('--json', type=Path)
     args = parser.parse_args()
     if args.frames < 1:
         parser.error(f'--frames: expected 1 or more, got {args.frames}')
     rows, seeds = [], range(args.first, args.first + args.cases)
-    for level, references in ((0.0, 20), (1.0, 0), (1.0, 20))[2 if args.as_built else 0 :]:
-        for name in args.robots:
+    levels = ((0.0, 20), (1.0, 0), (1.0, 20))[2 if args.as_built else int(bool(args.lacks)) :]
+    for (level, references), name in product(levels, args.robots):
+        robot = load_robot(f'config/robots/{name}.yaml')
+        lacks = lacking(robot, args.lacks)
+        for described in (robot, knowing(robot, lacks))[: 1 + bool(lacks)]:
             with one_thread():  # as in the nodes
-                rows.append(bench(name, seeds, level, references, args.frames))
+                rows.append(bench(described, seeds, level, references, args.frames, lacks))
             print(json.dumps(rows[-1], indent=1), flush=True)
     if args.json:
         args.json.write_text(json.dumps(rows, indent=1))

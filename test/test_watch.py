@@ -62,6 +62,50 @@ def test_without_a_tracker_the_wire_pulls_tell_the_force():
     assert np.linalg.norm(found.force[:2] - force[:2]) < 0.002
 
 
+ARMS = {'planar': load_robot('kato_10_1'), 'spatial': ROBOT}
+
+
+def drawn_off(robot, size, random):
+    """Return an error (J, 3) [m] that grows along the arm like a random walk."""
+    heights = np.array([m.arc_length for m in default_markers(robot)]) / robot.length
+    root = np.linalg.cholesky(np.minimum.outer(heights, heights))
+    return root @ random.normal(0.0, size / np.sqrt(3.0), (len(heights), 3))
+
+
+@pytest.mark.parametrize('exact', [True, False], ids=['exact', 'as built'])
+@pytest.mark.parametrize('name', ARMS)
+def test_what_the_model_is_known_to_be_off_is_no_force(name, exact):
+    robot, random, off = replace(ARMS[name], exact=exact), np.random.default_rng(8), 4e-3
+    tensions = np.linspace(0.4, 0.8, len(robot.inputs))
+    seen = Model(robot).shape(tensions).positions
+    shapes = [seen + drawn_off(robot, off, random) for _ in range(12)]
+    known = replace(robot, model_error=off)
+    arm = BuiltArm(known, load_catalogue(), default_markers(robot), NOISE)
+    observer = TipForceObserver(arm)
+    assert not any(observer.update(tensions, shape).acts for shape in shapes)
+
+
+@pytest.mark.parametrize('name', ARMS)
+def test_of_a_shape_that_no_force_explains_the_covariance_is_one_nevertheless(name):
+    robot, random = replace(ARMS[name], exact=True), np.random.default_rng(8)
+    tensions = np.linspace(0.4, 0.8, len(robot.inputs))
+    seen = Model(robot).shape(tensions).positions
+    observer = TipForceObserver(
+        BuiltArm(robot, load_catalogue(), default_markers(robot), NOISE)
+    )
+    for _ in range(12):
+        found = observer.update(tensions, seen + drawn_off(robot, 4e-3, random))
+        assert np.linalg.cond(found.covariance) < 1e9
+        assert found.chi2 > 10.0 * found.freedom
+
+
+@pytest.mark.parametrize('name', ARMS)
+def test_references_do_not_make_the_known_error_smaller(name):
+    known = learned_from(replace(ARMS[name], model_error=3e-3))
+    assert known.remainder == pytest.approx(3e-3 / np.sqrt(3.0))
+    assert known.excluded == ()
+
+
 def test_a_force_at_mid_arm_is_told_from_one_at_the_tip():
     plant = make_plant(ROBOT, {'tether': {'cell': 4, 'force_x': 0.03}}, scatter=0.0)
     tensions = np.array([0.4, 0.2, 0.7])

@@ -134,7 +134,8 @@ def _measured_condition(core: ControllerCore, now: float) -> ControllerStatus | 
     doubt, remainder = '', core.loop.remainder(now)
     if core.loop.estimate is not None:  # a bias that is too large for a calibrated model
         offset = float(np.linalg.norm(core.loop.estimate.bias))
-        advice = foreign(offset, core.model.robot.length, core.model.remembers)
+        robot = core.model.robot
+        advice = foreign(offset, robot.length, core.model.remembers, robot.model_error or 0.0)
         doubt = f'; {advice}' if advice else ''
     if remainder is None:
         if core.loop.why_frozen(now):

@@ -47,6 +47,8 @@ BIAS_LENGTH_MAX = 0.4
 # [1] of `tip_gain`: rate at which the distance to a setpoint shrinks, so that the bias is known
 # before the tip arrives (docs/control.md)
 PACE = 2.0
+# [1] of the error that the description knows: a larger bias comes by chance in 1 % of postures
+KNOWN_FACTOR = 2.0
 
 
 @dataclass(frozen=True)
@@ -142,7 +144,7 @@ class TipProgress:
         return self.remainder if now - self.since >= SILENCE_MAX_S else None
 
 
-def foreign(offset: float, length: float, remembers: bool) -> str:
+def foreign(offset: float, length: float, remembers: bool, known: float = 0.0) -> str:
     """
     Return advice about a model whose bias is too large for a calibrated one; '' for a small bias.
 
@@ -152,9 +154,11 @@ def foreign(offset: float, length: float, remembers: bool) -> str:
         Bias of the tip, and length of the arm [m].
     remembers : bool
         Whether the model has friction memory.
+    known : float
+        Error of the tip that the description knows, rms [m].
 
     """
-    if offset < MODEL_ERROR_MAX * length:
+    if offset < max(MODEL_ERROR_MAX * length, KNOWN_FACTOR * known):
         return ''
     lacks = '' if remembers else ', often friction_memory'
     return (

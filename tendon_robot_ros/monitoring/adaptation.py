@@ -44,7 +44,7 @@ from ..inference.predict import FreeParameter, free_parameters
 from ..inference.statistics import chi2_isf
 from ..model.model import Model
 from ..robot import Robot
-from .built_arm import ODD_PROBABILITY, REMAINDERS, BuiltArm
+from .built_arm import ODD_PROBABILITY, BuiltArm
 from .change import CONFIRMED_POSTURES
 
 # [1] standard deviations of half of a 95 % interval, by its probability
@@ -412,7 +412,7 @@ class Adaptation:
                 np.array([one.units(one.low) for one in self._adaptable]),
                 np.array([one.units(one.high) for one in self._adaptable]),
                 expected.columns.shape[1],
-                [part * self.robot.length for part in REMAINDERS[1:]],
+                [size for size in arm.remainders if size > 0.0],
             )
         known = columns[:, own.shape[1] :] @ self._estimate.mean[own.shape[1] :]
         off = measured[rows] - expected.markers[rows] - known

@@ -5,9 +5,10 @@ Its imperfections b (cells, kinks, gains, the tracker's frame; prior: plausible 
 estimated by an extended Kalman filter, y = f(T, b) + remainder + noise, linearised at the
 current estimate. The remainder, which no imperfection explains, is independent between postures
 and smooth along the arm; its size and the noise of the measured tensions maximise the likelihood
-of the reference postures, linear around the last estimate. The variance of the innovations is
-compared with its prediction over one posture and over several in sequence (batch means), and
-widened by the ratio. Tip force and drift alarm use this model.
+of the reference postures, linear around the last estimate. It is at least the `model_error` of the
+description: imperfections that imitate it at the references do not elsewhere. The variance of the
+innovations is compared with its prediction over one posture and over several in sequence (batch
+means), and widened by the ratio. Tip force and drift alarm use this model.
 """
 
 from __future__ import annotations
@@ -106,7 +107,10 @@ class BuiltArm:
         self.split = SplitPredictor(self.whole)
         rest = remainders(predictor(np.zeros((1, 1, J, 3)))).reshape(-1, 3 * J)
         self._rest = rest.T @ rest  # (3 J, 3 J) of a remainder of 1 m sd at the tip
-        self.remainder = 0.0  # [m] 1 sd at the tip
+        known = (robot.model_error or 0.0) / 3.0**0.5  # [m] of a coordinate
+        sizes = {max(part * robot.length, known) for part in REMAINDERS}
+        self.remainders: list[float] = sorted(sizes)  # [m] possible ones
+        self.remainder = self.remainders[0]  # [m] 1 sd of a coordinate at the tip
         self.setting = 0.0  # 1 sd of a measured tension, in plausible gains
         self.excluded: tuple[int, ...] = ()  # indices of misread references
         self.widening = 1.0  # factor on the predicted variances
@@ -297,7 +301,6 @@ class BuiltArm:
     def _vary(self, base: Sequence[_Linear], frames: int) -> None:
         """Set the sizes of remainder and tension noise to those of maximum likelihood."""
         usual = self.plausible[self._gains]
-        remainders = [part * self.robot.length for part in REMAINDERS]
         settings = [size / float(usual[0]) if len(usual) else 0.0 for size in SETTINGS]
         axes: dict[bytes, tuple[Floats, Floats]] = {}
         postures = []
@@ -309,9 +312,9 @@ class BuiltArm:
                 axes[key] = sizes, vectors
             postures.append((free.columns[rows], off, free.bent[rows], axes[key]))
         noise = self.noise / np.sqrt(frames)
-        likely = log_likelihoods(postures, self._gains, noise, remainders, settings)
+        likely = log_likelihoods(postures, self._gains, noise, self.remainders, settings)
         i, j = np.unravel_index(likely.argmax(), likely.shape)
-        self.remainder, self.setting = remainders[i], settings[j]
+        self.remainder, self.setting = self.remainders[i], settings[j]
 
     def learn(self, expected: Expected, measured: Floats, frames: int = 1) -> None:
         """Update the imperfections by a measured posture (3 J,) [m]."""

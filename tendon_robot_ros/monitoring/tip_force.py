@@ -250,7 +250,8 @@ class _Fit:
                 break
         off = np.array(places) - force
         around = off.T @ (weights[:, None] * off)
-        return force, around + (known * values[:2]) @ known.T
+        step = sd * (SPREAD[1] - SPREAD[0]) * worst  # each place stands for all within a step
+        return force, around + np.outer(step, step) / 12.0 + (known * values[:2]) @ known.T
 
     def _elsewhere(
         self, force: Floats, white: Floats, columns: Floats, factor: Floats
