@@ -90,9 +90,7 @@ def test_of_a_shape_that_no_force_explains_the_covariance_is_one_nevertheless(na
     robot, random = replace(ARMS[name], exact=True), np.random.default_rng(8)
     tensions = np.linspace(0.4, 0.8, len(robot.inputs))
     seen = Model(robot).shape(tensions).positions
-    observer = TipForceObserver(
-        BuiltArm(robot, load_catalogue(), default_markers(robot), NOISE)
-    )
+    observer = TipForceObserver(BuiltArm(robot, load_catalogue(), default_markers(robot), NOISE))
     for _ in range(12):
         found = observer.update(tensions, seen + drawn_off(robot, 4e-3, random))
         assert np.linalg.cond(found.covariance) < 1e9
