@@ -49,9 +49,9 @@ FIRST_ANSWER_S = 0.006
 # [1] of the length: largest step between two targets of a stream, and of its extrapolation; a
 # larger step is a new target, because arms of this size take a second for it
 STREAM_LENGTH = 0.1
-# [rad] summed over the arm: wires near its outside move through their eyelets by 80 presliding
+# [rad] half a turn over the arm: wires near its outside move through eyelets by 80 presliding
 # lengths, those at half of the radius by 40, so that every law of friction has lost its memory
-FORGETTING_BEND_RAD = 3.2
+FORGETTING_BEND_RAD = np.pi
 
 
 @dataclass(frozen=True)

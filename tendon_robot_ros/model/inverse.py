@@ -46,9 +46,6 @@ DIRECTION_TOLERANCE = np.deg2rad(0.2)
 # [m²] cost of a tip at that distance. Where friction remembers, searches from far away end at much
 # tension against much tension, so that what the first start reaches is good enough
 TOLERANCE_COST_M2 = cost_of(POSITION_TOLERANCE_M)
-# [1] of the length: near enough where tendons stick, because friction near standstill turns within
-# as much (docs/model.md)
-KINK_LENGTH = 3e-5
 # [1] of a tension's range: a change that is larger is a jump, because it takes a drive seconds
 JUMP_MAX = 0.1
 # [1] of the cost of the one before, that a solution which jumps, or which is reported before the
@@ -130,9 +127,9 @@ class _Search:
         self.task, self.policy, self.model = task, policy, task.model
         self.give_up, self.report = give_up, report
         self.limits = limits_by_pulls(self.model) if task.by_pulls else self.model.limits
-        self.converged_cost, self.kink_cost = (
-            cost_of(part * self.model.robot.length) for part in (CONVERGED_LENGTH, KINK_LENGTH)
-        )  # [m²]
+        converged = CONVERGED_LENGTH * self.model.robot.length
+        # [m²] friction near standstill turns within four times as much (docs/model.md)
+        self.converged_cost, self.kink_cost = cost_of(converged), cost_of(4.0 * converged)
         counts = policy.change_weight > 0.0 and self.model.sticks
         self.previous = task.guess if counts else None  # changes from its tensions cost
 

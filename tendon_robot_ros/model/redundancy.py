@@ -297,7 +297,6 @@ def balanced(
     shape: Shape,
     steps: int,
     give_up: Callable[[], bool] = lambda: False,
-    trust: float = TRUST,
 ) -> Shape:
     """
     Return the posture of lowest cost after up to so many programs from an equilibrium.
@@ -307,11 +306,11 @@ def balanced(
     """
     ends = []
     for start in _starts(balance, balance.begin(shape)):
-        at, width = start, trust
+        at, trust = start, TRUST
         for _ in range(steps):
             if give_up():
                 break
-            improved, width = balance.improve(at, width)
+            improved, trust = balance.improve(at, trust)
             if improved is None:
                 break
             at = improved
