@@ -73,9 +73,7 @@ def new_folder(folder: Path, replaceable: tuple[str, ...] = ()) -> Iterator[Path
         temporary = Path(tempfile.mkdtemp(prefix=DRAFT, dir=folder.parent))
     except OSError as error:
         raise DataSetError(
-            str(shown),
-            f'cannot be written ({error.strerror})',
-            'name a place where you may write',
+            str(shown), f'cannot be written ({error.strerror})', 'name a place where you may write'
         ) from None
     try:
         filled = temporary / folder.name

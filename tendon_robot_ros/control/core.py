@@ -11,14 +11,7 @@ import numpy as np
 from ..common.arrays import Floats
 from ..common.errors import DriverError, TendonRobotError
 from ..drivers.safety import CYCLE_MAX_S, approach, bounded
-from .inputs import (
-    Output,
-    Refusal,
-    Target,
-    Trajectory,
-    Twist,
-    another_robot,
-)
+from .inputs import Output, Refusal, Target, Trajectory, Twist, another_robot
 from .modes import FollowTarget, FollowTwist, NullSpace, PlayTrajectory, PullPath
 from .state import ControllerState, Mode, ShapeTracker
 from .target_search import (

@@ -59,10 +59,7 @@ class Loader:
     """Reads a description, compiles it in a child process and loads the model; poll `done`."""
 
     def __init__(
-        self,
-        read: Callable[[], Robot],
-        effects: Sequence[str],
-        inputs: tuple[str, ...] = (),
+        self, read: Callable[[], Robot], effects: Sequence[str], inputs: tuple[str, ...] = ()
     ) -> None:
         """
         Start in a thread; `result` raises its errors.

@@ -19,12 +19,7 @@ from ..drivers.safety import StopLatch, bounded
 from ..model.program import RANGE_TOLERANCE, bounded_least_squares
 from .inputs import Refusal, Settings, Target, Trajectory, Twist
 from .solver import GiveUp, Solver
-from .tip_estimator import (
-    NOISE_SAMPLES,
-    NullSpaceMotion,
-    TipEstimate,
-    bias_part,
-)
+from .tip_estimator import NOISE_SAMPLES, NullSpaceMotion, TipEstimate, bias_part
 
 if TYPE_CHECKING:
     from ..model.model import Model

@@ -19,13 +19,7 @@ import numpy as np
 from ..common.arrays import Floats
 from ..common.estimation import kalman_update
 from ..model.derivatives import tip_slopes
-from ..model.program import (
-    RANGE_TOLERANCE,
-    STEP_DAMPING,
-    STEP_GAIN,
-    STEP_MAX,
-    bounded_step,
-)
+from ..model.program import RANGE_TOLERANCE, STEP_DAMPING, STEP_GAIN, STEP_MAX, bounded_step
 
 if TYPE_CHECKING:
     from ..model.model import Model

@@ -190,11 +190,7 @@ class Choice:
 
 
 def choose(
-    question: OpenQuestion,
-    measured: DataSet,
-    pool: Floats,
-    catalogue: Catalogue,
-    count: int = 1,
+    question: OpenQuestion, measured: DataSet, pool: Floats, catalogue: Catalogue, count: int = 1
 ) -> list[Choice]:
     """
     Choose the most informative postures, one after the other.

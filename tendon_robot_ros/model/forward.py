@@ -131,10 +131,7 @@ class ForwardModel:
         return tensions_of(self.robot, tensions)
 
     def shape(
-        self,
-        tensions: TensionsLike,
-        guess: Floats | None = None,
-        memory: Floats | None = None,
+        self, tensions: TensionsLike, guess: Floats | None = None, memory: Floats | None = None
     ) -> Shape:
         """
         Return the shape under input tensions.

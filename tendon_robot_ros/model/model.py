@@ -65,10 +65,7 @@ class Model(ForwardModel):
         return tip_jacobian(self, self.tensions(tensions))
 
     def derivatives(
-        self,
-        shapes: ShapeBatch,
-        columns: Sequence[Column],
-        output: Output | None = None,
+        self, shapes: ShapeBatch, columns: Sequence[Column], output: Output | None = None
     ) -> Floats:
         """Return derivatives by tensions and parameters; see `derivatives.derivatives`."""
         return derivatives(self, shapes, columns, output)

@@ -293,10 +293,7 @@ class Balance:
 
 
 def balanced(
-    balance: Balance,
-    shape: Shape,
-    steps: int,
-    give_up: Callable[[], bool] = lambda: False,
+    balance: Balance, shape: Shape, steps: int, give_up: Callable[[], bool] = lambda: False
 ) -> Shape:
     """
     Return the posture of lowest cost after up to so many programs from an equilibrium.

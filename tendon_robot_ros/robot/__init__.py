@@ -16,12 +16,4 @@ A new key of the description is read in description.py and written in loading.py
 from .description import Robot, Section, Tendon, parse_robot
 from .loading import RobotLike, dump_robot, load_robot
 
-__all__ = [
-    'Robot',
-    'RobotLike',
-    'Section',
-    'Tendon',
-    'dump_robot',
-    'load_robot',
-    'parse_robot',
-]
+__all__ = ['Robot', 'RobotLike', 'Section', 'Tendon', 'dump_robot', 'load_robot', 'parse_robot']
