@@ -74,13 +74,9 @@ def times(ratio: float) -> str:
 
 def probability(p: float) -> str:
     """Show a p-value."""
-    return (
-        'p < 1e-300'
-        if p == 0.0
-        else f'p = {digits(p, 2)}'
-        if p >= 1e-4
-        else f'p = {p:.0e}'.replace('e-0', 'e-')
-    )
+    if p == 0.0:
+        return 'p < 1e-300'
+    return f'p = {digits(p, 2)}' if p >= 1e-4 else f'p = {p:.0e}'.replace('e-0', 'e-')
 
 
 def commands(inputs: Mapping[str, float | None], kind: str = 'tension') -> str:

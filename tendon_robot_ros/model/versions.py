@@ -132,14 +132,10 @@ def compiled_once(kind: str, effects: tuple[UserEffect, ...] = ()) -> Iterator[N
     """
     catalogue = catalogue_of(effects)
     mark = cache_folder() / f'compiled_{kind}_{kernel_key(catalogue)}'
-    if mark.exists():
-        yield
-        return
     with mark.with_suffix('.lock').open('w') as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if mark.exists():
+        if not mark.exists():
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        if mark.exists():  # done already, or while this process waited
             fcntl.flock(lock, fcntl.LOCK_UN)
-            yield
-            return
         yield
         mark.touch()

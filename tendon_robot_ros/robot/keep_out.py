@@ -41,8 +41,7 @@ class Plane:
     def distance(self, points: Floats) -> Floats:
         """Return how far points (..., 3) [m] are before the plane, (...) [m]."""
         normal = np.array(self.normal)
-        along: Floats = (points - np.array(self.point)) @ (normal / np.linalg.norm(normal))
-        return along
+        return np.asarray((points - self.point) @ (normal / np.linalg.norm(normal)))
 
 
 @dataclass(frozen=True)
@@ -54,8 +53,7 @@ class Sphere:
 
     def distance(self, points: Floats) -> Floats:
         """Return how far points (..., 3) [m] are outside, (...) [m]; negative: inside."""
-        distance: Floats = np.linalg.norm(points - np.array(self.centre), axis=-1) - self.radius
-        return distance
+        return np.asarray(np.linalg.norm(points - self.centre, axis=-1) - self.radius)
 
 
 @dataclass(frozen=True)
@@ -69,10 +67,9 @@ class Box:
     def distance(self, points: Floats) -> Floats:
         """Return how far points (..., 3) [m] are outside, (...) [m]; negative: inside."""
         edges = from_rotation_vector(self.rotation)  # columns
-        over = np.abs((points - np.array(self.centre)) @ edges) - 0.5 * np.array(self.size)
+        over = np.abs((points - self.centre) @ edges) - 0.5 * np.array(self.size)
         outside = np.linalg.norm(np.maximum(over, 0.0), axis=-1)
-        distance: Floats = outside + np.minimum(over.max(axis=-1), 0.0)
-        return distance
+        return np.asarray(outside + np.minimum(over.max(axis=-1), 0.0))
 
 
 Solid = Plane | Sphere | Box
