@@ -262,6 +262,11 @@ def common_error(dataset: DataSet, rows: npt.NDArray[np.int64], accuracy: float)
     return np.asarray(accuracy**2 / 3.0 * np.minimum.outer(height, height) * same)
 
 
+def relative_error(known: float, tips: Floats) -> float:
+    """Return a known error of a model [m] relative to what the tip (P, 3) [m] moves [1]."""
+    return known / max(rms(tips - np.nanmean(tips, axis=0)), known) if known else 0.0
+
+
 def rms(difference: Floats) -> float:
     """Root mean square 3-D distance [m] over visible markers (P, J, 3); nan without any."""
     distance2 = (difference**2).sum(axis=-1)

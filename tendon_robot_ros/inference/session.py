@@ -28,7 +28,7 @@ from .fit import Fit
 from .fitter import FAILURES, GAINS_TO_COME, Descent, Fitter
 from .imperfections import NO_IMPERFECTIONS, REMAINDER, Imperfections, Members, SplitPredictor
 from .marginal import RandomEffects
-from .noise import Noise, Whitener, estimate_noise, input_slopes, rms
+from .noise import Noise, Whitener, estimate_noise, input_slopes, relative_error
 from .outliers import Outliers, without_unsettled
 from .predict import FreeParameter, Point, Predictor
 from .slopes import imperfections
@@ -246,9 +246,7 @@ class Session:
         """Return the known error of the model relative to what the tip moves [1]."""
         reference, dataset = self.dataset.reference, self.dataset
         known = self.robot.model_error or 0.0 if reference is None else reference.error
-        tips = dataset.mean[:, int(np.argmax(dataset.arc_lengths))]
-        moved = rms(tips - np.nanmean(tips, axis=0))
-        return known / max(moved, known) if known else 0.0
+        return relative_error(known, dataset.mean[:, int(np.argmax(dataset.arc_lengths))])
 
     def fitter(self, worker: int = 0) -> Fitter:
         """Return a fitter of a worker with the present weights."""

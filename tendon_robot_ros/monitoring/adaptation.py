@@ -406,7 +406,7 @@ class Adaptation:
         own = self._slopes(point, np.maximum(tensions, 0.0)[None])
         if own is None:
             return False
-        columns = np.hstack([own, expected.columns])[rows]
+        columns = np.hstack([own, expected.columns @ arm.prior])[rows]
         if self._estimate is None:
             self._estimate = RecursiveEstimate(
                 np.array([one.units(one.low) for one in self._adaptable]),

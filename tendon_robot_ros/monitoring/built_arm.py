@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -25,12 +26,13 @@ from ..common.estimation import kalman_update
 from ..data import DataSet, Marker
 from ..effects import Catalogue
 from ..inference.imperfections import GAIN, KINK, PLAUSIBLE_SIZES, SplitPredictor, remainders
+from ..inference.noise import relative_error
 from ..inference.predict import Point, Predictor, SettledShapes
 from ..inference.slopes import imperfections
 from ..model.shape import ShapeBatch
 from ..robot import Robot
 from ..robot.estimates import bend_rates, end_sections, natural_sizes
-from .references import Reference, contradicted, log_likelihoods, widening
+from .references import Reference, contradicted, log_likelihood, widening
 
 Bools = npt.NDArray[np.bool_]
 # [1] of the length: sizes of the remainder at the tip, 1 sd; factors of three, because the
@@ -114,12 +116,14 @@ class BuiltArm:
         self.setting = 0.0  # 1 sd of a measured tension, in plausible gains
         self.excluded: tuple[int, ...] = ()  # indices of misread references
         self.widening = 1.0  # factor on the predicted variances
-        self.kinds = self.split.kinds() if self.level > 0.0 else ()
-        usual = [np.full(len(kind), self.level * kind.plausible) for kind in self.kinds]
-        self.plausible = np.concatenate(usual) if usual else np.zeros(0)  # (q,) 1 sd, each a unit
-        names = np.repeat([kind.name for kind in self.kinds], [len(kind) for kind in self.kinds])
-        self._gains = np.flatnonzero(names == GAIN)
-        self._kinked = usual_kinks(robot, level) if self.kinds else np.zeros(m)
+        self.response = 0.0  # known error relative to what the tip moves [1]
+        self.kinds = self.split.kinds()
+        counts, scale = [len(kind) for kind in self.kinds], self.level or 1.0
+        self.plausible = scale * np.repeat([k.plausible for k in self.kinds], counts)  # (q,) 1 sd
+        self._gains = np.flatnonzero(np.repeat([k.name == GAIN for k in self.kinds], counts))
+        self._kinked = usual_kinks(robot, self.level)
+        # covariance (q, q) of the imperfections [sd²]; an exact arm is known to have none
+        self.prior = float(self.level > 0.0) * np.eye(len(self.plausible))
         self._members: dict[str, Floats] | None = None
         self.forget()
 
@@ -128,7 +132,7 @@ class BuiltArm:
         """Estimated imperfections by kind [its unit]."""
         if self._members is None:
             ends = np.cumsum([len(kind) for kind in self.kinds])[:-1]
-            own = np.split(self.mean * self.plausible, ends) if self.kinds else []
+            own = np.split(self.mean * self.plausible, ends)
             named = zip(self.kinds, own, strict=True)
             self._members = {kind.name: values for kind, values in named}
         return self._members
@@ -189,7 +193,7 @@ class BuiltArm:
 
     def forget(self) -> None:
         """Reset the imperfections to their prior."""
-        self.mean, self.covariance = np.zeros(len(self.plausible)), np.eye(len(self.plausible))
+        self.mean, self.covariance = np.zeros(len(self.plausible)), self.prior
         self._members = None
 
     def as_known(self, mean: Floats, covariance: Floats) -> BuiltArm:
@@ -256,13 +260,13 @@ class BuiltArm:
         for _ in range(ROUNDS_MAX):
             before = counts
             base = self._sized(tensions, positions, frames, before)
-            references = [
-                None if one is None else Reference(*self.observation(*one, frames)) for one in base
-            ]
+            references = [None if one is None else self._reference(one, frames) for one in base]
             counts = near & ~contradicted(references, before)
             if np.array_equal(counts, before):
                 break
         self.excluded = tuple(np.flatnonzero(~counts).tolist())
+        tip = int(np.argmax(self.whole.dataset.arc_lengths))
+        self.response = relative_error(self.robot.model_error or 0.0, positions[counts, tip])
         scores = self._follow(tensions[counts], positions[counts], frames)
         self.widening = widening(scores[len(scores) // 3 :])
         return self.remainder
@@ -287,6 +291,11 @@ class BuiltArm:
                 self.learn(replace(free, markers=markers), measured, frames)
         return base
 
+    def _reference(self, one: _Linear, frames: int) -> Reference:
+        """Return a reference posture with its sizes as they are now."""
+        off, columns, scatter = self.observation(*one, frames)
+        return Reference(off, columns @ self.prior, scatter)
+
     def _near(self, tensions: Floats, positions: Floats) -> Bools:
         """Return which postures (P,) have errors of the usual size."""
         off = np.full(len(tensions), np.nan)
@@ -301,20 +310,13 @@ class BuiltArm:
     def _vary(self, base: Sequence[_Linear], frames: int) -> None:
         """Set the sizes of remainder and tension noise to those of maximum likelihood."""
         usual = self.plausible[self._gains]
-        settings = [size / float(usual[0]) if len(usual) else 0.0 for size in SETTINGS]
-        axes: dict[bytes, tuple[Floats, Floats]] = {}
-        postures = []
-        for free, measured in base:
-            rows = np.isfinite(measured)
-            off = measured[rows] - free.markers[rows]
-            if (key := rows.tobytes()) not in axes:
-                sizes, vectors = np.linalg.eigh(self.rest(rows))
-                axes[key] = sizes, vectors
-            postures.append((free.columns[rows], off, free.bent[rows], axes[key]))
-        noise = self.noise / np.sqrt(frames)
-        likely = log_likelihoods(postures, self._gains, noise, self.remainders, settings)
-        i, j = np.unravel_index(likely.argmax(), likely.shape)
-        self.remainder, self.setting = self.remainders[i], settings[j]
+        settings = [size / usual[0] for size in SETTINGS] if len(usual) else [0.0]
+
+        def likely(sizes: tuple[float, float]) -> float:
+            self.remainder, self.setting = sizes
+            return log_likelihood([self._reference(one, frames) for one in base])
+
+        self.remainder, self.setting = max(product(self.remainders, settings), key=likely)
 
     def learn(self, expected: Expected, measured: Floats, frames: int = 1) -> None:
         """Update the imperfections by a measured posture (3 J,) [m]."""
@@ -358,14 +360,11 @@ class BuiltArm:
 
     def columns(self, inputs: Floats, point: Point) -> Floats | None:
         """Return the motion of the markers (3 J, q) [m] by imperfections of plausible size."""
-        size = 3 * len(self.whole.dataset.markers)
-        if not self.kinds:
-            return np.zeros((size, 0))
         self.split.inputs = inputs
         responses = imperfections(self.split, point, self.members)
         if responses is None:
             return None
-        moves = responses.moves[: len(self.plausible)].reshape(-1, size)
+        moves = responses.moves[: len(self.plausible)].reshape(len(self.plausible), -1)
         return np.asarray((self.plausible[:, None] * moves).T)
 
 

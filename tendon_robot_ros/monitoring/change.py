@@ -382,8 +382,6 @@ class ChangeWork:
     def _columns(self, point: Point) -> Floats | None:
         """Return the motion of the markers (P, 3 J, q) [m] by imperfections of plausible size."""
         own = self.arm.plausible
-        if not len(own):
-            return np.zeros((*self.postures.positions.shape, 0))
         responses = imperfections(self.split, point, self.arm.members)
         if responses is None:
             return None

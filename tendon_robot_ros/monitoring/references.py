@@ -2,9 +2,8 @@
 Statistics of the reference postures: sizes of noise, outliers, and widening of variances.
 
 Sizes: linear postures y = C b + e have imperfections b of 1 sd each, and independent errors e with
-the covariance r^2 R + s^2 G G' + B B' + n^2 I of remainder, tension noise, nonlinearity, and
-tracker noise. The likelihood is that of the sequential filter (chain rule); in one batch the terms
-that do not depend on a size are computed once.
+the covariance S of remainder, tension noise, nonlinearity, and tracker noise. The likelihood is
+that of the sequential filter (chain rule).
 
 A reference that was misread by some millimetres (an error of the tracker or of a load cell, a hand
 at the arm) biases the estimate and widens the prediction of every later posture. Each reference is
@@ -33,81 +32,11 @@ from ..common.arrays import Floats
 from ..inference.outliers import outlier_limits
 
 Bools = npt.NDArray[np.bool_]
-# C (n, q), y (n,), B (n, k), and of R (n, n) eigenvalues (n,) and eigenvectors (n, n)
-Posture = tuple[Floats, Floats, Floats, tuple[Floats, Floats]]
 # [1] lengths of batches of successive postures, because correlated innovations appear only in the
 # sums
 BATCHES = 1, 4, 8
 # [1] references; fewer would not show by how much errors of the model make the norms vary
 USUAL_MIN = 10
-
-
-def log_likelihoods(
-    postures: Sequence[Posture],
-    gains: npt.NDArray[np.intp],
-    noise: float,
-    remainders: Sequence[float],
-    settings: Sequence[float],
-) -> Floats:
-    """
-    Return the log likelihood for every remainder and setting, up to a constant.
-
-    Parameters
-    ----------
-    postures : sequence of (C, y, B, R)
-        As above [m] for visible coordinates; R of 1 m by its eigenvalues and eigenvectors.
-    gains : (m,) of int
-        Columns G of C that are gains: an error of a measured tension acts as one.
-    noise : float
-        1 sd of a coordinate [m].
-    remainders, settings : sequence of float
-        Sizes r [m] and s, 1 sd each.
-
-    Returns
-    -------
-    ndarray, shape (remainders, settings)
-
-    """
-    rotated = []  # to the eigenbasis of R: its eigenvalues, [C y] and [G B]
-    for columns, off, bent, (sizes, axes) in postures:
-        beside = np.column_stack([columns[:, gains], bent])
-        known = axes.T @ np.column_stack([columns, off])
-        rotated.append((sizes.clip(0.0), known, axes.T @ beside))
-    likely = np.empty((len(remainders), len(settings)))
-    for i, remainder in enumerate(remainders):
-        both, spread, parts = np.zeros(()), 0.0, []
-        for sizes, known, beside in rotated:
-            variance = remainder**2 * sizes + noise**2
-            weighted = beside / variance[:, None]
-            both = both + known.T @ (known / variance[:, None])  # (q + 1, q + 1)
-            spread += float(np.log(variance).sum())
-            parts.append((weighted.T @ known, weighted.T @ beside))
-        for j, setting in enumerate(settings):
-            likely[i, j] = _likelihood(both, spread, parts, setting, gains)
-    return likely
-
-
-def _likelihood(
-    both: Floats,
-    spread: float,
-    beside: Sequence[tuple[Floats, Floats]],
-    setting: float,
-    gains: npt.NDArray[np.intp],
-) -> float:
-    """Return the log likelihood by tension noise, nonlinearity (Woodbury) and the prior of b."""
-    projected = []
-    for known, itself in beside:
-        scale = np.ones(len(itself))
-        scale[: len(gains)] = setting
-        root = np.linalg.cholesky(np.eye(len(itself)) + scale[:, None] * itself * scale)
-        spread += 2.0 * float(np.log(np.diag(root)).sum())
-        projected.append(np.linalg.solve(root, scale[:, None] * known))
-    stacked = np.vstack(projected)
-    remaining = both - stacked.T @ stacked
-    information, gradient = np.eye(len(remaining) - 1) + remaining[:-1, :-1], remaining[:-1, -1]
-    spread += float(np.linalg.slogdet(information)[1])
-    explained = gradient @ np.linalg.solve(information, gradient)
-    return -0.5 * float(remaining[-1, -1] - explained + spread)
 
 
 @dataclass(frozen=True)
@@ -117,6 +46,20 @@ class Reference:
     off: Floats  # (r,) [m] residual of the prediction without imperfections
     columns: Floats  # (r, q) [m per sd]
     scatter: Floats  # (r, r) [m²] covariance of the independent errors
+
+
+def log_likelihood(references: Sequence[Reference]) -> float:
+    """Return the log likelihood of all references as one normal vector, up to a constant."""
+    spread, total = 0.0, np.zeros(())
+    for one in references:
+        root = np.linalg.cholesky(one.scatter)
+        white = np.linalg.solve(root, np.column_stack([one.columns, one.off]))
+        total = total + white.T @ white
+        spread += 2.0 * float(np.log(np.diag(root)).sum())
+    known = np.eye(len(total) - 1) + total[:-1, :-1]
+    explained = total[:-1, -1] @ np.linalg.solve(known, total[:-1, -1])
+    spread += float(np.linalg.slogdet(known)[1])
+    return -0.5 * float(total[-1, -1] - explained + spread)
 
 
 def contradicted(references: Sequence[Reference | None], counts: Bools) -> Bools:

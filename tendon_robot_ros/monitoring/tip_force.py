@@ -9,7 +9,8 @@ covariance is noise that all markers share. Without a tracker, wire pulls replac
     F += (J' V^-1 J)^-1 J' V^-1 r   (Gauss-Newton)
 
 Unloaded references contain no information on the errors of the model of a loaded arm: the loaded
-remainder is proportional to the motion of the arm by the load.
+remainder is proportional to the motion of the arm by the load, as the known error of the model is
+to what the tip moves.
 
 Along the line from tip to base a force hardly bends the arm, and f is not linear: mean and
 covariance are those of the posterior, integrated numerically along that axis.
@@ -337,9 +338,9 @@ class _KeptWhitening:
         """Return the inverse root of the covariance of the valid coordinates."""
         own, rows = self.columns[data.rows], data.rows
         scatter = arm.scatter(rows, self.columns, data.frames)
-        if arm.level > 0.0:
-            scatter += (LOADED_ERROR * self.moved) ** 2 * arm.rest(rows)
-        covariance = own @ arm.covariance @ own.T + scatter
+        loaded = max(arm.response, LOADED_ERROR if arm.level > 0.0 else 0.0) * self.moved
+        scatter += loaded**2 * arm.rest(rows)
+        covariance = arm.widening * (own @ arm.covariance @ own.T + scatter)
         return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
 
     def serves(self, arm: BuiltArm, data: _Measured, expected: Floats) -> bool:

@@ -292,12 +292,8 @@ class DriftAlarm:
 
     def _log_ratio(self, point: _ChangePoint, i: int, without: int = -1) -> float:
         """Return the log likelihood ratio of a change since a change point against no change."""
-        place = self._places[i]
-        scale, (information, score) = self._spread[place], point.without(without)
-        both = information[place, place] * np.outer(scale, scale) + np.eye(len(scale))
-        score = score[place] * scale
-        gained = float(score @ np.linalg.solve(both, score))
-        return 0.5 * gained - 0.5 * float(np.linalg.slogdet(both)[1])
+        place, (information, score) = self._places[i], point.without(without)
+        return log_ratio(information[place, place], score[place], self._spread[place])
 
     def _signatures(self, tensions: Floats, built: Floats) -> Floats | None:
         """Return the motion of the markers by a unit of every change, (3 J, c) [m per unit]."""
@@ -313,6 +309,13 @@ class DriftAlarm:
             moved = whole.markers({free: value + step}, inputs)
             columns.append(np.zeros(base.size) if moved is None else (moved - base).ravel() / step)
         return np.column_stack([*columns, built / self.arm.plausible])
+
+
+def log_ratio(information: Floats, score: Floats, spread: Floats) -> float:
+    """Return log E of a change, from C (k, k), d (k,) and its prior 1 sd (k,); see the module."""
+    both, score = information * np.outer(spread, spread) + np.eye(len(spread)), score * spread
+    gained = float(score @ np.linalg.solve(both, score))
+    return 0.5 * gained - 0.5 * float(np.linalg.slogdet(both)[1])
 
 
 def _sum(logs: Floats) -> float:
