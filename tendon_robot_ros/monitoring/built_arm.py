@@ -43,9 +43,6 @@ REMAINDERS = 0.0, 0.0003, 0.001, 0.003, 0.01
 SETTINGS = 0.0, 0.0005, 0.001, 0.002, 0.005
 # [1] iterations of sizes and outliers; more would only alternate between the same sets
 ROUNDS_MAX = 6
-# [1] of the median error: a reference with a larger error is misread, because errors of one arm
-# differ by less
-FAR_FACTOR = 10.0
 # [1] significance of a posture that does not fit the arm: its probability by chance
 ODD_PROBABILITY = 1e-6
 
@@ -239,8 +236,7 @@ class BuiltArm:
         """
         Fit to reference postures, with the sizes of remainder and noise of maximum likelihood.
 
-        Misread references are `excluded`: ten times the median error of the description, or
-        outliers in the prediction by the others.
+        Misread references are `excluded`: outliers in the prediction by the others.
 
         Parameters
         ----------
@@ -256,12 +252,12 @@ class BuiltArm:
 
         """
         self.forget()
-        near = counts = self._near(tensions, positions)
+        counts = np.ones(len(tensions), dtype=np.bool_)
         for _ in range(ROUNDS_MAX):
             before = counts
             base = self._sized(tensions, positions, frames, before)
             references = [None if one is None else self._reference(one, frames) for one in base]
-            counts = near & ~contradicted(references, before)
+            counts = ~contradicted(references, before)
             if np.array_equal(counts, before):
                 break
         self.excluded = tuple(np.flatnonzero(~counts).tolist())
@@ -295,17 +291,6 @@ class BuiltArm:
         """Return a reference posture with its sizes as they are now."""
         off, columns, scatter = self.observation(*one, frames)
         return Reference(off, columns @ self.prior, scatter)
-
-    def _near(self, tensions: Floats, positions: Floats) -> Bools:
-        """Return which postures (P,) have errors of the usual size."""
-        off = np.full(len(tensions), np.nan)
-        for i, (inputs, measured) in enumerate(zip(tensions, positions, strict=True)):
-            shapes = self.shapes(np.maximum(inputs, 0.0)[None], {})
-            if shapes is not None and np.isfinite(measured).any():
-                apart = self.split.see(shapes).reshape(measured.shape) - measured
-                off[i] = np.sqrt(np.nanmean(apart**2))
-        usual = np.nanmedian(off) if np.isfinite(off).any() else np.inf
-        return np.asarray(~(off > FAR_FACTOR * max(float(usual), self.noise)))
 
     def _vary(self, base: Sequence[_Linear], frames: int) -> None:
         """Set the sizes of remainder and tension noise to those of maximum likelihood."""

@@ -30,8 +30,9 @@ from ..common.arrays import Floats
 from ..common.estimation import gauss_newton
 from ..common.words import digits, mm, spoken, with_unit
 from ..data import DataSet
-from ..inference.imperfections import GAIN, SplitPredictor
+from ..inference.imperfections import GAIN, Kind, SplitPredictor
 from ..inference.intervals import load_of, vector_rows
+from ..inference.marginal import RandomEffects
 from ..inference.predict import CELLS, FreeParameter, Point, Predictor, free_parameters
 from ..inference.slopes import imperfections
 from ..inference.statistics import chi2_sf
@@ -172,35 +173,31 @@ class MeasuredPostures:
 
 
 class _Weights:
-    """Covariance V of the visible coordinates, factored by the imperfections (Woodbury)."""
+    """Covariance V of the visible coordinates: of each posture, and by imperfections of all."""
 
     def __init__(self, arm: BuiltArm, postures: MeasuredPostures, columns: Floats) -> None:
         """Take the columns (P, 3 J, q) [m per sd] of the imperfections."""
-        self.rows, self._roots, log = postures.rows, list[Floats](), 0.0
+        self.rows, self._roots, self.log_determinant = postures.rows, list[Floats](), 0.0
         for rows, own, frames in zip(postures.rows, columns, postures.frames, strict=True):
             root = np.linalg.cholesky(arm.widening * arm.scatter(rows, own, frames))
-            log += 2.0 * float(np.log(np.diag(root)).sum())
+            self.log_determinant += 2.0 * float(np.log(np.diag(root)).sum())
             self._roots.append(np.linalg.inv(root))
         q = len(arm.covariance)
         known = np.linalg.cholesky(arm.widening * arm.covariance + 1e-12 * np.eye(q))
-        self._built = self.white(columns) @ known
-        inner = np.linalg.cholesky(np.eye(q) + self._built.T @ self._built)
-        self._inner = np.linalg.inv(inner)
-        self.log_determinant = log + 2.0 * float(np.log(np.diag(inner)).sum())
+        built, size = Kind('built', '1', 1.0, tuple(map(str, range(q)))), np.ones(1)
+        owners = np.zeros(q, dtype=np.int64)
+        self._random = RandomEffects(self._scattered(columns) @ known, owners, [built])
+        self._lift = self._random.root(size)
+        self.log_determinant += self._random.log_determinant(size)
 
-    def white(self, values: Floats) -> Floats:
+    def _scattered(self, values: Floats) -> Floats:
         """Whiten values (P, 3 J, ...) by the scatter of each posture: (N, ...)."""
         parts = zip(self._roots, values, self.rows, strict=True)
         return np.concatenate([root @ own[rows] for root, own, rows in parts])
 
-    def lifted(self, white: Floats) -> tuple[Floats, Floats]:
-        """Return whitened values and their projection on the imperfections."""
-        return white, self._inner @ (self._built.T @ white)
-
-    @staticmethod
-    def product(one: tuple[Floats, Floats], other: tuple[Floats, Floats]) -> Floats:
-        """Return x' V^-1 y of two results of `lifted`."""
-        return np.asarray(one[0].T @ other[0] - one[1].T @ other[1])
+    def white(self, values: Floats) -> Floats:
+        """Whiten values (P, 3 J, ...): (N, ...), whose products are x' V^-1 y."""
+        return self._random.lift(self._lift, self._scattered(values))
 
 
 @dataclass(frozen=True)
@@ -299,13 +296,14 @@ class ChangeWork:
     def _member(self, change: PossibleChange) -> ChangeFit:
         """Fit changed imperfections (linear)."""
         weights, slopes = self.weights, self._slopes_of_members(change)
-        white = weights.lifted(weights.white(self.postures.positions - self.expected))
-        columns = weights.lifted(weights.white(slopes))
-        information = weights.product(columns, columns)
+        white, columns = (
+            weights.white(self.postures.positions - self.expected),
+            weights.white(slopes),
+        )
+        information = columns.T @ columns
         prior = np.diag((SCALES[-1] * change.spread) ** -2.0)
-        values = np.linalg.solve(information + prior, weights.product(columns, white))
-        residual = white[0] - columns[0] @ values, white[1] - columns[1] @ values
-        chi2 = float(weights.product(residual, residual))
+        values = np.linalg.solve(information + prior, columns.T @ white)
+        chi2 = float(((white - columns @ values) ** 2).sum())
         log = self._evidence(change, values, chi2, information)
         return ChangeFit(change, values, log, information + prior, chi2)
 
@@ -316,21 +314,19 @@ class ChangeWork:
         low, high = np.array([(f.parameter.low, f.parameter.high) for f in frees]).T - described
         prior = np.diag((SCALES[-1] * change.spread) ** -2.0)
 
-        def linearised(
-            values: Floats, whitened: tuple[Floats, Floats]
-        ) -> tuple[Floats, Floats] | None:
+        def linearised(values: Floats, white: Floats) -> tuple[Floats, Floats] | None:
             slopes = self._slopes(change, self._point(change, values))
             if slopes is None:
                 return None
-            columns = weights.lifted(weights.white(slopes))
-            return weights.product(columns, columns), weights.product(columns, whitened)
+            columns = weights.white(slopes)
+            return columns.T @ columns, columns.T @ white
 
-        def whitened(values: Floats) -> tuple[tuple[Floats, Floats], float] | None:
+        def whitened(values: Floats) -> tuple[Floats, float] | None:
             markers = self._markers(self._point(change, values))
             if markers is None:
                 return None
-            white = weights.lifted(weights.white(self.postures.positions - markers))
-            return white, float(weights.product(white, white))
+            white = weights.white(self.postures.positions - markers)
+            return white, float(white @ white)
 
         start = np.zeros(len(frees)) if start is None else start
         fit = gauss_newton(start, prior, whitened, linearised, (low, high))

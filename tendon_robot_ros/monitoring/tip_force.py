@@ -211,7 +211,7 @@ class _Fit:
             self.observer.slopes = np.zeros((len(self.rows), 3))
             self.observer.slopes[self.rows] = np.linalg.solve(factor, columns)
         freedom = max(int(self.rows.sum()) - 3, 1)
-        wider = max(chi2 / freedom, 1.0) if self.data.markers else 1.0
+        wider = max(chi2 / freedom, self.observer.arm.widening) if self.data.markers else 1.0
         cell, contact = self._elsewhere(force, white, columns, factor)
         mean, covariance = self._spread(force, columns, normal, wider)
         return TipForce(mean, covariance, chi2, freedom, cell, contact)
@@ -340,7 +340,7 @@ class _KeptWhitening:
         scatter = arm.scatter(rows, self.columns, data.frames)
         loaded = max(arm.response, LOADED_ERROR if arm.level > 0.0 else 0.0) * self.moved
         scatter += loaded**2 * arm.rest(rows)
-        covariance = arm.widening * (own @ arm.covariance @ own.T + scatter)
+        covariance = own @ arm.covariance @ own.T + scatter
         return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
 
     def serves(self, arm: BuiltArm, data: _Measured, expected: Floats) -> bool:
