@@ -10,7 +10,7 @@ of it). Every draw is a line of FILE; begun again with the same FILE it goes on.
 
 `--misread S`: a reference posture is off by S mm in some direction (the tracker wrong for once).
 `--quiet N` lets an arm stand for N postures instead, one every four seconds; `--loaded`: with a
-payload, which its description knows.
+payload, which its description knows; `--exact`: built exactly as described.
 
 example: python benchmarks/bench_drift.py --output drift.jsonl --cases 20
 example: python benchmarks/bench_drift.py --output quiet.jsonl --robot spatial_3 --quiet 21600
@@ -21,6 +21,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -50,9 +51,10 @@ TOLD_EVERY = 200  # postures of an arm that does not change, between two lines
 class Watch:
     """A simulated arm that is watched."""
 
-    def __init__(self, name, seed, loaded=False, misread=0.0):
+    def __init__(self, name, seed, loaded=False, misread=0.0, exact=False):
         """Let it learn its reference postures; one is off by so much [m]."""
         self.robot, self.seed = load_robot(f'config/robots/{name}.yaml'), seed
+        self.robot, self.work = replace(self.robot, exact=exact), Workmanship().times(not exact)
         if loaded:
             force = LOAD_SHARE * natural_sizes(self.robot)['force']
             self.robot = self.robot.with_effect('tip_load', {'force_x': force})
@@ -69,7 +71,7 @@ class Watch:
 
     def made(self, hidden):
         """Return this arm with something hidden."""
-        return make_plant(self.robot, hidden, seed=self.seed, work=Workmanship())
+        return make_plant(self.robot, hidden, seed=self.seed, work=self.work)
 
     def alarm(self):
         """Return an alarm that knows the reference postures."""
@@ -170,9 +172,9 @@ def summary(rows):
     return made
 
 
-def quiet(name, seed, loaded, postures, path):
+def quiet(name, seed, loaded, exact, postures, path):
     """Let an arm stand that does not change; write how it goes."""
-    watch, begin, alarms = Watch(name, seed, loaded), time.process_time(), 0
+    watch, begin, alarms = Watch(name, seed, loaded, 0.0, exact), time.process_time(), 0
     alarm = watch.alarm()
     for done in range(0, postures, TOLD_EVERY):
         rows = watch.postures(TOLD_EVERY, 10 + done)
@@ -181,7 +183,7 @@ def quiet(name, seed, loaded, postures, path):
             alarm.restart()
         count = done + TOLD_EVERY
         row = {
-            'robot': name, 'seed': seed, 'loaded': loaded, 'postures': count,
+            'robot': name, 'seed': seed, 'loaded': loaded, 'exact': exact, 'postures': count,
             'simulated hours': count * HOURS, 'false alarms': alarms,
             'ms of a processor per posture': 1e3 * (time.process_time() - begin) / count,
         }  # fmt: skip
@@ -205,11 +207,12 @@ def main():
     parser.add_argument('--misread', type=float, default=0.0, metavar='MM', help='of a reference')
     parser.add_argument('--quiet', type=int, default=0, metavar='N', help='postures, no change')
     parser.add_argument('--loaded', action='store_true', help='with a payload that is known')
+    parser.add_argument('--exact', action='store_true', help='an arm exactly as described')
     args = parser.parse_args()
     with one_thread():
         if args.quiet:
             for name in args.robot:
-                quiet(name, args.first, args.loaded, args.quiet, args.output)
+                quiet(name, args.first, args.loaded, args.exact, args.quiet, args.output)
             return
         lines = args.output.read_text().splitlines() if args.output.exists() else []
         rows = [json.loads(line) for line in lines]

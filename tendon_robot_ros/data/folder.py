@@ -174,6 +174,11 @@ def describe(fields: DatasetFields, robot: Robot) -> Description:
     )
 
 
+def read_markers(rows: list[Any], robot: Robot) -> tuple[Marker, ...]:
+    """Return the markers of a list as `markers` of dataset.yaml; none for an empty one."""
+    return _markers(DatasetFields('parameter', '', {'markers': rows}), robot) if rows else ()
+
+
 def _markers(fields: DatasetFields, robot: Robot) -> tuple[Marker, ...]:
     markers = []
     for item in fields.items('markers'):

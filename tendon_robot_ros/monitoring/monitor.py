@@ -7,7 +7,6 @@ Recent samples are interpolated in time, checked for still segments, and average
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -18,7 +17,6 @@ from ..common.errors import DataSetError, InputError, NoEquilibriumError
 from ..comparison.result import mean_over
 from ..data import DataSet, Marker, default_markers
 from ..inference.statistics import chi2_isf
-from ..robot import Robot
 
 if TYPE_CHECKING:
     from ..model.model import Model
@@ -450,34 +448,3 @@ class Monitor:
             return False
         moved = np.abs(settled.inputs - self.recorded[-1].inputs).max()
         return bool(moved < 2.0 * self._changes[kind])
-
-
-def read_markers(rows: Sequence[object], robot: Robot) -> tuple[Marker, ...]:
-    """
-    Return the markers of a parameter with entries {name, arc_length, offset}.
-
-    Raises
-    ------
-    InputError
-        An entry is invalid.
-
-    """
-    markers = []
-    for entry in rows:
-        if not isinstance(entry, dict) or not {'name', 'arc_length'} <= set(entry):
-            raise InputError(
-                'markers: expected a list of {name: m1, arc_length: 0.1, offset: [0, 0, 0]}, '
-                f'got {entry!r}'
-            )
-        try:
-            x, y, z = map(float, entry.get('offset', (0.0, 0.0, 0.0)))
-            arc = float(entry['arc_length'])
-        except (TypeError, ValueError):
-            raise InputError(f'markers: {entry!r}: expected numbers in metres') from None
-        if not 0.0 <= arc <= robot.length + 1e-9:
-            raise InputError(
-                f'markers: {entry["name"]}: expected an arc_length from 0 to {robot.length:g} m, '
-                f'got {arc:g}'
-            )
-        markers.append(Marker(str(entry['name']), arc, (x, y, z)))
-    return tuple(markers)

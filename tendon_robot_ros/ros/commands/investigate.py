@@ -32,15 +32,16 @@ from std_msgs.msg import Bool, String
 from ...common.arrays import Floats
 from ...common.errors import InputError, NoEquilibriumError, TendonRobotError
 from ...control.inputs import Refusal, Trajectory
-from ...data import Marker, default_markers
+from ...data import default_markers
 from ...data.dataset import LOADINGS
+from ...data.folder import read_markers
 from ...investigation.goal import add_goal, goal_of
 from ...investigation.loop import Findings, Investigation, write_results
 from ...investigation.measuring import BETTER, BrokenMeasurementError, News, PostureMeasured
 from ...model.model import Model
 from ...monitoring import History, MonitorSettings, StillMeasurement, StillWindow
 from ...monitoring.change import ChangeFinder
-from ...monitoring.monitor import PULL_STILL, TENSION_STILL, read_markers
+from ...monitoring.monitor import PULL_STILL, TENSION_STILL
 from ...monitoring.watch import load_change
 from ...robot import Robot
 from ...robot.estimates import natural_sizes
@@ -157,8 +158,7 @@ class RunningArm(Pilot):
         self.connect()
         self._own = self.model()
         rows = parsed(self.parameter('markers', self._monitor), 'markers', list)
-        own: Sequence[Marker] = read_markers(rows, self.robot)
-        self.markers = own or default_markers(self.robot)
+        self.markers = read_markers(rows, self.robot) or default_markers(self.robot)
         self._frames.clear()
         self.wait(
             lambda: self._frames and self._kinds,

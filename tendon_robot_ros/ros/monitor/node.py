@@ -27,10 +27,11 @@ from ...common.errors import InputError, TendonRobotError
 from ...control import Refusal
 from ...control.loading import Loader
 from ...data import save_dataset
+from ...data.folder import read_markers
 from ...data.tracker_faults import is_missing
 from ...monitoring import Monitor, MonitorSettings
 from ...monitoring.job import Work
-from ...monitoring.monitor import Compared, read_markers
+from ...monitoring.monitor import Compared
 from ...monitoring.watch import ArmWatch
 from ...robot import load_robot
 from ..shared.lifecycle import ERROR, OK, WARN, Status
