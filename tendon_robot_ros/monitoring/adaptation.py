@@ -44,7 +44,7 @@ from ..inference.predict import FreeParameter, free_parameters
 from ..inference.statistics import chi2_isf
 from ..model.model import Model
 from ..robot import Robot
-from .built_arm import ODD_PROBABILITY, BuiltArm
+from .built_arm import ODD_PROBABILITY, BuiltArm, slopes
 from .change import CONFIRMED_POSTURES
 
 # [1] standard deviations of half of a 95 % interval, by its probability
@@ -151,11 +151,6 @@ class RecursiveEstimate:
     def memory(self) -> float:
         """Weighted forgetting factor [1]."""
         return float(self.weights @ [one.memory for one in self._filters])
-
-    @property
-    def remainder(self) -> float:
-        """Weighted size of the remainder, 1 sd [m]."""
-        return float(self.weights @ [one.remainder for one in self._filters])
 
     def learn(
         self, off: Floats, columns: Floats, noise: Floats, remainder: Floats | float = 0.0
@@ -403,9 +398,11 @@ class Adaptation:
         expected = arm.expected(tensions, point)
         if expected is None or not rows.any():
             return False
-        own = self._slopes(point, np.maximum(tensions, 0.0)[None])
-        if own is None:
+        frees = [one.free for one in self._adaptable]
+        moved = slopes(arm.whole, point, frees, np.maximum(tensions, 0.0)[None])
+        if moved is None:
             return False
+        own = moved[0] * [one.spread for one in self._adaptable]
         columns = np.hstack([own, expected.columns @ arm.prior])[rows]
         if self._estimate is None:
             self._estimate = RecursiveEstimate(
@@ -422,18 +419,6 @@ class Adaptation:
         if not self._odd:
             self._estimate.learn(off, columns, noise, rest)
         return True
-
-    def _slopes(self, point: dict[FreeParameter, float], inputs: Floats) -> Floats | None:
-        """Return the exact Jacobian of the markers by parameters (3 J, p) [m per prior sd]."""
-        whole = self._arm.whole
-        if whole.markers(point, inputs) is None or whole.settled is None:
-            return None
-        frees = [one.free for one in self._adaptable]
-        tangent = whole.tangent(point, frees, whole.settled)
-        if tangent is None:
-            return None
-        spread = np.array([one.spread for one in self._adaptable])
-        return np.asarray((spread[:, None] * tangent.markers.reshape(len(frees), -1)).T)
 
     def _follow(self) -> ModelChange | None:
         """Change the description in use towards the estimate where that is significant."""

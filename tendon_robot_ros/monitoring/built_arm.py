@@ -27,7 +27,7 @@ from ..data import DataSet, Marker
 from ..effects import Catalogue
 from ..inference.imperfections import GAIN, KINK, PLAUSIBLE_SIZES, SplitPredictor, remainders
 from ..inference.noise import relative_error
-from ..inference.predict import Point, Predictor, SettledShapes
+from ..inference.predict import FreeParameter, Point, Predictor, SettledShapes
 from ..inference.slopes import imperfections
 from ..model.shape import ShapeBatch
 from ..robot import Robot
@@ -351,6 +351,21 @@ class BuiltArm:
             return None
         moves = responses.moves[: len(self.plausible)].reshape(len(self.plausible), -1)
         return np.asarray((self.plausible[:, None] * moves).T)
+
+
+def slopes(
+    predictor: Predictor,
+    point: Point,
+    frees: Sequence[FreeParameter],
+    inputs: Floats | None = None,
+) -> Floats | None:
+    """Return the Jacobian (P, 3 J, k) of the markers by parameters; None: no equilibrium."""
+    if predictor.markers(point, inputs) is None or predictor.settled is None:
+        return None
+    tangent = predictor.tangent(point, frees, predictor.settled)
+    if tangent is None:
+        return None
+    return np.moveaxis(tangent.markers.reshape(*tangent.markers.shape[:2], -1), 0, 2)
 
 
 def usual_kinks(robot: Robot, level: float) -> Floats:

@@ -37,7 +37,7 @@ from ..inference.predict import CELLS, FreeParameter, Point, Predictor, free_par
 from ..inference.slopes import imperfections
 from ..inference.statistics import chi2_sf
 from ..report.sentences import load_words
-from .built_arm import ODD_PROBABILITY, BuiltArm
+from .built_arm import ODD_PROBABILITY, BuiltArm, slopes
 
 TRACKER, FRAME = 'the tracker', 'base_misalignment'  # a bumped tracker is a misaligned base
 SHIFT = 'shift'  # prefix of the keys of a translation; the others are a rotation
@@ -272,10 +272,10 @@ class ChangeWork:
     def predicted(self, fit: ChangeFit) -> tuple[Floats, Floats] | None:
         """Return markers (P, 3 J) [m] under a change, and their slopes (P, 3 J, k)."""
         if not fit.change.is_effect:
-            slopes = self._slopes_of_members(fit.change)
-            return self.expected + slopes @ fit.values, slopes
+            moved = self._slopes_of_members(fit.change)
+            return self.expected + moved @ fit.values, moved
         point = self._point(fit.change, fit.values)
-        markers, jacobian = self._markers(point), self._slopes(fit.change, point)
+        markers, jacobian = self._markers(point), slopes(self.split, point, fit.change.frees)
         return None if markers is None or jacobian is None else (markers, jacobian)
 
     def apart(
@@ -295,10 +295,10 @@ class ChangeWork:
 
     def _member(self, change: PossibleChange) -> ChangeFit:
         """Fit changed imperfections (linear)."""
-        weights, slopes = self.weights, self._slopes_of_members(change)
+        weights, moved = self.weights, self._slopes_of_members(change)
         white, columns = (
             weights.white(self.postures.positions - self.expected),
-            weights.white(slopes),
+            weights.white(moved),
         )
         information = columns.T @ columns
         prior = np.diag((SCALES[-1] * change.spread) ** -2.0)
@@ -315,10 +315,10 @@ class ChangeWork:
         prior = np.diag((SCALES[-1] * change.spread) ** -2.0)
 
         def linearised(values: Floats, white: Floats) -> tuple[Floats, Floats] | None:
-            slopes = self._slopes(change, self._point(change, values))
-            if slopes is None:
+            moved = slopes(self.split, self._point(change, values), frees)
+            if moved is None:
                 return None
-            columns = weights.white(slopes)
+            columns = weights.white(moved)
             return columns.T @ columns, columns.T @ white
 
         def whitened(values: Floats) -> tuple[Floats, float] | None:
@@ -360,16 +360,6 @@ class ChangeWork:
     def _markers(self, point: Point) -> Floats | None:
         markers = self.split.markers(point)
         return None if markers is None else markers.reshape(len(markers), -1)
-
-    def _slopes(self, change: PossibleChange, point: Point) -> Floats | None:
-        """Return the Jacobian of the markers by the parameters of an effect, (P, 3 J, k)."""
-        if self._markers(point) is None or self.split.settled is None:
-            return None
-        tangent = self.split.tangent(point, change.frees, self.split.settled)
-        if tangent is None:
-            return None
-        moved = tangent.markers.reshape(*tangent.markers.shape[:2], -1)
-        return np.moveaxis(moved, 0, 2)
 
     def _slopes_of_members(self, change: PossibleChange) -> Floats:
         """Return the Jacobian of the markers by imperfections (P, 3 J, k), per unit."""
