@@ -84,6 +84,8 @@ NEARLY_EFFECTS = (gravities,)  # a load can imitate the weight of a light arm
 # that can happen to an arm between two recordings of it, while others are in both, and cancel
 NEW_MISTAKES = (swapped_inputs, loose_inputs, numbered, moved_rows, dead_inputs)
 STEPS_FEW = 8  # [1] of a fit, because hundreds are made and none is reported
+# [1] postures of a long recording, because a mistake of the set-up shows in every one of them
+SCREENED_POSTURES = 24
 CUT_AS_GOOD_RATIO = 1.05  # [1] to the least error, so that the fewest cells are reported
 Hypothesis = Callable[[Predictor, Floats], Iterable[Mistake]]
 WEIGHT = ('gravity', 'linear_density')  # known from a scale, so that no tolerance is a factor
@@ -440,15 +442,18 @@ def mended_rivals(session: Session, enough: float) -> tuple[Explained | None, li
     Where one effect of a plausible value leaves little more than noise and the usual error of an
     arm as built, only mistakes that an effect can nearly imitate are tested.
     """
-    predictor, floor = session.predictor, session.known_floor
+    predictor, floor, dataset = session.predictor, session.known_floor, session.dataset
+    if dataset.thinned_from:
+        dataset = dataset.thinned(SCREENED_POSTURES)
+        predictor = Predictor(dataset, session.robot, session.catalogue)
     markers = predictor.markers({})
     if markers is None:
         return None, []
-    if off(predictor, session.dataset.mean, markers) < ODD_FROM_FLOORS * floor:
+    if off(predictor, dataset.mean, markers) < ODD_FROM_FLOORS * floor:
         return None, []
     enough = min(enough, QUIET_FLOORS * floor)
     explaining = Explaining(session.catalogue, session.usual_floor)
-    dataset = replace(session.dataset, robot=session.robot)
+    dataset = replace(dataset, robot=session.robot)
     described = explaining.explain(dataset, 1, enough)
     if described is None:
         return None, []

@@ -97,7 +97,7 @@ joint_friction
   > moment [N·m] size of the moment left after friction in the joint
   - total_tension [N] sum of the tensions in the cell
 hysteresis
-  > moment_x [N·m] moment that the cell holds against its bend, along x; first as before
+  > moment_x [N·m] moment that the cell holds against its bend, along x
   > moment_y [N·m] the same along y
   - change_x [rad] change of the bend towards x since the posture before
   - change_y [rad] change of the bend towards y
