@@ -203,7 +203,7 @@ def test_a_fit_never_rises_where_friction_turns_over(monkeypatch):
         deviances = [place.deviance for place in places[begun:]]
         assert (np.diff(deviances) <= 0.0).all(), deviances
         found.append(fit.values[0])
-        split, random = session.splits[0], fit.built.random
+        split, random = session.arms[0], fit.built.random
         split.around, sizes = fit.built.around, fit.built.sizes
         white = session.whitener.white(dataset.mean - split.markers(fit.point))
         worth = (

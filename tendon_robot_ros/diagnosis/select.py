@@ -153,7 +153,7 @@ def gather(session: Session) -> Evidence:
         session.weigh(best.fit.point, best.fit.built.around)
         if far:  # it cannot win: one start is enough
             try:
-                base = session.fitters[0].fit((), base if base.as_built else None)
+                base = session.fitters[0].fit((), base)
             except FAILURES:
                 base = session.base_fit()
         else:
@@ -181,7 +181,7 @@ def over_reversals(session: Session, singles: list[Ranked]) -> list[Ranked]:
 
     The best few are tested; where one of them improves, all with a similar score are refitted.
     """
-    near = sorted((r for r in singles if r.fit.as_built), key=lambda r: r.score)
+    near = sorted(singles, key=lambda r: r.score)
     if not near:
         return singles
     near = [r for r in near if r.score <= near[0].score + NEAR_SCORE]

@@ -151,8 +151,6 @@ class Fit:
         k, q = len(self.frees), len(self.all_frees)
         change = self.response * (self.values[:k] - self.described)
         known, plain = np.outer(change, change), self.covariance[:k, :k]
-        if not self.as_built or not k:
-            return plain + known
         random, sizes = self.built.random, self.built.sizes
         doubt = random.log_variance_of_sizes(sizes)
         more = np.expm1(np.minimum(0.5 * np.diag(doubt), 0.5))
@@ -160,7 +158,8 @@ class Fit:
         more += np.divide(beside, sizes, where=sizes > 0.0, out=0.0 * sizes) ** 2
         along = self.covariance[:k, q : q + len(random.owners)]
         grown = plain + (along * more[random.owners]) @ along.T
-        moved = np.array([np.bincount(random.owners, row**2, len(sizes)) for row in along])
+        kinds = random.owners == np.arange(len(sizes))[:, None]  # (K, r)
+        moved = along**2 @ kinds.T
         variance = ((moved @ doubt) * moved).sum(axis=1)
         tails = np.ones(k)
         for i, (size, own) in enumerate(zip(np.diag(grown).tolist(), variance, strict=True)):
@@ -189,9 +188,8 @@ class Fit:
             chance = chi2_sf(self.chi2, self.freedom)
         else:
             chance = f_sf(self.chi2 / max(self.freedom, 1), self.freedom, noise_freedom)
-        if not self.as_built:
-            return chance
-        return min(chance, 0.5 * chi2_sf(self.remainder_gain, 1))
+        gain = self.remainder_gain
+        return min(chance, 0.5 * chi2_sf(gain, 1)) if gain > 0.0 else chance
 
     def held_out(self, owners: npt.NDArray[np.int64]) -> tuple[float, float]:
         """

@@ -14,10 +14,8 @@ from .fit import Fit, Nuisance, with_imperfections
 from .imperfections import (
     GAIN,
     KINDS_WITH_FEW_MEMBERS,
-    NO_IMPERFECTIONS,
     Imperfections,
     Members,
-    SplitPredictor,
 )
 from .marginal import STEP_FRACTIONS, STEPS_MAX, Prior, RandomEffects, Sizes
 from .noise import Whitener
@@ -56,7 +54,7 @@ class Fitter:
         Columns (N,) of the Jacobian that need not be computed.
     random : RandomEffects, optional
         Default: none, the description is exact.
-    imperfections : Imperfections
+    imperfections : Imperfections, optional
         Slopes of the markers by these.
     response : float
         Known relative error of the model's response, which widens intervals.
@@ -70,14 +68,14 @@ class Fitter:
         nuisances: Sequence[Nuisance] = (),
         columns: Mapping[FreeParameter, Floats] | None = None,
         random: RandomEffects | None = None,
-        imperfections: Imperfections = NO_IMPERFECTIONS,
+        imperfections: Imperfections | None = None,
         response: float = 0.0,
     ) -> None:
         self.response = response
         self.predictor, self.whitener = predictor, whitener
         self.columns: Mapping[FreeParameter, Floats] = dict(columns or {})
         self.random = random or RandomEffects.none(whitener.size)
-        self.imperfections = imperfections
+        self.imperfections = imperfections or Imperfections.none(predictor.dataset)
         self.sizes = self.random.start  # (K,) of the running fit
         self.nuisances = tuple(nuisances)
         self.linearise_around({})
@@ -253,7 +251,7 @@ class Fitter:
     def freeze(self, search: Search) -> Fit:
         """Return the fit of a search; its markers are those of the model without imperfections."""
         plain = search.result()
-        if isinstance(self.predictor, SplitPredictor):
+        if self.around:
             with self.predictor.as_described():
                 described = self.predictor.markers(search.point)
             plain = plain if described is None else replace(plain, markers=described)
@@ -263,9 +261,7 @@ class Fitter:
 
     def linearise_around(self, members: Members) -> None:
         """Linearise the imperfections around given ones."""
-        self.around = members
-        if isinstance(self.predictor, SplitPredictor):
-            self.predictor.around = members
+        self.around = self.predictor.around = members
         # corrected for what imperfections do beyond their slopes
         self.measured = self.predictor.dataset.mean + self.imperfections.moved(members)
 
@@ -280,8 +276,6 @@ class Fitter:
 
     def lift(self, rows: Floats) -> Floats:
         """Remove from whitened rows (N + nuisances, ...) what imperfections explain."""
-        if not self.random.kinds:
-            return rows
         n, root = self.whitener.size, self.random.root(self.sizes)
         return np.concatenate([self.random.lift(root, rows[:n]), rows[n:]])
 
@@ -349,11 +343,11 @@ class Descent:
         self.fitter, self.steps, self._search = fitter, steps, search
         self.place = fitter.place(search)
         self.gain = np.inf  # in the last round
-        self.converged = False
+        self.converged = not fitter.random.kinds  # the search was all
         self._rounds = 0
         search.run(steps)
-        if not fitter.random.kinds:
-            self.place, self.converged = fitter.place(search), True
+        if self.converged:
+            self.place = fitter.place(search)
 
     def at(self, fitter: Fitter) -> Descent:
         """Continue with the fitter of another thread."""

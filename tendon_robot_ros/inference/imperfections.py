@@ -10,8 +10,7 @@ and tendon has its own imperfection.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -19,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.arrays import Floats
+from ..data import DataSet
 from ..effects import Catalogue
 from ..model.shape import ShapeBatch
 from ..robot import Robot, Section
@@ -71,10 +71,16 @@ class Imperfections:
     kinds: tuple[Kind, ...]
     moves: Floats  # (q, P, J, 3) [m per unit], the members of all kinds one after the other
 
+    @classmethod
+    def none(cls, dataset: DataSet) -> Imperfections:
+        """Return those of an exact arm."""
+        return cls((), np.zeros((0, *dataset.mean.shape)))
+
     @cached_property
     def owners(self) -> npt.NDArray[np.int64]:
         """Index (q,) of the kind of each column."""
-        return np.repeat(np.arange(len(self.kinds)), [len(kind) for kind in self.kinds])
+        lengths = np.array([len(kind) for kind in self.kinds], dtype=np.int64)
+        return np.repeat(np.arange(len(self.kinds)), lengths)
 
     def moved(self, members: Members) -> Floats | float:
         """Return the change of the markers (P, J, 3) [m] by members, linear by these slopes."""
@@ -83,9 +89,6 @@ class Imperfections:
         own = [kind for kind in self.kinds if kind.name != REMAINDER]  # it is the last
         sizes = np.concatenate([members.get(kind.name, np.zeros(len(kind))) for kind in own])
         return np.asarray(np.tensordot(sizes, self.moves[: len(sizes)], 1))
-
-
-NO_IMPERFECTIONS = Imperfections((), np.empty((), dtype=float))  # of an exact arm
 
 
 def remainders(predictor: Predictor) -> Floats:
@@ -129,7 +132,6 @@ class SplitPredictor(Predictor):
             split_robot(predictor.robot, predictor.model.catalogue),
             predictor.model.catalogue,
         )
-        self.around: Members = {}
         self._spread: dict[FreeParameter, tuple[FreeParameter, ...]] = {}
         ends = np.cumsum([section.cells for section in self.whole.sections])
         self._spans = [
@@ -138,15 +140,6 @@ class SplitPredictor(Predictor):
         self._offsets = self.model.arrays.offset.copy()
         layout, effect = self.model.arrays.layout, self.model.catalogue[REST]
         self.rests = [layout.rows[REST, parameter.name] for parameter in effect.parameters]
-
-    @contextmanager
-    def as_described(self) -> Iterator[None]:
-        """Predict without imperfections while the block runs."""
-        around, self.around = self.around, {}
-        try:
-            yield
-        finally:
-            self.around = around
 
     def kinds(self) -> tuple[Kind, ...]:
         """Return the kinds of imperfections; a declared registration is a parameter of the fit."""

@@ -193,14 +193,15 @@ class Whitener:
         if self._dense is not None:
             own = zip(flat, self.rows, self._dense, strict=True)
             blocks = [one[:, rows] @ root.T for one, rows, root in own]
-            return np.concatenate(blocks, axis=1).reshape(*leading, -1)
+            return np.concatenate(blocks, axis=1).reshape(*leading, self.size)
         complete = self._visible.all()
         scaled = (flat if complete else np.where(self._visible[:, None], flat, 0.0)) * self._scale[
             :, None
         ]
         white = scaled - (scaled @ self._along.swapaxes(1, 2)) @ self._along
         rows = white.swapaxes(0, 1).reshape(-1, P * n)
-        return (rows if complete else rows[:, self._visible.reshape(-1)]).reshape(*leading, -1)
+        seen = rows if complete else rows[:, self._visible.reshape(-1)]
+        return seen.reshape(*leading, self.size)
 
     @property
     def owners(self) -> npt.NDArray[np.int64]:

@@ -287,8 +287,18 @@ class Predictor:
         self.visits = None if dataset.visits is None else dataset.visits.masked(dataset.trial_mask)
         self._shown = (dataset.trials > 0) | (dataset.thinned_from == 0)
         self._shown[[part.rows[0] for part in self.parts]] = True  # for those behind it
+        self.around: Mapping[str, Floats] = {}  # imperfections by kind; see `SplitPredictor`
         self.settled: SettledShapes | None = None  # of the last prediction
         self._first: SettledShapes | None = None
+
+    @contextmanager
+    def as_described(self) -> Iterator[None]:
+        """Predict without imperfections while the block runs."""
+        around, self.around = self.around, {}
+        try:
+            yield
+        finally:
+            self.around = around
 
     def value(self, free: FreeParameter) -> float:
         """Value that the description gives a parameter (neutral where it is not listed)."""

@@ -26,7 +26,7 @@ from .candidates import (
 )
 from .fit import Fit
 from .fitter import FAILURES, GAINS_TO_COME, Descent, Fitter
-from .imperfections import NO_IMPERFECTIONS, REMAINDER, Imperfections, Members, SplitPredictor
+from .imperfections import REMAINDER, Imperfections, Members, SplitPredictor
 from .marginal import RandomEffects
 from .noise import Noise, Whitener, estimate_noise, input_slopes, relative_error
 from .outliers import Outliers, without_unsettled
@@ -174,7 +174,7 @@ class Session:
         ]
         self.predictor = self.predictors[0]
         exact = self.robot.exact and dataset.reference is None
-        self.splits = [] if exact else [SplitPredictor(p) for p in self.predictors]
+        self.arms = self.predictors if exact else [SplitPredictor(p) for p in self.predictors]
 
     @property
     def whole(self) -> DataSet:
@@ -209,11 +209,9 @@ class Session:
         Imperfections are linearised around given ones (`at`); the slopes by inputs belong to an
         arm with these, because a kink can reverse the direction of friction.
         """
-        model = self.predictor
-        if self.splits and at:
-            model = self.splits[0]
-            self.splits[0].around = at
-        slopes = input_slopes(model, point)
+        arm = self.arms[0]
+        arm.around = at or {}
+        slopes = input_slopes(arm if at else self.predictor, point)
         noise = estimate_noise(self.dataset, slopes)
         if noise is None:
             return False
@@ -224,12 +222,10 @@ class Session:
         self.whitener = whitener.without(self.held)
         changes = cell_slopes(self.predictor, self.nuisances, point)
         self._columns = {free: -self.whitener.white(change) for free, change in changes.items()}
-        built = imperfections(self.splits[0], point, at) if self.splits else None
-        self.imperfections = built or NO_IMPERFECTIONS
-        self.random = RandomEffects.none(self.whitener.size)
-        if built is not None:
-            columns = self.whitener.white(built.moves).T
-            self.random = RandomEffects(columns, built.owners, built.kinds)
+        built = imperfections(arm, point, at) or Imperfections.none(self.dataset)
+        columns = self.whitener.white(built.moves).T
+        self.imperfections = built
+        self.random = RandomEffects(columns, built.owners, built.kinds)
         self.fitters = [self.fitter(worker) for worker in range(self.workers)]
         return True
 
@@ -250,9 +246,8 @@ class Session:
 
     def fitter(self, worker: int = 0) -> Fitter:
         """Return a fitter of a worker with the present weights."""
-        model = self.splits[worker] if self.random.kinds else self.predictors[worker]
         return Fitter(
-            model,
+            self.arms[worker],
             self.whitener,
             self.nuisances,
             self._columns,
@@ -276,17 +271,12 @@ class Session:
 
     def floor_with(self, sizes: Floats) -> float:
         """Return the expected rms [m] of a perfect model, imperfections having the sizes (K,)."""
-        noise, kinds = self.whitener.floor(), self.imperfections.kinds
-        if not kinds:
-            return noise
-        measured = self.dataset.counts > 0
-        spread = [
-            np.full(len(kind), size if kind.name != REMAINDER else 0.0)
-            for kind, size in zip(kinds, sizes, strict=True)
-        ]
-        lengths = np.linalg.norm(self.imperfections.moves, axis=3)
-        moved = ((np.concatenate(spread)[:, None, None] * lengths) ** 2).sum(axis=0)
-        return float(np.sqrt(noise**2 + moved[measured].mean()))
+        built = self.imperfections
+        own = np.array([kind.name != REMAINDER for kind in built.kinds], dtype=bool)
+        spread = np.where(own, sizes, 0.0)[built.owners]
+        lengths = np.linalg.norm(built.moves, axis=3)
+        moved = ((spread[:, None, None] * lengths) ** 2).sum(axis=0)
+        return float(np.sqrt(self.whitener.floor() ** 2 + moved[self.dataset.counts > 0].mean()))
 
     @property
     def known_floor(self) -> float:
@@ -348,7 +338,7 @@ class Session:
         Friction is not smooth, so that the result depends on where imperfections start.
         """
         fits = [self.fitters[0].fit(())]
-        for start in starts if self.random.kinds else ():
+        for start in starts:
             with suppress(*FAILURES):
                 fits.append(self.fitters[0].fit((), start))
         return min(fits, key=lambda fit: fit.deviance)

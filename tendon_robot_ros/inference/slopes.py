@@ -38,21 +38,24 @@ from .imperfections import (
     planar_axis,
     remainders,
 )
-from .predict import CELLS, Point
+from .predict import CELLS, Point, Predictor
 
 STEP = 1e-6  # [1], [rad], [N] of differences without solving, because rounding is 1e-16
 
 
 def imperfections(
-    split: SplitPredictor, point: Point, at: Members | None = None, changed: bool = False
+    split: Predictor, point: Point, at: Members | None = None, changed: bool = False
 ) -> Imperfections | None:
     """
     Return the kinds and slopes of imperfections at a point, linearised around given ones (`at`).
 
     Of two recordings of an arm both have the same ones, which cancel; what remains is how far its
     deviations themselves have changed, which may be as much as they are. With `changed`,
-    imperfections may be new. None where the model has no equilibrium.
+    imperfections may be new. An arm that is no `SplitPredictor` is exact: it has none of any kind.
+    None where the model has no equilibrium.
     """
+    if not isinstance(split, SplitPredictor):
+        return Imperfections.none(split.dataset)
     reference = split.dataset.reference
     kinds, split.around = split.kinds() if reference is None or changed else (), at or {}
     if split.markers(point) is None:
