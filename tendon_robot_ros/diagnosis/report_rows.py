@@ -306,8 +306,9 @@ def details_of(evidence: Evidence, decision: Concluded) -> dict[str, Any]:
         taken = session.dataset.reference
         details['reference'] = {'data': taken.name, 'error': taken.error}
     if decision.rival is not None:
-        names = ('name', 'deviance', 'parameters')
+        names = ('name', 'deviance', 'parameters', 'words')
         details['rival'] = {name: getattr(decision.rival, name) for name in names}
+        details['rival'] |= decision.rival.tied
     details['next_best'], details['wider'] = _next_best(evidence, decision)
     details['described'] = {
         name: session.robot.effects[name]

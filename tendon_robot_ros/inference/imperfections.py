@@ -10,7 +10,8 @@ and tendon has its own imperfection.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -132,6 +133,7 @@ class SplitPredictor(Predictor):
             split_robot(predictor.robot, predictor.model.catalogue),
             predictor.model.catalogue,
         )
+        self._pulls: Floats | None = None  # (P, 3) [N] beside the push, posture by posture
         self._spread: dict[FreeParameter, tuple[FreeParameter, ...]] = {}
         ends = np.cumsum([section.cells for section in self.whole.sections])
         self._spans = [
@@ -140,6 +142,21 @@ class SplitPredictor(Predictor):
         self._offsets = self.model.arrays.offset.copy()
         layout, effect = self.model.arrays.layout, self.model.catalogue[REST]
         self.rests = [layout.rows[REST, parameter.name] for parameter in effect.parameters]
+
+    @contextmanager
+    def pulling(self, forces: Floats) -> Iterator[None]:
+        """Let forces (P, 3) [N] act beside the push, at its cell, while the block runs."""
+        parts = self.parts
+        self._pulls = forces
+        self.parts = [
+            replace(part, rows=part.rows[i : i + 1])
+            for part in parts
+            for i in range(len(part.rows))
+        ]
+        try:
+            yield
+        finally:
+            self.parts, self._pulls = parts, None
 
     def kinds(self) -> tuple[Kind, ...]:
         """Return the kinds of imperfections; a declared registration is a parameter of the fit."""
@@ -189,7 +206,10 @@ class SplitPredictor(Predictor):
         own = 1.0 + off.get(CELLS, np.zeros(self.whole.cells))
         super().set_parameters(split, part, own if stiffness is None else own * stiffness)
         arrays.offset[:] = self._offsets * (1.0 + off.get(HOLE, np.zeros(1))[None, :, None])
-        self._push({free: value for free, value in point.items() if free.effect == PUSH})
+        pushes = {free: value for free, value in point.items() if free.effect == PUSH}
+        if pushes:
+            more = 0.0 if self._pulls is None else self._pulls[part.rows[0]]
+            self._push(next(iter(pushes)).column, np.array(list(pushes.values())) + more)
         kinks = self.kinks()
         if kinks.any():
             arrays.values[self.rests, : len(kinks)] += kinks.T
@@ -224,13 +244,11 @@ class SplitPredictor(Predictor):
         """Whether forces at cells can be predicted, for which the arm must be without weight."""
         return not self._on[self.model.arrays.layout.index[WEIGHT]]
 
-    def _push(self, forces: Point) -> None:
-        """Apply a force [N] to one cell, as a weight of that cell alone."""
+    def _push(self, cell: int | None, force: Floats) -> None:
+        """Apply a force (3,) [N] to one cell, as a weight of that cell alone."""
         arrays = self.model.arrays
-        force = np.array(list(forces.values()))
         size = float(np.linalg.norm(force))
         if size > 0.0:
-            cell = next(iter(forces)).column
             assert cell is not None
             arrays.gravity[:] = force / size
             weight = self.model.catalogue[WEIGHT].parameters[0].name

@@ -34,6 +34,7 @@ TOLERANCE_UNITS = {'position': 'm', 'pull_zero': 'm', 'rotation': 'rad', 'cell_k
 # a fit without physics that beat the effects, by its name
 PATTERNS = {
     'contact': 'a force somewhere along the arm',
+    'tether': 'a string from the arm to a fixed point',
     'soft_cell': 'a single soft cell',
     'taper': 'a stiffness that changes along the arm',
     'gain_per_posture': 'a factor of its own on the inputs of every posture',
@@ -201,8 +202,11 @@ def what_remains(diagnosis: Diagnosis) -> str:
     )
     after = diagnosis.error_after
     text = f'{values} lowers the error from {mm(diagnosis.error_before)} to {mm(after)}, but '
-    if 'rival' in diagnosis.details and best is not None and best.probability > P_SINGLE_MIN:
-        name = diagnosis.details['rival']['name']
+    rival = diagnosis.details.get('rival')
+    if rival and rival.get('words'):
+        return f'{text}{rival["words"]}, fits better'
+    if rival and best is not None and best.probability > P_SINGLE_MIN:
+        name = rival['name']
         return f'{text}{PATTERNS.get(name, name)} fits better without any physics'
     significance = ''
     if best is not None:

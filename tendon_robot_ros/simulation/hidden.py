@@ -26,6 +26,23 @@ STIFFNESS_SCATTER = 0.02
 SCATTER_MAX = 0.2  # [1] 1 sd of any imperfection, else cells softer by five of them had none left
 
 
+@dataclass(frozen=True)
+class String:
+    """A string from the middle of a cell to a fixed point, which pulls or hangs slack."""
+
+    cell: int  # index
+    anchor: Floats  # (3,) [m], base frame
+    tension: float  # [N] with the arm straight; below zero: slack by so much
+    stiffness: float  # [N/m]; 0: always the same tension, as of a weight over a pulley
+
+    def pull(self, at: Floats, straight: Floats) -> Floats:
+        """Return the force (3,) [N] on the arm whose cell is `at` (3,) [m], `straight` if so."""
+        way = self.anchor - at
+        longer = np.linalg.norm(way) - np.linalg.norm(self.anchor - straight)
+        tension = max(self.tension + self.stiffness * float(longer), 0.0)
+        return np.asarray(tension * way / np.linalg.norm(way))
+
+
 @dataclass
 class Damage:
     """Hidden damage of a robot of n cells; cells count from 1 at the base."""
@@ -35,6 +52,7 @@ class Damage:
     side_force: Floats  # (n, 3) [N] at mid-cell, base frame
     gain: float = 0.0  # [1] largest deviation of the tensions' gain
     rotation: float = 0.0  # [rad] largest rotation of the tracker
+    string: String | None = None
     waves: Floats = field(default_factory=lambda: np.zeros((0, 0)))
 
     @classmethod
@@ -69,12 +87,34 @@ def soft_cell(damage: Damage, values: CauseValues) -> None:
 
 
 def tether(damage: Damage, values: CauseValues) -> None:
-    """Let a cable pull at one cell: a constant force [N] in the base frame."""
+    """
+    Let a cable pull at one cell: a constant force [N], or a string to a fixed point (`ANCHOR`).
+
+    Raises
+    ------
+    EffectError
+        A string has no fixed point, or is a constant force as well.
+
+    """
     robot = damage.robot
     cell = damage.cell(values, (2 * robot.cells + 2) // 3)
-    usual = {'force_x': 0.5 * float(stiffnesses(robot).mean()) / (robot.cells * robot.length)}
-    parameters = {key: value for key, value in values.items() if key != 'cell'} or usual
-    damage.side_force[cell] += [parameters.get(f'force_{axis}', 0.0) for axis in 'xyz']
+    usual = 0.5 * float(stiffnesses(robot).mean()) / (robot.cells * robot.length)
+    parameters = {key: value for key, value in values.items() if key != 'cell'}
+    if not parameters.keys() & STRING.keys():
+        forces = parameters or {'force_x': usual}
+        damage.side_force[cell] += [forces.get(f'force_{axis}', 0.0) for axis in 'xyz']
+        return
+    if not ANCHOR.keys() <= parameters.keys() <= STRING.keys():
+        raise EffectError(
+            f'tether: expected {", ".join(ANCHOR)} of a string with tension and stiffness, or '
+            f'{", ".join(FORCES)} of a constant force, got {", ".join(parameters)}'
+        )
+    damage.string = String(
+        cell,
+        np.array([parameters[key] for key in ANCHOR]),
+        parameters.get('tension', usual),
+        parameters.get('stiffness', 0.0),
+    )
 
 
 def stiffness_gradient(damage: Damage, values: CauseValues) -> None:
@@ -102,9 +142,11 @@ class Cause:
 
 
 FORCES = {'force_x': 'N', 'force_y': 'N', 'force_z': 'N'}
+ANCHOR = {'anchor_x': 'm', 'anchor_y': 'm', 'anchor_z': 'm'}
+STRING = {**ANCHOR, 'tension': 'N', 'stiffness': 'N/m'}
 CAUSES = {
     'soft_cell': Cause({'cell': '1', 'factor': '1'}, soft_cell),
-    'tether': Cause({'cell': '1', **FORCES}, tether),
+    'tether': Cause({'cell': '1', **FORCES, **STRING}, tether),
     'stiffness_gradient': Cause({'relative_change': '1'}, stiffness_gradient),
     'posture_gain': Cause({'size': '1'}, posture_gain),
     'posture_rotation': Cause({'size': 'rad'}, posture_rotation),

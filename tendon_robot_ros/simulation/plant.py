@@ -12,18 +12,19 @@ effects, whose scaling is unknown. There a plant differs by capstan and scatter 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from ..common.arrays import Floats
-from ..common.errors import number, whole
+from ..common.errors import NoEquilibriumError, number, whole
 from ..common.rotations import bent, turned_in_plane
 from ..effects import Catalogue, CatalogueLike, Effect, load_catalogue
 from ..model.model import Model
 from ..model.pulls import pull_shapes
-from ..model.shape import Shape, ShapeBatch
+from ..model.shape import FIELDS, Shape, ShapeBatch
 from ..robot import Robot, RobotLike, Section, load_robot
 from ..robot.description import XY, EffectValues, helix_angles
 from ..robot.estimates import natural_sizes
@@ -37,6 +38,10 @@ from .hidden import (
     hide,
     plant_catalogue,
 )
+
+FORCE_STEP = 1e-3  # [1] of a string's pull for differences, so that they are of the whole shape
+PULL_TOLERANCE = 1e-6  # [1] of a string's pull, because the tracker tells less
+STRING_STEPS_MAX = 30  # [1] else it goes slack and taut in turn
 
 
 def parts_per_cell(
@@ -201,7 +206,8 @@ class Plant:
 
         """
         requested, last = self.model.tensions(np.asarray(tensions, dtype=float)), self._state
-        shape = self.model.follow(last, requested * self._gain(requested[None])[0])
+        applied = requested * self._gain(requested[None])[0]
+        shape = self._held(lambda: self.model.follow(last, applied))
         self._state = PlantShape(shape, self, requested)
         return self._state
 
@@ -212,7 +218,8 @@ class Plant:
     def respond_to_pulls(self, pulls: npt.ArrayLike) -> PlantShape:
         """Return the arm under wire pulls (m,) [m], nan = slack; friction does not remember."""
         target = np.asarray(pulls, dtype=float)
-        shape = self.model.pull_shape(target * self._gain(target[None], True)[0], self._state)
+        applied = target * self._gain(target[None], True)[0]
+        shape = self._held(lambda: self.model.pull_shape(applied, self._state))
         self._state = PlantShape(shape, self)
         return self._state
 
@@ -280,11 +287,70 @@ class Plant:
 
     def _fine(self, inputs: Floats, sequence: bool, displacement: bool) -> ShapeBatch:
         applied = inputs * self._gain(inputs, displacement)
-        if not displacement:
-            solve = self.model.sequence if sequence else self.model.shapes
-            return replace(solve(applied), inputs=inputs)
-        memory = self.model.arrays.fresh_memory() if sequence else None
-        return pull_shapes(self.model, applied, memory=memory)
+        memory = self.model.arrays.fresh_memory()
+
+        def settle(rows: Floats, past: Floats) -> ShapeBatch:
+            if displacement:
+                return pull_shapes(self.model, rows, memory=past if sequence else None)
+            return self.model.sequence(rows, past) if sequence else self.model.shapes(rows)
+
+        if self.damage.string is None:
+            settled = settle(applied, memory)
+        else:
+            each = []
+            for row in applied[:, None]:
+                before = memory.copy()
+
+                def again(row: Floats = row, before: Floats = before) -> ShapeBatch:
+                    memory[:] = before  # of the posture before, whatever was tried since
+                    return settle(row, memory)
+
+                each.append(self._held(again))
+            joined = {name: np.concatenate([getattr(s, name) for s in each]) for name in FIELDS}
+            settled = replace(each[0], **joined)
+        return settled if displacement else replace(settled, inputs=inputs)
+
+    def _held[Found: (Shape, ShapeBatch)](self, settle: Callable[[], Found]) -> Found:
+        """
+        Return the one posture that `settle` finds under the pull of the string, which follows it.
+
+        By Newton's method on the pull, with differences at the first shape.
+
+        Raises
+        ------
+        NoEquilibriumError
+
+        """
+        string = self.damage.string
+        if string is None:
+            return settle()
+        cell = string.cell * self.parts + self.parts // 2
+        lengths = np.repeat(
+            [s.cell_length for s in self.model.robot.sections],
+            [s.cells for s in self.model.robot.sections],
+        )
+        middle = np.array([lengths[:cell].sum() + 0.5 * lengths[cell]])
+
+        def under(force: Floats) -> tuple[Found, Floats]:
+            for axis, value in zip('xyz', force.tolist(), strict=True):
+                self.model.arrays.set('side_force', f'side_{axis}', cell, value)
+            found = settle()
+            return found, found.markers(middle, np.zeros((1, 3))).reshape(3)
+
+        straight = np.append(np.zeros(2), middle)
+        force = string.pull(straight, straight)
+        step = FORCE_STEP * max(float(np.linalg.norm(force)), string.stiffness * self.robot.length)
+        steps = step * np.eye(3)
+        found, at = under(force)
+        moves = np.column_stack([under(force + one)[1] - at for one in steps])
+        for _ in range(STRING_STEPS_MAX):
+            pull = string.pull(at, straight)
+            if np.abs(pull - force).max() < PULL_TOLERANCE * step / FORCE_STEP:
+                return found
+            slope = np.column_stack([string.pull(at + one, straight) - pull for one in moves.T])
+            force = force + np.linalg.solve(np.eye(3) - slope / step, pull - force)
+            found, at = under(force)
+        raise NoEquilibriumError('a posture', ('tether',), np.inf)
 
     def _gain(self, inputs: Floats, displacement: bool = False) -> Floats:
         own = np.broadcast_to(1.0 + self.built.gain, inputs.shape)

@@ -1,0 +1,120 @@
+"""A string from the arm to a fixed point is told from a load that is always the same."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import simulated
+
+from tendon_robot_ros.common.errors import EffectError
+from tendon_robot_ros.diagnosis.diagnose import diagnose
+from tendon_robot_ros.diagnosis.tether import Answer, Tether
+from tendon_robot_ros.diagnosis.verdict import Verdict
+from tendon_robot_ros.report.diagnosis_text import verdict
+from tendon_robot_ros.simulation.hidden import String, Workmanship
+from tendon_robot_ros.simulation.measurements import simulate
+from tendon_robot_ros.simulation.plant import make_plant
+from tendon_robot_ros.workspace.postures import default_postures
+
+PLACES = np.array([[0.0, 0.0, 0.0], [0.02, -0.01, 0.03], [-0.04, 0.01, 0.0]])
+ARMS = {  # robot, cell, fixed point [m], pull of the straight arm [N]
+    'planar': ('kato_10_1_single', 8, (0.12, 0.0, 0.15), 0.06),
+    'spatial': ('spatial_3', 8, (0.07, 0.08, 0.1), 0.05),
+}
+
+
+def string(stiffening=0.0, distance=0.1):
+    """Return a string that pulls with 0.2 N along x at the origin."""
+    return Tether(np.array([0.2, 0.0, 0.0]), 1.0 / distance, stiffening, np.zeros(3))
+
+
+@pytest.mark.parametrize('stiffening', [0.0, 15.0])
+def test_a_string_pulls_towards_its_fixed_point_with_what_its_length_says(stiffening):
+    tether = string(stiffening)
+    pulls, _ = tether.pulls(PLACES)
+    way = np.array([0.1, 0.0, 0.0]) - PLACES
+    length = np.linalg.norm(way, axis=1)
+    size = 0.2 * (1.0 + stiffening * (length - 0.1))
+    np.testing.assert_allclose(tether.fixed_point, [0.1, 0.0, 0.0])
+    np.testing.assert_allclose(pulls, (size / length)[:, None] * way, rtol=1e-12)
+
+
+def test_a_string_does_not_push():
+    pulls, slopes = string(stiffening=50.0).pulls(np.array([[0.05, 0.0, 0.0]]))
+    assert not pulls.any() and not slopes.any()
+
+
+def test_a_string_to_a_far_point_is_a_constant_force():
+    pulls, slopes = string(distance=1e6).pulls(PLACES)
+    np.testing.assert_allclose(pulls, [[0.2, 0.0, 0.0]] * 3, atol=1e-7)
+    np.testing.assert_allclose(slopes, 0.0, atol=1e-6)
+
+
+def test_its_slopes_are_those_of_differences():
+    tether, step = string(stiffening=15.0), 1e-6
+    _, slopes = tether.pulls(PLACES)
+    for j, one in enumerate(step * np.eye(3)):
+        moved = (tether.pulls(PLACES + one)[0] - tether.pulls(PLACES - one)[0]) / (2.0 * step)
+        np.testing.assert_allclose(slopes[:, :, j], moved, atol=1e-7)
+
+
+def test_an_arm_that_gives_way_along_a_spring_rests_where_both_pull_alike():
+    give, stiffening = 0.3, 15.0  # [m/N]; the spring has 0.2 * 15 N/m
+    arm = Answer(np.zeros((1, 3)), np.zeros((1, 3)), give * np.eye(3)[None], None, None)
+    pulls = string(stiffening).settled(arm)
+    np.testing.assert_allclose(pulls, [[0.2 / (1.0 + give * 0.2 * stiffening), 0.0, 0.0]])
+
+
+@pytest.mark.parametrize('stiffness', [0.0, 0.8])
+def test_a_plant_rests_under_the_pull_of_its_string(stiffness):
+    robot, tied = replace(simulated.robot('spatial_3', cells=6), effects={}), {'cell': 6}
+    point = {'anchor_x': 0.08, 'anchor_y': 0.02, 'anchor_z': 0.1}
+    hidden = tied | point | {'tension': 0.05, 'stiffness': stiffness}
+    held = make_plant(robot, {'tether': hidden}, scatter=0.0, refine=1)
+    tensions = [[1.5, 0.0, 0.3]]
+    shape = held.shapes(tensions)
+    middle = robot.length * (1.0 - 0.5 / 6)
+    at, straight = shape.markers(np.array([middle]), np.zeros((1, 3)))[0, 0], [0.0, 0.0, middle]
+    own = String(5, np.array(list(point.values())), 0.05, stiffness).pull(at, np.array(straight))
+    force = dict(zip(('force_x', 'force_y', 'force_z'), own.tolist(), strict=True))
+    pushed = make_plant(robot, {'tether': tied | force}, scatter=0.0, refine=1).shapes(tensions)
+    np.testing.assert_allclose(shape.tip_position, pushed.tip_position, atol=1e-7)
+    free = make_plant(robot, {}, scatter=0.0, refine=1).shapes(tensions)
+    assert np.abs(free.tip_position - shape.tip_position).max() > 1e-3
+    one = held.respond(tensions[0])
+    np.testing.assert_allclose(one.tip_position, shape.tip_position[0], atol=1e-7)
+
+
+def test_a_string_without_a_whole_fixed_point_is_refused():
+    with pytest.raises(EffectError, match='tether: expected anchor_x, anchor_y, anchor_z of a st'):
+        make_plant(simulated.robot(), {'tether': {'anchor_x': 0.1, 'force_x': 0.1}})
+
+
+def diagnosed(arm, hidden):
+    """Diagnose an arm as built, of ten cells, that hides something."""
+    robot = simulated.robot(ARMS[arm][0], cells=10)
+    plant = make_plant(robot, hidden, seed=3, work=Workmanship())
+    measured = simulate(plant, default_postures(robot, 12, 0, 'tension', 'from_straight'), seed=3)
+    return diagnose(measured, robot, workers=1)
+
+
+@pytest.mark.parametrize('arm', ARMS)
+def test_a_string_is_named_with_its_cell_and_its_fixed_point(arm):
+    _, cell, point, tension = ARMS[arm]
+    anchor = dict(zip(('anchor_x', 'anchor_y', 'anchor_z'), point, strict=True))
+    found = diagnosed(arm, {'tether': {'cell': cell, 'tension': tension, **anchor}})
+    rival = found.details['rival']
+    assert found.verdict is Verdict.OUTSIDE_CATALOGUE and rival['name'] == 'tether'
+    assert abs(rival['cell'] - cell) <= 1
+    np.testing.assert_allclose(rival['fixed_point'], point, atol=0.02)
+    assert rival['pull'][0] == pytest.approx(tension, rel=0.25)
+    assert f'a string from cell {rival["cell"]} to (' in found.remainder
+    assert f'{rival["words"]}, fits better' in verdict(found)
+
+
+@pytest.mark.parametrize('arm', ARMS)
+def test_a_load_that_is_always_the_same_stays_a_tip_load(arm):
+    force = 0.5 * ARMS[arm][3]
+    found = diagnosed(arm, {'tip_load': {'force_x': force, 'force_z': -force}})
+    assert found.verdict in (Verdict.MISSING_EFFECT, Verdict.AMBIGUOUS)
+    assert found.effects[0].name == 'tip_load'
