@@ -118,3 +118,13 @@ def test_a_load_that_is_always_the_same_stays_a_tip_load(arm):
     found = diagnosed(arm, {'tip_load': {'force_x': force, 'force_z': -force}})
     assert found.verdict in (Verdict.MISSING_EFFECT, Verdict.AMBIGUOUS)
     assert found.effects[0].name == 'tip_load'
+
+
+@pytest.mark.parametrize('arm', ARMS)
+def test_a_constant_force_at_a_cell_is_no_string(arm):
+    """A string imitates it with one parameter more, and explains no more than chance."""
+    _, cell, _, tension = ARMS[arm]
+    found = diagnosed(arm, {'tether': {'cell': cell, 'force_x': tension, 'force_z': -tension}})
+    assert found.verdict is Verdict.OUTSIDE_CATALOGUE
+    assert found.details['rival']['name'] == 'contact'
+    assert 'string' not in found.remainder

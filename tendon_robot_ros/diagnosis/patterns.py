@@ -21,7 +21,7 @@ from ..inference.session import NEAR_SCORE, side_by_side
 from ..inference.slopes import pushes
 from ..inference.statistics import SIGNIFICANCE, chi2_isf, chi2_sf
 from .tether import Answer, FittedTether, fit_tether
-from .verdict import APART_FROM_SCORE, SAME_ERROR_RATIO
+from .verdict import ALARM_LEVEL, APART_FROM_SCORE, SAME_ERROR_RATIO
 
 NAMES = ('contact', 'tether', 'soft_cell', 'taper', 'gain_per_posture', 'rotation_per_posture')
 
@@ -199,6 +199,10 @@ class Patterns:
 
     def contact(self) -> Pattern | None:
         """Fit a force at one cell, the same in all postures: its place and vector [N]."""
+        return self._constant
+
+    @cached_property
+    def _constant(self) -> Pattern | None:
         slopes = self.pushes
         if slopes is None:
             return None
@@ -219,15 +223,18 @@ class Patterns:
 
     def tether(self) -> Pattern | None:
         """
-        Fit a string from one cell to a fixed point.
+        Fit a string from one cell to a fixed point; None where a constant force explains as much.
 
-        It is tried where forces that differ from posture to posture explain most, and then at the
-        neighbours of the best place while the score falls.
+        It is sought where a constant force gains more than chance would: else noise would be tied
+        to some point. It is tried where forces that differ from posture to posture explain most,
+        and then at the neighbours of the best place while the score falls.
         """
         if self.fitter.response > 0.0:
             return None  # a force that seems to change with the posture may be the model's error
-        slopes = self.pushes
-        if slopes is None:
+        slopes, constant = self.pushes, self._constant
+        if slopes is None or constant is None:
+            return None
+        if constant.gain_p_value(self.fit.deviance) >= ALARM_LEVEL:
             return None
         each = np.eye(slopes.shape[2])[:, None, :, None, None]  # one posture after the other
         gains = [self._gain(-(each * moves).reshape(-1, *moves.shape[1:])) for moves in slopes]
@@ -242,7 +249,8 @@ class Patterns:
             self.fitter.resume(place.patterns.fit)
             pattern = place.pattern(self._first)
         self.fitter.resume(self.fit)
-        return pattern
+        worse = pattern is None or pattern.score > constant.score - APART_FROM_SCORE
+        return None if worse else pattern
 
     def _tied(self, cell: int) -> tuple[float, TiedCell | None]:
         """Return the score of a string at a cell, linear about a force there."""
