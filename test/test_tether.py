@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import simulated
+from measurements import blind
 
 from tendon_robot_ros.common.errors import EffectError
+from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.tether import Answer, Tether
 from tendon_robot_ros.diagnosis.verdict import Verdict
@@ -128,3 +130,10 @@ def test_a_constant_force_at_a_cell_is_no_string(arm):
     assert found.verdict is Verdict.OUTSIDE_CATALOGUE
     assert found.details['rival']['name'] == 'contact'
     assert 'string' not in found.remainder
+
+
+def test_friction_that_settles_elsewhere_lets_no_string_win():
+    """The prior rows of a pattern are their own sum, not what a settled shape leaves of chi²."""
+    found = diagnose(load_dataset(blind('c') / 'fit'))
+    assert found.verdict is Verdict.MISSING_EFFECT
+    assert [effect.name for effect in found.effects] == ['tendon_friction']

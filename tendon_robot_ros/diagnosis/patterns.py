@@ -146,7 +146,11 @@ class Patterns:
         self.markers = fit.markers if markers is None else markers
         self.settled = fitter.predictor.settled
         self.r = self.white(self.markers)
-        self.prior = fit.chi2 - float(self.r @ self.r)
+        # without those of cells, which are fitted again; summed, because friction may now settle
+        # elsewhere than in the fit, so that a difference from its chi² would be no prior
+        rows = fit.residual[fitter.whitener.size :][: len(fit.nuisances)]
+        kept = [n.quantity != CELLS for n in fit.nuisances]
+        self.prior = float((rows[kept] ** 2).sum())
         self.extra = fit.rank
 
     def white(self, markers: Floats) -> Floats:
