@@ -264,7 +264,8 @@ class Explaining:
         """
         Explain a data set with as few effects as leave at most `enough` [m], up to `effects_max`.
 
-        The input `free`, if any, may deviate in each posture. None without equilibrium.
+        The input `free`, if any, may deviate in each posture. Of a long recording effects that
+        remember are left to the diagnosis itself. None without equilibrium.
         """
         predictor = Predictor(dataset, dataset.robot, self.catalogue)
         noise = Noise(self.usual / np.sqrt(3.0), 0.0, 1.0, np.inf, 'declared')
@@ -283,6 +284,9 @@ class Explaining:
         nuisances = nuisances_of(dataset.robot, self.catalogue, predictor)
         fitter = Fitter(predictor, Whitener(dataset, noise, slopes), nuisances)
         effects = joining_effects(dataset.robot, self.catalogue, dataset)
+        if dataset.thinned_from:
+            slow = self.catalogue.needing('history')
+            effects = [effect for effect in effects if not slow & set(effect.names)]
         try:
             fit = fitter.fit((), steps=STEPS_FEW)
         except FAILURES:
