@@ -219,13 +219,15 @@ def parse_pose_array(data: bytes) -> tuple[str, FloatArray]:
 
 def joints_of(message: Any, names: Sequence[str]) -> tuple[list[float], list[float]]:
     """Return pulls [m] and tensions [N] of the named tendons of a JointState; NaN = missing."""
-    places = {name: place for place, name in enumerate(message.name)}
+    # a damaged recording may name the fields otherwise
+    every, pulls, tensions = (getattr(message, one, ()) for one in ('name', 'position', 'effort'))
+    places = {name: place for place, name in enumerate(every)}
 
     def pick(values: Sequence[float]) -> list[float]:
         columns = (places.get(name, len(values)) for name in names)
         return [float(values[i]) if i < len(values) else float('nan') for i in columns]
 
-    return pick(message.position), pick(message.effort)
+    return pick(pulls), pick(tensions)
 
 
 STATES, SHAPE = '/tendon_states', '/measured_shape'

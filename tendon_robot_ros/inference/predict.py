@@ -537,7 +537,8 @@ class Predictor:
         """Return a part with those of its postures that the present model has to predict."""
         if self.model.remembers:
             return part
-        return replace(part, rows=part.rows[self._shown[part.rows]])
+        rows = part.rows[self._shown[part.rows]]
+        return replace(part, rows=rows) if len(rows) else part
 
     def _visits(self, part: Conditions) -> Visits | None:
         """Return the visits to the postures of a part; None where the arm keeps no memory."""
