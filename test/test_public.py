@@ -13,7 +13,9 @@ import tendon_robot_ros
 from tendon_robot_ros import Model, compare, load_dataset, load_robot
 from tendon_robot_ros.common.errors import InputError
 from tendon_robot_ros.common.rotations import about
+from tendon_robot_ros.model.pulls import pull_shapes
 from tendon_robot_ros.model.shape import bending_azimuth, plot_arms, views_of
+from tendon_robot_ros.workspace.postures import default_postures
 
 ROBOTS = ROOT / 'config' / 'robots'
 
@@ -120,6 +122,36 @@ def test_the_notebook_goes_from_a_table_to_a_verdict(tmp_path):
     for name in ('shape.png', 'errors.png', 'import.png', 'diagnosis.png'):
         assert (tmp_path / name).stat().st_size > 5000
     assert len(load_dataset(tmp_path / 'data').markers) == 6
+
+
+@pytest.mark.slow  # half a minute: nine wires by pulls, the real tables are not in the project
+def test_the_arm_that_remembers_is_followed_on_later_motions(tmp_path):
+    """docs/opencr.md on simulated tables of the same kind: settled tips in the order of time."""
+    pandas = pytest.importorskip('pandas')
+    robot, random = load_robot(ROOT / 'examples/opencr.yaml'), np.random.default_rng(5)
+    lag = 0.5 / robot.cells
+    arm = Model(robot.with_effect('bending_hysteresis', {'lag': lag, 'presliding': 1.0}))
+    for name, count, seed in (('train', 48, 0), ('val', 24, 1)):
+        pulls = default_postures(robot, count, seed, 'displacement', 'sequence')
+        let_go = np.where(np.isnan(pulls), -0.01, pulls)
+        tips = pull_shapes(arm, let_go, memory=arm.arrays.fresh_memory()).tip_position
+        table = {'timestamp': 0.6 * np.arange(count)}
+        servos = zip((4, 3, 9, 5, 2, 8, 6, 1, 7), let_go.T, strict=True)
+        table |= {f'servo_{number}_mm': 1e3 * pull for number, pull in servos}
+        noisy = tips + random.normal(0.0, 3e-4, tips.shape)
+        table |= {f'tip_{axis}': 1e3 * places for axis, places in zip('xyz', noisy.T, strict=True)}
+        pandas.DataFrame(table).to_csv(tmp_path / f'{name}.csv', index=False)
+    run = processes.run([sys.executable, 'examples/opencr.py', tmp_path, tmp_path], cwd=ROOT)
+    assert run.returncode == 0, run.stderr
+    rms = {
+        line.split(' (')[0]: float(line.split(')')[1].split()[0])
+        for line in run.stdout.splitlines()
+        if line.startswith(('as described (', 'that forgets (', 'that remembers ('))
+    }
+    assert rms['that remembers'] < 0.25 * min(rms['that forgets'], rms['as described'])
+    assert rms['that remembers'] < 1.0  # [mm], with noise of 0.5
+    found = load_robot(tmp_path / 'better.yaml').effects['bending_hysteresis']
+    assert found['lag'] == pytest.approx((lag,) * 3, rel=0.15)
 
 
 def test_linear_algebra_runs_in_one_thread_unless_the_user_says_otherwise():

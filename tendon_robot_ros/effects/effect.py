@@ -43,7 +43,8 @@ class Parameter:
     parts_power : int
         Power of the number of parts by which the value grows where a cell is divided.
     has_default : bool
-        Whether a description may leave it out of an effect that is always on; it is then neutral.
+        Whether it only shapes what the others do: a description may leave it out, also of an
+        effect that is always on; it is then neutral.
 
     """
 

@@ -250,7 +250,8 @@ def measure(traces: Sequence[Traces], chosen: Selection, robot: Robot) -> StillM
 
 def _too_far_apart(traces: Sequence[Traces], rule: Rule) -> str:
     """Return how far apart rows are that cannot show the arm at rest; '' where they can."""
-    apart = float(np.median(np.concatenate([np.diff(t.recording.state_times) for t in traces])))
+    intervals = np.concatenate([np.diff(one.recording.state_times) for one in traces])
+    apart = float(np.median(intervals)) if len(intervals) else 0.0
     if apart <= rule.duration / 4:
         return ''
     return (
