@@ -22,32 +22,40 @@ def model(remembers=True):
 
 
 class Rig:
-    """A controller whose arm follows at once and remembers, with load cells that are noisy."""
+    """
+    A controller whose arm follows at once and remembers, with load cells that are noisy.
 
-    def __init__(self, known=True, noise=0.0, pull=False, **settings):
-        self.core = ControllerCore(model(known), Settings(pull_mode=pull, **settings))
-        self.arm, self.noise, self.random = model(), noise, np.random.default_rng(1)
-        self.now, self.shape, self.worst, self.pull = (
-            0.0,
-            self.arm.shape(np.full(4, 0.1)),
-            np.inf,
-            pull,
-        )
+    `models` returns the model of the arm, or the one that remembers nothing.
+    """
+
+    def __init__(self, known=True, noise=0.0, pull=False, models=model, **settings):
+        self.core = ControllerCore(models(known), Settings(pull_mode=pull, **settings))
+        self.models, self.arm, self.pull = models, models(), pull
+        self.noise, self.random = noise, np.random.default_rng(1)
+        self.now, self.worst = 0.0, np.inf
+        self.shape = self.arm.shape(np.full(len(self.arm.inputs), 0.1))
 
     def run(self, seconds):
         for step in range(round(seconds / CYCLE)):
             self.now += CYCLE
-            nothing = np.full(4, np.nan)
-            seen = self.shape.inputs + self.noise * self.random.normal(size=4)
+            nothing = np.full_like(self.shape.inputs, np.nan)
+            seen = self.shape.inputs + self.noise * self.random.normal(size=len(nothing))
             self.core.measured(self.now, nothing if self.pull else seen, self.shape.pulls)
             output = self.core.step(self.now)
             if output is not None:
-                self.shape = self.arm.follow(self.shape, output.tensions)
+                self.shape = self.moved(output)
             if step % 6 == 0:
                 self.core.predict(self.now, lambda shape: None)
 
+    def moved(self, output):
+        if not (self.pull and self.arm.bends_remember):
+            return self.arm.follow(self.shape, output.tensions)
+        if np.allclose(output.pulls, self.shape.pulls, rtol=0.0, atol=1e-9):
+            return self.shape
+        return self.arm.pull_shape(output.pulls, self.shape, self.shape.memory)
+
     def go(self, tensions):
-        target = Target(model(False).shape(np.array(tensions)).tip_position)
+        target = Target(self.models(False).shape(np.array(tensions)).tip_position)
         self.core.aim(target)
         self.run(1.2)
         return float(np.linalg.norm(self.shape.tip_position - target.position))

@@ -1,9 +1,11 @@
 """Friction that remembers in the controller, ways on which it ends well, regions, preferences."""
 
 import re
+from functools import partial
 
 import numpy as np
 import pytest
+from arms import COARSE
 from friction_rig import TARGETS, Rig, model
 
 from tendon_robot_ros.common.errors import NoEquilibriumError
@@ -34,6 +36,34 @@ def test_the_tip_is_where_it_should_be_after_loading_and_unloading():
 def test_also_where_wire_lengths_are_commanded():
     order = TARGETS[:3]  # the fourth takes tensions that no lengths hold
     assert missed(order, pull=True) < 0.01 * missed(order, known=False)
+
+
+def bending(robot, remembers=True):
+    lag = 0.3 / robot.cells if remembers else 0.0
+    robot = robot.with_effect('wire_spring', {'compliance': 1e-3})
+    return Model(robot.with_effect('bending_hysteresis', {'lag': lag, 'presliding': 2.0}))
+
+
+@pytest.mark.parametrize('pull', [False, True], ids=['tensions', 'pulls'])
+@pytest.mark.parametrize('robot', [load_robot('kato_10_1'), COARSE], ids=['planar', 'spatial'])
+def test_a_target_is_the_same_place_from_every_side_where_the_backbone_keeps_its_bend(robot, pull):
+    inputs, random = len(robot.inputs), np.random.default_rng(2)
+    top = 0.8 if robot.name == 'kato_10_1' else 1.5  # [N]
+    targets, sides = 0.1 + top * random.uniform(0.0, [[[0.6]], [[1.0]]], (2, 3, inputs))
+    spread = {}
+    for known in (True, False):
+        rig = Rig(known, pull=pull, models=partial(bending, robot))
+        rig.run(0.1)
+        for target in targets[:2]:
+            ends = []
+            for side in sides:
+                rig.go(side)
+                rig.go(target)
+                ends.append(rig.shape.tip_position)
+            away = np.linalg.norm(np.array(ends) - np.mean(ends, axis=0), axis=1).max()
+            spread.setdefault(known, []).append(away)
+    assert 3.0 * max(spread[True]) < max(spread[False])
+    assert 3.0 * np.mean(spread[True]) < np.mean(spread[False])
 
 
 def test_a_stream_of_targets_asks_for_no_newtons_where_three_tendons_hardly_lead_the_tip():

@@ -418,6 +418,8 @@ class ControllerCore(ControllerState):
         if tensions is None or self.solver.busy('predict'):
             return
         track, find = self.track, self.track.shape_work(tensions)
+        if self.pulls is not None and self.tracks_pulls:
+            find = track.held_work(self.pulls.pulls, find)
 
         def done(shape: Shape | None, error: TendonRobotError | None) -> None:
             if track is not self.track:

@@ -21,7 +21,7 @@ from ..common.arrays import Floats
 from ..common.errors import TendonRobotError
 from ..common.rotations import rotated
 from ..drivers.safety import CYCLE_MAX_S, approach, bounded
-from ..model.inverse import POSITION_TOLERANCE_M, judged
+from ..model.inverse import POSITION_TOLERANCE_M, TOLERANCE_COST_M2, WORTHWHILE_MAX, judged
 from ..model.program import ITERATIONS_MAX, STEP_MAX
 from ..model.redundancy import Balance, balanced
 from .inputs import Target, Trajectory, Twist
@@ -65,6 +65,8 @@ class FollowTarget(Mode):
     position: Floats | None = None
     in_time: bool = True
     _settling: Settling = field(default_factory=Settling)
+    # [m²] cost of the tip beside its place at the last arrival; 0 where no search is to follow
+    _missed: float = field(default=np.inf, init=False)
 
     def step(self, state: ControllerState, passed: float) -> Floats | None:
         """Return the next tensions to pass, then those of the target."""
@@ -75,11 +77,46 @@ class FollowTarget(Mode):
                 settled = self._settling.settled(state.time, state.command, measured, high - low)
             if settled:
                 self.via.pop(0)
+        elif self._unsure(state) and _same(state.command, self.reach.tensions):
+            self._look_back(state, self.reach.tensions)
         return self.via[0] if self.via else state.goal(self.reach.tensions)
 
     def moving(self, state: ControllerState) -> bool:
-        """Whether the command is not yet at its goal."""
-        return bool(self.via) or not _same(state.command, state.goal(self.reach.tensions))
+        """Whether the command is not yet at its goal, or that goal may change."""
+        at_goal = _same(state.command, state.goal(self.reach.tensions))
+        return bool(self.via) or not at_goal or self._unsure(state)
+
+    def _unsure(self, state: ControllerState) -> bool:
+        """Whether an arm that remembers may have come to another place than the solution's."""
+        last_leg = state.settings.approach == 'from_below'  # which no other may follow
+        return state.tracks_pulls and self._missed > 0.0 and not last_leg
+
+    def _look_back(self, state: ControllerState, command: Floats) -> None:
+        """
+        Search again from where the model says that the arm has come to, where it should not be.
+
+        The search takes each cell to bend in a straight line to its end; the arm came on a curve.
+        Searches go on while each brings the tip nearer by more than it is worth.
+        """
+        here, target, most = state.track.last, self.target, WORTHWHILE_MAX * self._missed
+        settled = self._settling.settled(state.time, command, command, command)  # and so tracked
+        if state.solver.busy('again') or not settled:
+            return
+        task = tip_task(state.model, state.settings, target)
+        missed = 0.0 if here is None else task.held_at(self.reach.shape).cost(here)
+        self._missed = missed if TOLERANCE_COST_M2 < missed < most else 0.0
+        if here is None or self._missed == 0.0:
+            return
+        now = task.cost(here)
+
+        def done(path: Approach | None, error: TendonRobotError | None) -> None:
+            if path is not None and task.cost(path.reach.shape) < now:
+                self.reach = path.reach
+            else:
+                self._missed = 0.0
+
+        request = SearchRequest.of(state, state.model, target, tracking=True)
+        state.solver.post('again', request.answer, done)
 
 
 @dataclass

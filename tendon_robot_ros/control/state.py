@@ -8,6 +8,7 @@ requested to resume, which the controller does when a new target, trajectory or 
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -17,6 +18,7 @@ from ..common.arrays import Floats
 from ..common.errors import InputError, NoEquilibriumError
 from ..drivers.safety import StopLatch, bounded
 from ..model.program import RANGE_TOLERANCE, bounded_least_squares
+from ..model.pulls import GAP_ACCEPTED_M
 from .inputs import Refusal, Settings, Target, Trajectory, Twist
 from .solver import GiveUp, Solver
 from .tip_estimator import NOISE_SAMPLES, NullSpaceMotion, TipEstimate, bias_part
@@ -308,6 +310,21 @@ class ShapeTracker:
         model, before = self.model, before or self.last
         return lambda give_up: model.follow(before, tensions)
 
+    def held_work(
+        self, pulls: Floats, otherwise: Callable[[GiveUp], Shape]
+    ) -> Callable[[GiveUp], Shape]:
+        """Return solver work: the shape at wire pulls (m,) [m], `otherwise` without one."""
+        model, last = self.model, self.last
+
+        def work(give_up: GiveUp) -> Shape:
+            if last is not None and np.allclose(last.pulls, pulls, rtol=0.0, atol=GAP_ACCEPTED_M):
+                return last
+            with suppress(NoEquilibriumError, InputError):
+                return model.pull_shape(pulls, last, None if last is None else last.memory)
+            return otherwise(give_up)
+
+        return work
+
     def accept(self, shape: Shape) -> None:
         """Store a new shape."""
         self.last = shape
@@ -416,6 +433,11 @@ class ControllerState:
     def commanded(self) -> Floats | None:
         """The last command, (m,) [N], or [m] in pull mode."""
         return self.command
+
+    @property
+    def tracks_pulls(self) -> bool:
+        """Whether the model follows commanded pulls, because bends remember the way."""
+        return self.settings.pull_mode and self.model.bends_remember
 
     @property
     def in_null_space(self) -> bool:

@@ -251,7 +251,10 @@ class SearchRequest:
         if not (model.remembers or settings.keep_out):
             solution = self._solve_from(None, guess, give_up, report)
             return Approach(solution, forgetting_tensions(model) if from_below else ())
-        start = model.follow(self.last, self.acting)
+        if self.last is not None and settings.pull_mode and model.bends_remember:
+            start = self.last  # at the pulls, whose tensions may be others than the commanded ones
+        else:
+            start = model.follow(self.last, self.acting)
         past = start if model.remembers else None
         if settings.tip_gain > 0.0 and not (from_below or settings.keep_out):
             return Approach(self._for_closed_loop(start, give_up, report))

@@ -105,7 +105,12 @@ class ForwardModel:
     @property
     def remembers(self) -> bool:
         """Whether the arm remembers the loading history, by its friction or its bends."""
-        return self.friction_remembers or self.acts_at('hysteresis')
+        return self.friction_remembers or self.bends_remember
+
+    @property
+    def bends_remember(self) -> bool:
+        """Whether the backbone keeps part of its bend."""
+        return self.acts_at('hysteresis')
 
     @property
     def friction_remembers(self) -> bool:
