@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from arms import spatial, two_sections
 from source_tree import ROOT
 
 from tendon_robot_ros.common.errors import EffectError, InputError
@@ -215,6 +216,35 @@ def test_friction_remembers_from_call_to_call():
     one_by_one = [real.respond(row).positions for row in rows]
     np.testing.assert_allclose(one_by_one, real.shapes(rows, sequence=True).positions, atol=1e-9)
     assert largest(one_by_one[1], make_plant(arm).shapes(rows[1:]).positions[0]) > 1e-4
+
+
+@pytest.mark.parametrize('arm', [two_sections(4), spatial(4)], ids=['planar', 'spatial'])
+@pytest.mark.parametrize(
+    'hidden',
+    [
+        {'bending_hysteresis': {'lag': 0.03, 'presliding': 2.0}},
+        {
+            'tendon_friction': {'friction_coefficient': 0.3},
+            'friction_memory': {'presliding_length': 1e-4},
+        },
+    ],
+    ids=lambda hidden: next(iter(hidden)),
+)
+def test_pulls_from_both_sides_leave_it_where_the_model_with_memory_says(arm, hidden):
+    arm = arm.with_effect('wire_spring', {'compliance': 2e-3})
+    real = make_plant(arm, hidden, refine=1, scatter=0.0, capstan=False)
+    model = Model(replace(arm, effects=arm.effects | hidden))
+    low, middle, high = np.outer([1e-3, 3e-3, 5e-3], [1.0, np.nan] + [0.4] * (len(arm.inputs) - 2))
+    tips = []
+    for side in (low, high):
+        real.forget()
+        last = None
+        for pulls in (side, middle):
+            last = model.follow_pulls(last, pulls)
+            there = real.respond_to_pulls(pulls)
+        np.testing.assert_allclose(there.positions, last.positions, rtol=0, atol=1e-6)
+        tips.append(there.tip_position)
+    assert largest(*tips) > 1e-5
 
 
 @pytest.mark.parametrize(

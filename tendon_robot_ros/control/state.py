@@ -320,7 +320,7 @@ class ShapeTracker:
             if last is not None and np.allclose(last.pulls, pulls, rtol=0.0, atol=GAP_ACCEPTED_M):
                 return last
             with suppress(NoEquilibriumError, InputError):
-                return model.pull_shape(pulls, last, None if last is None else last.memory)
+                return model.follow_pulls(last, pulls)
             return otherwise(give_up)
 
         return work

@@ -485,11 +485,8 @@ def keep_out_refusal(
         point and between the points.
 
     """
-
-    def pulled(shape: Shape, pulls: Floats) -> Shape:
-        return model.pull_shape(pulls, shape, shape.memory if model.remembers else None)
-
-    allowed, solve, time = _allowed(start, keep_out), pulled if pull else model.follow, 0.0
+    solve = model.follow_pulls if pull else model.follow
+    allowed, time = _allowed(start, keep_out), 0.0
     shape, begin = start, start.pulls if pull else start.inputs
     for due, end in zip(trajectory.times.tolist(), trajectory.values, strict=True):
         try:

@@ -132,3 +132,21 @@ class Model(ForwardModel):
     ) -> Shape:
         """Return the shape under wire pulls; see `pulls.pull_shape`."""
         return pull_shape(self, pulls, guess, memory)
+
+    def follow_pulls(self, last: Shape | None, pulls: TensionsLike) -> Shape:
+        """
+        Return the shape under wire pulls that follow those of the last shape, as `follow` does.
+
+        Parameters
+        ----------
+        last : Shape or None
+            None: the arm was straight and free of tension.
+        pulls : mapping or (m,) [m]
+
+        Raises
+        ------
+        InputError, NoEquilibriumError
+
+        """
+        past = last.memory if last is not None and self.remembers else None
+        return pull_shape(self, pulls, last, past)

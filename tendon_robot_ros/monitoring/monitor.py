@@ -419,7 +419,7 @@ class Monitor:
             if np.isfinite(tensions).all():
                 self._shape = self.model.follow(last, np.maximum(tensions, 0.0))
             else:
-                self._shape = self.model.pull_shape(pulls, last)
+                self._shape = self.model.follow_pulls(last, pulls)
         except (NoEquilibriumError, InputError) as error:
             self.problem = f'the model has no shape here: {error}'
             self._shape = None

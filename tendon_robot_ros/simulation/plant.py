@@ -216,10 +216,10 @@ class Plant:
         self._state = None
 
     def respond_to_pulls(self, pulls: npt.ArrayLike) -> PlantShape:
-        """Return the arm under wire pulls (m,) [m], nan = slack; friction does not remember."""
-        target = np.asarray(pulls, dtype=float)
+        """Return the arm under wire pulls (m,) [m], nan = slack, that follow the last call's."""
+        target, last = np.asarray(pulls, dtype=float), self._state
         applied = target * self._gain(target[None], True)[0]
-        shape = self._held(lambda: self.model.pull_shape(applied, self._state))
+        shape = self._held(lambda: self.model.follow_pulls(last, applied))
         self._state = PlantShape(shape, self)
         return self._state
 

@@ -43,7 +43,7 @@ from ..shared.runtime import repeat
 
 
 class Twin:
-    """A mock arm that equals the model, with the memory of its friction (`make demo`)."""
+    """A mock arm that equals the model, with its memory (`make demo`)."""
 
     def __init__(self, robot: Robot) -> None:
         """Start straight and slack."""
@@ -57,7 +57,7 @@ class Twin:
 
     def respond_to_pulls(self, pulls: Floats) -> Shape:
         """Return the shape under wire pulls (m,) [m], nan = slack."""
-        self._last = self._model.pull_shape(pulls, self._last)
+        self._last = self._model.follow_pulls(self._last, pulls)
         return self._last
 
 
