@@ -1,4 +1,4 @@
-"""The numbers and examples of docs/dynamixel.md are those of the code."""
+"""The numbers and examples of the pages on Dynamixel motors are those of the code."""
 
 import re
 
@@ -20,7 +20,10 @@ from tendon_robot_ros.drivers.dynamixel.control_table import MODELS, REGISTERS
 from tendon_robot_ros.drivers.dynamixel.servos import SETTINGS
 from tendon_robot_ros.robot import load_robot
 
-PAGE = (ROOT / 'docs' / 'dynamixel.md').read_text(encoding='utf-8')
+PAGE = ''.join(
+    (ROOT / 'docs' / name).read_text(encoding='utf-8')
+    for name in ('dynamixel.md', 'dynamixel_settings.md')
+)
 
 
 @pytest.mark.parametrize('model', MODELS.values(), ids=lambda model: model.name)

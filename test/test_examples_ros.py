@@ -1,4 +1,4 @@
-"""The example moves the mock arm as the README says."""
+"""examples/go_to.py moves the mock arm."""
 
 import os
 import sys

@@ -28,7 +28,7 @@ def test_the_blocks_of_the_readme_run(block, folder):
 
 def test_the_snippet_of_the_readme_ends_well_where_nothing_is_found(monkeypatch):
     monkeypatch.setattr(
-        tendon_robot_ros, 'import_table', lambda *_: SimpleNamespace(dataset=None), raising=False
+        tendon_robot_ros, 'load_dataset', lambda *_: SimpleNamespace(), raising=False
     )
     for name in ('compare', 'diagnose'):
         monkeypatch.setattr(

@@ -18,7 +18,7 @@ def shown():
 def test_the_commands_print_what_the_readme_shows(tmp_path):
     prepare(tmp_path)
     parts = list(shown())
-    assert len(parts) == 5, 'five commands'
+    assert len(parts) == 3, 'three commands'
     for command, lines in parts:
         printed = run({'text': f'$ {command}\n', 'language': 'console'}, tmp_path, timeout=240.0)
         missing = [line for line in lines if not appears(line, printed)]

@@ -37,7 +37,7 @@ class ControllerStatus(NamedTuple):
 
 
 def controller_values(core: ControllerCore, now: float) -> dict[str, str]:
-    """Return the values of the status, with their unit in the key: docs/ros_interface.md."""
+    """Return the values of the status, with their unit in the key: docs/ros_nodes.md."""
     values = {'moving': str(core.moving).lower()}
     if stamp := followed(core):
         values['target_stamp'] = stamp
@@ -75,7 +75,7 @@ def followed(core: ControllerCore) -> str:
 
 
 def controller_status(core: ControllerCore, now: float) -> ControllerStatus:
-    """Return the status of the controller; docs/ros_interface.md lists the codes."""
+    """Return the status of the controller; docs/ros_nodes.md lists the codes."""
     if core.latch:
         reasons = '; '.join(core.latch.reasons)
         return ControllerStatus(ERROR, 'stopped', f'{reasons}; call reset to go on')

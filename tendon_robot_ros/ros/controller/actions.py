@@ -27,7 +27,7 @@ from ..shared.timing import VALUES_PERIOD_S
 from .topics import Incoming
 
 # error_code of a goal, by the code of its outcome ('': reached; None: any other), as in
-# docs/ros_interface.md; those of nav2 itself begin at 100
+# docs/ros_nodes.md; those of nav2 itself begin at 100
 ERROR_CODES: dict[str, dict[str | None, int]] = {
     'control_msgs': {
         None: -1,  # INVALID_GOAL

@@ -5,7 +5,7 @@ Topics: ~/target_pose, ~/target_point, ~/delta_twist, ~/tendon_trajectory, tendo
 (subscribed);
 tendon_command, ~/predicted_shape, ~/predicted_tip, ~/markers, ~/status, /diagnostics (published).
 Services: ~/stop, ~/reset. Actions, where their types are installed: ~/follow_joint_trajectory,
-~/navigate_to_pose, ~/navigate_through_poses. Parameters and units: docs/ros_interface.md.
+~/navigate_to_pose, ~/navigate_through_poses. Parameters and units: docs/ros_parameters.md.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@ The driver node: applies tendon commands to motors, and releases the arm when th
 
 Topics: tendon_command, stop (subscribed); tendon_states, ~/status, /diagnostics (published);
 with the mock also measured_tip and measured_shape. Services: ~/stop, ~/reset, ~/reboot.
-Parameters and units: docs/ros_interface.md.
+Parameters and units: docs/ros_parameters.md.
 """
 
 from __future__ import annotations
