@@ -1,4 +1,4 @@
-"""What each effect of the catalogue does to the shapes of a planar arm, for docs/effects.md."""
+"""What each effect of the catalogue does to the shapes of a planar arm: the pages of effects."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -157,7 +157,7 @@ ALONE = tuple(
 SETS = {'one tendon at a time': ALONE, 'twelve mixed postures': default_postures(ROBOT, 12)}
 
 
-def look_alikes(name, tensions, least=0.7):
+def look_alikes(name, tensions, least=0.75):
     """
     Return {effect: share} of the effects that alone can do much of what one effect does.
 

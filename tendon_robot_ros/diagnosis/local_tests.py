@@ -51,7 +51,7 @@ IN_CELLS = (CELLS, KINK, ACROSS)
 IN_INPUTS = (GAIN, HOLE, ZERO)
 ONCE = (KINK, ACROSS, GAIN, ZERO)  # kinds that are also looked for in single postures
 FAULTS_MAX = 8  # [1] places that are named, because nobody looks at more
-CHANGE_MAX = 3.0  # [1] of the stiffness of one cell, by slopes: docs/diagnosis.md
+CHANGE_MAX = 3.0  # [1] of the stiffness of one cell, by slopes: docs/inference.md
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ UNIT_FACTORS = {
 }  # fmt: skip
 FRAME_TURNED_MIN_DEG = 10.0  # [deg] because a load bends an arm like a smaller rotation
 FRAME_SHIFTED_MIN = 0.1  # [1] of the arm's length, because a load shifts its markers by less
-FRAME_HARDLY_KNOWN_RAD = 0.017  # [rad] 1°, which an import declares: docs/diagnosis.md
+FRAME_HARDLY_KNOWN_RAD = 0.017  # [rad] 1°, which an import declares: docs/inference.md
 FRAME_LEVEL_RAD = 0.05  # [rad] above it the vertical was not known either, else it would turn
 UNIT_RATIO_MAX = 1.1  # [1] to the factor of a unit, because distances tell it to a tenth
 INPUTS_PERMUTED_MAX = 4  # [1] whose 24 orders are all tried; five would have 120

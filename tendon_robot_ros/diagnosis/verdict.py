@@ -27,20 +27,20 @@ P_SEVERAL_MIN = 0.01  # [1] p-value of several; stricter because two imitate mor
 APART_FROM_SCORE = 9.21
 EFFECTS_MAX = 3  # [1] together, because more of them fit any dozen of postures
 TOLERANCE_SD_MAX = 3.0  # [1] declared sd that a quantity may move; 1 of 370 by chance
-# [1] of the repeatability that may be left; else what accounts for it is said: docs/diagnosis.md
+# [1] of the repeatability that may be left; else what accounts for it is said: docs/inference.md
 REPEATABILITIES_MAX = 3.0
 SAME_ERROR_RATIO = 1.25  # [1] of errors that count as equal, because floors are estimates
 
-# Mistakes of the set-up, and measurements that do not suffice: docs/diagnosis.md
+# Mistakes of the set-up, and measurements that do not suffice: docs/inference.md
 POSTURES_MIN = 3  # [1] because nearly every effect explains two
 POSTURES_ENOUGH = 6  # [1] because different causes look alike in fewer
 COVERAGE_MIN = 0.9  # [1] of the arm that markers reach, else the rest would pass as measured
-ODD_FROM_FLOORS = 10.0  # [1] noise floors of error that call for a mistake: docs/diagnosis.md
-QUIET_FLOORS = 5.0  # [1] noise floors that an explanation may leave: docs/diagnosis.md
+ODD_FROM_FLOORS = 10.0  # [1] noise floors of error that call for a mistake: docs/inference.md
+QUIET_FLOORS = 5.0  # [1] noise floors that an explanation may leave: docs/inference.md
 RESIDUAL_RATIO_USUAL = 0.1  # [1] of the error that a mistake may leave, because no arm is exact
-RESIDUAL_RATIO_MAX = 0.3  # [1] of the error that a mistake may leave at most: docs/diagnosis.md
-RESIDUAL_PARTLY_MAX = 0.6  # [1] the same where effects act as well: docs/diagnosis.md
-PLAIN_FLOORS = 1.2  # [1] usual floors of error after a correction, at most: docs/diagnosis.md
+RESIDUAL_RATIO_MAX = 0.3  # [1] of the error that a mistake may leave at most: docs/inference.md
+RESIDUAL_PARTLY_MAX = 0.6  # [1] the same where effects act as well: docs/inference.md
+PLAIN_FLOORS = 1.2  # [1] usual floors of error after a correction, at most: docs/inference.md
 MISTAKEN_RATIO_MIN = 1.9  # [1] because a ratio of two, known to 5 %, is a mistake, no tolerance
 MISTAKE_HANDICAP = 6.0  # [1] of score: 2 log 20, because some twenty mistakes are tried
 

@@ -43,7 +43,7 @@ PLAUSIBLE_SIZES: dict[str, tuple[str, float, float]] = {
     ROTATION: ('rad', math.radians(0.3), 1e-3),
 }
 PLAUSIBLE_LENGTH = 0.2  # [m] of an arm; of a longer one lengths grow because its parts do
-BEND_MAX_RAD = 0.5  # [rad] of one cell, else the whole arm would be wrong: docs/diagnosis.md
+BEND_MAX_RAD = 0.5  # [rad] of one cell, else the whole arm would be wrong: docs/inference.md
 REST = 'pre_curvature'  # the effect whose parameters are the bends at rest
 PUSH, WEIGHT = 'push', 'gravity'  # a force at the middle of a cell; the effect that it uses
 Members = Mapping[str, Floats]  # kind -> size of each of its members

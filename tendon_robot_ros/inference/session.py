@@ -36,7 +36,7 @@ from .slopes import imperfections
 # [1] postures of a long recording that fits use, because a fit takes its time for each, and the
 # errors of more are alike
 POSTURES_MAX = 100
-NEAR_SCORE = 60.0  # [1] of deviance + 2 k behind the best: docs/diagnosis.md
+NEAR_SCORE = 60.0  # [1] of deviance + 2 k behind the best: docs/inference.md
 TIE_SCORE = 0.5  # [1] of deviance + 2 k: below it twins would be ordered by rounding
 Starts = Mapping[str, Fit | Point]
 
