@@ -2,7 +2,7 @@
 Joints of ros2_control behind the driver interface: a group controller commands them.
 
 The robot's limits, rates and releases hold as for every backend; when this process dies, the
-hardware component decides the behaviour of the motors (docs/operate.md).
+hardware component decides the behaviour of the motors (docs/hardware.md).
 """
 
 from __future__ import annotations
