@@ -1,7 +1,7 @@
 """
 The real arm in `data/tentacle`, effect by effect, judged on postures left out one at a time.
 
-Prints the table of docs/tentacle.md: rms error per marker as fitted, and of each posture as
+Prints the rms error per marker as fitted, and of each posture as
 predicted from the fifteen others.
 """
 
