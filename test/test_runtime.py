@@ -160,7 +160,7 @@ def test_the_controller_says_at_once_what_it_does_before_it_is_ready(context, mo
             time.sleep(NEWS_PERIOD_S)
         assert [(status.values[0].value, status.message) for status in said] == [
             ('loading', 'reading the model'),
-            ('compiling', 'compiling the model, once; a minute'),
+            ('compiling', 'compiling the model, once; half a minute'),
             ('building', 'building the library of shapes'),
         ]
     finally:

@@ -56,7 +56,7 @@ HELP = 'move the tip to targets: poses, points or twists in, tendon commands out
 NOT_READY = 'the controller is not configured', 'the stop is over; there is no model'
 STARTING_WORDS = {
     'loading': 'reading the model',
-    'compiling': 'compiling the model, once; a minute',
+    'compiling': 'compiling the model, once; half a minute',
     'building': 'building the library of shapes',
 }
 
