@@ -1,5 +1,5 @@
 """
-Diagnose the twelve blind cases, add what is named, and write docs/blind_cases.md.
+Diagnose the twelve blind cases, add what is named, and write a table of what was said.
 
 The measurements come from an engine that shares no code with this package; see
 test/data/blind/README.md. For causes outside the catalogue nothing is added.
@@ -42,7 +42,7 @@ rigid-body engine (hinged cells, straight tendons between eyelets, capstan frict
 that shares no code with this package; each case has five trials per posture, 0.2 mm marker noise,
 tensions set to 0.2 % and repeated to 0.4 %.
 
-This page is written by `python benchmarks/blind_table.py`.
+Written by `python benchmarks/blind_table.py`.
 
 """
 COLUMNS = ('case', 'robot, measurements', 'hidden', 'verdict', 'found (95 %)',
@@ -131,13 +131,14 @@ def page(outcomes: list[Outcome]) -> str:
 def main() -> int:
     """Judge all cases and write the page."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('--output', type=Path, default=ROOT / 'docs' / 'blind_cases.md')
+    parser.add_argument('--output', type=Path, default=ROOT / 'results' / 'blind_cases.md')
     options = parser.parse_args()
     truths = yaml.safe_load((BLIND / 'truth.yaml').read_text(encoding='utf-8'))
     outcomes = []
     for name, truth in truths.items():
         outcomes.append(judge(name, truth))
         print(row(outcomes[-1]), file=sys.stderr)
+    options.output.parent.mkdir(exist_ok=True)
     options.output.write_text(page(outcomes), encoding='utf-8')
     print(f'written: {options.output}')
     return 0

@@ -94,7 +94,7 @@ def test_a_plant_does_with_it_what_the_model_does(catalogue):
 
 def test_the_page_of_effects_gets_its_row_and_its_section(catalogue, monkeypatch):
     monkeypatch.setattr(effects_page, 'CATALOGUE', catalogue)
-    row = '| [`soft_pulley`](effects.md#soft_pulley) `loss` | 1/N | 0 to 0.15 | 0 | 0.05 |'
+    row = '| `soft_pulley` `loss` | 1/N | 0 to 0.15 | 0 | 0.05 |'
     assert row in effects_page.parameters()
     assert effects_page.begun(catalogue[NAME]).startswith(
         '## soft_pulley\n\nA pulley that gives way: part of the tension is lost, '

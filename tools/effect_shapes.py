@@ -121,18 +121,18 @@ def positions(model, posture, tensions, pulls=None):
     return model.measured(shape.positions)
 
 
-def drawn(name, pulled=False):
+def drawn(name):
     """
     Return the postures with and without an effect, the most affected one first.
 
-    `pulled`: the wires are pulled as they are without the effect, instead of the same tensions;
+    An effect that shows under wire pulls is drawn at those that the wires have without it;
     postures whose wires cannot have these lengths together are left out.
     """
     without, with_it = (Model(robot, CATALOGUE) for robot in robots(name))
     found = []
     for posture, tensions in POSTURES.items():
         pulls = None
-        if pulled or by_pulls(name):
+        if by_pulls(name):
             given = without.shape(tensions).pulls
             pulls = [p if t > 0.1 else None for p, t in zip(given, tensions, strict=True)]
         try:

@@ -40,12 +40,6 @@ figures are those of the 10:1 arm of the paper (`config/robots/kato_10_1.yaml`: 
 mm, standing upright). Bounds and typical sizes follow the length, stiffness and limits of a
 robot.
 """
-MOVES = """\
-How far the tip moves, in mm, when an effect of the size in the pictures is added: under the same
-tensions, and in the last column the most that it moves when the same wires are pulled by the
-same length. `tendon_friction` acts in all of them. *Let go*: the tendon was at 0.8 N before.
-`torsion` is drawn without friction and with a force of 20 mN across the plane of the tendons.
-"""
 ALIKE = """\
 How much of what an effect does one other effect alone can do, in percent of the rms over all
 cells and postures, for small sizes, where it is 75 % or more. 100 % cannot be told apart. *One
@@ -71,9 +65,8 @@ def main():
 
 def reference():
     """Write the whole page."""
-    parts = [HEAD, '## Parameters\n', *parameters(), '\n## How far the tip moves\n', MOVES]
-    parts += [*overview(), '\n## What looks alike\n', ALIKE, *alike(), '\n## Pictures\n']
-    return '\n'.join([*parts, *gallery(), ''])
+    parts = [HEAD, '## Parameters\n', *parameters(), '\n## What looks alike\n', ALIKE, *alike()]
+    return '\n'.join([*parts, '\n## Pictures\n', *gallery(), ''])
 
 
 def begun(effect):
@@ -92,9 +85,8 @@ def parameters():
 
 def row(effect, parameter):
     """Write the line of a parameter."""
-    first = parameter is effect.parameters[0]
-    link = f'[`{effect.name}`](effects.md#{effect.name}) ' if first else ''
-    name = f'{link}`{parameter.name}`' + (' per section' if parameter.per_section else '')
+    first = f'`{effect.name}` ' if parameter is effect.parameters[0] else ''
+    name = f'{first}`{parameter.name}`' + (' per section' if parameter.per_section else '')
     bounds = f'{parameter.low:.3g} to {parameter.high:.3g}'
     numbers = f'{parameter.neutral:.3g} | {parameter.typical:.3g}'
     return f'| {name} | {parameter.unit} | {bounds} | {numbers} |'
@@ -112,18 +104,6 @@ def alike():
 def listed(shares):
     """Say which effects do how much of another one."""
     return ', '.join(f'{name} {100 * share:.0f}' for name, share in shares.items())
-
-
-def overview():
-    """Write the lines of the table of how far the tip moves in every posture."""
-    head = ['effect', *POSTURES, 'equal pulls']
-    lines = [f'| {" | ".join(head)} |', '|' + '---|' * len(head)]
-    for effect in CATALOGUE:
-        apart = {one.posture: millimetres(one.tip) for one in drawn(effect.name)}
-        moved = [apart[posture] for posture in POSTURES]
-        moved.append(millimetres(drawn(effect.name, pulled=True)[0].tip))
-        lines.append(f'| {effect.name} | {" | ".join(moved)} |')
-    return lines
 
 
 def gallery():
