@@ -1,13 +1,15 @@
 """
-How often a hidden `bending_hysteresis` is named in simulated sequences, how quiet others are.
+How often a hidden hysteresis is named in simulated sequences, how quiet others are.
 
 Quiet: `adequate`, no effect and no cause outside the catalogue.
 
-Arms as they are built; lags of a third to three times what matters, presliding of 0.5 to 4,
+Arms as they are built. Of `bending_hysteresis` lags of a third to three times what matters,
+presliding of 0.5 to 4; of `backlash`, always by pulls, plays of two to five times what matters;
 postures in any order, fresh for every seed. Held: 95 % intervals that hold the true value.
 
 example: python benchmarks/bench_hysteresis.py --cases 10
 example: python benchmarks/bench_hysteresis.py --cases 10 --by-pulls
+example: python benchmarks/bench_hysteresis.py --cases 10 --effect backlash --stiff
 """
 
 import argparse
@@ -22,12 +24,13 @@ from tendon_robot_ros.simulation.measurements import simulate
 from tendon_robot_ros.simulation.plant import make_plant
 from tendon_robot_ros.workspace.postures import default_postures
 
-NAME = 'bending_hysteresis'
 
-
-def drawn(robot, random):
+def drawn(name, robot, random):
     """Return the true values of the effect."""
-    lag, presliding = load_catalogue().sized(natural_sizes(robot))[NAME].parameters
+    parameters = load_catalogue().sized(natural_sizes(robot))[name].parameters
+    if name == 'backlash':
+        return {'width': parameters[0].typical * random.uniform(2.0, 5.0)}
+    lag, presliding = parameters
     size = 10.0 ** random.uniform(-0.5, 0.5), 10.0 ** random.uniform(-0.3, 0.6)
     return {'lag': lag.typical * size[0], 'presliding': presliding.typical * size[1]}
 
@@ -39,19 +42,24 @@ def main():
     parser.add_argument('--first', type=int, default=900)
     what = 'wires that end in springs are pulled by lengths'
     parser.add_argument('--by-pulls', action='store_true', help=what)
+    parser.add_argument('--stiff', action='store_true', help='the wires are fixed to the motors')
+    choices = ('bending_hysteresis', 'backlash')
+    parser.add_argument('--effect', default=choices[0], choices=choices)
+    parser.add_argument('--postures', type=int, default=14)
     parser.add_argument('--robots', nargs='+', default=['kato_10_1', 'spatial_3'])
     args = parser.parse_args()
+    hides, by_pulls = args.effect, args.by_pulls or args.effect == 'backlash'
     for name in args.robots:
         robot, named, quiet, held = load_robot(name), 0, 0, []
-        if args.by_pulls:
+        if by_pulls and not args.stiff:
             (spring,) = load_catalogue().sized(natural_sizes(robot))['wire_spring'].parameters
             robot = robot.with_effect('wire_spring', {spring.name: spring.typical})
-        given = 'displacement' if args.by_pulls else 'tension'
-        postures = default_postures(robot, 14, input=given)
+        given = 'displacement' if by_pulls else 'tension'
+        postures = default_postures(robot, args.postures, input=given)
         for seed in range(args.first, args.first + args.cases):
             random = np.random.default_rng(seed)
-            true = drawn(robot, random)
-            for hidden in ({NAME: true}, {}):
+            true = drawn(hides, robot, random)
+            for hidden in ({hides: true}, {}):
                 plant = make_plant(robot, hidden, seed=seed)
                 data = simulate(
                     plant,
@@ -64,10 +72,10 @@ def main():
                 found = diagnose(data)
                 effects = found.effects
                 names = [effect.name for effect in effects]
-                named += names == [NAME] and bool(hidden)
+                named += names == [hides] and bool(hidden)
                 quiet += found.verdict is Verdict.ADEQUATE and not hidden
-                if hidden and NAME in names:
-                    values = effects[names.index(NAME)].parameters.items()
+                if hidden and hides in names:
+                    values = effects[names.index(hides)].parameters.items()
                     held += [v.low <= true[k.partition('[')[0]] <= v.high for k, v in values]
         print(
             f'{name}: named alone in {named} of {args.cases}, quiet without it in {quiet} of '

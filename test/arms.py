@@ -32,6 +32,7 @@ OWN_SIZES = {  # where the typical size, or its sign, would show less
     'moment_arm': {'relative_change': 0.1},
     'tendon_elongation': {'compliance': 2e-3},
     'wire_spring': {'compliance': 8e-4},
+    'backlash': {'width': 5e-4},
     'pull_zero': {'offset': 5e-4},
     'spool_gain': {'relative_change': 0.05},
 }

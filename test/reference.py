@@ -296,3 +296,13 @@ class Reference:
         taken = taken + self.get('wire_spring', 'compliance') * tension[0]
         taken = taken - self.get('pull_zero', 'offset')
         return taken / (1.0 + self.get('spool_gain', 'relative_change'))
+
+    def passed(self, commanded):
+        """Wire pulls (b, m) [m] that pass the transmission, one posture after the other."""
+        half = 0.5 * self.get('backlash', 'width')
+        rows, there = [], np.zeros(np.shape(commanded)[1])
+        for row in commanded:
+            ahead, behind = row > there + half, row < there - half
+            there = np.where(ahead, row - half, np.where(behind, row + half, there))
+            rows.append(np.where(np.isnan(row), np.nan, there))
+        return np.array(rows)

@@ -55,8 +55,8 @@ def hiding(effect, name):
     lacks = {'tendon_friction': ('tendon_friction', *simulated.SHAPING)}.get(effect, (effect,))
     gravity = (9.81, 0.0, 0.0) if effect == 'gravity' else (0.0, 0.0, 0.0)
     robot = simulated.robot(name, lacks=lacks, gravity=gravity, exact=True)
-    path = 'sequence' if effect == 'friction_memory' else 'from_straight'
-    kind = 'displacement' if CATALOGUE[effect].needs == 'pulls' else 'tension'
+    path = 'sequence' if effect in ('friction_memory', 'backlash') else 'from_straight'
+    kind = 'displacement' if 'pulls' in CATALOGUE[effect].needs else 'tension'
     return robot, {'path': path, 'input': kind, 'count': 20 if path == 'sequence' else 12}
 
 

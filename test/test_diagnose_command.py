@@ -107,7 +107,7 @@ def test_tendons_that_resist_bending_are_named_added_and_shown(capsys, folder):
         'likely; section_stiffness does the same with more parameters)',
         'not tested by these postures: friction_memory (every posture loaded from straight); '
         'torsion (these postures hardly show it); gravity (set to zero); tendon_elongation, '
-        'wire_spring, pull_zero, spool_gain (wire pulls not commanded)',
+        'wire_spring, backlash, pull_zero, spool_gain (wire pulls not commanded)',
         'error on postures never used: 1.06 mm -> 0.230 mm  (floor 0.372 mm)',
         'written: better.yaml    send it to the robot: controller parameter model := better.yaml',
     ]

@@ -60,7 +60,7 @@ def shown(robot, effect, force):
     sized = effect.sized(natural_sizes(base))
     base = base.with_effect(effect.name, {p.name: p.typical for p in sized.parameters})
     model = Model(loaded(base) if effect.name == 'torsion' else base)
-    if effect.needs == 'pulls':
+    if 'pulls' in effect.needs:
         plain = Model(robot).shapes(force * TENSIONS).pulls
         positions = pull_shapes(model, np.where(TENSIONS > 0.15, plain, np.nan)).positions
     elif effect.needs == 'history':

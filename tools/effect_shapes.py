@@ -42,6 +42,7 @@ OWN_SIZES = {
     'moment_arm': {'relative_change': 0.15},
     'tendon_elongation': {'compliance': 0.02},
     'wire_spring': {'compliance': 4e-3},
+    'backlash': {'width': 2e-3},
     'pull_zero': {'offset': 1e-3},
     'spool_gain': {'relative_change': 0.1},
     'base_misalignment': {
@@ -98,7 +99,7 @@ def robots(name):
     Stiff wires that are wound more than commanded find no equilibrium: theirs end in springs.
     """
     base = ROBOT.without_effect(name) if name in ROBOT.effects else ROBOT
-    if name in ('pull_zero', 'spool_gain'):
+    if name in ('backlash', 'pull_zero', 'spool_gain'):
         base = base.with_effect('wire_spring', SIZES['wire_spring'])
     if CATALOGUE[name].stage == 'torsion':
         base = ACROSS
@@ -107,7 +108,7 @@ def robots(name):
 
 def by_pulls(name):
     """Tell whether an effect shows under wire pulls only."""
-    return CATALOGUE[name].needs == 'pulls'
+    return 'pulls' in CATALOGUE[name].needs
 
 
 def positions(model, posture, tensions, pulls=None):
@@ -191,10 +192,10 @@ def look_alikes(name, tensions, least=0.75):
 
 def moved(name, robot, rows):
     """Return all positions (p, n, 3) [m]; postures follow each other where the arm remembers."""
-    model = Model(robot, CATALOGUE)
+    model, one_after_the_other = Model(robot, CATALOGUE), 'history' in CATALOGUE[name].needs
     if by_pulls(name):
-        return model.measured(pull_shapes(model, rows).positions)
-    one_after_the_other = CATALOGUE[name].needs == 'history'
+        past = model.arrays.fresh_memory() if one_after_the_other else None
+        return model.measured(pull_shapes(model, rows, memory=past).positions)
     batch = model.sequence(rows) if one_after_the_other else model.shapes(rows)
     return model.measured(batch.positions)
 

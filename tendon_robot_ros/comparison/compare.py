@@ -43,7 +43,7 @@ def equilibria(predictor: Predictor) -> ShapeBatch:
                 predictor.dataset,
                 predictor.inputs[part.rows],
             )
-            carry = model.remembers and dataset.path != 'from_straight'
+            carry = predictor.carries
             if dataset.input == 'displacement':  # the error names the posture
                 pull_shapes(model, inputs, memory=model.arrays.fresh_memory() if carry else None)
             elif carry:

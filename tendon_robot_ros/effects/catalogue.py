@@ -39,6 +39,7 @@ BUILT_IN = (
     'moment_arm',
     'tendon_elongation',
     'wire_spring',
+    'backlash',
     'pull_zero',
     'spool_gain',
     'base_misalignment',
@@ -100,7 +101,7 @@ class Catalogue:
 
     def needing(self, need: str) -> frozenset[str]:
         """Return the names of the effects that need something of the measurements."""
-        return frozenset(effect.name for effect in self if effect.needs == need)
+        return frozenset(effect.name for effect in self if need in effect.needs)
 
     def without(self, *names: str) -> Catalogue:
         """Return a catalogue that lacks some effects."""

@@ -12,7 +12,7 @@ from typing import Any
 from ..common.errors import EffectError
 from .stage import STAGES
 
-# what the measurements of some effects need, as `Effect.needs` names it
+# what the measurements of some effects need, words of `Effect.needs`
 NEEDS = ('gravity', 'history', 'pulls')
 
 
@@ -131,9 +131,9 @@ class Effect:
         Whether it acts even at its neutral value once it is listed.
     contains : tuple of str
         Effects that are special cases of this one.
-    needs : str, optional
-        What the measurements must have for it to show: a known direction of `gravity`, the
-        `history` of postures, or commanded `pulls`.
+    needs : str
+        What the measurements must have for it to show, in words: a known direction of `gravity`,
+        the `history` of postures, commanded `pulls`.
     divisible : bool
         Whether its law also holds for a cell divided into finer ones, with the parameters
         scaled as they say; else a plant leaves the cells whole.
@@ -153,7 +153,7 @@ class Effect:
     acts_on: str | None = None
     always_on: bool = False
     contains: tuple[str, ...] = ()
-    needs: str | None = None
+    needs: str = ''
     divisible: bool = False
     takes_force: bool = False
     scales_bends: bool = False
@@ -173,7 +173,7 @@ class Effect:
             raise EffectError(
                 f'effect {self.name}: expected a stage of {", ".join(STAGES)}, got {self.stage!r}'
             )
-        if self.needs not in (None, *NEEDS):
+        if not set(self.needs.split()) <= set(NEEDS):
             raise EffectError(
                 f'effect {self.name}: needs: expected one of {", ".join(NEEDS)}, '
                 f'got {self.needs!r}'

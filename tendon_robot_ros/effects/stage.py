@@ -126,6 +126,9 @@ stretch
   > stretch [m] elongation of the tendon in a cell
   - tension [N] tension in the cell
   - length [m] its length
+transmission
+  > pull [m] commanded pull, less what the transmission loses of it
+  - before [m] the same in the posture before
 winding
   > pull [m] pull of the wire as it is commanded
   - tension [N] tension that enters the first cell

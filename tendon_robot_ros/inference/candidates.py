@@ -29,13 +29,13 @@ def why_untested(effect: Effect, dataset: DataSet, robot: Robot) -> str:
     """Return in a few words why the postures do not show an effect."""
     if effect.acts_on and effect.acts_on not in robot.effects:
         return f'acts on {effect.acts_on}, which the description lacks'
-    if effect.needs == 'history':
+    if 'pulls' in effect.needs and dataset.input == 'tension':
+        return 'wire pulls not commanded'
+    if 'history' in effect.needs:
         if dataset.path == 'from_straight':
             return 'every posture loaded from straight'
         return 'these postures hardly show it' if unloads(dataset) else 'no unloading'
-    if effect.needs == 'pulls' and dataset.input == 'tension':
-        return 'wire pulls not commanded'
-    if effect.needs == 'gravity':
+    if 'gravity' in effect.needs:
         gravity = dataset.gravity_for(robot)
         if gravity is None:
             return 'direction of gravity unknown'
@@ -161,7 +161,9 @@ def joining_effects(robot: Robot, catalogue: Catalogue, dataset: DataSet) -> lis
     """
     lacks = {'pulls': dataset.input == 'tension', 'history': not unloads(dataset)}
     own = [
-        c for c in candidates_of(robot, catalogue) if not lacks.get(catalogue[c.label].needs or '')
+        c
+        for c in candidates_of(robot, catalogue)
+        if not any(lacks.get(need) for need in catalogue[c.label].needs.split())
     ]
     known = {c.label: c for c in own}
     pairs = [
@@ -177,7 +179,7 @@ def is_tested(
 ) -> bool:
     """Return whether a typical size of the effect changes the markers (P, J, 3) at a point."""
     effect = predictor.model.catalogue[candidate.names[0]]
-    if effect.needs == 'history' and not candidate.present and not unloads(predictor.dataset):
+    if 'history' in effect.needs and not candidate.present and not unloads(predictor.dataset):
         return False
     if effect.always_on and not candidate.present:
         # without it the arm is the base, from which its typical values differ

@@ -62,7 +62,7 @@ def changed_robot(robot: Robot, catalogue: Catalogue, fit: Fit, dataset: DataSet
     """Return the description with the fitted effects."""
     values = list(zip(fit.frees, fit.values.tolist(), strict=False))
     robot = with_values(robot, catalogue, values)
-    if robot.gravity is None and any(catalogue[f.effect].needs == 'gravity' for f in fit.frees):
+    if robot.gravity is None and any('gravity' in catalogue[f.effect].needs for f in fit.frees):
         robot = replace(robot, gravity=dataset.gravity)
     return robot
 

@@ -19,7 +19,7 @@ from ..model.compile import KernelArrays
 from ..model.derivatives import HELD_RCOND, TENSION_STEP, Move, PathSlopes, follow
 from ..model.forward import TOLERANCE, ForwardModel
 from ..model.model import Model
-from ..model.pulls import SLACK_BELOW_N, pull_shapes
+from ..model.pulls import SLACK_BELOW_N, pull_shapes, transmitted
 from ..model.shape import FIELDS, ShapeBatch
 from ..robot import Robot
 
@@ -189,6 +189,7 @@ def held(tensions: Floats, rows: Floats, states: Floats, q: int) -> tuple[Floats
     )
 
 
+PATH_STAGES = {'hysteresis', 'transmission'}  # whose derivatives `PathSlopes` follows
 # No effects: every cell's own deviation where a tolerance declares it, one soft cell, a taper.
 CELLS, SOFT_CELL, TAPER = 'cell_stiffness', 'soft_cell', 'taper'
 STIFFNESS = (CELLS, SOFT_CELL, TAPER)
@@ -371,7 +372,7 @@ class Predictor:
         stages = {self.model.catalogue[f.effect].stage for f in frees if self.is_effect(f)}
         if 'memory' in stages or self.model.friction_remembers:
             return None
-        if self.carries or ('hysteresis' in stages and self.dataset.path != 'from_straight'):
+        if self.carries or (stages & PATH_STAGES and self.dataset.path != 'from_straight'):
             return None if self.visits is not None else self._path_tangent(point, frees, settled)
         moved = Tangent(
             np.zeros((q, P, len(self.dataset.markers), 3)),
@@ -387,8 +388,14 @@ class Predictor:
                 m = start.tensions.shape[1]
                 moves += [Pulled(j, start.tensions[:, j]) for j in range(m)]
 
-                def pulls_and_markers(shapes: ShapeBatch) -> Floats:  # (b, m + 3 J) [m]
-                    return np.hstack([shapes.pulls, self.see(shapes).reshape(len(shapes), -1)])
+                commanded = self.given(self.inputs)[rows]
+
+                def pulls_and_markers(
+                    shapes: ShapeBatch, commanded: Floats = commanded
+                ) -> Floats:  # (b, m + 3 J) [m], pulls beyond the requested ones
+                    gaps = shapes.pulls - transmitted(self.model, commanded, None)
+                    seen = self.see(shapes).reshape(len(shapes), -1)
+                    return np.hstack([np.nan_to_num(gaps), seen])
 
                 rates, states = follow(
                     self.model, start.tensions, start.state, moves, pulls_and_markers
@@ -404,11 +411,17 @@ class Predictor:
     @property
     def carries(self) -> bool:
         """Whether a posture depends on the one before, by what the model is set to remember."""
-        return self.model.remembers and self.dataset.path != 'from_straight'
+        return self.remembers and self.dataset.path != 'from_straight'
+
+    @property
+    def remembers(self) -> bool:
+        """Whether the model remembers, its transmission where wire pulls are commanded."""
+        by_pulls = self.dataset.input == 'displacement'
+        return self.model.remembers or (by_pulls and self.model.transmission_remembers)
 
     def has_slopes(self, effect: Effect) -> bool:
         """Whether derivatives show an effect that is absent; else only further solutions do."""
-        follows = effect.stage == 'hysteresis' and self.visits is not None
+        follows = effect.stage in PATH_STAGES and self.visits is not None
         return effect.stage not in ('torsion', 'memory') and not follows
 
     def is_effect(self, free: FreeParameter) -> bool:
@@ -535,14 +548,14 @@ class Predictor:
 
     def predicted(self, part: Conditions) -> Conditions:
         """Return a part with those of its postures that the present model has to predict."""
-        if self.model.remembers:
+        if self.remembers:
             return part
         rows = part.rows[self._shown[part.rows]]
         return replace(part, rows=rows) if len(rows) else part
 
     def _visits(self, part: Conditions) -> Visits | None:
         """Return the visits to the postures of a part; None where the arm keeps no memory."""
-        remembered = self.visits is not None and self.model.remembers
+        remembered = self.visits is not None and self.remembers
         return self.visits.among(part.rows) if remembered and self.visits else None
 
     def last_visits(self, part: Conditions) -> npt.NDArray[np.int64] | slice:

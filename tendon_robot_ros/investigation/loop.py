@@ -256,11 +256,12 @@ class Investigation:
         robot = self.arm.robot
         if effect.acts_on and effect.acts_on not in robot.effects:
             return False
-        return {
+        has = {
             'history': self.arm.path == 'sequence',
             'pulls': self.arm.input == 'displacement',
             'gravity': robot.gravity is not None and bool(np.any(robot.gravity)),
-        }.get(effect.needs or '', True)
+        }
+        return all(has[need] for need in effect.needs.split())
 
     @property
     def noise(self) -> Noise:

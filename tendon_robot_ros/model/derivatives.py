@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from ..common.arrays import Floats
 from ..common.errors import InputError
-from .pulls import SLACK_BELOW_N
+from .pulls import SLACK_BELOW_N, transmitted
 from .shape import EPSILON, Shape, ShapeBatch
 
 if TYPE_CHECKING:
@@ -191,6 +191,8 @@ class PathSlopes:
         model = self.model
         inputs = (self.inputs if self.by_pulls else np.ascontiguousarray(commanded)).copy()
         states, past = self.states.copy(), model.arrays.fresh_memory()
+        if self.by_pulls:
+            commanded = transmitted(model, commanded, past)
         model.arrays.part('derivatives').path_steps(
             model.arrays.address,
             inputs,

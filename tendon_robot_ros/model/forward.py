@@ -118,6 +118,11 @@ class ForwardModel:
         return self.acts_at('memory')
 
     @property
+    def transmission_remembers(self) -> bool:
+        """Whether motors that turn back move the wires later; matters by wire pulls only."""
+        return self.acts_at('transmission')
+
+    @property
     def sticks(self) -> bool:
         """Whether tendons stick by the travel beyond an eyelet, without friction memory."""
         slides = self.acts_at('eyelet') and self.acts_at('friction_travel')
@@ -189,7 +194,7 @@ class ForwardModel:
         """
         if last is None:
             return self.shape(tensions)
-        past = last.memory if self.remembers else None
+        past = last.memory
         try:
             return self.shape(tensions, last.state, past)
         except NoEquilibriumError as error:

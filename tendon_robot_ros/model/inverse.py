@@ -12,7 +12,7 @@ import numpy as np
 from ..common.arrays import Floats
 from ..common.errors import NoEquilibriumError
 from .program import ITERATIONS_MAX, within
-from .pulls import Aim, aim_by_pulls, limits_by_pulls, pull_shape
+from .pulls import Aim, aim_by_pulls, command, held_shape, limits_by_pulls
 from .redundancy import Balance, balanced
 from .shape import Reach, Shape
 from .starts import (
@@ -293,7 +293,8 @@ def _balanced(task: TipTask, balance: Balance, first: Reach, give_up: Callable[[
     for start in _starts_outside(balance, first.shape):
         shape = balanced(balance, start, ITERATIONS_MAX, give_up)
         if task.by_pulls:
-            shape = pull_shape(task.model, shape.pulls, shape, task.past)
+            shape = task.shape(shape.inputs, shape.state)
+            shape = held_shape(task.model, shape.pulls, shape, task.past)
         solution = judged(task, shape.inputs, shape.state, in_time=not give_up())
         if not regions:
             return solution
@@ -325,6 +326,8 @@ def judged(task: TipTask, inputs: Floats, state: Floats, in_time: bool = True) -
     """Return the tip errors of tensions (m,) [N], and whether tension limits cause them."""
     model, shape = task.model, task.shape(inputs, state)
     errors = task.errors(shape)
+    if task.by_pulls:
+        command(model, shape, task.past)
     top = model.limits[:, 1].tolist()
     at_limit = tuple(
         name

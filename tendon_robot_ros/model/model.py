@@ -148,5 +148,4 @@ class Model(ForwardModel):
         InputError, NoEquilibriumError
 
         """
-        past = last.memory if last is not None and self.remembers else None
-        return pull_shape(self, pulls, last, past)
+        return pull_shape(self, pulls, last, None if last is None else last.memory)

@@ -30,6 +30,7 @@ SPRING_COMPLIANCES = (1e-1, 1e-2, 1e-3, 1e-4)
 PRETENSION = 0.25
 # [N] difference of tensions that counts as held: so that a gap of 5 µm does
 HELD_TOLERANCE_N = 1e-3
+FAR_M = 1.0  # [m] of wire, beyond any play, so that every tendon slides
 SLACK_BELOW_N = 1e-6  # [N] a wire below holds no length, because its tension is rounding
 
 
@@ -60,11 +61,53 @@ def pull_shape(
         The model has no equilibrium during the search.
 
     """
-    target = wire_pulls(model.robot, pulls)
+    commanded = wire_pulls(model.robot, pulls)
+    past = model.arrays.fresh_memory() if memory is None else memory.copy()
+    passed = transmitted(model, commanded[None], past)[0]
+    shape = held_shape(model, passed, guess, past)
+    shape.pulls[:] += np.nan_to_num(commanded - passed)
+    return shape
+
+
+def held_shape(model: ForwardModel, pulls: Floats, guess: Shape | None, past: Floats) -> Shape:
+    """Return the shape under pulls (m,) [m] behind the transmission, which follow a memory."""
     start = None if guess is None else (guess.inputs, guess.state)
-    past = model.arrays.fresh_memory() if memory is None else memory
-    inputs, bend = _tensions(model, target, start, past, _compliance(model))
-    return model.shape(inputs, bend, past if model.remembers else None)
+    inputs, bend = _tensions(model, pulls, start, past, _compliance(model))
+    return model.shape(inputs, bend, past)
+
+
+def transmitted(model: ForwardModel, pulls: Floats, memory: Floats | None) -> Floats:
+    """
+    Return the wire pulls (b, m) [m] that pass the transmission; NaN for slack.
+
+    They follow each other and `memory` moves on; None: each comes from an arm at rest.
+    """
+    passed = np.array(pulls, order='C')
+    if model.transmission_remembers:
+        past = model.arrays.fresh_memory() if memory is None else memory
+        carry = int(memory is not None)
+        model.arrays.part('pulls').transmit(model.arrays.address, passed, past, carry)
+    return passed
+
+
+def command(model: ForwardModel, shape: Shape, past: Floats) -> None:
+    """
+    Make the pulls of a shape those to command after a memory, which the shape's memory moves on.
+
+    The motors take up what the transmission loses in the direction in which the wires move.
+    """
+    if not model.transmission_remembers:
+        return
+    wanted, kept = shape.pulls.copy(), past[-len(model.robot.tendons) :]
+    moves = wanted - [kept[list(members)].mean() for members in model.robot.input_tendons]
+    pulls = wanted + FAR_M * np.where(np.abs(moves) > GAP_ACCEPTED_M, np.sign(moves), 0.0)
+    for _ in range(ITERATIONS_MAX):  # one step, but where tendons of a group slide and stick
+        gaps = transmitted(model, pulls[None], past.copy())[0] - wanted
+        if np.abs(gaps).max() < GAP_ACCEPTED_M:
+            break
+        pulls -= gaps
+    shape.pulls[:] = pulls
+    transmitted(model, pulls[None], shape.memory)
 
 
 def pull_shapes(
@@ -92,8 +135,10 @@ def pull_shapes(
     InputError, NoEquilibriumError
 
     """
+    commanded = np.array([wire_pulls(model.robot, row) for row in pulls])
+    targets = transmitted(model, commanded, memory)
+    memory = memory if model.remembers else None
     first = None if memory is None else memory.copy()
-    targets = [wire_pulls(model.robot, row) for row in pulls]
     inputs, shapes = np.empty((len(targets), len(model.inputs))), []
     compliance, straight = _compliance(model), model.arrays.fresh_memory()
     for b, target in enumerate(targets):
@@ -103,9 +148,11 @@ def pull_shapes(
         shapes.append(bend)
         if memory is not None:
             model.solve(inputs[b : b + 1], bend[None], memory, carry=True)
-    if first is not None:
-        return model.sequence(inputs, first)
-    return model.shapes(inputs, np.array(shapes))
+    batch = (
+        model.shapes(inputs, np.array(shapes)) if first is None else model.sequence(inputs, first)
+    )
+    batch.pulls[:] += np.nan_to_num(commanded - targets)
+    return batch
 
 
 def _tensions(
@@ -229,7 +276,7 @@ def aim_by_pulls(task: TipTask, aim: Aim, inputs: Floats, bend: Floats) -> tuple
             break
         try:
             shape = task.shape(inputs, bends)
-            held = pull_shape(model, shape.pulls, shape, task.past)
+            held = held_shape(model, shape.pulls, shape, task.past)
         except (NoEquilibriumError, InputError):
             break
         if np.allclose(held.inputs, inputs, rtol=0.0, atol=HELD_TOLERANCE_N):

@@ -263,8 +263,7 @@ class TipTask:
 
     def shape(self, inputs: Floats, state: Floats) -> Shape:
         """Return the shape under tensions (m,) [N] that follow the past."""
-        past = self.past if self.model.remembers else None
-        return self.model.shape(inputs, state, past)
+        return self.model.shape(inputs, state, self.past)
 
     def tip_error(self, shape: Shape) -> Floats:
         """Return the error (6,) of tip position [m] and direction against the target."""

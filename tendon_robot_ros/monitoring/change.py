@@ -120,7 +120,7 @@ def changes_of(arm: BuiltArm) -> tuple[PossibleChange, ...]:
     """Return the possible changes: effects, single cells, gains, the tracker's frame."""
     changes = list[PossibleChange]()
     for effect in arm.catalogue:
-        if effect.needs in ('history', 'pulls'):
+        if {'history', 'pulls'} & set(effect.needs.split()):
             continue
         if effect.acts_on and effect.acts_on not in arm.robot.effects:
             continue

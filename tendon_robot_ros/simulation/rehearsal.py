@@ -71,7 +71,7 @@ def refined(robot: Robot) -> Robot:
 def choices(robot: Robot, catalogue: Catalogue) -> tuple[str, ...]:
     """Name what can be hidden."""
     # the others change wire pulls only, where tensions are commanded, or by decimetres
-    suitable = [effect.name for effect in catalogue if effect.needs not in ('pulls', 'history')]
+    suitable = [effect.name for effect in catalogue if effect.needs in ('', 'gravity')]
     known = [name for name in suitable if name not in robot.effects]
     return (*known, *CAUSES, NOTHING_HIDDEN)
 

@@ -154,16 +154,16 @@ def described(case: Case, arm: PlannedRobot, catalogue: Catalogue) -> Robot:
     robot = arm.robot
     if case.hidden in robot.effects:
         robot = robot.without_effect(case.hidden)
-    if needs(case.hidden, catalogue) == 'gravity' and arm.down is not None:
+    if 'gravity' in needs(case.hidden, catalogue) and arm.down is not None:
         robot = replace(robot, gravity=arm.down)
     known = {'cell_stiffness': case.scatter} if case.declared else {}
     tolerances = {**robot.tolerances, **known}
     return replace(robot, tolerances=tolerances, exact=case.exact)
 
 
-def needs(hidden: str, catalogue: Catalogue) -> str | None:
+def needs(hidden: str, catalogue: Catalogue) -> str:
     """Return what the measurements must have for an effect to show."""
-    return catalogue[hidden].needs if hidden in catalogue else None
+    return catalogue[hidden].needs if hidden in catalogue else ''
 
 
 def hidden_values(
@@ -244,8 +244,8 @@ def postures_of(
 ) -> tuple[Floats, str, str]:
     """Return the inputs, what they are and how postures are reached."""
     need, data = needs(case.hidden, catalogue), design.data
-    path = 'sequence' if need == 'history' else 'from_straight'
-    kind, count = 'displacement' if need == 'pulls' else 'tension', design.postures
+    path = 'sequence' if 'history' in need else 'from_straight'
+    kind, count = 'displacement' if 'pulls' in need else 'tension', design.postures
     if data is not None:
         path, kind, count = data.path, data.input, len(data.postures)
         if which == 0:

@@ -282,7 +282,7 @@ def can_show(name: str, arm: PlannedRobot, setup: Setup, catalogue: Catalogue) -
         return down is not None and any(down)
     measured = [d.data for d in setup.designs if d.data is not None]
     kinds = {'pulls': 'displacement', 'history': 'sequence'}
-    return all(kinds.get(need or '', d.input) in (d.input, d.path) for d in measured)
+    return all(kinds[one] in (d.input, d.path) for one in need.split() for d in measured)
 
 
 def _digest(*parts: object) -> str:

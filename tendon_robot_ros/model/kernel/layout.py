@@ -87,9 +87,9 @@ LENGTH, STIFFNESS, MASS, HINGE, SECTION, PRESENT, MASS_X, MASS_Y = range(COLUMNS
 # where cells twist; `bend` and `bends` are addresses of states.
 
 # Memory: what the arm remembers of the last posture: its state (3n,) [rad], of friction sign
-# (n, k) and travel (n, k) [m], inputs (m,) [N], moment (n, 2) [N·m] held against the bend; one
-# array, in this order.
-Memory = namedtuple('Memory', 'bend sign travel inputs moment')
+# (n, k) and travel (n, k) [m], inputs (m,) [N], moment (n, 2) [N·m] held against the bend, passed
+# (k,) [m], the pulls that passed the transmission; one array, in this order.
+Memory = namedtuple('Memory', 'bend sign travel inputs moment passed')
 
 # Work: scratch of one posture. half (n, 2): half angles, see `cells`; wrench (n, 6): force [N]
 # and torque [N·m] at the cells' ends of the loads beyond; lag (2, n, k): by how much the travel
@@ -196,7 +196,7 @@ def address_of(function):
 @register_jitable
 def memory_size(n, k, m):
     """Floats that the memory of a posture takes."""
-    return 5 * n + 2 * n * k + m
+    return 5 * n + 2 * n * k + m + k
 
 
 @register_jitable
@@ -266,7 +266,8 @@ def memory_in(chain, start):
     sign = start + 8 * 3 * n
     travel = sign + 8 * n * k
     inputs = travel + 8 * n * k
-    return Memory(start, sign, travel, inputs, inputs + 8 * chain.m)
+    moment = inputs + 8 * chain.m
+    return Memory(start, sign, travel, inputs, moment, moment + 16 * n)
 
 
 @compiled

@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from . import stages
 from .cells import unknowns
 from .derivatives import output_slopes
 from .layout import (
@@ -23,10 +24,35 @@ from .layout import (
     entry,
     floats,
     keep,
+    memory_in,
     solve_rows,
     solve_small,
+    words,
 )
 from .shape import accept, is_balanced, mean_pulls, predict, wire_pulls, workspace
+
+
+@entry()
+def transmit(robot, pulls, past, carry):
+    """
+    Replace commanded pulls (b, m) [m] by those that pass the transmission; NaN: a slack wire.
+
+    `carry` 1: rows follow each other, and the memory in `past` moves on; 0: each comes from it.
+    Of a group: the mean of its tendons.
+    """
+    chain = chain_at(robot)
+    tendon, kept = words(chain.tendon), floats(memory_in(chain, address(past)).passed)
+    for b in range(pulls.shape[0]):
+        for j in range(chain.m):
+            total, members = 0.0, 0
+            for k in range(chain.k):
+                if tendon[2 * k + 1] == j and not math.isnan(pulls[b, j]):
+                    passed = stages.transmission(pulls[b, j], kept[k], chain, k)
+                    kept[k] = passed if carry != 0 else kept[k]
+                    total += passed
+                    members += 1
+            if members > 0:
+                pulls[b, j] = total / members
 
 
 @compiled

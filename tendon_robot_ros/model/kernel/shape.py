@@ -126,13 +126,14 @@ def posture(chain, inputs, work, past, now, bend, before):
 
 @compiled
 def remember_bends(chain, inputs, bend, past, now):
-    """Fill what the memory `now` has of state, inputs and held moments after `past`."""
+    """Fill what the memory `now` has besides friction, after a posture that came after `past`."""
     if stages.hysteresis_acts(chain):
         for i in range(chain.n):
             x, y = moment_held(chain, past, i, floats(bend)[2 * i], floats(bend)[2 * i + 1])
             floats(now.moment)[2 * i], floats(now.moment)[2 * i + 1] = x, y
     copy(bend, now.bend, unknowns(chain))
     copy(inputs, now.inputs, chain.m)
+    copy(past.passed, now.passed, chain.k)
 
 
 @compiled
