@@ -276,6 +276,6 @@ def test_two_robots_in_two_namespaces_go_their_own_ways(space, tmp_path):
             off = np.linalg.norm(one.tip() - place)
             assert 1e-3 < off < 3e-2, 'as far as its softness makes it miss'
             said = values(last(one.monitor))
-            assert float(said['error'].split()[0]) == pytest.approx(1e3 * off, abs=1.5)
+            assert float(said['error (m)']) == pytest.approx(off, abs=1.5e-3)
     finally:
         other.end()
