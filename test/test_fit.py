@@ -5,6 +5,7 @@ from dataclasses import astuple, replace
 import numpy as np
 import pytest
 import simulated
+from arms import COARSE
 from marks import slow
 from simulated import CATALOGUE, NOISE, measured
 
@@ -15,6 +16,9 @@ from tendon_robot_ros.inference.noise import Whitener, input_slopes
 from tendon_robot_ros.inference.predict import Predictor, free_parameters
 from tendon_robot_ros.inference.session import Session
 from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.simulation.measurements import simulate
+from tendon_robot_ros.simulation.plant import make_plant
+from tendon_robot_ros.workspace.postures import default_postures
 
 ROBOT = simulated.robot(cells=8)
 EXACT = replace(ROBOT, exact=True)
@@ -165,6 +169,21 @@ def test_where_the_curvature_misleads_the_profile_decides():
             white = session.whitener.white(session.dataset.mean - pinned)
             assert white @ white - fit.chi2 == pytest.approx(3.84, rel=0.25)
     assert 0.0 <= low < fit.values[0] <= high <= 1.0
+
+
+@pytest.mark.parametrize('seed', [0, slow(2)])
+def test_an_interval_goes_on_where_another_parameter_is_at_its_bound(seed):
+    """How a small lag begins is hardly told: other presliding fits, another lag with it."""
+    hidden = {'lag': 0.00375, 'presliding': 3.0}
+    plant = make_plant(COARSE, {'bending_hysteresis': hidden}, seed=seed)
+    inputs = np.random.default_rng(seed).permutation(default_postures(COARSE, 14))
+    dataset = simulate(plant, inputs, trials=2, path='sequence', seed=seed)
+    session, fit = settled(dataset, ['bending_hysteresis'])
+    told = session.fitters[0].for_values(fit)
+    ends = intervals(session.fitters[0], told)
+    low, high = np.array(ends[fit.frees[0]]) - told.values[0]
+    assert 0.5 < -high / low < 2.0
+    assert low < hidden['lag'] - told.values[0] < high
 
 
 def test_what_no_posture_shows_has_no_interval():

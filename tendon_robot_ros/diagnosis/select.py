@@ -58,15 +58,16 @@ class Evidence:
         """
         Return whether each effect of a candidate differs from the description, at 95 %.
 
-        In one of its parameters, or in all of them together (Wald test); `scale` multiplies the
-        covariance. An effect that is always on has no neutral value to differ from.
+        In one of its parameters, or in all of them together (Wald test), at the likeliest sizes of
+        imperfections; `scale` multiplies the covariance. An effect that is always on has no
+        neutral value to differ from.
         """
         session, fit = self.session, self.reported(ranked)
         for name in ranked.names:
             if session.catalogue[name].always_on and name not in session.robot.effects:
                 continue
             own = [i for i, free in enumerate(fit.frees) if free.effect == name]
-            known = fit.interval_covariance[np.ix_(own, own)] * scale
+            known = fit.covariance[np.ix_(own, own)] * scale
             finite = np.isfinite(np.diag(known)) & (np.diag(known) > 0.0)
             described = np.array([session.predictor.value(fit.frees[i]) for i in own])
             off, known = (fit.values[own] - described)[finite], known[np.ix_(finite, finite)]

@@ -13,10 +13,9 @@ from ..common.arrays import Floats
 from .imperfections import Kind, Members
 from .marginal import Prior, RandomEffects, Sizes, root_inverse
 from .predict import FreeParameter
-from .statistics import chi2_sf, f_sf, normal_ppf, t_ppf
+from .statistics import SIGNIFICANCE, chi2_sf, f_sf, normal_ppf
 
 LEVERAGE_MAX = 0.999  # [1] of a value on its own prediction, else rounding would predict it
-FREEDOM_MIN = 3.0  # [1] of a variance: below, the t distribution would have no variance
 FREEDOM_MANY = 1e3  # [1] of a variance, because t and F are then their limits to three digits
 CONDITION_MAX = 1e10  # [1] of normal matrices, else fewer than six digits would be left
 
@@ -141,32 +140,25 @@ class Fit:
         """
         Covariance (k, k) of the freed parameters whose 95 % intervals are 1.96 sd to each side.
 
-        Of an arm as built the sizes of its imperfections are estimates themselves. The part of
-        each kind in `covariance` grows by the ratio of the mean of its variance (log-normal) to
-        the likeliest one, and by imperfections that act like it (`Kind.beside`); few degrees of
-        freedom behind the sizes make the tails longer (Satterthwaite 1946, applied as by Kenward
-        and Roger 1997). A model that is known to be off by a share of what it moves is off by that
-        share in what a change of a value does, too.
+        Of an arm as built the sizes of its imperfections are estimates themselves: the interval is
+        that of the mixture over all that the data leave possible. A model that is known to be off
+        by a share of what it moves is off by that share in what a change of a value does, too.
         """
         k, q = len(self.frees), len(self.all_frees)
         change = self.response * (self.values[:k] - self.described)
         known, plain = np.outer(change, change), self.covariance[:k, :k]
+        if not self.as_built:
+            return np.asarray(plain + known)
         random, sizes = self.built.random, self.built.sizes
-        doubt = random.log_variance_of_sizes(sizes)
-        more = np.expm1(np.minimum(0.5 * np.diag(doubt), 0.5))
-        beside = np.array([kind.beside for kind in self.built.kinds])
-        more += np.divide(beside, sizes, where=sizes > 0.0, out=0.0 * sizes) ** 2
-        along = self.covariance[:k, q : q + len(random.owners)]
-        grown = plain + (along * more[random.owners]) @ along.T
-        kinds = random.owners == np.arange(len(sizes))[:, None]  # (K, r)
-        moved = along**2 @ kinds.T
-        variance = ((moved @ doubt) * moved).sum(axis=1)
-        tails = np.ones(k)
-        for i, (size, own) in enumerate(zip(np.diag(grown).tolist(), variance, strict=True)):
-            freedom = max(2.0 * size**2 / own, FREEDOM_MIN) if own > 0.0 else np.inf
-            if np.isfinite(size) and freedom <= FREEDOM_MANY:
-                tails[i] = t_ppf(0.975, freedom) / normal_ppf(0.975)
-        return np.asarray(grown * np.outer(tails, tails) + known)
+        n, spread = len(random.columns), sizes[random.owners]
+        raw = self.residual[:n] + (random.columns * spread) @ self.values[q:]
+        mixture = random.mixture(raw, self.jacobian[:n, :q], sizes, self.precisions)
+        seen = np.isfinite(np.diag(plain))
+        around = np.where(np.outer(seen, seen), mixture.covariance()[:k, :k], plain)
+        sd = np.sqrt(np.diag(around))
+        told = mixture.half_widths(1.0 - SIGNIFICANCE)[:k] / normal_ppf(1.0 - 0.5 * SIGNIFICANCE)
+        tails = np.divide(told, sd, where=seen & (sd > 0.0), out=np.ones(k))
+        return np.asarray(around * np.outer(tails, tails) + known)
 
     @property
     def prior_z(self) -> dict[str, float]:

@@ -105,7 +105,6 @@ def _endpoint(fitter: Fitter, fit: Fit, i: int, spread: float, wide: float) -> f
     end = value + wide * spread
     wide *= abs(spread) / math.sqrt(fit.covariance[i, i])  # rise at the estimated sizes
     outside = end > parameter.high if spread > 0.0 else end < parameter.low
-    profile = _rise if fit.as_built else _profile_rise
     if not outside:
         rise = _rise(fitter, fit, i, end)
         if abs(rise - wide) < CURVATURE_ERROR_MAX * wide:
@@ -113,7 +112,7 @@ def _endpoint(fitter: Fitter, fit: Fit, i: int, spread: float, wide: float) -> f
     if value == bound:
         return value
     plain, end = end, bound if outside else end
-    rise = profile(fitter, fit, i, end)
+    rise = _profile_rise(fitter, fit, i, end)
     if outside and rise < wide:
         return bound
     for _ in range(ROUNDS_MAX):
@@ -121,7 +120,7 @@ def _endpoint(fitter: Fitter, fit: Fit, i: int, spread: float, wide: float) -> f
             break
         stretch = float(np.clip(wide / max(rise, 1e-6), 0.2, 5.0))
         end = float(np.clip(value + (end - value) * stretch, parameter.low, parameter.high))
-        rise = profile(fitter, fit, i, end)
+        rise = _profile_rise(fitter, fit, i, end)
         if end == bound and rise < wide:
             break
     return end if np.isfinite(rise) else plain

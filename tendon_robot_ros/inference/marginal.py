@@ -8,6 +8,7 @@ Everything happens in the space of the columns (Woodbury), so that N does not ma
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -18,6 +19,7 @@ import numpy.typing as npt
 
 from ..common.arrays import Floats
 from .imperfections import KINDS_WITH_FEW_MEMBERS, REMAINDER, Kind, Members
+from .statistics import normal_cdf
 
 NEGLIGIBLE = 0.01  # [1] of a plausible size, or of the noise, because nobody measures so little
 SIZE_MAX = 5.0  # [1] of a plausible size, because what scatters more is no imperfection
@@ -28,11 +30,20 @@ STEP_FRACTIONS = (1.0, 0.3, 0.1, 0.03)  # [1] of a step, because Newton's may be
 CURVATURE_MIN = 0.05  # [1] of the deviance by logarithms, else a flat one would make steps endless
 ROOTS_KEPT = 4  # [1] because a fit goes back and forth between few sets of sizes
 TRIANGLE_ROWS = 32  # [1] inverted at once, because dividing fewer costs more than it saves
+PLAUSIBLE_FACTOR = 2.0  # [1] 1 sd to which a plausible size is right, because arms differ by that
+NODES = 64  # [1] sets of sizes over which an interval is the mean, so that it is known to 4 %
+UNIT_LOGISTIC = math.sqrt(3.0) / math.pi  # [1] scale of a logistic, because its sd is then 1
 RIDGE = 1e-10  # [1] of scaled normal matrices, else rounding would be divided by rounding
+# [1] curvature of -2 log prior by log s², because log s is normal
+LOG_PRECISION = 0.5 / math.log(PLAUSIBLE_FACTOR) ** 2
 
 
 class Prior(IntEnum):
-    """Prior of a size s or of its logarithm, s exp(-s²/p²) ds = s² exp(-s²/p²) d log s."""
+    """
+    Prior of a size s around the plausible size p.
+
+    None; s exp(-s²/p²) ds; or log s normal around log p with the sd log `PLAUSIBLE_FACTOR`.
+    """
 
     NONE = 0
     SIZES = 1
@@ -70,9 +81,11 @@ def _invert_triangle(lower: Floats) -> None:
 
 
 def prior_of(ratios: Floats, of: Prior = Prior.SIZES) -> float:
-    """Return -2 log (s exp(-s²/p²)) of all kinds from shares (s/p)², up to a constant."""
-    proper = ratios[ratios > 0.0]
-    return float(2.0 * ratios.sum() - of * np.log(proper).sum())
+    """Return -2 log prior of the sizes of all kinds from shares (s/p)², up to a constant."""
+    logs = np.log(ratios[ratios > 0.0])
+    if of is Prior.LOGARITHMS:
+        return float(0.5 * LOG_PRECISION * (logs @ logs))
+    return float(of * (2.0 * ratios.sum() - logs.sum()))
 
 
 @dataclass(frozen=True)
@@ -81,6 +94,7 @@ class Columns:
 
     all: Floats  # (N, o + d)
     plausible: Floats  # (K,) sizes of the kinds; infinite: the prior is flat
+    together: Floats  # (K,) the same, with imperfections of the same influence
     kind: int | None  # the remainder's
     others: npt.NDArray[np.intp]  # (o,) columns
     last: npt.NDArray[np.intp]  # (d,)
@@ -146,15 +160,16 @@ class Likelihood:
         """
         Take products of a residual (N,) and its slopes (N, k), whose priors weigh (k,).
 
-        With `Prior.NONE` the likelihood is restricted: of the data without the part that
-        determines the parameters (REML, Patterson and Thompson 1971).
+        Unless effects compete (`Prior.SIZES`) the likelihood is restricted: of the data without
+        the part that determines the parameters (REML, Patterson and Thompson 1971).
         """
-        self.restricted = prior is Prior.NONE
-        self.prior, self.precision = prior, float(prior > 0) / columns.plausible**2
-        self.proper = np.where(np.isfinite(columns.plausible), prior, 0)
+        self.restricted = prior is not Prior.SIZES
+        around = columns.together if prior is Prior.LOGARITHMS else columns.plausible
+        self.prior, self.precision = prior, float(prior > 0) / around**2
         self.kind, self.owners, self.kinds = columns.kind, columns.owners, columns.kinds
         self.own, self.own_last, self.size2 = columns.own, columns.own_last, columns.size2
         known = np.linalg.norm(slopes, axis=0)
+        self.shown, self.lengths = known > 1e-9, known[known > 1e-9]
         slopes = slopes[:, known > 1e-9] / known[known > 1e-9]
         more = np.column_stack([slopes, residual])
         cross = columns.all.T @ more
@@ -231,14 +246,34 @@ class Likelihood:
             information[k] += kinds @ both
             information[:, k] += kinds @ both
             information[k, k] = np.square(own).sum()
-        rise += 2.0 * self.precision
-        push = self.proper / np.maximum(v, 1e-300)  # of the prior, away from zero
-        proper = np.diag(push / np.maximum(v, 1e-300))
-        rise = np.maximum(rise, 1e-300)
-        apart = np.sqrt(self.proper**2 + 4.0 * rise * v**2 * observed)
-        slower = (self.proper + apart) / (2.0 * rise)
+        steady, pull, bend = self._prior_slopes(v)
+        push = pull / np.maximum(v, 1e-300)
+        proper = np.diag((push + bend / np.maximum(v, 1e-300)) / np.maximum(v, 1e-300))
+        rise = np.maximum(rise + steady, 1e-300)
+        apart = np.sqrt(pull**2 + 4.0 * rise * v**2 * observed)
+        slower = (pull + apart) / (2.0 * rise)
         gradient = rise - push - observed
         return Slopes(gradient, information + proper, 2.0 * turned - information + proper, slower)
+
+    def _prior_slopes(self, v: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return slopes (K,) of the prior: steady by v; minus by log v, and how that bends."""
+        ratios = v * self.precision
+        proper = (self.precision > 0.0).astype(float)
+        if self.prior is Prior.LOGARITHMS:
+            logs = np.log(np.where(ratios > 0.0, ratios, 1.0))
+            return 0.0 * v, -LOG_PRECISION * logs, LOG_PRECISION * proper
+        return 2.0 * self.precision, proper, 0.0 * v
+
+    def parameters(self, v: Floats) -> tuple[Floats, Floats]:
+        """Return the best parameters (k,) at variances (K,), and their covariance (k, k)."""
+        at = self._reduced(v)
+        half = at.factor @ at.more
+        normal = at.inner - half.T @ half
+        root = np.zeros((len(normal) - 1, len(self.shown)))
+        root[:, self.shown] = self._root(normal) / self.lengths
+        best = np.zeros(len(self.shown))
+        best[self.shown] = -self._best(normal)[0] / self.lengths
+        return best, root.T @ root
 
     def _last(self, at: _Reduced, half: Floats, through: Floats, ahead: Floats) -> _Last:
         """Return the columns of the remainder, the others being eliminated."""
@@ -272,6 +307,31 @@ class Sizes:
     deviance: float  # -2 log likelihood up to a constant, priors included, at the best parameters
 
 
+@dataclass(frozen=True)
+class Mixture:
+    """Parameters under n possible sets of sizes: each a normal distribution, with its weight."""
+
+    weights: Floats  # (n,) sum to 1
+    shifts: Floats  # (n, k) from the values at the likeliest sizes
+    covariances: Floats  # (n, k, k)
+
+    def covariance(self) -> Floats:
+        """Return the second moments (k, k) about the values at the likeliest sizes."""
+        moments = self.covariances + self.shifts[:, :, None] * self.shifts[:, None]
+        return np.asarray(np.tensordot(self.weights, moments, 1))
+
+    def half_widths(self, share: float) -> Floats:
+        """Return how far (k,) to both sides of those values a share of the distribution lies."""
+        sd = np.sqrt(np.maximum(np.einsum('nii->ni', self.covariances), 1e-300))
+        low, high = np.zeros(sd.shape[1]), (np.abs(self.shifts) + 10.0 * sd).max(axis=0)
+        while (high - low > 1e-4 * high).any():
+            middle = 0.5 * (low + high)
+            above, below = ((side * middle - self.shifts) / sd for side in (1.0, -1.0))
+            less = self.weights @ (normal_cdf(above) - normal_cdf(below)) < share
+            low, high = np.where(less, middle, low), np.where(less, high, middle)
+        return np.asarray(high)
+
+
 class RandomEffects:
     """
     Imperfections, whitened by the noise, and their marginal likelihood.
@@ -279,9 +339,10 @@ class RandomEffects:
     Of each kind only observable directions are kept: mixtures of its members by singular vectors.
     Members of a kind share one variance, so mixtures have the same variance.
 
-    The prior of a size s with the plausible value p is s exp(-s²/p²) (Rayleigh), never zero. Few
-    members do not determine their spread, and the likelihood would reward an effect that makes it
-    small: the size of kinds with few members is fixed at the plausible one.
+    Where effects compete the prior of a size s with the plausible value p is s exp(-s²/p²)
+    (Rayleigh), never zero. Few members do not determine their spread, and the likelihood would
+    reward an effect that makes it small: there the size of kinds with few members is fixed at the
+    plausible one.
     """
 
     def __init__(
@@ -302,6 +363,7 @@ class RandomEffects:
         """
         self.kinds = tuple(kinds)
         self.plausible = np.array([kind.plausible for kind in kinds], dtype=float)
+        self.together = np.hypot(self.plausible, [kind.beside for kind in kinds])
         own = [columns[:, owners == k] for k in range(len(kinds))]
         self.mixtures = [_mixture(c, p) for c, p in zip(own, self.plausible, strict=True)]
         mixed = [c @ mix for c, mix in zip(own, self.mixtures, strict=True)]
@@ -348,6 +410,7 @@ class RandomEffects:
         return Columns(
             self.columns,
             self.plausible,
+            self.together,
             last[0] if last else None,
             others,
             d,
@@ -394,20 +457,48 @@ class RandomEffects:
         size = float(lifted @ lifted)
         return 2.0 * size**2 / variance if variance > 0.0 else np.inf
 
-    def variance_of_sizes(self, sizes: Floats, prior: Prior = Prior.SIZES) -> Floats:
+    def variance_of_sizes(self, sizes: Floats) -> Floats:
         """Return the covariance (K, K) of the estimated variances; zero where a size is fixed."""
         known = np.flatnonzero((sizes > 0.0) & ~self.few)
         rows = len(self.columns)
-        work = Likelihood(self.parts, np.zeros(rows), np.zeros((rows, 0)), None, prior)
+        work = Likelihood(self.parts, np.zeros(rows), np.zeros((rows, 0)), None)
         information = work.slopes(sizes**2).information[np.ix_(known, known)]
         covariance = np.zeros((len(sizes), len(sizes)))
         covariance[np.ix_(known, known)] = 2.0 * np.linalg.pinv(information, hermitian=True)
         return covariance
 
-    def log_variance_of_sizes(self, sizes: Floats) -> Floats:
-        """Return the covariance (K, K) of the logarithms of the estimated variances."""
-        v = np.where(sizes > 0.0, sizes, np.inf) ** 2
-        return np.asarray(self.variance_of_sizes(sizes, Prior.LOGARITHMS) / np.outer(v, v))
+    def mixture(
+        self, residual: Floats, slopes: Floats, sizes: Floats, weights: Floats | None = None
+    ) -> Mixture:
+        """
+        Return the distribution of parameters over the sizes that the data leave possible.
+
+        Sets of sizes are drawn around the likeliest ones (K,), by the curvature there, and weighed
+        by their likelihood and prior (importance sampling); always the same ones. A remainder
+        keeps its size. The other arguments are those of `estimate`.
+        """
+        work, v = Likelihood(self.parts, residual, slopes, weights, Prior.LOGARITHMS), sizes**2
+        free = np.flatnonzero(np.isfinite(self.plausible) & (sizes > 0.0))
+        here, own = work.slopes(v), v[free]
+        bend = here.curvature[np.ix_(free, free)] * np.outer(own, own)
+        values, vectors = np.linalg.eigh(bend + np.diag(own * here.gradient[free]))
+        root = vectors * np.sqrt(2.0 / np.maximum(values, LOG_PRECISION))
+        ranks = (np.arange(NODES) + 0.5) / NODES
+        strata = np.tile(ranks, (len(free), 1))  # of a Latin hypercube
+        chances = np.random.default_rng(0).permuted(strata, axis=1).T
+        draws = UNIT_LOGISTIC * np.log(chances / (1.0 - chances))  # its tails are long
+        logs = -np.log(chances * (1.0 - chances)).sum(axis=1)
+        best, _ = work.parameters(v)
+        shifts, covariances = [], []
+        for i, draw in enumerate(draws):
+            tried = v.copy()
+            tried[free] *= np.exp(root @ draw)
+            logs[i] -= 0.5 * work.deviance(tried)
+            there, covariance = work.parameters(tried)
+            shifts.append(there - best)
+            covariances.append(covariance)
+        weights = np.exp(logs - logs.max())
+        return Mixture(weights / weights.sum(), np.array(shifts), np.array(covariances))
 
     def misfit(self, errors: Floats, sizes: Floats) -> float:
         """Return the chi² of errors (N,) under noise and remainder alone."""
@@ -476,17 +567,18 @@ class RandomEffects:
         remainder : bool
             Whether a remainder may be larger than what is allowed of its kind.
         prior : Prior
-            With `NONE` the data alone determine the sizes; else the size of kinds with few
-            members is fixed. Effects compete with the likeliest sizes (`SIZES`), which are too
-            often too small where few members determine them; then `LOGARITHMS` is better.
+            With `NONE` the data alone determine the sizes. Effects compete with the likeliest
+            sizes (`SIZES`), those of kinds with few members fixed: they are too often too small
+            where few members determine them. Values are told with `LOGARITHMS`.
 
         """
         work = Likelihood(self.parts, residual, slopes, weights, prior)
         sizes = self.start if start is None else np.asarray(start, dtype=float)
-        usual = np.where(np.isfinite(self.plausible), self.plausible, 0.0)
-        fixed = self.few & (prior is not Prior.NONE)
+        around = self.together if prior is Prior.LOGARITHMS else self.plausible
+        usual = np.where(np.isfinite(around), around, 0.0)
+        fixed = self.few & (prior is Prior.SIZES)
         low = np.where(fixed, usual, NEGLIGIBLE * usual) ** 2
-        high = np.where(fixed, usual, SIZE_MAX * self.plausible) ** 2
+        high = np.where(fixed, usual, SIZE_MAX * around) ** 2
         free = np.array([remainder or kind.name != REMAINDER for kind in self.kinds], dtype=bool)
         allowed = np.array([kind.allowed for kind in self.kinds], dtype=float)
         low, high = np.where(free, low, 0.0), np.where(free, high, allowed**2)

@@ -50,6 +50,11 @@ def t_ppf(p: float, freedom: float) -> float:
     return float(special.stdtrit(freedom, p))
 
 
+def normal_cdf(x: Floats) -> Floats:
+    """Probabilities that a standard normal deviate is below these."""
+    return np.asarray(special.ndtr(x))
+
+
 def normal_ppf(p: float) -> float:
     """Quantile of the normal distribution."""
     return float(special.ndtri(p))
