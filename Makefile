@@ -41,7 +41,7 @@ paper: ## the paper's experiments: published numbers beside ours (results/paper)
 	$(RUN) python -m tendon_robot_ros paper --output results/paper --overwrite $(ARGS)
 
 BENCH := results/bench
-# The diagnosis has benchmarks of its own that take hours: see docs/diagnosis.md
+# The diagnosis has benchmarks of its own that take hours: see docs/results.md
 bench: ## speed on this machine of model, controller and drivers, as JSON (results/bench, minutes)
 	mkdir -p $(BENCH); missed=0; for name in model controller reading serial dynamixel; do \
 		$(RUN) python benchmarks/bench_$$name.py --json $(BENCH)/$$name.json || missed=1; \
