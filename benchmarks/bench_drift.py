@@ -10,7 +10,9 @@ of it). Every draw is a line of FILE; begun again with the same FILE it goes on.
 
 `--misread S`: a reference posture is off by S mm in some direction (the tracker wrong for once).
 `--quiet N` lets an arm stand for N postures instead, one every four seconds; `--loaded`: with a
-payload, which its description knows; `--exact`: built exactly as described.
+payload, which its description knows; `--exact`: built exactly as described; `--lacks EFFECT`: the
+arm has half the usual size of an effect that its description lacks, with the `model_error` that
+this makes.
 
 example: python benchmarks/bench_drift.py --output drift.jsonl --cases 20
 example: python benchmarks/bench_drift.py --output quiet.jsonl --robot spatial_3 --quiet 21600
@@ -25,6 +27,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from bench_tip_force import knowing, lacking
 
 from tendon_robot_ros.common.processes import one_thread
 from tendon_robot_ros.data import default_markers
@@ -45,19 +48,22 @@ REFERENCES, WITHIN, ASKED_MAX, OFFERED = 60, 20, 12, 40
 DAY_POSTURES = 24 * 900
 HOURS = 1.0 / 900.0  # of a posture: one every four seconds
 LOAD_SHARE = 0.3  # of a force across the tip that bends the arm by a radian: the payload
-TOLD_EVERY = 200  # postures of an arm that does not change, between two lines
+TOLD_EVERY = 100  # postures of an arm that does not change, between two lines
 
 
 class Watch:
     """A simulated arm that is watched."""
 
-    def __init__(self, name, seed, loaded=False, misread=0.0, exact=False):
+    def __init__(self, name, seed, loaded=False, misread=0.0, exact=False, lacks=None):
         """Let it learn its reference postures; one is off by so much [m]."""
         self.robot, self.seed = load_robot(f'config/robots/{name}.yaml'), seed
         self.robot, self.work = replace(self.robot, exact=exact), Workmanship().times(not exact)
         if loaded:
             force = LOAD_SHARE * natural_sizes(self.robot)['force']
             self.robot = self.robot.with_effect('tip_load', {'force_x': force})
+        self.lacks = lacking(self.robot, lacks)
+        if lacks:
+            self.robot = knowing(self.robot, self.lacks)
         self.random = np.random.default_rng([seed, 3])
         self.markers = default_markers(self.robot)
         self.plant = self.made({})
@@ -71,7 +77,7 @@ class Watch:
 
     def made(self, hidden):
         """Return this arm with something hidden."""
-        return make_plant(self.robot, hidden, seed=self.seed, work=self.work)
+        return make_plant(self.robot, self.lacks | hidden, seed=self.seed, work=self.work)
 
     def alarm(self):
         """Return an alarm that knows the reference postures."""
@@ -129,9 +135,9 @@ def changes(watch):
     yield 'the tracker 1 mm off', bumped, [TRACKER]
 
 
-def told(name, seed, have, misread):
+def told(name, seed, have, misread, lacks):
     """Yield a row for every change of one arm that is not there yet."""
-    watch = Watch(name, seed, misread=misread)
+    watch = Watch(name, seed, misread=misread, lacks=lacks)
     for what, plant, right in changes(watch):
         if (name, seed, what) in have:
             continue
@@ -172,18 +178,19 @@ def summary(rows):
     return made
 
 
-def quiet(name, seed, loaded, exact, postures, path):
+def quiet(name, seed, loaded, exact, lacks, postures, path):
     """Let an arm stand that does not change; write how it goes."""
-    watch, begin, alarms = Watch(name, seed, loaded, 0.0, exact), time.process_time(), 0
+    watch, begin, alarms = Watch(name, seed, loaded, 0.0, exact, lacks), time.process_time(), 0
     alarm = watch.alarm()
     for done in range(0, postures, TOLD_EVERY):
         rows = watch.postures(TOLD_EVERY, 10 + done)
-        if watch.stand(alarm, watch.plant, rows) is not None:
-            alarms += 1
+        while (after := watch.stand(alarm, watch.plant, rows)) is not None:
+            alarms, rows = alarms + 1, rows[after:]
             alarm.restart()
         count = done + TOLD_EVERY
         row = {
-            'robot': name, 'seed': seed, 'loaded': loaded, 'exact': exact, 'postures': count,
+            'robot': name, 'seed': seed, 'loaded': loaded, 'exact': exact, 'lacks': lacks,
+            'model_error [mm]': 1e3 * (watch.robot.model_error or 0.0), 'postures': count,
             'simulated hours': count * HOURS, 'false alarms': alarms,
             'ms of a processor per posture': 1e3 * (time.process_time() - begin) / count,
         }  # fmt: skip
@@ -208,11 +215,14 @@ def main():
     parser.add_argument('--quiet', type=int, default=0, metavar='N', help='postures, no change')
     parser.add_argument('--loaded', action='store_true', help='with a payload that is known')
     parser.add_argument('--exact', action='store_true', help='an arm exactly as described')
+    parser.add_argument('--lacks', metavar='EFFECT', help='of the arm, not of its description')
     args = parser.parse_args()
     with one_thread():
         if args.quiet:
             for name in args.robot:
-                quiet(name, args.first, args.loaded, args.exact, args.quiet, args.output)
+                quiet(
+                    name, args.first, args.loaded, args.exact, args.lacks, args.quiet, args.output
+                )
             return
         lines = args.output.read_text().splitlines() if args.output.exists() else []
         rows = [json.loads(line) for line in lines]
@@ -221,7 +231,7 @@ def main():
             for name in args.robot:
                 if sum(key[:2] == (name, seed) for key in have) == 5:
                     continue
-                for row in told(name, seed, have, 1e-3 * args.misread):
+                for row in told(name, seed, have, 1e-3 * args.misread, args.lacks):
                     rows.append(row)
                     write(args.output, row)
                     print(json.dumps(row), flush=True)

@@ -104,6 +104,30 @@ def test_references_do_not_make_the_known_error_smaller(name):
     assert known.excluded == ()
 
 
+LACKED = 'transmission_loss', 0.05, 4e-3  # effect, its fraction [1], the error that it makes [m]
+
+
+@pytest.mark.parametrize('exact', [True, False], ids=['exact', 'as built'])
+@pytest.mark.parametrize('name', ARMS)
+def test_the_error_of_a_description_comes_back_with_its_postures(name, exact):
+    effect, fraction, error = LACKED
+    robot = replace(ARMS[name], exact=exact, model_error=error)
+    arm = learned_from(robot, hidden={effect: {'fraction': fraction}})
+    (at,) = [i for i, free in enumerate(arm.frees) if free.effect == effect]
+    states = arm.mean[arm.built :] * arm.plausible[arm.built :]
+    rows = np.clip(default_postures(robot, 12, 8), *robot.tension_limits)
+    work = Workmanship().times(not exact)
+    plant = make_plant(robot, {effect: {'fraction': fraction}}, seed=4, work=work)
+    _, seen = averaged(plant, rows, np.random.default_rng(3))
+    left, without = [], arm.as_known(arm.mean.copy(), arm.covariance)
+    without.mean[arm.built :] = 0.0
+    for one in (arm, without):
+        off = [one.expected(t).markers - y.ravel() for t, y in zip(rows, seen, strict=True)]
+        left.append(np.sqrt(np.mean(np.square(off))))
+    assert len(states) == len(arm.frees) > at
+    assert left[0] < 0.3 * left[1], 'of new postures, from what the references lacked'
+
+
 def test_a_force_at_mid_arm_is_told_from_one_at_the_tip():
     plant = make_plant(ROBOT, {'tether': {'cell': 4, 'force_x': 0.03}}, scatter=0.0)
     tensions = np.array([0.4, 0.2, 0.7])
@@ -175,9 +199,10 @@ def test_an_exact_arm_whose_load_cells_are_noisy_raises_no_alarm_and_a_gain_is_n
     assert state.suspects[0].name == f'gain of {robot.inputs[1]}'
 
 
-def learned_from(robot, wrong=()):
+def learned_from(robot, wrong=(), hidden=None):
     """Return an arm as it is built, learned from 24 postures; some are off by so much [m]."""
-    free, random = make_plant(robot, {}, seed=4, work=Workmanship()), np.random.default_rng(2)
+    work, random = Workmanship().times(not robot.exact), np.random.default_rng(2)
+    free = make_plant(robot, hidden or {}, seed=4, work=work)
     rows = np.clip(default_postures(robot, 24, 7), *robot.tension_limits)
     arm = BuiltArm(robot, load_catalogue(), default_markers(robot), NOISE)
     read, seen = averaged(free, rows, random)

@@ -2,13 +2,19 @@
 One arm as it was built, learned from postures without external load.
 
 Its imperfections b (cells, kinks, gains, the tracker's frame; prior: plausible sizes) are
-estimated by an extended Kalman filter, y = f(T, b) + remainder + noise, linearised at the
+estimated by an extended Kalman filter, y = f(T, b) + G(T) a + remainder + noise, linearised at the
 current estimate. The remainder, which no imperfection explains, is independent between postures
 and smooth along the arm; its size and the noise of the measured tensions maximise the likelihood
 of the reference postures, linear around the last estimate. It is at least the `model_error` of the
-description: imperfections that imitate it at the references do not elsewhere. The variance of the
-innovations is compared with its prediction over one posture and over several in sequence (batch
-means), and widened by the ratio. Tip force and drift alarm use this model.
+description: imperfections that imitate it at the references do not elsewhere.
+
+A description with a `model_error` may lack effects. Their error is not a new one in every posture:
+it comes back with the tensions, and is alike under similar ones. G, the motion of the markers by
+the parameters a of all effects (prior: typical values), makes cov G a = G(T) A G(T')' between
+postures. Without a `model_error` nothing is known to be lacking, and a = 0.
+
+The variance of the innovations is compared with its prediction over one posture and over several
+in sequence (batch means), and widened by the ratio. Tip force and drift alarm use this model.
 """
 
 from __future__ import annotations
@@ -24,10 +30,16 @@ import numpy.typing as npt
 from ..common.arrays import Floats
 from ..common.estimation import kalman_update
 from ..data import DataSet, Marker
-from ..effects import Catalogue
+from ..effects import Catalogue, Effect
 from ..inference.imperfections import GAIN, KINK, PLAUSIBLE_SIZES, SplitPredictor, remainders
 from ..inference.noise import relative_error
-from ..inference.predict import FreeParameter, Point, Predictor, SettledShapes
+from ..inference.predict import (
+    FreeParameter,
+    Point,
+    Predictor,
+    SettledShapes,
+    free_parameters,
+)
 from ..inference.slopes import imperfections
 from ..model.shape import ShapeBatch
 from ..robot import Robot
@@ -43,6 +55,10 @@ REMAINDERS = 0.0, 0.0003, 0.001, 0.003, 0.01
 SETTINGS = 0.0, 0.0005, 0.001, 0.002, 0.005
 # [1] iterations of sizes and outliers; more would only alternate between the same sets
 ROUNDS_MAX = 6
+# [1] of a typical value: step of a difference; less would vanish where an effect has a kink
+DIFFERENCE = 0.1
+# no reference lacks them: the frame is an imperfection, and none is loaded
+FRAME, LOAD = 'base_misalignment', 'tip_load'
 # [1] significance of a posture that does not fit the arm: its probability by chance
 ODD_PROBABILITY = 1e-6
 
@@ -117,11 +133,28 @@ class BuiltArm:
         self.kinds = self.split.kinds()
         counts, scale = [len(kind) for kind in self.kinds], self.level or 1.0
         self.plausible = scale * np.repeat([k.plausible for k in self.kinds], counts)  # (q,) 1 sd
+        self.built = len(self.plausible)  # states that are imperfections, the first ones
+        self.frees: list[FreeParameter] = []  # the other states: of effects that may be lacking
         self._gains = np.flatnonzero(np.repeat([k.name == GAIN for k in self.kinds], counts))
         self._kinked = usual_kinks(robot, self.level)
-        # covariance (q, q) of the imperfections [sd²]; an exact arm is known to have none
-        self.prior = float(self.level > 0.0) * np.eye(len(self.plausible))
+        # covariance (q, q) of the states [sd²]; an exact arm is known to have no imperfections
+        self.prior = float(self.level > 0.0) * np.eye(self.built)
         self._members: dict[str, Floats] | None = None
+        self.forget()
+
+    def expect_lacking(self) -> None:
+        """Estimate what the description lacks, too, if it has a `model_error`."""
+        if self.frees or not self.robot.model_error:
+            return
+        self.frees = [
+            free
+            for effect in moving_effects(self.robot, self.catalogue)
+            if effect.name not in (FRAME, LOAD)
+            for free in free_parameters(effect, self.robot)
+        ]
+        self.plausible = np.append(self.plausible, [f.parameter.typical for f in self.frees])
+        prior, self.prior = self.prior, np.eye(len(self.plausible))
+        self.prior[: self.built, : self.built] = prior
         self.forget()
 
     @property
@@ -129,7 +162,7 @@ class BuiltArm:
         """Estimated imperfections by kind [its unit]."""
         if self._members is None:
             ends = np.cumsum([len(kind) for kind in self.kinds])[:-1]
-            own = np.split(self.mean * self.plausible, ends)
+            own = np.split((self.mean * self.plausible)[: self.built], ends)
             named = zip(self.kinds, own, strict=True)
             self._members = {kind.name: values for kind, values in named}
         return self._members
@@ -145,7 +178,12 @@ class BuiltArm:
         if columns is None:
             return None
         markers = self.split.see(shapes).ravel()
-        return Expected(markers, columns, self._bent(inputs, markers, columns, beside))
+        bent = self._bent(inputs, markers, columns, beside)
+        return Expected(markers + self.lacked(columns), columns, bent)
+
+    def lacked(self, columns: Floats) -> Floats:
+        """Return the motion (..., 3 J) [m] by what the description lacks, of (..., 3 J, q)."""
+        return np.asarray(columns[..., self.built :] @ self.mean[self.built :])
 
     def _beside(self, inputs: Floats) -> tuple[Floats, Floats] | None:
         """
@@ -251,6 +289,7 @@ class BuiltArm:
             1 sd of the remainder at the tip [m].
 
         """
+        self.expect_lacking()
         self.forget()
         counts = np.ones(len(tensions), dtype=np.bool_)
         for _ in range(ROUNDS_MAX):
@@ -344,13 +383,20 @@ class BuiltArm:
         return weighted.T @ off, columns.T @ weighted
 
     def columns(self, inputs: Floats, point: Point) -> Floats | None:
-        """Return the motion of the markers (3 J, q) [m] by imperfections of plausible size."""
+        """Return the motion of the markers (3 J, q) [m] by states of plausible size."""
         self.split.inputs = inputs
-        responses = imperfections(self.split, point, self.members)
-        if responses is None:
+        moved = self.moved(self.split, point)
+        return None if moved is None else moved[0]
+
+    def moved(self, split: SplitPredictor, point: Point) -> Floats | None:
+        """Return the motion of the markers (P, 3 J, q) [m] by states of plausible size."""
+        responses = imperfections(split, point, self.members)
+        lacked = None if responses is None else differences(split, point, self.frees)
+        if responses is None or lacked is None:
             return None
-        moves = responses.moves[: len(self.plausible)].reshape(len(self.plausible), -1)
-        return np.asarray((self.plausible[:, None] * moves).T)
+        built = responses.moves[: self.built].reshape(self.built, *lacked.shape[1:])
+        moves = np.concatenate([built, lacked]) * self.plausible[:, None, None]
+        return np.moveaxis(moves, 0, 2)
 
 
 def slopes(
@@ -366,6 +412,35 @@ def slopes(
     if tangent is None:
         return None
     return np.moveaxis(tangent.markers.reshape(*tangent.markers.shape[:2], -1), 0, 2)
+
+
+def differences(
+    predictor: Predictor, point: Point, frees: Sequence[FreeParameter]
+) -> Floats | None:
+    """Return the motion of the markers (k, P, 3 J) by a unit of parameters, beyond kinks."""
+    moves = np.zeros((len(frees), len(predictor.inputs), 3 * len(predictor.dataset.markers)))
+    base = predictor.markers(point) if frees else np.zeros(0)
+    if base is None:
+        return None
+    for move, free in zip(moves, frees, strict=True):
+        value = point.get(free, predictor.value(free))
+        step = DIFFERENCE * free.parameter.typical
+        if value + step > free.parameter.high:
+            step = -step
+        moved = predictor.markers({**point, free: value + step})
+        if moved is not None:
+            move[:] = (moved - base).reshape(move.shape) / step
+    return moves
+
+
+def moving_effects(robot: Robot, catalogue: Catalogue) -> list[Effect]:
+    """Return the effects by which an arm moves that rests under tensions."""
+    return [
+        effect
+        for effect in catalogue
+        if not {'history', 'pulls'} & set(effect.needs.split())
+        and (not effect.acts_on or effect.acts_on in robot.effects)
+    ]
 
 
 def usual_kinks(robot: Robot, level: float) -> Floats:

@@ -34,12 +34,11 @@ from ..inference.imperfections import GAIN, Kind, SplitPredictor
 from ..inference.intervals import load_of, vector_rows
 from ..inference.marginal import RandomEffects
 from ..inference.predict import CELLS, FreeParameter, Point, Predictor, free_parameters
-from ..inference.slopes import imperfections
 from ..inference.statistics import chi2_sf
 from ..report.sentences import load_words
-from .built_arm import ODD_PROBABILITY, BuiltArm, slopes
+from .built_arm import FRAME, ODD_PROBABILITY, BuiltArm, moving_effects, slopes
 
-TRACKER, FRAME = 'the tracker', 'base_misalignment'  # a bumped tracker is a misaligned base
+TRACKER = 'the tracker'  # a bumped one is a misaligned base
 SHIFT = 'shift'  # prefix of the keys of a translation; the others are a rotation
 # [1] relative change of a kind of imperfection, 1 sd, by wear (assumed), because no data exist
 USUAL_CHANGES = {CELLS: 0.1, GAIN: 0.03}
@@ -58,7 +57,7 @@ APART_PROBABILITY = 0.95
 CONFIRMED_POSTURES = 3
 # [1] smallest probability of a change for which a posture is selected; less would not matter
 LIKELY_MIN = 1e-3
-# [1] changes for which a posture is selected, because further ones are unlikely
+# [1] changes that are reported, and told apart by a posture, because further ones are unlikely
 LIKELY_MAX = 4
 # [sd²] separation by one posture; with less a dozen of them would not decide
 HOPELESS_APART = 0.25
@@ -119,22 +118,17 @@ class Suspect:
 def changes_of(arm: BuiltArm) -> tuple[PossibleChange, ...]:
     """Return the possible changes: effects, single cells, gains, the tracker's frame."""
     changes = list[PossibleChange]()
-    for effect in arm.catalogue:
-        if {'history', 'pulls'} & set(effect.needs.split()):
-            continue
-        if effect.acts_on and effect.acts_on not in arm.robot.effects:
-            continue
+    for effect in moving_effects(arm.robot, arm.catalogue):
         frees = free_parameters(effect, arm.robot)
         usual = np.array([free.parameter.typical for free in frees])
         keys = tuple(free.key for free in frees)
-        down = arm.robot.gravity
         name = effect.name
         if name == FRAME:
             name = TRACKER
             usual = np.array(
                 [USUAL_SHIFT if k.startswith(SHIFT) else USUAL_ROTATION for k in keys]
             )
-        changes.append(PossibleChange(name, keys, usual, frees, gravity=down))
+        changes.append(PossibleChange(name, keys, usual, frees, gravity=arm.robot.gravity))
     count = 0
     for kind in arm.kinds:
         indices, count = range(count, count + len(kind)), count + len(kind)
@@ -231,12 +225,13 @@ class ChangeWork:
             gravity=self.arm.robot.gravity,
         )
         self.split = SplitPredictor(Predictor(dataset, self.arm.robot, self.arm.catalogue))
-        self.split.around = self.arm.members
+        self.split.around, self.lacked = self.arm.members, np.zeros((P, 3 * len(whole.markers)))
         expected = self._markers({})
-        columns = self._columns({}) if expected is not None else None
+        columns = self.arm.moved(self.split, {}) if expected is not None else None
         self.ready = columns is not None
         if expected is not None and columns is not None:
-            self.expected, self.columns = expected, columns
+            self.lacked = arm.lacked(columns)
+            self.expected, self.columns = expected + self.lacked, columns
             self.weights = _Weights(self.arm, postures, columns)
 
     def fit(self, change: PossibleChange) -> ChangeFit | None:
@@ -245,7 +240,7 @@ class ChangeWork:
 
     def fit_around(self, fit: ChangeFit) -> ChangeFit | None:
         """Refit an effect, with the imperfections linearised at its value."""
-        columns = self._columns(self._point(fit.change, fit.values))
+        columns = self.arm.moved(self.split, self._point(fit.change, fit.values))
         if columns is None:
             return None
         usual, self.weights = self.weights, _Weights(self.arm, self.postures, columns)
@@ -359,20 +354,11 @@ class ChangeWork:
 
     def _markers(self, point: Point) -> Floats | None:
         markers = self.split.markers(point)
-        return None if markers is None else markers.reshape(len(markers), -1)
+        return None if markers is None else markers.reshape(self.lacked.shape) + self.lacked
 
     def _slopes_of_members(self, change: PossibleChange) -> Floats:
         """Return the Jacobian of the markers by imperfections (P, 3 J, k), per unit."""
         return self.columns[:, :, change.members] / self.arm.plausible[change.members]
-
-    def _columns(self, point: Point) -> Floats | None:
-        """Return the motion of the markers (P, 3 J, q) [m] by imperfections of plausible size."""
-        own = self.arm.plausible
-        responses = imperfections(self.split, point, self.arm.members)
-        if responses is None:
-            return None
-        moves = responses.moves[: len(own)].reshape(len(own), len(self.postures.tensions), -1)
-        return np.moveaxis(own[:, None, None] * moves, 0, 2)
 
 
 class ChangeFinder:

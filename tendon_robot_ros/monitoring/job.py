@@ -33,8 +33,6 @@ PARTS = {
     'causes outside the catalogue': (0.6, 0.85),
     'postures left out': (0.87, 1.0),
 }
-# [1] of it, from which the remaining time is extrapolated; from less it would be wrong by factors
-PART_MIN = 0.02
 RESULT, REPORT, BETTER = 'diagnosis.json', 'diagnosis.html', 'better.yaml'
 IMPROVED = 'improved.yaml'
 
@@ -102,7 +100,9 @@ class DiagnosisProgress:
         if what in PARTS:
             begin, end = PARTS[what]
             self._part = max(self._part, begin + (end - begin) * done / max(total, 1))
-        remaining = (self._clock() - self._begin) * (1.0 / max(self._part, PART_MIN) - 1.0)
+        remaining = (self._clock() - self._begin) * (
+            1.0 / max(self._part, PARTS['effects'][0]) - 1.0
+        )
         duration = f'{remaining / 60.0:.0f} min' if remaining > 90.0 else f'{remaining:.0f} s'
         where = f'{what} {done}/{total} ({100.0 * self._part:.0f} %, about {duration} to go)'
         send('progress', text=where, part=self._part)

@@ -30,9 +30,8 @@ from ..common.estimation import gauss_newton
 from ..inference.predict import FreeParameter, SettledShapes, free_parameters
 from ..inference.slopes import pushes
 from ..inference.statistics import chi2_isf
-from .built_arm import BuiltArm
+from .built_arm import LOAD, BuiltArm
 
-EFFECT = 'tip_load'
 # [1] of a typical force: step of a difference; a smaller one would be lost in the tolerance of the
 # equilibrium
 DIFFERENCE = 0.02
@@ -84,7 +83,7 @@ class TipForceObserver:
 
     def __init__(self, arm: BuiltArm, pull_noise: float = 2e-5) -> None:
         """
-        Begin without a force; effects that the description lacks appear as a force.
+        Begin without a force; what a description lacks unknowingly appears as a force.
 
         Parameters
         ----------
@@ -94,7 +93,7 @@ class TipForceObserver:
 
         """
         self.arm, self.pull_noise = arm, pull_noise
-        self._frees = free_parameters(arm.catalogue[EFFECT], arm.robot)
+        self._frees = free_parameters(arm.catalogue[LOAD], arm.robot)
         self._described = np.array([arm.whole.value(free) for free in self._frees])
         self._typical = self._frees[0].parameter.typical
         self._last = np.zeros(3)
@@ -134,6 +133,11 @@ class TipForceObserver:
         measured = positions if markers else pulls
         if measured is None or not np.isfinite(measured).any():
             return None
+        if markers and self.arm.frees:
+            columns = self.arm.columns(inputs, {})
+            if columns is None:
+                return None
+            measured = measured.ravel() - self.arm.lacked(columns)
         data = _Measured(inputs, measured.ravel(), markers, frames)
         for start in (self._last, np.zeros(3)):
             estimate = _Fit(self, data).solve(start)

@@ -3,7 +3,8 @@ Monitoring of a working robot: first the arm is learned, then drift and tip forc
 
 The drift alarm is a sequential test with a stated false-alarm rate.
 
-`BuiltArm` predicts every posture at which the arm rests. A change theta (an effect of the
+`BuiltArm` predicts every posture at which the arm rests, with what its description is known to
+lack. A change theta (an effect of the
 catalogue appears, a cell gets softer, a gain changes, the tracker is bumped) since a posture
 shifts the innovations of its Kalman filter by G theta; the signatures G follow from the filter's
 gains (Willsky and Jones 1976). With theta ~ N(0, T) each change gives a likelihood ratio
@@ -41,8 +42,8 @@ from ..effects import Catalogue
 from ..inference.statistics import chi2_sf
 from ..model.model import Model
 from ..robot import dump_robot, parse_robot
-from .built_arm import ODD_PROBABILITY, BuiltArm, Expected
-from .change import ChangeFinder, Suspect, changes_of, described
+from .built_arm import ODD_PROBABILITY, BuiltArm, Expected, differences
+from .change import LIKELY_MAX, ChangeFinder, Suspect, changes_of, described
 from .tip_force import TipForce, TipForceObserver
 
 FORMAT = 'tendon_robot_ros/change@1'
@@ -57,12 +58,6 @@ CONFIRMED = 50.0
 BEGIN_EVERY = 4
 # [1] change points that are tested; evidence for an older one would have raised the alarm
 CHANGE_POINTS_MAX = 8
-# [1] of a typical size: step of a difference; less would vanish where an effect has a kink
-DIFFERENCE = 0.1
-# [1] postures after an alarm at which the suspects are fitted, because that takes seconds
-NAMED_AFTER = 0, 1, 3, 8, 16, 24
-# [1] suspects in a report; more would not be read
-SUSPECTS_REPORTED = 5
 
 
 @dataclass(frozen=True)
@@ -272,7 +267,7 @@ class DriftAlarm:
         )
 
     def _suspects(self, point: _ChangePoint, posture: _Posture) -> tuple[Suspect, ...]:
-        """Return the suspects, refitted at some postures after the alarm only."""
+        """Return the suspects, refitted when the postures after the alarm have doubled."""
         if self.finder is None:
             arm = self.arm.as_known(point.mean, point.covariance)
             self.finder = ChangeFinder(arm, self._changes)
@@ -281,14 +276,14 @@ class DriftAlarm:
             first = next((i for i, one in enumerate(since) if one.odd), 0)
             for one in since[first if first < BEGIN_EVERY else 0 :]:
                 self.finder.take(one.tensions, one.positions, one.frames)
-        elif self._since_alarm < NAMED_AFTER[-1]:
+        elif self._since_alarm < BEGIN_EVERY * CHANGE_POINTS_MAX:
             self._since_alarm += 1
             self.finder.take(posture.tensions, posture.positions, posture.frames)
         else:
             return self.state.suspects
-        if self._since_alarm not in NAMED_AFTER:
+        if self._since_alarm & (self._since_alarm - 1):  # a fit takes seconds
             return self.state.suspects
-        return self.finder.suspects()[:SUSPECTS_REPORTED]
+        return self.finder.suspects()[:LIKELY_MAX]
 
     def _log_ratio(self, point: _ChangePoint, i: int, without: int = -1) -> float:
         """Return the log likelihood ratio of a change since a change point against no change."""
@@ -297,18 +292,12 @@ class DriftAlarm:
 
     def _signatures(self, tensions: Floats, built: Floats) -> Floats | None:
         """Return the motion of the markers by a unit of every change, (3 J, c) [m per unit]."""
-        whole, inputs = self.arm.whole, np.maximum(tensions, 0.0)[None]
-        base = whole.markers({}, inputs)
-        if base is None:
+        whole = self.arm.whole
+        whole.inputs = np.maximum(tensions, 0.0)[None]
+        moves = differences(whole, {}, self._frees)
+        if moves is None:
             return None
-        columns = []
-        for free in self._frees:
-            value, step = whole.value(free), DIFFERENCE * free.parameter.typical
-            if value + step > free.parameter.high:
-                step = -step
-            moved = whole.markers({free: value + step}, inputs)
-            columns.append(np.zeros(base.size) if moved is None else (moved - base).ravel() / step)
-        return np.column_stack([*columns, built / self.arm.plausible])
+        return np.column_stack([*moves[:, 0], built / self.arm.plausible])
 
 
 def log_ratio(information: Floats, score: Floats, spread: Floats) -> float:
@@ -372,6 +361,9 @@ def load_change(text: str, catalogue: Catalogue) -> ChangeFinder:
     arm = BuiltArm(robot, catalogue, markers, content['noise'], content['level'])
     for name in SIZES:
         setattr(arm, name, content[name])
+    arm.expect_lacking()
+    if len(content['mean']) != len(arm.mean):
+        raise InputError('change: the monitor uses other effects: give both the same files')
     finder = ChangeFinder(
         arm.as_known(np.array(content['mean']), np.array(content['covariance'])), changes_of(arm)
     )
