@@ -53,8 +53,6 @@ REMAINDERS = 0.0, 0.0003, 0.001, 0.003, 0.01
 # [1] relative noise of a measured tension, 1 sd, from a perfect load cell to one that would be
 # refused
 SETTINGS = 0.0, 0.0005, 0.001, 0.002, 0.005
-# [1] iterations of sizes and outliers; more would only alternate between the same sets
-ROUNDS_MAX = 6
 # [1] of a typical value: step of a difference; less would vanish where an effect has a kink
 DIFFERENCE = 0.1
 # no reference lacks them: the frame is an imperfection, and none is loaded
@@ -291,14 +289,12 @@ class BuiltArm:
         """
         self.expect_lacking()
         self.forget()
-        counts = np.ones(len(tensions), dtype=np.bool_)
-        for _ in range(ROUNDS_MAX):
-            before = counts
-            base = self._sized(tensions, positions, frames, before)
+        counts, before = np.ones(len(tensions), dtype=np.bool_), set[bytes]()
+        while counts.tobytes() not in before:  # until nothing changes, or sets alternate
+            before.add(counts.tobytes())
+            base = self._sized(tensions, positions, frames, counts)
             references = [None if one is None else self._reference(one, frames) for one in base]
-            counts = ~contradicted(references, before)
-            if np.array_equal(counts, before):
-                break
+            counts = ~contradicted(references, counts)
         self.excluded = tuple(np.flatnonzero(~counts).tolist())
         tip = int(np.argmax(self.whole.dataset.arc_lengths))
         self.response = relative_error(self.robot.model_error or 0.0, positions[counts, tip])
