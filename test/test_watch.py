@@ -111,21 +111,23 @@ LACKED = 'transmission_loss', 0.05, 4e-3  # effect, its fraction [1], the error 
 @pytest.mark.parametrize('name', ARMS)
 def test_the_error_of_a_description_comes_back_with_its_postures(name, exact):
     effect, fraction, error = LACKED
-    robot = replace(ARMS[name], exact=exact, model_error=error)
-    arm = learned_from(robot, hidden={effect: {'fraction': fraction}})
-    (at,) = [i for i, free in enumerate(arm.frees) if free.effect == effect]
-    states = arm.mean[arm.built :] * arm.plausible[arm.built :]
+    robot, hidden = (
+        replace(ARMS[name], exact=exact, model_error=error),
+        {effect: {'fraction': fraction}},
+    )
+    arm = learned_from(robot, hidden=hidden)
     rows = np.clip(default_postures(robot, 12, 8), *robot.tension_limits)
-    work = Workmanship().times(not exact)
-    plant = make_plant(robot, {effect: {'fraction': fraction}}, seed=4, work=work)
+    plant = make_plant(robot, hidden, seed=4, work=Workmanship().times(not exact))
     _, seen = averaged(plant, rows, np.random.default_rng(3))
-    left, without = [], arm.as_known(arm.mean.copy(), arm.covariance)
+    without = arm.as_known(arm.mean.copy(), arm.covariance)
     without.mean[arm.built :] = 0.0
-    for one in (arm, without):
-        off = [one.expected(t).markers - y.ravel() for t, y in zip(rows, seen, strict=True)]
-        left.append(np.sqrt(np.mean(np.square(off))))
-    assert len(states) == len(arm.frees) > at
-    assert left[0] < 0.3 * left[1], 'of new postures, from what the references lacked'
+    again = load_change(dump_change(ChangeFinder(arm, changes_of(arm))), load_catalogue()).arm
+    off, off_without, off_again = (
+        np.array([one.expected(t).markers - y.ravel() for t, y in zip(rows, seen, strict=True)])
+        for one in (arm, without, again)
+    )
+    assert np.linalg.norm(off) < 0.3 * np.linalg.norm(off_without), 'of postures that are new'
+    assert off_again == pytest.approx(off, abs=1e-9), 'an investigation knows it, too'
 
 
 def test_a_force_at_mid_arm_is_told_from_one_at_the_tip():
