@@ -45,11 +45,6 @@ def t_sf(t: float, freedom: float) -> float:
     return float(special.stdtr(freedom, -t))
 
 
-def t_ppf(p: float, freedom: float) -> float:
-    """Quantile of Student's t."""
-    return float(special.stdtrit(freedom, p))
-
-
 def normal_cdf(x: Floats) -> Floats:
     """Probabilities that a standard normal deviate is below these."""
     return np.asarray(special.ndtr(x))
