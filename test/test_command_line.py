@@ -142,7 +142,7 @@ def test_long_work_says_how_far_it_is_in_a_pipe_and_on_a_screen(monkeypatch, scr
     stream = io.StringIO()
     monkeypatch.setattr(stream, 'isatty', lambda: screen)
     monkeypatch.setattr('sys.stderr', stream)
-    monkeypatch.setattr(options, 'LOG_EVERY_S', 0.01)
+    monkeypatch.setattr(options, 'UPKEEP_S', 0.01)
     with options.progress() as show:
         _said(stream, '' if screen else 'working, 0 s so far\n')
         for done in range(3):

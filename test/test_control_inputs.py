@@ -80,9 +80,9 @@ def test_joint_values_are_put_in_the_order_of_the_robot():
         (
             [f'n{i}' for i in range(100_000)],
             [],
-            r'unknown n0, .*, n7 and 99992 more; expected left',
+            r'unknown n0, .*, n11 and 99988 more; expected left',
         ),
-        (['left', 'x' * 10**6], [], r'unknown x{40}\.\.\.; expected left, right'),
+        (['left', 'x' * 10**6], [], r'unknown x{50}\.\.\.; expected left, right'),
     ],
 )
 def test_joint_names_must_be_those_of_the_robot(names, values, words):

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from tendon_robot_ros.common.local_stop import SILENCE_S
 from tendon_robot_ros.control import ControllerCore, Settings, Target
 from tendon_robot_ros.control.status import controller_status
-from tendon_robot_ros.control.tip_loop import SILENCE_MAX_S, Remainder, TipProgress, foreign
+from tendon_robot_ros.control.tip_loop import Remainder, TipProgress, foreign
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
 
@@ -54,7 +55,7 @@ def test_the_remainder_is_reported_once_it_is_constant_and_a_new_target_restarts
     assert 3.0 < now < 4.5
     progress.take(now, target, remainder([5e-3, 0.0, 0.0]))
     assert progress.settled(now) is None
-    assert progress.settled(now + SILENCE_MAX_S) is not None
+    assert progress.settled(now + SILENCE_S) is not None
     progress.take(now + 2.0, object(), remainder([5e-3, 0.0, 0.0]))
     assert progress.settled(now + 2.0) is None
 
@@ -65,8 +66,8 @@ def test_a_model_that_is_far_off_its_arm_leads_to_diagnose(remembers):
     said = foreign(0.025, 0.2, remembers)
     assert said.startswith('the model is 25 mm off the arm here') and 'diagnose' in said
     assert ('friction_memory' in said) != remembers
-    assert foreign(0.025, 0.2, remembers, known=0.013) == ''
-    assert foreign(0.025, 0.2, remembers, known=0.012) == said
+    assert foreign(0.025, 0.2, remembers, known=0.009) == ''
+    assert foreign(0.025, 0.2, remembers, known=0.008) == said
 
 
 def seen(shift, seconds=5.0):

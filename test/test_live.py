@@ -52,7 +52,7 @@ def test_beside_the_page_the_terminal_says_every_posture(capsys):
     from std_msgs.msg import String
 
     from tendon_robot_ros.ros.commands.live import Director
-    from tendon_robot_ros.ros.shared.messages import LATCHED_BY_MANY
+    from tendon_robot_ros.ros.shared.quality import LATCHED_BY_MANY
     from tendon_robot_ros.ros.shared.runtime import ros
 
     space, lines = f'/live_{os.getpid()}', []

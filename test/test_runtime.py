@@ -27,7 +27,7 @@ from tendon_robot_ros.drivers.safety import StopLatch
 from tendon_robot_ros.ros.controller import parameters as model_loading
 from tendon_robot_ros.ros.controller.node import ControllerNode
 from tendon_robot_ros.ros.driver.node import DriverNode
-from tendon_robot_ros.ros.shared.messages import COMMAND, LATCHED
+from tendon_robot_ros.ros.shared.quality import COMMAND, LATCHED
 from tendon_robot_ros.ros.shared.runtime import (
     SIGNAL_ECHO_S,
     make_executor,

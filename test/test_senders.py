@@ -22,10 +22,11 @@ from ros_station import alone, last, point, stamp, values
 from sensor_msgs.msg import JointState
 
 from tendon_robot_ros.common.processes import child_environment
-from tendon_robot_ros.control.inputs import NAMES_LISTED_MAX
+from tendon_robot_ros.common.words import LISTED_MAX
 from tendon_robot_ros.ros.controller.topics import DriverLink
 from tendon_robot_ros.ros.shared.inbox import Inbox, Received
-from tendon_robot_ros.ros.shared.messages import LATCHED, seconds
+from tendon_robot_ros.ros.shared.messages import seconds
+from tendon_robot_ros.ros.shared.quality import LATCHED
 from tendon_robot_ros.ros.shared.senders import (
     OwnPublisher,
     SenderProcess,
@@ -67,7 +68,7 @@ def test_the_first_is_followed_until_it_is_gone():
 
 def test_who_comes_is_named_in_place_of_those_who_have_gone():
     senders, now = Senders(None, 'tendon_command'), 0.0
-    for i in range(3 * NAMES_LISTED_MAX):  # as many people, each with `ros2 topic pub --once`
+    for i in range(3 * LISTED_MAX):  # as many people, each with `ros2 topic pub --once`
         now += 0.5 * SILENCE_S
         assert senders.counts(now, said_by(ONE))
         assert not senders.counts(now, said_by(bytes([100 + i]) * 16))

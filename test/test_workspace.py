@@ -52,7 +52,7 @@ def test_chunks_do_not_change_what_is_found(monkeypatch):
     model = Model(two_sections(effects=FRICTION))
     whole = find_workspace(model, [1.0], step=0.5, tolerance=0.1)
     calls = []
-    monkeypatch.setattr('tendon_robot_ros.workspace.view_angle.POSTURES_AT_ONCE', 50)
+    monkeypatch.setattr('tendon_robot_ros.workspace.view_angle.ROWS_AT_ONCE', 50)
     parts = find_workspace(
         model, [1.0], step=0.5, tolerance=0.1, progress=lambda *a: calls.append(a)
     )

@@ -19,6 +19,7 @@ from ..common.errors import InputError
 from ..common.files import new_file, new_folder
 from ..common.words import columns, other_unit
 from ..data.path_files import TendonRows, TipRows, write_path
+from ..drivers.tendon_check import STILL_TOLERANCE_M
 from ..model.tip_task import Preferences
 from ..robot.description import tendon_offsets
 from ..robot.keep_out import load_keep_out
@@ -30,8 +31,6 @@ if TYPE_CHECKING:
     from ..model.shape import Reach, Shape
     from ..workspace.view_angle import Workspace
 
-# [m] less is no pull that a motor would make, but a number in metres
-PULL_MIN_M = 5e-5
 WEIGHTS = 'low_tension', 'stiffness', 'slack', 'limit'
 FILES = ('postures.csv', 'workspace.npz', 'workspace.html')
 Result = tuple[dict[str, Any], list[str], Callable[[Path], None]]
@@ -82,9 +81,9 @@ class ShapeCommand:
             pulls = options.named_lengths('--pulls', args.pulls, args.unit)
             model = load_model(args)
             largest, reach = max(map(abs, pulls.values())), model.robot.length
-            if largest > reach or 0.0 < largest < PULL_MIN_M:
+            if largest > reach or 0.0 < largest < STILL_TOLERANCE_M:
                 numbers = ','.join(part.rpartition('=')[2] for part in args.pulls.split(','))
-                mend = other_unit(numbers, largest, args.unit, PULL_MIN_M, reach)
+                mend = other_unit(numbers, largest, args.unit, STILL_TOLERANCE_M, reach)
                 raise InputError(
                     f'--pulls: wires are pulled by up to {1e3 * largest:.4g} mm on an arm of '
                     f'{1e3 * reach:.4g} mm{mend}'

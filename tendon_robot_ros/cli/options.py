@@ -19,23 +19,19 @@ from tqdm import tqdm
 
 from ..common.errors import InputError, Progress, TendonRobotError, listener
 from ..common.files import file_to_write, write_text
-from ..common.words import TYPED_LENGTHS, digits, other_unit, read_quantity
+from ..common.processes import UPKEEP_S
+from ..common.words import TYPED_LENGTHS, UNITS, digits, other_unit, read_quantity
 from ..data import DataSet, join, load_dataset
 from ..data.bag_reader import is_bag
 from ..data.folder import described_robot
 from ..data.loading import import_bag, summary
+from ..model.tip_task import UNIT_LENGTHS
 from ..robot import Robot, dump_robot, load_robot
 
 if TYPE_CHECKING:
     from ..effects import Catalogue
     from ..model.model import Model
 
-# [1] lengths of the arm: a target nearer to the base, or farther off, is in another unit, because
-# metres, centimetres and millimetres are at least a factor of ten apart
-TARGET_LENGTHS = (0.01, 10.0)
-# [s] between two lines of a log; work that takes less stays silent. Later lines come when a tenth
-# of the time so far has passed, so that the log stays short
-LOG_EVERY_S = 5.0
 FRAME_TOLERANCES = ('position', 'rotation')  # of the tracker, in a robot.yaml
 DATA_HELP = 'data set (folder), or a recording (rosbag2 folder, .mcap or .db3 file)'
 
@@ -215,7 +211,8 @@ def position(option: str, text: str | None, unit: str, reach: float) -> list[flo
         raise InputError(f'{option}: expected three lengths x,y,z, got {text!r}')
     values = [length(option, part, unit) for part in text.split(',')]
     distance = math.hypot(*values)
-    nearest, farthest = (lengths * reach for lengths in TARGET_LENGTHS)
+    farthest = UNIT_LENGTHS * reach
+    nearest = farthest * UNITS['length']['mm']  # what is nearer is in metres
     if distance > farthest or 0.0 < distance < nearest:
         mend = other_unit(text, distance, unit, nearest, farthest)
         raise InputError(
@@ -398,12 +395,12 @@ def progress(remaining: bool = False) -> Iterator[Progress]:
             count = f' {done:,}/{total:,}' if total else ''
             return f'{what}{count}, {elapsed:.0f} s so far{end}'
 
-        def show_regularly() -> None:
-            pause = LOG_EVERY_S if bar.disable else 0.2 * LOG_EVERY_S  # its seconds pass
+        def show_regularly() -> None:  # later in larger steps, so that a log stays short
+            pause = UPKEEP_S if bar.disable else 0.2 * UPKEEP_S  # its seconds pass
             while not ended.wait(pause):
                 if bar.disable:
                     print(line(), file=sys.stderr, flush=True)
-                    pause = max(LOG_EVERY_S, 0.1 * (time.monotonic() - start))
+                    pause = max(UPKEEP_S, 0.1 * (time.monotonic() - start))
                 else:
                     what, bar.n, bar.total = now
                     bar.set_description_str(what)

@@ -21,7 +21,7 @@ from pathlib import Path
 
 from ..common.arrays import Floats
 from ..common.errors import InputError, whole
-from ..common.words import PROGRAM
+from ..common.words import PROGRAM, UNITS
 from ..data import DataSet, Marker, even_markers, save_dataset
 from ..data.dataset import INPUTS, PATHS
 from ..data.folder import refuse_dataset_in
@@ -34,8 +34,6 @@ from ..simulation.plant import Plant, make_plant
 from ..workspace.postures import SEQUENCE_FACTOR, default_postures
 from .options import add_file, declare, named_numbers, numbers, progress, refuse_existing, vector
 
-# [mm] noise of a tracker: none is better, so that less is in another unit
-POSITION_NOISE_MIN_MM = 0.001
 HELP = 'write measurements of a robot with hidden effects, to rehearse with'
 
 
@@ -201,7 +199,7 @@ def simulated_noise(text: str) -> SimulatedNoise:
     for key in values:
         if key not in known:
             raise InputError(f'--noise: expected {", ".join(known)}, got {key!r}')
-    if 0.0 < values.get('position', 1.0) < POSITION_NOISE_MIN_MM:
+    if 0.0 < values.get('position', 1.0) < UNITS['length']['µm'] / UNITS['length']['mm']:
         raise InputError(
             f'--noise: position={values["position"]:g} mm is no noise of a tracker; write mm'
         )

@@ -9,8 +9,9 @@ import numpy as np
 
 from .arrays import Floats
 
-# [1] iterations of a fit; one that takes more goes to and fro, and would never end
-ITERATIONS_MAX = 12
+# [1] iterations of a search; one that takes more goes to and fro, or is held up by a region or a
+# kink of friction, and would never end
+ITERATIONS_MAX = 40
 # [1] of a step, tried one after the other until the cost is lower, because far from the solution
 # the model is not linear
 STEP_LENGTHS = 1.0, 0.5, 0.2, 0.05, 0.01

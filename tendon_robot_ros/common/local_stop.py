@@ -20,14 +20,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from .words import NAME_LENGTH_MAX
+
 SOCKETS = Path('/proc/net/unix')
 NAME = re.compile(
     r'@tendon_robot_ros\.stop\.(?P<domain>\d+)\.\d+\.\d+\.(?P<kind>driver|controller)(?P<node>/.*)'
 )
-NODE_LENGTH_MAX = 50  # [1] characters of a node, because unix(7) takes 107 for the whole name
 STOP, STOPPED = b'stop\n', b'stopped\n'
-# [s] for the word of who has connected, else one that says nothing would keep out all others
-WORD_TIMEOUT_S = 1.0
+# [s] without a word after which another process counts as gone: who connects and says nothing
+# would else keep out all others, and a busy machine is silent for tenths of a second
+SILENCE_S = 1.0
 _number = itertools.count()
 
 
@@ -57,7 +59,7 @@ class StopListener:
         """Begin to listen."""
         self._stop = stop
         self._socket: socket.socket | None = None
-        kind, node = 'driver' if who.drives else 'controller', who.node[:NODE_LENGTH_MAX]
+        kind, node = 'driver' if who.drives else 'controller', who.node[:NAME_LENGTH_MAX]
         own = f'{domain}.{os.getpid()}.{next(_number)}'
         with contextlib.suppress(OSError):  # no Linux
             listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -83,7 +85,7 @@ class StopListener:
             except OSError:  # closed
                 return
             with contextlib.suppress(OSError), person:
-                person.settimeout(WORD_TIMEOUT_S)
+                person.settimeout(SILENCE_S)
                 if person.recv(len(STOP)) == STOP:
                     self._stop()
                     person.sendall(STOPPED)

@@ -19,7 +19,16 @@ from pathlib import Path
 from threadpoolctl import threadpool_limits
 
 PARENT = 'TENDON_ROBOT_ROS_PARENT'
-PR_SET_PDEATHSIG = 1  # [1] option of prctl(2), manual of Linux
+# [1] of a message to a motor, or of work by a process, because one hiccup is no loss, and what
+# fails each time would be tried for ever
+ATTEMPTS = 5
+
+
+class Linux(IntEnum):
+    """Numbers of the kernel: manual of prctl(2) and of proc(5), include/linux/sched.h."""
+
+    PR_SET_PDEATHSIG = 1
+    PF_EXITING = 0x4
 
 
 def child_environment() -> dict[str, str]:
@@ -32,7 +41,7 @@ def end_with_parent(parent: int = 0, by: signal.Signals = signal.SIGINT) -> None
     parent = parent or int(os.environ.pop(PARENT, '0'))
     if not parent or not sys.platform.startswith('linux'):
         return
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, by)
+    ctypes.CDLL(None).prctl(Linux.PR_SET_PDEATHSIG, by)
     if os.getppid() != parent:  # it died before that
         os.kill(os.getpid(), by)
 
@@ -246,6 +255,9 @@ def one_thread() -> Iterator[None]:
         yield
 
 
+# [s] of long work between two saves, two lines of a log, and two looks for new workers, because a
+# lost computer then costs no more than this
+UPKEEP_S = 5.0
 EXIT_TIMEOUT_S = 4.0  # [s] to end by itself, because launch kills after five
 
 

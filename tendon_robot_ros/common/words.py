@@ -16,6 +16,11 @@ TIMES_WORDS = (
 # [1] prefixes of SI (brochure of 2019) in which a person reads lengths and forces
 UNIT_PREFIXES = {'M': 1e6, 'k': 1e3, '': 1.0, 'm': 1e-3, 'µ': 1e-6, 'n': 1e-9}
 PROGRAM = 'python -m tendon_robot_ros'
+FAR_M = 100.0  # [m] a larger number is a slip of the pen, because no arm reaches so far
+# [1] names in a line, or rows of a table for a person, because a message may hold a million
+LISTED_MAX = 12
+# [1] characters of a name in a sentence, or in that of a socket, because unix(7) takes 107 in all
+NAME_LENGTH_MAX = 50
 
 
 def scale_of(unit: str, size: float, name: str = '') -> tuple[float, str]:

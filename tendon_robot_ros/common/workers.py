@@ -24,14 +24,9 @@ from functools import lru_cache
 from typing import Any, Self
 
 from .errors import ClusterLostError, InputError, MissingExtraError
-from .processes import end_with_parent, one_thread
+from .processes import ATTEMPTS, UPKEEP_S, end_with_parent, one_thread
 
-# [1] workers that may die over a chunk, else one that kills its worker would be tried for ever
-LOSSES_MAX = 8
 CHUNK_S = 2.0  # [s] of work in a chunk, because handing one out takes some milliseconds
-# [s] between two saves of unfinished work, so that a lost computer costs no more than this, and
-# between two looks for new workers, because each is a message to the scheduler
-UPKEEP_S = 5.0
 
 _LOG = logging.getLogger(__name__)
 Work = Callable[[Any], Any]
@@ -183,7 +178,7 @@ class Workers:
                     if not engine.is_loss(error):
                         raise
                     losses[index] = losses.get(index, 0) + 1
-                    if losses[index] < LOSSES_MAX:
+                    if losses[index] < ATTEMPTS:
                         retries.append((index, chunk))
                         continue
                     result = LostWork(losses[index])

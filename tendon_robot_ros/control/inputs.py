@@ -11,6 +11,7 @@ import numpy as np
 from ..common.arrays import Floats
 from ..common.errors import InputError
 from ..common.rotations import from_quaternion
+from ..common.words import LISTED_MAX, NAME_LENGTH_MAX
 from ..drivers.safety import bounded
 from ..model.pulls import limits_by_pulls
 from ..robot import Robot
@@ -20,10 +21,6 @@ if TYPE_CHECKING:
     from ..model.model import Model
     from ..model.tip_task import Preferences
 
-# [1] names in a sentence, because a message may hold a million
-NAMES_LISTED_MAX = 8
-# [1] letters of a name in a sentence, because it may be of any length
-NAME_LENGTH_MAX = 40
 # [s] between targets: faster ones are a stream, slower ones setpoints, because a person sends less
 # than four per second
 STREAM_PERIOD_S = 0.25
@@ -290,8 +287,8 @@ def by_name(
     if unknown or missing or len(names) != len(inputs):
         problem = 'a name stands twice'
         if unknown:
-            more = len(unknown) - NAMES_LISTED_MAX
-            problem = f'unknown {", ".join(map(cut, unknown[:NAMES_LISTED_MAX]))}'
+            more = len(unknown) - LISTED_MAX
+            problem = f'unknown {", ".join(map(cut, unknown[:LISTED_MAX]))}'
             problem += f' and {more} more' if more > 0 else ''
         elif missing:
             problem = f'missing {", ".join(missing)}'

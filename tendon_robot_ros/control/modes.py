@@ -19,10 +19,11 @@ import numpy as np
 
 from ..common.arrays import Floats
 from ..common.errors import TendonRobotError
+from ..common.estimation import ITERATIONS_MAX
 from ..common.rotations import rotated
 from ..drivers.safety import CYCLE_MAX_S, approach, bounded
 from ..model.inverse import POSITION_TOLERANCE_M, TOLERANCE_COST_M2, WORTHWHILE_MAX, judged
-from ..model.program import ITERATIONS_MAX, STEP_MAX
+from ..model.program import STEP_MAX
 from ..model.redundancy import Balance, balanced
 from .inputs import Target, Trajectory, Twist
 from .solver import GiveUp

@@ -16,6 +16,8 @@ import numpy as np
 
 from ..common.arrays import Floats
 from ..common.errors import InputError, NoEquilibriumError
+from ..common.local_stop import SILENCE_S
+from ..drivers.interface import SETTLED_S
 from ..drivers.safety import StopLatch, bounded
 from ..model.program import RANGE_TOLERANCE, bounded_least_squares
 from ..model.pulls import GAP_ACCEPTED_M
@@ -28,15 +30,8 @@ if TYPE_CHECKING:
     from ..model.shape import Reach, Shape
 
 GO_ON = 'send another target or call reset'
-# [s] of silence of driver or tracker, beyond which it counts as lost; a busy machine delays it by
-# less, else every such pause would drop the arm. A tip that comes no nearer for so long has
-# settled: five times the 0.2 s of its loop
-SILENCE_MAX_S = 1.0
 # [1] standard deviations; one reading of 16,000 is beyond by chance
 NOISE_SD_MAX = 4.0
-# [s] near the command, within four standard deviations of the noise of load cells: five time
-# constants of a drive of 20 ms, so that noise alone does not pass for settled
-SETTLED_S = 0.1
 
 
 @dataclass
@@ -235,7 +230,7 @@ class DriverSide:
 
     def timed_out(self, now: float, settings: Settings) -> bool:
         """Whether the driver is silent for so long that the last command is held no longer."""
-        timeout = settings.state_timeout + SILENCE_MAX_S
+        timeout = settings.state_timeout + SILENCE_S
         return not settings.resume and (self.state is None or now - self.state.time > timeout)
 
     @property
@@ -470,7 +465,7 @@ class ControllerState:
         """
         closed = self.settings.tip_gain > 0.0 and not self.settings.pull_mode
         tip, estimate = self.loop.tip, self.loop.estimate
-        if tip is None or estimate is None or self.time - tip.time > SILENCE_MAX_S or not closed:
+        if tip is None or estimate is None or self.time - tip.time > SILENCE_S or not closed:
             return np.zeros(3)
         distance = float(np.linalg.norm(place - tip.position))
         return estimate.bias * bias_part(distance, self.model.robot.length)

@@ -20,15 +20,13 @@ from ..common.arrays import Floats
 from ..common.estimation import kalman_update
 from ..model.derivatives import tip_slopes
 from ..model.program import RANGE_TOLERANCE, STEP_DAMPING, STEP_GAIN, STEP_MAX, bounded_step
+from ..robot.estimates import TRACKER_NOISE_M
 
 if TYPE_CHECKING:
     from ..model.model import Model
     from ..model.shape import Reach, Shape
     from ..robot.keep_out import KeepOut
 
-# [m] noise of a tracker, of all axes together, until it is estimated from an arm at rest; less
-# than the resolution of such trackers would have the loop follow noise
-TRACKER_NOISE_M = 3e-4
 # [1] readings over which noise is averaged, of load cells and trackers: so that it is known to
 # 10 %; the mean offset is over twice as many
 NOISE_SAMPLES = 50

@@ -19,14 +19,14 @@ import numpy as np
 
 from ..common.arrays import Floats
 from ..common.errors import TendonRobotError
+from ..common.local_stop import SILENCE_S
 from ..model.program import RANGE_TOLERANCE, bounded_least_squares
-from ..robot.estimates import MODEL_ERROR_MAX
+from ..robot.estimates import MODEL_ERROR_MAX, NOISE_FACTOR, TRACKER_NOISE_M
 from .inputs import interpolated
-from .state import SILENCE_MAX_S, ControllerState, TipCorrection, TrackedTip
+from .state import ControllerState, TipCorrection, TrackedTip
 from .tip_estimator import (
     HOLD_GAIN,
     MODEL_SLOPE_SD,
-    TRACKER_NOISE_M,
     WEAK_SLOPE,
     NullSpaceMotion,
     TipEstimate,
@@ -47,8 +47,6 @@ BIAS_LENGTH_MAX = 0.4
 # [1] of `tip_gain`: rate at which the distance to a setpoint shrinks, so that the bias is known
 # before the tip arrives (docs/control.md)
 PACE = 2.0
-# [1] of the error that the description knows: a larger bias comes by chance in 1 % of postures
-KNOWN_FACTOR = 2.0
 
 
 @dataclass(frozen=True)
@@ -141,7 +139,7 @@ class TipProgress:
 
     def settled(self, now: float) -> Remainder | None:
         """Return the remainder once it does not change any more."""
-        return self.remainder if now - self.since >= SILENCE_MAX_S else None
+        return self.remainder if now - self.since >= SILENCE_S else None
 
 
 def foreign(offset: float, length: float, remembers: bool, known: float = 0.0) -> str:
@@ -158,7 +156,7 @@ def foreign(offset: float, length: float, remembers: bool, known: float = 0.0) -
         Error of the tip that the description knows, rms [m].
 
     """
-    if offset < max(MODEL_ERROR_MAX * length, KNOWN_FACTOR * known):
+    if offset < max(MODEL_ERROR_MAX * length, NOISE_FACTOR * known):
         return ''
     lacks = '' if remembers else ', often friction_memory'
     return (

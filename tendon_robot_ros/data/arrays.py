@@ -14,23 +14,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.arrays import Floats
+from ..common.arrays import RESOLUTION, Floats
 from ..common.errors import DataSetError, refusal, short
 from ..common.words import UNITS, listed
 from ..robot import Robot
 
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
-DIGITS = 9  # [1] decimals of metres and newtons, because nothing that measures an arm has more
-RESOLUTION = 10.0**-DIGITS  # [m] or [N], because values are rounded to it
 # [1] times the largest tension, or the length of the arm, beyond which a value is refused, because
 # it is in another unit or frame
 PLAUSIBLE_FACTOR = 3.0
 VALUES_MAX = 20_000_000  # [1] readings in an array, so that it fits into memory
 # [1] quaternion x, y, z, w of trackers that measure no orientation, because messages need one
 NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
-# [1] of the largest input, by which a path may be simplified, because motors stop no closer
-CORNER_FRACTION = 0.02
+# [1] of the largest input, to which load cells and the motors that follow them are known, because
+# usual ones are no better
+INPUT_TOLERANCE = 0.01
 MARKERS_EXPECTED = 'the arc length [m] of each, or a Marker'
 Vector = tuple[float, float, float]
 
@@ -319,10 +318,10 @@ def corners(path: NDArray[np.float64], kept: IntArray) -> IntArray:
     """
     Return the rows between which a path (P, m) is straight, the rows in `kept` among them.
 
-    Every other row lies no further beside the straight line than `CORNER_FRACTION` of the largest
-    value (Ramer 1972, Douglas and Peucker 1973).
+    Every other row lies no further beside the straight line than twice `INPUT_TOLERANCE` of the
+    largest value (Ramer 1972, Douglas and Peucker 1973).
     """
-    limit, rows = CORNER_FRACTION * float(np.abs(path).max()), {0, *kept.tolist()}
+    limit, rows = 2.0 * INPUT_TOLERANCE * float(np.abs(path).max()), {0, *kept.tolist()}
     inner = sorted(rows)
     stale = list(pairwise(inner))
     while stale:

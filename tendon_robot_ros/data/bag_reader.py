@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ import numpy.typing as npt
 from ..common.errors import DataSetError, reason_of
 from ..common.rotations import from_quaternion
 from ..common.words import PROGRAM, listing
+from ..robot.estimates import NOISE_FACTOR, TRACKER_NOISE_M
 from .arrays import NO_ROTATION
 from .bag_writer import (
     DESCRIPTION,
@@ -29,6 +31,7 @@ from .bag_writer import (
     poses_of,
 )
 from .dataset import FloatArray
+from .tracker_faults import CHANCE_PROBABILITY
 
 STORED = ('.mcap', '.db3')  # endings of recordings in one file
 TF = 'tf2_msgs/msg/TFMessage'
@@ -254,8 +257,9 @@ def _sane(values: FloatArray) -> FloatArray:
 
 
 BASES = ('', 'base', 'base_link', 'base_frame')  # and what ends with _base
-STEADY_M = 1e-3  # [m] that a frame may move in another, because a fixed one moves by less
-STEADY_RAD = 0.01  # [rad] that it may turn, because a tracker measures rotations less well
+STEADY_RAD = (
+    0.01  # [rad] that a fixed frame may turn, because a tracker measures rotations less well
+)
 Pose = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]  # rotation (3, 3), shift (3,) [m]
 
 
@@ -315,7 +319,7 @@ class Transforms:
             moved, quaternion = np.median(rows[:, 1:4], axis=0), rows[len(rows) // 2, 4:]
             far = np.linalg.norm(rows[:, 1:4] - moved, axis=1).max()
             along = np.clip(np.abs(rows[:, 4:] @ quaternion), 0.0, 1.0)
-            if far > STEADY_M or 2.0 * np.arccos(along.min()) > STEADY_RAD:
+            if far > NOISE_FACTOR * TRACKER_NOISE_M or 2.0 * np.arccos(along.min()) > STEADY_RAD:
                 raise DataSetError(
                     self._name,
                     f'frame {child!r} moves in {parent!r}, by {1e3 * far:.3g} mm: markers cannot '
@@ -436,7 +440,6 @@ APART_FRACTION = 0.1
 # [1] of the groups of values that are noise alone look so by chance: of values that are drawn
 # evenly 0.006, of normal ones 0.0008 (counted in 400,000 groups)
 CHANCE = 0.006
-DEVIATIONS = 6.0  # [1] standard deviations above CHANCE, so that a still arm is never refused
 
 
 def refuse_two_senders(recording: Recording, inputs: FloatArray) -> None:
@@ -516,7 +519,8 @@ def alternating(times: FloatArray, values: FloatArray) -> tuple[float, float, fl
     few = GROUP // 4  # one or two are failed readings
     mixed &= (many >= few) & (many <= GROUP - few) & (spread > 0.0)
     chance = CHANCE * count
-    mixed &= mixed.sum(axis=0) >= max(few, chance + DEVIATIONS * np.sqrt(chance))
+    never = NormalDist().inv_cdf(1.0 - CHANCE_PROBABILITY)  # [1] standard deviations
+    mixed &= mixed.sum(axis=0) >= max(few, chance + never * np.sqrt(chance))
     where = np.flatnonzero(mixed.any(axis=1))
     if not len(where):
         return None

@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..common.arrays import ROWS_AT_ONCE
 from ..common.errors import DataSetError, short
 from ..common.words import listing
 from .dataset import BoolArray, FloatArray, IntArray
 
 NEEDED = 'every data set needs this file'
-BLOCK_ROWS = 1 << 13  # [1] that are parsed at once, so that they stay in the cache
 EMPTY_CELL = re.compile(r',(?=[,\n]|\Z)')
 EMPTY_ROW = re.compile('^,+$', re.M)
 Block = NDArray[np.void]  # rows of a CSV file: names as text, numbers as floats
@@ -180,7 +180,7 @@ class CsvFile:
         parts: dict[str, list[Any]] = {key: [] for key in (*texts, *numbers)}
         dtype = np.dtype([(key, float if key in numbers else object) for key in self.header])
         row = 2
-        for lines in batched(text.split('\n'), BLOCK_ROWS):
+        for lines in batched(text.split('\n'), ROWS_AT_ONCE):
             block = _parse(lines, dtype)
             if block is None:
                 block = self._parse_exactly(lines, row, dtype)

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from ..common.arrays import DIGITS, RESOLUTION
 from ..common.errors import DataSetError, short
 from ..robot import Robot
-from .arrays import DIGITS, NO_ROTATION, RESOLUTION, VALUES_MAX, Marker, mean_inputs
+from .arrays import NO_ROTATION, VALUES_MAX, Marker, mean_inputs
 from .bag_reader import Recording
 from .dataset import READINGS, DataSet, FloatArray, IntArray
 from .measurement_files import sort_trials

@@ -22,9 +22,10 @@ FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
 
-FAR_M = 1e3  # [m] farther away there is no marker, because no tracker sees so far
-# [1] probability that a marker repeats its last place exactly in so many steps by chance
-HELD_PROBABILITY = 1e-9
+UNSEEN_M = 1e3  # [m] farther away there is no marker, because no tracker sees so far
+# [1] probability by chance of what is refused: that a marker repeats its last place exactly in so
+# many steps, that a still arm seems to have two senders
+CHANCE_PROBABILITY = 1e-9
 HELD_STEPS_MIN = 10  # [1] steps, because fewer give no estimate of the rate of changes
 # [1] of its frames, that a marker may share with the one it is numbered anew as, because a tracker
 # that finds it again needs some frames to drop the old number
@@ -41,14 +42,14 @@ WHY = {
 }
 
 
-def is_missing(places: FloatArray, far: float = FAR_M) -> BoolArray:
+def is_missing(places: FloatArray, far: float = UNSEEN_M) -> BoolArray:
     """
     Return which positions (..., 3) are no marker: not finite, 0 0 0, or too far away.
 
     Parameters
     ----------
     places : (..., 3)
-        In metres, or in a unit in which 1 km is `far`.
+        In metres, or in a unit in which `UNSEEN_M` is `far`.
     far : float
 
     """
@@ -58,7 +59,10 @@ def is_missing(places: FloatArray, far: float = FAR_M) -> BoolArray:
 
 
 def without_unseen(
-    positions: FloatArray, length: float | None, far: float = FAR_M, news: BoolArray | None = None
+    positions: FloatArray,
+    length: float | None,
+    far: float = UNSEEN_M,
+    news: BoolArray | None = None,
 ) -> tuple[FloatArray, dict[str, IntArray]]:
     """
     Replace invalid readings by NaN, and count them by reason.
@@ -153,7 +157,7 @@ def _held(positions: FloatArray, news: BoolArray | None) -> BoolArray:
         free[np.concatenate(runs)] = False
         if free.sum() < HELD_STEPS_MIN or (rate := changed[free, j].mean()) < 0.5:
             continue
-        length_min = np.log(HELD_PROBABILITY) / np.log(max(1.0 - rate, 1e-12))
+        length_min = np.log(CHANCE_PROBABILITY) / np.log(max(1.0 - rate, 1e-12))
         for run in runs:
             if len(run) >= length_min:
                 held[run[0] + 1 : run[-1] + 2, j] = True

@@ -25,7 +25,7 @@ from .safety import CYCLE_MAX_S, STOP_TIME_MIN_S, approach, bounded
 
 PULL_MAX_M = 1.0  # [m] of wire either way: more would be a mistake in a unit
 WEIGHTS_MIN = 3  # [1] different ones in a calibration, else a line fits them without a residual
-READINGS_MIN = 5  # [1] with one weight, else a mean and its noise would mean little
+READINGS_MIN = 5  # [1] in a mean, else it and its noise would mean little
 
 
 class HardwareDriver(Driver):

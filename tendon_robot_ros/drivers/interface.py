@@ -20,6 +20,9 @@ MODES = ('tension', 'pull')
 # [s] between two commands where a driver or a check itself moves motors, so that they go as
 # smoothly as under a controller at 100 Hz
 CYCLE_S = 0.01
+# [s] near the command, after which motors have settled: five time constants of a drive of 20 ms,
+# so that noise alone does not pass for settled
+SETTLED_S = 0.1
 
 # distances of motors in failed searches for slack, by port
 _TRAVELLED: dict[str, dict[int, float]] = {}

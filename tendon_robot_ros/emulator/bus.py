@@ -60,13 +60,7 @@ PACKET_BYTES_MAX = 1024  # [bytes] else a broken length would swallow all that f
 PACKET_GAP_S = 0.02  # [s] of silence that ends a broken packet, else it would wait for its end
 BOOT_TIME_S = 0.3  # [s] of silence after a reboot, so that a driver has to wait for it
 LOG_MAX = 200_000  # [entries] so that minutes of goals at 100 Hz are kept
-# [level] of status return (address 68) from which a servo answers; the others need 2: manual
-ANSWERS_FROM_LEVEL: dict[int, int] = {
-    InstructionCode.PING: 0,
-    InstructionCode.READ: 1,
-    InstructionCode.SYNC_READ: 1,
-    InstructionCode.FAST_SYNC_READ: 1,
-}
+READS = InstructionCode.READ, InstructionCode.SYNC_READ, InstructionCode.FAST_SYNC_READ
 LOGGED = {
     REGISTERS[name].address: name
     for name in ('torque_enable', 'goal_current', 'goal_position', 'bus_watchdog')
@@ -279,7 +273,8 @@ class Responder:
 
 def _answers(servo: Servo, code: int) -> bool:
     """Return by its status return level (68) whether a servo answers: 0 pings, 1 reads, 2 all."""
-    return servo.get('status_return_level') >= ANSWERS_FROM_LEVEL.get(code, 2)
+    level = servo.get('status_return_level')
+    return code == InstructionCode.PING or level >= (1 if code in READS else 2)
 
 
 def _address_and_length(parameters: bytes) -> tuple[int, int]:

@@ -15,8 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import TendonRobotError
+from ..common.estimation import ITERATIONS_MAX
 from ..common.words import STANDARD_GRAVITY
 from ..drivers.dynamixel.control_table import REGISTERS
+from ..drivers.interface import CYCLE_S
 from .servo import STEP_S, Load, Servo
 
 Array = NDArray[np.float64]
@@ -26,13 +28,9 @@ LINEAR_N = 0.2
 # [1] of the largest compliance: by how much a minor may be below zero by rounding, because wires
 # that pull against each other have minors of zero
 MINOR_ROUNDING = 1e-9
-SOFTER_MIN = 0.01  # [1] of the largest compliance: first addition, so that doubling ends soon
-FOLLOWING_S = 0.01  # [s] time constant with which the arm takes on a shape, else it would jump
 # [N] of change without an effect, between a motor and its wires and of an arm at rest, so that it
 # is below the noise of any sensor
 BALANCED_N = 1e-3
-# [1] of turning all motors in a step; else two that share a load might never balance
-ITERATIONS_MAX = 50
 TRACE_MAX = 20_000  # [entries] so that more than 40 s are kept (benchmarks ask for so much)
 # [s] after a longer pause of this process the emulated world skips time, else it would jump
 TIME_STEP_MAX_S = 0.1
@@ -152,7 +150,7 @@ class ElasticArm:
     def tensions(self, wound: Array, passed: float) -> Array:
         """Return the present tensions [N]; once a period `pulls` of the arm is called."""
         self._since += passed
-        self._coming *= math.exp(-passed / FOLLOWING_S)
+        self._coming *= math.exp(-passed / CYCLE_S)  # else the arm would jump
         tensions = np.minimum(self._held(wound), self.highest)
         if self._since >= self.period:
             self._since = 0.0
@@ -241,7 +239,7 @@ def softer(compliance: Array) -> float:
         minors = [np.linalg.det(scaled[some[:, :, None], some[:, None, :]]) for some in chosen]
         if min(minor.min() for minor in minors) > -MINOR_ROUNDING:
             break
-        added = max(2.0 * added, SOFTER_MIN)
+        added = max(2.0 * added, MINOR_ROUNDING)
     return added * size
 
 

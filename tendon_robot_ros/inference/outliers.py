@@ -23,11 +23,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..common.arrays import Floats
+from ..common.arrays import RESOLUTION, Floats
 from ..common.errors import NoEquilibriumError
 from ..common.words import listed
 from ..data import DataSet
-from ..data.arrays import RESOLUTION
 from .noise import NEGLIGIBLE, input_slopes
 from .predict import Point, Predictor
 from .statistics import chi2_isf, f_isf

@@ -15,11 +15,11 @@ from ..common.errors import EffectError, TendonRobotError
 from ..data import DataSet, Part
 from ..data.arrays import Visits
 from ..effects import Catalogue, Effect, Parameter
-from ..model.compile import KernelArrays
+from ..model.compile import LEAST_TENSION_N, KernelArrays
 from ..model.derivatives import HELD_RCOND, TENSION_STEP, Move, PathSlopes, follow
 from ..model.forward import TOLERANCE, ForwardModel
 from ..model.model import Model
-from ..model.pulls import SLACK_BELOW_N, pull_shapes, transmitted
+from ..model.pulls import pull_shapes, transmitted
 from ..model.shape import FIELDS, ShapeBatch
 from ..robot import Robot
 
@@ -179,7 +179,7 @@ def held(tensions: Floats, rows: Floats, states: Floats, q: int) -> tuple[Floats
     m = tensions.shape[1]
     answers = np.zeros((q, len(tensions), m))
     for b, own in enumerate(tensions):
-        taut = np.flatnonzero(own > SLACK_BELOW_N)
+        taut = np.flatnonzero(own > LEAST_TENSION_N)
         by_tension = rows[q:, b, :m][np.ix_(taut, taut)]
         answers[:, b, taut] = -rows[:q, b, taut] @ np.linalg.pinv(by_tension, rcond=HELD_RCOND)
     return (

@@ -17,8 +17,8 @@ from itertools import product
 import numpy as np
 
 from ..common.arrays import Floats
+from ..model.compile import LEAST_TENSION_N
 from ..model.derivatives import HELD_RCOND, residuals, responses, shown
-from ..model.pulls import SLACK_BELOW_N
 from ..model.shape import ShapeBatch
 from .imperfections import (
     ACROSS,
@@ -184,7 +184,7 @@ class _Slopes:
             return moved.markers
         markers = moved.markers.copy()
         for p, tensions in enumerate(self.shapes.inputs):
-            taut = np.flatnonzero(tensions > SLACK_BELOW_N)
+            taut = np.flatnonzero(tensions > LEAST_TENSION_N)
             by_tension = self.by_tension.pulls[p][np.ix_(taut, taut)]
             answer = -moved.pulls[p][:, taut] @ np.linalg.pinv(by_tension, rcond=HELD_RCOND)
             markers[p] += np.tensordot(answer, self.by_tension.markers[p, taut], 1)

@@ -32,6 +32,10 @@ Floats = npt.NDArray[np.float64]
 # [rad] largest change of a bend at which an equilibrium has converged, so that the tip of an arm
 # of 100 cells and 1 m is within 10 nm
 BEND_TOLERANCE = 1e-10
+# [N] below it a wire is slack, because its tension is rounding; also the step of differences, one
+# way too: a longer one would err by as much as low tensions weigh in a search. Measured: with 6e-6
+# N those of a robot a fifth as large are others by up to 10 %
+LEAST_TENSION_N = 1e-6
 KERNEL = Path(__file__).parent / 'kernel'
 _COMPOSED: dict[str, ModuleType] = {}
 

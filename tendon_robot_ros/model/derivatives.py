@@ -14,7 +14,8 @@ import numpy.typing as npt
 
 from ..common.arrays import Floats
 from ..common.errors import InputError
-from .pulls import SLACK_BELOW_N, transmitted
+from .compile import LEAST_TENSION_N
+from .pulls import transmitted
 from .shape import EPSILON, Shape, ShapeBatch
 
 if TYPE_CHECKING:
@@ -174,7 +175,7 @@ class PathSlopes:
             model.arrays.address, inputs, states, past, model.scratch, answers, by_tension, pulls
         )
         for own, tensions, slopes in zip(held, inputs, pulls, strict=True):
-            taut = np.ix_(*[np.flatnonzero(tensions > SLACK_BELOW_N)] * 2)
+            taut = np.ix_(*[np.flatnonzero(tensions > LEAST_TENSION_N)] * 2)
             own[taut] = np.linalg.pinv(slopes[taut], rcond=HELD_RCOND) if by_pulls else 0.0
         return cls(model, inputs, states, answers, by_tension, held, by_pulls)
 
@@ -417,7 +418,9 @@ def tip_stiffness(model: ForwardModel, shape: Shape, wires_held: bool = False) -
         Slack wires hold nothing.
 
     """
-    taut = [name for name, t in zip(model.inputs, shape.inputs, strict=True) if t > SLACK_BELOW_N]
+    taut = [
+        name for name, t in zip(model.inputs, shape.inputs, strict=True) if t > LEAST_TENSION_N
+    ]
     columns: list[Column] = [*FORCES, *taut] if wires_held else [*FORCES]
     memory = shape.memory if model.remembers else None
 

@@ -11,7 +11,8 @@ import numpy as np
 
 from ..common.arrays import Floats
 from ..common.errors import NoEquilibriumError
-from .program import ITERATIONS_MAX, within
+from ..common.estimation import ITERATIONS_MAX
+from .program import within
 from .pulls import Aim, aim_by_pulls, command, held_shape, limits_by_pulls
 from .redundancy import Balance, balanced
 from .shape import Reach, Shape

@@ -17,10 +17,6 @@ STEP_MAX = 0.03
 # [1] of what the tip is off, taken off in one step, so that a loop with some delay does not
 # overshoot (docs/control.md)
 STEP_GAIN = 0.5
-# [1] programs after a search, steps of Newton to wire pulls, or models after another one took over
-# the directions of friction; what has not converged by then is held up by a region or a kink of
-# friction, and would stay
-ITERATIONS_MAX = 40
 
 
 def solved(

@@ -11,8 +11,10 @@ import numpy as np
 
 from ..common.arrays import Floats
 from ..common.errors import InputError, NoEquilibriumError
+from ..common.estimation import ITERATIONS_MAX
+from ..common.words import FAR_M
 from ..robot.inputs import TensionsLike, wire_pulls
-from .program import ITERATIONS_MAX
+from .compile import LEAST_TENSION_N
 
 if TYPE_CHECKING:
     from .forward import ForwardModel
@@ -30,8 +32,6 @@ SPRING_COMPLIANCES = (1e-1, 1e-2, 1e-3, 1e-4)
 PRETENSION = 0.25
 # [N] difference of tensions that counts as held: so that a gap of 5 µm does
 HELD_TOLERANCE_N = 1e-3
-FAR_M = 1.0  # [m] of wire, beyond any play, so that every tendon slides
-SLACK_BELOW_N = 1e-6  # [N] a wire below holds no length, because its tension is rounding
 
 
 def pull_shape(
@@ -270,7 +270,7 @@ def aim_by_pulls(task: TipTask, aim: Aim, inputs: Floats, bend: Floats) -> tuple
 
     """
     model = task.model
-    taut = inputs > model.limits[:, 0] + SLACK_BELOW_N
+    taut = inputs > model.limits[:, 0] + LEAST_TENSION_N
     for _ in range(len(inputs)):
         limits = limits_by_pulls(model) * taut[:, None]
         np.clip(inputs, *limits.T, out=inputs)

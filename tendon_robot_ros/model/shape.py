@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from ..common.arrays import Floats
+from ..common.arrays import RESOLUTION, Floats
 from ..common.colours import ERROR, MEASURED, line_style
 from ..common.errors import InputError
 from ..common.results import TextResult, make_frame
@@ -76,7 +76,6 @@ class ResultLayout:
         }
 
 
-END_TOLERANCE_M = 1e-9  # [m] from a cell's end that is its end, because sums of lengths round
 # [1] of the arm's extent, from the x-z plane: an arm farther off is drawn in space, because a
 # picture of 500 pixels would hide more than five of them
 FLATNESS = 0.01
@@ -100,15 +99,15 @@ def marker_cells(
     """Cells (j,) that arc lengths lie in, the fraction of each before them, and if all are 1."""
     lengths, along = np.frombuffer(cell_lengths), np.frombuffer(arc_lengths)
     ends = np.cumsum(lengths)
-    if np.any(along > ends[-1] + END_TOLERANCE_M) or np.any(along < 0.0):
+    if np.any(along > ends[-1] + RESOLUTION) or np.any(along < 0.0):
         raise InputError(
             f'markers: expected arc lengths from 0 to {ends[-1]:g} m (the tip), '
             f'got {along.max():g} m'
         )
-    cells = np.minimum(np.searchsorted(ends + END_TOLERANCE_M, along), len(ends) - 1)
+    cells = np.minimum(np.searchsorted(ends + RESOLUTION, along), len(ends) - 1)
     fraction = np.clip((along - (ends - lengths)[cells]) / lengths[cells], 0.0, 1.0)
     from_end = np.abs(fraction - 1.0) * lengths[cells]
-    return cells, fraction, bool((from_end < END_TOLERANCE_M).all())
+    return cells, fraction, bool((from_end < RESOLUTION).all())
 
 
 def frames_inside(

@@ -15,6 +15,7 @@ from ..common.errors import InputError, short
 from ..robot import Robot
 from ..robot.inputs import finite
 from ..robot.keep_out import KeepOut
+from .program import RANGE_TOLERANCE
 
 if TYPE_CHECKING:
     from .forward import ForwardModel
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
 # (1 + D²) with D a half, so that a tension grows evenly until the error that no tension takes away
 # is half of what it takes away (docs/model.md)
 TENSION_PRICE = 0.8
-# [1] of the range, left where all tendons are at their limit, else the price would be infinite
-ROOM_MIN = 0.01
 # [1] lengths of the arm from its base; farther is another unit, because millimetres would be a
 # thousand times as far; all tips so far off cost the same
 UNIT_LENGTHS = 10.0
@@ -234,7 +233,7 @@ class TipTask:
         room, price = self._range * len(self.model.inputs), TENSION_PRICE if priced else 0.0
         length = self.model.robot.length
         converged = cost_of(CONVERGED_LENGTH * length)
-        return weight * self.per_newton, price, length, room, ROOM_MIN, converged
+        return weight * self.per_newton, price, length, room, RANGE_TOLERANCE, converged
 
     def above_lowest(self, weight: float, inputs: Floats) -> float:
         """Return the cost [m²] of tensions (m,) [N] above their lowest, with a weight [1]."""
@@ -253,7 +252,7 @@ class TipTask:
         length = self.model.robot.length
         lengths = math.sqrt(2.0 * cost) / length
         size = lengths if lengths < 1.0 else math.exp(min(lengths - 1.0, UNIT_LENGTHS))
-        room = math.pow(max(1.0 - used, ROOM_MIN), TENSION_PRICE)
+        room = math.pow(max(1.0 - used, RANGE_TOLERANCE), TENSION_PRICE)
         return 0.5 * (length * size / room) ** 2
 
     def held_at(self, shape: Shape) -> TipTask:

@@ -16,14 +16,13 @@ from ..common.words import commands, digits, listed, mm, scale_of, spoken, with_
 from ..comparison.result import Comparison
 from ..diagnosis.verdict import FALSE_DISCOVERY_RATE
 from ..inference.intervals import LoadVector, Value
+from ..robot.estimates import BY_EYE_RAD
 from .page import Shown
 
 # [1] zeros behind the point that are shown of nothing: more would claim to be known
 ZEROS_MAX = 3
 # [1] places behind the point; with more, a row of zeros would have to be counted
 DECIMALS_MAX = 7
-# [rad] 3°: nearer to an axis a direction is called by the axis, because a hand measures no better
-AXIS_TOLERANCE_RAD = 0.05
 # [1] of half an interval by which its ends may differ to be written as ±, so that one digit of it
 # is right
 SYMMETRY_TOLERANCE = 0.2
@@ -90,7 +89,7 @@ def load_words(load: LoadVector) -> str:
             if load.from_gravity is None:  # the axis alone leaves the side open
                 quarter = round(load.around_axis / (0.5 * math.pi))
                 side = f'{round(math.degrees(load.around_axis)) % 360}° (x: 0°, y: 90°)'
-                if abs(load.around_axis - quarter * 0.5 * math.pi) < AXIS_TOLERANCE_RAD:
+                if abs(load.around_axis - quarter * 0.5 * math.pi) < BY_EYE_RAD:
                     side = ('x', 'y', '-x', '-y')[quarter % 4]
                 text = f'{text} towards {side}'
             directions.append(text)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.arrays import Floats
-from ..common.words import STANDARD_GRAVITY
+from ..common.words import STANDARD_GRAVITY, UNITS
 from .description import Robot, tendon_offsets
 
 # [rad] 20°, that the highest tension bends a section by, else its stiffness, or an offset, is in
@@ -17,14 +17,21 @@ BEND_MIN_RAD = 0.35
 # [1] of the highest tension, below which a right angle is not plausible, because the range of
 # tensions would then be of no use
 TENSION_FRACTION_MIN = 0.01
-# [1] ratio of two lengths beyond which one seems to be in mm and the other in m, because half of
+# ratio of two lengths beyond which one seems to be in mm and the other in m, because half of
 # the thousand between the units, as decades count, is nearer to that than to 1
-MILLIMETRES = math.sqrt(1000.0)
+MILLIMETRES = math.sqrt(UNITS['length']['m'] / UNITS['length']['mm'])
 # [1] of the length, beyond which no sag is said, because that of a straight beam is too large then
 SAG_FRACTION_MAX = 0.3
 # [1] of the length, that the tip of an untried model may be off; beyond it a load or an effect is
 # missing, because the bias of a calibrated model is smaller (docs/control.md)
 MODEL_ERROR_MAX = 0.05
+# [m] noise of a usual tracker, of all axes together, where no arm at rest has shown it: smaller
+# differences are no motion, because no tracker resolves less
+TRACKER_NOISE_M = 3e-4
+# [1] times a noise or a known error of a model, because less may be by chance
+NOISE_FACTOR = 3.0
+# [rad] 2°, to which a person sets up, or sees, a direction, because nobody is better by eye
+BY_EYE_RAD = math.radians(2.0)
 
 
 def stiffnesses(robot: Robot) -> Floats:

@@ -24,9 +24,9 @@ from ..common.arrays import Floats
 from ..common.errors import InputError
 from ..common.files import read_text
 from ..common.rotations import from_rotation_vector
+from ..common.words import FAR_M
 from ..common.yaml_reading import Reader, parse_yaml
 
-FAR_M = 100.0  # [m] a larger number is refused, because it is a slip of the pen
 TEXT_MAX = 20_000  # [1] characters, because it is read while the arm is commanded
 KINDS = 'plane', 'sphere', 'box'
 

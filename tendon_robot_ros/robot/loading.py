@@ -15,8 +15,7 @@ from ..common.files import read_text, shared_file
 from ..common.yaml_reading import Reader
 from .description import DESCRIPTION_MAX, Robot, Section, Tendon, check_robot, parse_robot
 
-# [1] characters: a longer text is a description, because no path is so long
-PATH_CHARACTERS_MAX = 1000
+PATH_MAX = os.pathconf(os.sep, 'PC_PATH_MAX')  # a longer text is a description
 EXPECTED = (
     'the name of a robot in config/robots, the path of a description, its YAML text or its keys '
     'as a dict'
@@ -70,7 +69,7 @@ def load_robot(robot: RobotLike) -> Robot:
 
 def robot_file(text: str) -> Path | None:
     """Return the file of a path or a name; None where the text is the description itself."""
-    if '\n' in text or ': ' in text or len(text) > PATH_CHARACTERS_MAX:
+    if '\n' in text or ': ' in text or len(text) > PATH_MAX:
         return None
     path = Path(text)
     own = shared_file(f'config/robots/{text}.yaml')

@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from ..common.arrays import Floats
 from ..common.errors import NoEquilibriumError, number, whole
+from ..common.estimation import ITERATIONS_MAX
 from ..common.rotations import bent, turned_in_plane
 from ..effects import Catalogue, CatalogueLike, Effect, load_catalogue
 from ..model.model import Model
@@ -40,8 +41,6 @@ from .hidden import (
 )
 
 FORCE_STEP = 1e-3  # [1] of a string's pull for differences, so that they are of the whole shape
-PULL_TOLERANCE = 1e-6  # [1] of a string's pull, because the tracker tells less
-STRING_STEPS_MAX = 30  # [1] else it goes slack and taut in turn
 
 
 def parts_per_cell(
@@ -343,9 +342,9 @@ class Plant:
         steps = step * np.eye(3)
         found, at = under(force)
         moves = np.column_stack([under(force + one)[1] - at for one in steps])
-        for _ in range(STRING_STEPS_MAX):
+        for _ in range(ITERATIONS_MAX):  # else it goes slack and taut in turn
             pull = string.pull(at, straight)
-            if np.abs(pull - force).max() < PULL_TOLERANCE * step / FORCE_STEP:
+            if np.abs(pull - force).max() < FORCE_STEP * step:  # less than a tracker tells
                 return found
             slope = np.column_stack([string.pull(at + one, straight) - pull for one in moves.T])
             force = force + np.linalg.solve(np.eye(3) - slope / step, pull - force)

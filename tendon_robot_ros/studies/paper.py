@@ -64,10 +64,10 @@ HELP = "the paper's experiments, published numbers beside ours, on one page"
 PAPER_ROBOTS = ('kato_1_1', 'kato_10_1', 'kato_10_1_single', 'kato_2_1')
 PAPER_FILES = ('paper.html', 'paper.json')
 Range = tuple[float, float, float]
-# [1] relative difference that counts as met, because what else is assumed moves as much
-AGREEMENT_TOLERANCE = 0.15
 # [printed unit / SI] (Kato et al. 2015)
 SCALES = {'1': 1.0, '%': 100.0, 'mm': 1e3, '°': 180.0 / np.pi}
+# [1] relative difference that counts as met, because what else is assumed moves as much
+AGREEMENT_TOLERANCE = 0.15
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -14,8 +14,9 @@ from typing import Any, Protocol
 
 from ..common.errors import DataSetError, Progress, listener
 from ..common.files import new_file
+from ..common.processes import UPKEEP_S
 from ..common.results import arrow
-from ..common.workers import UPKEEP_S, LostWork, Workers
+from ..common.workers import LostWork, Workers
 from ..model.versions import UserEffect, compiled_once
 
 # [1] files of a table before they become one, because reading the keys opens every file

@@ -15,14 +15,11 @@ from ..common.errors import DataSetError, short
 from ..common.words import Unit, find_unit, listing, split_name
 
 FloatArray = NDArray[np.float64]
-# [m] of a usual tracker, about, so that smaller differences are no motion of the arm
-TRACKER_NOISE_M = 5e-4
-# [1] times a noise or an error of the model, because less may be by chance
-NOISE_FACTOR = 3.0
+# [1] times what is usual, because what is more is something else: motion, or another marker
+UNUSUAL_FACTOR = 10.0
 # [1] rows that show how columns behave; a table without times has no more, because nobody measures
 # more by hand
 ROWS_MAX = 500
-SHOWN_MAX = 12  # [1] names in a line, or rows of a table for a person, so that it is read
 # kinds of points, according to the header of an export
 MARKER, BODY_MARKER, BODY, DERIVED = 'markers', 'markers of bodies', 'bodies', 'derived points'
 # units of other quantities than places, inputs and times

@@ -13,11 +13,11 @@ import numpy as np
 from ..common.colours import COLOURS, GOOD, LEFT_OUT, MEASURED, PREDICTED, REST
 from ..common.results import TextResult
 from ..common.rotations import rotation_angle
-from ..common.words import mm, postures
+from ..common.words import LISTED_MAX, mm, postures
 from ..data import DataSet, save_dataset
 from ..data.dataset import at_rest
 from ..robot import Robot
-from .columns import SHOWN_MAX, FloatArray, marker_label
+from .columns import FloatArray, marker_label
 from .markers import MarkerOrder
 from .measuring import Piece, StillMeasurements
 from .recipe import Recipe, Selection, dump_recipe
@@ -140,8 +140,8 @@ def columns_table(recipe: Recipe, chosen: Selection) -> str:
         what = 'x, y, z' if many == 1 else f'centre of {many} markers'
         label = f'{marker_label(marker.columns)} {what}'
         placed.append([label, f'marker {marker.name}', recipe.positions or '', why])
-    if len(placed) > SHOWN_MAX:
-        placed = [*placed[: SHOWN_MAX // 2], ['...', '', '', ''], *placed[-SHOWN_MAX // 2 :]]
+    if len(placed) > LISTED_MAX:
+        placed = [*placed[: LISTED_MAX // 2], ['...', '', '', ''], *placed[-LISTED_MAX // 2 :]]
     rows += placed
     widths = [max(len(row[c]) for row in rows) for c in range(len(rows[0]))]
     return '\n'.join(

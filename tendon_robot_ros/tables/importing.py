@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..common.errors import DataSetError, Progress, listener, refusal
-from ..common.words import listed, mm
+from ..common.words import LISTED_MAX, listed, mm
 from ..data import DataSet, Marker
 from ..data.arrays import split_by_order
 from ..data.still_segments import Segment, frame_noise, rows_of, segments_dataset
@@ -18,7 +18,8 @@ from ..effects import Catalogue, CatalogueLike, load_catalogue
 from ..inference.noise import input_effect, input_slopes
 from ..inference.predict import Predictor
 from ..robot import Robot, RobotLike, load_robot
-from .columns import SHOWN_MAX, TRACKER_NOISE_M, FloatArray, RawTable, from_frame, marker_label
+from ..robot.estimates import TRACKER_NOISE_M
+from .columns import FloatArray, RawTable, from_frame, marker_label
 from .imported import ImportedTable
 from .markers import AS_GIVEN, MarkerOrder, flag_columns, order_markers, places_contradicted
 from .measuring import FROM_STRAIGHT, SEQUENCE, VISITS, StillMeasurements, measure
@@ -224,8 +225,8 @@ def _columns_dropped(chosen: Selection, tables: Sequence[RawTable]) -> list[str]
     lines = [f'no markers: {line}' for line in chosen.unused_points]
     if not names:
         return lines
-    more = ' and more' if len(names) > SHOWN_MAX else ''
-    shown = f'{", ".join(names[:SHOWN_MAX])}{more}' if more else listed(names)
+    more = ' and more' if len(names) > LISTED_MAX else ''
+    shown = f'{", ".join(names[:LISTED_MAX])}{more}' if more else listed(names)
     return [*lines, f'{len(names)} columns: {shown}']
 
 

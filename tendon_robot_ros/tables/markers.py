@@ -19,6 +19,7 @@ from ..common.words import listed, listing, mm
 from ..data import DataSet, default_markers
 from ..data.tracker_faults import BoolArray
 from ..robot import Robot
+from ..robot.estimates import TRACKER_NOISE_M
 from .columns import (
     BODY,
     BODY_MARKER,
@@ -26,7 +27,6 @@ from .columns import (
     FILLERS,
     MARKER,
     MISSING,
-    TRACKER_NOISE_M,
     ColumnName,
     FloatArray,
     RawTable,

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from ..common.errors import DataSetError
 from ..common.words import digits
+from ..data.arrays import INPUT_TOLERANCE
 from ..data.bag_reader import Recording, Track
 from ..data.loading import plausible_inputs
 from ..data.still_segments import (
@@ -26,17 +27,12 @@ from ..data.still_segments import (
 )
 from ..data.tracker_faults import unseen_lines
 from ..robot import Robot
-from .columns import NOISE_FACTOR, FloatArray, marker_label
+from ..robot.estimates import NOISE_FACTOR
+from .columns import UNUSUAL_FACTOR, FloatArray, marker_label
 from .recipe import Recipe, Selection
 from .traces import Traces
 
 FROM_STRAIGHT, SEQUENCE, VISITS = 'from_straight', 'sequence', 'visits'
-# [1] of the largest input, to which load cells and the motors that follow them are known, because
-# usual ones are no better
-INPUT_TOLERANCE = 0.01
-# [1] times the usual threshold of stillness, above which noise does not raise it, because what is
-# more is motion, or a command
-RAISED_MAX = 10.0
 # [1] of the time that an arm is still at least, so that this quantile is noise alone
 QUIET_FRACTION = 0.15
 # [1] of the segments, that are at rest where an arm rests between trials, because half of them
@@ -307,13 +303,13 @@ def _still_rule(
     if recipe.still.speed is None and len(speeds):
         quiet = NOISE_FACTOR * float(np.quantile(speeds, QUIET_FRACTION))
         rule = replace(
-            rule, speed=float(np.clip(round(quiet, 5), Rule.speed, RAISED_MAX * Rule.speed))
+            rule, speed=float(np.clip(round(quiet, 5), Rule.speed, UNUSUAL_FACTOR * Rule.speed))
         )
     if recipe.still.change is None and len(changes):
         size = max(float(np.nanquantile(np.abs(one.inputs), 0.995)) for one in traces)
         quiet = NOISE_FACTOR * float(np.quantile(changes, QUIET_FRACTION))
         usual = INPUT_TOLERANCE * max(size, 1e-9)
-        rule = replace(rule, change=float(f'{np.clip(quiet, usual, RAISED_MAX * usual):.3g}'))
+        rule = replace(rule, change=float(f'{np.clip(quiet, usual, UNUSUAL_FACTOR * usual):.3g}'))
     return rule
 
 
@@ -359,11 +355,11 @@ def _guess_same(segments: Sequence[Segment]) -> float:
     from scipy.cluster.hierarchy import linkage
 
     # smaller steps are none, higher ones lead to other postures
-    highest = RAISED_MAX * INPUT_TOLERANCE * size
+    highest = UNUSUAL_FACTOR * INPUT_TOLERANCE * size
     heights = linkage(inputs, 'single', metric='chebyshev')[:, 2]
     steps = np.concatenate([[0.0], heights[heights < highest], [np.inf]])
     steps[-1] = heights[len(steps) - 2] if len(steps) - 2 < len(heights) else highest
-    steps = np.maximum(steps, INPUT_TOLERANCE * size / RAISED_MAX)
+    steps = np.maximum(steps, INPUT_TOLERANCE * size / UNUSUAL_FACTOR)
     ratios = steps[1:] / steps[:-1]
     best = int(ratios.argmax())
     if ratios[best] < NOISE_FACTOR:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..common.arrays import DIGITS
 from ..common.errors import DataSetError, InputError
+from ..common.estimation import ITERATIONS_MAX
 from ..common.rotations import (
     angle_between,
     from_rotation_vector,
@@ -17,23 +18,21 @@ from ..common.rotations import (
     rotation_about,
     towards,
 )
-from ..common.words import STANDARD_GRAVITY, listed, mm
+from ..common.words import LISTED_MAX, STANDARD_GRAVITY, listed, mm
 from ..data import DataSet
-from ..data.arrays import DIGITS, Vector
+from ..data.arrays import Vector
 from ..data.dataset import BoolArray
 from ..effects import Catalogue
 from ..inference.noise import rms
 from ..inference.outliers import Outliers, find_outliers
 from ..inference.predict import Predictor
-from .columns import NOISE_FACTOR, SHOWN_MAX, TRACKER_NOISE_M, UPS, FloatArray
+from ..robot.estimates import BY_EYE_RAD, MODEL_ERROR_MAX, NOISE_FACTOR, TRACKER_NOISE_M
+from .columns import UPS, FloatArray
 from .recipe import FrameChoice, Recipe
 
-ROUNDS = 6  # [1] of weights and fit, because the weights no longer change by then
 # [1] lengths of the arm that the tip of a straight posture may be off the axis, because no arm
 # hangs quite straight
 STRAIGHT_TOLERANCE = 0.02
-# [rad] 2°, 1 sd, that a mount and a tracker are level, because they are set up by eye and level
-LEVEL_SD_RAD = math.radians(2.0)
 # [1] of the weighted error that is left where markers sit beside the backbone, because noise alone
 # makes a fit of two more parameters better, too
 OFFSET_GAIN = 0.93
@@ -93,7 +92,7 @@ class TrackerFrame:
         if self.method == 'base':
             return {}
         rotation = max(2.0 * self.residual, TRACKER_NOISE_M) / length
-        rotation = LEVEL_SD_RAD if self.method == 'level' else min(rotation, 1.0)
+        rotation = BY_EYE_RAD if self.method == 'level' else min(rotation, 1.0)
         return {
             'position': float(f'{max(self.at_base, 2.0 * TRACKER_NOISE_M):.2g}'),
             'rotation': float(f'{rotation:.2g}'),
@@ -215,7 +214,7 @@ def _weighted(
     mask = np.isfinite(measured).all(axis=2)
     a, b = measured[mask], markers[mask]
     weights = np.ones(mask.shape)
-    for _ in range(ROUNDS):
+    for _ in range(ITERATIONS_MAX):
         w = weights[mask]
         if above is None or up is None:
             rotation, shift = rigid_fit(a, b, w)
@@ -314,13 +313,6 @@ def rotation_vector(rotation: FloatArray) -> Vector:
     return x, y, z
 
 
-# [1] of the arm, by which the tip may be off for the frame alone, because a frame that is known
-# less well does not test the model
-UNKNOWN_FRACTION = 0.1
-# [rad] 17° between gravity by the robot and by the tracker, because no mount is off by so much
-GRAVITY_APART_MAX_RAD = 0.3
-
-
 @dataclass(frozen=True)
 class Placed:
     """A data set in the base frame, and its registration."""
@@ -337,7 +329,7 @@ class Placed:
         known = frame.tolerances(length)
         if (
             known
-            and max(known['position'], known['rotation'] * length) > UNKNOWN_FRACTION * length
+            and max(known['position'], known['rotation'] * length) > 2.0 * MODEL_ERROR_MAX * length
         ):
             lines.append(
                 f'the frame is known to {mm(known["position"], 2)} and '
@@ -369,8 +361,8 @@ class Placed:
         if not self.left_out:
             return []
         names = [f'posture {posture} trial {trial}' for posture, trial in self.left_out]
-        more = len(names) - SHOWN_MAX
-        shown = listed(names if more < 2 else [*names[:SHOWN_MAX], f'{more} more'])
+        more = len(names) - LISTED_MAX
+        shown = listed(names if more < 2 else [*names[:LISTED_MAX], f'{more} more'])
         return [f'{shown}: the other trials contradict (a slipped tendon?)']
 
 
@@ -454,7 +446,7 @@ def _gravity(
     apart = float(
         angle_between(np.divide(known, np.linalg.norm(known)), np.divide(by_up, STANDARD_GRAVITY))
     )
-    if apart < GRAVITY_APART_MAX_RAD:
+    if apart < NOISE_FACTOR * BY_EYE_RAD:
         return None, ()
     return None, (
         f'gravity of the robot and up of the tracker are {np.degrees(apart):.0f}° apart; '

@@ -16,23 +16,21 @@ from ..common.words import UNITS, find_unit, listing
 from ..data.arrays import VALUES_MAX
 from ..data.bag_reader import Recording, Track
 from ..data.tracker_faults import (
-    FAR_M,
+    UNSEEN_M,
     exchange_lines,
     joined,
     put_back,
     renumbered,
     without_unseen,
 )
-from .columns import ROWS_MAX, TRACKER_NOISE_M, FloatArray, RawTable, marker_label
+from ..robot.estimates import TRACKER_NOISE_M
+from .columns import ROWS_MAX, UNUSUAL_FACTOR, FloatArray, RawTable, marker_label
 from .markers import circle_centres, not_visible
 from .recipe import MarkerColumns, Recipe, Selection, WireSpool, time_column
 
 # [s] of the grid on which motions are compared, because cameras have 30 to 100 Hz; coarser where
 # it would not fit into memory. Clocks run alike that are within 2.5 steps at the end of the record
 STEP_S = 0.02
-# [1] motions of the markers that are compared, the largest, because two sections that bend and
-# lengthen have no more
-PATTERNS_MAX = 6
 # [1] of the best match, above which another delay leaves it open, because noise changes both
 CLEAR_RATIO = 0.85
 MATCH_MIN = 0.3  # [1] of the motion that the inputs explain, because less may be by chance
@@ -88,7 +86,8 @@ def find_clock(
         moved, moves = _modes(times, coordinates, one)
         total = max(float(np.linalg.norm(moves)), 1e-30)  # so that all have variance one together
         known = sizes > 1e-6 * max(float(sizes.max(initial=0.0)), 1e-30)
-        grids.append((spanned[:, known], (moved * moves / total)[:, :PATTERNS_MAX]))
+        # as many motions as inputs, the largest, because they move the arm in no more ways
+        grids.append((spanned[:, known], (moved * moves / total)[:, : known.sum()]))
     coarse, fine = grids
     count = int(DRIFT_MAX * times[-1] / DRIFT_STEP_S)
     drifts = np.linspace(-DRIFT_MAX, DRIFT_MAX, 2 * count + 1) if count else np.zeros(1)
@@ -157,8 +156,6 @@ def _next_best(match: FloatArray, best: int) -> float:
 IntArray = npt.NDArray[np.int64]
 # [s] for which a marker is taken for another one at most, so that motions are not cut out
 JUMP_MAX_S = 0.3
-# [1] times the usual step between frames, because an arm moves smoothly
-JUMP_FACTOR = 10.0
 # [1] of the distance that the arm moves: smaller steps from row to row are those of a recording,
 # because postures that somebody chose are farther apart
 FRAME_STEP_FRACTION = 0.02
@@ -316,7 +313,7 @@ def marker_places(
     markers = [marker.parts for marker in recipe.markers or ()]
     rims = [points for parts in markers for points in parts]
     points = [point for rim in rims for point in rim]
-    positions, unseen = without_unseen(table.places(points), length / factor, FAR_M / factor)
+    positions, unseen = without_unseen(table.places(points), length / factor, UNSEEN_M / factor)
     visible = np.isfinite(positions).all(axis=2)
     for why, hidden in not_visible(table, points).items():
         if (hidden & visible).any():
@@ -407,7 +404,7 @@ def _cut_jumps(positions: FloatArray, times: FloatArray) -> FloatArray:
         steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
         if len(steps) < 3:
             continue
-        leaps = np.flatnonzero(steps > max(JUMP_FACTOR * float(np.median(steps)), leap_min)) + 1
+        leaps = np.flatnonzero(steps > max(UNUSUAL_FACTOR * float(np.median(steps)), leap_min)) + 1
         out = set[int]()
         for frame in leaps.tolist():
             before = frame - 1

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ..common.arrays import Floats
+from ..common.arrays import ROWS_AT_ONCE, Floats
 from ..common.errors import InputError, Progress, listener
 from ..common.rotations import about, angle_between
 from ..model.forward import TOLERANCE
@@ -28,8 +28,6 @@ from ..robot.description import tendon_offsets
 
 # [1] postures of a grid or a cloud; more would take hours, and is a mistyped step as a rule
 POSTURES_MAX = 100_000_000
-# [1] postures solved at once, so that their shapes (some MB) stay in the cache
-POSTURES_AT_ONCE = 2_000
 # [rad] bend of a cell beyond which stacked guides would touch; assumed, the paper tells none. A
 # section that bends by less away from the view would make no visible S
 CELL_BEND_MAX_RAD = np.radians(20.0)
@@ -217,8 +215,8 @@ def find_workspace(
     parts: dict[tuple[int, int, int], list[tuple[Floats, ...]]] = {}
     count, unsolved, largest = len(levels) ** 2, 0, 0.0
     for which, pair in enumerate(chosen):
-        for start in range(0, count, POSTURES_AT_ONCE):
-            own = np.arange(start, min(start + POSTURES_AT_ONCE, count))
+        for start in range(0, count, ROWS_AT_ONCE):
+            own = np.arange(start, min(start + ROWS_AT_ONCE, count))
             tensions = np.full((len(own), len(model.inputs)), low)
             tensions[:, pair.indices] = levels[np.stack(np.divmod(own, len(levels)), axis=1)]
             batch, changes = model.solve(tensions)

@@ -22,11 +22,12 @@ from zipfile import BadZipFile
 import numpy as np
 import numpy.typing as npt
 
-from ..common.arrays import Floats
+from ..common.arrays import ROWS_AT_ONCE, Floats
 from ..common.errors import InputError, Progress, listener
 from ..common.files import new_file
+from ..common.processes import UPKEEP_S
 from ..common.rotations import angle_between
-from ..common.workers import UPKEEP_S, LostWork, Workers
+from ..common.workers import LostWork, Workers
 from ..effects import load_catalogue
 from ..model import forward
 from ..model.model import Model
@@ -34,7 +35,7 @@ from ..model.shape import ShapeBatch
 from ..robot import Robot, dump_robot
 from ..robot.description import tendon_offsets
 from .cubes import SPHERE_PART_COUNT, Cubes, Reached, beyond, folds, sphere_part
-from .view_angle import POSTURES_AT_ONCE, POSTURES_MAX
+from .view_angle import POSTURES_MAX
 
 # [1] postures wanted for every cube: with fewer some stay empty by chance
 POSTURES_PER_CUBE = 10
@@ -282,15 +283,15 @@ class Stream:
             if number == len(sizes) - 2:
                 self.late = self.late or len(self.tally.all)
             batches = [
-                (i, min(POSTURES_AT_ONCE, size - i * POSTURES_AT_ONCE))
-                for i in range(-(-size // POSTURES_AT_ONCE))
+                (i, min(ROWS_AT_ONCE, size - i * ROWS_AT_ONCE))
+                for i in range(-(-size // ROWS_AT_ONCE))
                 if (number, i) not in self.finished
             ]
             begins = not any(round_done == number for round_done, _ in self.finished)
             if number and batches and begins and len(self.tally.all):
                 edge = self.tally.all.reached().edge_tensions
                 # thinned, because the start goes to every worker with every chunk
-                self.start = edge[:: max(len(edge) // (10 * POSTURES_AT_ONCE), 1)]
+                self.start = edge[:: max(len(edge) // (10 * ROWS_AT_ONCE), 1)]
             pack = partial(Batches, self.sampling, number, self.start)
             for chunk, result in workers.in_chunks(sort_batches, batches, pack):
                 if isinstance(result, LostWork):

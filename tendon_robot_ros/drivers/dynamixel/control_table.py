@@ -18,7 +18,9 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from functools import cached_property
 
-RPM = math.tau / 60.0  # [rad/s] in one revolution per minute: the manual's unit of speed
+from ...common.words import UNITS
+
+RPM = UNITS['angle']['rev'] / UNITS['time']['min']  # [rad/s] the manual's unit of speed
 
 
 class Counts(IntEnum):

@@ -17,7 +17,9 @@ from enum import IntEnum, IntFlag
 import numpy as np
 from numpy.typing import NDArray
 
-MICRO = 1e-6  # [N], [m] of one count: docs/serial_protocol.md
+from ...common.words import UNIT_PREFIXES
+
+MICRO = UNIT_PREFIXES['µ']  # [N], [m] of one count: docs/serial_protocol.md
 
 
 class Protocol(IntEnum):

@@ -16,6 +16,8 @@ from . import stages
 from .cells import half_turns, unknowns
 from .layout import (
     DIFFERENCE_STEP,
+    LEAST_TENSION_N,
+    SAME_SIGN,
     address,
     assign,
     chain_at,
@@ -32,7 +34,6 @@ from .layout import (
 )
 from .linearisation import TRAVEL_STEP
 from .shape import (
-    SAME_SIGN,
     mean_pulls,
     place,
     remember,
@@ -43,13 +44,7 @@ from .shape import (
 )
 from .sweep import is_implicit
 
-# [N] of forward differences, too: a longer one would err by as much as low tensions weigh in a
-# search. Measured: with 6e-6 N those of a robot a fifth as large are others by up to 10 %
-TENSION_STEP = 1e-6
 AHEAD_RAD = DIFFERENCE_STEP  # [rad] step of a state that shows to which side eyelets slide
-# [1] change of the direction of friction at an eyelet at rest; as much is no sliding for
-# SAME_SIGN in `shape`, because paths tell no smaller one
-RESTING_MAX = SAME_SIGN
 
 
 @compiled
@@ -65,9 +60,9 @@ def combine_tendons(chain, inputs, pulls, rows):
             rows[j, q] = 0.0
     for k in range(chain.k):
         j = tendon[2 * k + 1]
-        down = min(tension[j], TENSION_STEP)
-        rate = stages.actuation(tension[j] + TENSION_STEP, chain, 0)
-        rate = (rate - stages.actuation(tension[j] - down, chain, 0)) / (TENSION_STEP + down)
+        down = min(tension[j], LEAST_TENSION_N)
+        rate = stages.actuation(tension[j] + LEAST_TENSION_N, chain, 0)
+        rate = (rate - stages.actuation(tension[j] - down, chain, 0)) / (LEAST_TENSION_N + down)
         for q in range(unknowns(chain)):
             rows[j, q] += rate * pulls[k, q]
 
@@ -97,10 +92,10 @@ def input_response(chain, inputs, bend, work, past, rows):
     filled = changes if implicit else rows
     for j in range(m):
         was = tension[j]
-        width = TENSION_STEP + min(was, TENSION_STEP)
-        tension[j] = was + TENSION_STEP
+        width = LEAST_TENSION_N + min(was, LEAST_TENSION_N)
+        tension[j] = was + LEAST_TENSION_N
         sweep_or_residual(chain, inputs, bend, work, past, address(filled) + 8 * size * j)
-        tension[j] = was + TENSION_STEP - width
+        tension[j] = was + LEAST_TENSION_N - width
         sweep_or_residual(chain, inputs, bend, work, past, address(low))
         tension[j] = was
         for q in range(size):
@@ -162,13 +157,13 @@ def output_slopes(chain, inputs, solver, state_slopes, slopes):
     for j in range(m):
         slopes[:, j] = 0.0
         was = floats(inputs)[j]
-        down = min(was, TENSION_STEP)
+        down = min(was, LEAST_TENSION_N)
         for side in range(2):
-            step, sign = (TENSION_STEP, 1.0) if side == 0 else (-down, -1.0)
+            step, sign = (LEAST_TENSION_N, 1.0) if side == 0 else (-down, -1.0)
             move_along(chain, inputs, bend, state_slopes, j, step, solver.near)
             place_as(chain, inputs, solver.near, work, past)
             floats(inputs)[j] = was
-            scale = sign / (TENSION_STEP + down)
+            scale = sign / (LEAST_TENSION_N + down)
             for r in range(3):
                 slopes[r, j] += scale * origins[3 * n + r]
                 slopes[3 + r, j] += scale * frames[9 * n + 3 * r + 2]
@@ -226,7 +221,7 @@ def take_sides(robot, inputs, bends, step, past, scratch):
             motion = floats(ahead.travel)[at] - floats(present.travel)[at]
             since = slid if abs(slid) > 2.0 * aside else 0.0  # else it was offset, or rests
             side = math.copysign(1.0, scale * since + motion)
-            rests = abs(floats(present.sign)[at] - floats(then.sign)[at]) < RESTING_MAX
+            rests = abs(floats(present.sign)[at] - floats(then.sign)[at]) < SAME_SIGN
             if rests and slid * side < 0.5 * aside:
                 floats(then.travel)[at] = floats(present.travel)[at] - aside * side
                 changed += 1

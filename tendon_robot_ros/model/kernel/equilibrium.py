@@ -33,12 +33,15 @@ from .cells import (
 from .geometry import shaped_travel
 from .layout import (
     BEND_TOLERANCE,
+    CLEAR_TRAVEL,
     DIFFERENCE_STEP,
     EPSILON,
     EVERY_METHOD,
     LENGTH,
+    LINEAR_STEP_RAD,
     LOAD_SCALE,
     SHAPED,
+    SLIPPING_FROM,
     SMOOTHING,
     SMOOTHING_LENGTH,
     STEPS_MAX,
@@ -80,14 +83,7 @@ SHRINK_FACTORS = (0.3, 0.5)
 # factor takes to 1e-3, because two in three may shrink nothing
 KINKED_STEPS_MAX = np.int64(30)
 STEP_NEAR_RAD = 1e-4  # [rad] last step, so that Newton converges from there without own travel
-STEP_SHRINKING_RAD = 0.1  # [rad] a good step, because slopes hardly change over it
-SLIPPING_FROM = 0.9999  # [1] direction of friction of a tendon that slips, because tanh is never 1
-# [1] of the smoothing length, travel of a tendon whose direction of friction no step changes: tanh
-# is 1 - 2e-7, so that what it lags does not count
-CLEAR_TRAVEL = 8.0
 SLIP_START_TRAVEL = 3.0  # [1] of a tendon that begins to slip, so that it may stick again
-# [1] of Newton from a guess, because the error is small there
-NEAR_STEPS_MAX = np.int64(8)
 STRIDE_MIN = 1e-2  # [1] of the path of a continuation: shorter ones would take more than 100 steps
 # [1] of Euler's load, above which stability is checked: less than the bound of `load_ratio`,
 # because rods are uneven
@@ -431,7 +427,7 @@ def solve_sliding(chain, inputs, x, work, past, wide, shrink, steps_max):
         if longest < STEP_NEAR_RAD and width == SMOOTHING_LENGTH:
             break
         new_width = width
-        if longest < STEP_SHRINKING_RAD:
+        if longest < LINEAR_STEP_RAD:
             new_width = max(shrink * width, SMOOTHING_LENGTH)
         take_over(chain, work, move, own, width, new_width)
         width = new_width
@@ -462,7 +458,7 @@ def solve_sticking(chain, inputs, x, bend, work, past, cold):
     change = math.inf
     restart(chain, inputs, x, bend, work, past, cold)
     if not cold:
-        change = solve_sliding(chain, inputs, x, work, past, 1.0, 1.0, NEAR_STEPS_MAX)
+        change = solve_sliding(chain, inputs, x, work, past, 1.0, 1.0, STEPS_MAX)
     for shrink in SHRINK_FACTORS:
         quick = floats(work.settings)[EVERY_METHOD] == 0.0 and shrink != SHRINK_FACTORS[0]
         if change < BEND_TOLERANCE or quick:

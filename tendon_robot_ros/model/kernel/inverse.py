@@ -18,7 +18,7 @@ import numpy as np
 
 from . import stages
 from .cells import unknowns
-from .derivatives import TENSION_STEP, combine_tendons, output_slopes, place_as
+from .derivatives import combine_tendons, output_slopes, place_as
 from .equilibrium import (
     SHRINK_FACTORS,
     end_sliding,
@@ -30,7 +30,9 @@ from .layout import (
     DIFFERENCE_STEP,
     EPSILON,
     EVERY_METHOD,
+    LEAST_TENSION_N,
     LINEAR_STEP_RAD,
+    SETTLED_RAD,
     SMOOTHING,
     SMOOTHING_LENGTH,
     STEPS_MAX,
@@ -235,7 +237,7 @@ def explicit_slopes(chain, inputs, high, solver, target, f, moved, slopes):
     """
     for j in range(inputs.shape[0]):
         was = inputs[j]
-        step = TENSION_STEP if was + TENSION_STEP <= high[j] else -TENSION_STEP
+        step = LEAST_TENSION_N if was + LEAST_TENSION_N <= high[j] else -LEAST_TENSION_N
         inputs[j] = was + step
         chain.step(chain, address(inputs), solver.near, solver.work, solver.past, solver.near)
         inputs[j] = was
@@ -330,9 +332,6 @@ def aim(
 # [1] once friction is as sharp as it is: of the weight of tension, because all of it would keep
 # the tip off its target, and damping, so that tensions do not go in circles
 FINAL_FRACTION = 0.01
-UNDAMPED_STEPS = 15  # [1] so that only tensions that go in circles, as they do later, are damped
-SEEKING_STEP_MAX_RAD = 0.2  # [rad] of a bend in one step, so that no kink is passed unseen
-STEP_SETTLED_RAD = 1e-6  # [rad] last step, because the next would move the tip by less than 1 nm
 
 
 @compiled
@@ -393,7 +392,7 @@ def move_both(chain, inputs, solver, directions, trial, move):
     longest = largest(move)
     if not longest < math.inf:
         return longest
-    fraction = min(1.0, SEEKING_STEP_MAX_RAD / max(longest, TINY))
+    fraction = min(1.0, LINEAR_STEP_RAD / max(longest, TINY))
     for q in range(unknowns(chain)):
         move[q] *= fraction
         bend[q] += move[q]
@@ -431,13 +430,13 @@ def seek(
         tip_slopes(chain, tensions, solver, target, directions, f, slopes)
         for r in range(6):
             f[r] += slopes[r, m]  # after the step of the bends that balances these tensions
-        damping = 0.0 if step < UNDAMPED_STEPS else FINAL_FRACTION
+        damping = 0.0 if step < STEPS_MAX else FINAL_FRACTION  # later tensions go in circles
         weight = preference if width > SMOOTHING_LENGTH else FINAL_FRACTION * preference
         gauss_newton_step(
             slopes, f, inputs, low, high, (weight, 0.0, 1.0, 1.0), damping, trial, free
         )
         longest = move_both(chain, inputs, solver, directions, trial, move)
-        if not longest < math.inf or (longest < STEP_SETTLED_RAD and width == SMOOTHING_LENGTH):
+        if not longest < math.inf or (longest < SETTLED_RAD and width == SMOOTHING_LENGTH):
             break
         new_width = width
         if longest < LINEAR_STEP_RAD:

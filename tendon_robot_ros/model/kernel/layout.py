@@ -21,6 +21,7 @@ from numba import njit, types
 from numba.extending import intrinsic, register_jitable
 
 from tendon_robot_ros.model.compile import BEND_TOLERANCE as BEND_TOLERANCE
+from tendon_robot_ros.model.compile import LEAST_TENSION_N as LEAST_TENSION_N
 
 from .linking import EntryCompiler, LawCompiler, PartCompiler, record_type
 
@@ -118,7 +119,7 @@ for _kind in (Chain, Memory, Work, Workspace):
     _kind.__name__ += '_' + __name__.partition('.')[0].rpartition('_')[2]
 
 EPSILON = float(np.finfo(np.float64).eps)
-TINY = 1e-300  # [1] divisor instead of 0, so that the square of a number over its root is finite
+TINY = float(np.finfo(np.float64).tiny)  # divisor instead of 0
 # [m] travel over which the sign of friction is smooth, so that Newton meets no jump; docs/model.md
 SMOOTHING_LENGTH = 2e-6
 # [1] of a size of about one: a central difference errs by the square of its step and by EPSILON
@@ -126,7 +127,16 @@ SMOOTHING_LENGTH = 2e-6
 DIFFERENCE_STEP = math.cbrt(EPSILON)
 # [rad] of a bend, over which slopes are those of a guess, because the eyelets' turning and the
 # sides to which tendons slide change beyond
-LINEAR_STEP_RAD = 0.3
+LINEAR_STEP_RAD = 0.2
+# [1] of the smoothing length, travel of a tendon whose direction of friction no step changes: tanh
+# is 1 - 2e-7, so that what it lags does not count
+CLEAR_TRAVEL = 8.0
+SLIPPING_FROM = math.tanh(CLEAR_TRAVEL)  # direction of friction of a tendon that slips
+# [1] difference of a direction of friction that counts as none, because a tension is then off by
+# less than 1 % of the friction at an eyelet
+SAME_SIGN = 1e-2
+# [rad] change of a bend that counts as none, because it moves the tip by less than 1 nm
+SETTLED_RAD = 1e-6
 # [1] of SMOOTHING_LENGTH where a search begins without a guess: 2 mm, so that every tendon slides
 WIDE_SMOOTHING = 1e3
 # [1] steps of Newton, because its error is squared at each, and trials of one step, each shorter,

@@ -31,6 +31,8 @@ from .layout import (
     DIFFERENCE_STEP,
     HINGE,
     LOAD_SCALE,
+    SAME_SIGN,
+    SLIPPING_FROM,
     TINY,
     YES,
     cell,
@@ -42,6 +44,7 @@ from .layout import (
     words,
 )
 from .loads import (
+    BASE_FRAME,
     NO_LOAD,
     along_middle,
     bow_compliance,
@@ -76,7 +79,7 @@ def _starts(parts):
 # torque [N·m] at the end; the rotation of the last frame by the own bend and twist; the torque at
 # the start by the rotation of the first frame and by the own bend and twist.
 CELL_PARTS = 'OWN BY_ROTATION BY_TORQUE ROTATIONS TORQUE_BY_ROTATION TORQUE_BY_OWN'.split()
-MATRIX = 9  # [1] entries of such a matrix, because bend and twist are three
+MATRIX = len(BASE_FRAME)  # entries of such a matrix
 OWN, BY_ROTATION, BY_TORQUE, ROTATIONS, TORQUE_BY_ROTATION, TORQUE_BY_OWN, SIZE = _starts(
     dict.fromkeys(CELL_PARTS, MATRIX)
 )
@@ -110,13 +113,9 @@ def tangent_of(chain, tangent, i):
 
 
 NARROWINGS = (1.0, 1e-3, 1e-6)  # [1] of a difference at a kink: a narrower one would be rounding
-UNEVEN_MAX = 1e-2  # [1] difference of its halves: curvature makes 1e-3, a kink would make 1
 # [1] of the radius, of differences of the memory of friction: far less than the least presliding
 # length, 4e-3, because the law has another slope on its other side
 TRAVEL_STEP = 2e-7
-# [1] square of a direction of friction that no more travel changes: else every eyelet that slips
-# would join the equations of those that stick
-SATURATED_FROM = 1.0 - 1e-9
 
 
 @compiled
@@ -346,7 +345,8 @@ def bend_slope(chain, past, i, moment, toward, x, y):
         bx, by = bend_cell(chain, past, i, *down)
         width = zoom
         uneven = abs(ax + bx - 2.0 * x) + abs(ay + by - 2.0 * y)
-        if not uneven > UNEVEN_MAX * (abs(ax - bx) + abs(ay - by)):
+        # curvature makes 1e-3, a kink 1
+        if not uneven > SAME_SIGN * (abs(ax - bx) + abs(ay - by)):
             break
     return (ax - bx) / width, (ay - by) / width
 
@@ -441,7 +441,8 @@ def slip_slopes(chain, work, past, at, section, slip, slides, remembers):
         by_slip *= (up - stages.friction_travel(s - h, t, chain, section)) / (2.0 * h)
         up = stages.friction_travel(s, t + h, chain, section)
         slope = (up - stages.friction_travel(s, t - h, chain, section)) / (2.0 * h)
-        by_beyond = rate * (1.0 - t * t) * slope if t * t < SATURATED_FROM else 0.0
+        # else every eyelet that slips would join the equations of those that stick
+        by_beyond = rate * (1.0 - t * t) * slope if abs(t) < SLIPPING_FROM else 0.0
         s = stages.friction_travel(s, t, chain, section)
     return s, by_slip, by_beyond
 

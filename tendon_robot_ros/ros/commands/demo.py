@@ -24,6 +24,7 @@ from ...control.loading import load
 from ...effects import load_catalogue
 from ...model.model import Model
 from ...robot import load_robot
+from ...robot.estimates import TRACKER_NOISE_M
 from ...workspace.view_angle import Posture, salient
 from ..shared.robot_client import Pilot
 from ..shared.runtime import NodeProcess, ros
@@ -31,9 +32,6 @@ from ..shared.timing import REACTION_TIMEOUT_S, WORK_TIMEOUT_S
 
 HELP = "the paper's postures with a mock arm: a table and a picture, in under a minute"
 ROBOT = 'kato_10_1'
-# [m] between the tip of an arm that equals the model and its target, because only the tolerance
-# of the search separates them
-MISS_MAX_M = 0.5e-3
 PICTURE = Path('demo/postures.png')
 
 
@@ -79,11 +77,11 @@ def main(arguments: Sequence[str]) -> int:
     missed = [
         posture.name
         for posture, outcome in zip(postures, outcomes, strict=True)
-        if outcome.status == 'reached' and outcome.position_error > MISS_MAX_M
+        if outcome.status == 'reached' and outcome.position_error > TRACKER_NOISE_M
     ]
     if missed or outcomes[0].status != 'reached':
         print(
-            f'error: missed by more than {1e3 * MISS_MAX_M:g} mm: {", ".join(missed)}',
+            f'error: missed by more than {1e3 * TRACKER_NOISE_M:g} mm: {", ".join(missed)}',
             file=sys.stderr,
         )
         return 1

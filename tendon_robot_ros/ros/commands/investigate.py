@@ -47,18 +47,9 @@ from ...robot import Robot
 from ...robot.estimates import natural_sizes
 from ...robot.keep_out import KeepOut, load_keep_out
 from ..shared.lifecycle import OK, WARN, Status
-from ..shared.messages import (
-    LATCHED,
-    LATCHED_BY_MANY,
-    LISTEN,
-    STATE,
-    offer_trigger,
-    points_of,
-    seconds,
-    tensions_and_pulls,
-    time_now,
-)
+from ..shared.messages import offer_trigger, points_of, seconds, tensions_and_pulls, time_now
 from ..shared.parameters import parsed
+from ..shared.quality import LATCHED, LATCHED_BY_MANY, LISTEN, STATE
 from ..shared.robot_client import MESSAGES_MAX, MOVE_MIN_S, WORKING_CODES, Pilot, add_controller
 from ..shared.runtime import SPIN_S, Ending, repeat, ros
 from ..shared.timing import REACTION_TIMEOUT_S, SILENCE_S, STATUS_PERIOD_S

@@ -37,17 +37,15 @@ from ...data.bag_writer import (
 )
 from ...robot import dump_robot, load_robot
 from ..shared.inbox import polled
-from ..shared.messages import quality
 from ..shared.parameters import RemoteParameter
-from ..shared.robot_client import add_controller
+from ..shared.quality import quality
+from ..shared.robot_client import MESSAGES_MAX, add_controller
 from ..shared.runtime import repeat, ros
 from ..shared.timing import NEWS_PERIOD_S, VALUES_PERIOD_S
 
 HELP = 'record the running robot to an mcap file'
 TOPICS_EXCLUDED = ('/rosout', '/parameter_events')
 TOPICS_OF_ALL = ('/tf', '/tf_static', '/diagnostics')  # of every namespace
-# [1] queued messages of a topic: two seconds at 1 kHz, so that a busy machine loses none
-QUEUE_DEPTH = 2000
 # a robot that moves from posture to posture; its tensions are known to 0.2 %, as in the monitor
 DATASET_DEFAULTS = 'path: sequence\ntension_noise: {setting: 0.002}\n'
 
@@ -171,7 +169,7 @@ class Recorder(Node):
         except Exception as error:  # the type is not installed, or unknown to rosbags
             print(f'left out: {topic}: {kind} is not known here ({error})', file=sys.stderr)
             return
-        qos = quality(QUEUE_DEPTH, reliable=reliable, latched=latched)
+        qos = quality(MESSAGES_MAX, reliable=reliable, latched=latched)
         self._sources.append((topic, message, polled(self, message, topic, qos)))
 
     def drain(self) -> None:

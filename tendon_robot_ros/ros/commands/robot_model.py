@@ -21,8 +21,9 @@ from ...common.arrays import Floats
 from ...common.errors import TendonRobotError
 from ...robot import Robot, load_robot
 from ...robot.urdf import joint_angles, joint_names, transforms, urdf
-from ..shared.messages import LATCHED, LISTEN, STATE, matrix, quaternion, refilled
+from ..shared.messages import matrix, quaternion, refilled
 from ..shared.parameters import Parameters, RemoteParameter
+from ..shared.quality import LATCHED, LISTEN, STATE
 from ..shared.runtime import Runnable, repeat, run
 from ..shared.timing import STATUS_PERIOD_S
 

@@ -23,8 +23,9 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from ...common.errors import InputError
-from ..shared.messages import COMMAND, LATCHED, Request, header_now, status_values, vector
+from ..shared.messages import Request, header_now, status_values, vector
 from ..shared.parameters import Parameters
+from ..shared.quality import COMMAND, LATCHED
 from ..shared.runtime import Runnable, repeat, run
 from ..shared.timing import NEWS_PERIOD_S
 

@@ -33,16 +33,9 @@ from ...model.model import Model
 from ...robot.keep_out import KeepOut
 from ..shared.inbox import Inbox, Received, Service, subscribe_any_qos
 from ..shared.lifecycle import LEVELS, Status, StoppableNode
-from ..shared.messages import (
-    COMMAND,
-    JOINTS,
-    LISTEN,
-    header_now,
-    passing_subscription,
-    refilled,
-    stamp_now,
-)
+from ..shared.messages import header_now, passing_subscription, refilled, stamp_now
 from ..shared.parameters import Parameters
+from ..shared.quality import COMMAND, JOINTS, LISTEN
 from ..shared.runtime import has_priority, repeat, run
 from ..shared.senders import OwnPublisher, Senders, gid_text
 from ..shared.timing import NEWS_PERIOD_S

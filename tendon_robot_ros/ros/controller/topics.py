@@ -29,8 +29,6 @@ from ...model.model import Model
 from ...model.shape import Shape
 from ...robot import Robot
 from ..shared.messages import (
-    LATCHED,
-    STATE,
     Frames,
     Request,
     arm_markers,
@@ -47,6 +45,7 @@ from ..shared.messages import (
     xyzw,
 )
 from ..shared.parameters import Parameters, base_frame
+from ..shared.quality import LATCHED, STATE
 from ..shared.timing import SILENCE_S, VALUES_PERIOD_S
 
 # [1] points of a trajectory: more would delay the commands while they are parsed

@@ -29,9 +29,6 @@ from ...model.model import Model
 from ...model.shape import Shape
 from ...robot import Robot
 from ..shared.messages import (
-    COMMAND,
-    JOINTS,
-    STATE,
     header_now,
     passing_publisher,
     passing_subscription,
@@ -39,6 +36,7 @@ from ..shared.messages import (
     pose_stamped,
 )
 from ..shared.parameters import Parameters, base_frame, read_config
+from ..shared.quality import COMMAND, JOINTS, STATE
 from ..shared.runtime import repeat
 
 

@@ -13,12 +13,9 @@ from dataclasses import dataclass
 from ...common.arrays import Floats
 from ...common.errors import DriverError, MovedError
 from ...drivers import Driver, Fault, Reading
+from ...drivers.interface import SETTLED_S
 from ...drivers.safety import FOLLOWING, LIMP, OFF, RELEASED, Decision, Supervisor
 from ..shared.timing import CALL_TIMEOUT_S, WORK_TIMEOUT_S
-
-# [s] that motors may lag behind the end of the ramp: twenty cycles at the default rate, else
-# torque would be switched off while they still move
-RAMP_SETTLE_S = 0.1
 
 
 @dataclass(frozen=True)
@@ -125,7 +122,7 @@ class MotorLoop:
         self.call(lambda: self.supervisor.latch.stop(key, reason))
         while time.monotonic() < deadline and self._thread.is_alive():
             if self.supervisor.state in (RELEASED, LIMP, OFF):
-                time.sleep(RAMP_SETTLE_S)
+                time.sleep(SETTLED_S)  # motors lag behind the end of the ramp
                 return True
             time.sleep(self._period)
         return False

@@ -26,8 +26,9 @@ from ...drivers.tendon_check import due
 from ...robot import load_robot
 from ..shared.inbox import Inbox, Received
 from ..shared.lifecycle import ERROR, OK, WARN, Status, StoppableNode
-from ..shared.messages import JOINTS, STATE, check_age, offer_trigger, refilled, stamp_now
+from ..shared.messages import check_age, offer_trigger, refilled, stamp_now
 from ..shared.parameters import Parameters
+from ..shared.quality import JOINTS, STATE
 from ..shared.runtime import end_requested, has_priority, on_end_request, repeat, run
 from ..shared.senders import OwnPublisher, Senders, gid_text
 from ..shared.timing import SILENCE_S, VALUES_PERIOD_S

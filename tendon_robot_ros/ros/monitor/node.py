@@ -36,9 +36,6 @@ from ...monitoring.watch import ArmWatch
 from ...robot import load_robot
 from ..shared.lifecycle import ERROR, OK, WARN, Status
 from ..shared.messages import (
-    LATCHED,
-    LISTEN,
-    STATE,
     Frames,
     check_age,
     header_now,
@@ -53,6 +50,7 @@ from ..shared.messages import (
     xyz,
 )
 from ..shared.parameters import Parameters, RemoteParameter, base_frame, parsed
+from ..shared.quality import LATCHED, LISTEN, STATE
 from ..shared.runtime import Runnable, repeat, run
 from ..shared.timing import SILENCE_S, STATUS_PERIOD_S, VALUES_PERIOD_S
 from .watching import Adapting, Watching

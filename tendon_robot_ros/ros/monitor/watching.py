@@ -26,8 +26,9 @@ from ...monitoring.tip_force import TipForce
 from ...monitoring.watch import ArmWatch, WatchSettings
 from ...report.sentences import load_words
 from ...robot import Robot, dump_robot
-from ..shared.messages import LATCHED, STATE, header_now, vector
+from ..shared.messages import header_now, vector
 from ..shared.parameters import Parameters
+from ..shared.quality import LATCHED, STATE
 
 LOG = 'adaptation.jsonl'  # in the folder of the monitor: a line for every change
 Send = Callable[[str, Callable[[bool, str], None]], None]

@@ -1,7 +1,8 @@
 """
 Code that the nodes share.
 
-messages.py            messages to arrays and back; frames (TF); quality of service; requests
+messages.py            messages to arrays and back; frames (TF); requests
+quality.py             quality of service of topics
 timing.py              times that several nodes share, each with its reason
 parameters.py          declared parameters with range and unit; those of another node
 lifecycle.py           lifecycle nodes that start by themselves and can be stopped; status

@@ -27,14 +27,8 @@ from rclpy.subscription import Subscription
 from rclpy.type_support import check_is_valid_msg_type, check_is_valid_srv_type
 from std_msgs.msg import Bool, String
 
-from .messages import (
-    COMMAND,
-    COMMAND_ALL,
-    LATCHED_BY_MANY,
-    LISTEN,
-    LISTEN_ALL,
-    passing_subscription,
-)
+from .messages import passing_subscription
+from .quality import COMMAND, COMMAND_ALL, LATCHED_BY_MANY, LISTEN, LISTEN_ALL
 from .timing import SILENCE_S, VALUES_PERIOD_S
 
 # [B] of a message that is parsed between commands: measured, 10 MB take seconds

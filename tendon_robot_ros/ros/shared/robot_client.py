@@ -30,9 +30,6 @@ from ...model.model import Model
 from ...robot import load_robot
 from ...robot.keep_out import joined, text_of
 from .messages import (
-    COMMAND,
-    LATCHED,
-    LISTEN,
     Request,
     duration,
     header_now,
@@ -44,6 +41,7 @@ from .messages import (
     xyzw,
 )
 from .parameters import RemoteParameter, declared
+from .quality import COMMAND, LATCHED, LISTEN
 from .runtime import SPIN_S, Ending
 from .timing import CALL_TIMEOUT_S, REACTION_TIMEOUT_S
 
@@ -53,9 +51,9 @@ WORKING_CODES = ('holding', 'searching', 'moving', 'playing', 'played', 'jogging
 # falls to a third
 TIP_AVERAGE_S = 0.3
 MOVE_MIN_S = CYCLE_MAX_S  # [s] of the shortest move, so that no command jumps
-# [1] messages kept of a kind, so that they cover several seconds of rest, and memory does not
-# grow
-MESSAGES_MAX = 500
+# [1] messages kept of a topic: two seconds at 1 kHz, so that a busy machine loses none, and memory
+# does not grow
+MESSAGES_MAX = 2000
 
 
 def add_controller(parser: argparse.ArgumentParser) -> None:

@@ -19,12 +19,12 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
-from ...control.inputs import NAMES_LISTED_MAX
+from ...common.processes import Linux
+from ...common.words import LISTED_MAX
 from .inbox import SPARE_BYTES, Received
 from .timing import SILENCE_S, VALUES_PERIOD_S
 
 UNDISCOVERED = '_NODE_NAME_UNKNOWN_'  # the name that rmw gives until discovery has ended
-PF_EXITING = 0x4  # [1] flag of a process, manual of proc(5): include/linux/sched.h
 CREDENTIALS = struct.Struct('3i')  # struct ucred of unix(7): process, user, group
 
 
@@ -97,7 +97,7 @@ class SenderProcess:
             fields = os.pread(self._file, 1024, 0).rpartition(b') ')[2].split()
         except ProcessLookupError:
             return True
-        return fields[0] in (b'Z', b'X') or bool(int(fields[6]) & PF_EXITING)
+        return fields[0] in (b'Z', b'X') or bool(int(fields[6]) & Linux.PF_EXITING)
 
     def close(self) -> None:
         """Close the file of its state."""
@@ -131,7 +131,7 @@ class Senders:
         if known and publisher != self._first:
             if publisher not in self._others:  # it replaces those that are silent
                 self._others = {one: self._others[one] for one in self.others(now)}
-            if publisher in self._others or len(self._others) < NAMES_LISTED_MAX:
+            if publisher in self._others or len(self._others) < LISTED_MAX:
                 self._others[publisher] = now
             return False
         self.new = publisher != self._first and publisher not in self._others
@@ -217,7 +217,7 @@ class OwnPublisher:
             own = self._node.get_fully_qualified_name()
             if own in names:  # only once: another process may have the same name
                 names.remove(own)
-            self._names = ', '.join(names[:NAMES_LISTED_MAX])
+            self._names = ', '.join(names[:LISTED_MAX])
         return self._names
 
     def close(self) -> None:

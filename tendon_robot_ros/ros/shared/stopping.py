@@ -12,27 +12,21 @@ from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.task import Future
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from ...common.local_stop import Stoppable
 from ...common.processes import go_realtime
+from .quality import LATCHED
 from .runtime import ros
 from .timing import NEWS_PERIOD_S, STOP_ANSWER_S
 
-# [1] keeps the last message for later subscribers and matches every subscription, without a
-# warning; not from messages.py, because that takes 0.9 s to import (measured)
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 TRIGGER, BOOL = 'std_srvs/srv/Trigger', 'std_msgs/msg/Bool'
 STATUS = 'diagnostic_msgs/msg/DiagnosticStatus'
 # [s] for all nodes to be discovered and to answer (docs/safety.md): on a busy machine some are
 # discovered a second after others
 STOP_S = 2.0
-# [s] of that for all subscribers to acknowledge that the cause is cleared, so that no false is
-# lost when its publisher is destroyed: forty cycles at the default rate
-ACKNOWLEDGE_S = 0.1 * STOP_S
 
 
 def stop_nodes(
@@ -113,7 +107,7 @@ class StopClient(Node):
 
     def stop(self, stopped: Set[str]) -> None:
         """Stop nodes as soon as they are discovered, for `STOP_S`; `stopped` have confirmed."""
-        while (now := time.monotonic()) - self._began < STOP_S - ACKNOWLEDGE_S:
+        while (now := time.monotonic()) - self._began < STOP_S - STOP_ANSWER_S:
             self._discover()
             for one in self._targets.values():
                 one.ask(now)
@@ -128,8 +122,8 @@ class StopClient(Node):
             for topic, publisher in self._topics.items():
                 if self._subscribers.get(topic):
                     publisher.publish(Bool(data=False))
-            for publisher in self._topics.values():
-                publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGE_S))
+            for publisher in self._topics.values():  # else it is lost with its publisher
+                publisher.wait_for_all_acked(Duration(seconds=STOP_ANSWER_S))
 
     def results(self) -> dict[str, tuple[bool, str]]:
         """Return name -> whether it drives motors, and why it has not stopped."""

@@ -29,17 +29,12 @@ BUTTONS: tuple[tuple[str, str, str, str], ...] = (  # name, label, hint, colour
 # [1] of the robot's length: the measured arm is wide and translucent, the predicted one a third of
 # that, so that both are visible where they coincide
 MEASURED_WIDTH = 0.034
-# [1] of the robot's length: a camera that is closer to its placement was not moved by a user,
-# because a browser rounds
-VIEW_TOLERANCE = 0.01
 # [1] viewing direction: from the side, so that bends in the plane x-z are undistorted, and
 # slightly from above, so that the grid is visible
 ALONG = np.array([0.0, 0.99, -0.14])
 # [1] of the height of a phone that viser's panel may cover, at the lower edge: `max-height` in its
 # manual; on a desktop the panel is docked beside the scene
 PANEL_OF_PHONES = 0.6
-# [1] width over height of a scene, below which it is a phone's, because desktops are wider
-PHONE_ASPECT = 0.8
 
 
 class Picture(NamedTuple):
@@ -80,7 +75,7 @@ def framed(radius: float, picture: Picture) -> View:
     """
     half = np.tan(0.5 * picture.fov)
     aspect = picture.width / picture.height
-    lowest = 2.0 * PANEL_OF_PHONES - 1.0 if aspect < PHONE_ASPECT else -1.0
+    lowest = 2.0 * PANEL_OF_PHONES - 1.0 if aspect < 1.0 else -1.0
     sides = half * np.array([[-aspect, aspect], [lowest, 1.0]])  # at depth 1
     margins = radius * np.sqrt(1.0 + sides**2)
     depth = float((margins.sum(axis=1) / (sides[:, 1] - sides[:, 0])).max())
@@ -331,9 +326,9 @@ class LivePage:
         return self._is_at(client, view) or self._is_at(client, self._first)
 
     def _is_at(self, client: Any, view: View) -> bool:
-        """Return whether a camera is at a view."""
+        """Return whether a camera is at a view, as near as the drawn arm is thin."""
         distance = np.linalg.norm(client.camera.position - view.position)
-        return bool(distance < VIEW_TOLERANCE * self._size)
+        return bool(distance < 0.5 * MEASURED_WIDTH * self._size)
 
     @property
     def _radius(self) -> float:

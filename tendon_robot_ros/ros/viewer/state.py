@@ -12,10 +12,9 @@ import numpy as np
 
 from ...common.arrays import Floats
 from ...common.words import listed, mm
-from ..shared.timing import ANSWER_TIMEOUT_S, SILENCE_S
+from ...diagnosis.verdict import POSTURES_ENOUGH
+from ..shared.timing import ANSWER_TIMEOUT_S, SILENCE_S, VALUES_PERIOD_S
 
-# [s] between two points of the curve and two updates of the panel, because nobody reads faster
-PANEL_PERIOD_S = 0.2
 # [s] over which displayed numbers are medians, so that they can be read
 STEADY_S = 1.5
 # [s] shown by the curve, so that it covers a recording of a dozen postures
@@ -23,8 +22,6 @@ CURVE_SPAN_S = 120.0
 # [N] of a force whose arrow has half of its largest length, so that forces of 0.01 N and of 1 N
 # are visible in one scene
 FORCE_HALF_N = 0.01
-# [1] postures for a diagnosis, else several effects would explain them equally well
-POSTURES_ADVISED = 8
 CHANGED_HINT = 'Click Investigate: it goes to the postures that tell what has changed.'
 COINCIDE = (
     'The model now has {}. The two arms should coincide; what is left of the error is noise.'
@@ -46,7 +43,7 @@ class ViewState:
     force_at: float = -np.inf
     marker_errors: deque[tuple[float, Floats]] = field(default_factory=deque)  # [s], (J,) [m]
     curve: deque[tuple[float, float]] = field(  # [s], rolling error [m]
-        default_factory=lambda: deque(maxlen=round(CURVE_SPAN_S / PANEL_PERIOD_S) + 1)
+        default_factory=lambda: deque(maxlen=round(CURVE_SPAN_S / VALUES_PERIOD_S) + 1)
     )
     marks: list[tuple[float, str]] = field(default_factory=list)
     verdict: dict[str, Any] = field(default_factory=dict)
@@ -133,7 +130,7 @@ class ViewState:
 
     def add_error(self, now: float, rolling: float) -> None:
         """Append a rolling error [m] to the curve."""
-        if not self.curve or now - self.curve[-1][0] >= PANEL_PERIOD_S:
+        if not self.curve or now - self.curve[-1][0] >= VALUES_PERIOD_S:
             self.curve.append((now, rolling))
 
     def add_marker_errors(self, now: float, errors: Sequence[float]) -> None:
@@ -210,16 +207,16 @@ class ViewState:
         """Return the next step, in the words of the buttons."""
         if self.monitor.get('diagnosing') == 'true' and not self.verdict:
             return 'Comparing every known physical effect with the recording …'
-        if self.recording and self.postures < POSTURES_ADVISED:
+        if self.recording and self.postures < POSTURES_ENOUGH:
             return (
-                f'Recording: {self.postures} of {POSTURES_ADVISED} postures. '
+                f'Recording: {self.postures} of {POSTURES_ENOUGH} postures. '
                 'The arm goes through them by itself: just wait.'
             )
         if self.recording or self.paused:
             also = '1 stops' if self.recording else '1 records more'
             return (
                 f'{self.postures} postures are recorded. Click 2: which effect is missing? '
-                f'({also}; {POSTURES_ADVISED} suffice, with more a diagnosis takes longer.)'
+                f'({also}; {POSTURES_ENOUGH} suffice, with more a diagnosis takes longer.)'
             )
         if self.can_add:
             return str(self.verdict.get('guide', 'Click 3: the model gets the effect.'))
