@@ -8,8 +8,8 @@ import numpy as np
 
 from tendon_robot_ros.drivers import make_driver
 from tendon_robot_ros.emulator.port import EmulatorProcess
-from tendon_robot_ros.emulator.rig import BALANCED_N
 from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.robot.estimates import SAME_TENSION_N
 
 ROBOTS = Path(__file__).resolve().parents[1] / 'config' / 'robots'
 ROBOT = ROBOTS / 'kato_10_1.yaml'
@@ -49,7 +49,7 @@ class Passings:
             return
         self.last = trace[-1][0]
         tensions = np.array([moment[2] for moment in trace])
-        above = tensions > self.holds + BALANCED_N
+        above = tensions > self.holds + SAME_TENSION_N
         before = np.zeros_like(above[0]) if self._before is None else self._before
         self._before = above[-1]
         self.times += int(np.sum(above & ~np.vstack([before, above[:-1]])))

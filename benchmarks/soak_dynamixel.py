@@ -30,7 +30,7 @@ from emulated_bus import ROBOT, Passings, driver_for, emulator, strongest
 from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.drivers.safety import FOLLOWING, Supervisor
 from tendon_robot_ros.drivers.serial_port import PortLink
-from tendon_robot_ros.emulator.rig import BALANCED_N
+from tendon_robot_ros.robot.estimates import SAME_TENSION_N
 from tendon_robot_ros.ros.driver.motor_loop import MotorLoop
 
 PERIOD = 0.01  # [s]
@@ -213,7 +213,7 @@ def run(args):
 def too_strong(state, driver):
     """Return goal currents beyond what the driver may give, and wires beyond what that holds."""
     beyond, most = [], strongest(driver)
-    if max(state['held']) > most + BALANCED_N:
+    if max(state['held']) > most + SAME_TENSION_N:
         beyond.append(f'{max(state["held"]):.3f} N held, motors hold {most:.3f} N')
     for key, (low, high) in state['extremes'].items():
         identity, register = key.split()

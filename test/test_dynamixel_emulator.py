@@ -15,17 +15,10 @@ from tendon_robot_ros.drivers.dynamixel.control_table import (
     RADIANS_PER_TICK,
     REGISTERS,
 )
-from tendon_robot_ros.emulator.rig import (
-    BALANCED_N,
-    ElasticArm,
-    HangingWeights,
-    Rig,
-    SpringArm,
-    Wire,
-    softer,
-)
+from tendon_robot_ros.emulator.rig import ElasticArm, HangingWeights, Rig, SpringArm, Wire, softer
 from tendon_robot_ros.emulator.servo import GAINS, STEP_S, Load, Servo, StatusError
 from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.robot.estimates import SAME_TENSION_N
 from tendon_robot_ros.simulation.plant import make_plant
 
 pytest.importorskip('dynamixel_sdk')
@@ -336,12 +329,12 @@ def test_a_motor_that_gives_way_holds_its_limit_and_its_drag_however_fast_anothe
             goal += np.clip(target - goal, -rate * STEP_S, rate * STEP_S)
             aim(rig, goal)
             rig.advance(STEP_S)
-            assert rig.tensions[0] < limit + drag(servo) + BALANCED_N
+            assert rig.tensions[0] < limit + drag(servo) + SAME_TENSION_N
             beyond = max(beyond, rig.tensions[0] - limit)
     damping = 0.01 * servo.model.stall_torque / servo.model.no_load_speed  # [N·m·s/rad]
     assert 0.5 < beyond / (damping * rate / SPOOL**2) < 1.0  # it gives way a little more slowly
     assert rig.highest[0] == pytest.approx(limit + beyond)
-    assert limit - 0.01 < rig.held[0] < limit + BALANCED_N
+    assert limit - 0.01 < rig.held[0] < limit + SAME_TENSION_N
 
 
 @pytest.mark.parametrize('shared', [-0.7, -0.9, -0.97])
@@ -354,9 +347,9 @@ def test_of_two_antagonists_at_their_limits_one_winds_and_one_holds_what_it_can(
     aim(rig, [0.0034, 0.02])
     for _ in range(500):
         rig.advance(STEP_S)
-        assert rig.tensions[0] < holds + drag(rig.servos[1]) + BALANCED_N
-        assert rig.tensions[1] < winds + BALANCED_N
-    assert rig.held[0] < holds + BALANCED_N
+        assert rig.tensions[0] < holds + drag(rig.servos[1]) + SAME_TENSION_N
+        assert rig.tensions[1] < winds + SAME_TENSION_N
+    assert rig.held[0] < holds + SAME_TENSION_N
     assert rig.tensions == pytest.approx([holds, winds], abs=0.01)
 
 
@@ -382,7 +375,7 @@ def test_an_arm_that_goes_over_from_one_wire_at_its_limit_to_another_pulls_no_mo
             rig.advance(0.005)
             currents = np.array([motor.motion.current for motor in motors])
             holds = (currents * model.torque_per_ampere + motors[0].motion.friction) / radius
-            assert (rig.tensions < holds + most + BALANCED_N).all()
+            assert (rig.tensions < holds + most + SAME_TENSION_N).all()
         command = goal
 
 

@@ -14,7 +14,7 @@ from .arrays import Floats
 ITERATIONS_MAX = 40
 # [1] of a step, tried one after the other until the cost is lower, because far from the solution
 # the model is not linear
-STEP_LENGTHS = 1.0, 0.5, 0.2, 0.05, 0.01
+STEP_LENGTHS = 1.0, 0.3, 0.1, 0.03
 # [1] standard deviations of the estimate that the last step may move it, so that it is that of the
 # solution
 CONVERGED_SD = 0.05

@@ -18,6 +18,7 @@ from ..common.arrays import RESOLUTION, Floats
 from ..common.errors import DataSetError, refusal, short
 from ..common.words import UNITS, listed
 from ..robot import Robot
+from ..robot.estimates import INPUT_TOLERANCE
 
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
@@ -27,9 +28,6 @@ PLAUSIBLE_FACTOR = 3.0
 VALUES_MAX = 20_000_000  # [1] readings in an array, so that it fits into memory
 # [1] quaternion x, y, z, w of trackers that measure no orientation, because messages need one
 NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
-# [1] of the largest input, to which load cells and the motors that follow them are known, because
-# usual ones are no better
-INPUT_TOLERANCE = 0.01
 MARKERS_EXPECTED = 'the arc length [m] of each, or a Marker'
 Vector = tuple[float, float, float]
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..common.errors import DataSetError, MissingExtraError
 from ..common.files import new_file, new_folder
+from ..common.words import UNITS
 from ..robot import dump_robot
 from .arrays import NO_ROTATION
 from .dataset import DataSet, FloatArray
@@ -231,7 +232,8 @@ def joints_of(message: Any, names: Sequence[str]) -> tuple[list[float], list[flo
 
 
 STATES, SHAPE = '/tendon_states', '/measured_shape'
-START = 1_000_000_000  # [ns] of the first message, because 0 means that there is no time
+NANOSECONDS = round(UNITS['time']['s'] / UNITS['time']['ns'])  # of a second
+START = NANOSECONDS  # of the first message, because 0 means that there is no time
 OTHER_FILES = ('.bag', '.db3')  # endings that no folder may have: readers go by them
 
 
@@ -303,7 +305,7 @@ def _write(dataset: DataSet, writer: BagWriter, timing: Timing) -> None:
         description = dump_description(dataset)
         writer.write(DESCRIPTION, START, build.string(description))
         writer.write(ROBOT, START, build.string(dump_robot(dataset.robot)))
-        time, step = START, round(1e9 / timing.rate)
+        time, step = START, round(NANOSECONDS / timing.rate)
         m, J = len(dataset.input_names), len(dataset.markers)
         unknown = np.full(m, np.nan)
         for label, states in _stages(dataset, timing):

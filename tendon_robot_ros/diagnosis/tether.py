@@ -15,6 +15,7 @@ import numpy as np
 from ..common.arrays import Floats
 from ..common.estimation import gauss_newton
 from ..inference.fitter import BEST_FEW
+from ..model.derivatives import DIFFERENCE_STEP
 
 # [1] arm lengths over the distance, from which fits start, because far ones are all alike
 CLOSENESS = (0.5, 1.0, 2.0, 4.0)
@@ -24,7 +25,6 @@ STIFFENING = (0.0, 2.0, 8.0)
 CLOSENESS_MIN = 1e-3  # [1] because a point a thousand arms away is no place
 CLOSENESS_MAX = 20.0  # [1] because the place moves by more than a twentieth of the arm
 STIFFENING_MAX = 100.0  # [1] because a stretch of a hundredth of the arm is as good as none
-STEP = 1e-5  # [1] of values near one, so that a difference keeps six digits
 SETTLING_STEPS = 6  # [1] because each step of Newton's method doubles the digits
 
 
@@ -116,8 +116,10 @@ def fit_tether(arm: Answer, unit: float, length: float) -> FittedTether:
         def linearised(
             values: Floats, residual: Floats, free: Floats = free
         ) -> tuple[Floats, Floats]:
-            moved = [residual_of(values + STEP * one)[0] - residual for one in np.diag(free)]
-            slopes = np.array(moved).T / STEP
+            moved = [
+                residual_of(values + DIFFERENCE_STEP * one)[0] - residual for one in np.diag(free)
+            ]
+            slopes = np.array(moved).T / DIFFERENCE_STEP
             return slopes.T @ slopes, -slopes.T @ residual
 
         starts = [np.append(force, start) for start in product(CLOSENESS, stiffenings)]

@@ -26,8 +26,9 @@ from ..common.errors import DriverError, TendonRobotError
 from ..common.files import new_file, shared_file
 from ..common.words import STANDARD_GRAVITY
 from ..drivers.serial_board.messages import ChannelFault, Protocol
+from ..drivers.serial_port import ANSWER_TIMEOUT_S
 from .port import COMMON_HELP, Command, Plug
-from .rig import TIME_STEP_MAX_S, Arm
+from .rig import Arm
 from .servo import STEP_S
 
 SOURCES = ('protocol.c', 'control.c', 'board.c', 'host.c')
@@ -224,7 +225,7 @@ class BoardRig:
 
     def advance(self, passed: float) -> None:
         """Let time [s] pass."""
-        passed = min(passed, TIME_STEP_MAX_S)
+        passed = min(passed, ANSWER_TIMEOUT_S)  # a longer pause of this process is skipped
         steps = max(1, round(passed / STEP_S))
         for _ in range(steps):
             self._time += passed / steps

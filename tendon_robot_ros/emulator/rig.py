@@ -19,6 +19,8 @@ from ..common.estimation import ITERATIONS_MAX
 from ..common.words import STANDARD_GRAVITY
 from ..drivers.dynamixel.control_table import REGISTERS
 from ..drivers.interface import CYCLE_S
+from ..drivers.serial_port import ANSWER_TIMEOUT_S
+from ..robot.estimates import SAME_TENSION_N
 from .servo import STEP_S, Load, Servo
 
 Array = NDArray[np.float64]
@@ -28,12 +30,7 @@ LINEAR_N = 0.2
 # [1] of the largest compliance: by how much a minor may be below zero by rounding, because wires
 # that pull against each other have minors of zero
 MINOR_ROUNDING = 1e-9
-# [N] of change without an effect, between a motor and its wires and of an arm at rest, so that it
-# is below the noise of any sensor
-BALANCED_N = 1e-3
 TRACE_MAX = 20_000  # [entries] so that more than 40 s are kept (benchmarks ask for so much)
-# [s] after a longer pause of this process the emulated world skips time, else it would jump
-TIME_STEP_MAX_S = 0.1
 # [s] one count of the watchdog, so that none takes a pause of this process for silence
 SILENCE_STEP_MAX_S = REGISTERS['bus_watchdog'].unit
 
@@ -154,7 +151,7 @@ class ElasticArm:
         tensions = np.minimum(self._held(wound), self.highest)
         if self._since >= self.period:
             self._since = 0.0
-            if np.abs(tensions - self._point).max() >= BALANCED_N:
+            if np.abs(tensions - self._point).max() >= SAME_TENSION_N:
                 self._evaluate(tensions, wound)
                 tensions = np.minimum(self._held(wound), self.highest)
         return tensions
@@ -295,7 +292,7 @@ class Rig:
 
     def advance(self, passed: float) -> None:
         """Let time [s] pass."""
-        passed = min(passed, TIME_STEP_MAX_S)
+        passed = min(passed, ANSWER_TIMEOUT_S)  # a longer pause of this process is skipped
         for servo in self.servos.values():
             servo.protect(min(passed, SILENCE_STEP_MAX_S))
         steps = max(1, math.ceil(passed / STEP_S - 1e-9))
@@ -348,7 +345,7 @@ class Rig:
                 self.servos.values(), self._lever, self._of, begin, strict=True
             ):
                 pulls = {i: max(0.0, self.arm.resistance(i)[0]) for i in wires}
-                if all(abs(pull - expected[i]) < BALANCED_N for i, pull in pulls.items()):
+                if all(abs(pull - expected[i]) < SAME_TENSION_N for i, pull in pulls.items()):
                     continue
                 angle, balanced = servo.motion.angle, False
                 load = Load([self._wire_at(i, lever[i], angle - start) for i in wires])

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.arrays import Floats
+from ..common.estimation import STEP_LENGTHS
 from .imperfections import KINDS_WITH_FEW_MEMBERS, REMAINDER, Kind, Members
 from .statistics import normal_cdf
 
@@ -26,7 +27,6 @@ SIZE_MAX = 5.0  # [1] of a plausible size, because what scatters more is no impe
 STEPS_MAX = 25  # [1] of a damped search, else one that creeps would not end
 DEVIANCE_GAIN_MIN = 0.02  # [1] of a step, because a likelihood ratio of 1 % decides nothing
 STEP_MAX = 2.0  # [1] of the logarithm of a variance, else a flat likelihood would send it away
-STEP_FRACTIONS = (1.0, 0.3, 0.1, 0.03)  # [1] of a step, because Newton's may be too long
 CURVATURE_MIN = 0.05  # [1] of the deviance by logarithms, else a flat one would make steps endless
 ROOTS_KEPT = 4  # [1] because a fit goes back and forth between few sets of sizes
 TRIANGLE_ROWS = 32  # [1] inverted at once, because dividing fewer costs more than it saves
@@ -590,7 +590,7 @@ class RandomEffects:
             if promised < DEVIANCE_GAIN_MIN:
                 break
             shorter = [
-                (v + offset) * np.exp(fraction * step) - offset for fraction in STEP_FRACTIONS
+                (v + offset) * np.exp(fraction * step) - offset for fraction in STEP_LENGTHS
             ]
             for moved in (*shorter, slopes_at.slower):
                 new = np.clip(moved, low, high)

@@ -16,7 +16,7 @@ from ..data import DataSet, Part
 from ..data.arrays import Visits
 from ..effects import Catalogue, Effect, Parameter
 from ..model.compile import LEAST_TENSION_N, KernelArrays
-from ..model.derivatives import HELD_RCOND, TENSION_STEP, Move, PathSlopes, follow
+from ..model.derivatives import DIFFERENCE_STEP, HELD_RCOND, TENSION_STEP, Move, PathSlopes, follow
 from ..model.forward import TOLERANCE, ForwardModel
 from ..model.model import Model
 from ..model.pulls import pull_shapes, transmitted
@@ -193,9 +193,6 @@ PATH_STAGES = {'hysteresis', 'transmission'}  # whose derivatives `PathSlopes` f
 # No effects: every cell's own deviation where a tolerance declares it, one soft cell, a taper.
 CELLS, SOFT_CELL, TAPER = 'cell_stiffness', 'soft_cell', 'taper'
 STIFFNESS = (CELLS, SOFT_CELL, TAPER)
-# [1] of a parameter or its typical size: about the cube root of the rounding error, so that
-# rounding and truncation of a central difference are alike
-TANGENT_STEP = 1e-5
 
 
 @dataclass(frozen=True)
@@ -484,7 +481,7 @@ class Predictor:
     def _ends(self, point: Point, free: FreeParameter) -> tuple[float, float]:
         """Return how far a parameter varies down and up, within its bounds."""
         value, own = point.get(free, self.value(free)), free.parameter
-        step = TANGENT_STEP * max(abs(value), own.typical)
+        step = DIFFERENCE_STEP * max(abs(value), own.typical)
         return max(-step, own.low - value), min(step, own.high - value)
 
     def _freed(

@@ -27,6 +27,7 @@ import numpy as np
 
 from ..common.arrays import Floats
 from ..common.errors import InputError, NoEquilibriumError, TendonRobotError
+from ..common.estimation import STEP_LENGTHS
 from ..data import DataSet
 from ..diagnosis.stepwise import PRIOR_TYPICALS
 from ..effects import Catalogue
@@ -48,9 +49,6 @@ POOL_POSTURES = 120
 # [1] places on the path to a posture at which the arm has to keep clear of regions; between two of
 # them a point may come closer by half of its motion, so that more places leave more room
 PATH_POINTS = 16
-# [1] of a typical size, steps of a parameter for its derivative: the first, so that laws with a
-# threshold show; the second where the model has no equilibrium at the first
-STEP_FRACTIONS = (0.3, 0.03)
 
 
 @dataclass(frozen=True)
@@ -312,7 +310,8 @@ class LinearDesign:
         """Return the derivative (P, J, 3) [m per unit] of the markers by a parameter."""
         point, parameter = self.question.point, free.parameter
         value = point.get(free, predictor.value(free))
-        for fraction in STEP_FRACTIONS:
+        # a long step, so that laws with a threshold show; shorter where there is no equilibrium
+        for fraction in STEP_LENGTHS[1:]:
             step = fraction * parameter.typical
             if value + step > parameter.high:
                 step = -step

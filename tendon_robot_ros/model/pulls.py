@@ -13,6 +13,7 @@ from ..common.arrays import Floats
 from ..common.errors import InputError, NoEquilibriumError
 from ..common.estimation import ITERATIONS_MAX
 from ..common.words import FAR_M
+from ..robot.estimates import SAME_TENSION_N
 from ..robot.inputs import TensionsLike, wire_pulls
 from .compile import LEAST_TENSION_N
 
@@ -30,8 +31,6 @@ SPRING_COMPLIANCES = (1e-1, 1e-2, 1e-3, 1e-4)
 # [1] of the limits, of a last search; measured: it solves 4 of 40 postures of spatial_3 with
 # friction memory that no other search does
 PRETENSION = 0.25
-# [N] difference of tensions that counts as held: so that a gap of 5 µm does
-HELD_TOLERANCE_N = 1e-3
 
 
 def pull_shape(
@@ -282,9 +281,9 @@ def aim_by_pulls(task: TipTask, aim: Aim, inputs: Floats, bend: Floats) -> tuple
             held = held_shape(model, shape.pulls, shape, task.past)
         except (NoEquilibriumError, InputError):
             break
-        if np.allclose(held.inputs, inputs, rtol=0.0, atol=HELD_TOLERANCE_N):
+        if np.allclose(held.inputs, inputs, rtol=0.0, atol=SAME_TENSION_N):
             return cost, bends
-        lost = taut & (held.inputs < inputs - HELD_TOLERANCE_N)
+        lost = taut & (held.inputs < inputs - SAME_TENSION_N)
         if not lost.any():
             break
         taut[np.argmin(np.where(lost, held.inputs, np.inf))] = False

@@ -18,6 +18,7 @@ from ..common.errors import InputError
 from ..common.rotations import angle_between
 from ..control.inputs import STREAM_PERIOD_S, Trajectory
 from ..model.inverse import reach
+from ..model.program import RANGE_TOLERANCE
 from ..model.tip_task import TipTask
 from ..robot.keep_out import KeepOut
 
@@ -32,9 +33,6 @@ POSITION_TOLERANCE_M = 1e-3
 DIRECTION_TOLERANCE_RAD = np.radians(1.0)  # [rad] as above, so that neither shows in a run
 SAMPLE_PERIOD_S = 0.04  # [s] between samples, so that a smooth path changes its speed smoothly
 SAMPLES_MAX = 20_000  # [1] of a path; every one costs an inverse, else planning would take minutes
-# [1] of the largest change in a run: by how much a straight line may miss a command, so that
-# neither a plot nor a retreat shows it
-THINNING_TOLERANCE = 0.002
 
 
 @dataclass(frozen=True)
@@ -357,9 +355,9 @@ def thinned(times: Array, values: Array) -> NDArray[np.int64]:
     """
     Return the indices of rows (n, m) at times (n,) [s] between which straight lines suffice.
 
-    As Douglas and Peucker (1973), with `THINNING_TOLERANCE` of the largest change as the distance.
+    As Douglas and Peucker (1973), with `RANGE_TOLERANCE` of the largest change as the distance.
     """
-    tolerance = THINNING_TOLERANCE * float(np.ptp(values, axis=0).max(initial=0.0))
+    tolerance = RANGE_TOLERANCE * float(np.ptp(values, axis=0).max(initial=0.0))
     kept, open_pieces = {0, len(times) - 1}, [(0, len(times) - 1)]
     while open_pieces:
         first, last = open_pieces.pop()

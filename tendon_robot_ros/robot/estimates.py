@@ -14,9 +14,11 @@ from .description import Robot, tendon_offsets
 # [rad] 20°, that the highest tension bends a section by, else its stiffness, or an offset, is in
 # another unit: by a thousand, or ten
 BEND_MIN_RAD = 0.35
-# [1] of the highest tension, below which a right angle is not plausible, because the range of
-# tensions would then be of no use
-TENSION_FRACTION_MIN = 0.01
+# [1] of the largest input, to which load cells and the motors that follow them are known, because
+# usual ones are no better
+INPUT_TOLERANCE = 0.01
+# [N] a difference of tensions below is none, because it is below the noise of any load cell
+SAME_TENSION_N = 1e-3
 # ratio of two lengths beyond which one seems to be in mm and the other in m, because half of
 # the thousand between the units, as decades count, is nearer to that than to 1
 MILLIMETRES = math.sqrt(UNITS['length']['m'] / UNITS['length']['mm'])
@@ -128,7 +130,7 @@ def doubts(robot: Robot, rates: Floats) -> list[str]:
                 f'{name} at its limit of {top:g} N bends by {_degrees(rate * top)} only; is '
                 'bending_stiffness too high (N·m/rad of one cell), or an offset too small (m)?'
             )
-        elif rate * max(low, TENSION_FRACTION_MIN * top) > right_angle:
+        elif rate * max(low, INPUT_TOLERANCE * top) > right_angle:
             lines.append(
                 f'{name} bends by 90° at {right_angle / rate:.2g} N, with tensions from '
                 f'{low:g} to {top:g} N; is bending_stiffness too low (N·m/rad of one cell), or '

@@ -26,6 +26,7 @@ from ..cli import options
 from ..common.errors import DataSetError, InputError
 from ..common.words import listed
 from ..data.csv_file import CsvFile
+from ..inference.outliers import TRIALS_MIN
 from ..inference.statistics import estimate
 from ..robot import Robot, load_robot
 
@@ -34,7 +35,6 @@ HELP = 'friction coefficient from slip angles, into a robot description'
 COLUMNS = ('measurement', 'angle_deg')
 # [1] robust standard deviations from the median, of an outlier (Iglewicz and Hoaglin 1993)
 OUTLIER_FROM_SD = 3.5
-ANGLES_MIN = 3  # [1] angles, because fewer say nothing of their spread
 # [°] below which a wire would be smoother than any (coefficient 0.04): all below are radians
 RADIANS_BELOW_DEG = 2.25
 
@@ -138,8 +138,8 @@ def slip_friction(names: tuple[str, ...], angles: npt.ArrayLike) -> SlipFriction
 
     """
     tangents = np.tan(np.asarray(angles, dtype=float))
-    if len(tangents) < ANGLES_MIN:
-        expected = f'expected at least {ANGLES_MIN}, got {len(tangents)}'
+    if len(tangents) < TRIALS_MIN:
+        expected = f'expected at least {TRIALS_MIN}, got {len(tangents)}'
         raise InputError(f'slip angles: {expected}; measure more')
     mean = estimate(tangents)
     off = np.abs(tangents - np.median(tangents))

@@ -11,7 +11,6 @@ import numpy.typing as npt
 
 from ..common.errors import DataSetError
 from ..common.words import digits
-from ..data.arrays import INPUT_TOLERANCE
 from ..data.bag_reader import Recording, Track
 from ..data.loading import plausible_inputs
 from ..data.still_segments import (
@@ -27,7 +26,7 @@ from ..data.still_segments import (
 )
 from ..data.tracker_faults import unseen_lines
 from ..robot import Robot
-from ..robot.estimates import NOISE_FACTOR
+from ..robot.estimates import INPUT_TOLERANCE, NOISE_FACTOR
 from .columns import UNUSUAL_FACTOR, FloatArray, marker_label
 from .recipe import Recipe, Selection
 from .traces import Traces

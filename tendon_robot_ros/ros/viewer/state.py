@@ -13,10 +13,8 @@ import numpy as np
 from ...common.arrays import Floats
 from ...common.words import listed, mm
 from ...diagnosis.verdict import POSTURES_ENOUGH
-from ..shared.timing import ANSWER_TIMEOUT_S, SILENCE_S, VALUES_PERIOD_S
+from ..shared.timing import ANSWER_TIMEOUT_S, SILENCE_S, STATUS_PERIOD_S, VALUES_PERIOD_S
 
-# [s] over which displayed numbers are medians, so that they can be read
-STEADY_S = 1.5
 # [s] shown by the curve, so that it covers a recording of a dozen postures
 CURVE_SPAN_S = 120.0
 # [N] of a force whose arrow has half of its largest length, so that forces of 0.01 N and of 1 N
@@ -134,9 +132,9 @@ class ViewState:
             self.curve.append((now, rolling))
 
     def add_marker_errors(self, now: float, errors: Sequence[float]) -> None:
-        """Append the errors (J,) [m] of the markers; those of the last `STEADY_S` are kept."""
+        """Append the errors (J,) [m] of the markers; the last `STATUS_PERIOD_S` stay."""
         self.marker_errors.append((now, np.array(errors, dtype=float)))
-        while now - self.marker_errors[0][0] > STEADY_S:
+        while now - self.marker_errors[0][0] > STATUS_PERIOD_S:
             self.marker_errors.popleft()
 
     def set_verdict(self, text: str) -> None:
@@ -160,8 +158,8 @@ class ViewState:
         return values.get('code') == 'waiting'
 
     def rolling(self, now: float) -> float:
-        """Return the median rolling error [m] of the last `STEADY_S`; nan: there is none."""
-        recent = [e for at, e in self.curve if now - at < STEADY_S and np.isfinite(e)]
+        """Return the median rolling error [m] over `STATUS_PERIOD_S`; nan: there is none."""
+        recent = [e for at, e in self.curve if now - at < STATUS_PERIOD_S and np.isfinite(e)]
         return float(np.median(recent)) if recent else float('nan')
 
     def errors(self) -> Floats | None:
@@ -183,7 +181,7 @@ class ViewState:
         return np.array([[tip, tip + long * self.force / length]])
 
     def per_marker(self) -> str:
-        """Return the marker with the largest median error of the last `STEADY_S`, as text."""
+        """Return the marker with the largest median error over `STATUS_PERIOD_S`, as text."""
         samples = [one for _, one in self.marker_errors]
         errors = np.array([one for one in samples if len(one) == len(samples[-1])])
         visible = np.isfinite(errors).any(axis=0) if len(errors) else np.zeros(0, dtype=bool)
