@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..common.arrays import Floats
+from ..common.estimation import STEP_LENGTHS
 from .fit import Fit, Nuisance, with_imperfections
 from .imperfections import (
     GAIN,
@@ -17,7 +18,7 @@ from .imperfections import (
     Imperfections,
     Members,
 )
-from .marginal import STEP_FRACTIONS, STEPS_MAX, Prior, RandomEffects, Sizes
+from .marginal import STEPS_MAX, Prior, RandomEffects, Sizes
 from .noise import Whitener
 from .predict import FreeParameter, Point, Predictor
 from .search import Search
@@ -235,7 +236,7 @@ class Fitter:
         """Return the first better state on the way back from the predicted optimum, if any."""
         likely = self.random.best(search.raw[: self.whitener.size], sizes)
         goal = self.random.named(likely, sizes)
-        for fraction in STEP_FRACTIONS:
+        for fraction in STEP_LENGTHS:
             around = _between(place.around, goal, fraction)
             self.linearise_around(around)
             moved = copy(search)
@@ -295,7 +296,7 @@ class Fitter:
         if np.square(self._shift(goal) - shift).sum() < DEVIANCE_CONVERGED:
             return None
         cost = random.misfit(raw - shift, sizes) + random.cost(around, sizes)
-        for fraction in STEP_FRACTIONS:
+        for fraction in STEP_LENGTHS:
             moved = _between(around, goal, fraction)
             self.linearise_around(moved)
             markers = predict()
