@@ -15,6 +15,7 @@ from ..common.arrays import Floats
 from ..common.colours import ERROR, GOOD, HELD_OUT, PREDICTED
 from ..common.files import write_text
 from ..common.results import TextResult, make_frame
+from ..common.words import LISTED_MAX
 from ..inference.description import PROFILE
 from ..inference.intervals import LoadVector, Value
 from ..robot import Robot
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 FORMAT = 'tendon_robot_ros/diagnosis@1'
-CANDIDATES_DRAWN = 12  # [1] because more bars could not be read
 NOT_NEEDED = 'not needed'  # status where the model is adequate: there is nothing to explain
 AS_FOUND = 'arm_as_found'  # the step that writes cells, inputs and the frame as they were found
 IMPROVEMENT_FORMAT = 'tendon_robot_ros/improvement@1'
@@ -167,7 +167,7 @@ class Diagnosis(TextResult):
         """
         from matplotlib import pyplot as plt
 
-        rows = [row for row in self.candidates if math.isfinite(row.error)][:CANDIDATES_DRAWN]
+        rows = [row for row in self.candidates if math.isfinite(row.error)][:LISTED_MAX]
         if axes is None:
             height = 1.6 + 0.3 * max(len(rows), len(self.remainder) // 60)
             axes = plt.figure(figsize=(6.4, height), layout='constrained').add_subplot()

@@ -14,19 +14,20 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol
 
-from ..inference.statistics import SIGNIFICANCE
+from ..inference.statistics import RARE, SIGNIFICANCE
+from ..robot.estimates import NOISE_FACTOR
 
 # Significance and likelihood
 FALSE_DISCOVERY_RATE = SIGNIFICANCE  # among the places at which the best model is said to be wrong
 ALARM_LEVEL = 0.005  # [1] p-value of every alarm, so that measurements of a true model raise few
 # [1] p-value of the misfit of an arm as built; lower because its scatter is estimated as well
 MISFIT_ALARM_LEVEL = 1e-4
-P_SINGLE_MIN = 0.001  # [1] p-value of one effect: the true one falls below in 1 of 1000
+P_SINGLE_MIN = RARE  # p-value of one effect, below which the true one falls
 P_SEVERAL_MIN = 0.01  # [1] p-value of several; stricter because two imitate more than one does
 # [1] of deviance + 2 k: chi² with two degrees of freedom exceeds it by chance in 1 of 100
 APART_FROM_SCORE = 9.21
 EFFECTS_MAX = 3  # [1] together, because more of them fit any dozen of postures
-TOLERANCE_SD_MAX = 3.0  # [1] declared sd that a quantity may move; 1 of 370 by chance
+TOLERANCE_SD_MAX = NOISE_FACTOR  # declared sd that a quantity may move
 # [1] of the repeatability that may be left; else what accounts for it is said: docs/inference.md
 REPEATABILITIES_MAX = 3.0
 SAME_ERROR_RATIO = 1.25  # [1] of errors that count as equal, because floors are estimates

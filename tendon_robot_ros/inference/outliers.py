@@ -29,12 +29,11 @@ from ..common.words import listed
 from ..data import DataSet
 from .noise import NEGLIGIBLE, input_slopes
 from .predict import Point, Predictor
-from .statistics import chi2_isf, f_isf
+from .statistics import RARE, chi2_isf, f_isf
 
 Bools = npt.NDArray[np.bool_]
 Counts = npt.NDArray[np.int64]
-# [1] probability that the most extreme of all readings, or of all trials, is left out by chance
-FALSE_OUTLIER_PROBABILITY = 1e-3
+FALSE_OUTLIER_PROBABILITY = RARE  # of the most extreme of all readings, or of all trials
 # [1] trials of a posture and readings of a marker, because of two nobody knows which one is off
 TRIALS_MIN = 3
 # [1] of what the slopes of inputs explain, by which they may be wrong, because the model that they

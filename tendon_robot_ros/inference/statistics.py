@@ -17,6 +17,7 @@ from scipy import special
 from ..common.arrays import Floats
 
 SIGNIFICANCE = 0.05  # [1] 1 of 20 by chance: of 95 % intervals, and of what is named
+RARE = 1e-3  # [1] 1 of 1000 by chance: of what is left out, or rejected, without being asked for
 ERRORS = ('ci', 'sem')  # 95 % t-interval of the mean, or its standard error
 
 

@@ -30,7 +30,6 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -40,6 +39,7 @@ from ..common.estimation import kalman_update
 from ..common.words import listed, with_unit
 from ..data import Marker
 from ..inference.description import with_values
+from ..inference.intervals import QUANTILE
 from ..inference.predict import FreeParameter, free_parameters
 from ..inference.statistics import chi2_isf
 from ..model.model import Model
@@ -47,8 +47,6 @@ from ..robot import Robot
 from .built_arm import ODD_PROBABILITY, BuiltArm, slopes
 from .change import CONFIRMED_POSTURES
 
-# [1] standard deviations of half of a 95 % interval, by its probability
-INTERVAL_SD = NormalDist().inv_cdf(0.975)
 # [1] significance: probability by chance of the difference from the description in use; with more
 # it does not change
 CHANCE_PROBABILITY = 0.01
@@ -278,7 +276,7 @@ def adaptable(robot: Robot, frees: Sequence[FreeParameter]) -> tuple[list[_Adapt
         if not low <= value <= high:
             without.append(f'{name} is outside its interval')
             continue
-        parameters.append(_Adaptable(free, low, high, value, 0.5 * (high - low) / INTERVAL_SD))
+        parameters.append(_Adaptable(free, low, high, value, 0.5 * (high - low) / QUANTILE))
     return parameters, without
 
 
@@ -331,7 +329,7 @@ class Adaptation:
             return 'no posture yet'
         words, ends = [], []
         for one, value, sd in self._values():
-            width, unit = INTERVAL_SD * sd, one.free.parameter.unit
+            width, unit = QUANTILE * sd, one.free.parameter.unit
             words.append(with_unit(f'{one.name} {value:.4g} ± {width:.2g}', unit))
             if min(value - one.low, one.high - value) < END * (one.high - one.low):
                 ends.append(f'{one.name} is at the end of its interval: investigate')
@@ -429,7 +427,7 @@ class Adaptation:
         information = np.linalg.inv(self._estimate.covariance[:p, :p])
         if off @ information @ off < chi2_isf(CHANCE_PROBABILITY, p):
             return None
-        step_max = STEP_MAX * 2.0 * INTERVAL_SD
+        step_max = STEP_MAX * 2.0 * QUANTILE
         moved = in_use + off * min(1.0, step_max / float(np.abs(off).max()))
         after = {
             one.free: float(np.clip(one.centre + one.spread * z, one.low, one.high))

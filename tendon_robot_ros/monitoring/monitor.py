@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..common.errors import DataSetError, InputError, NoEquilibriumError
 from ..comparison.result import mean_over
 from ..data import DataSet, Marker, default_markers
-from ..inference.statistics import chi2_isf
+from ..inference.statistics import RARE, chi2_isf
 
 if TYPE_CHECKING:
     from ..model.model import Model
@@ -25,8 +25,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 # [1] frames of the tracker in each half of a window, else their mean would hardly reduce noise
 FRAMES_PER_HALF_MIN = 4
-# [1] significance of a motion: probability by chance for an arm at rest
-FALSE_CHANGE_PROBABILITY = 1e-3
+FALSE_CHANGE_PROBABILITY = RARE  # of a motion, for an arm at rest
 # [s] over which constant inputs are averaged; over less, noise would appear as a motion
 INPUT_AVERAGE_S = 0.1
 # [1] of the highest tension: change between the halves of a window beyond which the arm moves,

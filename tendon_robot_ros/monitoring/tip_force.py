@@ -27,14 +27,13 @@ import numpy.typing as npt
 
 from ..common.arrays import Floats
 from ..common.estimation import gauss_newton
+from ..diagnosis.verdict import MISFIT_ALARM_LEVEL
 from ..inference.predict import FreeParameter, SettledShapes, free_parameters
+from ..inference.search import DIFFERENCE_STEP
 from ..inference.slopes import pushes
-from ..inference.statistics import chi2_isf
+from ..inference.statistics import SIGNIFICANCE, chi2_isf
 from .built_arm import LOAD, BuiltArm
 
-# [1] of a typical force: step of a difference; a smaller one would be lost in the tolerance of the
-# equilibrium
-DIFFERENCE = 0.02
 # [1] of a typical force: prior 1 sd, because such a force bends the arm by a quarter
 PRIOR = 5.0
 # [1] standard deviations along the worst axis between the mean and the centre of the integration,
@@ -47,11 +46,8 @@ SAME_LENGTH = 0.02
 LINEAR = 0.01
 # [1] standard deviations at which the posterior is evaluated; beyond lies 0.3 % by chance
 SPREAD = np.linspace(-3.0, 3.0, 9)
-# [1] significance of a contact: probability by chance that any cell is reported
-FALSE_CONTACT_PROBABILITY = 1e-4
-# [1] significance of the residual that starts the search for a contact; the search takes time, and
-# one estimate in twenty starts it by chance
-SEARCH_PROBABILITY = 0.05
+FALSE_CONTACT_PROBABILITY = MISFIT_ALARM_LEVEL  # by chance, that any cell is reported
+SEARCH_PROBABILITY = SIGNIFICANCE  # by chance, that the search for a contact starts
 # [1] of a wire pull: error of its model, 1 sd, because wires stretch (assumed)
 PULL_ERROR = 0.02
 # [m] of a wire pull: smallest error, 1 sd, because wires settle on their drums (assumed)
@@ -162,7 +158,7 @@ class TipForceObserver:
     @property
     def step(self) -> float:
         """Step [N] of a difference."""
-        return DIFFERENCE * self._typical
+        return DIFFERENCE_STEP * self._typical
 
     @property
     def prior(self) -> float:
