@@ -13,7 +13,7 @@ from ..common.arrays import Floats
 from .imperfections import Kind, Members
 from .marginal import Prior, RandomEffects, Sizes, root_inverse
 from .predict import FreeParameter
-from .statistics import SIGNIFICANCE, chi2_sf, f_sf, normal_ppf
+from .statistics import SIGNIFICANCE, chi2_sf, f_sf, half_width_sd
 
 LEVERAGE_MAX = 0.999  # [1] of a value on its own prediction, else rounding would predict it
 FREEDOM_MANY = 1e3  # [1] of a variance, because t and F are then their limits to three digits
@@ -156,7 +156,7 @@ class Fit:
         seen = np.isfinite(np.diag(plain))
         around = np.where(np.outer(seen, seen), mixture.covariance()[:k, :k], plain)
         sd = np.sqrt(np.diag(around))
-        told = mixture.half_widths(1.0 - SIGNIFICANCE)[:k] / normal_ppf(1.0 - 0.5 * SIGNIFICANCE)
+        told = mixture.half_widths(1.0 - SIGNIFICANCE)[:k] / half_width_sd(SIGNIFICANCE)
         tails = np.divide(told, sd, where=seen & (sd > 0.0), out=np.ones(k))
         return np.asarray(around * np.outer(tails, tails) + known)
 

@@ -20,9 +20,9 @@ from .fit import Fit
 from .fitter import FAILURES, ROUNDS_MAX, Fitter
 from .marginal import NEGLIGIBLE, SIZE_MAX, Likelihood, Prior, RandomEffects
 from .predict import FreeParameter, Point, Predictor
-from .statistics import SIGNIFICANCE, chi2_isf, chi2_sf, normal_ppf
+from .statistics import SIGNIFICANCE, chi2_isf, chi2_sf, half_width_sd
 
-QUANTILE = normal_ppf(1.0 - 0.5 * SIGNIFICANCE)  # [1] sd, so that 95 % are inside
+QUANTILE = half_width_sd(SIGNIFICANCE)
 CURVATURE_ERROR_MAX = 0.1  # [1] of an end by curvature, else the profile likelihood decides
 DIRECTION_TOLERANCE_RAD = 0.25 * math.pi  # [rad] half an interval, else it would be a guess
 CORRELATED_FROM = 0.98  # [1] correlation of two values; else an interval would be 5 times as wide

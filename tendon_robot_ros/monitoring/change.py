@@ -33,6 +33,7 @@ from ..data import DataSet
 from ..inference.imperfections import GAIN, Kind, SplitPredictor
 from ..inference.intervals import load_of, vector_rows
 from ..inference.marginal import RandomEffects
+from ..inference.outliers import TRIALS_MIN
 from ..inference.predict import CELLS, FreeParameter, Point, Predictor, free_parameters
 from ..inference.statistics import chi2_sf
 from ..report.sentences import load_words
@@ -53,8 +54,7 @@ SCALES = 1.0, 10.0, 100.0
 CLOSE_LOG = 30.0
 # [1] probability of a change that needs no further posture; the others may be by chance
 APART_PROBABILITY = 0.95
-# [1] postures that confirm a change: one of them may be an outlier, so that two of three decide
-CONFIRMED_POSTURES = 3
+CONFIRMED_POSTURES = TRIALS_MIN  # one of those that confirm a change may be an outlier
 # [1] smallest probability of a change for which a posture is selected; less would not matter
 LIKELY_MIN = 1e-3
 # [1] changes that are reported, and told apart by a posture, because further ones are unlikely
