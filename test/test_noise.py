@@ -9,6 +9,7 @@ from simulated import CATALOGUE, NOISE, measured
 
 from tendon_robot_ros.inference.noise import Noise, Whitener, estimate_noise, input_slopes, rms
 from tendon_robot_ros.inference.predict import Predictor
+from tendon_robot_ros.inference.repeats import repeats
 
 HIDDEN = {'hinge_friction': {'lever': 4e-4}}
 ROBOT = simulated.robot()
@@ -217,3 +218,26 @@ def test_of_what_nobody_saw_there_is_no_error_and_no_warning():
     assert np.isnan(rms(difference))
     difference[1, 2] = 3.0, 0.0, 4.0
     assert rms(difference) == 5.0
+
+
+@pytest.mark.parametrize('sigma', [1e-4, 1e-3])
+@pytest.mark.parametrize('apart', [0.0, 3e-3])
+def test_what_no_function_of_inputs_explains_is_told_from_noise_and_a_wrong_model(apart, sigma):
+    """Errors: a smooth function, a part that depends on the input before, and noise."""
+    random = np.random.default_rng(4)
+    inputs = random.uniform(0.0, 1.0, (600, len(ROBOT.inputs)))
+    dataset = simulated.postures(ROBOT, inputs, trials=1, path='sequence')
+    smooth = 0.02 * np.sin(inputs.sum(axis=1)) + 0.01 * inputs[:, 0] ** 2
+    side = np.sign(np.diff(inputs[:, 0], prepend=0.0))
+    errors = np.zeros((len(inputs), len(dataset.markers), 3))
+    errors += random.normal(0.0, sigma / np.sqrt(3.0), errors.shape)
+    errors[..., 0] += (smooth + apart * side)[:, None]
+    found = repeats(dataset, errors, 100)
+    assert found.exceed(sigma, 0.005) == (apart > 0.0)
+    if apart:  # the chance of a side is the input, so that 4 u (1 - u) is its variance
+        assert found.apart == pytest.approx(np.hypot(np.sqrt(2.0 / 3.0) * apart, sigma), rel=0.2)
+
+
+def test_nothing_is_told_of_repeats_where_no_posture_was_reached_in_different_ways():
+    dataset = simulated.postures(ROBOT, np.ones((600, len(ROBOT.inputs))), trials=1)
+    assert repeats(dataset, np.zeros((600, len(dataset.markers), 3)), 100) is None

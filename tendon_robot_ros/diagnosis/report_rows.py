@@ -75,6 +75,12 @@ def remainder_text(
         return f'{text} {accounted}'
     if not outside or session.brief:
         return text
+    repeats = session.repeats
+    if evidence.remembers and repeats is not None:
+        text += (
+            f' Where inputs repeat, the error of the description differs by {mm(repeats.apart)} '
+            'from time to time: what is missing depends on how the arm got there, or on time.'
+        )
     fit = evidence.base if decision.chosen is None else decision.chosen.fit
     pattern, dataset = decision.rival, session.dataset
     if pattern is None:

@@ -47,6 +47,19 @@ class Evidence:
         """The best single effect."""
         return self.session.best(self.singles) if self.singles else None
 
+    @property
+    def remembers(self) -> bool:
+        """Whether errors at equal inputs differ by more than noise, so that no function fits."""
+        repeats = self.session.repeats
+        return repeats is not None and repeats.exceed(self.session.whitener.floor(), ALARM_LEVEL)
+
+    @property
+    def helpful(self) -> list[Ranked]:
+        """Single effects that may be a part of the cause."""
+        memories = self.session.catalogue.needing('history')
+        own = [ranked for ranked in self.singles if memories & set(ranked.names)]
+        return own if own and self.remembers else self.singles
+
     def reported(self, ranked: Ranked) -> Fit:
         """Return the fit whose values are reported and written; see `Fitter.for_values`."""
         label = ranked.candidate.label
@@ -215,7 +228,8 @@ def several(session: Session, singles: Sequence[Ranked]) -> Ranked | None:
     best: Ranked | None = None
     for size in range(2, EFFECTS_MAX + 1):
         more = extended(session, current)
-        if size == 2 and not any(holds_together(f) for f in more):
+        enough = session.dataset.thinned_from or any(holds_together(f) for f in more)
+        if size == 2 and not enough:
             more += _pairs(session, order[1 : 2 * BEST_FEW + 1])
         if not more:
             break
@@ -250,30 +264,29 @@ def reweighed(session: Session, ranked: Ranked) -> Ranked:
     return ranked
 
 
-def hints(session: Session, current: Ranked, larger: Candidate) -> bool:
+def hinted_gain(session: Session, current: Ranked, larger: Candidate) -> float:
     """
-    Return whether further parameters may gain, by a test that is much cheaper than a fit.
+    Return what further parameters may gain, above zero, by a test that is cheaper than a fit.
 
     The test is one linearised step of each; of an effect that is always on the best of several
     sizes, with the other parameters adjusted linearly, so that its deviance may even rise a bit.
     """
-    if not session.random.kinds:
-        return True
     fitter, point = session.fitters[0], current.fit.point
     fitter.resume(current.fit)
     more = [free for free in larger.frees if free not in point]
     value = session.predictor.value
     if any(session.catalogue[free.effect].always_on for free in more):
+        gains = []
         for factor in LADDER:
             sizes = {}
             for free in more:
                 own = free.parameter
                 size = value(free) if own.has_default else factor * own.typical
                 sizes[free] = float(np.clip(size, own.low, own.high))
-            if _gain(session, current, sizes) > -NEAR_SCORE:
-                return True
-        return False
-    markers, columns = fitter.predictor.markers(point), list[Floats]()
+            gains.append(_gain(session, current, sizes) + NEAR_SCORE)
+        return max(gains)
+    near, columns = fitter.predictor.settled, list[Floats]()
+    markers = fitter.predictor.markers(point, near=near)
     near = fitter.predictor.settled
     for free in more:
         step = DIFFERENCE_STEP * free.parameter.typical
@@ -281,9 +294,9 @@ def hints(session: Session, current: Ranked, larger: Candidate) -> bool:
             step = -step
         moved = fitter.predictor.markers({**point, free: value(free) + step}, near=near)
         if markers is None or moved is None:
-            return True
+            return np.inf
         columns.append(session.whitener.white(markers - moved)[:, None] / step)
-    return _gain(session, current, {}, columns) > 0.5 * APART_FROM_SCORE
+    return _gain(session, current, {}, columns) - 0.5 * APART_FROM_SCORE
 
 
 def _gain(
@@ -306,14 +319,23 @@ def _gain(
 
 
 def extended(session: Session, current: Ranked) -> list[Ranked]:
-    """Fit the current effects with each other one that passes the tests of visibility and gain."""
+    """
+    Fit the current effects with each other one that passes the tests of visibility and gain.
+
+    Of a long recording with the few that promise most.
+    """
     tested, _ = session.split_tested(current.fit.point)
     larger = [
         current.candidate.with_(c)
         for c in tested
         if not set(current.names) & set(c.names) and not _overlaps(session, c, current.names)
     ]
-    order = [c for c in larger if hints(session, current, c)]
+    order, is_long = larger, bool(session.dataset.thinned_from)
+    if session.random.kinds or is_long:
+        gains = {c.label: hinted_gain(session, current, c) for c in larger}
+        order = [c for c in larger if gains[c.label] > 0.0]
+        if is_long:  # many measurements tell the best few by their gains
+            order = sorted(order, key=lambda c: -gains[c.label])[:BEST_FEW]
     starts = {c.label: current.fit for c in order}
     return session.fit_joint(order, starts, f'{len(current.names) + 1} effects')
 

@@ -262,6 +262,10 @@ class Facts[H, R](Protocol):
         """The best of them."""
 
     @property
+    def helpful(self) -> Sequence[H]:
+        """Those that may be a part of the cause: where errors differ at equal inputs, memories."""
+
+    @property
     def patterns(self) -> Sequence[R]:
         """Patterns outside the catalogue."""
 
@@ -348,7 +352,8 @@ def decide[H: Hypothesis, R: Rival](facts: Facts[H, R]) -> tuple[Facts[H, R], Co
         rival = _competing(facts.rivals(min(scores)), min(scores))
     if combined is not None and holds and rival is None:
         return facts, Conclusion(Verdict.SEVERAL, combined)
-    return facts, _outside(facts, facts.best, rival)
+    helpful = facts.session.best(facts.helpful) if facts.helpful else None
+    return facts, _outside(facts, helpful, rival)
 
 
 def holds_together(hypothesis: Hypothesis) -> bool:
@@ -413,7 +418,7 @@ def _outside[H: Hypothesis, R](
         return Conclusion(Verdict.OUTSIDE_CATALOGUE, rival=rival, scale=scale)
     near = [
         ' + '.join(r.names)
-        for r in facts.singles
+        for r in facts.helpful
         if r.score <= best.score + apart and r is not best
     ]
     together = (' + '.join(best.names), *near) if near else ()

@@ -10,6 +10,7 @@ predict.py        what a model with free parameters predicts for the postures of
 noise.py          noise of the trials and of the marker means, the noise floor; how large the error
                   is that no model of a family explains
 outliers.py       readings and trials that the others contradict: named, and left out
+repeats.py        errors at equal inputs, reached in different ways: what no function explains
 discrepancy.py    what an arm deviated in an earlier recording, and what has changed since
 statistics.py     tails of distributions, means with intervals, the paired t-test
 

@@ -177,8 +177,16 @@ def joining_effects(robot: Robot, catalogue: Catalogue, dataset: DataSet) -> lis
 def is_tested(
     candidate: Candidate, predictor: Predictor, whitener: Whitener, point: Point, markers: Floats
 ) -> bool:
-    """Return whether a typical size of the effect changes the markers (P, J, 3) at a point."""
+    """
+    Return whether a typical size of the effect changes the markers (P, J, 3) at a point.
+
+    An effect that only acts on another one does so where that is described or in the point.
+    """
     effect = predictor.model.catalogue[candidate.names[0]]
+    if effect.acts_on and not candidate.present:
+        present = {*predictor.robot.effects, *(free.effect for free in point)}
+        if effect.acts_on not in present:
+            return False
     if 'history' in effect.needs and not candidate.present and not unloads(predictor.dataset):
         return False
     if effect.always_on and not candidate.present:

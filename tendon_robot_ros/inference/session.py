@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +32,7 @@ from .marginal import RandomEffects
 from .noise import Noise, Whitener, estimate_noise, input_slopes, relative_error
 from .outliers import Outliers, without_unsettled
 from .predict import FreeParameter, Point, Predictor
+from .repeats import Repeats, repeats
 from .slopes import imperfections
 
 # [1] postures of a long recording that fits use, because a fit takes its time for each, and the
@@ -289,6 +291,13 @@ class Session:
     def usual_floor(self) -> float:
         """Expected rms [m] of a perfect model of an arm with imperfections of plausible sizes."""
         return self.floor_with(self.random.plausible)
+
+    @cached_property
+    def repeats(self) -> Repeats | None:
+        """How far errors of the description differ at equal inputs; None: not told."""
+        whole = self.whole
+        markers = Predictor(whole, self.robot, self.catalogue).markers({})
+        return None if markers is None else repeats(whole, whole.mean - markers, POSTURES_MAX)
 
     def rank(self, candidate: Candidate, fit: Fit) -> Ranked:
         """Return a candidate with its fit, for a ranking."""

@@ -310,6 +310,11 @@ class KernelArrays:
         return float(self.values[self.layout.rows[effect, parameter], column or 0])
 
     @property
+    def unknowns(self) -> int:
+        """How many entries of a state are unknowns of the present model."""
+        return (3 if self.twists else 2) * int(self.chain.n)
+
+    @property
     def twists(self) -> bool:
         """Whether cells twist about their own axis."""
         return bool((self.on & self.twisting).any())

@@ -66,7 +66,7 @@ def tip_slopes(model: ForwardModel, shape: Shape, past: Floats) -> Floats:
 def tip_and_state_slopes(model: ForwardModel, shape: Shape, past: Floats) -> tuple[Floats, Floats]:
     """Return `tip_slopes` (6, m) and the derivatives (m, u) [rad/N] of the state by tensions."""
     m = len(shape.inputs)
-    slopes, state_slopes = np.empty((6, m)), np.empty((m, _unknowns(model)))
+    slopes, state_slopes = np.empty((6, m)), np.empty((m, model.arrays.unknowns))
     states, part = np.array([shape.state, shape.state]), model.arrays.part('derivatives')
     inputs, where = shape.inputs.copy(), model.arrays.address
     part.jacobian(where, inputs, states, past, model.scratch, state_slopes, slopes)
@@ -90,11 +90,6 @@ def take_sides(model: ForwardModel, shape: Shape, past: Floats, step: Floats) ->
     states, part = np.array([shape.state, shape.state]), model.arrays.part('derivatives')
     where, inputs = model.arrays.address, shape.inputs.copy()
     return int(part.take_sides(where, inputs, states, step, past, model.scratch))
-
-
-def _unknowns(model: ForwardModel) -> int:
-    """Return how many entries of a state are unknowns of the present model."""
-    return (3 if model.arrays.twists else 2) * int(model.arrays.chain.n)
 
 
 def derivatives(
@@ -166,7 +161,7 @@ class PathSlopes:
     def of(cls, model: ForwardModel, inputs: Floats, states: Floats, by_pulls: bool) -> PathSlopes:
         """Take the derivatives at equilibria of the model as it is now, by tensions or pulls."""
         model.arrays.link()
-        (b, m), u = inputs.shape, _unknowns(model)
+        (b, m), u = inputs.shape, model.arrays.unknowns
         inputs, states = np.ascontiguousarray(inputs), np.ascontiguousarray(states)
         answers, by_tension = np.empty((b, u, u)), np.empty((b, m, u))
         pulls, held = np.empty((b, m, m)), np.zeros((b, m, m))
@@ -348,7 +343,7 @@ def responses(
     """Return the derivatives (b, q, 3n) of equilibria by those (b, q, 3n) of their residuals."""
     model.arrays.link()
     inputs, states = np.ascontiguousarray(inputs), np.ascontiguousarray(states)
-    part, count = model.arrays.part('derivatives'), _unknowns(model)
+    part, count = model.arrays.part('derivatives'), model.arrays.unknowns
     changes, answers = np.ascontiguousarray(rates[..., :count]), np.zeros(rates.shape)
     rows = np.empty_like(changes)
     part.responses(model.arrays.address, inputs, states, past, model.scratch, changes, rows)

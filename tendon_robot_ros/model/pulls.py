@@ -74,7 +74,7 @@ def pull_shape(
 def held_shape(model: ForwardModel, pulls: Floats, guess: Shape | None, past: Floats) -> Shape:
     """Return the shape under pulls (m,) [m] behind the transmission, which follow a memory."""
     start = None if guess is None else (guess.inputs, guess.state)
-    inputs, bend = _tensions(model, pulls, start, past, _compliance(model))
+    inputs, bend = _tensions(model, pulls, start, past, _compliance(model), _KnownSlopes(model))
     return model.shape(inputs, bend, past)
 
 
@@ -141,12 +141,15 @@ def pull_shapes(
     targets = transmitted(model, commanded, memory)
     memory = memory if model.remembers else None
     first = None if memory is None else memory.copy()
-    inputs, shapes = np.empty((len(targets), len(model.inputs))), []
+    inputs, shapes = np.empty((len(targets), len(model.inputs))), list[Floats]()
     compliance, straight = _compliance(model), model.arrays.fresh_memory()
+    slopes = _KnownSlopes(model)
     for b, target in enumerate(targets):
         start = None if tensions is None or bends is None else (tensions[b], bends[b])
+        if start is None and memory is not None and shapes and slopes.sprung:
+            start = inputs[b - 1], shapes[-1]
         past = straight if memory is None else memory
-        inputs[b], bend = _tensions(model, target, start, past, compliance)
+        inputs[b], bend = _tensions(model, target, start, past, compliance, slopes)
         shapes.append(bend)
         if memory is not None:
             model.solve(inputs[b : b + 1], bend[None], memory, carry=True)
@@ -163,6 +166,7 @@ def _tensions(
     start: tuple[Floats, Floats] | None,
     past: Floats,
     compliance: float,
+    slopes: _KnownSlopes,
 ) -> tuple[Floats, Floats]:
     """
     Find tensions (m,) [N] and state (3n,) [rad] that meet wire pulls (m,) [m].
@@ -171,9 +175,10 @@ def _tensions(
     hard two wires pull against each other, springs do.
     """
     gap, best = np.inf, (np.zeros_like(target), np.zeros(3 * model.arrays.chain.n))
-    for search in searches(model, target, start):
+    for search in searches(model, target, start, slopes.sprung):
         inputs, bends = np.array(search.tensions), np.array([search.bend, search.bend])
-        problem = (model.arrays.address, inputs, target, bends, past, model.scratch)
+        known = slopes.near(target, search.bend)
+        problem = (model.arrays.address, inputs, target, bends, past, *known, model.scratch)
         part, stretched = model.arrays.part('pulls'), True
         for ratio in search.springs:
             stretch = ratio * compliance
@@ -203,6 +208,25 @@ def _tensions(
     return best
 
 
+class _KnownSlopes:
+    """Derivatives by the tensions where a search ended; of springs the next begins with them."""
+
+    def __init__(self, model: ForwardModel) -> None:
+        """Begin with none."""
+        m, part = len(model.inputs), model.arrays.part('pulls')
+        self.sprung = bool(part.wires_are_springs(model.arrays.address))
+        self._pulls, self._states = np.full((m, m), np.nan), np.zeros((m, model.arrays.unknowns))
+        self._slack = np.zeros(m, dtype=bool)
+
+    def near(self, target: Floats, bend: Floats) -> tuple[Floats, Floats]:
+        """Return those of pulls (m, m) [m/N] and states (m, u) [rad/N]; NaN where they are far."""
+        slack = np.isnan(target)
+        if not bend.any() or (slack != self._slack).any():
+            self._pulls[:] = np.nan
+        self._slack = slack
+        return self._pulls, self._states
+
+
 @dataclass(frozen=True)
 class _PullSearch:
     """Start of a search, and the springs it goes through."""
@@ -214,10 +238,15 @@ class _PullSearch:
 
 
 def searches(
-    model: ForwardModel, target: Floats, start: tuple[Floats, Floats] | None
+    model: ForwardModel,
+    target: Floats,
+    start: tuple[Floats, Floats] | None,
+    sprung: bool = False,
 ) -> Iterator[_PullSearch]:
     """
     Yield the searches: from the guess, from straight, and for wires that do not stretch.
+
+    Wires that are springs by themselves (`sprung`) need no others near a guess.
 
     Springs that stretch by less than the travel over which friction changes sign (some µm) may
     have no solution; wires that do not stretch have one there all the same, if not always the same
@@ -225,7 +254,7 @@ def searches(
     wires that do not stretch 35, from more tension 15, both at last 14 and 4; 6 have no solution.
     """
     if start is not None:
-        yield _PullSearch(*start, SPRING_COMPLIANCES[-1:])
+        yield _PullSearch(*start, () if sprung else SPRING_COMPLIANCES[-1:])
     straight = np.zeros(3 * model.arrays.chain.n)
     pulled, taut = (np.where(on, 0.1, 0.0) for on in (target > 0.0, ~np.isnan(target)))
     yield _PullSearch(pulled, straight)

@@ -44,6 +44,7 @@ from .layout import (
     SLIPPING_FROM,
     SMOOTHING,
     SMOOTHING_LENGTH,
+    STABLE,
     STEPS_MAX,
     TINY,
     WIDE_SMOOTHING,
@@ -637,7 +638,7 @@ def solve_equilibrium(chain, inputs, work, past, bend):
             change = chain.newton(chain, inputs, address(x), work, past, STEPS_MAX)
     if not change < BEND_TOLERANCE and floats(work.settings)[EVERY_METHOD] != 0.0:
         change = continuation(chain, inputs, x, work, past)
-    if change < BEND_TOLERANCE and loaded(chain):
+    if change < BEND_TOLERANCE and floats(work.settings)[STABLE] != 0.0 and loaded(chain):
         ratio = load_ratio(chain)
         if ratio > SAFE_LOAD:
             chain.descend(chain, inputs, address(x), work, past, ratio)

@@ -11,10 +11,11 @@ import math
 import numpy as np
 
 from . import stages
-from .cells import unknowns
 from .derivatives import output_slopes
 from .layout import (
     BEND_TOLERANCE,
+    EVERY_METHOD,
+    STABLE,
     STEPS_MAX,
     TINY,
     ZERO,
@@ -68,6 +69,36 @@ def pull_residuals(chain, inputs, target, solver, f, bend):
 
 
 @compiled
+def quick_workspace(chain, bends, past, scratch):
+    """
+    Lay out the `workspace` of a search in which equilibria are sought by the quick methods.
+
+    Unstable ones are kept: wires of given lengths may hold what tensions alone do not.
+    """
+    solver = workspace(chain, bends, past, scratch)
+    settings = floats(solver.work.settings)
+    settings[EVERY_METHOD] = settings[STABLE] = 0.0
+    return solver
+
+
+@compiled
+def stretches(chain):
+    """Tell whether every wire is a spring by itself: its pull grows with its tension."""
+    if not stages.winding_acts(chain):
+        return False
+    for k in range(chain.k):
+        if not stages.winding(0.0, 1.0, chain, k) > stages.winding(0.0, 0.0, chain, k):
+            return False
+    return True
+
+
+@entry()
+def wires_are_springs(robot):
+    """Tell whether every wire `stretches` by itself."""
+    return stretches(chain_at(robot))
+
+
+@compiled
 def pull_slopes(chain, inputs, target, solver, state_slopes, slopes):
     """Fill the derivative (m, m) [m/N] of the residuals by the tensions."""
     m = inputs.shape[0]
@@ -115,13 +146,29 @@ def taut_step(jacobian, f, inputs, target, damping, trial):
         trial[free[p]] = max(inputs[free[p]] + step[p], 0.0)
 
 
+@compiled
+def stable_gap(chain, inputs, target, solver, f):
+    """Return the largest gap [m] at the stable equilibrium of tensions (m,) [N]; fills f [m]."""
+    settings = floats(solver.work.settings)
+    settings[EVERY_METHOD] = settings[STABLE] = 1.0
+    if not pull_residuals(chain, inputs, target, solver, f, solver.bend):
+        return math.inf
+    gap = 0.0
+    for j in range(inputs.shape[0]):
+        if not math.isnan(target[j]) and (inputs[j] > 0.0 or f[j] < 0.0):
+            gap = max(gap, abs(f[j]))
+    return gap
+
+
 @entry()
-def solve_stiff_wires(robot, inputs, target, bends, past, scratch, steps_max):
+def solve_stiff_wires(
+    robot, inputs, target, bends, past, slopes, state_slopes, scratch, steps_max
+):
     """
     Find tensions (m,) [N] >= 0 whose wire pulls are `target` (m,) [m]; NaN: a slack wire.
 
-    `inputs` holds the guess. Returns the largest remaining gap [m], infinite where the model
-    finds no equilibrium.
+    `inputs` holds the guess. Returns the largest remaining gap [m] at the equilibrium that these
+    tensions have, a stable one; infinite where the model finds none.
 
     Parameters
     ----------
@@ -135,6 +182,9 @@ def solve_stiff_wires(robot, inputs, target, bends, past, scratch, steps_max):
         [rad], guess and result in its first half.
     past : ndarray
         Memory of the posture before.
+    slopes, state_slopes : ndarray, shape (m, m) and (m, unknowns)
+        Derivatives by the tensions of pulls [m/N] and of the state [rad/N], as far as they are
+        known at the guess, else NaN; at the result on return.
     scratch : int
         Address of `KernelArrays.scratch`.
     steps_max : int
@@ -142,21 +192,24 @@ def solve_stiff_wires(robot, inputs, target, bends, past, scratch, steps_max):
 
     """
     chain = chain_at(robot)
-    m, solver = chain.m, workspace(chain, bends, past, scratch)
-    state_slopes = np.zeros((m, unknowns(chain)))
-    f, moved, slopes, trial = np.empty(m), np.empty(m), np.zeros((m, m)), np.empty(m)
+    m, solver = chain.m, quick_workspace(chain, bends, past, scratch)
+    f, moved, trial = np.empty(m), np.empty(m), np.empty(m)
     for j in range(m):
         inputs[j] = 0.0 if math.isnan(target[j]) else inputs[j]
     if not pull_residuals(chain, inputs, target, solver, f, solver.bend):
         return math.inf
     damping, settled = 1e-10, BEND_TOLERANCE * chain.n * chain.radius
+    sprung = stretches(chain)  # so that slopes change little
+    fresh, stale = False, not sprung or math.isnan(slopes[0, 0])
     for _ in range(steps_max):
         error = violation(inputs, target, f)
         if error < settled * settled:  # as far as bends are known
             break
-        pull_slopes(chain, inputs, target, solver, state_slopes, slopes)
-        new = math.inf
-        for _ in range(STEPS_MAX):
+        if stale:
+            pull_slopes(chain, inputs, target, solver, state_slopes, slopes)
+            fresh, stale = True, False
+        new, before = math.inf, damping
+        for _ in range(STEPS_MAX if fresh else 1):
             taut_step(slopes, f, inputs, target, damping, trial)
             predict(chain, solver, state_slopes, inputs, trial)
             if pull_residuals(chain, trial, target, solver, moved, solver.near):
@@ -164,15 +217,15 @@ def solve_stiff_wires(robot, inputs, target, bends, past, scratch, steps_max):
             if new < error:
                 break
             damping = max(10.0 * damping, 1e-6)
-        if not new < error:
+        if not new < error and fresh:
             break
-        damping = max(0.1 * damping, 1e-12)
+        if not new < error:
+            stale, damping = True, before
+            continue
+        damping, stale, fresh = max(0.1 * damping, 1e-12), new > 0.1 * error or not sprung, False
+        correct(slopes, moved - f, trial - inputs)
         accept(chain, solver, trial, moved, inputs, f)
-    gap = 0.0
-    for j in range(m):
-        if not math.isnan(target[j]) and (inputs[j] > 0.0 or f[j] < 0.0):
-            gap = max(gap, abs(f[j]))
-    return gap
+    return stable_gap(chain, inputs, target, solver, f)
 
 
 # [N] error of the tension of a wire that stretches, because stiffer springs would correct no more;
@@ -245,7 +298,9 @@ def step_by(inputs, move, fraction, trial):
 
 
 @entry()
-def solve_elastic_wires(robot, inputs, target, bends, past, scratch, stretch, steps_max):
+def solve_elastic_wires(
+    robot, inputs, target, bends, past, slopes, state_slopes, scratch, stretch, steps_max
+):
     """
     Find tensions (m,) [N] >= 0 of wires that stretch by `stretch` [m/N]; NaN: a slack wire.
 
@@ -264,6 +319,9 @@ def solve_elastic_wires(robot, inputs, target, bends, past, scratch, stretch, st
         [rad], guess and result in its first half.
     past : ndarray
         Memory of the posture before.
+    slopes, state_slopes : ndarray, shape (m, m) and (m, unknowns)
+        Derivatives by the tensions of pulls [m/N] and of the state [rad/N], as far as they are
+        known at the guess, else NaN; at the result on return.
     scratch : int
         Address of `KernelArrays.scratch`.
     stretch : float
@@ -273,9 +331,8 @@ def solve_elastic_wires(robot, inputs, target, bends, past, scratch, stretch, st
 
     """
     chain = chain_at(robot)
-    m, solver = chain.m, workspace(chain, bends, past, scratch)
-    state_slopes = np.zeros((m, unknowns(chain)))
-    f, moved, slopes = np.empty(m), np.empty(m), np.zeros((m, m))
+    m, solver = chain.m, quick_workspace(chain, bends, past, scratch)
+    f, moved = np.empty(m), np.empty(m)
     trial, move, ahead = np.empty(m), np.empty(m), np.empty(m)
     for j in range(m):
         inputs[j] = 0.0 if math.isnan(target[j]) else inputs[j]

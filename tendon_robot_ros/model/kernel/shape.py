@@ -26,6 +26,7 @@ from .layout import (
     SHAPED,
     SMOOTHING,
     SMOOTHING_LENGTH,
+    STABLE,
     STEPS_MAX,
     WORD,
     YES,
@@ -58,7 +59,7 @@ def work_in(chain, start):
     work = work_from(start, at[5], at[6], at[7])
     settings = floats(work.settings)
     settings[SMOOTHING], settings[LOAD_SCALE] = SMOOTHING_LENGTH, 1.0
-    settings[SHAPED] = settings[EVERY_METHOD] = 1.0
+    settings[SHAPED] = settings[EVERY_METHOD] = settings[STABLE] = 1.0
     for r in range(3):
         floats(work.frames)[4 * r] = 1.0
     note_cells(chain, work)
