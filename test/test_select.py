@@ -5,7 +5,7 @@ import simulated
 from simulated import CATALOGUE, measured
 
 from tendon_robot_ros.diagnosis.diagnose import diagnose
-from tendon_robot_ros.diagnosis.select import hinted_gain, several
+from tendon_robot_ros.diagnosis.select import hint, several
 from tendon_robot_ros.inference.session import Session
 
 MEMORY = {'friction_memory': {'presliding_length': 1e-4}}
@@ -22,7 +22,7 @@ def test_memory_of_friction_is_fitted_beside_an_effect_only_where_there_may_be_o
     assert session.weigh({})
     (alone,) = session.fit_all([c for c in session.candidates if c.names == ('hinge_friction',)])
     (memory,) = [c for c in session.candidates if c.names == ('friction_memory',)]
-    gain = hinted_gain(session, alone, alone.candidate.with_(memory))
+    gain = hint(session, alone, alone.candidate.with_(memory)).gain
     assert (gain > 0.0) == (hidden != HINGES)
 
 

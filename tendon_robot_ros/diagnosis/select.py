@@ -6,7 +6,7 @@ All have the same score: deviance plus twice the number of parameters.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -17,7 +17,6 @@ from ..inference.candidates import Candidate, Ranked
 from ..inference.fit import Fit
 from ..inference.fitter import BEST_FEW, FAILURES, REVERSAL_GAIN_MIN, ROUNDS_MAX
 from ..inference.intervals import QUANTILE
-from ..inference.predict import Point
 from ..inference.search import DIFFERENCE_STEP, LADDER
 from ..inference.session import NEAR_SCORE, Session, better
 from ..inference.statistics import SIGNIFICANCE, chi2_sf
@@ -27,6 +26,7 @@ from .verdict import (
     APART_FROM_SCORE,
     EFFECTS_MAX,
     P_SINGLE_MIN,
+    RESIDUAL_RATIO_MAX,
     holds_together,
 )
 
@@ -264,55 +264,84 @@ def reweighed(session: Session, ranked: Ranked) -> Ranked:
     return ranked
 
 
-def hinted_gain(session: Session, current: Ranked, larger: Candidate) -> float:
-    """
-    Return what further parameters may gain, above zero, by a test that is cheaper than a fit.
+@dataclass(frozen=True)
+class Hint:
+    """What further parameters promise, told without a fit."""
 
-    The test is one linearised step of each; of an effect that is always on the best of several
-    sizes, with the other parameters adjusted linearly, so that its deviance may even rise a bit.
+    gain: float  # of the deviance, above what is worth a fit
+    columns: list[Floats]  # whitened changes (N,) of the markers, per unit or at a size
+
+
+def hint(session: Session, current: Ranked, larger: Candidate) -> Hint:
+    """
+    Estimate what further parameters may gain, which is much cheaper than a fit.
+
+    By one linearised step of each; of an effect that is always on by the best of several sizes,
+    with the other parameters adjusted linearly, so that its deviance may even rise a bit.
     """
     fitter, point = session.fitters[0], current.fit.point
     fitter.resume(current.fit)
     more = [free for free in larger.frees if free not in point]
-    value = session.predictor.value
-    if any(session.catalogue[free.effect].always_on for free in more):
-        gains = []
-        for factor in LADDER:
-            sizes = {}
-            for free in more:
-                own = free.parameter
-                size = value(free) if own.has_default else factor * own.typical
-                sizes[free] = float(np.clip(size, own.low, own.high))
-            gains.append(_gain(session, current, sizes) + NEAR_SCORE)
-        return max(gains)
-    near, columns = fitter.predictor.settled, list[Floats]()
-    markers = fitter.predictor.markers(point, near=near)
+    value, near = session.predictor.value, fitter.predictor.settled
+    markers, columns = fitter.predictor.markers(point, near=near), list[Floats]()
     near = fitter.predictor.settled
-    for free in more:
+    always_on = any(session.catalogue[free.effect].always_on for free in more)
+    moves = []
+    for factor in LADDER if always_on else ():
+        sizes = {}
+        for free in more:
+            own = free.parameter
+            size = value(free) if own.has_default else factor * own.typical
+            sizes[free] = float(np.clip(size, own.low, own.high))
+        moves.append((sizes, 1.0))
+    for free in () if always_on else more:
         step = DIFFERENCE_STEP * free.parameter.typical
         if value(free) + step > free.parameter.high:
             step = -step
-        moved = fitter.predictor.markers({**point, free: value(free) + step}, near=near)
-        if markers is None or moved is None:
-            return np.inf
-        columns.append(session.whitener.white(markers - moved)[:, None] / step)
-    return _gain(session, current, {}, columns) - 0.5 * APART_FROM_SCORE
+        moves.append(({free: value(free) + step}, step))
+    gains = [-np.inf]
+    for sizes, unit in moves:
+        moved = fitter.predictor.markers({**point, **sizes}, near=near)
+        if moved is not None and markers is not None:
+            columns.append(session.whitener.white(markers - moved) / unit)
+            if always_on:
+                gains.append(_gain(session, current, moved) + NEAR_SCORE)
+        elif not always_on:
+            return Hint(np.inf, [])
+    if not always_on and markers is not None:
+        gains.append(_gain(session, current, markers, columns) - 0.5 * APART_FROM_SCORE)
+    return Hint(max(gains), columns)
+
+
+def is_hopeless(session: Session, current: Ranked, hints: Iterable[Hint]) -> bool:
+    """
+    Return whether even all effects at once leave most of the error of a fit, to first order.
+
+    Most: more than what a fit of the right ones would leave because the effects are not linear.
+    """
+    fitter, n = session.fitters[0], session.whitener.size
+    fitter.resume(current.fit)
+    markers = fitter.predictor.markers(current.fit.point, near=fitter.predictor.settled)
+    if markers is None:
+        return False
+    residual = fitter.residual(markers)
+    own = current.fit.jacobian[:n, : len(current.fit.all_frees)]
+    columns = np.column_stack([own, *(column for hint in hints for column in hint.columns)])
+    rest = residual - columns @ np.linalg.lstsq(columns, residual)[0]
+    return float(rest @ rest) > RESIDUAL_RATIO_MAX**2 * float(residual @ residual)
 
 
 def _gain(
-    session: Session, current: Ranked, point: Point, columns: Sequence[Floats] = ()
+    session: Session, current: Ranked, markers: Floats, columns: Sequence[Floats] = ()
 ) -> float:
     """
-    Return the fall of the deviance at other values, linear parameters adjusted.
+    Return the fall of the deviance at predicted markers (P, J, 3), linear parameters adjusted.
 
     These are the parameters of the fit, by its Jacobian, and further ones by `columns` (N,).
     """
     fitter, n = session.fitters[0], session.whitener.size
-    markers = fitter.predictor.markers({**current.fit.point, **point})
-    if markers is None:
-        return -np.inf
     slopes = current.fit.jacobian[:n, : len(current.fit.all_frees)]
-    slopes = np.column_stack([slopes, *(column[:n] for column in columns)])
+    slopes = np.column_stack([slopes, *columns])
     sizes = current.fit.built.sizes
     estimated = session.random.estimate(fitter.residual(markers), slopes, sizes)
     return float(current.fit.deviance - estimated.deviance)
@@ -322,7 +351,7 @@ def extended(session: Session, current: Ranked) -> list[Ranked]:
     """
     Fit the current effects with each other one that passes the tests of visibility and gain.
 
-    Of a long recording with the few that promise most.
+    Of a long recording with the few that promise most; with none where all would not suffice.
     """
     tested, _ = session.split_tested(current.fit.point)
     larger = [
@@ -332,10 +361,12 @@ def extended(session: Session, current: Ranked) -> list[Ranked]:
     ]
     order, is_long = larger, bool(session.dataset.thinned_from)
     if session.random.kinds or is_long:
-        gains = {c.label: hinted_gain(session, current, c) for c in larger}
-        order = [c for c in larger if gains[c.label] > 0.0]
+        hints = {c.label: hint(session, current, c) for c in larger}
+        order = [c for c in larger if hints[c.label].gain > 0.0]
+        if is_long and is_hopeless(session, current, hints.values()):
+            return []
         if is_long:  # many measurements tell the best few by their gains
-            order = sorted(order, key=lambda c: -gains[c.label])[:BEST_FEW]
+            order = sorted(order, key=lambda c: -hints[c.label].gain)[:BEST_FEW]
     starts = {c.label: current.fit for c in order}
     return session.fit_joint(order, starts, f'{len(current.names) + 1} effects')
 
