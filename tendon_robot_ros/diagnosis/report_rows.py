@@ -77,9 +77,10 @@ def remainder_text(
         return text
     repeats = session.repeats
     if evidence.remembers and repeats is not None:
-        text += (
-            f' Where inputs repeat, the error of the description differs by {mm(repeats.apart)} '
-            'from time to time: what is missing depends on how the arm got there, or on time.'
+        return (
+            f'{text} Where inputs repeat, the error of the description differs by '
+            f'{mm(repeats.apart)} from time to time: what is missing depends on how the arm got '
+            'there, or on time.'
         )
     fit = evidence.base if decision.chosen is None else decision.chosen.fit
     pattern, dataset = decision.rival, session.dataset

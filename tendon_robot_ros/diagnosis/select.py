@@ -100,7 +100,13 @@ class Evidence:
         return self.patterns_on(self.base)
 
     def rivals(self, score: float) -> list[Pattern]:
-        """Return these patterns; those far behind a score need not be fitted to the end."""
+        """
+        Return these patterns; those far behind a score need not be fitted to the end.
+
+        None of them remembers, so that none competes where the cause does.
+        """
+        if self.remembers:
+            return []
         if self.base.deviance < score + NEAR_SCORE:
             return self.patterns
         return self.patterns_on(self.base, score)
