@@ -329,18 +329,15 @@ def name_segments(segments: list[Segment], rule: Rule, sequence: bool) -> list[S
     """Name segments: the same inputs are trials of one posture; in a sequence all differ."""
     if sequence:
         return [replace(one, posture=str(i), trial='0') for i, one in enumerate(segments)]
-    postures: list[FloatArray] = []
-    counts: list[int] = []
-    named = []
+    postures = np.array([one.inputs for one in segments])
+    counts, named = list[int](), []
     for one in segments:
-        same = (
-            i
-            for i, inputs in enumerate(postures)
-            if np.allclose(inputs, one.inputs, rtol=0.0, atol=rule.change or 0, equal_nan=True)
-        )
-        index = next(same, len(postures))
-        if index == len(postures):
-            postures.append(one.inputs)
+        known = postures[: len(counts)]
+        close = np.abs(known - one.inputs) <= (rule.change or 0.0)
+        same = (close | np.isnan(known) & np.isnan(one.inputs)).all(axis=1)
+        index = int(same.argmax()) if same.any() else len(counts)
+        if index == len(counts):
+            postures[index] = one.inputs
             counts.append(0)
         named.append(replace(one, posture=str(index), trial=str(counts[index])))
         counts[index] += 1

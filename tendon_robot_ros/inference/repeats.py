@@ -11,7 +11,6 @@ from ..data import DataSet
 from .statistics import normal_ppf
 
 NEIGHBOURS = 10  # [1] nearest repeats of a posture, as is usual for this test (Jones 2004)
-SEARCHED = 1000  # [1] postures whose repeats are sought, because each is compared with all others
 
 
 @dataclass(frozen=True)
@@ -33,10 +32,10 @@ def repeats(dataset: DataSet, errors: Floats, count: int) -> Repeats | None:
 
     Half the mean square difference of the errors of k-th neighbours grows with the square of
     their distance; at distance zero remains what no smooth function of the inputs explains (Gamma
-    test: Stefánsson, Končar & Jones 1997). Neighbours are of another block of time, and of the
-    postures `count` are used, those with the nearest ones. The standard deviation is that of a
-    jackknife over blocks. None where the arm does not go from one posture to the next, or where
-    there are too few of them.
+    test: Stefánsson, Končar & Jones 1997). Neighbours are of another block of time; of ten times
+    as many postures the `count` with the nearest ones are used. The standard deviation is that
+    of a jackknife over blocks. None where the arm does not go from one posture to the next, or
+    where there are too few of them.
     """
     measured = np.flatnonzero(dataset.trials > 0)
     blocks = dataset.groups[measured]
@@ -44,7 +43,7 @@ def repeats(dataset: DataSet, errors: Floats, count: int) -> Repeats | None:
     if dataset.path != 'sequence' or number < 2 or len(measured) < 2 * NEIGHBOURS:
         return None
     inputs, errors = np.nan_to_num(dataset.inputs[measured]), errors[measured]
-    chosen = np.unique(np.linspace(0, len(measured) - 1, SEARCHED).round().astype(int))
+    chosen = np.unique(np.linspace(0, len(measured) - 1, 10 * count).round().astype(int))
     squares, halves = (np.empty((len(chosen), NEIGHBOURS)) for _ in range(2))
     for row, i in enumerate(chosen.tolist()):
         far = np.square(inputs - inputs[i]).sum(axis=1)

@@ -238,7 +238,7 @@ def draw(
                 (dataset.mean, {'color': MEASURED, 'linewidth': 0.6, 'marker': 'o', 'ms': 4.5}),
             )
             for places, line in styles:
-                from_base = 1e3 * np.insert(places, 0, 0.0, axis=1)
+                from_base = 1e3 * np.insert(places[_thinned(axes, places)], 0, 0.0, axis=1)
                 axes.plot(from_base[..., axis].T, from_base[..., 2].T, **line)
             axes.plot(0.0, 0.0, 's', color='black', markersize=7.0)
             axes.set_aspect('equal', adjustable='datalim')
@@ -281,10 +281,15 @@ def _pieces(measured: StillMeasurements) -> list[tuple[float, Piece]]:
 def _shade(axes: Axes, measured: StillMeasurements) -> None:
     for begin, piece in _pieces(measured):
         for group, colour in ((piece.resting, REST), (piece.segments, GOOD)):
-            for one in group:
-                axes.axvspan(
-                    begin + one.begin, begin + one.end, color=colour, alpha=0.3, linewidth=0
-                )
+            spans = [(begin + one.begin, one.end - one.begin) for one in group]
+            axes.broken_barh(
+                spans,
+                (0.0, 1.0),
+                transform=axes.get_xaxis_transform(),
+                color=colour,
+                alpha=0.3,
+                linewidth=0,
+            )
 
 
 def _thinned(axes: Axes, times: FloatArray) -> slice:

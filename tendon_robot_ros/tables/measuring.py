@@ -40,6 +40,8 @@ REST_FRACTION = 0.3
 # [1] of the range from the lowest input to the smallest load, below which inputs are let go,
 # because a load cell does not go back to exactly zero
 LET_GO_FRACTION = 0.2
+# [1] segments whose inputs are compared each with each, because 3,000 fill 36 MB
+LINKED_MAX = 3000
 
 RESTED = (
     'every posture was loaded from the straight arm (path: from_straight); if the arm went from '
@@ -215,16 +217,18 @@ def measure(traces: Sequence[Traces], chosen: Selection, robot: Robot) -> StillM
     assumed.append(
         history_assumed(recipe.path, rest, bool(recipe.time), let_go[0] > 0.5 * let_go[1])
     )
-    named = name_segments(kept, replace(rule, change=same), sequence=False)
-    if recipe.path == SEQUENCE:  # rounds through it are trials; the last one may end early
+    if recipe.path == SEQUENCE and kept:  # rounds through it are trials; the last may end early
         values = np.nan_to_num([one.inputs for one in kept])
-        periods = range(2, len(kept) // 2 + 1)
+        back = (np.abs(values[2 : len(kept) // 2 + 1] - values[0]) < same).all(axis=1)
+        periods = (np.flatnonzero(back) + 2).tolist()
         alike = (p for p in periods if (np.abs(values[p:] - values[:-p]) < same).all())
         period = next(alike, len(kept))
         named = [
             replace(one, posture=str(i % period), trial=str(i // period))
             for i, one in enumerate(kept)
         ]
+    else:
+        named = name_segments(kept, replace(rule, change=same), sequence=False)
     return StillMeasurements(
         tuple(pieces),
         tuple(named),
@@ -346,7 +350,7 @@ def _guess_same(segments: Sequence[Segment]) -> float:
     Trials differ by what motors and load cells scatter, postures by what somebody chose: between
     the two there is a gap.
     """
-    inputs = np.nan_to_num([one.inputs for one in segments])
+    inputs = np.nan_to_num([one.inputs for one in segments[:LINKED_MAX]])
     size = float(np.abs(inputs).max()) or 1.0
     usual = float(f'{INPUT_TOLERANCE * size:.3g}')
     if len(segments) < 3:

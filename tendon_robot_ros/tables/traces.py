@@ -25,7 +25,7 @@ from ..data.tracker_faults import (
 )
 from ..robot.estimates import TRACKER_NOISE_M
 from .columns import ROWS_MAX, UNUSUAL_FACTOR, FloatArray, RawTable, marker_label
-from .markers import DISTANCE_TOLERANCE, circle_centres, not_visible
+from .markers import circle_centres, not_visible
 from .recipe import MarkerColumns, Recipe, Selection, WireSpool, time_column
 
 # [s] of the grid on which motions are compared, because cameras have 30 to 100 Hz; coarser where
@@ -156,6 +156,9 @@ def _next_best(match: FloatArray, best: int) -> float:
 IntArray = npt.NDArray[np.int64]
 # [s] for which a marker is taken for another one at most, so that motions are not cut out
 JUMP_MAX_S = 0.3
+# [1] of the distance that the arm moves: smaller steps from row to row are those of a recording,
+# because postures that somebody chose are farther apart
+FRAME_STEP_FRACTION = 0.02
 
 
 def input_factor(unit_text: str, spool: WireSpool) -> float:
@@ -272,7 +275,7 @@ def _trace(
         steps = np.linalg.norm(np.diff(positions, axis=0), axis=2)
         moved = np.linalg.norm(np.nanmax(positions, axis=0) - np.nanmin(positions, axis=0), axis=1)
         is_recording = recipe.time is None and len(positions) > ROWS_MAX
-        if is_recording and np.nanmedian(steps) < DISTANCE_TOLERANCE * moved.max():
+        if is_recording and np.nanmedian(steps) < FRAME_STEP_FRACTION * moved.max():
             raise DataSetError(
                 marker_table.name,
                 f'has no column of times, and its {len(positions):,} rows follow each other like '

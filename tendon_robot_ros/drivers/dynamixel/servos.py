@@ -20,7 +20,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from ...common.errors import DriverError
-from ...common.processes import ATTEMPTS, in_realtime
+from ...common.processes import in_realtime
 from ..serial_port import PortLostError
 from .bus import Bus
 from .config import DynamixelConfig
@@ -36,6 +36,7 @@ from .control_table import (
 )
 from .motor import HEALTH, STATE, Motor
 
+ATTEMPTS = 3  # [1] of a request or a write, so that one broken answer is no missing servo
 # [1/s] as delivered (manual, address 8), and the usual one
 OTHER_RATES = (57600, 1_000_000)
 WATCHDOG_S = 0.2  # [s] of silence, because a busy computer is late by as much: docs/safety.md

@@ -15,7 +15,6 @@ import time
 import numpy as np
 
 from ...common.errors import DriverError
-from ...common.processes import ATTEMPTS
 from ..hardware import READINGS_MIN
 from ..interface import CYCLE_S, Array
 from ..serial_port import ANSWER_TIMEOUT_S, RESTART_TIMEOUT_S, PortLink, PortLostError, write_all
@@ -23,6 +22,7 @@ from . import messages
 from .config import BoardConfig, CountsPoint
 from .messages import Frame, FrameReceiver, Identity, Message, Protocol, Telemetry, encode
 
+ATTEMPTS = 8  # [1] of a message, so that noise on the cable does not end a configuration
 RELEASE_TIME_S = 10.0  # [s] of a board left under tension, so that a slow release comes to an end
 # [s] in which a load cell and what pulls at it settle, so that no reading is from before
 SETTLE_S = 0.2
