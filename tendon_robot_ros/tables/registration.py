@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from ..common.arrays import DIGITS
 from ..common.errors import DataSetError, InputError
+from ..common.estimation import ITERATIONS_MAX
 from ..common.rotations import (
     angle_between,
     from_rotation_vector,
@@ -28,8 +29,6 @@ from ..inference.predict import Predictor
 from ..robot.estimates import BY_EYE_RAD, MODEL_ERROR_MAX, NOISE_FACTOR, TRACKER_NOISE_M
 from .columns import UPS, FloatArray
 from .recipe import FrameChoice, Recipe
-
-ROUNDS = 6  # [1] of weights and fit, which change no figure that is printed after that
 
 # [1] lengths of the arm that the tip of a straight posture may be off the axis, because no arm
 # hangs quite straight
@@ -215,7 +214,7 @@ def _weighted(
     mask = np.isfinite(measured).all(axis=2)
     a, b = measured[mask], markers[mask]
     weights = np.ones(mask.shape)
-    for _ in range(ROUNDS):
+    for _ in range(ITERATIONS_MAX):
         w = weights[mask]
         if above is None or up is None:
             rotation, shift = rigid_fit(a, b, w)
