@@ -30,6 +30,7 @@ LINEAR_N = 0.2
 # [1] of the largest compliance: by how much a minor may be below zero by rounding, because wires
 # that pull against each other have minors of zero
 MINOR_ROUNDING = 1e-9
+SOFTER_MIN = 0.01  # [1] of the largest compliance: first addition, so that doubling ends soon
 TRACE_MAX = 20_000  # [entries] so that more than 40 s are kept (benchmarks ask for so much)
 # [s] one count of the watchdog, so that none takes a pause of this process for silence
 SILENCE_STEP_MAX_S = REGISTERS['bus_watchdog'].unit
@@ -236,7 +237,7 @@ def softer(compliance: Array) -> float:
         minors = [np.linalg.det(scaled[some[:, :, None], some[:, None, :]]) for some in chosen]
         if min(minor.min() for minor in minors) > -MINOR_ROUNDING:
             break
-        added = max(2.0 * added, MINOR_ROUNDING)
+        added = max(2.0 * added, SOFTER_MIN)
     return added * size
 
 
