@@ -27,7 +27,6 @@ from tendon_robot_ros.control import Refusal, loading
 from tendon_robot_ros.control.inputs import direction
 from tendon_robot_ros.control.loading import Loader
 from tendon_robot_ros.data.path_files import TendonRows
-from tendon_robot_ros.drivers.hardware import READINGS_MIN
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.paths.path import Pace
 from tendon_robot_ros.robot import load_robot
@@ -150,12 +149,12 @@ def status(monkeypatch):
 
 
 def test_a_refusal_right_after_another_word_is_said_and_logged_once(status):
-    for status.now[0] in (1.0, 4.5, 8.0):
+    for status.now[0] in (1.0, 3.5, 6.0):
         status.publish(lifecycle.WARN, 'starting', 'switches torque on')
         status.publish(lifecycle.ERROR, 'not_ready', 'no answer', once=True)
         status.publish(lifecycle.ERROR, 'not_ready', 'no port', once=True)
         assert status.sent[-2].message == 'no port'  # and in /diagnostics
-    for status.now[0] in (11.5, 15.0):  # tried again and again
+    for status.now[0] in (8.5, 11.0):  # tried again and again
         status.publish(lifecycle.ERROR, 'not_ready', 'no port', once=True)
     assert status.told == 3 * [
         'starting: switches torque on', 'not_ready: no answer', 'not_ready: no port',
@@ -213,8 +212,8 @@ def test_a_tip_is_told_where_it_stands_however_slowly_the_motors_come_to_rest(mo
 def test_a_tip_error_is_the_mean_of_enough_frames_since_the_arm_stands_however_few_there_are():
     director = Director.__new__(Director)
     moving, off = np.array([0.01, 0.0, 0.0]), np.array([0.0, 0.003, 0.004])
-    for rate, frames in ((25, 9), (5, READINGS_MIN)):  # [Hz] that a busy machine hears
-        times = np.arange(2 * rate + frames) / rate
+    for rate in (30, 5):  # [Hz] that a busy machine hears
+        times = np.arange(2 * rate + 15) / rate
         seen = [(at, moving if at < 2.0 else off) for at in times]
         director._samples = dict.fromkeys(('tip', 'error', 'tensions'), seen)
         director._standing_since = 2.0 - 1e-9

@@ -16,12 +16,12 @@ from ros_station import Station, last, start, values
 from std_msgs.msg import Bool
 
 from tendon_robot_ros.common.files import shared_file
-from tendon_robot_ros.ros.shared.timing import ANSWER_TIMEOUT_S
+from tendon_robot_ros.ros.shared.timing import RETRY_PERIOD_S
 
 pytestmark = pytest.mark.ros
 ROBOT = 'kato_10_1'
 TRAVEL, MORE = 0.01, 0.002  # [m]
-RETRIED = 1.5 * ANSWER_TIMEOUT_S  # [s]; the autostart would have begun again
+RETRIED = 1.5 * RETRY_PERIOD_S  # [s]; the autostart would have begun again
 
 
 @pytest.fixture

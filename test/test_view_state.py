@@ -35,7 +35,7 @@ def test_the_page_leads_from_the_first_click_to_the_fallen_error():
     state.add_error(0.0, 5e-3)
     assert 'click 1 to record' in said(state)
     assert not state.can_diagnose and not state.can_add
-    assert 'Recording: 3 of 6' in said(state, recording='true', postures='3')
+    assert 'Recording: 3 of 8' in said(state, recording='true', postures='3')
     assert 'Click 2' in said(state, recording='true', postures='9')
     assert state.can_diagnose
     assert 'Comparing every' in said(state, postures='9', diagnosing='true')

@@ -42,7 +42,7 @@ def test_a_worker_that_dies_costs_its_chunk_once(tmp_path):
 
 
 def test_a_chunk_that_kills_every_worker_is_given_up(monkeypatch):
-    monkeypatch.setattr('tendon_robot_ros.common.workers.ATTEMPTS', 2)
+    monkeypatch.setattr('tendon_robot_ros.common.workers.LOSSES_MAX', 2)
     with Workers(2) as workers:
         assert list(workers.run(die, [0])) == [(0, LostWork(2))]
 

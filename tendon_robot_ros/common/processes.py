@@ -19,9 +19,6 @@ from pathlib import Path
 from threadpoolctl import threadpool_limits
 
 PARENT = 'TENDON_ROBOT_ROS_PARENT'
-# [1] of a message to a motor, or of work by a process, because one hiccup is no loss, and what
-# fails each time would be tried for ever
-ATTEMPTS = 5
 
 
 class Linux(IntEnum):

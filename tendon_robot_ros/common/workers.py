@@ -24,8 +24,10 @@ from functools import lru_cache
 from typing import Any, Self
 
 from .errors import ClusterLostError, InputError, MissingExtraError
-from .processes import ATTEMPTS, UPKEEP_S, end_with_parent, one_thread
+from .processes import UPKEEP_S, end_with_parent, one_thread
 
+# [1] workers that may die over a chunk, else one that kills its worker would be tried for ever
+LOSSES_MAX = 8
 CHUNK_S = 2.0  # [s] of work in a chunk, because handing one out takes some milliseconds
 
 _LOG = logging.getLogger(__name__)
@@ -178,7 +180,7 @@ class Workers:
                     if not engine.is_loss(error):
                         raise
                     losses[index] = losses.get(index, 0) + 1
-                    if losses[index] < ATTEMPTS:
+                    if losses[index] < LOSSES_MAX:
                         retries.append((index, chunk))
                         continue
                     result = LostWork(losses[index])

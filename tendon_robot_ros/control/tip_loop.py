@@ -21,7 +21,7 @@ from ..common.arrays import Floats
 from ..common.errors import TendonRobotError
 from ..common.local_stop import SILENCE_S
 from ..model.program import RANGE_TOLERANCE, bounded_least_squares
-from ..robot.estimates import MODEL_ERROR_MAX, NOISE_FACTOR, TRACKER_NOISE_M
+from ..robot.estimates import MODEL_ERROR_MAX, TRACKER_NOISE_M
 from .inputs import interpolated
 from .state import ControllerState, TipCorrection, TrackedTip
 from .tip_estimator import (
@@ -47,6 +47,8 @@ BIAS_LENGTH_MAX = 0.4
 # [1] of `tip_gain`: rate at which the distance to a setpoint shrinks, so that the bias is known
 # before the tip arrives (docs/control.md)
 PACE = 2.0
+# [1] of the error that the description knows: a larger bias comes by chance in 1 % of postures
+KNOWN_FACTOR = 2.0
 
 
 @dataclass(frozen=True)
@@ -156,7 +158,7 @@ def foreign(offset: float, length: float, remembers: bool, known: float = 0.0) -
         Error of the tip that the description knows, rms [m].
 
     """
-    if offset < max(MODEL_ERROR_MAX * length, NOISE_FACTOR * known):
+    if offset < max(MODEL_ERROR_MAX * length, KNOWN_FACTOR * known):
         return ''
     lacks = '' if remembers else ', often friction_memory'
     return (

@@ -23,7 +23,6 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.arrays import Floats
-from ..common.words import LISTED_MAX
 from ..inference.fit import Fit
 from ..inference.imperfections import (
     ACROSS,
@@ -51,6 +50,7 @@ if TYPE_CHECKING:
 IN_CELLS = (CELLS, KINK, ACROSS)
 IN_INPUTS = (GAIN, HOLE, ZERO)
 ONCE = (KINK, ACROSS, GAIN, ZERO)  # kinds that are also looked for in single postures
+FAULTS_MAX = 8  # [1] places that are named, because nobody looks at more
 CHANGE_MAX = 3.0  # [1] of the stiffness of one cell, by slopes: docs/inference.md
 
 
@@ -164,7 +164,7 @@ def faults_among(
     """
     tests = _Tests(places, columns, residual, jacobian)
     chosen, rates = list[int](), list[float]()
-    while len(chosen) < LISTED_MAX:
+    while len(chosen) < FAULTS_MAX:
         z, _ = tests.beside(chosen)
         rate = _rates(places, z, np.isfinite(z), freedom)
         lowest = np.flatnonzero(rate <= rate.min(initial=1.0))

@@ -27,7 +27,6 @@ from ..model.versions import UserEffect, catalogue_of, differences, refuse_diffe
 from ..robot import dump_robot, load_robot
 from ..simulation.hidden import CAUSES, SCATTER_MAX
 from ..simulation.measurements import SimulatedNoise
-from ..workspace.view_angle import POSTURES_MAX
 from .cases import NOTHING, Case, Design, PlannedRobot, needs
 from .judge import DIAGNOSIS, INTERVALS, QUESTIONS, CaseRow, Setup
 from .running import TABLE, GrowingTable, judge_all
@@ -36,6 +35,8 @@ from .running import TABLE, GrowingTable, judge_all
 SIZES = (1e-3, 10.0)
 # [1] size of a cause outside the catalogue; smaller ones would be nothing
 CAUSE_SIZE_MIN = 0.5
+# [1] of anything that is counted; more would run for years, and is a mistake
+COUNT_MAX = 1_000_000
 ALL, ALL_CAUSES = 'all', 'causes'
 KEYS = (
     *('question', 'seed', 'seeds', 'clean', 'robots', 'hidden', 'sizes', 'drawn', 'full_size'),
@@ -75,7 +76,7 @@ class PlanReader(Reader):
         """Open each entry of a list; none where there is no such key."""
         return self.items(key) if self.has(key) else iter(())
 
-    def count(self, key: str, default: int, low: int = 0, high: int = POSTURES_MAX) -> int:
+    def count(self, key: str, default: int, low: int = 0, high: int = COUNT_MAX) -> int:
         """Return a whole number within bounds."""
         return self.whole(key, low, high) if self.has(key) else default
 

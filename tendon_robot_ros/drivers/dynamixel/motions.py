@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...common.errors import DriverError, MovedError
-from ...common.processes import ATTEMPTS, ends_between
+from ...common.processes import ends_between
 from ..hardware import READINGS_MIN
 from ..interface import CYCLE_S, travelled
 from ..serial_port import PortLostError
@@ -39,6 +39,9 @@ from .servos import (
 
 MODE = OperatingMode.CURRENT_BASED_POSITION
 WATCHDOG_COUNTS = watchdog_counts(WATCHDOG_S)
+# [1] answers that a motor misses in a row, or trips of its watchdog, so that a hiccup ends no
+# motion; a bus or computer that is late more often is too late
+HICCUPS_MAX = 5
 BACK_OFF_M = 0.002  # [m] paid out first, else a blocked motor would seem to have found its wire
 STALLED_S = 0.15  # [s] of standing still against the wire, so that a busy cycle is no stall
 TURNING_TIMEOUT_S = 2.0  # [s] without turning, or with too little current, else it would never end
@@ -101,7 +104,7 @@ class SlackSearch:
     def cycle(self, passed: float) -> None:
         """Move the goal a little, by what was just read; time [s] has passed."""
         self.missed = 0 if self.motor.answers else self.missed + 1
-        if self.missed > ATTEMPTS:
+        if self.missed > HICCUPS_MAX:
             raise DriverError(f'{self.bus.path}: {self.motor}: no answer while looking for slack')
         if self.missed:
             return
@@ -160,7 +163,7 @@ class SlackSearch:
         if self.bus.read(motor.identity, 'bus_watchdog') != Counts.WATCHDOG_TRIPPED:
             return False
         self.trips += 1
-        if self.trips > ATTEMPTS:
+        if self.trips > HICCUPS_MAX:
             raise MovedError(
                 f'{self.bus.path}: {motor}: its bus watchdog stopped it {self.trips} times while '
                 'it looked for slack: this computer is late again and again; torque is off'
@@ -329,7 +332,7 @@ def turn_to(bus: Bus, motor: Motor, ticks: int) -> None:
         'goal_position', {motor.identity: ticks}, {motor.identity: motor.position_bounds}
     )
     time.sleep(CYCLE_S)
-    for _ in range(ATTEMPTS):
+    for _ in range(HICCUPS_MAX):
         read_state(bus, [motor])
         if motor.answers:
             return

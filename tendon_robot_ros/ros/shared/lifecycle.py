@@ -22,7 +22,7 @@ from .messages import stamp_now
 from .parameters import Parameters
 from .quality import LATCHED, STATE
 from .runtime import Runnable
-from .timing import ANSWER_TIMEOUT_S, NEWS_PERIOD_S, STATUS_PERIOD_S, VALUES_PERIOD_S
+from .timing import NEWS_PERIOD_S, RETRY_PERIOD_S, STATUS_PERIOD_S, VALUES_PERIOD_S
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 LEVELS = {'ok': OK, 'warn': WARN, 'error': ERROR}
@@ -71,11 +71,11 @@ class StoppableNode(Runnable, LifecycleNode):
 
         service.callback = change
         self.phase = 'unconfigured'
-        self._tried = -ANSWER_TIMEOUT_S
+        self._tried = -RETRY_PERIOD_S
 
     def running(self) -> bool:
         """Configure and activate the node when an attempt is due; return True: it goes on."""
-        due = self.phase != 'active' and time.monotonic() - self._tried >= ANSWER_TIMEOUT_S
+        due = self.phase != 'active' and time.monotonic() - self._tried >= RETRY_PERIOD_S
         if self.parameters['autostart'] and due and self.ready():
             self._tried = time.monotonic()
             if self.phase == 'unconfigured':
@@ -276,7 +276,7 @@ class Status:
         if not news and content == self._sent and now - self._sent_at < STATUS_PERIOD_S:
             return
         self._to_log |= news
-        if self._to_log and now - self._logged.get(key, -ANSWER_TIMEOUT_S) >= ANSWER_TIMEOUT_S:
+        if self._to_log and now - self._logged.get(key, -RETRY_PERIOD_S) >= RETRY_PERIOD_S:
             self._logged[key], self._to_log = now, False
             text, logger = f'{code}: {message}', self._node.get_logger()
             if level == OK:  # rclpy allows one level per line of code

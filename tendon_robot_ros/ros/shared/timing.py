@@ -17,10 +17,12 @@ VALUES_PERIOD_S = 0.1
 # [s] After which a status is repeated and a request to another node too, so that a node that
 # starts later is up to date within a second.
 STATUS_PERIOD_S = 1.0
+# [s] Between two attempts to start, and between two log entries of the same kind, else a port that
+# is missing would fill the log.
+RETRY_PERIOD_S = 2.0 * STATUS_PERIOD_S
 # [s] Without an answer after which a request is repeated, and without a status (one a second)
 # after which a node counts as gone: discovery takes 0.1 to 2.3 s, else a node that is discovered
-# late would count as gone. As long between two attempts to start, and between two log entries of
-# the same kind.
+# late would count as gone.
 ANSWER_TIMEOUT_S = 3.0
 # [s] Without an answer after which a request to stop is repeated, because sixty cycles of the
 # default rate are enough for an answer that is not lost.

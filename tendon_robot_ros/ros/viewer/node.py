@@ -29,9 +29,9 @@ from ..shared.messages import Request, header_now, point, points_of, status_valu
 from ..shared.parameters import Parameters, RemoteParameter
 from ..shared.quality import COMMAND, LATCHED, LATCHED_BY_MANY, LISTEN, STATE
 from ..shared.runtime import Runnable, repeat, run
-from ..shared.timing import STATUS_PERIOD_S, VALUES_PERIOD_S
+from ..shared.timing import STATUS_PERIOD_S
 from .page import LivePage
-from .state import ViewState
+from .state import PANEL_PERIOD_S, ViewState
 
 HELP = 'the live page in the browser (extra: viewer)'
 SERVICES = {
@@ -139,13 +139,13 @@ class ViewerNode(Runnable, Node):
             self.create_subscription(kind, topic, callback, quality)
 
     def _cycle(self) -> None:
-        """Handle clicks, draw the arms, and update the panel every `VALUES_PERIOD_S`."""
+        """Handle clicks, draw the arms, and update the panel every `PANEL_PERIOD_S`."""
         while not self.page.commands.empty():
             self._command(*self.page.commands.get())
         now = time.monotonic()
         self.page.draw(self.state)
         self._frames.append(now)
-        if now - self._panel_at >= VALUES_PERIOD_S:
+        if now - self._panel_at >= PANEL_PERIOD_S:
             self._panel_at = now
             self.page.update(self.state, now)
             frames = sum(now - at <= 2.0 for at in self._frames) / 2.0

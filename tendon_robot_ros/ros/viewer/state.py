@@ -12,14 +12,19 @@ import numpy as np
 
 from ...common.arrays import Floats
 from ...common.words import listed, mm
-from ...diagnosis.verdict import POSTURES_ENOUGH
-from ..shared.timing import ANSWER_TIMEOUT_S, SILENCE_S, STATUS_PERIOD_S, VALUES_PERIOD_S
+from ..shared.timing import ANSWER_TIMEOUT_S, SILENCE_S
 
+# [s] between two points of the curve and two updates of the panel, because nobody reads faster
+PANEL_PERIOD_S = 0.2
+# [s] over which displayed numbers are medians, so that they can be read
+STEADY_S = 1.5
 # [s] shown by the curve, so that it covers a recording of a dozen postures
 CURVE_SPAN_S = 120.0
 # [N] of a force whose arrow has half of its largest length, so that forces of 0.01 N and of 1 N
 # are visible in one scene
 FORCE_HALF_N = 0.01
+# [1] postures for a diagnosis, else several effects would explain them equally well
+POSTURES_ADVISED = 8
 CHANGED_HINT = 'Click Investigate: it goes to the postures that tell what has changed.'
 COINCIDE = (
     'The model now has {}. The two arms should coincide; what is left of the error is noise.'
@@ -41,7 +46,7 @@ class ViewState:
     force_at: float = -np.inf
     marker_errors: deque[tuple[float, Floats]] = field(default_factory=deque)  # [s], (J,) [m]
     curve: deque[tuple[float, float]] = field(  # [s], rolling error [m]
-        default_factory=lambda: deque(maxlen=round(CURVE_SPAN_S / VALUES_PERIOD_S) + 1)
+        default_factory=lambda: deque(maxlen=round(CURVE_SPAN_S / PANEL_PERIOD_S) + 1)
     )
     marks: list[tuple[float, str]] = field(default_factory=list)
     verdict: dict[str, Any] = field(default_factory=dict)
@@ -128,13 +133,13 @@ class ViewState:
 
     def add_error(self, now: float, rolling: float) -> None:
         """Append a rolling error [m] to the curve."""
-        if not self.curve or now - self.curve[-1][0] >= VALUES_PERIOD_S:
+        if not self.curve or now - self.curve[-1][0] >= PANEL_PERIOD_S:
             self.curve.append((now, rolling))
 
     def add_marker_errors(self, now: float, errors: Sequence[float]) -> None:
-        """Append the errors (J,) [m] of the markers; the last `STATUS_PERIOD_S` stay."""
+        """Append the errors (J,) [m] of the markers; those of the last `STEADY_S` are kept."""
         self.marker_errors.append((now, np.array(errors, dtype=float)))
-        while now - self.marker_errors[0][0] > STATUS_PERIOD_S:
+        while now - self.marker_errors[0][0] > STEADY_S:
             self.marker_errors.popleft()
 
     def set_verdict(self, text: str) -> None:
@@ -158,8 +163,8 @@ class ViewState:
         return values.get('code') == 'waiting'
 
     def rolling(self, now: float) -> float:
-        """Return the median rolling error [m] over `STATUS_PERIOD_S`; nan: there is none."""
-        recent = [e for at, e in self.curve if now - at < STATUS_PERIOD_S and np.isfinite(e)]
+        """Return the median rolling error [m] of the last `STEADY_S`; nan: there is none."""
+        recent = [e for at, e in self.curve if now - at < STEADY_S and np.isfinite(e)]
         return float(np.median(recent)) if recent else float('nan')
 
     def errors(self) -> Floats | None:
@@ -181,7 +186,7 @@ class ViewState:
         return np.array([[tip, tip + long * self.force / length]])
 
     def per_marker(self) -> str:
-        """Return the marker with the largest median error over `STATUS_PERIOD_S`, as text."""
+        """Return the marker with the largest median error of the last `STEADY_S`, as text."""
         samples = [one for _, one in self.marker_errors]
         errors = np.array([one for one in samples if len(one) == len(samples[-1])])
         visible = np.isfinite(errors).any(axis=0) if len(errors) else np.zeros(0, dtype=bool)
@@ -205,16 +210,16 @@ class ViewState:
         """Return the next step, in the words of the buttons."""
         if self.monitor.get('diagnosing') == 'true' and not self.verdict:
             return 'Comparing every known physical effect with the recording …'
-        if self.recording and self.postures < POSTURES_ENOUGH:
+        if self.recording and self.postures < POSTURES_ADVISED:
             return (
-                f'Recording: {self.postures} of {POSTURES_ENOUGH} postures. '
+                f'Recording: {self.postures} of {POSTURES_ADVISED} postures. '
                 'The arm goes through them by itself: just wait.'
             )
         if self.recording or self.paused:
             also = '1 stops' if self.recording else '1 records more'
             return (
                 f'{self.postures} postures are recorded. Click 2: which effect is missing? '
-                f'({also}; {POSTURES_ENOUGH} suffice, with more a diagnosis takes longer.)'
+                f'({also}; {POSTURES_ADVISED} suffice, with more a diagnosis takes longer.)'
             )
         if self.can_add:
             return str(self.verdict.get('guide', 'Click 3: the model gets the effect.'))
