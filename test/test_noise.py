@@ -232,12 +232,24 @@ def test_what_no_function_of_inputs_explains_is_told_from_noise_and_a_wrong_mode
     errors = np.zeros((len(inputs), len(dataset.markers), 3))
     errors += random.normal(0.0, sigma / np.sqrt(3.0), errors.shape)
     errors[..., 0] += (smooth + apart * side)[:, None]
-    found = repeats(dataset, errors, 100)
-    assert found.exceed(sigma, 0.005) == (apart > 0.0)
+    found = repeats(dataset, errors, np.full(len(inputs), sigma**2), 100)
+    assert found.is_told(0.005) == (apart > 0.0)
     if apart:  # the chance of a side is the input, so that 4 u (1 - u) is its variance
-        assert found.apart == pytest.approx(np.hypot(np.sqrt(2.0 / 3.0) * apart, sigma), rel=0.2)
+        assert found.apart == pytest.approx(np.sqrt(2.0 / 3.0) * apart, rel=0.2)
 
 
 def test_nothing_is_told_of_repeats_where_no_posture_was_reached_in_different_ways():
     dataset = simulated.postures(ROBOT, np.ones((600, len(ROBOT.inputs))), trials=1)
-    assert repeats(dataset, np.zeros((600, len(dataset.markers), 3)), 100) is None
+    errors = np.zeros((600, len(dataset.markers), 3))
+    assert repeats(dataset, errors, np.zeros(600), 100) is None
+
+
+def test_a_slack_wire_is_not_one_that_is_held_at_zero():
+    """Errors of a model that differ because wires are let go are no memory."""
+    random = np.random.default_rng(5)
+    inputs = random.uniform(0.0, 0.01, (600, len(ROBOT.inputs)))
+    inputs[:, 0] = np.where(random.random(600) < 0.5, np.nan, 0.0)
+    dataset = simulated.postures(ROBOT, inputs, trials=1, path='sequence', input='displacement')
+    errors = random.normal(0.0, 1e-4, (600, len(dataset.markers), 3))
+    errors[..., 0] += np.where(np.isnan(inputs[:, 0]), 3e-3, 0.0)[:, None]
+    assert not repeats(dataset, errors, np.full(600, 3e-8), 100).is_told(0.005)

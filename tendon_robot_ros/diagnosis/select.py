@@ -51,7 +51,7 @@ class Evidence:
     def remembers(self) -> bool:
         """Whether errors at equal inputs differ by more than noise, so that no function fits."""
         repeats = self.session.repeats
-        return repeats is not None and repeats.exceed(self.session.whitener.floor(), ALARM_LEVEL)
+        return repeats is not None and repeats.is_told(ALARM_LEVEL)
 
     @property
     def helpful(self) -> list[Ranked]:

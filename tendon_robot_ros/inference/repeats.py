@@ -15,43 +15,54 @@ NEIGHBOURS = 10  # [1] nearest repeats of a posture, as is usual for this test (
 
 @dataclass(frozen=True)
 class Repeats:
-    """How far errors at equal inputs are apart."""
+    """How far errors at equal inputs are apart beyond the noise."""
 
     apart: float  # [m] rms of the part of an error that differs at equal inputs
     spread: float  # [m²] standard deviation of the square of `apart`
-    distance: float  # [m] or [N] rms distance of the nearest inputs
+    noise: float  # [m] rms of the noise there
 
-    def exceed(self, floor: float, level: float) -> bool:
-        """Return whether errors differ by more than the noise, `floor` [m], at a p-value."""
-        return self.apart**2 - floor**2 > -normal_ppf(level) * self.spread
+    def is_told(self, level: float) -> bool:
+        """Return whether errors differ, at a p-value, and by more than the noise."""
+        return self.apart**2 > max(-normal_ppf(level) * self.spread, self.noise**2)
 
 
-def repeats(dataset: DataSet, errors: Floats, count: int) -> Repeats | None:
+def repeats(dataset: DataSet, errors: Floats, noise: Floats, count: int) -> Repeats | None:
     """
     Compare the errors (P, J, 3) [m] of a sequence where its inputs nearly repeat.
 
-    Half the mean square difference of the errors of k-th neighbours grows with the square of
-    their distance; at distance zero remains what no smooth function of the inputs explains (Gamma
-    test: Stefánsson, Končar & Jones 1997). Neighbours are of another block of time; of ten times
-    as many postures the `count` with the nearest ones are used. The standard deviation is that
-    of a jackknife over blocks. None where the arm does not go from one posture to the next, or
-    where there are too few of them.
+    Half the mean square difference of the errors of k-th neighbours, less that of the noise, grows
+    with the square of their distance; at distance zero remains what no smooth function of the
+    inputs explains (Gamma test: Stefánsson, Končar & Jones 1997). Neighbours are of another block
+    of time, with the same wires slack; of ten times as many postures the `count` with the nearest
+    ones are used. The standard deviation is that of a jackknife over blocks. None where the arm
+    does not go from one posture to the next, or where there are too few of them.
+
+    Parameters
+    ----------
+    dataset : DataSet
+    errors : (P, J, 3) [m]
+    noise : (P,) [m²]
+        Expected square of the distance of a marker from its place.
+    count : int
+
     """
     measured = np.flatnonzero(dataset.trials > 0)
     blocks = dataset.groups[measured]
     number = len(np.unique(blocks))
     if dataset.path != 'sequence' or number < 2 or len(measured) < 2 * NEIGHBOURS:
         return None
-    inputs, errors = np.nan_to_num(dataset.inputs[measured]), errors[measured]
+    slack, errors, noise = np.isnan(dataset.inputs[measured]), errors[measured], noise[measured]
+    inputs = np.nan_to_num(dataset.inputs[measured])
     chosen = np.unique(np.linspace(0, len(measured) - 1, 10 * count).round().astype(int))
     squares, halves = (np.empty((len(chosen), NEIGHBOURS)) for _ in range(2))
     for row, i in enumerate(chosen.tolist()):
         far = np.square(inputs - inputs[i]).sum(axis=1)
-        far[blocks == blocks[i]] = np.inf
+        far[(blocks == blocks[i]) | (slack != slack[i]).any(axis=1)] = np.inf
         near = np.argpartition(far, NEIGHBOURS)[:NEIGHBOURS]
         near = near[np.argsort(far[near])]
         squares[row] = far[near]
-        halves[row] = 0.5 * np.nanmean(np.square(errors[near] - errors[i]).sum(axis=2), axis=1)
+        apart = np.nanmean(np.square(errors[near] - errors[i]).sum(axis=2), axis=1)
+        halves[row] = 0.5 * (apart - noise[near] - noise[i])
     known = np.isfinite(squares).all(axis=1) & np.isfinite(halves).all(axis=1)
     kept = np.flatnonzero(known)[np.argsort(squares[known].mean(axis=1))][:count]
     of, squares, halves = blocks[chosen][kept], squares[kept], halves[kept]
@@ -67,4 +78,4 @@ def repeats(dataset: DataSet, errors: Floats, count: int) -> Repeats | None:
     without = np.array([at_zero(~own) for own in members])
     spread = np.sqrt((len(members) - 1) * np.var(without))
     left = max(at_zero(np.ones(len(of), dtype=bool)), 0.0)
-    return Repeats(float(np.sqrt(left)), float(spread), float(np.sqrt(squares[:, 0].mean())))
+    return Repeats(float(np.sqrt(left)), float(spread), float(np.sqrt(noise.mean())))

@@ -296,8 +296,13 @@ class Session:
     def repeats(self) -> Repeats | None:
         """How far errors of the description differ at equal inputs; None: not told."""
         whole = self.whole
-        markers = Predictor(whole, self.robot, self.catalogue).markers({})
-        return None if markers is None else repeats(whole, whole.mean - markers, POSTURES_MAX)
+        predictor = Predictor(whole, self.robot, self.catalogue)
+        markers = predictor.markers({})
+        if markers is None or whole.path != 'sequence':
+            return None
+        blocks = Whitener(whole, self.noise, input_slopes(predictor, {})).variance
+        noise = 3.0 * np.array([block.mean() if len(block) else 0.0 for block in blocks])
+        return repeats(whole, whole.mean - markers, noise, POSTURES_MAX)
 
     def rank(self, candidate: Candidate, fit: Fit) -> Ranked:
         """Return a candidate with its fit, for a ranking."""

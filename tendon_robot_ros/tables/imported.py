@@ -16,6 +16,7 @@ from ..common.rotations import rotation_angle
 from ..common.words import LISTED_MAX, mm, postures
 from ..data import DataSet, save_dataset
 from ..data.dataset import at_rest
+from ..inference.session import POSTURES_MAX
 from ..robot import Robot
 from .columns import FloatArray, marker_label
 from .markers import MarkerOrder
@@ -231,14 +232,15 @@ def draw(
         heights = figure.add_gridspec(3, 2, height_ratios=[1.0, 1.0, 1.6])
         _inputs(figure.add_subplot(heights[0, :]), dataset, measured)
         _markers(figure.add_subplot(heights[1, :]), measured, recipe, members)
-        for axis, name in enumerate('xy'):  # all postures from two sides
+        drawn = slice(None, None, max(len(dataset.postures) // POSTURES_MAX, 1))
+        for axis, name in enumerate('xy'):  # postures from two sides
             axes = figure.add_subplot(heights[2, axis])
             styles: Any = (
                 (predicted, {'color': PREDICTED, 'linewidth': 1.8}),
                 (dataset.mean, {'color': MEASURED, 'linewidth': 0.6, 'marker': 'o', 'ms': 4.5}),
             )
             for places, line in styles:
-                from_base = 1e3 * np.insert(places[_thinned(axes, places)], 0, 0.0, axis=1)
+                from_base = 1e3 * np.insert(places[drawn], 0, 0.0, axis=1)
                 axes.plot(from_base[..., axis].T, from_base[..., 2].T, **line)
             axes.plot(0.0, 0.0, 's', color='black', markersize=7.0)
             axes.set_aspect('equal', adjustable='datalim')
