@@ -74,9 +74,10 @@ def test_a_missing_effect_is_named_added_and_shown(capsys, folder):
     lines = said(capsys, 'diagnose', 'hinges/fit', '--add', 'better.yaml', '--check',
                  'hinges/check', '--json', 'why.json')  # fmt: skip
     assert_named(json.loads((folder / 'why.json').read_text()), 'b')
-    assert lines[4:7] == [
-        'CONSISTENT WITH hinge_friction: lever = 0.155 ± 0.013 mm.',
-        'It explains 100 % of the explainable error.',
+    assert lines[:3] == [
+        'Missing: friction in the hinges of the pressed guides, lever 0.155 ± 0.013 mm '
+        '(`hinge_friction`).',
+        'It explains 100 % of the error above the noise.',
         'What is left (0.23 mm) equals your repeatability (0.25 mm).',
     ]
     assert lines[-2:] == [
@@ -92,19 +93,20 @@ def test_tendons_that_resist_bending_are_named_added_and_shown(capsys, folder):
                  '--json', 'why.json')  # fmt: skip
     assert_named(json.loads((folder / 'why.json').read_text()), 'f')
     assert lines == [
+        'Missing: the tendons resist bending with 0.23 ± 0.07 mN·m/rad each (`tendon_stiffness`).',
+        'It explains 96 % of the error above the noise.',
+        'In the description: tendon_stiffness: per_tendon = 0.23 ± 0.07 mN·m/rad.',
+        'What is left (0.50 mm) equals your repeatability (0.45 mm).',
+        'cannot be told apart from: nothing (next best, backbone_stiffness, is 450 times less '
+        'likely; section_stiffness does the same with more parameters)',
+        '',
         'planar2 on stiff/fit: 12 postures, 60 trials and 30 markers',
         'the arm is taken as it is built: cells, tendons and tracker may be a little off',
         'noise, from the trials: 0.20 mm per coordinate, inputs 0.39 % per trial, '
         '0.20 % per setting (declared)',
-        '',
-        'CONSISTENT WITH tendon_stiffness: per_tendon = 0.23 ± 0.07 mN·m/rad.',
-        'It explains 96 % of the explainable error.',
-        'What is left (0.50 mm) equals your repeatability (0.45 mm).',
         'the arm as built scatters by (1 sd, 95 %): stiffness of the cells below 1.4 %, kinks at '
         'rest below 0.046°, kinks across the plane below 0.025°, gains of the inputs below '
         '0.53 %, position of the tracker below 0.032 mm, rotation of the tracker below 0.042°',
-        'cannot be told apart from: nothing (next best, backbone_stiffness, is 450 times less '
-        'likely; section_stiffness does the same with more parameters)',
         'not tested by these postures: friction_memory (every posture loaded from straight); '
         'torsion (these postures hardly show it); gravity (set to zero); tendon_elongation, '
         'wire_spring, backlash, pull_zero, spool_gain (wire pulls not commanded)',
@@ -136,12 +138,15 @@ def test_json_goes_beside_the_text_when_it_has_a_name(capsys, folder):
     lines = said(capsys, 'diagnose', 'i/fit', '--json', 'why.json')
     content = json.loads((folder / 'why.json').read_text())
     assert content['verdict'] == 'ambiguous'
-    assert lines[4].startswith(
-        'AMBIGUOUS: hinge_friction, backbone_stiffness, tendon_stiffness, transmission_loss or '
-        'moment_arm explain these 6 postures equally well'
-    )
-    assert lines[-1].startswith('Measure this next: left 1.07 N, right 1.02 N, 5 trials. '
-                                'hinge_friction predicts the tip at least 4.2 mm')  # fmt: skip
+    assert lines[0] == 'Missing: one of these, and these 6 postures do not tell which:'
+    assert lines[1].startswith('- friction in the hinges of the pressed guides, lever 0.')
+    assert [line.partition('`')[2] for line in lines[1:6]] == [
+        'hinge_friction`)', 'backbone_stiffness`)', 'tendon_stiffness`)', 'transmission_loss`)',
+        'moment_arm`)',
+    ]  # fmt: skip
+    (step,) = (line for line in lines if line.startswith('Measure this next: '))
+    assert step.startswith('Measure this next: left 1.07 N, right 1.02 N, 5 trials. '
+                           'hinge_friction predicts the tip at least 4.2 mm')  # fmt: skip
     assert content['next_measurement']['input'] == {'left': 1.068, 'right': 1.025}
 
 
@@ -156,11 +161,11 @@ def exact(folder):
 @pytest.mark.slow  # as built: test_as_built.py; what is printed: of an exact arm below
 def test_a_soft_cell_of_an_arm_as_built_is_named_and_no_effect_in_its_place(capsys, folder):
     lines = said(capsys, 'diagnose', 'l/fit', '--add', 'better.yaml', code=2)
-    assert lines[4] == (
-        'OUTSIDE THE CATALOGUE: no effect of the catalogue helps; '
-        'the error is 5.9 times the noise.'
-    )
-    assert lines[5].endswith('cell 4 bends 1.4 times as much as it should. Look at that cell.')
+    assert lines[:2] == [
+        'Missing: something that no known effect describes.',
+        'No known effect helps; the error is 5.9 times the noise.',
+    ]
+    assert lines[2].endswith('cell 4 bends 1.4 times as much as it should. Look at that cell.')
     assert lines[-1] == 'Nothing was added: there is nothing to add.'
     assert written(folder) == []
 
@@ -168,12 +173,13 @@ def test_a_soft_cell_of_an_arm_as_built_is_named_and_no_effect_in_its_place(caps
 def test_a_cause_outside_is_not_added(capsys, folder):
     own = exact(folder)
     lines = said(capsys, 'diagnose', 'l/fit', '--robot', own, '--add', 'better.yaml', code=2)
-    assert lines[4] == (
-        "OUTSIDE THE CATALOGUE: tip_load (2.6 ± 0.2 mN, along the arm's axis, towards its "
-        'base) lowers the error from 1.49 mm to 0.476 mm, but what remains is 1.9 times the noise '
-        '(p < 1e-6).'
-    )
-    assert lines[5].endswith('cell 4 bends 1.4 times as much as it should. Look at that cell.')
+    assert lines[:2] == [
+        'Missing: something that no known effect describes.',
+        "Nearest: a load of 2.6 ± 0.2 mN at the tip, along the arm's axis, towards its base "
+        '(`tip_load`). It lowers the error from 1.49 mm to 0.476 mm, but what remains is 1.9 '
+        'times the noise (p < 1e-6).',
+    ]
+    assert lines[2].endswith('cell 4 bends 1.4 times as much as it should. Look at that cell.')
     assert lines[-1] == 'Nothing was added (--partial would add tip_load).'
     assert written(folder) == ['exact.yaml']
 
@@ -201,14 +207,16 @@ def test_a_wrong_parameter_is_said_and_added(capsys, folder):
         'wrong_parameter', ['bending_stiffness'])  # fmt: skip
     assert 'backbone_stiffness' in content['cannot_tell_apart']
     assert content['error_before'] > 5e-3, 'the error of the description as it stands'
-    assert lines[1] == (
+    assert lines[:3] == [
+        'A value is off: the backbone is 10.8 ± 1.6 % stiffer than described '
+        '(`backbone_stiffness`).',
+        'bending_stiffness (by 5.0 times its tolerance) must move further than declared.',
+        'In the description: backbone_stiffness: relative_change = 10.8 ± 1.6 %.',
+    ]
+    assert lines[lines.index('') + 2] == (
         'the arm is taken as it is built: cells, tendons and tracker may be a little off; '
         'declared (1 sd): bending_stiffness 2.0 %'
     )
-    assert lines[4] == (
-        'WRONG PARAMETER: bending_stiffness (by 5.0 declared sd) must move further than declared.'
-    )
-    assert lines[5] == 'CONSISTENT WITH backbone_stiffness: relative_change = 10.8 ± 1.6 %.'
     assert any(line.startswith('Measure this next: prox_left 1.31 N') for line in lines)
     (never,) = (line for line in lines if line.startswith('error on postures never used'))
     assert never.startswith('error on postures never used: 5.15 mm -> 0.597 mm')
@@ -218,7 +226,7 @@ def test_nothing_missing_has_nothing_to_add(capsys, folder):
     main(['add', 'hinge_friction', '--data', 'small', '--output', 'better.yaml'])
     capsys.readouterr()
     lines = said(capsys, 'diagnose', 'small', '--robot', 'better.yaml', '--add', 'more.yaml')
-    assert lines[4] == 'ADEQUATE: nothing is missing that these measurements could show.'
+    assert lines[0] == 'Nothing is missing that these measurements could show.'
     assert lines[-1] == 'Nothing was added: there is nothing to add.'
     assert any(line.startswith('smallest size that would have been seen') for line in lines)
     assert written(folder) == ['better.yaml']

@@ -13,6 +13,7 @@ from tendon_robot_ros.diagnosis.result import (
     NextMeasurement,
     Value,
 )
+from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.inference.intervals import load_of
 from tendon_robot_ros.report.diagnosis_text import (
     alike,
@@ -23,21 +24,25 @@ from tendon_robot_ros.report.diagnosis_text import (
     verdict,
 )
 from tendon_robot_ros.report.sentences import (
+    finding_words,
     load_words,
     quantities,
     quantity,
     rounded_quantity,
-    short_quantities,
 )
 
 LEVER = Value(1.584e-4, 1.517e-4, 1.652e-4, 'm')
 HINGE = EffectFinding('hinge_friction', {'lever': LEVER}, 0.984)
+STIFFER = EffectFinding('backbone_stiffness', {
+    'relative_change': Value(0.1082, 0.1062, 0.1103, '1')}, 0.5)  # fmt: skip
 LOAD = EffectFinding('tip_load', {
     'force_x': Value(2.455e-3, 2.385e-3, 2.525e-3, 'N'),
     'force_y': Value(-2e-5, -1.2e-4, 8e-5, 'N')}, 0.984)  # fmt: skip
+WORDS = {'effects_in_words': {
+    e.name: {'title': e.title, 'finding': e.finding} for e in load_catalogue()}}  # fmt: skip
 FOUND = Diagnosis(
     'missing_effect', (HINGE,), (), (), (), 2e-3, 3e-4, 2.5e-4, None, 'What is left (...).', (),
-    {'next_best': {'name': 'tip_load', 'log10_likelihood_ratio': 31.4}},
+    {'next_best': {'name': 'tip_load', 'log10_likelihood_ratio': 31.4}} | WORDS,
 )  # fmt: skip
 
 
@@ -61,9 +66,7 @@ def test_values_are_shown_with_their_interval(value, text):
 def test_changes_are_shown_in_percent_and_forces_in_one_unit():
     change = {'relative_change': Value(-0.081, -0.085, -0.077, '1')}
     assert quantities(change) == 'relative_change = -8.1 ± 0.4 %'
-    assert short_quantities(change) == 'relative_change -8.1 %'
     assert quantities(LOAD.parameters) == 'force_x = 2.46 ± 0.07 mN, force_y = -0.02 ± 0.10 mN'
-    assert short_quantities(LOAD.parameters) == 'force_x 2.5 mN, force_y 0.0 mN'
 
 
 @pytest.mark.parametrize(('value', 'text'), [
@@ -120,14 +123,12 @@ def test_intervals_of_size_and_angle_hold_the_true_ones():
 def test_a_finding_that_is_a_force_says_so_in_the_verdict():
     load = load_of([2.455e-3, -2e-5, 0.0], 1e-9 * AXES, LEVEL)
     found = replace(FOUND, effects=(replace(LOAD, load=load),))
-    assert (
-        verdict(found)
-        .splitlines()[0]
-        .endswith(
-            ', force_y = -0.02 ± 0.10 mN, together 2.46 ± 0.06 mN, along gravity, '
-            "90.0 ± 1.4° from the arm's axis."
-        )
-    )
+    assert verdict(found).splitlines() == [
+        "Missing: a load of 2.46 ± 0.06 mN at the tip, along gravity, 90.0 ± 1.4° from the arm's "
+        'axis (`tip_load`).',
+        'It explains 98 % of the error above the noise.',
+        'In the description: tip_load: force_x = 2.46 ± 0.07 mN, force_y = -0.02 ± 0.10 mN.',
+    ]
     told = found.to_json()['effects'][0]['load']
     assert told['size']['value'] == pytest.approx(2.455e-3, rel=1e-3)
     assert told['from_axis']['unit'] == 'rad' and told['from_gravity']['low'] == 0.0
@@ -136,7 +137,6 @@ def test_a_finding_that_is_a_force_says_so_in_the_verdict():
 def test_the_owner_of_a_value_is_said_in_words():
     change = {'relative_change[distal]': Value(-0.081, -0.085, -0.077, '1')}
     assert quantities(change) == 'relative_change of distal = -8.1 ± 0.4 %'
-    assert short_quantities(change) == 'relative_change of distal -8.1 %'
     assert rounded_quantity(*change.popitem()) == 'relative_change of distal -8.1 %'
 
 
@@ -154,7 +154,7 @@ def test_the_share_is_of_what_the_noise_leaves_even_where_it_was_declared_too_la
 def test_what_the_effect_does_alone_and_with_the_arm_as_found_have_their_own_names():
     found = replace(FOUND, error_alone=8e-4)
     assert verdict(found).endswith(
-        'It explains 98 % of the explainable error with the arm as it was found, 68 % alone.'
+        'It explains 98 % of the error above the noise with the arm as it was found, 68 % alone.'
     )
     assert (
         'error: 2.00 mm as described -> 0.800 mm with hinge_friction alone -> 0.300 mm with the '
@@ -165,8 +165,8 @@ def test_what_the_effect_does_alone_and_with_the_arm_as_found_have_their_own_nam
 
 def test_one_missing_effect():
     assert verdict(FOUND) == (
-        'CONSISTENT WITH hinge_friction: lever = 0.158 ± 0.007 mm.\n'
-        'It explains 98 % of the explainable error.'
+        'Missing: friction in the hinges of the pressed guides, lever 0.158 ± 0.007 mm '
+        '(`hinge_friction`).\nIt explains 98 % of the error above the noise.'
     )
     assert alike(FOUND) == (
         'cannot be told apart from: nothing (next best, tip_load, is 10^31 times less likely)'
@@ -178,16 +178,18 @@ def test_one_missing_effect():
 )
 def test_numbers_next_to_nothing_are_no_row_of_zeros(number, text):
     value = Value(number, number, number, '1')
-    assert short_quantities({'x': value}) == text
+    assert rounded_quantity('x', value) == text
     assert len(quantity('x', replace(value, low=0.9 * number, high=1.1 * number))) < 30
 
 
 def test_several_missing_effects():
-    found = replace(FOUND, verdict='several', effects=(HINGE, LOAD))
+    found = replace(FOUND, verdict='several', effects=(HINGE, STIFFER))
     assert verdict(found) == (
-        'CONSISTENT WITH hinge_friction AND tip_load together: hinge_friction: lever = '
-        '0.158 ± 0.007 mm; tip_load: force_x = 2.46 ± 0.07 mN, force_y = -0.02 ± 0.10 mN.\n'
-        'They explain 98 % of the explainable error.'
+        'Missing: friction in the hinges of the pressed guides, lever 0.158 ± 0.007 mm '
+        '(`hinge_friction`); and the backbone is 10.8 ± 0.2 % stiffer than described '
+        '(`backbone_stiffness`).\n'
+        'Together they explain 98 % of the error above the noise.\n'
+        'In the description: backbone_stiffness: relative_change = 10.8 ± 0.2 %.'
     )
 
 
@@ -196,12 +198,17 @@ def test_effects_that_cannot_be_told_apart():
         'hinge_friction': [0.0, 0.0, 0.1], 'backbone_stiffness': [6e-3, 0.0, 0.1],
         'transmission_loss': [6.1e-3, 0.0, 0.1]})  # fmt: skip
     names = ('hinge_friction', 'backbone_stiffness', 'transmission_loss')
+    softer = replace(row(0.3), name='backbone_stiffness', parameters={
+        'relative_change': Value(-0.081, -0.085, -0.077, '1')})  # fmt: skip
     found = replace(FOUND, verdict='ambiguous', cannot_tell_apart=names, next_measurement=step,
-                    details=FOUND.details | {'postures': 6})  # fmt: skip
+                    candidates=(softer,), details=FOUND.details | {'postures': 6})  # fmt: skip
     assert verdict(found) == (
-        'AMBIGUOUS: hinge_friction, backbone_stiffness or transmission_loss explain these 6 '
-        'postures equally well (98 % of the explainable error).\n'
-        'If it is hinge_friction: lever = 0.158 ± 0.007 mm.'
+        'Missing: one of these, and these 6 postures do not tell which:\n'
+        '- friction in the hinges of the pressed guides, lever 0.158 ± 0.007 mm '
+        '(`hinge_friction`)\n'
+        '- the backbone is 8.1 ± 0.4 % softer than described (`backbone_stiffness`)\n'
+        '- tension is lost before the base (`transmission_loss`)\n'
+        'The first explains 98 % of the error above the noise; the others do about as well.'
     )
     wider = replace(found, details={'wider': ['section_stiffness']})
     assert alike(wider) == 'section_stiffness does the same with more parameters'
@@ -234,24 +241,24 @@ def test_exact_twins_need_another_kind_of_measurement():
 
 
 def test_a_value_that_is_off():
-    found = replace(FOUND, verdict='wrong_parameter', details={'described': {
+    found = replace(FOUND, verdict='wrong_parameter', details=WORDS | {'described': {
         'hinge_friction': {'lever': 1e-4}}})  # fmt: skip
     assert verdict(found) == (
-        'WRONG PARAMETER: no effect is missing, but a value is off.\n'
-        'CONSISTENT WITH hinge_friction: lever = 0.158 ± 0.007 mm (the description says lever '
-        '0.100 mm).\nIt explains 98 % of the explainable error.'
+        'A value is off: friction in the hinges of the pressed guides, lever 0.158 ± 0.007 mm '
+        '(`hinge_friction`); the description says lever 0.100 mm.\n'
+        'It explains 98 % of the error above the noise.'
     )
 
 
 def test_a_tolerance_that_is_broken():
-    stiffer = EffectFinding('backbone_stiffness', {
-        'relative_change': Value(0.1082, 0.1062, 0.1103, '1')}, 0.5)  # fmt: skip
-    found = replace(FOUND, verdict='wrong_parameter', effects=(stiffer,),
+    found = replace(FOUND, verdict='wrong_parameter', effects=(STIFFER,),
                     out_of_tolerance=('bending_stiffness',),
-                    details={'moved': {'bending_stiffness': 5.4}})  # fmt: skip
+                    details=WORDS | {'moved': {'bending_stiffness': 5.4}})  # fmt: skip
     assert verdict(found) == (
-        'WRONG PARAMETER: bending_stiffness (by 5.4 declared sd) must move further than '
-        'declared.\nCONSISTENT WITH backbone_stiffness: relative_change = 10.8 ± 0.2 %.'
+        'A value is off: the backbone is 10.8 ± 0.2 % stiffer than described '
+        '(`backbone_stiffness`).\n'
+        'bending_stiffness (by 5.4 times its tolerance) must move further than declared.\n'
+        'In the description: backbone_stiffness: relative_change = 10.8 ± 0.2 %.'
     )
 
 
@@ -263,21 +270,23 @@ def test_a_cause_outside_the_catalogue():
     found = replace(FOUND, verdict='outside_catalogue', error_after=7.75e-4,
                     candidates=(row(1e-30),))  # fmt: skip
     assert verdict(found) == (
-        'OUTSIDE THE CATALOGUE: hinge_friction (lever 0.16 mm) lowers the error from 2.00 mm to '
-        '0.775 mm, but what remains is 3.1 times the noise (p < 1e-6).'
+        'Missing: something that no known effect describes.\n'
+        'Nearest: friction in the hinges of the pressed guides, lever 0.158 ± 0.007 mm '
+        '(`hinge_friction`). It lowers the error from 2.00 mm to 0.775 mm, but what remains is '
+        '3.1 times the noise (p < 1e-6).'
     )
     small = verdict(replace(found, error_after=2.4e-4))
     assert small.endswith('but what remains is not random (p < 1e-6), though it is only 0.96 '
                           'times the noise.')  # fmt: skip
     load = load_of([0.0, 0.0, 0.05], FIRM)
     loaded = verdict(replace(found, effects=(replace(LOAD, load=load),)))
-    assert "tip_load (50.0 ± 2.0 mN, along the arm's axis, towards its tip) lowers" in loaded
+    assert 'Nearest: a load of 50.0 ± 2.0 mN at the tip, along the arm' in loaded
     beaten = replace(found, candidates=(row(0.2),), details={'rival': {'name': 'soft_cell'}})
     assert verdict(beaten).endswith('but a single soft cell fits better without any physics.')
     nothing = replace(found, effects=(), error_before=7.75e-4)
     assert verdict(nothing) == (
-        'OUTSIDE THE CATALOGUE: no effect of the catalogue helps; the error is 3.1 times the '
-        'noise.'
+        'Missing: something that no known effect describes.\n'
+        'No known effect helps; the error is 3.1 times the noise.'
     )
     small = verdict(replace(nothing, error_before=2.35e-4))
     assert small.endswith('the error is not random, though it is only 0.94 times the noise.')
@@ -292,9 +301,37 @@ def test_nothing_missing_and_nothing_to_judge_by():
         'smallest size that would have been seen (four times in five): hinge_friction lever '
         '14 µm, backbone_stiffness relative_change 0.48 %'
     )
-    assert verdict(replace(found, details={'accuracy': 1e-3})).startswith('ADEQUATE FOR 1.0 mm:')
+    assert verdict(found) == 'Nothing is missing that these measurements could show.'
+    assert verdict(replace(found, details={'accuracy': 1e-3})) == (
+        'Nothing is missing that matters at an accuracy of 1.0 mm.'
+    )
     blank = replace(found, verdict='cannot_judge', remainder='1 measured posture(s)', details={})
-    assert lines(blank)[-1] == 'CANNOT JUDGE: 1 measured posture(s).'
+    assert lines(blank) == ['Cannot be judged: 1 measured posture(s).']
+    swapped = replace(blank, details={'mistake': {}}, remainder='with a and b swapped ...')
+    assert verdict(swapped) == 'Mistake of the set-up: with a and b swapped ....'
+
+
+def test_what_has_changed_since_another_recording():
+    since = {'reference': {'data': 'old', 'error': 1e-3}}
+    assert verdict(replace(FOUND, details=FOUND.details | since)).startswith(
+        'Changed since old: friction in the hinges'
+    )
+    same = replace(FOUND, verdict='adequate', effects=(), details=since)
+    assert verdict(same) == ('Nothing has changed since old that these measurements could show.')
+
+
+@pytest.mark.parametrize(('title', 'finding', 'values', 'text'), [
+    ('a pulley that gives way', '', {'loss': Value(0.02, 0.018, 0.022, '1/N')},
+     'a pulley that gives way, loss 0.020 ± 0.002 1/N'),
+    ('', 'sections are {relative_change:stiffer/softer}',
+     {'relative_change[near]': Value(0.05, 0.04, 0.06, '1'),
+      'relative_change[far]': Value(-0.03, -0.04, -0.02, '1')},
+     'sections are 5.0 ± 1.0 % stiffer (near) and 3.0 ± 1.0 % softer (far)'),
+    ('a force', 'a load of {size}', LOAD.parameters,
+     'a force, force x 2.46 ± 0.07 mN, force y -0.02 ± 0.10 mN'),
+])  # fmt: skip
+def test_a_finding_is_said_in_the_words_of_its_effect(title, finding, values, text):
+    assert finding_words(title, finding, values) == text
 
 
 def test_what_is_not_tested_is_grouped_by_its_reason():
@@ -307,14 +344,15 @@ def test_what_is_not_tested_is_grouped_by_its_reason():
     assert untested(FOUND) == ''
 
 
-def test_what_is_taken_as_exact_stands_at_the_top():
+def test_what_a_verdict_rests_on_stands_below_it():
     details = {'robot': 'arm', 'data': 'run', 'postures': 1, 'trials': 5, 'markers': 1,
                'tolerances': {'position': 2e-4, 'rotation': 2e-3, 'tension_gain': 0.01},
                'noise': {'source': 'declared', 'position': 1e-4, 'trial': 0.0, 'setting': 0.0},
                }  # fmt: skip
     rested = replace(FOUND, details=details | {'postures': 13, 'at_rest': 1})
-    assert lines(rested)[0].startswith('arm on run: 13 postures (one at rest), 5 trials')
-    assert lines(replace(FOUND, details=details))[:3] == [
+    said = lines(rested)
+    assert said[said.index('') + 1].startswith('arm on run: 13 postures (one at rest), 5 trials')
+    assert lines(replace(FOUND, details=details))[-3:] == [
         'arm on run: 1 posture, 5 trials and 1 marker',
         'declared tolerances (1 sd): position 0.20 mm, rotation 0.11°, tension_gain 1.0 %; '
         'everything else is taken as exact',

@@ -137,7 +137,7 @@ def ends_well(made, process):
     while process.poll() is None and time.monotonic() < end:
         made.spin(0.1)
     assert process.returncode == 0, made.said()
-    (verdict,) = (line for line in made.said().splitlines() if line.startswith('CONSISTENT WITH'))
+    (verdict,) = (line for line in made.said().splitlines() if line.startswith('Missing: '))
     assert 'tip_load' in verdict
     assert 'the controller uses it' in made.said()
     data = load_dataset(made.folder / 'found' / 'data')

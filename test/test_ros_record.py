@@ -179,7 +179,7 @@ def test_it_goes_through_compare_and_diagnose(folder, capsys, monkeypatch):
     code, done = main(['diagnose', 'run/run.mcap']), capsys.readouterr()
     assert code == 0, done.err
     said = re.search(
-        r'CONSISTENT WITH tendon_stiffness: per_tendon = ([\d.]+) '
+        r'In the description: tendon_stiffness: per_tendon = ([\d.]+) '
         r'(?:± ([\d.]+)|.*\(95 %: ([\d.]+) to ([\d.]+)\))',
         done.out,
     )

@@ -23,7 +23,7 @@ def test_an_effect_of_the_users_own_is_named_and_added(tmp_path, capsys, monkeyp
     dataset = measured(simulated.robot(), hidden, count=12, catalogue=catalogue)
     save_dataset(dataset, tmp_path / 'data')
     assert main(['diagnose', 'data', '--effect-file', 'soft_pulley.py', '--add', 'new.yaml']) == 0
-    assert 'CONSISTENT WITH soft_pulley: loss = 0.0' in capsys.readouterr().out
+    assert 'Missing: a pulley that gives way, loss 0.0' in capsys.readouterr().out
     assert np.isclose(load_robot('new.yaml').effects['soft_pulley']['loss'], 0.06, rtol=0.1)
     assert main(['diagnose', 'data', '--robot', 'new.yaml']) == 1
     assert "effects: unknown effect 'soft_pulley'" in capsys.readouterr().err

@@ -322,6 +322,12 @@ def details_of(evidence: Evidence, decision: Concluded) -> dict[str, Any]:
         for name in (() if chosen is None else chosen.names)
         if name in session.robot.effects
     }
+    named = {*decision.together, *(() if chosen is None else chosen.names)}
+    details['effects_in_words'] = {
+        effect.name: {'title': effect.title, 'finding': effect.finding}
+        for effect in session.catalogue
+        if effect.name in named
+    }
     details['not_tested_because'] = {
         c.names[0]: why_untested(session.catalogue[c.names[0]], session.dataset, session.robot)
         for c in evidence.not_tested

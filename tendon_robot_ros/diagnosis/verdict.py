@@ -100,14 +100,14 @@ class Verdict(StrEnum):
 
     ADEQUATE = (
         'adequate',
-        'ADEQUATE{for_accuracy}: nothing is missing that {judged_by}.',
+        '{nothing} that {judged_by}.',
         'good',
         '',
         'Nothing is missing that these postures could show. Click 1 to record others.',
     )
     MISSING_EFFECT = (
         'missing_effect',
-        'CONSISTENT WITH {values}.\nIt explains {share}.',
+        '{missing}: {findings}.\nIt explains {share}.{as_written}',
         'found',
         ADD,
         CLICK_3,
@@ -115,7 +115,7 @@ class Verdict(StrEnum):
     )
     SEVERAL = (
         'several',
-        'CONSISTENT WITH {names} together: {values}.\nThey explain {share}.',
+        '{missing}: {findings}.\nTogether they explain {share}.{as_written}',
         'found',
         ADD,
         CLICK_3,
@@ -123,7 +123,7 @@ class Verdict(StrEnum):
     )
     WRONG_PARAMETER = (
         'wrong_parameter',
-        'WRONG PARAMETER: {what_is_off}.\nCONSISTENT WITH {values}{instead}.',
+        '{off}: {findings}{instead}.\n{why_off}{as_written}',
         'found',
         ADD,
         CLICK_3,
@@ -131,8 +131,8 @@ class Verdict(StrEnum):
     )
     AMBIGUOUS = (
         'ambiguous',
-        'AMBIGUOUS: {alike} explain {these_postures} equally well ({share}).\n'
-        'If it is {best}: {best_values}.',
+        '{missing}: one of these, and {these_postures} do not tell which:\n'
+        '{alike}\nThe first explains {share}; the others do about as well.',
         'warn',
         'Until that is measured, the first of them will do: `{command} --add better.yaml`',
         CLICK_3,
@@ -140,7 +140,7 @@ class Verdict(StrEnum):
     )
     OUTSIDE_CATALOGUE = (
         'outside_catalogue',
-        'OUTSIDE THE CATALOGUE: {what_remains}.',
+        '{missing}: something that no known effect describes.\n{what_remains}.',
         'bad',
         'Nothing is added by itself; if part of the way helps: '
         '`{command} --add better.yaml --partial`; several, while the error on left-out postures '
@@ -150,7 +150,7 @@ class Verdict(StrEnum):
     )
     CANNOT_JUDGE = (
         'cannot_judge',
-        'CANNOT JUDGE: {remainder}.',
+        '{obstacle}: {remainder}.',
         'warn',
         '',
         'The recording does not suffice. Click 1 to record again.',

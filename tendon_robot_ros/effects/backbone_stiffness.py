@@ -11,6 +11,7 @@ def law(stiffness, tendons, relative_change):
 EFFECT = Effect(
     name='backbone_stiffness',
     title='the backbone is stiffer or softer than described',
+    finding='the backbone is {relative_change:stiffer/softer} than described',
     stage='stiffness',
     law=law,
     parameters=(relative_change(tolerance='bending_stiffness'),),

@@ -7,6 +7,7 @@ import inspect
 from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import dataclass, field, replace
+from string import Formatter
 from typing import Any
 
 from ..common.errors import EffectError
@@ -142,6 +143,10 @@ class Effect:
     scales_bends : bool
         Whether it makes all bends larger or smaller alike: postures hardly tell it from the others
         that do.
+    finding : str
+        How a verdict says that a model lacks it; by default the title and every parameter.
+        `{lever}` stands for the value with its interval, `{relative_change:stiffer/softer}` for
+        its size and one of two words by its sign, `{size}` and `{direction}` for those of a force.
 
     """
 
@@ -157,6 +162,7 @@ class Effect:
     divisible: bool = False
     takes_force: bool = False
     scales_bends: bool = False
+    finding: str = ''
     digest: str = field(default='', compare=False)
 
     def __post_init__(self) -> None:
@@ -185,6 +191,13 @@ class Effect:
             raise EffectError(
                 f'effect {self.name}: its law takes {takes} arguments, expected {wanted}: '
                 f'{", ".join(inputs)}, then {", ".join(p.name for p in self.parameters)}'
+            )
+        fields = [p.name for p in self.parameters]
+        named = {field for _, field, _, _ in Formatter().parse(self.finding) if field}
+        if unknown := named - {*fields, 'size', 'direction'}:
+            raise EffectError(
+                f'effect {self.name}: finding: expected fields of {", ".join(fields)}, size and '
+                f'direction, got {", ".join(sorted(unknown))}'
             )
         for parameter in self.parameters:
             if not parameter.low <= parameter.neutral <= parameter.high:

@@ -11,6 +11,7 @@ def law(scale, relative_change):
 EFFECT = Effect(
     name='moment_arm',
     title='the tendon offsets differ from the description',
+    finding='the tendon offsets are {relative_change:larger/smaller} than described',
     stage='offset_scale',
     law=law,
     parameters=(relative_change(),),

@@ -11,6 +11,7 @@ def law(rest_x, rest_y, angle_x, angle_y):
 EFFECT = Effect(
     name='pre_curvature',
     title='the unloaded backbone is curved',
+    finding='the unloaded backbone is curved by {angle_x} and {angle_y} per cell',
     stage='rest',
     law=law,
     parameters=(

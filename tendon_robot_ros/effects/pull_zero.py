@@ -11,6 +11,7 @@ def law(pull, tension, offset):
 EFFECT = Effect(
     name='pull_zero',
     title='the commanded pulls have an offset',
+    finding='the commanded pulls have an offset of {offset}',
     stage='winding',
     law=law,
     # at most the wire of a bend of three radians, so that pretension and slack are within

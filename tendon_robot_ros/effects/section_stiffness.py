@@ -11,6 +11,7 @@ def law(stiffness, tendons, relative_change):
 EFFECT = Effect(
     name='section_stiffness',
     title='each section is stiffer or softer by its own amount',
+    finding='sections are {relative_change:stiffer/softer} than described',
     stage='stiffness',
     law=law,
     parameters=(relative_change(per_section=True),),

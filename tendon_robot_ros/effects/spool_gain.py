@@ -11,6 +11,7 @@ def law(pull, tension, relative_change):
 EFFECT = Effect(
     name='spool_gain',
     title='the spools wind more or less wire than commanded',
+    finding='the spools wind {relative_change:more/less} wire than commanded',
     stage='winding',
     law=law,
     # half as large as usual, because a radius is easily measured to a few percent

@@ -11,6 +11,7 @@ def law(stiffness, tendons, per_tendon):
 EFFECT = Effect(
     name='tendon_stiffness',
     title='the tendons resist bending',
+    finding='the tendons resist bending with {per_tendon} each',
     stage='stiffness',
     law=law,
     # of a cell: 2 % a tendon, because the six of Kato et al. 2015 make about 10 % (A7)

@@ -13,6 +13,7 @@ def law(tension, offset):
 EFFECT = Effect(
     name='tension_offset',
     title='the tension reading has an offset',
+    finding='the tension reading has an offset of {offset}',
     stage='actuation',
     law=law,
     # in tensions that bend the arm by a radian, so that an offset of the size of all is within

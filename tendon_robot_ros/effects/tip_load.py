@@ -11,6 +11,7 @@ def law(x, y, z, force_x, force_y, force_z):
 EFFECT = Effect(
     name='tip_load',
     title='a constant force at the tip',
+    finding='a load of {size} at the tip, {direction}',
     stage='tip_load',
     law=law,
     parameters=(

@@ -7,7 +7,7 @@ Every sentence comes from fields of the result.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from string import Formatter
 
 import numpy as np
@@ -17,15 +17,15 @@ from ..diagnosis.add import Addition
 from ..diagnosis.result import Diagnosis, NextMeasurement
 from ..diagnosis.verdict import P_SINGLE_MIN, SAME_ERROR_RATIO, SEPARABLE_FROM_SD, Verdict
 from ..inference.crossval import explained_fraction
+from ..inference.intervals import LoadVector, Value
 from ..robot.estimates import stiffnesses
 from .sentences import (
     amount,
     as_built,
     described_quantity,
     excluded_lines,
-    load_words,
+    finding_words,
     quantities,
-    short_quantities,
     where_wrong,
 )
 
@@ -46,25 +46,17 @@ NOT_WRITTEN = 'Nothing was written: the error on postures that were not used wou
 
 
 def lines(diagnosis: Diagnosis) -> list[str]:
-    """Return all lines: assumptions, verdict, the remaining error, alternatives."""
-    text = [
-        size(diagnosis),
-        *declared(diagnosis),
-        *excluded_lines(diagnosis.details),
-        '',
-        verdict(diagnosis),
-    ]
+    """Return all lines: verdict, remaining error, alternatives, what to do, what it rests on."""
+    text = verdict(diagnosis).split('\n')
     if not diagnosis.verdict.judged:
-        return text
+        return [*text, *excluded_lines(diagnosis.details)]
     text += [*errors(diagnosis), diagnosis.remainder]
     text += [f'mind: {caveat}' for caveat in diagnosis.details.get('caveats', ())]
     text += where_wrong(diagnosis.details.get('local_faults', ()))
+    text += filter(None, [alike(diagnosis), next_measurement(diagnosis)])
+    text += ['', size(diagnosis), *declared(diagnosis), *excluded_lines(diagnosis.details)]
     text += as_built(diagnosis.details.get('as_built'))
-    text += [
-        line for line in (alike(diagnosis), untested(diagnosis), detectable(diagnosis)) if line
-    ]
-    if diagnosis.next_measurement is not None:
-        text.append(next_measurement(diagnosis))
+    text += filter(None, [untested(diagnosis), detectable(diagnosis)])
     return text
 
 
@@ -121,22 +113,65 @@ def tolerance(name: str, size: float) -> str:
 
 def verdict(diagnosis: Diagnosis) -> str:
     """Return the verdict in one line, or two: its sentence with what the diagnosis found."""
-    taken = diagnosis.details.get('reference')
-    since = f'SINCE {taken["data"]}: ' if taken else ''
     sentence = diagnosis.verdict.sentence
     names = [name for _, name, _, _ in Formatter().parse(sentence) if name]
-    return since + sentence.format(**{name: _fields[name](diagnosis) for name in names})
+    return sentence.format(**{name: _fields[name](diagnosis) for name in names})
+
+
+def heading(diagnosis: Diagnosis, usual: str) -> str:
+    """Return the first words of a verdict: the usual ones, or what has changed since when."""
+    taken = diagnosis.details.get('reference')
+    return f'Changed since {taken["data"]}' if taken else usual
+
+
+def findings(diagnosis: Diagnosis) -> str:
+    """Say what was found: 'a load of 29.9 ± 0.3 mN at the tip, along gravity (`tip_load`)'."""
+    return '; and '.join(
+        in_words(diagnosis, e.name, e.parameters, e.load) for e in diagnosis.effects
+    )
+
+
+def in_words(
+    diagnosis: Diagnosis, name: str, values: Mapping[str, Value], load: LoadVector | None
+) -> str:
+    """Say an effect with its values, in the words of its own file."""
+    words = diagnosis.details.get('effects_in_words', {}).get(name, {})
+    title, finding = words.get('title', name.replace('_', ' ')), words.get('finding', '')
+    return f'{finding_words(title, finding, values, load)} (`{name}`)'
+
+
+def as_written(diagnosis: Diagnosis) -> str:
+    """Return the parameters under their names in a description, where the verdict has others."""
+    words = diagnosis.details.get('effects_in_words', {})
+    lines = [
+        f'\nIn the description: {e.name}: {quantities(e.parameters)}.'
+        for e in diagnosis.effects
+        if words.get(e.name, {}).get('finding')
+    ]
+    return ''.join(lines)
+
+
+def class_lines(diagnosis: Diagnosis) -> str:
+    """Return a line for each effect that explains the measurements as well, the best first."""
+    rows = {row.name: row for row in diagnosis.candidates}
+    best = {e.name: (e.parameters, e.load) for e in diagnosis.effects}
+    lines = []
+    for name in diagnosis.cannot_tell_apart:
+        row = rows.get(name)
+        values, load = best.get(name, ({}, None) if row is None else (row.parameters, row.load))
+        lines.append(f'- {in_words(diagnosis, name, values, load)}')
+    return '\n'.join(lines)
 
 
 def explained_part(diagnosis: Diagnosis) -> str:
-    """Describe the fraction of the explainable error that is removed, with and without the arm."""
+    """Say which fraction of the error above the noise goes, with and without the arm."""
     explained = percent(diagnosis.effects[0].explained)
     if not with_arm(diagnosis):
-        return f'{explained} of the explainable error'
+        return f'{explained} of the error above the noise'
     lowest = min(diagnosis.noise_floor, diagnosis.error_after)
     alone = explained_fraction(diagnosis.error_before, diagnosis.error_alone, lowest) or 0.0
     return (
-        f'{explained} of the explainable error with the arm as it was found, '
+        f'{explained} of the error above the noise with the arm as it was found, '
         f'{percent(max(alone, 0.0))} alone'
     )
 
@@ -159,22 +194,23 @@ def errors(diagnosis: Diagnosis) -> list[str]:
     ]
 
 
-def what_is_off(diagnosis: Diagnosis) -> str:
-    """Say which quantity moved beyond its tolerance, or which values are off."""
+def why_off(diagnosis: Diagnosis) -> str:
+    """Say which quantity moved beyond its tolerance, or how much another value explains."""
     if diagnosis.out_of_tolerance:
-        moved = diagnosis.details.get('moved', {})
+        moved, by = diagnosis.details.get('moved', {}), ' (by {} times its tolerance)'
         strays = [
-            f'{name} (by {digits(abs(moved[name]))} declared sd)' if name in moved else name
+            f'{name}{by.format(digits(abs(moved[name]))) if name in moved else ""}'
             for name in diagnosis.out_of_tolerance
         ]
-        return f'{listed(strays)} must move further than declared'
+        return f'{listed(strays)} must move further than declared.'
+    text = f'It explains {explained_part(diagnosis)}.'
     if diagnosis.cannot_tell_apart:
-        return f'{listed(diagnosis.cannot_tell_apart, "or")} explain it equally well'
-    return 'no effect is missing, but a value is off'
+        text += f' {listed(diagnosis.cannot_tell_apart, "or")} explain it equally well.'
+    return text
 
 
 def instead(diagnosis: Diagnosis) -> str:
-    """Describe the values in the description, and how much the new ones explain."""
+    """Say what the description has instead."""
     if diagnosis.out_of_tolerance:
         return ''
     best = diagnosis.effects[0]
@@ -184,7 +220,7 @@ def instead(diagnosis: Diagnosis) -> str:
         described_quantity(key, units.get(key, '1'), np.atleast_1d(value).tolist())
         for key, value in before.items()
     )
-    return f' (the description says {was or "nothing"}).\nIt explains {explained_part(diagnosis)}'
+    return f'; the description says {was or "nothing"}'
 
 
 def what_remains(diagnosis: Diagnosis) -> str:
@@ -194,14 +230,12 @@ def what_remains(diagnosis: Diagnosis) -> str:
         size = f'{digits(diagnosis.error_before / floor)} times the noise'
         if diagnosis.error_before < SAME_ERROR_RATIO * floor:
             size = f'not random, though it is only {size}'
-        return f'no effect of the catalogue helps; the error is {size}'
+        return f'No known effect helps; the error is {size}'
     best = next((row for row in diagnosis.candidates if row.status == 'best'), None)
-    values = ' with '.join(
-        f'{e.name} ({short_quantities(e.parameters) if e.load is None else load_words(e.load)})'
-        for e in diagnosis.effects
-    )
     after = diagnosis.error_after
-    text = f'{values} lowers the error from {mm(diagnosis.error_before)} to {mm(after)}, but '
+    lowers = 'It lowers' if len(diagnosis.effects) == 1 else 'They lower'
+    lowers += f' the error from {mm(diagnosis.error_before)} to {mm(after)}'
+    text = f'Nearest: {findings(diagnosis)}. {lowers}, but '
     rival = diagnosis.details.get('rival')
     if rival and rival.get('words'):
         return f'{text}{rival["words"]}, fits better'
@@ -221,21 +255,25 @@ def what_remains(diagnosis: Diagnosis) -> str:
 # field of a sentence of `diagnosis.verdict.Verdict` -> what stands there, so that a sentence names
 # what it needs
 _fields: dict[str, Callable[[Diagnosis], str]] = {
-    'alike': lambda diagnosis: listed(diagnosis.cannot_tell_apart, 'or'),
-    'best': lambda diagnosis: diagnosis.effects[0].name,
-    'best_values': lambda diagnosis: quantities(
-        diagnosis.effects[0].parameters, diagnosis.effects[0].load
+    'alike': class_lines,
+    'as_written': as_written,
+    'obstacle': lambda diagnosis: (
+        'Mistake of the set-up' if 'mistake' in diagnosis.details else 'Cannot be judged'
     ),
-    'for_accuracy': lambda diagnosis: (
-        f' FOR {mm(accuracy, 2)}' if (accuracy := diagnosis.details.get('accuracy')) else ''
-    ),
+    'findings': findings,
     'instead': instead,
     'judged_by': lambda diagnosis: (
-        'matters at that accuracy'
-        if diagnosis.details.get('accuracy')
+        f'matters at an accuracy of {mm(accuracy, 2)}'
+        if (accuracy := diagnosis.details.get('accuracy'))
         else 'these measurements could show'
     ),
-    'names': lambda diagnosis: ' AND '.join(e.name for e in diagnosis.effects),
+    'missing': lambda diagnosis: heading(diagnosis, 'Missing'),
+    'nothing': lambda diagnosis: (
+        f'Nothing has changed since {taken["data"]}'
+        if (taken := diagnosis.details.get('reference'))
+        else 'Nothing is missing'
+    ),
+    'off': lambda diagnosis: heading(diagnosis, 'A value is off'),
     'remainder': lambda diagnosis: diagnosis.remainder,
     'share': explained_part,
     'these_postures': lambda diagnosis: (
@@ -243,11 +281,8 @@ _fields: dict[str, Callable[[Diagnosis], str]] = {
         if (count := diagnosis.details.get('postures'))
         else 'these postures'
     ),
-    'values': lambda diagnosis: '; '.join(
-        f'{e.name}: {quantities(e.parameters, e.load)}' for e in diagnosis.effects
-    ),
-    'what_is_off': what_is_off,
     'what_remains': what_remains,
+    'why_off': why_off,
 }
 
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from string import Formatter
 from typing import Any
 
 import numpy as np
@@ -69,9 +71,53 @@ def quantities(values: Mapping[str, Value], load: LoadVector | None = None) -> s
     return ', '.join([*texts, *([] if load is None else [f'together {load_words(load)}'])])
 
 
+class _Found:
+    """The values of a parameter in a sentence: '5.0 ± 0.3 % stiffer (distal)'."""
+
+    def __init__(self, values: Mapping[str, Value], name: str, size: float) -> None:
+        self.values = {key: one for key, one in values.items() if key.partition('[')[0] == name}
+        self.size = size
+
+    def __format__(self, words: str) -> str:
+        """Say the values; of two words such as `more/less` the one that suits the sign."""
+        more, _, less = words.partition('/')
+        parts = []
+        for key, value in self.values.items():
+            word = less if less and value.value < 0.0 else more
+            if word is less and less:
+                value = replace(value, value=-value.value, low=-value.high, high=-value.low)
+            owner = key.partition('[')[2].removesuffix(']')
+            shown = _with_interval(key, value, self.size)
+            parts.append(' '.join(filter(None, [shown, word, owner and f'({owner})'])))
+        return listed(parts)
+
+
+def finding_words(
+    title: str, finding: str, values: Mapping[str, Value], load: LoadVector | None = None
+) -> str:
+    """Say what was found of an effect: in the words of `Effect.finding`, else by its title."""
+    names = dict.fromkeys(key.partition('[')[0] for key in values)
+    found: dict[str, Any] = {
+        name: _Found(values, name, _largest(values, one.unit))
+        for name in names
+        for one in [next(v for k, v in values.items() if k.partition('[')[0] == name)]
+    }
+    if load is not None:
+        found |= {'size': _with_interval('', load.size), 'direction': load_direction(load)}
+    fields = {field for _, field, _, _ in Formatter().parse(finding) if field}
+    if finding and fields <= set(found):
+        return finding.format(**found)
+    shown = [f'{name.replace("_", " ")} {value}' for name, value in found.items()]
+    return ', '.join([title, *shown])
+
+
 def load_words(load: LoadVector) -> str:
     """Say '0.151 ± 0.004 N, along gravity, 86 ± 9° from the arm's axis'."""
-    size = _with_interval('', load.size)
+    return f'{_with_interval("", load.size)}, {load_direction(load)}'
+
+
+def load_direction(load: LoadVector) -> str:
+    """Say 'along gravity, 86 ± 9° from the arm's axis'."""
     directions = []
     if (angle := load.from_gravity) is not None:
         if angle.low <= 0.0:
@@ -93,18 +139,7 @@ def load_words(load: LoadVector) -> str:
                     side = ('x', 'y', '-x', '-y')[quarter % 4]
                 text = f'{text} towards {side}'
             directions.append(text)
-    return ', '.join([size, *(directions or ['its direction is not told'])])
-
-
-def short_quantities(values: Mapping[str, Value]) -> str:
-    """Join the parameters without their intervals: 'relative_change -8 %'."""
-    parts = []
-    for name, value in values.items():
-        factor, unit = scale_of(value.unit, _largest(values, value.unit), name)
-        places = decimals(0.2 * factor * max(_largest(values, value.unit), 1e-300))
-        shown = with_unit(rounded(factor * value.value, places), unit)
-        parts.append(f'{spoken(name)} {shown}')
-    return ', '.join(parts)
+    return ', '.join(directions or ['its direction is not told'])
 
 
 def rounded_quantity(name: str, value: Value) -> str:
