@@ -13,12 +13,11 @@ from tendon_robot_ros.data import Marker, load_dataset
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.patterns import Patterns
 from tendon_robot_ros.inference.fitter import Fitter
-from tendon_robot_ros.inference.imperfections import SplitPredictor
+from tendon_robot_ros.inference.imperfections import SplitPredictor, imperfections
 from tendon_robot_ros.inference.marginal import Likelihood, Prior, RandomEffects
 from tendon_robot_ros.inference.outliers import find_outliers
 from tendon_robot_ros.inference.predict import Predictor, free_parameters
 from tendon_robot_ros.inference.session import Session
-from tendon_robot_ros.inference.slopes import imperfections
 from tendon_robot_ros.report.diagnosis_text import lines
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.robot.estimates import natural_sizes

@@ -13,9 +13,8 @@ from tendon_robot_ros.common.errors import DataSetError, EffectError
 from tendon_robot_ros.comparison.compare import compare, equilibria
 from tendon_robot_ros.data import join, load_dataset, save_dataset
 from tendon_robot_ros.diagnosis.add import add_effects
-from tendon_robot_ros.inference.imperfections import SplitPredictor
+from tendon_robot_ros.inference.imperfections import SplitPredictor, imperfections
 from tendon_robot_ros.inference.predict import Predictor
-from tendon_robot_ros.inference.slopes import imperfections
 from tendon_robot_ros.model.model import Model
 
 ROBOT = replace(planar(5), gravity=(0.0, 0.0, 0.0), exact=True)

@@ -41,11 +41,10 @@ from ..inference.crossval import (
 from ..inference.description import OF_THE_ARM, route_changes, stiffness_change
 from ..inference.fit import Fit, covariance_of, covariance_root
 from ..inference.fitter import FAILURES
-from ..inference.imperfections import POSITION, ROTATION, SplitPredictor
+from ..inference.imperfections import POSITION, ROTATION, SplitPredictor, imperfections
 from ..inference.intervals import QUANTILE, LoadVector, Value, loads_of, values_of
 from ..inference.predict import FreeParameter, Predictor
 from ..inference.session import Session
-from ..inference.slopes import imperfections
 from ..robot import Robot, RobotLike, load_robot
 from .add import Addition, fit_effects, more_at_work, settle, with_origin
 from .local_tests import faults_of, local_faults

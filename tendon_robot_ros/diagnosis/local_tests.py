@@ -34,12 +34,12 @@ from ..inference.imperfections import (
     Imperfections,
     Kind,
     SplitPredictor,
+    imperfections,
 )
 from ..inference.intervals import QUANTILE
 from ..inference.marginal import NEGLIGIBLE
 from ..inference.noise import Whitener
 from ..inference.predict import CELLS
-from ..inference.slopes import imperfections
 from ..inference.statistics import chi2_isf, false_discovery_control, t_sf
 from ..robot import Robot
 from .verdict import FALSE_DISCOVERY_RATE, P_SEVERAL_MIN

@@ -12,13 +12,12 @@ from ..common.arrays import Floats
 from ..effects import Parameter
 from ..inference.fit import Fit
 from ..inference.fitter import BEST_FEW, FAILURES, REVERSAL_GAIN_MIN, ROUNDS_MAX, Fitter
-from ..inference.imperfections import PUSH, SplitPredictor, typical_force
+from ..inference.imperfections import PUSH, SplitPredictor, forces_at, pushes, typical_force
 from ..inference.intervals import load_of
 from ..inference.noise import Whitener
 from ..inference.predict import CELLS, SOFT_CELL, TAPER, FreeParameter, Point
 from ..inference.search import DIFFERENCE_STEP
 from ..inference.session import NEAR_SCORE, side_by_side
-from ..inference.slopes import pushes
 from ..inference.statistics import SIGNIFICANCE, chi2_isf, chi2_sf
 from .tether import Answer, FittedTether, fit_tether
 from .verdict import ALARM_LEVEL, APART_FROM_SCORE, SAME_ERROR_RATIO
@@ -193,13 +192,7 @@ class Patterns:
         split = self.fitter.predictor
         if not isinstance(split, SplitPredictor) or not split.pushable:
             return None
-        return pushes(split, self.point, 1e-3 * typical_force(split.whole))
-
-    def _force_at(self, cell: int) -> list[FreeParameter]:
-        """Return the parameters of a force at one cell."""
-        unit = typical_force(self.fitter.predictor.robot)
-        axes = [Parameter(f'force_{xyz}', 'N', -30 * unit, 30 * unit, 0.0, unit) for xyz in 'xyz']
-        return [FreeParameter(PUSH, axis, cell) for axis in axes]
+        return pushes(split, self.point)
 
     def contact(self) -> Pattern | None:
         """Fit a force at one cell, the same in all postures: its place and vector [N]."""
@@ -210,7 +203,10 @@ class Patterns:
         slopes = self.pushes
         if slopes is None:
             return None
-        fits = self._at_best_places([self._gain(-moves) for moves in slopes], self._force_at)
+        fits = self._at_best_places(
+            [self._gain(-moves) for moves in slopes],
+            partial(forces_at, self.fitter.predictor.robot),
+        )
         fit, i = min(fits, key=_deviance)
         if fit is None:
             return None
@@ -258,7 +254,7 @@ class Patterns:
 
     def _tied(self, cell: int) -> tuple[float, TiedCell | None]:
         """Return the score of a string at a cell, linear about a force there."""
-        fit = self._refit(self._force_at(cell))
+        fit = self._refit(forces_at(self.fitter.predictor.robot, cell))
         place = None if fit is None else TiedCell(Patterns(self.fitter, fit), cell)
         found = None if place is None else place.fit(rounds=1)
         if place is None or found is None:

@@ -15,8 +15,7 @@ discrepancy.py    what an arm deviated in an earlier recording, and what has cha
 statistics.py     tails of distributions, means with intervals, the paired t-test
 
 Likelihood
-imperfections.py  kinds of imperfections of an arm as built; the model that has them
-slopes.py         derivatives of the markers by imperfections
+imperfections.py  kinds of imperfections of an arm as built; the model that has them, its slopes
 marginal.py       marginal likelihood of random imperfections; estimates of their sizes
 
 Fits

@@ -1,5 +1,5 @@
 """
-Undeclared imperfections of an arm as built, and the model of an arm with them.
+Undeclared imperfections of an arm as built, the model of an arm with them, and its derivatives.
 
 Cells scatter in stiffness or are kinked at rest, tensions, holes and the frame of the tracker
 deviate a little. Imperfections are the same in every posture. A cell (or tendon) is a column: the
@@ -10,21 +10,23 @@ and tendon has its own imperfection.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import numpy.typing as npt
 
 from ..common.arrays import Floats
 from ..data import DataSet
-from ..effects import Catalogue
+from ..effects import Catalogue, Parameter
+from ..model.derivatives import Move
+from ..model.forward import ForwardModel
 from ..model.shape import ShapeBatch
 from ..robot import Robot, Section
 from ..robot.description import EffectValues
-from .predict import CELLS, Conditions, FreeParameter, Point, Predictor
+from .predict import CELLS, Conditions, Freed, FreeParameter, Point, Predictor
 
 KINK, ACROSS, GAIN, HOLE = 'cell_kink', 'cell_kink_across', 'channel_gain', 'hole_radius'
 ZERO, POSITION, ROTATION = 'pull_zero', 'position', 'rotation'
@@ -43,6 +45,7 @@ PLAUSIBLE_SIZES: dict[str, tuple[str, float, float]] = {
     ROTATION: ('rad', math.radians(0.3), 1e-3),
 }
 PLAUSIBLE_LENGTH = 0.2  # [m] of an arm; of a longer one lengths grow because its parts do
+STEP = 1e-6  # [1], [rad], [m] of differences without solving, because rounding is 1e-16
 BEND_MAX_RAD = 0.5  # [rad] of one cell, else the whole arm would be wrong: docs/inference.md
 REST = 'pre_curvature'  # the effect whose parameters are the bends at rest
 PUSH, WEIGHT = 'push', 'gravity'  # a force at the middle of a cell; the effect that it uses
@@ -309,3 +312,140 @@ def typical_force(robot: Robot) -> float:
     """Return a side force [N] at the tip that bends the arm by about a third of a radian."""
     softness = sum(1.0 / k for section in robot.sections for k in section.bending_stiffness)
     return 0.6 / (softness * robot.length)
+
+
+def forces_at(robot: Robot, cell: int) -> list[FreeParameter]:
+    """Return the parameters of a force at one cell."""
+    unit = typical_force(robot)
+    axes = [Parameter(f'force_{xyz}', 'N', -30 * unit, 30 * unit, 0.0, unit) for xyz in 'xyz']
+    return [FreeParameter(PUSH, axis, cell) for axis in axes]
+
+
+class _Member(Freed):
+    """One imperfection that is varied to both sides about what it is."""
+
+    def __init__(
+        self,
+        split: SplitPredictor,
+        point: Point,
+        part: Conditions,
+        name: str,
+        unit: Floats,
+        b: int,
+    ) -> None:
+        """Store the arrays of the model at both ends, for `b` postures."""
+        self.split, at, step = split, split.around, STEP
+        centre = at.get(name, np.zeros(len(unit)))
+        self._around: dict[float, Members] = {0.0: at}
+        self._around |= {side: {**at, name: centre + side * unit} for side in (-step, step)}
+        self._rows = split.predicted(part).rows
+
+        def set_to(side: float) -> None:
+            split.around = self._around[side]
+            split.set_parameters(point, part)
+
+        super().__init__(split.model.arrays, (-step, step), b, set_to)
+
+    def inputs(self, inputs: Floats, side: Floats) -> Floats:
+        """Return the input tensions (b, m) [N] of one side, which a gain changes."""
+        split = self.split
+        by_tension = split.dataset.input == 'tension'
+        return split.given(split.inputs)[self._rows] if by_tension else inputs
+
+    @contextmanager
+    def applied(self, model: ForwardModel, side: Floats) -> Iterator[None]:
+        """Set the imperfection to one side while the block runs."""
+        self.split.around = self._around[float(side[0])]
+        try:
+            with super().applied(model, side):
+                yield
+        finally:
+            self.split.around = self._around[0.0]
+
+
+def imperfections(
+    split: Predictor, point: Point, at: Members | None = None, changed: bool = False
+) -> Imperfections | None:
+    """
+    Return the kinds and slopes of imperfections at a point, linearised around given ones (`at`).
+
+    Of two recordings of an arm both have the same ones, which cancel; what remains is how far its
+    deviations themselves have changed, which may be as much as they are. With `changed`,
+    imperfections may be new. An arm that is no `SplitPredictor` is exact: it has none of any kind.
+    None where the model has no equilibrium.
+    """
+    if not isinstance(split, SplitPredictor):
+        return Imperfections.none(split.dataset)
+    reference = split.dataset.reference
+    kinds, split.around = split.kinds() if reference is None or changed else (), at or {}
+    if split.markers(point) is None:
+        return None
+    named = [(kind.name, unit) for kind in kinds for unit in np.eye(len(kind))]
+    if not named:
+        moves = np.empty((0, len(split.inputs), len(split.dataset.markers), 3))
+    elif split.model.friction_remembers or split.carries:
+        moves = _differences(split, point, named)
+    else:
+        moves = _slopes(
+            split,
+            point,
+            lambda part, b: [_Member(split, point, part, *one, b) for one in named],
+        )
+    columns = remainders(split)
+    allowed = 0.0 if reference is None else reference.error / np.sqrt(3.0)
+    rest = Kind(REMAINDER, 'm', np.inf, tuple(map(str, range(len(columns)))), allowed=allowed)
+    return Imperfections((*kinds, rest), np.concatenate([moves, columns]))
+
+
+def pushes(split: SplitPredictor, point: Point) -> Floats | None:
+    """
+    Return the slopes of the markers by forces at every cell, (n, 3, P, J, 3) [m/N].
+
+    None where the model has no equilibrium.
+    """
+    if split.markers(point) is None or split.model.remembers:
+        return None
+    at_cells = [forces_at(split.robot, i) for i in range(len(split.model.arrays.cells))]
+
+    def moves(part: Conditions, b: int) -> list[Move]:
+        return [
+            split.moved({**point, **dict.fromkeys(frees, 0.0)}, part, free, b)
+            for frees in at_cells
+            for free in frees
+        ]
+
+    slopes = _slopes(split, point, moves)
+    return slopes.reshape(-1, 3, *slopes.shape[1:])
+
+
+def _slopes(
+    split: SplitPredictor, point: Point, moves: Callable[[Conditions, int], list[Move]]
+) -> Floats:
+    """Return derivatives (q, P, J, 3) of the markers at the settled postures, by moves."""
+    assert split.settled is not None
+    return split.tangent_by(moves, point, split.settled).markers
+
+
+def _differences(
+    split: SplitPredictor, point: Point, named: Sequence[tuple[str, Floats]]
+) -> Floats:
+    """Return central differences (q, P, J, 3) of the markers by members of kinds."""
+    near, at = split.settled, split.around
+    assert near is not None
+    predict: Callable[[], Floats | None] = partial(split.markers, point, near=near)
+    if not split.model.friction_remembers and split.visits is None:
+        along = split.along_path(point, near)
+
+        def predict() -> Floats:
+            return along(point)[0]
+
+    moves, zero = [], np.zeros((len(split.inputs), len(split.dataset.markers), 3))
+    for name, unit in named:
+        step, centre, sides = PLAUSIBLE_SIZES[name][2], at.get(name, np.zeros(len(unit))), []
+        for side in (step, -step):
+            split.around = {**at, name: centre + side * unit}
+            sides.append(predict())
+        up, down = sides
+        moves.append(zero if up is None or down is None else (up - down) / (2.0 * step))
+    split.around = at
+    return np.array(moves)

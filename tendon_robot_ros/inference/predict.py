@@ -237,6 +237,7 @@ def free_parameters(effect: Effect, robot: Robot) -> tuple[FreeParameter, ...]:
 
 
 Point = Mapping[FreeParameter, float]
+Rows = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -365,45 +366,52 @@ class Predictor:
         commanded, tensions answer so that taut wires keep theirs. None where friction remembers,
         or bends do and postures have several visits: only further solutions show it.
         """
-        P, n, q = len(settled.state), self.model.arrays.chain.n, len(frees)
         stages = {self.model.catalogue[f.effect].stage for f in frees if self.is_effect(f)}
         if 'memory' in stages or self.model.friction_remembers:
             return None
         if self.carries or (stages & PATH_STAGES and self.dataset.path != 'from_straight'):
             return None if self.visits is not None else self._path_tangent(point, frees, settled)
-        moved = Tangent(
-            np.zeros((q, P, len(self.dataset.markers), 3)),
-            np.zeros((q, P, 3 * n)),
-            np.zeros((q, *settled.tensions.shape)),
-        )
+
+        def moves(part: Conditions, count: int) -> list[Move]:
+            return [self.moved(point, part, free, count) for free in frees]
+
+        return self.tangent_by(moves, point, settled)
+
+    def tangent_by(
+        self,
+        moves_of: Callable[[Conditions, int], list[Move]],
+        point: Point,
+        settled: SettledShapes,
+    ) -> Tangent:
+        """Return the derivatives of equilibria by moves of each part; see `tangent`."""
+        P, by_pulls, tangents = len(settled.state), self.dataset.input == 'displacement', []
         for part in self.parts:
             self.set_parameters(point, part)
             rows = self.predicted(part).rows
             start, count = settled.of(rows), len(rows)
-            moves: list[Move] = [self._freed(point, part, free, count) for free in frees]
-            if self.dataset.input == 'displacement':
-                m = start.tensions.shape[1]
+            moves = moves_of(part, count)
+            q, m = len(moves), start.tensions.shape[1]
+            if by_pulls:
                 moves += [Pulled(j, start.tensions[:, j]) for j in range(m)]
 
+            def pulls_and_markers(shapes: ShapeBatch, rows: Rows = rows) -> Floats:
+                """Return (b, m + 3 J) [m], pulls beyond the requested ones."""
                 commanded = self.given(self.inputs)[rows]
+                gaps = shapes.pulls - transmitted(self.model, commanded, None)
+                return np.hstack([np.nan_to_num(gaps), self.see(shapes).reshape(len(shapes), -1)])
 
-                def pulls_and_markers(
-                    shapes: ShapeBatch, commanded: Floats = commanded
-                ) -> Floats:  # (b, m + 3 J) [m], pulls beyond the requested ones
-                    gaps = shapes.pulls - transmitted(self.model, commanded, None)
-                    seen = self.see(shapes).reshape(len(shapes), -1)
-                    return np.hstack([np.nan_to_num(gaps), seen])
-
-                rates, states = follow(
-                    self.model, start.tensions, start.state, moves, pulls_and_markers
-                )
+            output = pulls_and_markers if by_pulls else self.see
+            rates, states = follow(self.model, start.tensions, start.state, moves, output)
+            answers = np.zeros((q, *start.tensions.shape))
+            if by_pulls:
                 rates, states, answers = held(start.tensions, rates, states, q)
-                moved.tensions[:, rows], rates = answers, rates[..., m:]
-            else:
-                rates, states = follow(self.model, start.tensions, start.state, moves, self.see)
-            moved.markers[:, rows] = rates.reshape(q, count, -1, 3)
-            moved.states[:, rows] = states
-        return moved
+                rates = rates[..., m:]
+            tangents.append((rows, rates.reshape(q, count, -1, 3), states, answers))
+        whole = [np.zeros((q, P, *one.shape[2:])) for one in tangents[0][1:]]
+        for rows, *own in tangents:
+            for every, one in zip(whole, own, strict=True):
+                every[:, rows] = one
+        return Tangent(*whole)
 
     @property
     def carries(self) -> bool:
@@ -484,10 +492,10 @@ class Predictor:
         step = DIFFERENCE_STEP * max(abs(value), own.typical)
         return max(-step, own.low - value), min(step, own.high - value)
 
-    def _freed(
+    def moved(
         self, point: Point, part: Conditions, free: FreeParameter, count: int
     ) -> Freed | Shifted:
-        """Return the variation of a parameter about a point; the model is set to the point."""
+        """Return the move of a parameter about a point; the model is set to the point."""
         value, own = point.get(free, self.value(free)), free.parameter
         ends = self._ends(point, free)
         if self.is_effect(free) and (free.effect, own.name) not in part.known:

@@ -27,13 +27,12 @@ from .candidates import (
 )
 from .fit import Fit
 from .fitter import FAILURES, GAINS_TO_COME, Descent, Fitter
-from .imperfections import REMAINDER, Imperfections, Members, SplitPredictor
+from .imperfections import REMAINDER, Imperfections, Members, SplitPredictor, imperfections
 from .marginal import RandomEffects
 from .noise import Noise, Whitener, estimate_noise, input_slopes, relative_error
 from .outliers import Outliers, without_unsettled
 from .predict import FreeParameter, Point, Predictor
 from .repeats import Repeats, repeats
-from .slopes import imperfections
 
 # [1] postures of a long recording that fits use, because a fit takes its time for each, and the
 # errors of more are alike

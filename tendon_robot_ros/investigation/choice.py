@@ -32,10 +32,9 @@ from ..data import DataSet
 from ..diagnosis.stepwise import PRIOR_TYPICALS
 from ..effects import Catalogue
 from ..inference.candidates import nuisances_of
-from ..inference.imperfections import REMAINDER, SplitPredictor
+from ..inference.imperfections import REMAINDER, SplitPredictor, imperfections
 from ..inference.noise import Noise, Whitener, input_slopes
 from ..inference.predict import FreeParameter, Point, Predictor, frees_of
-from ..inference.slopes import imperfections
 from ..model.model import Model
 from ..model.pulls import pull_shapes
 from ..robot import Robot

@@ -31,7 +31,14 @@ from ..common.arrays import Floats
 from ..common.estimation import kalman_update
 from ..data import DataSet, Marker
 from ..effects import Catalogue, Effect
-from ..inference.imperfections import GAIN, KINK, PLAUSIBLE_SIZES, SplitPredictor, remainders
+from ..inference.imperfections import (
+    GAIN,
+    KINK,
+    PLAUSIBLE_SIZES,
+    SplitPredictor,
+    imperfections,
+    remainders,
+)
 from ..inference.noise import relative_error
 from ..inference.predict import (
     FreeParameter,
@@ -40,7 +47,6 @@ from ..inference.predict import (
     SettledShapes,
     free_parameters,
 )
-from ..inference.slopes import imperfections
 from ..model.shape import ShapeBatch
 from ..robot import Robot
 from ..robot.estimates import bend_rates, end_sections, natural_sizes

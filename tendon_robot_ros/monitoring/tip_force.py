@@ -28,9 +28,9 @@ import numpy.typing as npt
 from ..common.arrays import Floats
 from ..common.estimation import gauss_newton
 from ..diagnosis.verdict import MISFIT_ALARM_LEVEL
+from ..inference.imperfections import pushes
 from ..inference.predict import FreeParameter, SettledShapes, free_parameters
 from ..inference.search import DIFFERENCE_STEP
-from ..inference.slopes import pushes
 from ..inference.statistics import SIGNIFICANCE, chi2_isf
 from .built_arm import LOAD, BuiltArm
 
@@ -264,7 +264,7 @@ class _Fit:
         observer = self.observer
         split = observer.arm.split
         split.inputs = self.data.inputs
-        pushed = pushes(split, observer.point(force), observer.step)
+        pushed = pushes(split, observer.point(force))
         if pushed is None:
             return None, None
         basis, _ = np.linalg.qr(columns)

@@ -13,11 +13,10 @@ import numpy as np
 from ..common.arrays import Floats
 from ..data import DataSet, Marker, even_markers
 from ..effects import Catalogue
-from ..inference.imperfections import SplitPredictor
+from ..inference.imperfections import SplitPredictor, imperfections
 from ..inference.marginal import RandomEffects
 from ..inference.noise import Whitener, estimate_noise, input_slopes
 from ..inference.predict import Predictor
-from ..inference.slopes import imperfections
 from ..robot import Robot
 from ..robot.estimates import natural_sizes
 from ..simulation.hidden import CAUSES, Built, Workmanship
