@@ -38,7 +38,7 @@ demo: ## the paper's postures with a mock arm, in under a minute
 	$(RUN) python -m tendon_robot_ros demo $(ARGS)
 
 paper: ## the paper's experiments: published numbers beside ours (results/paper)
-	$(RUN) python -m tendon_robot_ros paper --output results/paper --overwrite $(ARGS)
+	$(RUN) python -m tendon_robot_ros study paper --output results/paper --overwrite $(ARGS)
 
 BENCH := results/bench
 # The diagnosis has benchmarks of its own that take hours: see docs/results.md

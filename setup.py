@@ -15,7 +15,7 @@ from setuptools import find_packages, setup
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
 
-from tendon_robot_ros.cli.main import COMMANDS  # noqa: E402
+from tendon_robot_ros.cli.main import EXECUTABLES  # noqa: E402
 
 NAME = 'tendon_robot_ros'
 PACKAGE_XML = ElementTree.parse(HERE / 'package.xml').getroot()
@@ -44,6 +44,7 @@ EXTRAS = {
     'ros-test': ['ros-jazzy-test-msgs'],  # an action that every rclpy knows
     'test': [
         'hypothesis>=6.98',
+        'mujoco>=3.2',  # the exported file, run to rest
         'pytest>=7.4,<8.4',
         'pytest-rerunfailures>=13',
         'pytest-timeout>=2.2',
@@ -75,7 +76,7 @@ def executables() -> list[str]:
     """
     if 'setuptools.build_meta' in sys.modules:  # pip
         return [f'{NAME} = {NAME}.__main__:main']
-    return [f'{name} = {NAME}.cli.main:run_named' for name in COMMANDS]
+    return [f'{name} = {NAME}.cli.main:run_named' for name in EXECUTABLES]
 
 
 def shared_files() -> list[tuple[str, list[str]]]:

@@ -4,8 +4,8 @@ From a laboratory's table of an arm that shares no code with the model to a verd
 The arm: a level rod of nitinol with ten disks and three wires that rub in their holes, those of
 the base plate included (fine_rod.py), cells that scatter by 2 %, load cells by 0.5 %, and 15 g at
 the tip that the description does not know. The table: tracker turned by 30° and 200 mm off, y up,
-mm, gaps, markers in no order, a trial that slips. Then new-robot, import-table and diagnose as
-typed.
+mm, gaps, markers in no order, a trial that slips. Then `robot new`, `import table` and `diagnose`
+as typed.
 
 usage: python benchmarks/bench_trial.py [--seed N] [--noise F] [--plate] [--folder D] [--json FILE]
 """
@@ -104,14 +104,14 @@ def walk(folder, answers):
     """Type the commands of docs/from_mocap_to_verdict.md; return what they print and seconds."""
     program = [sys.executable, '-m', 'tendon_robot_ros']
     calls = {
-        'new-robot': ['--output', 'arm.yaml'],
-        'import-table': ['raw.csv', '--robot', 'arm.yaml', '--up', 'y', '--output', 'run'],
+        'robot new': ['--output', 'arm.yaml'],
+        'import table': ['raw.csv', '--robot', 'arm.yaml', '--up', 'y', '--output', 'run'],
         'diagnose': ['run', '--add', 'better.yaml', '--json', 'verdict.json'],
     }
     seconds = {}
     for name, arguments in calls.items():
         start = time.perf_counter()
-        subprocess.run([*program, name, *arguments], cwd=folder, input=answers, text=True,
+        subprocess.run([*program, *name.split(), *arguments], cwd=folder, input=answers, text=True,
                        check=True)  # fmt: skip
         seconds[name] = round(time.perf_counter() - start, 1)
     return json.loads((folder / 'verdict.json').read_text()), seconds

@@ -5,7 +5,7 @@ The arm is a nitinol tube with three tendons, lying level; somebody has left a w
 Run it from the folder of the project; pictures go to the folder given as the argument, if any.
 """
 
-# %% The arm as it was described with new-robot, and what its model says
+# %% The arm as it was described with `robot new`, and what its model says
 import sys
 from pathlib import Path
 

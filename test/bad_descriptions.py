@@ -10,7 +10,7 @@ BAD = {
         'dataset',
         None,
         'dataset.yaml: cannot be read (No such file or directory)',
-        'name a folder with dataset.yaml, inputs.csv and shapes.csv; of a table import-table '
+        'name a folder with dataset.yaml, inputs.csv and shapes.csv; of a table `import table` '
         'makes one',
     ),
     'pulls in mm': (

@@ -37,31 +37,33 @@ def folder(tmp_path, monkeypatch):
 
 # what is typed; what the message says; what it advises, typed instead (None: it advises nothing)
 SITUATIONS = [
-    ('shape arm.yaml --tensions tree=1', "unknown 'tree'; did you mean three?",
-     'shape arm.yaml --tensions three=1'),
-    ('shape arm.yaml --tensions one=-1', 'one: expected a finite tension not below 0 N, got -1',
-     'shape arm.yaml --tensions one=1'),
-    ('shape arm.yaml --tensions one=20', 'above the limit of 8 N .*; say --beyond-limits',
-     'shape arm.yaml --tensions one=20 --beyond-limits'),
-    ('shape arm.yaml --pulls one=0.002,two=0.001', 'if m is meant, say --unit m',
-     'shape arm.yaml --pulls one=0.002,two=0.001 --unit m'),
-    ('shape arm.yaml --pulls one=500', '500 mm on an arm of 120 mm$', None),
-    ('shape arm.yaml --pulls one=5m', '5000 mm on an arm of 120 mm$', None),
-    ('shape run --tensions left=1', 'run: is a folder; name its run/robot.yaml',
-     'shape run/robot.yaml --tensions left=1'),
-    ('shape spatial3 --tensions one=1', 'did you mean spatial_3?',
-     'shape spatial_3 --tensions one=1'),
-    ('shape empty.yaml --tensions one=1', r'a robot description .* got .an empty file.', None),
-    ('reach arm.yaml --position 0.01,0,0.1', 'if m is meant, say --unit m',
-     'reach arm.yaml --position 0.01,0,0.1 --unit m'),
-    ('reach arm.yaml --position 10,0,100 --unit m', 'if mm is meant, say --unit mm',
-     'reach arm.yaml --position 10,0,100 --unit mm'),
-    ('reach arm.yaml --positon 10,0,100', 'did you mean --position? see ',
-     'reach arm.yaml --position 10, 0 100'),
+    ('model shape arm.yaml --tensions tree=1', "unknown 'tree'; did you mean three?",
+     'model shape arm.yaml --tensions three=1'),
+    ('model shape arm.yaml --tensions one=-1',
+     'one: expected a finite tension not below 0 N, got -1',
+     'model shape arm.yaml --tensions one=1'),
+    ('model shape arm.yaml --tensions one=20', 'above the limit of 8 N .*; say --beyond-limits',
+     'model shape arm.yaml --tensions one=20 --beyond-limits'),
+    ('model shape arm.yaml --pulls one=0.002,two=0.001', 'if m is meant, say --unit m',
+     'model shape arm.yaml --pulls one=0.002,two=0.001 --unit m'),
+    ('model shape arm.yaml --pulls one=500', '500 mm on an arm of 120 mm$', None),
+    ('model shape arm.yaml --pulls one=5m', '5000 mm on an arm of 120 mm$', None),
+    ('model shape run --tensions left=1', 'run: is a folder; name its run/robot.yaml',
+     'model shape run/robot.yaml --tensions left=1'),
+    ('model shape spatial3 --tensions one=1', 'did you mean spatial_3?',
+     'model shape spatial_3 --tensions one=1'),
+    ('model shape empty.yaml --tensions one=1', r'a robot description .* got .an empty file.',
+     None),
+    ('model reach arm.yaml --position 0.01,0,0.1', 'if m is meant, say --unit m',
+     'model reach arm.yaml --position 0.01,0,0.1 --unit m'),
+    ('model reach arm.yaml --position 10,0,100 --unit m', 'if mm is meant, say --unit mm',
+     'model reach arm.yaml --position 10,0,100 --unit mm'),
+    ('model reach arm.yaml --positon 10,0,100', 'did you mean --position? see ',
+     'model reach arm.yaml --position 10, 0 100'),
     ('simulate arm.yaml --outptu new', 'did you mean --output? see ',
      'simulate arm.yaml --count 1 --output new'),
-    ('reach arm.yaml --position 1e9,0,0', 'from the base of an arm of 120 mm$', None),
-    ('reach arm.yaml --position 10m,0,0', 'from the base of an arm of 120 mm$', None),
+    ('model reach arm.yaml --position 1e9,0,0', 'from the base of an arm of 120 mm$', None),
+    ('model reach arm.yaml --position 10m,0,0', 'from the base of an arm of 120 mm$', None),
     ('compare arm.yaml', 'is a file, and no data set; name the folder that holds dataset.yaml',
      'compare run'),
     ('compare absent', 'absent: is not there; name the folder of a data set', 'compare run'),
@@ -69,13 +71,13 @@ SITUATIONS = [
     ('compare run --model arm.yaml', 'run: was measured with the inputs left, right of planar1, '
      'but arm.yaml has one, two, three; name a description of the robot that was measured',
      'compare run --model run/robot.yaml'),
-    ('import-table run/shapes.csv --robot arm.yaml --output new',
+    ('import table run/shapes.csv --robot arm.yaml --output new',
      'run/shapes.csv: belongs to the data set run, which needs no import; compare it: ',
      'compare run'),
-    ('import-table run --robot arm.yaml --output new', 'compare it: ', 'compare run'),
-    ('import-bag run --output new', 'run: is a data set, and no recording; compare it: ',
+    ('import table run --robot arm.yaml --output new', 'compare it: ', 'compare run'),
+    ('import bag run --output new', 'run: is a data set, and no recording; compare it: ',
      'compare run'),
-    ('import-bag nothing --output new', 'nothing: is a folder without metadata.yaml', None),
+    ('import bag nothing --output new', 'nothing: is a folder without metadata.yaml', None),
     ('simulate arm.yaml --output new --count 0', '--count: expected a whole number from 1 on',
      'simulate arm.yaml --output new --count 1'),
 ]  # fmt: skip
@@ -137,7 +139,7 @@ TABLES = [
      (f'table.csv {IMPORT} --markers 30,60,90,120', None)],
     [(f'table.csv {IMPORT} --markers 30,60,90,100', 'give the distance of every marker'),
      (f'table.csv {IMPORT} --markers 30,60,90,120', None)],
-    [('table.csv --output new', '--robot: describe the arm with new-robot, then name its file'),
+    [('table.csv --output new', '--robot: describe the arm with `robot new`, then name its file'),
      (f'table.csv {IMPORT}', None)],
     [('table.csv --robot coarse.yaml --output run', 'holds a data set already; .* --overwrite'),
      ('table.csv --robot coarse.yaml --output run --overwrite', None)],
@@ -206,7 +208,7 @@ def tables(folder, measured):
 @pytest.mark.parametrize('steps', TABLES, ids=[steps[0][0] for steps in TABLES])
 def test_who_follows_the_advice_about_a_table_gets_on(tables, capsys, steps):
     for typed, said in steps:
-        code = main(['import-table', *typed.split()])
+        code = main(['import', 'table', *typed.split()])
         message = capsys.readouterr().err.strip()
         assert code == (said is not None), message
         assert said is None or re.search(said, message), message
@@ -214,10 +216,10 @@ def test_who_follows_the_advice_about_a_table_gets_on(tables, capsys, steps):
 
 @pytest.mark.parametrize(('typed', 'said', 'advised'), LOOKS, ids=[look[0] for look in LOOKS])
 def test_a_look_is_gone_where_its_advice_is_followed(tables, capsys, typed, said, advised):
-    assert main(['import-table', *typed.split()]) == 0
+    assert main(['import', 'table', *typed.split()]) == 0
     assert said in capsys.readouterr().out
     shutil.rmtree('new')
-    assert main(['import-table', *advised.split()]) == 0
+    assert main(['import', 'table', *advised.split()]) == 0
     assert said not in capsys.readouterr().out
 
 
@@ -228,43 +230,43 @@ MARKERS = 'markers: [{name: one, arc_length: 0.01}, {name: two, arc_length: 0.02
     '{name: three, arc_length: 0.03}]\n'  # fmt: skip
 RECORDINGS = {
     'without a robot': ({}, [
-        ('import-bag bag --output new', 'no robot description; name one with --robot robot.yaml'),
-        ('import-bag bag --output new --robot small.yaml', None)]),
+        ('import bag bag --output new', 'no robot description; name one with --robot robot.yaml'),
+        ('import bag bag --output new --robot small.yaml', None)]),
     'judged without a robot': ({}, [
         ('compare bag', 'no robot description; name one with --robot'),
         ('compare bag --model small.yaml', None)]),
     'without tensions': ({'tensions': False}, [
-        ('import-bag bag --output new --robot small.yaml --description tension.yaml',
+        ('import bag bag --output new --robot small.yaml --description tension.yaml',
          'say input: displacement in a dataset.yaml and name it with --description'),
-        ('import-bag bag --output new --robot small.yaml --description pulls.yaml', None)]),
+        ('import bag bag --output new --robot small.yaml --description pulls.yaml', None)]),
     'markers that are not described': ({}, [
-        ('import-bag bag --output new --robot small.yaml --description tip.yaml',
+        ('import bag bag --output new --robot small.yaml --description tip.yaml',
          'list the markers in a dataset.yaml and name it with --description'),
-        ('import-bag bag --output new --robot small.yaml --description three.yaml', None)]),
+        ('import bag bag --output new --robot small.yaml --description three.yaml', None)]),
     'topics of markers': ({'by_topic': True}, [
-        ('import-bag bag --output new --robot small.yaml',
+        ('import bag bag --output new --robot small.yaml',
          '--marker 1=NAME for each; there: /tracker/m0, /tracker/m1, /tracker/m2'),
-        ('import-bag bag --output new --robot small.yaml --marker 1=/tracker/m0 '
+        ('import bag bag --output new --robot small.yaml --marker 1=/tracker/m0 '
          '--marker 2=/tracker/m1 --marker 3=/tracker/m2', None)]),
     'too short to be still': ({}, [
-        ('import-bag bag --output new --robot small.yaml --duration 9',
+        ('import bag bag --output new --robot small.yaml --duration 9',
          'counts as still after 9 s; allow a shorter duration, say 0.98'),
-        ('import-bag bag --output new --robot small.yaml --duration 1', None)]),
+        ('import bag bag --output new --robot small.yaml --duration 1', None)]),
     'too short to be seen still': ({}, [
-        ('import-bag bag --output new --robot small.yaml --duration 0.1',
+        ('import bag bag --output new --robot small.yaml --duration 0.1',
          'holds a place every 0.05 s, .*; ask for a duration of 0.4 or more'),
-        ('import-bag bag --output new --robot small.yaml --duration 0.4',
+        ('import bag bag --output new --robot small.yaml --duration 0.4',
          'never stands still for 0.4 s .*, or a higher speed where noise looks like one'),
-        ('import-bag bag --output new --robot small.yaml --duration 0.4 --speed 5', None)]),
+        ('import bag bag --output new --robot small.yaml --duration 0.4 --speed 5', None)]),
     'a folder that is called as a bag of ROS 1': ({}, [
-        ('export-bag run new.bag', 'ends with .bag, and a folder .*; leave out .bag'),
-        ('export-bag run new', None), ('import-bag new --output imported', None)]),
+        ('export bag run new.bag', 'ends with .bag, and a folder .*; leave out .bag'),
+        ('export bag run new', None), ('import bag new --output imported', None)]),
     'all at rest': ({}, [
-        ('import-bag bag --output new --robot small.yaml --rest 5N', 'lower what counts as rest'),
-        ('import-bag bag --output new --robot small.yaml --rest 0.5N', None)]),
+        ('import bag bag --output new --robot small.yaml --rest 5N', 'lower what counts as rest'),
+        ('import bag bag --output new --robot small.yaml --rest 0.5N', None)]),
     'in the frame of a tracker': ({'frame': 'camera'}, [
-        ('compare bag --model small.yaml', 'import it with import-bag, .*--frame base'),
-        ('import-bag bag --output new --robot small.yaml --frame base', None)]),
+        ('compare bag --model small.yaml', 'take it in with `import bag`, .*--frame base'),
+        ('import bag bag --output new --robot small.yaml --frame base', None)]),
     'nothing to draw': ({}, [
         ('plot bag', 'holds neither target_pose, target_point nor tendon_command; record them')]),
 }  # fmt: skip
@@ -317,9 +319,9 @@ def test_who_follows_the_advice_of_a_driver_gets_on(what):
 
 
 def test_a_tension_may_have_its_unit(folder, capsys):
-    assert main(['shape', 'arm.yaml', '--tensions', 'one=1500mN']) == 0
+    assert main(['model', 'shape', 'arm.yaml', '--tensions', 'one=1500mN']) == 0
     with_unit = capsys.readouterr().out
-    assert main(['shape', 'arm.yaml', '--tensions', 'one=1.5']) == 0
+    assert main(['model', 'shape', 'arm.yaml', '--tensions', 'one=1.5']) == 0
     assert with_unit == capsys.readouterr().out
-    assert main(['shape', 'arm.yaml', '--tensions', 'one=3mm']) == 1
+    assert main(['model', 'shape', 'arm.yaml', '--tensions', 'one=3mm']) == 1
     assert 'one' in capsys.readouterr().err

@@ -269,7 +269,7 @@ def test_the_command_writes_table_and_page_and_goes_on(tmp_path, capsys, monkeyp
     pytest.importorskip('plotly')
     content = CHEAP | {'seeds': 1, 'clean': 1}
     (tmp_path / 'plan.yaml').write_text(yaml.safe_dump(content))
-    call = ['campaign', str(tmp_path / 'plan.yaml'), '--output', str(tmp_path / 'out')]
+    call = ['study', 'campaign', str(tmp_path / 'plan.yaml'), '--output', str(tmp_path / 'out')]
 
     seen = []
 

@@ -1,4 +1,4 @@
-"""The commands describe and new-robot, as a user types them."""
+"""The commands describe and robot new, as a user types them."""
 
 import io
 import itertools
@@ -28,7 +28,7 @@ SPATIAL = str(ROBOTS / 'spatial_6.yaml')
 
 
 def test_describe_names_the_model_and_every_part(capsys):
-    assert main(['describe', KATO]) == 0
+    assert main(['robot', 'describe', KATO]) == 0
     out = capsys.readouterr().out
     assert out.startswith('robot kato_10_1: 2 sections, 30 cells, 4 tendons, 208 mm\n')
     assert 'model: FKM (tendon_friction, friction coefficient 0.33)\n' in out
@@ -54,7 +54,7 @@ def bent(tree, angles):
 
 
 def test_the_urdf_is_a_chain_of_two_joints_per_cell(capsys):
-    assert main(['describe', SPATIAL, '--urdf']) == 0
+    assert main(['robot', 'describe', SPATIAL, '--urdf']) == 0
     tree = ElementTree.fromstring(capsys.readouterr().out)
     joints = list(tree.iter('joint'))
     assert [j.get('name') for j in joints] == list(joint_names(load_robot(SPATIAL)))
@@ -99,7 +99,7 @@ def test_describe_shows_tendons_that_wind_and_weight_beside_the_axis(capsys, tmp
     content['tendons'][0]['offset'] = {'base': [0.0055, 0.0], 'helix': 8.726646}
     content['tendons'][1]['offset'] = {'base': [-0.0055, 0.0], 'end': [-0.004, 0.0]}
     (tmp_path / 'wound.yaml').write_text(yaml.safe_dump(content))
-    assert main(['describe', str(tmp_path / 'wound.yaml')]) == 0
+    assert main(['robot', 'describe', str(tmp_path / 'wound.yaml')]) == 0
     printed = capsys.readouterr().out
     assert '5.5, 0, winds 0.5°/mm' in printed and '-5.5, 0 to -4, 0' in printed
     assert 'weight at x, y [mm]' in printed and '1, -2' in printed
@@ -110,7 +110,7 @@ def new_robot(monkeypatch, tmp_path, answers, *arguments, drawn=False):
     if not drawn:  # which takes most of its time
         monkeypatch.setattr(pictures, 'draw_robot', lambda model, path: path.touch())
     monkeypatch.setattr(sys, 'stdin', io.StringIO(answers))
-    return main(['new-robot', *arguments])
+    return main(['robot', 'new', *arguments])
 
 
 def test_new_robot_takes_answers_from_a_pipe_and_draws(monkeypatch, tmp_path, capsys):
@@ -134,7 +134,7 @@ def test_new_robot_takes_answers_from_a_pipe_and_draws(monkeypatch, tmp_path, ca
     assert 'bends section_1 by 42.4° (without friction)' in printed  # 4 · 0.005 / 0.027 rad
     assert 'weighs 1 g; level, it sags by 2.8 mm at the tip' in printed
     assert 'model: FKM + eyelet_wrap, gravity, straight_tendon, tendon_travel\n' in printed
-    assert main(['describe', 'my_arm.yaml']) == 0
+    assert main(['robot', 'describe', 'my_arm.yaml']) == 0
     assert capsys.readouterr().out.strip() in printed
     assert new_robot(monkeypatch, tmp_path, f'{answers}\n\nyes\n', '--output', 'plate.yaml') == 0
     plate = load_robot(tmp_path / 'plate.yaml')
@@ -359,4 +359,4 @@ def test_every_robot_in_config_loads_bends_and_is_described(path, capsys):
     assert parse_robot(yaml.safe_dump(yaml.safe_load(path.read_text()))).inputs == robot.inputs
     shape = Model(robot).shape(np.full(len(robot.inputs), robot.tension_limits[0]))
     assert np.isfinite(shape.positions).all()
-    assert main(['describe', str(path)]) == 0
+    assert main(['robot', 'describe', str(path)]) == 0

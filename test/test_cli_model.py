@@ -27,7 +27,7 @@ def answer(capsys, *arguments):
 
 
 def test_shape_has_exactly_the_promised_keys_and_sizes(capsys):
-    found = answer(capsys, 'shape', KATO, '--tensions', 'dist_right=0.51,prox_left=0.2')
+    found = answer(capsys, 'model', 'shape', KATO, '--tensions', 'dist_right=0.51,prox_left=0.2')
     assert list(found) == ['positions', 'bend', 'tensions', 'pulls', 'tip']
     assert np.shape(found['positions']) == (30, 3) and np.shape(found['bend']) == (30, 2)
     assert list(found['tip']) == ['position', 'direction']
@@ -40,14 +40,14 @@ def test_shape_has_exactly_the_promised_keys_and_sizes(capsys):
 
 
 def test_shape_says_what_the_model_says(capsys):
-    found = answer(capsys, 'shape', SPATIAL, '--tensions', 'dist_one=0.9,prox_two=1.2')
+    found = answer(capsys, 'model', 'shape', SPATIAL, '--tensions', 'dist_one=0.9,prox_two=1.2')
     shape = Model(load_robot(SPATIAL)).shape({'dist_one': 0.9, 'prox_two': 1.2})
     assert np.array_equal(found['positions'], shape.positions)
     assert list(found['pulls'].values()) == shape.tendon_pulls.tolist()
 
 
 def test_a_group_is_pulled_by_its_name_and_every_tendon_is_listed(capsys):
-    found = answer(capsys, 'shape', GROUPS, '--tensions', 'dist_left=1')
+    found = answer(capsys, 'model', 'shape', GROUPS, '--tensions', 'dist_left=1')
     assert [name for name, along in found['tensions'].items() if along[0] == 1.0] == [
         'dist_left_1',
         'dist_left_2',
@@ -56,21 +56,21 @@ def test_a_group_is_pulled_by_its_name_and_every_tendon_is_listed(capsys):
 
 
 def test_shape_takes_wire_pulls(capsys):
-    found = answer(capsys, 'shape', KATO, '--pulls', 'dist_right=6,prox_left=0.001m')
+    found = answer(capsys, 'model', 'shape', KATO, '--pulls', 'dist_right=6,prox_left=0.001m')
     assert found['pulls']['dist_right'] == pytest.approx(0.006, abs=1e-9)
     assert found['pulls']['prox_left'] == pytest.approx(0.001, abs=1e-9)
     assert found['tensions']['dist_left'][0] == 0.0
 
 
 def test_tensions_beyond_the_limits_are_shown_when_asked_for(capsys):
-    found = answer(capsys, 'shape', KATO, '--tensions', 'dist_right=7', '--beyond-limits')
+    found = answer(capsys, 'model', 'shape', KATO, '--tensions', 'dist_right=7', '--beyond-limits')
     assert found['tensions']['dist_right'][0] == 7.0
 
 
 def test_lengths_are_millimetres_unless_they_say_otherwise(capsys):
-    mm = answer(capsys, 'reach', KATO, '--position', '60,0,150')
+    mm = answer(capsys, 'model', 'reach', KATO, '--position', '60,0,150')
     for other in (('60mm,0,0.15m',), ('6,0,15', '--unit', 'cm'), ('0.06,0,0.15', '--unit', 'm')):
-        again = answer(capsys, 'reach', KATO, '--position', *other)
+        again = answer(capsys, 'model', 'reach', KATO, '--position', *other)
         assert again['tip']['position'] == pytest.approx(mm['tip']['position'], abs=1e-9)
     assert mm['tip']['position'] == pytest.approx([0.06, 0.0, 0.15], abs=1e-4)
 
@@ -80,6 +80,7 @@ def test_what_reach_finds_gives_that_tip(capsys):
     found = answer(
         capsys,
         *(
+            'model',
             'reach',
             KATO,
             '--position',
@@ -99,20 +100,20 @@ def test_what_reach_finds_gives_that_tip(capsys):
     assert found['status'] == 'reached'
     assert found['error']['position'] < 1e-5 and found['error']['direction'] < 1e-3
     tensions = ','.join(f'{name}={value!r}' for name, value in found['tensions'].items())
-    shape = answer(capsys, 'shape', KATO, '--tensions', tensions)
+    shape = answer(capsys, 'model', 'shape', KATO, '--tensions', tensions)
     assert np.allclose(shape['tip']['position'], target.tip_position, rtol=0, atol=1e-5)
     assert np.allclose(list(shape['pulls'].values()), list(found['pulls'].values()))
 
 
 def test_reach_says_when_a_target_is_out_of_reach(capsys):
-    found = answer(capsys, 'reach', KATO, '--position', '0,0,1000')
+    found = answer(capsys, 'model', 'reach', KATO, '--position', '0,0,1000')
     assert found['status'] == 'nearest'
     assert found['error']['position'] == pytest.approx(1.0 - 0.208, abs=1e-3)
 
 
 def test_json_goes_to_a_file_and_the_table_to_the_terminal(capsys, tmp_path):
     out = tmp_path / 'shape.json'
-    assert main(['shape', KATO, '--tensions', 'dist_right=0.5', '--json', str(out)]) == 0
+    assert main(['model', 'shape', KATO, '--tensions', 'dist_right=0.5', '--json', str(out)]) == 0
     assert capsys.readouterr().out.startswith('tip at (')
     assert 'positions' in json.loads(out.read_text())
 
@@ -124,10 +125,10 @@ def test_an_effect_of_the_users_own_works_on_the_command_line(capsys, tmp_path):
     (tmp_path / 'arm.yaml').write_text(dump_robot(robot))
     found = answer(
         capsys,
-        *('shape', str(tmp_path / 'arm.yaml'), '--tensions', 'dist_right=2'),
+        *('model', 'shape', str(tmp_path / 'arm.yaml'), '--tensions', 'dist_right=2'),
         *('--effect-file', str(PULLEY)),
     )
-    less = answer(capsys, 'shape', KATO, '--tensions', 'dist_right=1.6')
+    less = answer(capsys, 'model', 'shape', KATO, '--tensions', 'dist_right=1.6')
     assert found['positions'] == less['positions']
 
 
@@ -163,7 +164,7 @@ MISTAKES = [
 
 @pytest.mark.parametrize(('arguments', 'message'), MISTAKES)
 def test_a_mistake_in_a_command_is_one_line(arguments, message, capsys):
-    assert main(['shape', KATO, *arguments]) == 1
+    assert main(['model', 'shape', KATO, *arguments]) == 1
     out, err = capsys.readouterr()
     assert out == '' and message in err and err.count('\n') == 1, err
 
@@ -189,6 +190,6 @@ def test_a_mistake_in_a_command_is_one_line(arguments, message, capsys):
     ],
 )
 def test_a_mistake_in_a_target_is_one_line(arguments, message, capsys):
-    assert main(['reach', KATO, *arguments]) == 1
+    assert main(['model', 'reach', KATO, *arguments]) == 1
     out, err = capsys.readouterr()
     assert out == '' and err.startswith(f'error: {message}') and err.count('\n') == 1

@@ -12,7 +12,7 @@ import pytest
 
 from tendon_robot_ros.cli import main as command_line
 from tendon_robot_ros.cli import options
-from tendon_robot_ros.cli.main import COMMANDS, Parser, main
+from tendon_robot_ros.cli.main import COMMANDS, GROUPS, OLD_NAMES, Parser, main
 from tendon_robot_ros.common.errors import InputError
 from tendon_robot_ros.data import load_dataset, save_dataset
 from tendon_robot_ros.data.bag_writer import export_bag
@@ -54,14 +54,14 @@ def move(monkeypatch, tmp_path):
 @pytest.mark.parametrize('name', COMMANDS)
 def test_every_command_explains_itself(name, capsys):
     with contextlib.suppress(SystemExit):
-        assert main([name, '--help']) == 0
+        assert main([*name.split(), '--help']) == 0
     assert capsys.readouterr().out.startswith(f'usage: python -m tendon_robot_ros {name}')
 
 
 def test_a_command_runs_as_a_process_too():
-    run = processes.run(processes.package('shape', '--help'))
+    run = processes.run(processes.package('model', 'shape', '--help'))
     assert (run.returncode, run.stderr) == (0, '')
-    assert run.stdout.startswith('usage: python -m tendon_robot_ros shape')
+    assert run.stdout.startswith('usage: python -m tendon_robot_ros model shape')
 
 
 def test_every_module_with_a_command_is_in_the_table():
@@ -161,19 +161,19 @@ def test_short_work_in_a_pipe_says_nothing(capsys):
 LONG = {
     'compare run --pcca': ['reading run', 'trials', 'models', 'models', 'noise'],
     'diagnose run': ['reading run', 'effects', 'fitting what was found'],
-    'add tip_load --data run --output new.yaml': ['reading run', 'fitting tip_load'],
+    'effect add tip_load --data run --output new.yaml': ['reading run', 'fitting tip_load'],
     'improve run --output new.yaml': ['reading run', 'searching', 'searching without'],
     'simulate arm.yaml --output new --count 2 --trials 2': ['trials', 'trials'],
     'simulate arm.yaml --table new.csv --count 2 --trials 2': ['trials', 'trials'],
-    'export-bag run new.mcap': ['writing'],
-    'import-bag run.mcap --output new': ['reading run.mcap', 'looking at the frame'],
+    'export bag run new.mcap': ['writing'],
+    'import bag run.mcap --output new': ['reading run.mcap', 'looking at the frame'],
     'plot run.mcap --output new.png': ['reading run.mcap'],
-    'sweep kato_10_1 --steps 3 --output new.csv': ['looking for 3 postures'],
-    'import-table table.csv --robot arm.yaml --up y --output new': [
+    'model sweep kato_10_1 --steps 3 --output new.csv': ['looking for 3 postures'],
+    'import table table.csv --robot arm.yaml --up y --output new': [
         'reading the tables', 'looking where the arm stood still',
         'laying the frame of the tracker', 'comparing with the model',
     ],
-    'workspace arm.yaml --postures 200 --workers 1': ['postures'],
+    'model workspace arm.yaml --postures 200 --workers 1': ['postures'],
 }  # fmt: skip
 
 
@@ -191,6 +191,11 @@ def measured(tmp_path_factory):
     return folder
 
 
+def place_of(command):
+    """Return the place of the command that a line begins with."""
+    return next(place for name, place in COMMANDS.items() if f'{command} '.startswith(f'{name} '))
+
+
 @pytest.mark.parametrize('command', LONG)
 def test_all_that_may_take_long_tells_what_it_does(command, measured, tmp_path, monkeypatch):
     told = []
@@ -202,10 +207,35 @@ def test_all_that_may_take_long_tells_what_it_does(command, measured, tmp_path, 
     for path in measured.iterdir():
         (tmp_path / path.name).symlink_to(path)
     monkeypatch.chdir(tmp_path)
-    module = importlib.import_module(COMMANDS[command.split()[0]].partition(':')[0])
+    module = importlib.import_module(place_of(command).partition(':')[0])
     owner = module if hasattr(module, 'progress') else options
     monkeypatch.setattr(owner, 'progress', heard)
     main(command.split())
     seen = iter(what for what, _, _ in told)
     assert all(any(what.startswith(words) for what in seen) for words in LONG[command]), told
     assert all(0 <= done <= total for _, done, total in told)
+
+
+@pytest.mark.parametrize(('old', 'new'), OLD_NAMES.items())
+def test_an_old_name_still_runs_and_says_the_new_one(old, new, capsys):
+    with pytest.raises(SystemExit):
+        main([old, '--help'])
+    out, err = capsys.readouterr()
+    assert out.startswith(f'usage: python -m tendon_robot_ros {new} ')
+    assert err == f'{old} is now called: {new} (the old name goes with the next release)\n'
+
+
+@pytest.mark.parametrize('group', GROUPS)
+def test_a_group_lists_its_commands_and_refuses_others(group, capsys):
+    members = [name.split()[1] for name in COMMANDS if name.startswith(f'{group} ')]
+    assert main([group]) == 0
+    listed = capsys.readouterr().out.splitlines()[3:]
+    assert [line.split()[0] for line in listed] == members
+    assert main([group, 'nonsense']) == 1
+    assert capsys.readouterr().err == (
+        f"error: {group}: no command 'nonsense'; known: {', '.join(members)}\n"
+    )
+
+
+def test_every_group_has_its_line():
+    assert {name.split()[0] for name in COMMANDS if ' ' in name} == {*GROUPS}

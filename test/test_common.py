@@ -134,6 +134,6 @@ def test_compiled_python_is_kept_where_it_may_not_lie_beside_its_sources(tmp_pat
         'NUMBA_CACHE_DIR': str(tmp_path),
         'PYTHONPATH': str(ROOT),
     }
-    command = [sys.executable, '-m', 'tendon_robot_ros', 'reach', '--help']
+    command = [sys.executable, '-m', 'tendon_robot_ros', 'model', 'reach', '--help']
     assert processes.run(command, env={**os.environ, **own}).returncode == 0
     assert any((tmp_path / 'bytecode').rglob('cli/model.*.pyc'))

@@ -209,9 +209,9 @@ def test_the_missing_package_is_named(tmp_path, monkeypatch):
 def test_the_commands_go_there_and_back(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write(tmp_path / 'small')
-    assert main(['export-bag', 'small', 'a.mcap']) == 0
+    assert main(['export', 'bag', 'small', 'a.mcap']) == 0
     assert capsys.readouterr().out == '3 measurements, 2 postures\nwritten: a.mcap\n'
-    assert main(['import-bag', 'a.mcap', '--output', 'out', '--picture', 'a.png']) == 0
+    assert main(['import', 'bag', 'a.mcap', '--output', 'out', '--picture', 'a.png']) == 0
     assert capsys.readouterr().out == (
         '3 still segments: 2 postures x 1..2 trials x 3 markers\nwritten: out\npicture: a.png\n'
     )
@@ -237,6 +237,6 @@ def test_the_commands_go_there_and_back(tmp_path, capsys, monkeypatch):
 def test_a_command_that_fails_writes_nothing(options, message, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     export_bag(load_dataset(write(tmp_path / 'small')), 'a.mcap')
-    assert main(['import-bag', 'a.mcap', *options]) == 1
+    assert main(['import', 'bag', 'a.mcap', *options]) == 1
     assert capsys.readouterr().err == f'error: {message}\n'
     assert sorted(path.name for path in tmp_path.iterdir()) == ['a.mcap', 'small']

@@ -177,7 +177,9 @@ def test_import_bag_finds_where_a_trackers_frame_lies(tmp_path, capsys):
     for name, frame, tracker in (('a', 'base', None), ('b', 'optitrack', turned)):
         Mixed(frame=frame, tracker=tracker).write(tmp_path / name, LOADED_TWICE)
         robot, out = str(tmp_path / 'robot.yaml'), str(tmp_path / f'{name}_data')
-        assert main(['import-bag', str(tmp_path / name), '--robot', robot, '--output', out]) == 0
+        assert (
+            main(['import', 'bag', str(tmp_path / name), '--robot', robot, '--output', out]) == 0
+        )
         errors.append(load_dataset(out).mean)
     assert "'optitrack', which no transform joins with the base" in capsys.readouterr().out
     chords = [np.linalg.norm(np.diff(one, axis=1), axis=2) for one in errors]

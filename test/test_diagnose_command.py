@@ -223,7 +223,7 @@ def test_a_wrong_parameter_is_said_and_added(capsys, folder):
 
 
 def test_nothing_missing_has_nothing_to_add(capsys, folder):
-    main(['add', 'hinge_friction', '--data', 'small', '--output', 'better.yaml'])
+    main(['effect', 'add', 'hinge_friction', '--data', 'small', '--output', 'better.yaml'])
     capsys.readouterr()
     lines = said(capsys, 'diagnose', 'small', '--robot', 'better.yaml', '--add', 'more.yaml')
     assert lines[0] == 'Nothing is missing that these measurements could show.'
@@ -233,7 +233,7 @@ def test_nothing_missing_has_nothing_to_add(capsys, folder):
 
 
 def test_add_prints_values_and_the_staircase(capsys, folder):
-    lines = said(capsys, 'add', 'hinge_friction', '--data', 'hinges/fit', '--output',
+    lines = said(capsys, 'effect', 'add', 'hinge_friction', '--data', 'hinges/fit', '--output',
                  'better.yaml')  # fmt: skip
     assert lines == [
         'hinge_friction: lever = 0.155 ± 0.013 mm',
@@ -242,15 +242,17 @@ def test_add_prints_values_and_the_staircase(capsys, folder):
         'left out: 12 postures of hinges/fit  2.66 mm  0.275 mm     0.245 mm   98 %',
         'written: better.yaml    send it to the robot: controller parameter model := better.yaml',
     ]
-    lines = said(capsys, 'remove', 'hinge_friction', '--robot', 'better.yaml', '--output',
-                 'plain.yaml')  # fmt: skip
+    lines = said(capsys, 'effect', 'remove', 'hinge_friction', '--robot', 'better.yaml',
+                 '--output', 'plain.yaml')  # fmt: skip
     assert lines == ['removed: hinge_friction', 'written: plain.yaml']
     before, after = load_robot('hinges/fit/robot.yaml'), load_robot('plain.yaml')
     assert (before.effects, after.fitted) == (after.effects, {})
 
 
 def test_add_prints_json(capsys, folder):
-    main(['add', 'hinge_friction', '--data', 'hinges/fit', '--output', 'a.yaml', '--json'])
+    main(
+        ['effect', 'add', 'hinge_friction', '--data', 'hinges/fit', '--output', 'a.yaml', '--json']
+    )
     content = json.loads(capsys.readouterr().out)
     assert content['effects']['hinge_friction']['lever']['unit'] == 'm'
     assert content['check']['kind'] == 'left out'
@@ -269,13 +271,13 @@ def test_add_prints_json(capsys, folder):
      'hinges/fit: was measured with the inputs left, right of planar1, but '),
     (['diagnose', 'hinges/fit', '--check', 'nowhere'],
      'nowhere: is not there; name the folder of a data set'),
-    (['add', 'hinge_friction', '--data', 'hinges/fit', '--output', 'there.yaml'],
+    (['effect', 'add', 'hinge_friction', '--data', 'hinges/fit', '--output', 'there.yaml'],
      'there.yaml: is there already; use --overwrite or another --output'),
-    (['add', 'gravity', '--data', 'hinges/fit', '--output', 'new.yaml'],
+    (['effect', 'add', 'gravity', '--data', 'hinges/fit', '--output', 'new.yaml'],
      'gravity: these measurements cannot tell its value (set to zero); nothing was written'),
-    (['add', 'hinges', '--data', 'hinges/fit', '--output', 'new.yaml'],
+    (['effect', 'add', 'hinges', '--data', 'hinges/fit', '--output', 'new.yaml'],
      "unknown effect 'hinges'; known: tendon_friction, "),
-    (['remove', 'tip_load', '--robot', 'hinges/fit/robot.yaml', '--output', 'new.yaml'],
+    (['effect', 'remove', 'tip_load', '--robot', 'hinges/fit/robot.yaml', '--output', 'new.yaml'],
      "hinges/fit/robot.yaml: effects: no 'tip_load' to remove; listed: tendon_friction, "),
 ])  # fmt: skip
 def test_mistakes_are_one_line_and_nothing_is_written(arguments, message, capsys, folder):
@@ -291,7 +293,7 @@ def test_mistakes_are_one_line_and_nothing_is_written(arguments, message, capsys
 
 def test_overwrite_replaces_a_description(capsys, folder):
     (folder / 'there.yaml').write_text('name: mine\n')
-    main(['add', 'hinge_friction', '--data', 'hinges/fit', '--output', 'there.yaml',
+    main(['effect', 'add', 'hinge_friction', '--data', 'hinges/fit', '--output', 'there.yaml',
           '--overwrite'])  # fmt: skip
     assert load_robot('there.yaml').name == 'planar1'
 
@@ -299,11 +301,11 @@ def test_overwrite_replaces_a_description(capsys, folder):
 def test_remove_brings_back_what_add_replaced(capsys, folder):
     text = (folder / 'hinges' / 'fit' / 'robot.yaml').read_text(encoding='utf-8')
     (folder / 'one.yaml').write_text(f'{text}  hinge_friction: {{lever: 1.0e-4}}\n')
-    main(['add', 'hinge_friction', '--data', 'hinges/fit', '--robot', 'one.yaml', '--output',
-          'two.yaml'])  # fmt: skip
+    main(['effect', 'add', 'hinge_friction', '--data', 'hinges/fit', '--robot', 'one.yaml',
+          '--output', 'two.yaml'])  # fmt: skip
     capsys.readouterr()
-    (first, second) = said(capsys, 'remove', 'hinge_friction', '--robot', 'two.yaml', '--output',
-                           'three.yaml')  # fmt: skip
+    (first, second) = said(capsys, 'effect', 'remove', 'hinge_friction', '--robot', 'two.yaml',
+                           '--output', 'three.yaml')  # fmt: skip
     lever = load_robot('one.yaml').effects['hinge_friction']['lever']
     assert first == (f'hinge_friction: as before the fit again (lever = {lever}); remove it once '
                      'more to drop it')  # fmt: skip
@@ -312,8 +314,8 @@ def test_remove_brings_back_what_add_replaced(capsys, folder):
 
 
 def test_two_effects_are_added_by_one_command(capsys, folder):
-    lines = said(capsys, 'add', 'hinge_friction', 'backbone_stiffness', '--data', 'hinges/fit',
-                 '--output', 'both.yaml')  # fmt: skip
+    lines = said(capsys, 'effect', 'add', 'hinge_friction', 'backbone_stiffness', '--data',
+                 'hinges/fit', '--output', 'both.yaml')  # fmt: skip
     assert lines[0].startswith('hinge_friction: lever = ')
     assert lines[1].startswith('backbone_stiffness: relative_change = ')
     assert list(load_robot('both.yaml').fitted) == ['hinge_friction', 'backbone_stiffness']

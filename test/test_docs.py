@@ -94,6 +94,9 @@ def arguments():
     """Yield page, command and arguments of every call of this package on any page."""
     for page in PAGES:
         for name, given in CALL.findall(text_of(page).replace('\\\n', ' ')):
+            first, _, rest = given.lstrip().partition(' ')
+            if any(one.startswith(f'{name} ') for one in COMMANDS):
+                name, given = f'{name} {first}', f' {rest}'
             yield page, name, given.split('  #')[0]
 
 

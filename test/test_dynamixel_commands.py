@@ -129,7 +129,16 @@ def scales(tmp_path, robot_file, monkeypatch, capsys):
             place = emulated.robot().inputs.index(tendon)
             monkeypatch.setattr('builtins.input', lambda _: arm.hang(place, next(pile)))
             code = main(
-                ['calibrate', 'dynamixel', str(config), '--robot', robot_file, '--tendon', tendon]
+                [
+                    'motors',
+                    'calibrate',
+                    'dynamixel',
+                    str(config),
+                    '--robot',
+                    robot_file,
+                    '--tendon',
+                    tendon,
+                ]
                 + ['--weights', *map(str, masses), '--out', str(tmp_path / 'lines.yaml')]
                 + ['--travel', str(travel), '--speed', '10']
             )

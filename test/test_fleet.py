@@ -87,7 +87,15 @@ def test_the_command_diagnoses_what_is_new_and_names_what_cannot_be_read(tmp_pat
         save_dataset(simulated.measured(ROBOT, hidden, count=5, trials=3), tmp_path / 'in' / name)
     (tmp_path / 'in' / 'broken').mkdir()
     (tmp_path / 'in' / 'broken' / 'dataset.yaml').write_text('robot: none.yaml\n')
-    call = ['fleet', str(tmp_path / 'in'), '--output', str(tmp_path / 'out'), '--workers', '1']
+    call = [
+        'study',
+        'fleet',
+        str(tmp_path / 'in'),
+        '--output',
+        str(tmp_path / 'out'),
+        '--workers',
+        '1',
+    ]
     assert main(call) == 0
     printed = capsys.readouterr().out
     assert '2026-05-20 (since 2026-01-10): adequate before, now missing effect: hinge_f' in printed
@@ -114,7 +122,15 @@ def test_a_measurement_at_which_the_program_fails_is_named_and_the_others_go_on(
         return real(*arguments, **options)
 
     monkeypatch.setattr(fleet, 'diagnose', first_fails)
-    call = ['fleet', str(tmp_path / 'in'), '--output', str(tmp_path / 'out'), '--workers', '1']
+    call = [
+        'study',
+        'fleet',
+        str(tmp_path / 'in'),
+        '--output',
+        str(tmp_path / 'out'),
+        '--workers',
+        '1',
+    ]
     assert main(call) == 0
     told = capsys.readouterr().out
     assert 'left out: 2026-01-10: IndexError: a mistake of this program' in told
@@ -122,7 +138,7 @@ def test_a_measurement_at_which_the_program_fails_is_named_and_the_others_go_on(
 
 
 def test_a_folder_without_measurements_is_one_line(tmp_path, capsys):
-    assert main(['fleet', str(tmp_path), '--output', str(tmp_path / 'out')]) == 1
+    assert main(['study', 'fleet', str(tmp_path), '--output', str(tmp_path / 'out')]) == 1
     assert 'no data set (dataset.yaml) and no recording' in capsys.readouterr().err
     assert not (tmp_path / 'out').exists()
     with pytest.raises(Exception, match='is no folder'):

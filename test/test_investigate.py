@@ -257,7 +257,7 @@ def test_postures_keep_out_of_a_region_on_their_whole_way():
     ],
 )
 def test_a_goal_that_cannot_be_is_refused_in_one_line(option, says, tmp_path, capsys):
-    code = main(['rehearse', str(KATO), '--output', str(tmp_path / 'x'), *option])
+    code = main(['study', 'rehearse', str(KATO), '--output', str(tmp_path / 'x'), *option])
     assert code == 1
     error = capsys.readouterr().err
     assert says in error and error.count('\n') == 1

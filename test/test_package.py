@@ -11,7 +11,7 @@ from catkin_pkg.cli.tag_changelog import get_forthcoming_label
 from catkin_pkg.package import parse_package
 from source_tree import ROOT, files, parse
 
-from tendon_robot_ros.cli.main import COMMANDS
+from tendon_robot_ros.cli.main import EXECUTABLES
 
 PACKAGE = parse_package(str(ROOT), warnings=(WARNINGS := []))
 
@@ -41,7 +41,7 @@ def test_every_command_becomes_an_executable(tmp_path):
     setup_py('egg_info', '--egg-base', str(tmp_path))
     entry_points = ''.join(path.read_text() for path in tmp_path.glob('*/entry_points.txt'))
     scripts = re.findall(r'^(\S+) = tendon_robot_ros.cli.main:run_named$', entry_points, re.M)
-    assert sorted(scripts) == sorted(COMMANDS)
+    assert sorted(scripts) == EXECUTABLES
 
 
 def test_the_release_tools_find_what_is_new():

@@ -22,7 +22,7 @@ def kato(name):
 
 def test_the_page_holds_every_published_number_and_meets_it(tmp_path, capsys):
     pytest.importorskip('plotly')
-    assert main(['paper', '--output', str(tmp_path / 'paper')]) == 0
+    assert main(['study', 'paper', '--output', str(tmp_path / 'paper')]) == 0
     rows = json.loads((tmp_path / 'paper/paper.json').read_text())['rows']
     published = {row['published'] for row in rows}
     assert {0.31, 0.33, 50.0, 10.0, 5.9, 23.7, 2.0, 0.5, 7.6} <= published

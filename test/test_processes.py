@@ -79,10 +79,12 @@ def test_tests_start_processes_in_no_other_way():
 
 def test_what_is_forked_has_its_own_words_place_and_surroundings(tmp_path):
     given = {**os.environ, 'PYTHONUNBUFFERED': '1'}
-    with Forked(['shape', '--help'], stdout=PIPE, stderr=PIPE, cwd=tmp_path, env=given) as process:
+    with Forked(
+        ['model', 'shape', '--help'], stdout=PIPE, stderr=PIPE, cwd=tmp_path, env=given
+    ) as process:
         out, err = process.communicate(timeout=60.0)
     assert (process.returncode, err) == (0, '')
-    assert out.startswith('usage: python -m tendon_robot_ros shape')
+    assert out.startswith('usage: python -m tendon_robot_ros model shape')
     with Forked(['plot', 'none'], stdout=PIPE, stderr=PIPE, cwd=tmp_path) as process:
         out, err = process.communicate(timeout=60.0)
     assert (process.returncode, out) == (1, '')
@@ -93,7 +95,7 @@ def test_what_is_forked_is_a_child_and_dies_with_the_one_that_runs_the_tests():
     code = (
         'import processes\n'
         'from forked import Forked\n'
-        'asks = Forked(["new-robot"], stdin=processes.PIPE, stdout=processes.DEVNULL)\n'
+        'asks = Forked(["robot", "new"], stdin=processes.PIPE, stdout=processes.DEVNULL)\n'
         'assert asks.pid in processes.children()\n'
         'print(asks.pid, *processes.kept, flush=True)\n'
         'asks.wait()'

@@ -198,7 +198,7 @@ def test_an_unknown_effect_is_answered_with_the_known_ones():
         ('just text', "arm.yaml: file: expected keys with values, got 'just text'"),
         (
             '',
-            'arm.yaml: file: expected a robot description (new-robot writes one), got ',
+            'arm.yaml: file: expected a robot description (`robot new` writes one), got ',
         ),
         ('name: !!python/object/apply:os.system [ls]', 'arm.yaml: file: expected valid YAML, got'),
     ],

@@ -64,12 +64,17 @@ def test_the_description_gets_coefficient_origin_and_tolerance():
 def test_the_command_writes_a_description_that_loads(tmp_path, capsys):
     new = tmp_path / 'new.yaml'
     angles = angles_file(tmp_path, 17, 18, 19, 18)
-    assert main(['friction', str(angles), '--robot', str(ROBOT), '--output', str(new)]) == 0
+    assert (
+        main(['study', 'friction', str(angles), '--robot', str(ROBOT), '--output', str(new)]) == 0
+    )
     assert 'friction coefficient: 0.325 ± 0.016' in capsys.readouterr().out
     value = load_robot(new).effects['tendon_friction']['friction_coefficient']
     assert value == pytest.approx(0.325, abs=1e-3)
 
 
 def test_robot_and_output_go_together(tmp_path, capsys):
-    assert main(['friction', str(angles_file(tmp_path, 17, 18, 19)), '--robot', str(ROBOT)]) == 1
+    assert (
+        main(['study', 'friction', str(angles_file(tmp_path, 17, 18, 19)), '--robot', str(ROBOT)])
+        == 1
+    )
     assert '--robot and --output go together' in capsys.readouterr().err

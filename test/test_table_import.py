@@ -357,11 +357,11 @@ def test_what_was_hidden_is_found_through_the_table(noisy):
 def test_importing_again_from_the_yaml_gives_the_same_data_set(noisy, tmp_path, capsys):
     write_table(tmp_path / 'raw.csv', list(noisy.columns), noisy.to_numpy())
     (tmp_path / 'arm.yaml').write_text(dump_robot(ARM))
-    call = ['import-table', '--output', str(tmp_path / 'one'), '--up', 'y']
+    call = ['import', 'table', '--output', str(tmp_path / 'one'), '--up', 'y']
     call += [str(tmp_path / 'raw.csv'), '--robot', str(tmp_path / 'arm.yaml')]
     assert main(call) == 0
     printed = capsys.readouterr().out
-    again = ['import-table', '--recipe', str(tmp_path / 'one/import.yaml')]
+    again = ['import', 'table', '--recipe', str(tmp_path / 'one/import.yaml')]
     assert main([*again, '--output', str(tmp_path / 'two')]) == 0
     names = sorted(path.name for path in (tmp_path / 'one').iterdir())
     assert names == [

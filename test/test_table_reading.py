@@ -327,7 +327,7 @@ def test_the_command_refuses_in_one_line_and_writes_nothing(tmp_path, capsys):
     raw.write_text('time,T1,T2,m_x,m_y,m_z\n0,1,2,3,4,5\n1,1,2,3,4,x\n')
     robot = 'config/robots/kato_10_1_single.yaml'
     out = tmp_path / 'out'
-    call = ['import-table', str(raw), '--robot', robot, '--output', str(out)]
+    call = ['import', 'table', str(raw), '--robot', robot, '--output', str(out)]
     for more, message in (
         ([], 'nothing says the unit of T1, T2; write it into the header'),
         (['--unit', 'inputs=N'], "row 3: m_z is 'x'; expected a number"),
@@ -372,7 +372,7 @@ def test_arguments_in_each_others_place_are_told_apart(tmp_path, capsys, monkeyp
         ('raw.csv --robot arm.yaml --output new.csv', '--output new.csv: expected the folder'),
         ('raw.csv --robot arm.yaml --output arm.yaml', '--output arm.yaml: expected the folder'),
     ):
-        assert main(['import-table', *call.split()]) == 1, call
+        assert main(['import', 'table', *call.split()]) == 1, call
         said = capsys.readouterr()
         assert message in said.err, said.err
         assert said.out == '' and said.err.count('\n') == 1
@@ -381,7 +381,7 @@ def test_arguments_in_each_others_place_are_told_apart(tmp_path, capsys, monkeyp
 
 @pytest.mark.parametrize('command', ['compare raw.csv', 'diagnose raw.csv',
                                      'improve raw.csv --output new.yaml',
-                                     'add tip_load --data raw.csv --output new.yaml',
+                                     'effect add tip_load --data raw.csv --output new.yaml',
                                      'compare data/hinge_friction/fit/shapes.csv'])  # fmt: skip
 def test_a_table_where_a_data_set_is_meant_is_sent_to_its_import(
     tmp_path, capsys, monkeypatch, command
@@ -394,5 +394,5 @@ def test_a_table_where_a_data_set_is_meant_is_sent_to_its_import(
     path = next(word for word in command.split() if word.endswith('.csv'))
     assert said == (
         f'error: {path}: is a table, and no data set; make one of it: python -m tendon_robot_ros '
-        f'import-table {path} --robot ARM.yaml --output run\n'
+        f'import table {path} --robot ARM.yaml --output run\n'
     )

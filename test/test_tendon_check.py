@@ -149,12 +149,12 @@ def test_check_alone_finds_robot_and_driver_in_the_folder_and_names_what_crept(
     with emulated.line() if kind == 'dynamixel' else emulated_board.board() as line:
         made = emulated.config(line.port) if kind == 'dynamixel' else emulated_board.config(line)
         (tmp_path / f'{kind}.yaml').write_text(yaml.safe_dump(made))
-        assert main(['calibrate', '--check', '--yes']) == 0
+        assert main(['motors', 'calibrate', '--check', '--yes']) == 0
         assert 'written: tendons.yaml' in capsys.readouterr().out
         reference = read_reference(tmp_path / 'tendons.yaml')
         pulls = reference.pulls - [0.0, 1e-3, 0.0, 0.0]  # what it was before it became longer
         save_reference(tmp_path / 'tendons.yaml', replace(reference, pulls=pulls))
-        assert main(['calibrate', '--check', '--yes']) == 1
+        assert main(['motors', 'calibrate', '--check', '--yes']) == 1
     assert re.match(
         rf'{reference.inputs[1]}: has crept: 1\.\d+ mm longer', capsys.readouterr().out
     )
@@ -164,11 +164,11 @@ def test_a_folder_with_two_robots_is_asked_about(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for name in ('one.yaml', 'two.yaml'):
         (tmp_path / name).write_text(emulated.ROBOT)
-    assert main(['calibrate', '--check']) != 0
+    assert main(['motors', 'calibrate', '--check']) != 0
     said = capsys.readouterr().err
     assert 'got 2 of them (one.yaml, two.yaml); say --robot FILE' in said
 
 
 def test_without_check_tendon_and_weights_are_asked_for(tmp_path, capsys):
-    assert main(['calibrate', 'serial', 'none.yaml', '--robot', 'none.yaml']) != 0
+    assert main(['motors', 'calibrate', 'serial', 'none.yaml', '--robot', 'none.yaml']) != 0
     assert '--tendon and --weights, or --check' in capsys.readouterr().err

@@ -56,14 +56,14 @@ def test_a_fit_that_makes_others_worse_is_not_written(tmp_path, monkeypatch, cap
         'tendon_robot_ros.cli.diagnosis.add_effects', lambda *args, **options: made
     )
     new = tmp_path / 'new.yaml'
-    assert main(['add', 'gravity', '--data', str(data), '--output', str(new)]) == 2
+    assert main(['effect', 'add', 'gravity', '--data', str(data), '--output', str(new)]) == 2
     assert 'Nothing was written: the error on postures' in capsys.readouterr().out
     assert not new.exists()
     better = replace(made, check=replace(worse, after=7e-3))
     monkeypatch.setattr(
         'tendon_robot_ros.cli.diagnosis.add_effects', lambda *args, **options: better
     )
-    assert main(['add', 'gravity', '--data', str(data), '--output', str(new)]) == 0
+    assert main(['effect', 'add', 'gravity', '--data', str(data), '--output', str(new)]) == 0
     assert new.exists()
 
 

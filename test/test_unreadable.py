@@ -26,36 +26,37 @@ ROBOT = ROOT / 'config' / 'robots' / 'spatial_3.yaml'
 CALIBRATE = '--tendon one --weights 0.1 --yes'
 # who reads; {} is the file; its ending
 READERS = {
-    'robot': ('shape {} --tensions one=1', '.yaml'),
+    'robot': ('model shape {} --tensions one=1', '.yaml'),
     'robot of a comparison': ('compare run --model {}', '.yaml'),
     'robot of a data set': ('diagnose run --robot {}', '.yaml'),
-    'robot of a table': ('import-table table.csv --robot {} --output new', '.yaml'),
+    'robot of a table': ('import table table.csv --robot {} --output new', '.yaml'),
     'data set': ('compare {}', ''),
-    'data set to export': ('export-bag {} new', ''),
-    'check': ('add tip_load --data run --check {} --output new', ''),
-    'table': ('import-table {} --robot arm.yaml --output new', '.csv'),
-    'table of pandas': ('import-table {} --robot arm.yaml --output new', '.parquet'),
-    'table of a tracker': ('import-table {} --robot arm.yaml --output new', '.c3d'),
-    'table of Excel': ('import-table {} --robot arm.yaml --output new', '.xlsx'),
-    'recipe': ('import-table table.csv --robot arm.yaml --recipe {} --output new', '.yaml'),
-    'recording': ('import-bag {} --output new', '.mcap'),
+    'data set to export': ('export bag {} new', ''),
+    'check': ('effect add tip_load --data run --check {} --output new', ''),
+    'table': ('import table {} --robot arm.yaml --output new', '.csv'),
+    'table of pandas': ('import table {} --robot arm.yaml --output new', '.parquet'),
+    'table of a tracker': ('import table {} --robot arm.yaml --output new', '.c3d'),
+    'table of Excel': ('import table {} --robot arm.yaml --output new', '.xlsx'),
+    'recipe': ('import table table.csv --robot arm.yaml --recipe {} --output new', '.yaml'),
+    'recording': ('import bag {} --output new', '.mcap'),
     'recording in a database': ('compare {}', '.db3'),
     'recording to draw': ('plot {}', '.mcap'),
     'no recording': ('plot {}', '.csv'),
     'recording to follow': ('follow {}', '.mcap'),
     'path': ('follow {}', '.csv'),
-    'slip angles': ('friction {}', '.csv'),
+    'slip angles': ('study friction {}', '.csv'),
     'postures': ('simulate arm.yaml --postures {} --output new', '.csv'),
-    'regions': ('reach arm.yaml --position 0,0,110 --keep-out {}', '.yaml'),
-    'regions of a rehearsal': ('rehearse arm.yaml --keep-out {} --output new', '.yaml'),
-    'effect': ('shape arm.yaml --tensions one=1 --effect-file {}', '.py'),
-    'plan': ('campaign {} --output new', '.yaml'),
-    'recordings of a fleet': ('fleet {} --output new', ''),
-    'robot with an effect': ('remove tip_load --robot {} --output new', '.yaml'),
-    'motors': (f'calibrate dynamixel {{}} --robot arm.yaml {CALIBRATE}', '.yaml'),
-    'board': (f'calibrate serial {{}} --robot arm.yaml {CALIBRATE}', '.yaml'),
+    'regions': ('model reach arm.yaml --position 0,0,110 --keep-out {}', '.yaml'),
+    'regions of a rehearsal': ('study rehearse arm.yaml --keep-out {} --output new', '.yaml'),
+    'effect': ('model shape arm.yaml --tensions one=1 --effect-file {}', '.py'),
+    'plan': ('study campaign {} --output new', '.yaml'),
+    'recordings of a fleet': ('study fleet {} --output new', ''),
+    'robot with an effect': ('effect remove tip_load --robot {} --output new', '.yaml'),
+    'motors': (f'motors calibrate dynamixel {{}} --robot arm.yaml {CALIBRATE}', '.yaml'),
+    'board': (f'motors calibrate serial {{}} --robot arm.yaml {CALIBRATE}', '.yaml'),
     'lines of other tendons': (
-        f'calibrate dynamixel motors.yaml --robot arm.yaml --output {{}} {CALIBRATE}', '.yaml',
+        f'motors calibrate dynamixel motors.yaml --robot arm.yaml --output {{}} {CALIBRATE}',
+        '.yaml',
     ),
 }  # fmt: skip
 KINDS = ('missing', 'folder', 'empty', 'binary', 'cut short')
@@ -147,10 +148,10 @@ def test_what_an_earlier_run_left_and_cannot_be_read_is_named(content, folder, c
     (folder / 'samples' / KEPT[0]).write_bytes(content)
     (folder / 'found').mkdir()
     (folder / 'found' / LOG).write_bytes(content)
-    assert main(['rehearse', 'arm.yaml', '--output', 'found', '--resume']) == 1
+    assert main(['study', 'rehearse', 'arm.yaml', '--output', 'found', '--resume']) == 1
     assert re.search(f'{LOG}: cannot be read .*; begin a new folder', capsys.readouterr().err)
     options = '--postures 200 --workers 1 --output samples --overwrite'
-    assert main(f'workspace arm.yaml {options}'.split()) == 1
+    assert main(f'model workspace arm.yaml {options}'.split()) == 1
     assert re.search(f'{KEPT[0]}: cannot be read .*; delete it', capsys.readouterr().err)
 
 
@@ -161,14 +162,16 @@ FULL_BYTES = 100
 WRITERS = {
     'data set': 'simulate arm.yaml --output new --count 1 --trials 1',
     'table': 'simulate arm.yaml --table new.csv --count 1 --trials 1',
-    'recording': 'export-bag run new.mcap',
-    'recording in a folder': 'export-bag run new',
-    'recording in a database': 'export-bag run new --storage sqlite3',
-    'robot': 'remove tendon_friction --robot arm.yaml --output new.yaml',
+    'recording': 'export bag run new.mcap',
+    'recording in a folder': 'export bag run new',
+    'recording in a database': 'export bag run new --storage sqlite3',
+    'robot': 'effect remove tendon_friction --robot arm.yaml --output new.yaml',
     'result': 'compare run --json new.json',
     'page': 'compare run --report new.html',
-    'path': 'sweep kato_10_1 --steps 3 --output new.csv',
-    'motors': 'emulate dynamixel --robot arm.yaml --ends-with-input --write-config new.yaml',
+    'path': 'model sweep kato_10_1 --steps 3 --output new.csv',
+    'motors': (
+        'motors emulate dynamixel --robot arm.yaml --ends-with-input --write-config new.yaml'
+    ),
 }
 
 
@@ -225,24 +228,26 @@ def test_a_recording_that_runs_into_a_full_disk_is_named(storage, folder):
 # Where something is written is looked at before the work.
 
 OUTPUTS = {
-    'robot': 'new-robot --output {}',
+    'robot': 'robot new --output {}',
     'data set': 'simulate arm.yaml --output {}',
     'check': 'simulate arm.yaml --output new --check {}',
-    'recording': 'import-bag nothing.mcap --output {}',
-    'table': 'import-table nothing.csv --robot arm.yaml --output {}',
+    'recording': 'import bag nothing.mcap --output {}',
+    'table': 'import table nothing.csv --robot arm.yaml --output {}',
     'result': 'compare nothing --json {}',
     'page': 'compare nothing --report {}',
     'page of a diagnosis': 'diagnose nothing --report {}',
     'better robot': 'diagnose nothing --add {}',
-    'added': 'add tip_load --data nothing --output {}',
+    'added': 'effect add tip_load --data nothing --output {}',
     'improved': 'improve nothing --output {}',
-    'removed': 'remove tip_load --robot nothing.yaml --output {}',
-    'path': 'sweep nothing.yaml --output {}',
+    'removed': 'effect remove tip_load --robot nothing.yaml --output {}',
+    'path': 'model sweep nothing.yaml --output {}',
     'picture': 'plot nothing.mcap --output {}',
     'picture of a path': 'follow nothing.csv --picture {}',
-    'picture of a recording': 'import-bag nothing.mcap --output new --picture {}',
-    'motors': 'emulate dynamixel --robot nothing.yaml --write-config {}',
-    'calibration': f'calibrate serial nothing.yaml --robot arm.yaml --output {{}} {CALIBRATE}',
+    'picture of a recording': 'import bag nothing.mcap --output new --picture {}',
+    'motors': 'motors emulate dynamixel --robot nothing.yaml --write-config {}',
+    'calibration': (
+        f'motors calibrate serial nothing.yaml --robot arm.yaml --output {{}} {CALIBRATE}'
+    ),
 }
 FOLDERS = ('data set', 'check', 'recording', 'table')
 

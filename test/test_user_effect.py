@@ -27,4 +27,4 @@ def test_an_effect_of_the_users_own_is_named_and_added(tmp_path, capsys, monkeyp
     assert np.isclose(load_robot('new.yaml').effects['soft_pulley']['loss'], 0.06, rtol=0.1)
     assert main(['diagnose', 'data', '--robot', 'new.yaml']) == 1
     assert "effects: unknown effect 'soft_pulley'" in capsys.readouterr().err
-    assert main(['add', 'soft_pulley', '--data', 'data', '--output', 'b.yaml']) == 1
+    assert main(['effect', 'add', 'soft_pulley', '--data', 'data', '--output', 'b.yaml']) == 1

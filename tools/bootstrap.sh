@@ -170,7 +170,7 @@ fi
 exec 9>"$venv.lock"
 ! command -v flock >/dev/null || flock 9
 if ! can_be_kept || [ "$(recipe)" != "$(cat "$stamp")" ]; then
-    say "setting up $venv with $python ($kind ROS 2), once: 290 MB, unless pip has them already"
+    say "setting up $venv with $python ($kind ROS 2), once: 320 MB, unless pip has them already"
     say 'this usually takes one to three minutes; on a busy machine more'
     make_venv
 fi

@@ -1,7 +1,7 @@
 """
 Commands that make data sets of recordings and tables, and recordings of data sets.
 
-import-bag, import-table, export-bag; plot.
+import bag, import table, export bag; plot.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ class ImportBag:
     The recording holds the tendon states (sensor_msgs/JointState) and the shape: one
     geometry_msgs/PoseArray with a pose per marker, or a geometry_msgs/PoseStamped topic or a frame
     of /tf per marker. Markers in another frame than the base's are taken there by the transforms
-    in the recording, else their frame is found as import-table does. Still segments with the same
-    inputs are trials of one posture. Look at the picture before you trust them.
+    in the recording, else their frame is found as `import table` does. Still segments with the
+    same inputs are trials of one posture. Look at the picture before you trust them.
 
-    example: python -m tendon_robot_ros import-bag run.mcap --robot robot.yaml --output data/run
+    example: python -m tendon_robot_ros import bag run.mcap --robot robot.yaml --output data/run
     """
 
     HELP = 'make a data set from a ROS 2 recording'
@@ -92,7 +92,7 @@ class ImportBag:
         add('--sender', default=topics.sender, metavar='TEXT', help=what)
         add('--up', choices=UPS, help='axis of the tracker that points up')
         what = (
-            "how a tracker's frame is found, as of import-table; base: it is the base frame "
+            "how a tracker's frame is found, as of `import table`; base: it is the base frame "
             '(default: base where the frame is called so or transforms lead there, else level or '
             'model)'
         )
@@ -171,7 +171,7 @@ class ImportTable:
     robot's. DIR gets the data set, import.yaml with every choice (edit it, then import again with
     --recipe) and import.png: look at it before you trust it.
 
-    example: python -m tendon_robot_ros import-table raw.csv --robot arm.yaml --up y --output
+    example: python -m tendon_robot_ros import table raw.csv --robot arm.yaml --up y --output
     data/run
     """
 
@@ -203,7 +203,7 @@ class ImportTable:
             recipe = replace(recipe, leave_out=None, delay=None, drift=None)
         robot_path = args.robot or recipe.robot
         if robot_path is None:
-            raise InputError('--robot: describe the arm with new-robot, then name its file')
+            raise InputError('--robot: describe the arm with `robot new`, then name its file')
         robot = load_robot(robot_path)
         recipe = with_arm(with_columns(recipe, args, robot.inputs), args)
         recipe = with_measurements(recipe, args)
@@ -409,10 +409,10 @@ class ExportBag:
     """
     Write a data set as a rosbag2 recording that Foxglove, PlotJuggler and `ros2 bag play` open.
 
-    The arm holds still at every measurement and moves in straight lines between them. `import-bag`
+    The arm holds still at every measurement and moves in straight lines between them. `import bag`
     gives the same data set back.
 
-    example: python -m tendon_robot_ros export-bag data/tentacle tentacle.mcap
+    example: python -m tendon_robot_ros export bag data/tentacle tentacle.mcap
     """
 
     HELP = 'write a data set as a ROS 2 recording'

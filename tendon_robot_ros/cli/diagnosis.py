@@ -201,10 +201,10 @@ class Add:
     holds their values, and under `fitted` their 95 % intervals, the data set, the date, and the
     errors. The table shows the error before, after, and of a perfect model (noise floor), on the
     fitted postures and on others: those of --check, or postures left out in turn. An effect that
-    ROBOT lists already gets new values. `remove` undoes it. Nothing is written, and the exit code
-    is 2, where the error on others would rise.
+    ROBOT lists already gets new values. `effect remove` undoes it. Nothing is written, and the
+    exit code is 2, where the error on others would rise.
 
-    example: python -m tendon_robot_ros add hinge_friction --data data/hinge_friction/fit
+    example: python -m tendon_robot_ros effect add hinge_friction --data data/hinge_friction/fit
         --output better.yaml --check data/hinge_friction/check
     """
 
@@ -256,10 +256,10 @@ class Remove:
     """
     Take an effect out of a robot description.
 
-    Where `add` had replaced the values of an effect that was there before, these come back; remove
-    once more to take it out.
+    Where `effect add` had replaced the values of an effect that was there before, these come back;
+    remove once more to take it out.
 
-    example: python -m tendon_robot_ros remove hinge_friction --robot better.yaml
+    example: python -m tendon_robot_ros effect remove hinge_friction --robot better.yaml
         --output plain.yaml
     """
 
@@ -298,7 +298,7 @@ class Improve:
     search is then made again without each posture, or group of postures, and predicts it: that
     error is printed for every step, and the last step that lowers it by more than its scatter is
     the last one that NEW takes. Nothing is written, and the exit code is 2, where no step does.
-    `remove` undoes an effect.
+    `effect remove` undoes an effect.
 
     example: python -m tendon_robot_ros improve data/tentacle --output better.yaml
         --report better.html

@@ -27,45 +27,71 @@ from ..common.errors import InputError, MissingExtraError, TendonRobotError, sug
 from ..common.files import keep_bytecode
 from ..common.words import PROGRAM
 
-# The one list of commands: `python -m`, `ros2 run` and setup.py all read it.
+# The one list of commands: `python -m`, `ros2 run` and setup.py all read it. A command of two
+# words belongs to a group, which is an executable.
 COMMANDS: dict[str, str] = {
     'demo': 'tendon_robot_ros.ros.commands.demo',
-    'new-robot': 'tendon_robot_ros.cli.robot:NewRobot',
-    'describe': 'tendon_robot_ros.cli.robot:Describe',
-    'shape': 'tendon_robot_ros.cli.model:ShapeCommand',
-    'reach': 'tendon_robot_ros.cli.model:ReachCommand',
-    'workspace': 'tendon_robot_ros.cli.model:WorkspaceCommand',
-    'friction': 'tendon_robot_ros.studies.friction',
-    'paper': 'tendon_robot_ros.studies.paper',
-    'controller': 'tendon_robot_ros.ros.controller.node',
-    'driver': 'tendon_robot_ros.ros.driver.node',
-    'stop': 'tendon_robot_ros.ros.commands.stop',
-    'teleop': 'tendon_robot_ros.ros.commands.teleop',
-    'go-to': 'tendon_robot_ros.ros.commands.follow:GoTo',
-    'follow': 'tendon_robot_ros.ros.commands.follow:Follow',
-    'sweep': 'tendon_robot_ros.cli.model:Sweep',
-    'record': 'tendon_robot_ros.ros.commands.record',
-    'plot': 'tendon_robot_ros.cli.data:Plot',
-    'robot-model': 'tendon_robot_ros.ros.commands.robot_model',
-    'monitor': 'tendon_robot_ros.ros.monitor.node',
-    'viewer': 'tendon_robot_ros.ros.viewer.node',
     'live': 'tendon_robot_ros.ros.commands.live',
-    'investigate': 'tendon_robot_ros.ros.commands.investigate',
+    'robot new': 'tendon_robot_ros.cli.robot:NewRobot',
+    'robot describe': 'tendon_robot_ros.cli.robot:Describe',
+    'model shape': 'tendon_robot_ros.cli.model:ShapeCommand',
+    'model reach': 'tendon_robot_ros.cli.model:ReachCommand',
+    'model workspace': 'tendon_robot_ros.cli.model:WorkspaceCommand',
+    'model sweep': 'tendon_robot_ros.cli.model:Sweep',
     'compare': 'tendon_robot_ros.cli.diagnosis:Compare',
     'diagnose': 'tendon_robot_ros.cli.diagnosis:Diagnose',
-    'add': 'tendon_robot_ros.cli.diagnosis:Add',
-    'remove': 'tendon_robot_ros.cli.diagnosis:Remove',
     'improve': 'tendon_robot_ros.cli.diagnosis:Improve',
-    'fleet': 'tendon_robot_ros.studies.fleet',
-    'campaign': 'tendon_robot_ros.studies.campaign',
+    'effect add': 'tendon_robot_ros.cli.diagnosis:Add',
+    'effect remove': 'tendon_robot_ros.cli.diagnosis:Remove',
+    'import table': 'tendon_robot_ros.cli.data:ImportTable',
+    'import bag': 'tendon_robot_ros.cli.data:ImportBag',
+    'export bag': 'tendon_robot_ros.cli.data:ExportBag',
+    'export mjcf': 'tendon_robot_ros.cli.model:ExportMjcf',
     'simulate': 'tendon_robot_ros.cli.simulate',
-    'rehearse': 'tendon_robot_ros.studies.rehearse',
-    'export-bag': 'tendon_robot_ros.cli.data:ExportBag',
-    'import-bag': 'tendon_robot_ros.cli.data:ImportBag',
-    'import-table': 'tendon_robot_ros.cli.data:ImportTable',
-    'emulate': 'tendon_robot_ros.cli.motors:Emulate',
-    'calibrate': 'tendon_robot_ros.cli.motors:Calibrate',
+    'investigate': 'tendon_robot_ros.ros.commands.investigate',
+    'controller': 'tendon_robot_ros.ros.controller.node',
+    'driver': 'tendon_robot_ros.ros.driver.node',
+    'monitor': 'tendon_robot_ros.ros.monitor.node',
+    'viewer': 'tendon_robot_ros.ros.viewer.node',
+    'robot-model': 'tendon_robot_ros.ros.commands.robot_model',
+    'stop': 'tendon_robot_ros.ros.commands.stop',
+    'go-to': 'tendon_robot_ros.ros.commands.follow:GoTo',
+    'follow': 'tendon_robot_ros.ros.commands.follow:Follow',
+    'teleop': 'tendon_robot_ros.ros.commands.teleop',
+    'record': 'tendon_robot_ros.ros.commands.record',
+    'plot': 'tendon_robot_ros.cli.data:Plot',
+    'motors calibrate': 'tendon_robot_ros.cli.motors:Calibrate',
+    'motors emulate': 'tendon_robot_ros.cli.motors:Emulate',
+    'study campaign': 'tendon_robot_ros.studies.campaign',
+    'study fleet': 'tendon_robot_ros.studies.fleet',
+    'study friction': 'tendon_robot_ros.studies.friction',
+    'study paper': 'tendon_robot_ros.studies.paper',
+    'study rehearse': 'tendon_robot_ros.studies.rehearse',
 }
+GROUPS = {
+    'robot': 'describe a robot: by answers to questions, or what a description says',
+    'model': 'ask the model: shape, tensions for a target, range of the tip, a way to look around',
+    'effect': 'add physical effects to a description, fitted on measurements; take them out',
+    'import': 'make a data set of a table or a ROS 2 recording',
+    'export': 'write a data set as a ROS 2 recording, a robot for MuJoCo',
+    'motors': 'calibrate tension with known weights; emulate motors on a port',
+    'study': 'many simulated robots, fleets, rehearsals; friction from slip angles; the paper',
+}
+# Names of version 0.1, which go with the release after 1.0
+WORDS = [name.partition(' ') for name in COMMANDS]
+OLD_NAMES = {
+    'new-robot': 'robot new',
+    'describe': 'robot describe',
+    'import-table': 'import table',
+    'import-bag': 'import bag',
+    'export-bag': 'export bag',
+    **{
+        second: f'{first} {second}'
+        for first, _, second in WORDS
+        if first in ('effect', 'model', 'motors', 'study')
+    },
+}
+EXECUTABLES = sorted({*(first for first, _, _ in WORDS), *OLD_NAMES})
 
 PACKAGE = Path(__file__).parent.parent
 NODE_OPTIONS = '[--ros-args [-p PARAMETER:=VALUE] [--params-file FILE] [-r FROM:=TO] ...]'
@@ -136,20 +162,47 @@ def _guarded(name: str, arguments: list[str], program: str) -> int:
 def run_command(name: str, arguments: list[str], program: str) -> int:
     """Run a command; return its exit code."""
     if name in ('-h', '--help'):
-        width = max((len(command) for command in COMMANDS), default=0)
-        print(f'usage: {PROGRAM} COMMAND [ARGUMENTS]\n\ncommands:')
-        for known, place in COMMANDS.items():
-            print(f'  {known:{width}}  {_help_line(place)}')
+        print(f'usage: {PROGRAM} COMMAND [ARGUMENTS]; COMMAND --help\n\n{_listing("")}')
         return 0
+    if name in OLD_NAMES and name not in COMMANDS:
+        new = OLD_NAMES[name]
+        print(
+            f'{name} is now called: {new} (the old name goes with the next release)',
+            file=sys.stderr,
+        )
+        program, name = program.removesuffix(name) + new, new
+    elif members := [one for one in COMMANDS if one.startswith(f'{name} ')]:
+        word, *arguments = arguments or ['--help']
+        if word in ('-h', '--help'):
+            print(f'usage: {program} COMMAND [ARGUMENTS]\n\n{_listing(name)}')
+            return 0
+        if f'{name} {word}' not in members:
+            known = [one.split()[1] for one in members]
+            hint = suggestion(word, known)
+            raise InputError(f'{name}: no command {word!r}; {hint}known: {", ".join(known)}')
+        program, name = f'{program} {word}', f'{name} {word}'
     if name not in COMMANDS:
-        hint = suggestion(name, COMMANDS)
-        raise InputError(f'no command {name!r}; {hint}known: {", ".join(COMMANDS)}')
+        known = list(dict.fromkeys(one.split()[0] for one in COMMANDS))
+        hint = suggestion(name, known)
+        raise InputError(f'no command {name!r}; {hint}known: {", ".join(known)}')
     if '.ros.' in COMMANDS[name]:
         return run_node(COMMANDS[name], arguments, program)
     command = command_of(COMMANDS[name])
     parser = Parser(prog=program, description=_documentation(COMMANDS[name]))
     command.add_arguments(parser)
     return int(command.run(parser.parse_args(arguments)))
+
+
+def _listing(group: str) -> str:
+    """List the commands of a group with a line each, or all of them, a group in one line."""
+    lines: dict[str, str] = {}
+    for name, place in COMMANDS.items():
+        first, _, second = name.partition(' ')
+        if group in ('', first):
+            title = second if group else first
+            lines[title] = GROUPS[first] if second and not group else _help_line(place)
+    width = max(map(len, lines))
+    return '\n'.join(['commands:', *(f'  {name:{width}}  {line}' for name, line in lines.items())])
 
 
 def command_of(place: str) -> Any:

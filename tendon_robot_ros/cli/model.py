@@ -1,7 +1,7 @@
 """
 Commands that ask the model: what the arm does, and where its tip can be.
 
-shape, reach; workspace, sweep.
+model shape, reach, workspace, sweep; export mjcf.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..common.errors import InputError
-from ..common.files import new_file, new_folder
+from ..common.files import file_to_write, new_file, new_folder, write_text
 from ..common.words import columns, other_unit
 from ..data.path_files import TendonRows, TipRows, write_path
 from ..drivers.tendon_check import STILL_TOLERANCE_M
@@ -47,7 +47,7 @@ class ShapeCommand:
     JSON: positions [n][3] in m, distal ends of the cells; bend [n][2] in rad; tensions
     {tendon: [per cell, 0 beyond its end]} in N; pulls {tendon: m}; tip {position, direction}.
 
-    example: python -m tendon_robot_ros shape config/robots/kato_10_1.yaml
+    example: python -m tendon_robot_ros model shape config/robots/kato_10_1.yaml
         --tensions dist_right=0.51,dist_left=0.1
     """
 
@@ -148,7 +148,7 @@ class ReachCommand:
     them); tip {position, direction}; error {position in m, direction in rad}; status; region (that
     keeps the arm away); tip_stiffness {x, y, z, softest} in N/m, null where nothing gives way.
 
-    example: python -m tendon_robot_ros reach config/robots/kato_10_1.yaml
+    example: python -m tendon_robot_ros model reach config/robots/kato_10_1.yaml
         --position 60,0,150 --direction 1,0,0
     """
 
@@ -253,7 +253,7 @@ class WorkspaceCommand:
     OUTPUT holds postures.csv (a row per cube, or per kept posture: tensions [N], tip [m]),
     workspace.npz (all arrays) and workspace.html.
 
-    example: python -m tendon_robot_ros workspace config/robots/spatial_6.yaml
+    example: python -m tendon_robot_ros model workspace config/robots/spatial_6.yaml
         --output range_of_motion
     """
 
@@ -388,7 +388,7 @@ class Sweep:
     robot looks once around. The path is a CSV file of tip targets, or of tensions, which need no
     inverse.
 
-    example: python -m tendon_robot_ros sweep config/robots/kato_10_1.yaml --view 180
+    example: python -m tendon_robot_ros model sweep config/robots/kato_10_1.yaml --view 180
     """
 
     HELP = 'write a path that keeps the view angle: looking around'
@@ -431,4 +431,39 @@ class Sweep:
         )
         print(f'{len(postures)} postures at the {args.view:g}° view; tip {spans} mm')
         print(f'written: {args.output}   next: python -m tendon_robot_ros follow {args.output}')
+        return 0
+
+
+class ExportMjcf:
+    """
+    Write a robot as MJCF, for MuJoCo: stiffness, routes, offsets, weight and loads as described.
+
+    A body per cell with hinge joints that are springs; actuators are the tendons, their controls
+    tensions [N]. The head of the file lists what MuJoCo cannot say, such as friction that
+    remembers; without that the arm comes to rest where the model has it, within 2 % of its length
+    where cells bend by less than 0.3 rad.
+
+    example: python -m tendon_robot_ros export mjcf config/robots/spatial_6.yaml spatial_6.xml
+    """
+
+    HELP = 'write a robot as MJCF, for MuJoCo'
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Declare the arguments."""
+        options.declare(parser, 'robot')
+        what = 'the file (default: printed)'
+        parser.add_argument('out', nargs='?', type=file_to_write('OUT'), metavar='OUT', help=what)
+        options.declare(parser, '--overwrite', '--effect-file')
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Write or print."""
+        from ..model.mjcf import mjcf
+
+        options.refuse_existing('OUT', args.out, args.overwrite)
+        text = mjcf(options.load_model(args))
+        if args.out is None:
+            print(text, end='')
+        else:
+            write_text(args.out, text)
+            print(f'written: {args.out}')
         return 0

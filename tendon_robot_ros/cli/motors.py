@@ -73,8 +73,8 @@ class Calibrate:
 
         calibrate dynamixel servos.yaml --robot arm.yaml --check --tension 1
 
-    In a folder with one robot description and one driver's configuration `calibrate --check` will
-    do.
+    In a folder with one robot description and one driver's configuration
+    `motors calibrate --check` will do.
     """
 
     HELP = 'calibrate tension with known weights; --check: which tendon has crept'
@@ -153,7 +153,7 @@ def _only(names: list[str], what: str, remedy: str) -> str:
     if len(names) != 1:
         came = f'{len(names)} of them ({", ".join(names)})' if names else 'none'
         raise InputError(
-            f'calibrate --check: expected {what} in this folder, got {came}; say {remedy}'
+            f'motors calibrate --check: expected {what} in this folder, got {came}; say {remedy}'
         )
     return names[0]
 

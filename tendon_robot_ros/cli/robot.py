@@ -1,7 +1,7 @@
 """
 Commands about a robot description: ask for it, print it.
 
-new-robot, describe.
+robot new, robot describe.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class NewRobot:
     or a pipe, one per line. The file is short and meant to be edited: per-cell values, uneven
     tendons and effects go in there.
 
-    example: python -m tendon_robot_ros new-robot --output arm.yaml
+    example: python -m tendon_robot_ros robot new --output arm.yaml
     """
 
     HELP = 'ask about a robot, write its description and draw it'
@@ -91,7 +91,7 @@ class NewRobot:
             draw_robot(Model(robot), draft)
         print(f'\nwritten: {path}   picture: {picture}')
         first = robot.inputs[0]
-        print(f'next: python -m tendon_robot_ros shape {path} --tensions {first}=1')
+        print(f'next: python -m tendon_robot_ros model shape {path} --tensions {first}=1')
         return 0
 
 
@@ -413,7 +413,7 @@ class Describe:
     a URDF instead, for RViz and TF: two revolute joints per cell, `<name>_x` towards x and
     `<name>_y` towards y, and where cells twist a third, `<name>_z`, about its axis.
 
-    example: python -m tendon_robot_ros describe config/robots/kato_10_1.yaml
+    example: python -m tendon_robot_ros robot describe config/robots/kato_10_1.yaml
     """
 
     HELP = 'print a robot description, or a URDF of it'

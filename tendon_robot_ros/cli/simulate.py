@@ -141,7 +141,7 @@ def write_tables(args: argparse.Namespace, plant: Plant) -> int:
         write_table(path, names, values)
         rows, columns = values.shape
         print(f'written: {path}: {rows:,} rows of {columns} columns, {values[-1, 0]:.0f} s')
-    _print_hidden(args, plant, f'import-table {args.table} --robot {args.robot}')
+    _print_hidden(args, plant, f'import table {args.table} --robot {args.robot}')
     return 0
 
 

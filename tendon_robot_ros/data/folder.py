@@ -88,7 +88,8 @@ class Description:
 
 
 NO_FOLDER = (
-    'name a folder with dataset.yaml, inputs.csv and shapes.csv; of a table import-table makes one'
+    'name a folder with dataset.yaml, inputs.csv and shapes.csv; of a table '
+    '`import table` makes one'
 )
 
 
@@ -288,7 +289,7 @@ def refuse_table(path: Path) -> None:
     if not os.path.exists(path):
         raise DataSetError(str(path), 'is not there', 'name the folder of a data set')
     if path.suffix.lower() in TABLE_ENDINGS and os.path.isfile(path):
-        remedy = f'make one of it: {PROGRAM} import-table {path} --robot ARM.yaml --output run'
+        remedy = f'make one of it: {PROGRAM} import table {path} --robot ARM.yaml --output run'
         raise DataSetError(str(path), 'is a table, and no data set', remedy)
     if os.path.isfile(path):
         remedy = 'name the folder that holds dataset.yaml; robots go behind --model or --robot'

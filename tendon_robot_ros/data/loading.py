@@ -130,7 +130,7 @@ def import_bag(
             recording.name,
             f'markers are in the frame {recording.frame!r}, and no transform in it says where the '
             'base is',
-            'import it with import-bag, which finds where it lies (--frame base: it is the base)',
+            'take it in with `import bag`, which finds where it lies (--frame base: the base)',
         )
     recording, renumbered_lines = _renumbered(
         recording, described.markers or default_markers(robot)

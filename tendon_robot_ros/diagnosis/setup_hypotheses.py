@@ -20,7 +20,7 @@ from ..inference.noise import rms
 from ..inference.predict import Point, Predictor
 from .verdict import RESIDUAL_RATIO_MAX
 
-EARTH = round(STANDARD_GRAVITY, 2)  # [m/s²] as descriptions have it, because new-robot rounds so
+EARTH = round(STANDARD_GRAVITY, 2)  # [m/s²] as descriptions have it, because `robot new` rounds so
 UNIT_FACTORS = {
     1000.0: 'milli', 0.001: 'kilo', EARTH: 'kilograms of force', 1.0 / EARTH: 'newtons twice',
     4.448: 'pounds', 1.0 / 4.448: 'newtons as pounds', 10.0: 'a decimal point',

@@ -175,7 +175,7 @@ def due(path: Path) -> str:
     if reference.boot and reference.boot != boot_id():
         return (
             f'the power was off since the tendons were looked at ({reference.date}): '
-            'calibrate --check says whether one has crept'
+            'motors calibrate --check says whether one has crept'
         )
     return ''
 

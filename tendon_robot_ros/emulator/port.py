@@ -265,7 +265,7 @@ class EmulatorProcess:
         """Start `emulate KIND` for a robot description, with more of its arguments."""
         self._folder = tempfile.TemporaryDirectory(prefix='tendon_robot_ros_')
         self.config = Path(self._folder.name, 'motors.yaml')
-        command = ['emulate', kind, '--ends-with-input']
+        command = ['motors', 'emulate', kind, '--ends-with-input']
         command += ['--robot', str(robot), '--write-config', str(self.config), *arguments]
         self._conversation = threading.Lock()
         self.process = self.start(command)

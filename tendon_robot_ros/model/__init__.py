@@ -13,6 +13,7 @@ program.py       quadratic programs and least squares with bounds; the step of t
 pulls.py         wire pulls to tensions, with slack wires
 derivatives.py   slopes of an equilibrium with respect to tensions and parameters; how stiff the
                  tip is
+mjcf.py          a robot as a file for MuJoCo
 compile.py       a robot and its effects as the arrays of the kernel, which is composed from a
                  catalogue, compiled and cached
 versions.py      the same package, effects and compiled kernel in every process of a study

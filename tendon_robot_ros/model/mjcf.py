@@ -27,13 +27,13 @@ from ..effects.effect import Effect
 from .model import Model
 from .shape import Shape
 
-HINGES_MIN = 12  # [1] of a section of arcs, which bend by 15 degrees each where it turns by 180
-STEP_S = 1e-3  # [s] time step, the usual one of arms in MuJoCo
+HINGES_MIN = 12  # [1] of a section of arcs, so that each bends by 15° where all bend by 180°
+STEP_S = 1e-3  # [s] of the simulation, because arms in MuJoCo usually have it
 # [1] least periods of the fastest spring in 2 pi steps, because explicit springs diverge at a half
 STEPS_PER_PERIOD = 4.0
-DENSITY = 0.1  # [kg/m] where a description has no weight: MuJoCo needs a mass to move
+DENSITY = 0.1  # [kg/m] where a description has no weight, because MuJoCo needs a mass to move
 INERTIA_MIN = 1e-9  # [kg·m²] of a body, because MuJoCo refuses none
-AFFINE = 1e-9  # [1] of a tension, to which a law counts as a gain and an offset: rounding
+AFFINE = 1e-9  # [1] of a tension that a gain and an offset may be off, because of rounding
 # stages whose effects are in the numbers of the file
 SAID = ('actuation', 'offset_scale', 'stiffness', 'rest', 'load', 'tip_load', 'torsion')
 # stages that are no property of the arm under tensions

@@ -105,7 +105,7 @@ class StillWindow:
     """
     The last frames, and whether the arm was at rest in them.
 
-    As in `import-bag`, the arm is at rest when the means of the two halves of the window differ
+    As in `import bag`, the arm is at rest when the means of the two halves of the window differ
     by less than the speed allows, which averages the noise of the tracker, and no input changed.
 
     Parameters

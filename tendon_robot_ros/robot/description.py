@@ -205,7 +205,7 @@ def parse_robot(text: str, source: str = 'robot') -> Robot:
     except ValueError as error:
         raise RobotDescriptionError(source, 'file', 'valid YAML', str(error)) from None
     if content is None:
-        expected = 'a robot description (new-robot writes one)'
+        expected = 'a robot description (`robot new` writes one)'
         raise RobotDescriptionError(source, 'file', expected, 'an empty file')
     return check_robot(Reader(source, '', content))
 

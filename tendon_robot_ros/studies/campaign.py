@@ -10,7 +10,7 @@ grow between two runs: more seeds, effects or sizes are added to what is there.
 Work is spread over --workers processes of this machine, or over the workers of a dask scheduler
 (--cluster). Results do not depend on where they are computed. docs/campaigns.md has more.
 
-example: python -m tendon_robot_ros campaign examples/campaign.yaml --output power
+example: python -m tendon_robot_ros study campaign examples/campaign.yaml --output power
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ OUTPUT gets paper.html (figures and table; opens without a network) and paper.js
 With --robots, kato_1_1.yaml, kato_10_1.yaml, kato_10_1_single.yaml and kato_2_1.yaml are read from
 a folder of your own.
 
-example: python -m tendon_robot_ros paper --output results/paper
+example: python -m tendon_robot_ros study paper --output results/paper
 """
 
 from __future__ import annotations

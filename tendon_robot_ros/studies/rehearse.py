@@ -9,7 +9,7 @@ better description. Interrupted, it goes on with --resume.
 
 Exit code: 0 a result; 1 an error.
 
-example: python -m tendon_robot_ros rehearse config/robots/kato_10_1.yaml --output found
+example: python -m tendon_robot_ros study rehearse config/robots/kato_10_1.yaml --output found
     --hidden hinge_friction
 """
 

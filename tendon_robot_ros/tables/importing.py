@@ -81,7 +81,9 @@ def import_table(
     named = recipe.robot if robot is None else robot
     if named is None:
         raise DataSetError(
-            'robot', 'none is named', 'describe the arm with new-robot, then say --robot arm.yaml'
+            'robot',
+            'none is named',
+            'describe the arm with `robot new`, then say --robot arm.yaml',
         )
     robot = load_robot(named)
     show(STEPS[0], 0, len(STEPS))

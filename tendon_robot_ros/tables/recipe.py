@@ -41,7 +41,7 @@ INPUT_KINDS = ('force', 'length', 'angle', 'counts', 'current')
 HEAD = """\
 # How the tables named under sources became the data set beside this file. SI units but for the
 # units of columns. Change a line, or take one out to have it guessed again, and run
-#   python -m tendon_robot_ros import-table --recipe THIS_FILE --output NEW_FOLDER
+#   python -m tendon_robot_ros import table --recipe THIS_FILE --output NEW_FOLDER
 """
 Part = TypeVar('Part')
 Read = Callable[['RecipeFields', str], Any]

@@ -438,7 +438,7 @@ def _gravity(
             + (
                 'has no gravity: the tracker is not levelled by it, and gravity is taken as '
                 f'[{at}] m/s² from the frame as found; say where the arm points (gravity in the '
-                'description, new-robot asks for it)'
+                'description, `robot new` asks for it)'
                 if known is None
                 else 'says that gravity is zero: up is not used, and no weight is looked for'
             ),

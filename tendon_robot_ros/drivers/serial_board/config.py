@@ -162,7 +162,7 @@ def read_wires(
             raise top.error(
                 'calibration',
                 f'the load cell of every input; none for {name}: type '
-                f'calibrate serial CONFIG --robot ROBOT --tendon {name} --weights KG KG KG',
+                f'motors calibrate serial CONFIG --robot ROBOT --tendon {name} --weights KG KG KG',
                 list(cells.content),
             )
         cell = read_cell(cells.child(name)) if cells.has(name) else None

@@ -4,7 +4,7 @@ Record what the running robot says, until Ctrl-C: a rosbag2 folder with one .mca
 All topics of the namespace are recorded as they come, and those that no namespace has (/tf,
 /tf_static, /diagnostics), with their message definitions, so that Foxglove, PlotJuggler and
 `ros2 bag play` open the file. The description of the robot, as the
-controller has it, goes in, too: `compare`, `diagnose`, `plot`, `follow` and `import-bag` take the
+controller has it, goes in, too: `compare`, `diagnose`, `plot`, `follow` and `import bag` take the
 recording as it is.
 
 example: python -m tendon_robot_ros record run1
