@@ -19,6 +19,7 @@ from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.diagnosis.add import add_effects
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.select import gather
+from tendon_robot_ros.diagnosis.verdict import differs
 from tendon_robot_ros.inference import session as sessions
 from tendon_robot_ros.report.diagnosis_text import lines
 
@@ -175,4 +176,6 @@ def test_an_effect_is_there_only_if_its_interval_leaves_out_what_is_described(le
     dataset = measured(ROBOT, {'hinge_friction': {'lever': lever}}, count=6)
     found = gather(sessions.Session(dataset, dataset.robot, CATALOGUE, 1))
     (ranked,) = (r for r in found.singles if r.candidate.names == ('hinge_friction',))
-    assert found.differs(ranked) == (lever > 0.0)
+    evidence = found.evidence()
+    evidence = replace(evidence, departures={ranked.names: found.departures(ranked)})
+    assert differs(evidence, ranked) == (lever > 0.0)

@@ -45,4 +45,4 @@ def test_an_effect_that_others_make_needless_leaves_the_combination():
     session = Session(measured(described, hidden, count=10), described, CATALOGUE, workers=1)
     assert session.weigh({})
     first = session.fit_all([c for c in session.candidates if c.names == ('moment_arm',)])
-    assert set(several(session, first).candidate.names) == set(hidden)
+    assert set(several(session, first)[0].names) == set(hidden)

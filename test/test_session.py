@@ -1,68 +1,13 @@
-"""The class of what cannot be told apart: its limit, its order, and what drops out of it."""
-
-from types import SimpleNamespace
+"""Fits of candidates side by side: which contain others, and which is best."""
 
 import pytest
 import simulated
 from simulated import CATALOGUE, measured
 
-from tendon_robot_ros.diagnosis.verdict import APART_FROM_SCORE, indistinct
-from tendon_robot_ros.inference.candidates import Candidate, Ranked
 from tendon_robot_ros.inference.session import Session
+from tendon_robot_ros.inference.statistics import first_of_best
 
 ROBOT = simulated.robot()
-
-
-def ranked(name, chi2, rank=1, probability=0.5):
-    """Return a candidate that needs no fit to be judged."""
-    fit = SimpleNamespace(deviance=chi2, rank=rank, probability=lambda freedom: probability)
-    return Ranked(Candidate((name,), (), False), fit, 100.0, None)
-
-
-def names(group):
-    return [one.candidate.names[0] for one in group]
-
-
-@pytest.fixture
-def session():
-    return Session(measured(ROBOT, count=2), ROBOT, CATALOGUE, workers=1)
-
-
-def test_the_class_ends_at_its_limit(session):
-    fits = [ranked('hinge_friction', 100.0), ranked('tip_load', 100.0 + APART_FROM_SCORE - 0.01),
-            ranked('gravity', 100.0 + APART_FROM_SCORE + 0.01)]  # fmt: skip
-    assert names(indistinct(session, fits)) == ['hinge_friction', 'tip_load']
-
-
-def test_what_is_not_adequate_does_not_belong_to_the_class(session):
-    fits = [ranked('hinge_friction', 100.0), ranked('tip_load', 99.0, probability=5e-4)]
-    assert names(indistinct(session, fits)) == ['hinge_friction']
-
-
-def test_more_parameters_cost_two_each(session):
-    fits = [
-        ranked('hinge_friction', 100.0, 1),
-        ranked('gravity', 100.0 + APART_FROM_SCORE - 5.0, 4),
-    ]
-    assert names(indistinct(session, fits)) == ['hinge_friction']
-
-
-def test_ties_go_by_the_order_of_the_catalogue(session):
-    fits = [ranked('backbone_stiffness', 100.3), ranked('transmission_loss', 100.0)]
-    assert names(indistinct(session, fits)) == [
-        'backbone_stiffness',
-        'transmission_loss',
-    ]
-    fits = [ranked('backbone_stiffness', 103.0), ranked('transmission_loss', 100.0)]
-    assert names(indistinct(session, fits)) == [
-        'transmission_loss',
-        'backbone_stiffness',
-    ]
-
-
-def test_a_section_of_its_own_contains_the_whole_backbone(session):
-    fits = [ranked('section_stiffness', 100.0, 2), ranked('backbone_stiffness', 101.0, 1)]
-    assert names(indistinct(session, fits)) == ['backbone_stiffness']
 
 
 def fitted(hidden, robot=ROBOT):
@@ -81,10 +26,10 @@ def test_a_larger_candidate_that_can_do_the_same_drops_out():
 
 
 def test_exact_twins_fit_alike_and_the_first_is_best():
-    session, found = fitted({'transmission_loss': {'fraction': 0.08}})
+    _, found = fitted({'transmission_loss': {'fraction': 0.08}})
     twins = [found['backbone_stiffness'], found['transmission_loss']]
     assert twins[0].fit.chi2 == pytest.approx(twins[1].fit.chi2, abs=0.05)
-    assert session.best(list(found.values())).candidate.names == ('backbone_stiffness',)
+    assert first_of_best(list(found.values())).names == ('backbone_stiffness',)
 
 
 def test_workers_do_not_change_the_result():

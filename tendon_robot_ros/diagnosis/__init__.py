@@ -5,7 +5,7 @@ Candidates are fitted to the data by `inference` (select), a verdict follows fro
 (verdict), and reports read the result.
 
 The diagnosis
-verdict.py            thresholds, and the table of the verdicts (sentence, colour, advice); the
+verdict.py            from evidence in numbers to a verdict: thresholds, gates, sentences; the
                       threshold of the drift alarm is in monitoring/watch.py
 diagnose.py           `diagnose`: from the evidence to a verdict
 select.py             fits of all candidates; pairs and larger combinations of effects

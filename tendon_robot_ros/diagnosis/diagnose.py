@@ -20,9 +20,9 @@ from ..inference.session import Session
 from ..robot import RobotLike, load_robot
 from .marker_hypotheses import exchanged_in
 from .next_measurement import propose
-from .report_rows import Concluded, details_of, finding, fitted_errors, remainder_text, rows_of
+from .report_rows import details_of, finding, fitted_errors, remainder_text, rows_of
 from .result import Diagnosis
-from .select import Evidence, gather
+from .select import Concluded, Fits, gather
 from .setup_hypotheses import Mistake
 from .setup_mistakes import Explained, Mended, find_mistake, implausible, mended_rivals
 from .verdict import (
@@ -33,7 +33,6 @@ from .verdict import (
     RESIDUAL_PARTLY_MAX,
     RESIDUAL_RATIO_MAX,
     Verdict,
-    decide,
 )
 
 
@@ -180,37 +179,38 @@ def _judge(session: Session) -> Diagnosis:
 
     A misfit beyond repeatability is judged again by the declared accuracy, where there is one.
     """
-    evidence, decision = decide(gather(session))
+    fits = gather(session)
+    decision = fits.judge()
     outside = decision.verdict is Verdict.OUTSIDE_CATALOGUE
     if outside and session.accuracy and not session.use_accuracy:
         session.use_accuracy = True
-        evidence, decision = decide(gather(session))
-    assert isinstance(evidence, Evidence)
-    return _result(evidence, decision)
+        fits = gather(session)
+        decision = fits.judge()
+    return _result(fits, decision)
 
 
-def _result(evidence: Evidence, decision: Concluded) -> Diagnosis:
+def _result(fits: Fits, decision: Concluded) -> Diagnosis:
     """Return the diagnosis of a decision, with all numbers that reports read."""
-    session, chosen = evidence.session, decision.chosen
-    errors = fitted_errors(session, None if chosen is None else evidence.reported(chosen))
+    session, chosen = fits.session, decision.chosen
+    errors = fitted_errors(session, None if chosen is None else fits.reported(chosen))
     if decision.verdict is Verdict.OUTSIDE_CATALOGUE and not errors.after <= errors.before:
         decision = replace(decision, chosen=None, together=())  # it does not lower the error
         chosen, errors = None, fitted_errors(session, None)
     own = set() if chosen is None else set(chosen.names)
-    details = details_of(evidence, decision)
+    details = details_of(fits, decision)
     return Diagnosis(
         verdict=decision.verdict,
-        effects=tuple(finding(evidence, decision, errors)),
+        effects=tuple(finding(fits, decision, errors)),
         cannot_tell_apart=decision.together,
-        not_tested=tuple(c.names[0] for c in evidence.not_tested if c.names[0] not in own),
+        not_tested=tuple(c.names[0] for c in fits.not_tested if c.names[0] not in own),
         out_of_tolerance=decision.out_of_tolerance,
         error_before=errors.before,
         error_after=errors.after,
         error_alone=errors.alone,
         noise_floor=errors.floor,
         next_measurement=propose(session, decision.alike) if decision.alike else None,
-        remainder=remainder_text(evidence, decision, errors.after, details['as_built']),
-        candidates=rows_of(evidence, decision, errors),
+        remainder=remainder_text(fits, decision, errors.after, details['as_built']),
+        candidates=rows_of(fits, decision, errors),
         details=details,
     )
 

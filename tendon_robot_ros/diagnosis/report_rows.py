@@ -33,9 +33,8 @@ from ..inference.outliers import Outliers
 from ..inference.session import Session
 from ..inference.statistics import SIGNIFICANCE, chi2_isf, normal_ppf
 from .local_tests import faults_of
-from .patterns import Pattern
 from .result import NOT_NEEDED, CandidateRow, EffectFinding
-from .select import Evidence
+from .select import Concluded, Fits
 from .trust import DETECTION_POWER
 from .verdict import (
     ALARM_LEVEL,
@@ -46,24 +45,22 @@ from .verdict import (
     POSTURES_ENOUGH,
     REPEATABILITIES_MAX,
     SAME_ERROR_RATIO,
-    Conclusion,
     Verdict,
 )
 
-Concluded = Conclusion[Ranked, Pattern]
 NOISE_KEYS = ('position', 'shift', 'trial', 'setting', 'source')
 SPAN_MAX = 30.0  # [1] ratio of the ends of an interval, else nobody would know the size
 
 
 def remainder_text(
-    evidence: Evidence, decision: Concluded, residual: float, arm: Mapping[str, Any] | None
+    fits: Fits, decision: Concluded, residual: float, arm: Mapping[str, Any] | None
 ) -> str:
     """
     Return sentences on the residual [m] after the chosen effects, if any, and its pattern.
 
     `arm` is what `arm_report` says of the scatter of the arm.
     """
-    session, outside = evidence.session, decision.verdict is Verdict.OUTSIDE_CATALOGUE
+    session, outside = fits.session, decision.verdict is Verdict.OUTSIDE_CATALOGUE
     floor = session.whitener.floor()
     is_noise = residual < SAME_ERROR_RATIO * floor
     text = f'What is left ({1e3 * residual:.2f} mm) ' + (
@@ -76,16 +73,16 @@ def remainder_text(
     if not outside or session.brief:
         return text
     repeats = session.repeats
-    if evidence.remembers and repeats is not None:
+    if fits.remembers and repeats is not None:
         return (
             f'{text} Where inputs repeat, the error of the description differs by '
             f'{mm(repeats.apart)} from time to time: what is missing depends on how the arm got '
             'there, or on time.'
         )
-    fit = evidence.base if decision.chosen is None else decision.chosen.fit
+    fit = fits.base if decision.chosen is None else decision.chosen.fit
     pattern, dataset = decision.rival, session.dataset
     if pattern is None:
-        patterns = evidence.patterns if fit is evidence.base else evidence.patterns_on(fit)
+        patterns = fits.patterns if fit is fits.base else fits.patterns_on(fit)
         pattern = min(patterns, key=lambda pattern: pattern.score, default=None)
         gain = 0.0 if pattern is None else fit.deviance - pattern.deviance
         if gain < PATTERN_GAIN_MIN * (fit.chi2 - fit.freedom):
@@ -204,12 +201,12 @@ def fitted_errors(session: Session, fit: Fit | None) -> FittedErrors:
     return FittedErrors(before, alone, after, floor, descriptions.beside, descriptions.left_out)
 
 
-def finding(evidence: Evidence, decision: Concluded, errors: FittedErrors) -> list[EffectFinding]:
+def finding(fits: Fits, decision: Concluded, errors: FittedErrors) -> list[EffectFinding]:
     """Return the chosen effects, with the fraction that they explain together."""
-    ranked, session = decision.chosen, evidence.session
+    ranked, session = decision.chosen, fits.session
     if ranked is None:
         return []
-    fit = evidence.reported(ranked)
+    fit = fits.reported(ranked)
     values = values_with_intervals(session.fitters[0], fit, decision.scale)
     explained = errors.explained(errors.after)
     loads = loads_of(fit, session.predictor, decision.scale)
@@ -220,35 +217,31 @@ def finding(evidence: Evidence, decision: Concluded, errors: FittedErrors) -> li
     ]
 
 
-def rows_of(
-    evidence: Evidence, decision: Concluded, errors: FittedErrors
-) -> tuple[CandidateRow, ...]:
+def rows_of(fits: Fits, decision: Concluded, errors: FittedErrors) -> tuple[CandidateRow, ...]:
     """
     Return the candidate table, best first.
 
     The error of every candidate is of the same kind as that of the chosen one.
     """
-    ranked, chosen = list(evidence.singles), decision.chosen
+    ranked, chosen = list(fits.singles), decision.chosen
     if chosen is not None and chosen not in ranked:
         ranked.append(chosen)
     rows = []
     for r in sorted(ranked, key=lambda r: r.score):
-        rows.append(_row(evidence, decision, r, errors))
-        evidence.session.progress('postures left out', len(rows), len(ranked))
+        rows.append(_row(fits, decision, r, errors))
+        fits.session.progress('postures left out', len(rows), len(ranked))
     return tuple(rows)
 
 
-def _row(
-    evidence: Evidence, decision: Concluded, ranked: Ranked, errors: FittedErrors
-) -> CandidateRow:
+def _row(fits: Fits, decision: Concluded, ranked: Ranked, errors: FittedErrors) -> CandidateRow:
     """
     Return the row of a candidate.
 
     The left-out error of the chosen candidate and its competitors comes from the model, as in
     `add`; that of the others is linearised, which is much cheaper.
     """
-    fit, session, best = ranked.fit, evidence.session, ranked is decision.chosen
-    reported = evidence.reported(ranked) if best else fit
+    fit, session, best = ranked.fit, fits.session, ranked is decision.chosen
+    reported = fits.reported(ranked) if best else fit
     needed = decision.verdict is not Verdict.ADEQUATE
     error = error_of(session, described_by(session, reported, errors.beside))
     by_slopes = max(ranked.held_out, 1e-12) / max(fit.chi2, 1e-12)
@@ -284,10 +277,10 @@ def _row(
     )
 
 
-def details_of(evidence: Evidence, decision: Concluded) -> dict[str, Any]:
+def details_of(fits: Fits, decision: Concluded) -> dict[str, Any]:
     """Return the numbers that reports print beside the verdict."""
-    session, base, chosen = evidence.session, evidence.base, decision.chosen
-    fit = base if chosen is None else evidence.reported(chosen)
+    session, base, chosen = fits.session, fits.base, decision.chosen
+    fit = base if chosen is None else fits.reported(chosen)
     outside = decision.verdict is Verdict.OUTSIDE_CATALOGUE
     details: dict[str, Any] = measured_with(session) | {
         'exact': session.robot.exact,
@@ -316,7 +309,7 @@ def details_of(evidence: Evidence, decision: Concluded) -> dict[str, Any]:
         names = ('name', 'deviance', 'parameters', 'words')
         details['rival'] = {name: getattr(decision.rival, name) for name in names}
         details['rival'] |= decision.rival.tied
-    details['next_best'], details['wider'] = _next_best(evidence, decision)
+    details['next_best'], details['wider'] = _next_best(fits, decision)
     details['described'] = {
         name: session.robot.effects[name]
         for name in (() if chosen is None else chosen.names)
@@ -330,10 +323,10 @@ def details_of(evidence: Evidence, decision: Concluded) -> dict[str, Any]:
     }
     details['not_tested_because'] = {
         c.names[0]: why_untested(session.catalogue[c.names[0]], session.dataset, session.robot)
-        for c in evidence.not_tested
+        for c in fits.not_tested
     }
     if decision.verdict is Verdict.ADEQUATE:
-        details['detectable'] = smallest_detectable(evidence)
+        details['detectable'] = smallest_detectable(fits)
     return details
 
 
@@ -390,13 +383,11 @@ def left_out(
     }
 
 
-def _next_best(evidence: Evidence, decision: Concluded) -> tuple[dict[str, Any] | None, list[str]]:
+def _next_best(fits: Fits, decision: Concluded) -> tuple[dict[str, Any] | None, list[str]]:
     """Return the best candidate outside the class, and those that fit as well but contain one."""
     chosen = decision.chosen
     others = [
-        r
-        for r in evidence.singles
-        if r is not chosen and r.candidate.label not in decision.together
+        r for r in fits.singles if r is not chosen and r.candidate.label not in decision.together
     ]
     if chosen is None or not others:
         return None, []
@@ -413,12 +404,12 @@ def _next_best(evidence: Evidence, decision: Concluded) -> tuple[dict[str, Any] 
     return {'name': other.candidate.label, 'log10_likelihood_ratio': float(ratio)}, wider
 
 
-def smallest_detectable(evidence: Evidence) -> dict[str, dict[str, Any]]:
+def smallest_detectable(fits: Fits) -> dict[str, dict[str, Any]]:
     """Smallest detectable size of each effect with one parameter in these postures."""
-    count = max(len(evidence.singles), 1)
+    count = max(len(fits.singles), 1)
     threshold = np.sqrt(chi2_isf(2.0 * ALARM_LEVEL / count, 1)) + normal_ppf(DETECTION_POWER)
     sizes = {}
-    for ranked in evidence.singles:
+    for ranked in fits.singles:
         if len(ranked.fit.frees) == 1 and not ranked.present:
             spread = np.sqrt(ranked.fit.covariance[0, 0])
             if np.isfinite(spread):

@@ -6,9 +6,9 @@ All have the same score: deviance plus twice the number of parameters.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -16,10 +16,9 @@ from ..common.arrays import Floats
 from ..inference.candidates import Candidate, Ranked
 from ..inference.fit import Fit
 from ..inference.fitter import BEST_FEW, FAILURES, REVERSAL_GAIN_MIN, ROUNDS_MAX
-from ..inference.intervals import QUANTILE
 from ..inference.search import DIFFERENCE_STEP, LADDER
 from ..inference.session import NEAR_SCORE, Session, better
-from ..inference.statistics import SIGNIFICANCE, chi2_sf
+from ..inference.statistics import first_of_best
 from .patterns import Pattern, patterns_of
 from .verdict import (
     ALARM_LEVEL,
@@ -27,12 +26,24 @@ from .verdict import (
     EFFECTS_MAX,
     P_SINGLE_MIN,
     RESIDUAL_RATIO_MAX,
+    Conclusion,
+    Departure,
+    Evidence,
+    Hypothesis,
+    Missing,
+    Names,
+    Rival,
+    contenders,
+    decide,
+    gains,
     holds_together,
 )
 
+Concluded = Conclusion[Ranked, Pattern]
 
-@dataclass(frozen=True)
-class Evidence:
+
+@dataclass
+class Fits:
     """Fits from which the verdict follows, with the weights of the session."""
 
     session: Session
@@ -40,25 +51,16 @@ class Evidence:
     singles: list[Ranked]
     not_tested: list[Candidate]
     reversed: bool = False  # whether a fit was better beyond a reversal of friction
+    joint: list[Ranked] = field(default_factory=list)  # effects fitted together
+    rivals: list[Pattern] = field(default_factory=list)  # that compete with the best effects
+    alone: list[Pattern] = field(default_factory=list)  # beside the base
     _reported: dict[str, Fit] = field(default_factory=dict)
-
-    @property
-    def best(self) -> Ranked | None:
-        """The best single effect."""
-        return self.session.best(self.singles) if self.singles else None
 
     @property
     def remembers(self) -> bool:
         """Whether errors at equal inputs differ by more than noise, so that no function fits."""
         repeats = self.session.repeats
         return repeats is not None and repeats.is_told(ALARM_LEVEL)
-
-    @property
-    def helpful(self) -> list[Ranked]:
-        """Single effects that may be a part of the cause."""
-        memories = self.session.catalogue.needing('history')
-        own = [ranked for ranked in self.singles if memories & set(ranked.names)]
-        return own if own and self.remembers else self.singles
 
     def reported(self, ranked: Ranked) -> Fit:
         """Return the fit whose values are reported and written; see `Fitter.for_values`."""
@@ -67,41 +69,122 @@ class Evidence:
             self._reported[label] = self.session.fitters[0].for_values(ranked.fit)
         return self._reported[label]
 
-    def differs(self, ranked: Ranked, scale: float = 1.0) -> bool:
-        """
-        Return whether each effect of a candidate differs from the description, at 95 %.
+    @property
+    def patterns(self) -> list[Pattern]:
+        """Patterns outside the catalogue, fitted on top of the base."""
+        self.alone = self.alone or self.patterns_on(self.base)
+        return self.alone
 
-        In one of its parameters, or in all of them together (Wald test), at the likeliest sizes of
-        imperfections; `scale` multiplies the covariance. An effect that is always on has no
-        neutral value to differ from.
+    def patterns_on(self, fit: Fit, line: float = np.inf) -> list[Pattern]:
+        """Return the patterns on top of a fit; see `patterns_of`."""
+        session = self.session
+        return patterns_of(session.fitters, fit, session.progress, line, self.reversed)
+
+    def answer[T](self, rule: Callable[[Evidence], T]) -> T:
+        """Return what a rule says; what it asks for is fitted."""
+        evidence = self.evidence()
+        while True:
+            try:
+                return rule(evidence)
+            except Missing as missing:
+                evidence = replace(evidence, **self._found(evidence, missing))
+
+    def judge(self) -> Concluded:
+        """Return the conclusion, with the fits behind it."""
+        said: Conclusion[Any, Any] = self.answer(decide)
+        rivals = {one.name: one for one in self.rivals}
+        if said.rival is not None and said.rival.name not in rivals:  # it raised the alarm
+            rivals = {one.name: one for one in self.patterns}
+        return replace(
+            said,
+            chosen=said.chosen and self.fit_of(said.chosen.names),
+            alike=tuple(self.fit_of(one.names) for one in said.alike),
+            rival=said.rival and rivals[said.rival.name],
+        )
+
+    def fit_of(self, names: Names) -> Ranked:
+        """Return the fit of effects."""
+        return next(r for r in (*self.joint, *self.singles) if r.names == names)
+
+    def evidence(self) -> Evidence:
+        """Return what is known before anything is asked."""
+        session, base = self.session, self.base
+        return Evidence(
+            base.as_built,
+            base.deviance,
+            base.probability(session.freedom),
+            tuple(_numbers(r, gain_p_value(session, base, r)) for r in self.singles),
+            base.prior_z,
+            {quantity: session.twin_of(quantity) for quantity in base.prior_z},
+            session.brief,
+        )
+
+    def _found(self, known: Evidence, missing: Missing) -> dict[str, Any]:
+        """Return a part of the evidence that is missing."""
+        session, found = self.session, dict[str, Any]()
+        match missing.part:
+            case 'wider':
+                near = [self.fit_of(one.names) for one in contenders(known.singles)]
+                wider = [
+                    r for r in near if any(r is not s and session.contains(r, s) for s in near)
+                ]
+                found['wider'] = frozenset(r.names for r in wider)
+            case 'departures':
+                told = {missing.names: self.departures(self.fit_of(missing.names))}
+                found['departures'] = {**known.departures, **told}
+            case 'patterns':
+                found['patterns'] = self._numbers(self.patterns)
+            case 'rivals':
+                self.rivals = self._rivals(missing.score)
+                found['rivals'] = self._numbers(self.rivals)
+            case 'helpful':
+                memories = session.catalogue.needing('history')
+                own = [one for one in known.singles if memories & set(one.names)]
+                found['helpful'] = tuple(own if own and self.remembers else known.singles)
+            case 'further':
+                self.joint = self._joined(self.fit_of(missing.names))
+                found['further'] = tuple(map(_numbers, self.joint))
+            case 'combined':
+                self.joint = several(session, self.singles)
+                if self.joint:
+                    self.base = session.base_fit((self.base,))
+                    self.singles = session.refit(self.singles, self.base)
+                    self.alone.clear()
+                    self._reported.clear()
+                    found |= vars(self.evidence())
+                found['combined'] = tuple(map(_numbers, self.joint))
+        return found
+
+    def _numbers(self, patterns: Sequence[Pattern]) -> tuple[Rival, ...]:
+        return tuple(
+            Rival(p.name, p.score, p.everywhere, p.gain_p_value(self.base.deviance))
+            for p in patterns
+        )
+
+    def departures(self, ranked: Ranked) -> list[Departure]:
         """
-        session, fit = self.session, self.reported(ranked)
+        Return how far each effect of a candidate is from the description.
+
+        At the likeliest sizes of imperfections. An effect that is always on has no neutral value
+        to depart from.
+        """
+        session, fit, departures = self.session, self.reported(ranked), []
         for name in ranked.names:
             if session.catalogue[name].always_on and name not in session.robot.effects:
                 continue
             own = [i for i, free in enumerate(fit.frees) if free.effect == name]
-            known = fit.covariance[np.ix_(own, own)] * scale
+            known = fit.covariance[np.ix_(own, own)]
             finite = np.isfinite(np.diag(known)) & (np.diag(known) > 0.0)
             described = np.array([session.predictor.value(fit.frees[i]) for i in own])
             off, known = (fit.values[own] - described)[finite], known[np.ix_(finite, finite)]
-            alone = np.abs(off) > QUANTILE * np.sqrt(np.diag(known))
-            far = float(off @ np.linalg.pinv(known) @ off)
-            if not alone.any() and chi2_sf(far, max(len(off), 1)) > SIGNIFICANCE:
-                return False
-        return True
+            farthest = float((np.abs(off) / np.sqrt(np.diag(known))).max(initial=0.0))
+            together = float(off @ np.linalg.pinv(known) @ off)
+            departures.append(Departure(farthest, together, len(off)))
+        return departures
 
-    def gain_is_significant(self, ranked: Ranked) -> bool:
-        """Return whether the gain of an effect is significant among all candidates."""
-        return gain_is_significant(self.session, self.base, ranked, len(self.singles))
-
-    @cached_property
-    def patterns(self) -> list[Pattern]:
-        """Patterns outside the catalogue, fitted on top of the base."""
-        return self.patterns_on(self.base)
-
-    def rivals(self, score: float) -> list[Pattern]:
+    def _rivals(self, score: float) -> list[Pattern]:
         """
-        Return these patterns; those far behind a score need not be fitted to the end.
+        Return the patterns; those far behind a score need not be fitted to the end.
 
         None of them remembers, so that none competes where the cause does.
         """
@@ -111,14 +194,9 @@ class Evidence:
             return self.patterns
         return self.patterns_on(self.base, score)
 
-    def patterns_on(self, fit: Fit, line: float = np.inf) -> list[Pattern]:
-        """Return the patterns on top of a fit; see `patterns_of`."""
-        session = self.session
-        return patterns_of(session.fitters, fit, session.progress, line, self.reversed)
-
-    def joined(self, best: Ranked) -> Ranked | None:
+    def _joined(self, best: Ranked) -> list[Ranked]:
         """
-        Add a second effect, and a third, while the gain is significant; None where one is enough.
+        Add a second effect, and a third, while the gain is significant; empty: one is enough.
 
         Imperfections may explain as much as a second effect: the likelihood compares both.
         """
@@ -127,32 +205,28 @@ class Evidence:
             more = [
                 r
                 for r in extended(session, current)
-                if gain_is_significant(session, current.fit, r, len(session.candidates))
+                if gains(gain_p_value(session, current.fit, r), len(session.candidates))
                 and r.score < current.score - APART_FROM_SCORE
             ]
             if not more:
                 break
             current = reweighed(session, min(more, key=lambda r: r.score))
-        return None if current is best else current
-
-    def combined(self) -> tuple[Evidence, Ranked | None]:
-        """Return the best combination, and the evidence with weights taken at its fit."""
-        session = self.session
-        combined = several(session, self.singles) if self.singles else None
-        if combined is None:
-            return self, None
-        base = session.base_fit((self.base,))
-        singles = session.refit(self.singles, base)
-        return Evidence(session, base, singles, self.not_tested, self.reversed), combined
+        return [] if current is best else [current]
 
 
-def gain_is_significant(session: Session, base: Fit, ranked: Ranked, among: int) -> bool:
-    """Return whether a gain is significant among so many, on left-out postures as well."""
+def _numbers(ranked: Ranked, gain_p: float = 1.0) -> Hypothesis:
+    """Return the numbers of a fit by which it is judged."""
+    r = ranked
+    return Hypothesis(r.names, r.score, r.probability, r.trust, r.misfit, r.present, gain_p)
+
+
+def gain_p_value(session: Session, base: Fit, ranked: Ranked) -> float:
+    """Return the p-value of a gain; 1 where it is none on left-out postures."""
     held, _ = base.held_out(session.whitener.owners)
-    return session.gain_p_value(base, ranked) * among < ALARM_LEVEL and ranked.held_out < held
+    return session.gain_p_value(base, ranked) if ranked.held_out < held else 1.0
 
 
-def gather(session: Session) -> Evidence:
+def gather(session: Session) -> Fits:
     """
     Fit the base and every candidate; weights are taken at the best candidate's fit.
 
@@ -168,7 +242,7 @@ def gather(session: Session) -> Evidence:
     for iteration in range(ROUNDS_MAX):
         if not singles:
             break
-        best = session.best(singles)
+        best = first_of_best(singles)
         far = base.deviance > best.score + NEAR_SCORE
         session.weigh(best.fit.point, best.fit.built.around)
         if far:  # it cannot win: one start is enough
@@ -192,7 +266,7 @@ def gather(session: Session) -> Evidence:
             late.get(r.candidate.label, r) if any(r.fit is fit for fit in stopped) else r
             for r in singles
         ]
-    return Evidence(session, base, singles, not_tested, reversed_once)
+    return Fits(session, base, singles, not_tested, reversed_once)
 
 
 def over_reversals(session: Session, singles: list[Ranked]) -> list[Ranked]:
@@ -223,26 +297,25 @@ def over_reversals(session: Session, singles: list[Ranked]) -> list[Ranked]:
     return better(better(singles, refitted), beyond)
 
 
-def several(session: Session, singles: Sequence[Ranked]) -> Ranked | None:
+def several(session: Session, singles: Sequence[Ranked]) -> list[Ranked]:
     """
     Search two or three effects that are adequate together: greedy, then pairs and swaps.
 
-    Returns the best combination, adequate or not; None when nothing could be combined.
+    Returns the best combination, adequate or not; empty when nothing could be combined.
     """
-    order = sorted(singles, key=lambda r: r.score)
-    current: Ranked = order[0]
-    best: Ranked | None = None
-    for size in range(2, EFFECTS_MAX + 1):
-        more = extended(session, current)
-        enough = session.dataset.thinned_from or any(holds_together(f) for f in more)
+    order, best = sorted(singles, key=lambda r: r.score), list[Ranked]()
+    current = order[:1]
+    for size in range(2, EFFECTS_MAX + 1) if order else ():
+        more = extended(session, current[0])
+        enough = session.dataset.thinned_from or any(holds_together(_numbers(f)) for f in more)
         if size == 2 and not enough:
             more += _pairs(session, order[1 : 2 * BEST_FEW + 1])
         if not more:
             break
-        current = best = min(more, key=lambda r: r.score)
-        if holds_together(best):
-            best = _pruned(session, reweighed(session, best))
-            if holds_together(best):
+        current = best = [min(more, key=lambda r: r.score)]
+        if holds_together(_numbers(best[0])):
+            best = [_pruned(session, reweighed(session, best[0]))]
+            if holds_together(_numbers(best[0])):
                 break
     return best
 

@@ -171,8 +171,8 @@ def assess(
     session = Session(dataset, robot, load_catalogue(files), workers=1)
     if session.predictor.markers({}) is None or not session.weigh({}):
         return None
-    evidence = gather(session)
-    smallest = smallest_sizes(session, evidence.base, [r.candidate for r in evidence.singles])
+    fits = gather(session)
+    smallest = smallest_sizes(session, fits.base, [r.candidate for r in fits.singles])
     hidden = [one for one in smallest if one.size is not None]
     clean: list[Task] = [(seed, None, 0.0) for seed in range(runs)]
     sized: list[Task] = [
@@ -217,7 +217,7 @@ class Job:
         if simulated is None:
             return None
         session = Session(simulated, self.robot, catalogue, workers=1)
-        return bool(is_alarming(gather(session))) if session.weigh({}) else None
+        return gather(session).answer(is_alarming) if session.weigh({}) else None
 
 
 def simulated_measurements(

@@ -1,20 +1,20 @@
 """
 The rule by which a verdict is reached: thresholds, gates, and the table of the verdicts.
 
-`decide` is a pure function of the evidence, and the only place where a verdict is reached; the
-reports, the monitor and the live page read sentences and colours from the table here. A threshold
-of a single test is defined beside that test: contradicted readings in inference/outliers.py, the
-noise of trials in inference/noise.py, drift in monitoring/watch.py.
+`decide` is a pure function of `Evidence`, numbers and names only, and the only place where a
+verdict is reached; the reports, the monitor and the live page read sentences and colours from the
+table here. A threshold of a single test is defined beside that test: contradicted readings in
+inference/outliers.py, the noise of trials in inference/noise.py, drift in monitoring/watch.py.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Protocol
 
-from ..inference.statistics import RARE, SIGNIFICANCE
+from ..inference.statistics import RARE, SIGNIFICANCE, chi2_sf, first_of_best, half_width_sd
 from ..robot.estimates import NOISE_FACTOR
 
 # Significance and likelihood
@@ -159,130 +159,68 @@ class Verdict(StrEnum):
     )
 
 
-class Hypothesis(Protocol):
-    """The part of a fit of effects that the rule reads."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Effects."""
-
-    @property
-    def present(self) -> bool:
-        """Whether the description has them already."""
-
-    @property
-    def probability(self) -> float:
-        """Chance of so large a misfit if it is the truth."""
-
-    @property
-    def trust(self) -> float:
-        """Chance of predicting left-out postures so much worse than fitted ones if it is."""
-
-    @property
-    def score(self) -> float:
-        """Deviance plus twice the number of parameters."""
-
-    @property
-    def misfit(self) -> float:
-        """Chi² over its degrees of freedom."""
+Names = tuple[str, ...]
 
 
-class Rival(Protocol):
-    """The part of a pattern outside the catalogue that the rule reads."""
+@dataclass(frozen=True)
+class Departure:
+    """How far the parameters of one effect are from the description."""
 
-    @property
-    def everywhere(self) -> bool:
-        """Whether the pattern is the same in every posture."""
-
-    @property
-    def score(self) -> float:
-        """Deviance plus twice the number of parameters."""
-
-    def gain_p_value(self, deviance: float) -> float:
-        """P-value of the gain over a deviance without the pattern."""
+    farthest: float  # [sd] of its parameters
+    together: float  # chi² of all of them (Wald)
+    count: int
 
 
-class Described(Protocol):
-    """The part of the fit of the unchanged description that the rule reads."""
+@dataclass(frozen=True)
+class Hypothesis:
+    """A fit of one effect or several, in numbers."""
 
-    @property
-    def as_built(self) -> bool:
-        """Whether imperfections of the arm are estimated."""
-
-    @property
-    def deviance(self) -> float:
-        """-2 log likelihood of the measurements."""
-
-    @property
-    def prior_z(self) -> Mapping[str, float]:
-        """Change of each declared quantity, in its declared standard deviations [1]."""
-
-    def probability(self, noise_freedom: float) -> float:
-        """Chance of so large a misfit if it is the truth."""
+    names: Names
+    score: float  # deviance plus twice the number of parameters
+    probability: float = 1.0  # of so large a misfit if it is the truth
+    trust: float = 1.0  # probability of predicting left-out postures so much worse than fitted
+    misfit: float = 1.0  # chi² over its degrees of freedom
+    present: bool = False  # whether the description has them already
+    gain_p: float = 1.0  # p-value of its gain, were it the only one; 1: none on left-out postures
 
 
-class Weighing[H](Protocol):
-    """Comparison of hypotheses."""
+@dataclass(frozen=True)
+class Rival:
+    """A pattern outside the catalogue, in numbers."""
 
-    @property
-    def freedom(self) -> float:
-        """Degrees of freedom behind the noise."""
-
-    @property
-    def brief(self) -> bool:
-        """Whether the remainder is not described where no effect explains the data."""
-
-    def best(self, ranked: Sequence[H]) -> H:
-        """Return the best by score; within a tie the first of the catalogue."""
-
-    def contains(self, large: H, small: H) -> bool:
-        """Return whether a candidate can imitate the predictions of a smaller one."""
-
-    def twin_of(self, quantity: str) -> str | None:
-        """Return the effect with the same influence as a declared quantity."""
+    name: str
+    score: float
+    everywhere: bool = True  # whether it is the same in every posture
+    gain_p: float = 1.0  # p-value of its gain over the description
 
 
-class Facts[H, R](Protocol):
-    """Evidence on a data set; expensive parts are computed on first access."""
+@dataclass(frozen=True)
+class Evidence:
+    """What measurements say, in numbers. None: not yet known, see `Missing`."""
 
-    @property
-    def session(self) -> Weighing[H]:
-        """Comparison of hypotheses."""
+    as_built: bool  # whether imperfections of the arm are estimated
+    deviance: float  # -2 log likelihood of the description as it stands
+    probability: float  # of so large a misfit if that is the truth
+    singles: tuple[Hypothesis, ...]  # of single effects, in the order of the catalogue
+    moved: Mapping[str, float] = field(default_factory=dict)  # declared quantity -> its own sd
+    twins: Mapping[str, str | None] = field(default_factory=dict)  # -> effect of its influence
+    brief: bool = False  # whether the remainder is not described where nothing explains the data
+    wider: frozenset[Names] | None = None  # contenders that can imitate smaller ones
+    departures: Mapping[Names, Sequence[Departure]] = field(default_factory=dict)  # of each effect
+    patterns: tuple[Rival, ...] | None = None  # outside the catalogue
+    rivals: tuple[Rival, ...] | None = None  # those that compete with the best effects
+    helpful: tuple[Hypothesis, ...] | None = None  # may be a part of the cause
+    further: tuple[Hypothesis, ...] | None = None  # the best one with others of significant gain
+    combined: tuple[Hypothesis, ...] | None = None  # the best combination; weights are its own
 
-    @property
-    def base(self) -> Described:
-        """Fit of the unchanged description."""
 
-    @property
-    def singles(self) -> Sequence[H]:
-        """Single effects."""
+class Missing(LookupError):
+    """A part of the evidence that the rule asks for, since others do not decide."""
 
-    @property
-    def best(self) -> H | None:
-        """The best of them."""
-
-    @property
-    def helpful(self) -> Sequence[H]:
-        """Those that may be a part of the cause: where errors differ at equal inputs, memories."""
-
-    @property
-    def patterns(self) -> Sequence[R]:
-        """Patterns outside the catalogue."""
-
-    def rivals(self, score: float) -> Sequence[R]:
-        """Return the patterns outside the catalogue, except those far behind a score."""
-
-    def gain_is_significant(self, ranked: H) -> bool:
-        """Return whether its gain is significant, the number of candidates considered."""
-
-    def differs(self, ranked: H, scale: float = 1.0) -> bool:
-        """Return whether each of its effects differs significantly from the description."""
-
-    def joined(self, best: H) -> H | None:
-        """Add effects while the gain of each is significant; None where one is enough."""
-
-    def combined(self) -> tuple[Facts[H, R], H | None]:
-        """Return the best combination, and the facts with weights taken at its fit."""
+    def __init__(self, part: str, names: Names = (), score: float = math.inf) -> None:
+        """Name the part, of which hypothesis, and the score of those that rivals have to beat."""
+        super().__init__(part)
+        self.part, self.names, self.score = part, names, score
 
 
 @dataclass(frozen=True)
@@ -291,135 +229,175 @@ class Conclusion[H, R]:
 
     verdict: Verdict
     chosen: H | None = None  # effects to add
-    together: tuple[str, ...] = ()  # names that cannot be told apart
-    out_of_tolerance: tuple[str, ...] = ()  # declared quantities that moved too far
+    together: Names = ()  # names that cannot be told apart
+    out_of_tolerance: Names = ()  # declared quantities that moved too far
     alike: tuple[H, ...] = ()  # hypotheses that another posture may separate
     rival: R | None = None  # the cause from outside that won
     scale: float = 1.0  # chi² over freedom of the best, where nothing is adequate
 
 
-def is_alarming[H, R: Rival](facts: Facts[H, R]) -> bool:
+Concluded = Conclusion[Hypothesis, Rival]
+
+
+def is_alarming(evidence: Evidence) -> bool:
     """Return whether the description misfits: as a whole, beyond a tolerance, or by one cause."""
-    level = MISFIT_ALARM_LEVEL if facts.base.as_built else ALARM_LEVEL
+    level = MISFIT_ALARM_LEVEL if evidence.as_built else ALARM_LEVEL
     return (
-        facts.base.probability(facts.session.freedom) < level
-        or any(abs(z) > TOLERANCE_SD_MAX for z in facts.base.prior_z.values())
-        or (facts.base.as_built and outside_by_itself(facts) is not None)
-        or any(facts.gain_is_significant(ranked) for ranked in facts.singles)
+        evidence.probability < level
+        or any(abs(z) > TOLERANCE_SD_MAX for z in evidence.moved.values())
+        or any(gains(one.gain_p, len(evidence.singles)) for one in evidence.singles)
+        or (evidence.as_built and outside_by_itself(evidence) is not None)
     )
 
 
-def outside_by_itself[H, R: Rival](facts: Facts[H, R]) -> R | None:
+def gains(p_value: float, among: int) -> bool:
+    """Return whether a gain is significant among so many."""
+    return p_value * among < ALARM_LEVEL
+
+
+def differs(evidence: Evidence, one: Hypothesis, scale: float = 1.0) -> bool:
+    """
+    Return whether each effect differs from the description, at 95 %.
+
+    In one of its parameters, or in all together (Wald test); `scale` multiplies the covariance.
+    """
+    if one.names not in evidence.departures:
+        raise Missing('departures', one.names)
+    return all(
+        own.farthest > half_width_sd(SIGNIFICANCE) * math.sqrt(scale)
+        or chi2_sf(own.together / scale, max(own.count, 1)) <= SIGNIFICANCE
+        for own in evidence.departures[one.names]
+    )
+
+
+def outside_by_itself(evidence: Evidence) -> Rival | None:
     """Return the best pattern whose gain over no effect is significant, if any."""
-    likely = [
-        rival
-        for rival in facts.patterns
-        if rival.everywhere and rival.gain_p_value(facts.base.deviance) < ALARM_LEVEL
-    ]
-    return min(likely, key=lambda rival: rival.score, default=None)
+    if evidence.patterns is None:
+        raise Missing('patterns')
+    likely = [one for one in evidence.patterns if one.everywhere and one.gain_p < ALARM_LEVEL]
+    return min(likely, key=lambda one: one.score, default=None)
 
 
-def decide[H: Hypothesis, R: Rival](facts: Facts[H, R]) -> tuple[Facts[H, R], Conclusion[H, R]]:
+def decide(evidence: Evidence) -> Concluded:
     """
     Conclude what explains the error: nothing, one effect, a class, several, or no effect at all.
 
-    Returns
-    -------
-    facts
-        Those behind the decision: with a combination the measurements are weighed at its fit.
-    decision : Conclusion
+    Raises
+    ------
+    Missing
+        A part of the evidence is not yet known, and the verdict depends on it.
 
     """
-    if not is_alarming(facts):
-        return facts, Conclusion(Verdict.ADEQUATE)
-    group = [r for r in indistinct(facts.session, facts.singles) if facts.differs(r)]
-    if group:
-        rival = _competing(facts.rivals(group[0].score), group[0].score)
-        if rival is None and facts.base.as_built and not facts.gain_is_significant(group[0]):
-            alone = outside_by_itself(facts)  # what raised the alarm, the effect would not have
-            rival = alone if alone is not None and alone.score < group[0].score else None
-        if rival is not None:
-            return facts, _outside(facts, group[0], rival)
-        more = facts.joined(group[0]) if facts.base.as_built else None
-        if more is not None and facts.differs(more):
-            return facts, Conclusion(Verdict.SEVERAL, more)
-        return facts, _named(facts, group)
-    facts, combined = facts.combined()
-    holds = combined is not None and holds_together(combined) and facts.differs(combined)
-    scores = [r.score for r in (combined, facts.best) if r is not None]
-    rival = None
-    if scores and (holds or not facts.session.brief):
-        rival = _competing(facts.rivals(min(scores)), min(scores))
-    if combined is not None and holds and rival is None:
-        return facts, Conclusion(Verdict.SEVERAL, combined)
-    helpful = facts.session.best(facts.helpful) if facts.helpful else None
-    return facts, _outside(facts, helpful, rival)
+    if evidence.combined is not None:
+        return _of_several(evidence, evidence.combined)
+    if not is_alarming(evidence):
+        return Conclusion(Verdict.ADEQUATE)
+    group = [one for one in indistinct(evidence) if differs(evidence, one)]
+    if not group:
+        raise Missing('combined')
+    best = group[0]
+    rival = _competing(evidence, best.score)
+    if rival is None and evidence.as_built and not gains(best.gain_p, len(evidence.singles)):
+        alone = outside_by_itself(evidence)  # what raised the alarm, the effect would not have
+        rival = alone if alone is not None and alone.score < best.score else None
+    if rival is not None:
+        return _outside(evidence, best, rival)
+    if evidence.as_built:
+        if evidence.further is None:
+            raise Missing('further', best.names)
+        for more in evidence.further:
+            if differs(evidence, more):
+                return Conclusion(Verdict.SEVERAL, more)
+    return _named(evidence, group)
 
 
-def holds_together(hypothesis: Hypothesis) -> bool:
+def _of_several(evidence: Evidence, combined: Sequence[Hypothesis]) -> Concluded:
+    """Decide where no single effect is adequate."""
+    holding = [one for one in combined if holds_together(one) and differs(evidence, one)]
+    best, rival = [first_of_best(evidence.singles)] if evidence.singles else [], None
+    tried = [*combined, *best]
+    if tried and (holding or not evidence.brief):
+        rival = _competing(evidence, min(one.score for one in tried))
+    if holding and rival is None:
+        return Conclusion(Verdict.SEVERAL, holding[0])
+    helpful = _helpful(evidence)
+    return _outside(evidence, first_of_best(helpful) if helpful else None, rival)
+
+
+def holds_together(one: Hypothesis) -> bool:
     """Return whether several effects are adequate, on left-out postures as well."""
-    return hypothesis.probability > P_SEVERAL_MIN and hypothesis.trust > P_SINGLE_MIN
+    return one.probability > P_SEVERAL_MIN and one.trust > P_SINGLE_MIN
 
 
-def indistinct[H: Hypothesis](session: Weighing[H], ranked: Sequence[H]) -> list[H]:
+def contenders(singles: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Return the adequate single effects within `APART_FROM_SCORE` of the best."""
+    adequate = [one for one in singles if one.probability > P_SINGLE_MIN]
+    top = min((one.score for one in adequate), default=math.inf)
+    return [one for one in adequate if one.score <= top + APART_FROM_SCORE]
+
+
+def indistinct(evidence: Evidence) -> list[Hypothesis]:
     """
     Return the adequate single effects that cannot be told apart, the best first.
 
-    Those within `APART_FROM_SCORE` of the best; a larger candidate that contains a smaller one of
-    the class drops out; among ties the first of the catalogue is best.
+    Of the `contenders` a larger one that contains a smaller one drops out; among ties the first of
+    the catalogue is best.
     """
-    adequate = [r for r in ranked if r.probability > P_SINGLE_MIN]
-    if not adequate:
-        return []
-    top = min(r.score for r in adequate)
-    near = [r for r in adequate if r.score <= top + APART_FROM_SCORE]
-    kept = [
-        r for r in near if not any(small is not r and session.contains(r, small) for small in near)
-    ]
-    best = session.best(kept)
-    return sorted(kept, key=lambda r: r is not best)
+    near = contenders(evidence.singles)
+    if evidence.wider is None:
+        raise Missing('wider')
+    kept = [one for one in near if one.names not in evidence.wider]
+    best = first_of_best(kept) if kept else None
+    return sorted(kept, key=lambda one: one is not best)
 
 
-def _competing[R: Rival](rivals: Sequence[R], score: float) -> R | None:
+def _competing(evidence: Evidence, score: float) -> Rival | None:
     """Return the pattern whose score is significantly better than a given one, if any."""
-    top = min(rivals, key=lambda rival: rival.score, default=None)
+    if evidence.rivals is None:
+        raise Missing('rivals', score=score)
+    top = min(evidence.rivals, key=lambda one: one.score, default=None)
     return top if top is not None and top.score < score - APART_FROM_SCORE else None
 
 
-def _named[H: Hypothesis, R](facts: Facts[H, R], group: Sequence[H]) -> Conclusion[H, R]:
+def _named(evidence: Evidence, group: Sequence[Hypothesis]) -> Concluded:
     """Decide for a class of adequate single effects, best first."""
-    best, names = group[0], [r.names[0] for r in group]
-    twins = {quantity: facts.session.twin_of(quantity) for quantity in facts.base.prior_z}
+    best, names = group[0], [one.names[0] for one in group]
     out_of_tolerance = tuple(
         quantity
-        for quantity, z in facts.base.prior_z.items()
-        if abs(z) > TOLERANCE_SD_MAX and twins[quantity] in names
+        for quantity, z in evidence.moved.items()
+        if abs(z) > TOLERANCE_SD_MAX and evidence.twins[quantity] in names
     )
-    if out_of_tolerance or all(r.present for r in group):
+    if out_of_tolerance or all(one.present for one in group):
         verdict = Verdict.WRONG_PARAMETER
     else:
         verdict = Verdict.MISSING_EFFECT if len(group) == 1 else Verdict.AMBIGUOUS
     if out_of_tolerance:  # the declared quantity is what moved: its twin is what to add
-        best = next(r for r in group if r.names[0] == twins[out_of_tolerance[0]])
+        twin = evidence.twins[out_of_tolerance[0]]
+        best = next(one for one in group if one.names[0] == twin)
     several = len(group) > 1
     together = tuple(names) if several or out_of_tolerance else ()
     return Conclusion(verdict, best, together, out_of_tolerance, tuple(group) if several else ())
 
 
-def _outside[H: Hypothesis, R](
-    facts: Facts[H, R], best: H | None, rival: R | None
-) -> Conclusion[H, R]:
+def _outside(evidence: Evidence, best: Hypothesis | None, rival: Rival | None) -> Concluded:
     """Nothing in the catalogue is adequate, or something simpler outside it is better."""
     if best is None:
         return Conclusion(Verdict.OUTSIDE_CATALOGUE, rival=rival)
     scale = max(1.0, best.misfit)
     apart = APART_FROM_SCORE * scale
-    if not (best.score < facts.base.deviance - apart and facts.differs(best, scale)):
+    if not (best.score < evidence.deviance - apart and differs(evidence, best, scale)):
         return Conclusion(Verdict.OUTSIDE_CATALOGUE, rival=rival, scale=scale)
     near = [
-        ' + '.join(r.names)
-        for r in facts.helpful
-        if r.score <= best.score + apart and r is not best
+        ' + '.join(one.names)
+        for one in _helpful(evidence)
+        if one.score <= best.score + apart and one.names != best.names
     ]
     together = (' + '.join(best.names), *near) if near else ()
     return Conclusion(Verdict.OUTSIDE_CATALOGUE, best, together, rival=rival, scale=scale)
+
+
+def _helpful(evidence: Evidence) -> Sequence[Hypothesis]:
+    """Return the effects that may be a part of the cause."""
+    if evidence.helpful is None:
+        raise Missing('helpful')
+    return evidence.helpful

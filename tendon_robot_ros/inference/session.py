@@ -33,12 +33,12 @@ from .noise import Noise, Whitener, estimate_noise, input_slopes, relative_error
 from .outliers import Outliers, without_unsettled
 from .predict import FreeParameter, Point, Predictor
 from .repeats import Repeats, repeats
+from .statistics import TIE_SCORE
 
 # [1] postures of a long recording that fits use, because a fit takes its time for each, and the
 # errors of more are alike
 POSTURES_MAX = 100
 NEAR_SCORE = 60.0  # [1] of deviance + 2 k behind the best: docs/inference.md
-TIE_SCORE = 0.5  # [1] of deviance + 2 k: below it twins would be ordered by rounding
 Starts = Mapping[str, Fit | Point]
 
 
@@ -386,11 +386,6 @@ class Session:
         shift = self.whitener.white(ranked.fit.markers - base.markers)
         freedom = base.built.random.freedom(shift, base.built.sizes)
         return gain_p_value(base, ranked.fit, described, freedom)
-
-    def best(self, ranked: Sequence[Ranked]) -> Ranked:
-        """Return the best by score; within a tie the first of the catalogue."""
-        top = min(r.score for r in ranked)
-        return next(r for r in ranked if r.score <= top + TIE_SCORE)
 
     def contains(self, large: Ranked, small: Ranked) -> bool:
         """Return whether the larger candidate can imitate the predictions of the smaller one."""

@@ -7,8 +7,9 @@ Intervals and tests of two models are those of Kato et al. 2015 (sections IV.C, 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +19,22 @@ from ..common.arrays import Floats
 
 SIGNIFICANCE = 0.05  # [1] 1 of 20 by chance: of 95 % intervals, and of what is named
 RARE = 1e-3  # [1] 1 of 1000 by chance: of what is left out, or rejected, without being asked for
+TIE_SCORE = 0.5  # [1] of deviance + 2 k: below it twins would be ordered by rounding
 ERRORS = ('ci', 'sem')  # 95 % t-interval of the mean, or its standard error
+
+
+class Scored(Protocol):
+    """What is compared by deviance plus twice the number of parameters."""
+
+    @property
+    def score(self) -> float:
+        """Smaller is better."""
+
+
+def first_of_best[S: Scored](ranked: Sequence[S]) -> S:
+    """Return the best by score; within a tie the first."""
+    top = min(one.score for one in ranked)
+    return next(one for one in ranked if one.score <= top + TIE_SCORE)
 
 
 def chi2_sf(x: float, freedom: float) -> float:
