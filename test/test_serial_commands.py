@@ -132,7 +132,7 @@ WRONG = [
     ({'baudrate': 9600}, 'baudrate: expected one of 115200'),
     ({'telemetry_rate': 5000}, 'telemetry_rate: expected a finite number from 20 to 1000'),
     ({'speed': 1}, "speed: expected one of port, baudrate, .*got 'speed'"),
-    ({'calibration': {}}, 'calibration: .*none for east: type calibrate serial'),
+    ({'calibration': {}}, 'calibration: .*none for east: type motors calibrate serial'),
     ({'tendons': {'east': {'channel': 0}}}, 'tendons: .*none for north, west, south'),
     ({'pull_limits': [0.1, 0.0]}, 'pull_limits: expected .lowest, highest.'),
 ]

@@ -107,10 +107,11 @@ class Calibrate:
             return check_tendons(args)
         if None in (args.kind, args.config, args.robot):
             raise InputError(
-                'calibrate: expected dynamixel or serial, a configuration, and --robot; or --check'
+                'motors calibrate: expected dynamixel or serial, a configuration and --robot, '
+                'or --check'
             )
         if args.tendon is None or args.weights is None:
-            raise InputError('calibrate: expected --tendon and --weights, or --check')
+            raise InputError('motors calibrate: expected --tendon and --weights, or --check')
         if min(args.weights) <= 0.0 or max(args.weights) > 50.0:
             raise InputError(f'--weights: expected masses from 0 to 50 kg, got {args.weights}')
         if Path(args.output).exists():

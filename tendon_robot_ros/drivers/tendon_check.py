@@ -163,14 +163,14 @@ def read_reference(path: Path) -> TendonReference:
 def save_reference(path: Path, reference: TendonReference) -> None:
     """Write a reference."""
     text = yaml.safe_dump(reference.to_mapping(), sort_keys=False, default_flow_style=None)
-    head = '# tendons at a reference posture, SI; written by calibrate --check\n'
+    head = '# tendons at a reference posture, SI; written by motors calibrate --check\n'
     write_text(path, head + text)
 
 
 def due(path: Path) -> str:
     """Return why the tendons need a check, '' where they need none."""
     if not path.exists():
-        return f'{path}: no reference yet: make one with calibrate --check'
+        return f'{path}: no reference yet: make one with motors calibrate --check'
     reference = read_reference(path)
     if reference.boot and reference.boot != boot_id():
         return (
