@@ -4,11 +4,14 @@ import contextlib
 import importlib
 import io
 import re
+import shlex
 import sys
 import time
 
 import processes
 import pytest
+from documents import prepare, run_forked
+from marks import slow
 
 from tendon_robot_ros.cli import main as command_line
 from tendon_robot_ros.cli import options
@@ -51,11 +54,60 @@ def move(monkeypatch, tmp_path):
     monkeypatch.delitem(sys.modules, 'move', raising=False)
 
 
+# what cannot be said in a screen of 24 lines: many options, a line each
+LONG_HELPS = {
+    'import table': 38, 'simulate': 29, 'investigate': 28, 'study rehearse': 31, 'follow': 25,
+}  # fmt: skip
+PROGRAM = 'python -m tendon_robot_ros'
+
+
+def help_of(name, *more):
+    """Return the lines of the help of a command."""
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said), contextlib.suppress(SystemExit):
+        assert main([*name.split(), *(more or ['--help'])]) == 0
+    return said.getvalue().splitlines()
+
+
+def example_of(name):
+    """Return the words of the example with which a help ends."""
+    text = ' '.join(' '.join(help_of(name)).partition(' example: ')[2].split())
+    return shlex.split(text.removeprefix(PROGRAM))
+
+
 @pytest.mark.parametrize('name', COMMANDS)
-def test_every_command_explains_itself(name, capsys):
-    with contextlib.suppress(SystemExit):
-        assert main([*name.split(), '--help']) == 0
-    assert capsys.readouterr().out.startswith(f'usage: python -m tendon_robot_ros {name}')
+def test_every_command_explains_itself_on_a_screen_and_ends_with_an_example(name):
+    lines = help_of(name)
+    assert lines[0].startswith(f'usage: {PROGRAM} {name}')
+    assert len(lines) <= LONG_HELPS.get(name, 24), '\n'.join(lines)
+    assert max(map(len, lines)) <= 100, '\n'.join(lines)
+    assert example_of(name)[: len(name.split())] == name.split()
+    assert len(help_of(name, '--help-all')) >= len(lines) - 1
+
+
+@pytest.mark.parametrize('name', [n for n, place in COMMANDS.items() if '.cli.' in place])
+def test_the_arguments_of_an_example_exist(name):
+    parser = Parser(prog=name, description='')
+    command_line.command_of(COMMANDS[name]).add_arguments(parser)
+    parser.parse_args(example_of(name)[len(name.split()) :])
+
+
+# what an example goes on from
+BEFORE = {'effect remove': 'effect add', 'import bag': 'export bag'}
+RUN = [
+    *(n for n in ('robot new', 'robot describe', 'model shape', 'model reach', 'model workspace')),
+    *('model sweep', 'compare', 'diagnose', 'effect remove', 'import table', 'import bag'),
+    *('export mjcf', 'simulate', 'study friction'),
+    *map(slow, ('improve', 'study campaign', 'study fleet', 'study paper', 'study rehearse')),
+]
+
+
+@pytest.mark.parametrize('name', RUN)
+def test_the_example_of_a_help_runs(name, tmp_path):
+    """Those of motors and nodes need an arm; test_docs.py runs the like."""
+    prepare(tmp_path)
+    for one in filter(None, (BEFORE.get(name), name)):
+        run_forked(example_of(one), folder=tmp_path, timeout=500.0)
 
 
 def test_a_command_runs_as_a_process_too():

@@ -169,9 +169,7 @@ WRITERS = {
     'result': 'compare run --json new.json',
     'page': 'compare run --report new.html',
     'path': 'model sweep kato_10_1 --steps 3 --output new.csv',
-    'motors': (
-        'motors emulate dynamixel --robot arm.yaml --ends-with-input --write-config new.yaml'
-    ),
+    'motors': ('motors emulate dynamixel --robot arm.yaml --ends-with-input --output new.yaml'),
 }
 
 
@@ -244,7 +242,7 @@ OUTPUTS = {
     'picture': 'plot nothing.mcap --output {}',
     'picture of a path': 'follow nothing.csv --picture {}',
     'picture of a recording': 'import bag nothing.mcap --output new --picture {}',
-    'motors': 'motors emulate dynamixel --robot nothing.yaml --write-config {}',
+    'motors': 'motors emulate dynamixel --robot nothing.yaml --output {}',
     'calibration': (
         f'motors calibrate serial nothing.yaml --robot arm.yaml --output {{}} {CALIBRATE}'
     ),

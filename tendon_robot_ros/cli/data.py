@@ -49,7 +49,7 @@ class ImportBag:
     in the recording, else their frame is found as `import table` does. Still segments with the
     same inputs are trials of one posture. Look at the picture before you trust them.
 
-    example: python -m tendon_robot_ros import bag run.mcap --robot robot.yaml --output data/run
+    example: python -m tendon_robot_ros import bag tentacle.mcap --output run
     """
 
     HELP = 'make a data set from a ROS 2 recording'
@@ -171,8 +171,8 @@ class ImportTable:
     robot's. DIR gets the data set, import.yaml with every choice (edit it, then import again with
     --recipe) and import.png: look at it before you trust it.
 
-    example: python -m tendon_robot_ros import table raw.csv --robot arm.yaml --up y --output
-    data/run
+    example: python -m tendon_robot_ros import table data/mocap/raw.csv
+        --robot data/mocap/arm.yaml --up y --output run
     """
 
     HELP = 'make a data set of a table of tensions and markers over time'

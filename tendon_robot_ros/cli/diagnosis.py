@@ -205,7 +205,7 @@ class Add:
     exit code is 2, where the error on others would rise.
 
     example: python -m tendon_robot_ros effect add hinge_friction --data data/hinge_friction/fit
-        --output better.yaml --check data/hinge_friction/check
+        --output hinged.yaml --check data/hinge_friction/check
     """
 
     HELP = 'add a physical effect to a robot description, fitted on measurements'
@@ -259,7 +259,7 @@ class Remove:
     Where `effect add` had replaced the values of an effect that was there before, these come back;
     remove once more to take it out.
 
-    example: python -m tendon_robot_ros effect remove hinge_friction --robot better.yaml
+    example: python -m tendon_robot_ros effect remove hinge_friction --robot hinged.yaml
         --output plain.yaml
     """
 

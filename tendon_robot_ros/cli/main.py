@@ -21,6 +21,7 @@ import sys
 from collections.abc import Sequence
 from enum import IntEnum
 from pathlib import Path
+from textwrap import shorten, wrap
 from typing import Any, NoReturn
 
 from ..common.errors import InputError, MissingExtraError, TendonRobotError, suggestion
@@ -93,8 +94,9 @@ OLD_NAMES = {
 }
 EXECUTABLES = sorted({*(first for first, _, _ in WORDS), *OLD_NAMES})
 
+SCREEN_COLUMNS = 100  # [1] of a help, because a terminal hardly has fewer
 PACKAGE = Path(__file__).parent.parent
-NODE_OPTIONS = '[--ros-args [-p PARAMETER:=VALUE] [--params-file FILE] [-r FROM:=TO] ...]'
+NODE_OPTIONS = '[--ros-args [-p NAME:=VALUE] [--params-file FILE] [-r FROM:=TO]]'
 
 
 class ExitCode(IntEnum):
@@ -106,19 +108,80 @@ class ExitCode(IntEnum):
     INTERRUPTED = 130  # Ctrl-C, as shells say it: 128 and the number of the signal
 
 
-class Parser(argparse.ArgumentParser):
-    """An argument parser whose errors are one line, and that takes vectors like -0.1,0,0.2."""
+def _call(action: argparse.Action, whole: bool = True) -> str:
+    """Return how an argument is typed; a long list of choices by its name unless `whole`."""
+    value = str(action.metavar or action.dest.upper())
+    if action.metavar is None and action.choices:
+        choices = f'{{{",".join(map(str, action.choices))}}}'
+        value = choices if whole or len(choices) < 0.5 * SCREEN_COLUMNS else value
+    if isinstance(action.metavar, tuple):
+        value = ' '.join(action.metavar)
+    value += ' ...' if action.nargs in ('+', '*') else ''
+    value = f'[{value}]' if action.nargs in ('?', '*') else value
+    return ' '.join([*action.option_strings[:1], *([] if action.nargs == 0 else [value])])
 
-    def __init__(self, *, prog: str, description: str) -> None:
-        """Name the program and say what it does."""
-        super().__init__(
-            prog=prog,
-            description=description,
-            allow_abbrev=False,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
+
+class _Help(argparse.Action):
+    """Print the help and end."""
+
+    def __call__(self, parser: Any, *_: Any) -> None:
+        """Print as much as the option asks for."""
+        print(parser.format_help(bool(self.const)), end='')
+        parser.exit()
+
+
+class Parser(argparse.ArgumentParser):
+    """
+    An argument parser whose errors are one line, and that takes vectors like -0.1,0,0.2.
+
+    `--help` prints the first sentence of the description, the options and an example, so that it
+    fits a screen; `--help-all` prints the whole description.
+    """
+
+    def __init__(self, *, prog: str, description: str, note: str = '') -> None:
+        """Name the program and say what it does; `note` stands below the options."""
+        super().__init__(prog=prog, allow_abbrev=False, add_help=False)
+        *text, last = description.split('\n\n')
+        self.text, self.note = (
+            (text, note) if last.startswith('example: ') else ([*text, last], note)
         )
+        self.example = last.removeprefix('example: ') if len(self.text) == len(text) else ''
+        for option, whole in (('--help', False), ('--help-all', True)):
+            self.add_argument(
+                *(['-h'] if option == '--help' else []),
+                option,
+                action=_Help,
+                nargs=0,
+                const=whole,
+                default=argparse.SUPPRESS,
+                help=argparse.SUPPRESS,
+            )
         # argparse takes a leading minus for an option unless it sees a plain number
         self._negative_number_matcher = re.compile(r'^-[0-9.]')
+
+    def format_help(self, whole: bool = False) -> str:
+        """Return the help: the first paragraph and a line per option, or all of both."""
+        shown = [action for action in self._actions if action.help != argparse.SUPPRESS]
+        needed = [a for a in shown if not a.option_strings]
+        needed += [a for a in shown if a.option_strings and a.required]
+        words = [self.prog, *map(_call, needed), *(['[options]'] * (len(shown) > len(needed)))]
+        parts = [f'usage: {" ".join(words)}', *(self.text if whole else self.text[:1])]
+        for group in self._action_groups:
+            own = [action for action in group._group_actions if action in shown]
+            title = [] if group in self._action_groups[:2] or not own else [f'{group.title}:']
+            parts.append('\n'.join([*title, *(self._line(action, whole) for action in own)]))
+        more = '' if whole else 'more: --help-all'
+        example = f'example: {self.example}' if self.example else ''
+        parts += [self.note, '\n'.join(filter(None, [more, example]))]
+        return '\n\n'.join(filter(None, parts)) + '\n'
+
+    def _line(self, action: argparse.Action, whole: bool) -> str:
+        """Return what an argument means: in one line, which may be cut, or whole."""
+        text = self._get_formatter()._expand_help(action) if action.help else ''
+        head = f'  {_call(action, whole):24} '
+        if whole:
+            return '\n'.join(wrap(head + text, SCREEN_COLUMNS, subsequent_indent=' ' * 27))
+        return (head + shorten(text, SCREEN_COLUMNS - len(head), placeholder=' ...')).rstrip()
 
     def error(self, message: str) -> NoReturn:
         """Raise the error instead of printing the usage and ending with 2."""
@@ -219,8 +282,10 @@ def run_node(place: str, arguments: list[str], program: str) -> int:
     missing = importlib.util.find_spec('rclpy') is None
     functions = {n.name for n in _source(place).body if isinstance(n, ast.FunctionDef)}
     takes_more = 'add_arguments' in functions
-    if ('-h' in own or '--help' in own) and (missing or not takes_more):
-        print(f'usage: {program} {NODE_OPTIONS}\n\n{_documentation(place)}')
+    note = f'and, as every node: {NODE_OPTIONS}'
+    parser = Parser(prog=program, description=_documentation(place), note=note)
+    if {'-h', '--help', '--help-all'} & {*own} and (missing or not takes_more):
+        print(parser.format_help(whole=True), end='')
         return 0
     if missing:
         raise MissingExtraError('rclpy', 'ros')
@@ -229,8 +294,6 @@ def run_node(place: str, arguments: list[str], program: str) -> int:
     command = command_of(place)
     if not takes_more:
         return int(command.main(arguments))
-    parser = Parser(prog=program, description=_documentation(place))
-    parser.epilog = f'and, as every node: {NODE_OPTIONS}'
     command.add_arguments(parser)
     return int(command.run(parser.parse_args(own), ros_arguments))
 
@@ -257,5 +320,5 @@ def _help_line(place: str) -> str:
 
 
 def _documentation(place: str) -> str:
-    """Join HELP and the docstring of a command."""
-    return f'{_help_line(place)}\n\n{ast.get_docstring(_source(place)) or ""}'
+    """Return the docstring of a command."""
+    return ast.get_docstring(_source(place)) or ''

@@ -254,7 +254,7 @@ class WorkspaceCommand:
     workspace.npz (all arrays) and workspace.html.
 
     example: python -m tendon_robot_ros model workspace config/robots/spatial_6.yaml
-        --output range_of_motion
+        --postures 3000 --output range_of_motion
     """
 
     HELP = 'where the tip can be: over all tendons, or over pairs at a view angle'

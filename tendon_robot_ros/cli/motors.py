@@ -61,20 +61,23 @@ class Calibrate:
     standard errors and half the gap between them go to a YAML file that the driver's configuration
     names under `calibration`; a picture shows lines and currents.
 
-        calibrate dynamixel servos.yaml --robot arm.yaml --tendon left --weights 0.1 0.2 0.4
+        motors calibrate dynamixel servos.yaml --robot arm.yaml --tendon left --weights 0.1 0.2
 
     For a board with load cells the weights hang still on the cell, and one line is fitted:
 
-        calibrate serial board.yaml --robot arm.yaml --tendon left --weights 0.1 0.2 0.4
+        motors calibrate serial board.yaml --robot arm.yaml --tendon left --weights 0.1 0.2
 
     Every day, and after the power was off: have any tendons crept? All are brought to the same
     tension and compared with the last time; the first time makes the reference, --renew another
     one.
 
-        calibrate dynamixel servos.yaml --robot arm.yaml --check --tension 1
+        motors calibrate dynamixel servos.yaml --robot arm.yaml --check --tension 1
 
     In a folder with one robot description and one driver's configuration
     `motors calibrate --check` will do.
+
+    example: python -m tendon_robot_ros motors calibrate dynamixel servos.yaml --robot arm.yaml
+        --tendon left --weights 0.1 0.2 0.4
     """
 
     HELP = 'calibrate tension with known weights; --check: which tendon has crept'
@@ -343,10 +346,11 @@ class Emulate:
     Emulate the motors of a robot on a pseudo-terminal and print the port to give to the driver.
 
     Servos or a board with load cells speak real bytes, wind an emulated arm, and misbehave on
-    request: type a command on the standard input, `help` lists them. Example:
+    request: type a command on the standard input, `help` lists them. The driver goes on with
+    `-p robot:=spatial_3 -p backend:=dynamixel -p config:=servos.yaml`.
 
-        emulate dynamixel --robot spatial_3.yaml --write-config servos.yaml
-        driver --ros-args -p robot:=spatial_3.yaml -p backend:=dynamixel -p config:=servos.yaml
+    example: python -m tendon_robot_ros motors emulate dynamixel --robot spatial_3
+        --output servos.yaml
     """
 
     HELP = 'emulate motors on a port of their own, with faults on request'
@@ -367,7 +371,8 @@ class Emulate:
         add('--port', metavar='PATH', help='where the port appears (default: made up)')
         what = 'end when the standard input ends'
         add('--ends-with-input', action='store_true', help=what)
-        add_file(parser, '--write-config', 'write a configuration for the driver')
+        also = ('--write-config',)
+        add_file(parser, '--output', 'write a configuration for the driver', also=also)
 
     def run(self, args: argparse.Namespace) -> int:
         """Serve until the input says quit or a signal comes."""
@@ -378,9 +383,9 @@ class Emulate:
         before = {number: signal.signal(number, lambda *_: ending.set()) for number in ends}
         try:
             with plug as line:
-                if args.write_config:
+                if args.output:
                     text = yaml.safe_dump(config, sort_keys=False, default_flow_style=None)
-                    write_text(args.write_config, f'# emulated: {words}\n{text}')
+                    write_text(args.output, f'# emulated: {words}\n{text}')
                 print(line.port, flush=True)
                 print(f'{words}; type help for faults', file=sys.stderr)
                 more = (line.obey, ending, args.ends_with_input)

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from ..model.model import Model
 
 FRAME_TOLERANCES = ('position', 'rotation')  # of the tracker, in a robot.yaml
-DATA_HELP = 'data set (folder), or a recording (rosbag2 folder, .mcap or .db3 file)'
+DATA_HELP = 'data set (folder) or recording (folder, .mcap, .db3)'
 
 
 # arguments that several commands share: name -> how argparse takes it
@@ -42,25 +42,25 @@ SHARED: dict[str, dict[str, Any]] = {
     'data': {
         'nargs': '+',
         'metavar': 'DATA',
-        'help': f'{DATA_HELP}; several of one robot count together',
+        'help': f'{DATA_HELP}; several count together',
     },
     '--effect-file': {
         'action': 'append',
         'default': [],
         'metavar': 'FILE',
-        'help': 'Python file with an effect of your own (is executed; may be given several times)',
+        'help': 'file with an effect of your own, which is executed; may be repeated',
     },
     '--json': {
         'type': file_to_write('--json'),
         'nargs': '?',
         'const': '-',
         'metavar': 'OUT',
-        'help': 'write the result as JSON to OUT; without OUT print it instead of the table',
+        'help': 'print the result as JSON instead of the table, or write it to OUT',
     },
     '--unit': {
         'choices': TYPED_LENGTHS,
         'default': 'mm',
-        'help': 'of the lengths that you type (default: mm); a number may have its own: 0.03m',
+        'help': 'of lengths that have no unit of their own, as 0.03m has (default: mm)',
     },
     '--overwrite': {'action': 'store_true', 'help': 'replace a file that is there'},
 }

@@ -9,7 +9,7 @@ the capstan's exponential, and, unless --exact, the ordinary imperfections of a 
 built, which are printed: cells that scatter and are kinked, inputs, holes and a tracker that are
 a little off. --level 2 builds it twice as badly.
 
-example: python -m tendon_robot_ros simulate robot.yaml --output rehearsal
+example: python -m tendon_robot_ros simulate kato_10_1_single --output rehearsal
     --hidden hinge_friction soft_cell:cell=7,factor=0.5 --noise position=0.1
 """
 

@@ -266,7 +266,7 @@ class EmulatorProcess:
         self._folder = tempfile.TemporaryDirectory(prefix='tendon_robot_ros_')
         self.config = Path(self._folder.name, 'motors.yaml')
         command = ['motors', 'emulate', kind, '--ends-with-input']
-        command += ['--robot', str(robot), '--write-config', str(self.config), *arguments]
+        command += ['--robot', str(robot), '--output', str(self.config), *arguments]
         self._conversation = threading.Lock()
         self.process = self.start(command)
         self._to = cast(IO[str], self.process.stdin)

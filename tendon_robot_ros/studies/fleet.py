@@ -6,7 +6,7 @@ date in its name (2026-03-14, 20260314), else by the recording itself, else by i
 OUTPUT holds the table (Parquet) and fleet.html; what stands in the table is not diagnosed again,
 so that the same command adds what has come since.
 
-example: python -m tendon_robot_ros study fleet recordings --output history
+example: python -m tendon_robot_ros study fleet data/hinge_friction --output history
 """
 
 from __future__ import annotations

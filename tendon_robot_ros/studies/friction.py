@@ -6,8 +6,8 @@ slanted test piece at which the wire slips (Kato et al. 2015, section IV.A). The
 tangent. Outliers are named and stay in the mean. With --robot and --output the coefficient is
 written into a robot description as tendon_friction.
 
-example: python -m tendon_robot_ros study friction data/slip_angles/scale_10_1.csv \
-    --robot robot.yaml --output with_friction.yaml
+example: python -m tendon_robot_ros study friction data/slip_angles/scale_10_1.csv
+    --robot config/robots/kato_10_1.yaml --output with_friction.yaml
 """
 
 from __future__ import annotations

@@ -3,6 +3,8 @@ Move a mock arm to the paper's postures: controller, driver and sender as three 
 
 Prints a table and draws demo/postures.png. Exits with 1 when a reachable target is missed by more
 than 0.5 mm. The mock arm is the controller's own model here: nothing is hidden.
+
+example: python -m tendon_robot_ros demo
 """
 
 from __future__ import annotations

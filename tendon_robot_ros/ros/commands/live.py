@@ -2,6 +2,8 @@
 A mock robot hides something; compare, record, diagnose, add, and watch the error fall.
 
 Opens a page: two arms in two colours do not coincide; find out why by clicking.
+
+example: python -m tendon_robot_ros live --headless --hidden hinge_friction
 """
 
 from __future__ import annotations

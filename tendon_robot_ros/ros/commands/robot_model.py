@@ -3,6 +3,8 @@ The arm for RViz and Foxglove: its URDF, its joints, and its frames where tf2_ro
 
 Topics: controller/predicted_shape (subscribed); robot_description (latched), cell_joint_states,
 /tf (published). Parameters and units: docs/ros_parameters.md.
+
+example: python -m tendon_robot_ros robot-model --ros-args -r __ns:=/left_arm
 """
 
 from __future__ import annotations

@@ -6,7 +6,6 @@ driver beside it, or nobody was found. It takes 2 s from the beginning of discov
 is stopped at once, on the same computer without any discovery. The stop stays until the reset of
 each is called. This is no safety-rated stop.
 
-example: python -m tendon_robot_ros stop
 example: python -m tendon_robot_ros stop --namespace /left_arm
 """
 

@@ -3,6 +3,8 @@ Move the tip with the keyboard; it stops when the key is released.
 
 Topics: ~/delta_twist remapped to that of the controller (published). Services called: stop and
 reset of the controller. Parameters and units: docs/ros_parameters.md.
+
+example: python -m tendon_robot_ros teleop --ros-args -r __ns:=/left_arm
 """
 
 from __future__ import annotations

@@ -5,6 +5,8 @@ Topics: tendon_states and measured_shape, measured_tip or a topic per marker (su
 ~/rolling_error, ~/marker_errors, ~/measured, ~/predicted, ~/progress, ~/verdict, ~/status
 (published); ~/tip_force, ~/tip_force_covariance, ~/drift, ~/adaptation by parameter. Services:
 ~/record, ~/diagnose, ~/add, ~/learn, ~/change, ~/undo. Parameters: docs/ros_parameters.md.
+
+example: python -m tendon_robot_ros monitor --ros-args -p model:=kato_10_1
 """
 
 from __future__ import annotations

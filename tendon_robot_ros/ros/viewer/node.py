@@ -3,6 +3,8 @@ The live page in the browser: measured and predicted arm, errors, tensions, butt
 
 Topics: what driver, controller and monitor of its namespace publish (subscribed);
 controller/target_point, tour (published). Parameters and units: docs/ros_parameters.md.
+
+example: python -m tendon_robot_ros viewer --ros-args -p port:=8081
 """
 
 from __future__ import annotations
