@@ -3,6 +3,7 @@
 import contextlib
 import importlib
 import io
+import json
 import re
 import shlex
 import sys
@@ -56,7 +57,8 @@ def move(monkeypatch, tmp_path):
 
 # what cannot be said in a screen of 24 lines: many options, a line each
 LONG_HELPS = {
-    'import table': 38, 'simulate': 29, 'investigate': 28, 'study rehearse': 31, 'follow': 25,
+    'import bag': 25,
+    'import table': 39, 'simulate': 30, 'investigate': 28, 'study rehearse': 31, 'follow': 26,
 }  # fmt: skip
 PROGRAM = 'python -m tendon_robot_ros'
 
@@ -102,12 +104,28 @@ RUN = [
 ]
 
 
+# nodes; what is a file, a page or a conversation; what says how far it is until a folder is full
+NO_JSON = {
+    'controller', 'driver', 'monitor', 'viewer', 'robot-model', 'teleop', 'demo', 'live',
+    'robot new', 'export mjcf', 'motors emulate', 'study paper', 'study rehearse', 'investigate',
+}  # fmt: skip
+
+
+@pytest.mark.parametrize('name', COMMANDS)
+def test_every_command_that_prints_a_result_prints_it_as_json(name):
+    assert any(line.startswith('  --json ') for line in help_of(name)) == (name not in NO_JSON)
+
+
 @pytest.mark.parametrize('name', RUN)
 def test_the_example_of_a_help_runs(name, tmp_path):
     """Those of motors and nodes need an arm; test_docs.py runs the like."""
     prepare(tmp_path)
-    for one in filter(None, (BEFORE.get(name), name)):
-        run_forked(example_of(one), folder=tmp_path, timeout=500.0)
+    if name in BEFORE:
+        run_forked(example_of(BEFORE[name]), folder=tmp_path, timeout=500.0)
+    more = [] if name in NO_JSON else ['--json', 'result.json']
+    run_forked([*example_of(name), *more], folder=tmp_path, timeout=500.0)
+    if more:
+        assert json.loads((tmp_path / 'result.json').read_text(encoding='utf-8'))
 
 
 def test_a_command_runs_as_a_process_too():

@@ -36,7 +36,7 @@ from ..tables.columns import UPS, ColumnUse
 from ..tables.markers import CHOICES
 from ..tables.recipe import INPUT_KINDS, METHODS, FrameChoice, Recipe, load_recipe
 from . import options
-from .options import input_size, length, pairs, progress
+from .options import emit, input_size, length, pairs, progress
 
 
 class ImportBag:
@@ -97,6 +97,7 @@ class ImportBag:
             'model)'
         )
         add('--frame', choices=METHODS, help=what)
+        options.declare(parser, '--json')
 
     def run(self, args: argparse.Namespace) -> int:
         """Import the recording."""
@@ -123,15 +124,25 @@ class ImportBag:
             )
             for line in imported.left_out:
                 print('left out:', line, file=sys.stderr)
-            print(summary(imported))
             show('looking at the frame', 1, 2)
             dataset, lines = placed(imported, args.frame, args.up)
-        for line in lines:
-            print(line)
-        print(f'written: {save_dataset(dataset, args.output, args.overwrite)}')
+        folder = save_dataset(dataset, args.output, args.overwrite)
+        lines = [summary(imported), *lines, f'written: {folder}']
         if args.picture:
-            print(f'picture: {draw_segments(imported, args.picture)}')
+            lines.append(f'picture: {draw_segments(imported, args.picture)}')
+        content = sizes(dataset, folder) | {'left_out': imported.left_out}
+        emit(args, content, '\n'.join(lines))
         return 0
+
+
+def sizes(dataset: DataSet, folder: Path) -> dict[str, Any]:
+    """Return for JSON how much a data set holds, and where it was written."""
+    return {
+        'postures': len(dataset.postures),
+        'trials': int(dataset.trials.sum()),
+        'markers': [marker.name for marker in dataset.markers],
+        'written': str(folder),
+    }
 
 
 def placed(imported: Imported, method: str | None, up: str | None) -> tuple[DataSet, list[str]]:
@@ -187,7 +198,7 @@ class ImportTable:
         add(
             '--recipe', metavar='YAML', help='an import.yaml; other options go before what it says'
         )
-        options.declare(parser, '--effect-file')
+        options.declare(parser, '--json', '--effect-file')
         add_columns(parser.add_argument_group('columns and units'))
         add_arm(parser.add_argument_group('markers and frame'))
         add_still(parser.add_argument_group('what is a measurement'))
@@ -210,12 +221,16 @@ class ImportTable:
         catalogue = load_catalogue(args.effect_file)
         with progress() as show:
             imported = import_table(args.raw, robot, recipe, catalogue, show)
-        print(imported.text())
-        folder = imported.save(args.output, args.overwrite)
-        print(
-            f'written: {folder}    every choice: {folder}/import.yaml    look: {folder}/import.png'
+        text, folder = imported.text(), imported.save(args.output, args.overwrite)
+        content = sizes(imported.dataset, folder) | {
+            key: list(getattr(imported, key)) for key in ('assumed', 'dropped', 'look')
+        }
+        emit(
+            args,
+            content,
+            f'{text}\nwritten: {folder}    every choice: {folder}/import.yaml    look: '
+            f'{folder}/import.png\nnext:    {PROGRAM} compare {folder}',
         )
-        print(f'next:    python -m tendon_robot_ros compare {folder}')
         return 0
 
 
@@ -431,6 +446,7 @@ class ExportBag:
             ('rate', default.rate, 'messages per second'),
         ):
             add(f'--{name}', type=float, default=value, help=f'{text} (default: {value:g})')
+        options.declare(parser, '--json')
 
     def run(self, args: argparse.Namespace) -> int:
         """Write the recording."""
@@ -441,8 +457,8 @@ class ExportBag:
         with progress() as show:
             show(f'writing {dataset.trials.sum()} measurements', 0, 0)
             path = export_bag(dataset, args.output, args.storage, timing)
-        print(f'{dataset.trials.sum()} measurements, {len(dataset.postures)} postures')
-        print(f'written: {path}')
+        text = f'{dataset.trials.sum()} measurements, {len(dataset.postures)} postures'
+        emit(args, sizes(dataset, path), f'{text}\nwritten: {path}')
         return 0
 
 
@@ -459,6 +475,7 @@ class Plot:
         """Declare the arguments."""
         parser.add_argument('bag', metavar='BAG', help='rosbag2 folder, or .mcap or .db3 file')
         options.add_file(parser, '--output', '(default: BAG.png)', 'PNG')
+        options.declare(parser, '--json')
 
     def run(self, args: argparse.Namespace) -> int:
         """Read and draw."""
@@ -472,12 +489,15 @@ class Plot:
             raise InputError(f'{bag}: no measured_tip and no predicted_tip in it: nothing to draw')
         path_run = as_run(moves)
         seconds = float(path_run.tip_times[-1])
-        print(
+        counts = {key: len(getattr(moves, key)) for key in ('targets', 'tips', 'commands')}
+        text = (
             f'{seconds:.1f} s, {len(moves.targets)} targets, {len(moves.tips)} tips'
             f'{"" if moves.measured else " as the model sees them"}, '
             f'{len(moves.commands)} commands'
         )
-        print(f'picture: {draw_run(path_run, output, f"{bag.name}, {seconds:.1f} s")}')
+        picture = draw_run(path_run, output, f'{bag.name}, {seconds:.1f} s')
+        content = {'seconds': seconds, **counts, 'measured': moves.measured}
+        emit(args, content | {'picture': str(picture)}, f'{text}\npicture: {picture}')
         return 0
 
 

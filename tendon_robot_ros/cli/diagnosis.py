@@ -270,21 +270,21 @@ class Remove:
         parser.add_argument('effect', metavar='EFFECT', help='an effect that ROBOT lists')
         parser.add_argument('--robot', required=True, metavar='ROBOT', help='description (YAML)')
         options.add_file(parser, '--output', 'the new description', 'NEW', required=True)
-        options.declare(parser, '--overwrite')
+        options.declare(parser, '--json', '--overwrite')
 
     def run(self, args: argparse.Namespace) -> int:
         """Remove and write."""
         options.refuse_existing('--output', args.output, args.overwrite)
         robot, back = restore(load_robot(args.robot), args.effect)
         options.write_description(robot, args.output)
-        if back is None:
-            print(f'removed: {args.effect}')
-        else:
+        text = f'removed: {args.effect}'
+        if back is not None:
             shown = ', '.join(f'{key} = {value}' for key, value in back.items())
-            print(
+            text = (
                 f'{args.effect}: as before the fit again ({shown}); remove it once more to drop it'
             )
-        print(f'written: {args.output}')
+        content = {'effect': args.effect, 'restored': back, 'written': args.output}
+        options.emit(args, content, f'{text}\nwritten: {args.output}')
         return 0
 
 

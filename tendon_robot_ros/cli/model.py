@@ -17,7 +17,7 @@ import numpy as np
 
 from ..common.errors import InputError
 from ..common.files import file_to_write, new_file, new_folder, write_text
-from ..common.words import columns, other_unit
+from ..common.words import PROGRAM, columns, other_unit
 from ..data.path_files import TendonRows, TipRows, write_path
 from ..drivers.tendon_check import STILL_TOLERANCE_M
 from ..model.tip_task import Preferences
@@ -395,7 +395,7 @@ class Sweep:
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Declare the arguments."""
-        options.declare(parser, 'robot', '--effect-file')
+        options.declare(parser, 'robot', '--effect-file', '--json')
         add = parser.add_argument
         add('--view', type=float, default=180.0, help='angle [°] (default: 180)')
         add('--steps', type=int, default=40, help='rows (default: 40)')
@@ -429,8 +429,10 @@ class Sweep:
         spans = ', '.join(
             f'{axis} {a:.1f} to {b:.1f}' for axis, a, b in zip('xyz', low, high, strict=True)
         )
-        print(f'{len(postures)} postures at the {args.view:g}° view; tip {spans} mm')
-        print(f'written: {args.output}   next: python -m tendon_robot_ros follow {args.output}')
+        content = {'postures': len(postures), 'tips': places.tolist(), 'written': args.output}
+        text = f'{len(postures)} postures at the {args.view:g}° view; tip {spans} mm'
+        following = f'next: {PROGRAM} follow {args.output}'
+        emit(args, content, f'{text}\nwritten: {args.output}   {following}')
         return 0
 
 

@@ -32,7 +32,7 @@ from ..emulator.port import Plug
 from ..emulator.rig import Arm, ElasticArm, HangingWeights, Rig, SpringArm, Wire
 from ..emulator.servo import Servo
 from ..robot import Robot, load_robot
-from .options import add_file
+from .options import add_file, declare, emit
 
 if TYPE_CHECKING:
     from ..drivers.dynamixel.bus import Bus
@@ -102,6 +102,7 @@ class Calibrate:
         add_file(parser, '--output', what, also=('--out',), default='calibration.yaml')
         add_file(parser, '--picture', 'default: beside the output, as PNG')
         add('--yes', action='store_true', help='do not wait for Enter')
+        declare(parser, '--json')
 
     def run(self, args: argparse.Namespace) -> int:
         """Measure, fit, write, say what was found."""
@@ -121,8 +122,10 @@ class Calibrate:
             _content(args.output)  # lines of other tendons in it are kept
         try:
             if args.kind == 'serial':
-                _write(Path(args.output), args.tendon, measure_cell(args), CELL_UNITS)
-                print(f'written: {args.output}')
+                line, text = measure_cell(args)
+                _write(Path(args.output), args.tendon, line, CELL_UNITS)
+                content = {'line': line, 'written': args.output}
+                emit(args, content, f'{text}\nwritten: {args.output}')
                 return 0
             return calibrate_motor(args)
         except ModuleNotFoundError as error:
@@ -180,15 +183,19 @@ def check_tendons(args: argparse.Namespace) -> int:
         now = measure_reference(driver, tension)
     if before is None:
         save_reference(path, now)
-        print(f'written: {path}; the next check compares with it')
+        emit(args, {'written': str(path)}, f'written: {path}; the next check compares with it')
         return 0
     crept = changes(before, now)
     texts = [text for change in crept if (text := change.text(tension))]
     worst = max(abs(change.pull) for change in crept)
-    print('\n'.join(texts) or f'no tendon has crept (at most {1e3 * worst:.2f} mm)')
-    print(f'since {before.date}, at {tension:g} N')
+    lines = [*texts] or [f'no tendon has crept (at most {1e3 * worst:.2f} mm)']
+    lines.append(f'since {before.date}, at {tension:g} N')
     if texts:
-        print('mend what has slipped and calibrate it, or take it as it is: --check --renew')
+        lines.append(
+            'mend what has slipped and calibrate it, or take it as it is: --check --renew'
+        )
+    content = {'crept': texts, 'largest': worst, 'since': str(before.date), 'tension': tension}
+    emit(args, content, '\n'.join(lines))
     return 1 if texts else 0
 
 
@@ -233,10 +240,14 @@ def calibrate_motor(args: argparse.Namespace) -> int:
     _write(Path(args.output), args.tendon, lines, MOTOR_UNITS)
     picture = Path(args.picture or f'{Path(args.output).with_suffix("")}_{args.tendon}.png')
     draw(fitted, points, args.tendon, picture)
-    for what, line in (('winding', fitted.wind), ('paying out', fitted.pay_out)):
-        print(f'{args.tendon}: {what} I = {line.intercept:.4f} A + {line.slope:.4f} A/N T')
-    print(f'half the gap: {half_gap:.3f} N: that is how well the current tells the tension')
-    print(f'written: {args.output}, {picture}')
+    text = [
+        f'{args.tendon}: {what} I = {line.intercept:.4f} A + {line.slope:.4f} A/N T'
+        for what, line in (('winding', fitted.wind), ('paying out', fitted.pay_out))
+    ]
+    text.append(f'half the gap: {half_gap:.3f} N: that is how well the current tells the tension')
+    text.append(f'written: {args.output}, {picture}')
+    content = {'lines': lines, 'half_gap': half_gap, 'written': args.output}
+    emit(args, content, '\n'.join(text))
     return 0
 
 
@@ -310,8 +321,8 @@ def draw(fitted: Calibration, points: list[CurrentPoint], tendon: str, path: Pat
         figure.savefig(draft, dpi=dots)
 
 
-def measure_cell(args: argparse.Namespace) -> dict[str, Any]:
-    """Measure and fit; print what was found; return what is written for the tendon."""
+def measure_cell(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    """Measure and fit; return what is written for the tendon, and the same in words."""
     from ..drivers.serial_board.config import cell_mapping, fit_counts, read_config
     from ..drivers.serial_board.link import connect
 
@@ -334,11 +345,11 @@ def measure_cell(args: argparse.Namespace) -> dict[str, Any]:
         link.close()
     cell = fit_counts(points)
     heaviest = max(point.tension for point in points)
-    print(
+    text = (
         f'{tendon}: tension = (counts - {cell.zero:.0f}) * {cell.newtons_per_count:.5g} N\n'
         f'uncertainty: {cell.uncertainty(np.array(heaviest)):.2g} N (1 sd) at {heaviest:.3g} N'
     )
-    return cell_mapping(cell, points)
+    return cell_mapping(cell, points), text
 
 
 class Emulate:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import os
 import sys
@@ -19,6 +18,8 @@ from tqdm import tqdm
 
 from ..common.errors import InputError, Progress, TendonRobotError, listener
 from ..common.files import file_to_write, write_text
+from ..common.json_output import JSON_OPTION
+from ..common.json_output import emit as emit
 from ..common.processes import UPKEEP_S
 from ..common.words import TYPED_LENGTHS, UNITS, digits, other_unit, read_quantity
 from ..data import DataSet, join, load_dataset
@@ -50,13 +51,7 @@ SHARED: dict[str, dict[str, Any]] = {
         'metavar': 'FILE',
         'help': 'file with an effect of your own, which is executed; may be repeated',
     },
-    '--json': {
-        'type': file_to_write('--json'),
-        'nargs': '?',
-        'const': '-',
-        'metavar': 'OUT',
-        'help': 'print the result as JSON instead of the table, or write it to OUT',
-    },
+    '--json': JSON_OPTION,
     '--unit': {
         'choices': TYPED_LENGTHS,
         'default': 'mm',
@@ -115,17 +110,6 @@ def load_model(args: argparse.Namespace) -> Model:
     from ..model.model import Model
 
     return Model(load_robot(args.robot), effects_of(args))
-
-
-def emit(args: argparse.Namespace, content: dict[str, Any], table: str) -> None:
-    """Print the table, or the content as JSON; write the content where --json says."""
-    text = json.dumps(content, indent=1, allow_nan=False)
-    if args.json == '-':
-        print(text)
-        return
-    if args.json is not None:
-        write_text(args.json, text + '\n')
-    print(table)
 
 
 def named_numbers(option: str, text: str, unit: str) -> dict[str, float]:

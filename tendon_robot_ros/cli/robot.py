@@ -28,7 +28,7 @@ from ..robot.estimates import (
     stiffness_from_bend,
     stiffness_from_sag,
 )
-from .options import add_file, declare, refuse_existing
+from .options import add_file, declare, emit, refuse_existing
 
 FIRST_WORDS = 'An empty answer takes the value in brackets; < goes back to the question before.'
 BACK = ('<', 'back')  # answers that go to the question before
@@ -411,7 +411,8 @@ class Describe:
 
     Sections, tendons, limits, tolerances, and the physical effects of its model. With --urdf print
     a URDF instead, for RViz and TF: two revolute joints per cell, `<name>_x` towards x and
-    `<name>_y` towards y, and where cells twist a third, `<name>_z`, about its axis.
+    `<name>_y` towards y, and where cells twist a third, `<name>_z`, about its axis. JSON: the
+    description as it is understood, in SI units.
 
     example: python -m tendon_robot_ros robot describe config/robots/kato_10_1.yaml
     """
@@ -422,6 +423,7 @@ class Describe:
         """Declare the arguments."""
         declare(parser, 'robot')
         parser.add_argument('--urdf', action='store_true', help='print a URDF')
+        declare(parser, '--json')
 
     def run(self, args: argparse.Namespace) -> int:
         """Read and print."""
@@ -431,7 +433,7 @@ class Describe:
 
             print(urdf(robot))
         else:
-            print(description(robot))
+            emit(args, yaml.safe_load(dump_robot(robot)), description(robot))
         return 0
 
 

@@ -32,7 +32,16 @@ from ..simulation.hidden import Workmanship
 from ..simulation.measurements import Laboratory, SimulatedNoise, raw_table, simulate, write_table
 from ..simulation.plant import Plant, make_plant
 from ..workspace.postures import SEQUENCE_FACTOR, default_postures
-from .options import add_file, declare, named_numbers, numbers, progress, refuse_existing, vector
+from .options import (
+    add_file,
+    declare,
+    emit,
+    named_numbers,
+    numbers,
+    progress,
+    refuse_existing,
+    vector,
+)
 
 HELP = 'write measurements of a robot with hidden effects, to rehearse with'
 
@@ -55,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_file(parser, '--table', what, 'CSV')
     add('--overwrite', action='store_true', help='replace data sets')
     add_measuring(parser)
-    declare(parser, '--effect-file')
+    declare(parser, '--json', '--effect-file')
 
 
 def add_measuring(parser: argparse.ArgumentParser) -> None:
@@ -104,28 +113,33 @@ def run(args: argparse.Namespace) -> int:
     plant = make_plant(robot, hidden, seed=args.seed, catalogue=catalogue, work=work)
     if args.table:
         return write_tables(args, plant)
+    written = {}
     folders = [*filter(None, (args.output, args.check))]
     datasets = [_measured(args, plant, which) for which in range(len(folders))]
     for folder, dataset in zip(folders, datasets, strict=True):
         save_dataset(dataset, folder, args.overwrite)
         P, Q, J = dataset.positions.shape[:3]
-        print(f'written: {folder}: {P} postures x {Q} trials x {J} markers')
-    _print_hidden(args, plant, f'compare {args.output}')
+        written[folder] = f'{P} postures x {Q} trials x {J} markers'
+    return _conclude(args, plant, written, f'compare {args.output}')
+
+
+def _conclude(
+    args: argparse.Namespace, plant: Plant, written: dict[str, str], following: str
+) -> int:
+    """Print what was written, the hidden effects, how the arm is built, what to type next."""
+    built = [] if args.exact else list(plant.built.text())
+    lines = [f'written: {path}: {what}' for path, what in written.items()]
+    lines.append(f'hidden:  {", ".join(args.hidden) or "nothing"}')
+    lines += [*(f'built:   {line}' for line in built), f'next:    {PROGRAM} {following}']
+    emit(args, {'written': written, 'hidden': args.hidden, 'built': built}, '\n'.join(lines))
     return 0
-
-
-def _print_hidden(args: argparse.Namespace, plant: Plant, following: str) -> None:
-    """Print the hidden effects, the imperfections of the arm, and what to type next."""
-    print(f'hidden:  {", ".join(args.hidden) or "nothing"}')
-    for line in () if args.exact else plant.built.text():
-        print(f'built:   {line}')
-    print(f'next:    {PROGRAM} {following}')
 
 
 def write_tables(args: argparse.Namespace, plant: Plant) -> int:
     """Write a table over time, and that of a check."""
     if args.input != 'tension' or args.path != 'from_straight':
         raise InputError('--table: of tensions and from straight only')
+    written = {}
     for which, path in enumerate(filter(None, (args.table, args.check))):
         with progress() as show:
             names, values = raw_table(
@@ -140,9 +154,8 @@ def write_tables(args: argparse.Namespace, plant: Plant) -> int:
             )
         write_table(path, names, values)
         rows, columns = values.shape
-        print(f'written: {path}: {rows:,} rows of {columns} columns, {values[-1, 0]:.0f} s')
-    _print_hidden(args, plant, f'import table {args.table} --robot {args.robot}')
-    return 0
+        written[path] = f'{rows:,} rows of {columns} columns, {values[-1, 0]:.0f} s'
+    return _conclude(args, plant, written, f'import table {args.table} --robot {args.robot}')
 
 
 def _measured(args: argparse.Namespace, plant: Plant, which: int) -> DataSet:

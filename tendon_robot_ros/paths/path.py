@@ -8,7 +8,7 @@ Paths of the tip through given rows, stretched in time to keep limits, and runs 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -449,6 +449,14 @@ class PathRun:
             nearest = start + np.clip(fraction, 0.0, 1.0)[:, None] * step
             distances.append(np.nanmin(np.linalg.norm(nearest - tip, axis=1)))
         return np.array(distances)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain data for JSON: the tip at every row [m], and its distances from targets."""
+        tips = self.tip_at(self.row_times)[0].tolist()
+        content = {'times': self.row_times.tolist(), 'tips': tips, 'measured': self.measured}
+        if self.target_values is None:
+            content |= zip(('rms', 'largest', 'from_path'), self.distances(), strict=True)
+        return content
 
     def distances(self) -> tuple[float, float, float]:
         """Return rms and maximum distance [m] from the present target, maximum from the path."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 import time
 from collections.abc import Sequence
 from contextlib import nullcontext
@@ -15,6 +16,7 @@ import numpy as np
 from ...common.arrays import Floats
 from ...common.errors import DataSetError, InputError
 from ...common.files import file_to_write, refuse_ending
+from ...common.json_output import JSON_OPTION, emit
 from ...common.rotations import angle_between
 from ...common.words import TYPED_LENGTHS, UNITS, other_unit, read_quantity
 from ...control.inputs import Refusal, Trajectory
@@ -79,6 +81,7 @@ class GoTo:
             help='where the tip is to look, of any length (default: as it comes)',
         )
         add_controller(parser)
+        parser.add_argument('--json', **JSON_OPTION)
 
     def run(self, args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
         """Send a target and wait until the arm is at rest."""
@@ -95,14 +98,15 @@ class GoTo:
             pilot.settle(pilot.send(target, along), MOVE_TIMEOUT_S, 'the arm to stand there')
             pilot.stand()
             tip, direction = pilot.tip()
-            miss = f'{1e3 * np.linalg.norm(tip - target):.2f} mm'
+            content = {'tip': tip.tolist(), 'error': float(np.linalg.norm(tip - target))}
+            miss = f'{1e3 * content["error"]:.2f} mm'
             if along is not None:
-                miss += f' and {np.degrees(angle_between(direction, along)):.2f}°'
-            measured = pilot.tips()[0]
-            print(
-                f'tip at ({place(tip)}) mm{"" if measured else ", as the model sees it"}: '
-                f'{miss} from the target; {pilot.status["message"]}'
-            )
+                content['turned'] = float(angle_between(direction, along))
+                miss += f' and {np.degrees(content["turned"]):.2f}°'
+            content |= {'measured': pilot.tips()[0], 'status': pilot.status['message']}
+            seen = '' if content['measured'] else ', as the model sees it'
+            text = f'tip at ({place(tip)}) mm{seen}: {miss} from the target; {content["status"]}'
+            emit(args, content, text)
         return 0
 
 
@@ -153,6 +157,7 @@ class Follow:
             '--picture', type=to, default='follow.png', metavar='PNG', help='(default: follow.png)'
         )
         add_controller(parser)
+        parser.add_argument('--json', **JSON_OPTION)
 
     def run(self, args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
         """Follow and report; Ctrl-C leaves the arm at its present target."""
@@ -173,12 +178,14 @@ class Follow:
             else:
                 path_run = _tips(pilot, rows, args, pace)
             if path_run is not None:
-                print(*path_lines(path_run), sep='\n')
                 title = f'{Path(args.path).name}: asked and reached'
-                print(f'picture: {draw_run(path_run, args.picture, title)}', flush=True)
+                picture = draw_run(path_run, args.picture, title)
+                lines = [*path_lines(path_run), f'picture: {picture}']
+                emit(args, path_run.to_json() | {'picture': str(picture)}, '\n'.join(lines))
                 if args.retreat:
                     run_back(pilot, pace)
-                    print('retreated by the way flown')
+                    own = sys.stderr if args.json == '-' else sys.stdout
+                    print('retreated by the way flown', file=own)
         return 0
 
 

@@ -26,6 +26,7 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
 from ...common.errors import InputError, TendonRobotError
 from ...common.files import write_errors
+from ...common.json_output import JSON_OPTION, emit
 from ...data.bag_writer import (
     DESCRIPTION,
     ROBOT,
@@ -64,6 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--storage', choices=STORAGES, default='mcap', help='of the folder (default: mcap)'
     )
     add_controller(parser)
+    parser.add_argument('--json', **JSON_OPTION)
 
 
 def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
@@ -79,7 +81,8 @@ def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
         recorder = Recorder(writer, args.controller, args.topics)
         executor = SingleThreadedExecutor()
         executor.add_node(recorder)
-        print(f'recording to {args.output}; Ctrl-C ends', flush=True)
+        own = sys.stderr if args.json == '-' else sys.stdout
+        print(f'recording to {args.output}; Ctrl-C ends', file=own, flush=True)
         began = time.monotonic()
         try:
             while not ending.signal:
@@ -92,7 +95,9 @@ def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
         finally:
             executor.shutdown()
             recorder.destroy_node()
-    print(recorder.summary(args.output, time.monotonic() - began), flush=True)
+    seconds = time.monotonic() - began
+    content = {'messages': recorder.counts, 'seconds': seconds, 'written': args.output}
+    emit(args, content, recorder.summary(args.output, seconds))
     return 0 if recorder.counts else 1
 
 

@@ -16,6 +16,7 @@ import os
 from collections.abc import Sequence
 
 from ...common.errors import InputError, TendonRobotError
+from ...common.json_output import JSON_OPTION, emit
 from ...common.local_stop import stop_local
 from ...common.processes import go_first
 from ..shared.timing import STOP_ANSWER_S
@@ -32,6 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar='NAMESPACE',
         help='stop what is in this one and below it (default: all namespaces)',
     )
+    parser.add_argument('--json', **JSON_OPTION)
 
 
 def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
@@ -44,7 +46,8 @@ def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
     local = stop_local(domain, below, STOP_ANSWER_S)
     from ..shared.stopping import stop_nodes  # a slow import, after the local stop
 
-    print(verdict(stop_nodes(ros_arguments, below, local), below, domain))
+    results = stop_nodes(ros_arguments, below, local)
+    emit(args, {'stopped': sorted(results)}, verdict(results, below, domain))
     return 0
 
 
