@@ -20,9 +20,10 @@ from tendon_robot_ros.cli.main import EXECUTABLES  # noqa: E402
 NAME = 'tendon_robot_ros'
 PACKAGE_XML = ElementTree.parse(HERE / 'package.xml').getroot()
 
+PAGES = 'plotly>=5.18'  # reports that open offline
 EXTRAS = {
     'viewer': ['viser>=1.0'],
-    'report': ['plotly>=5.18'],
+    'report': [PAGES],  # what a report asks for where colcon has installed the package without it
     # a laboratory's tables: CSV a million rows a second, Parquet, motion capture's .c3d
     'tables': ['ezc3d>=1.5', 'pandas>=2.2', 'pyarrow>=15'],
     'bags': ['rosbags>=0.11'],
@@ -99,6 +100,8 @@ setup(
     name=NAME,
     version=PACKAGE_XML.findtext('version'),
     description=' '.join(PACKAGE_XML.findtext('description', '').split()),
+    long_description=(HERE / 'README.md').read_text(encoding='utf-8'),
+    long_description_content_type='text/markdown',
     license=PACKAGE_XML.findtext('license'),
     maintainer=PACKAGE_XML.findtext('maintainer'),
     maintainer_email=PACKAGE_XML.find('maintainer').get('email'),
@@ -111,6 +114,7 @@ setup(
         'matplotlib>=3.6',
         'numba>=0.61',  # kernel/linking.py
         'numpy>=1.26',
+        PAGES,
         'pyyaml>=6.0',
         'scipy>=1.11',
         'threadpoolctl>=3.1',  # a notebook has imported numpy before this package

@@ -37,7 +37,11 @@ COMMAND = re.compile(r'^\$ ((?:[^\n]*\\\n)*[^\n]*)$', re.M)
 CALLED = ['python', '-m', 'tendon_robot_ros']
 SHELL = re.compile(r'[|;&$`>*?~(]')  # what only a shell understands
 SHELLS = {'bash', 'sh', 'shell', 'zsh'}
-PAGES = [*files('README.md'), *files('CONTRIBUTING.md'), *files('docs/*.md'), *files('data/*.md')]
+PAGES = [
+    page
+    for pattern in ('README.md', 'CONTRIBUTING.md', 'QUALITY_*.md', 'docs/*.md', 'data/*.md')
+    for page in files(pattern)
+]
 
 
 def text_of(page):

@@ -12,6 +12,7 @@ from catkin_pkg.package import parse_package
 from source_tree import ROOT, files, parse
 
 from tendon_robot_ros.cli.main import EXECUTABLES
+from tendon_robot_ros.common.yaml_reading import parse_yaml
 
 PACKAGE = parse_package(str(ROOT), warnings=(WARNINGS := []))
 
@@ -35,6 +36,12 @@ def test_package_xml_is_valid_format_3_for_ament_python():
 def test_setup_takes_name_version_and_licence_from_package_xml():
     told = setup_py('--name', '--version', '--license').split('\n')
     assert told == [PACKAGE.name, PACKAGE.version, PACKAGE.licenses[0]]
+
+
+def test_the_citation_names_this_version():
+    citation = parse_yaml((ROOT / 'CITATION.cff').read_text(encoding='utf-8'))
+    assert (citation['title'], citation['version']) == (PACKAGE.name, PACKAGE.version)
+    assert citation['license'] == PACKAGE.licenses[0]
 
 
 def test_every_command_becomes_an_executable(tmp_path):

@@ -92,7 +92,14 @@ OLD_NAMES = {
         if first in ('effect', 'model', 'motors', 'study')
     },
 }
-EXECUTABLES = sorted({*(first for first, _, _ in WORDS), *OLD_NAMES})
+# with hyphens, and with underscores as ROS has them
+EXECUTABLES = sorted(
+    {
+        form
+        for name in (*(first for first, _, _ in WORDS), *OLD_NAMES)
+        for form in (name, name.replace('-', '_'))
+    }
+)
 
 SCREEN_COLUMNS = 100  # [1] of a help, because a terminal hardly has fewer
 PACKAGE = Path(__file__).parent.parent
@@ -223,7 +230,8 @@ def _guarded(name: str, arguments: list[str], program: str) -> int:
 
 
 def run_command(name: str, arguments: list[str], program: str) -> int:
-    """Run a command; return its exit code."""
+    """Run a command; return its exit code. Underscores in its name stand for hyphens."""
+    name = name.replace('_', '-')
     if name in ('-h', '--help'):
         print(f'usage: {PROGRAM} COMMAND [ARGUMENTS]; COMMAND --help\n\n{_listing("")}')
         return 0

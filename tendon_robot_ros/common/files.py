@@ -180,14 +180,15 @@ def file_to_write(option: str) -> Callable[[str], str]:
 
 def shared_file(name: str) -> Path | None:
     """
-    Find a file such as `config/driver.yaml`.
+    Find a file or folder that is shipped, such as `config/driver.yaml` or `data/trunk/base`.
 
-    Looks in a source tree first, then where pip and colcon install shared files.
+    It lies beside the package in a source tree, else in `share/` of the prefix where pip or colcon
+    has installed the package.
     """
-    roots = [Path(__file__).resolve().parents[2]]
-    prefixes = [sys.prefix, *os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)]
-    roots += [Path(prefix) / 'share' / PACKAGE for prefix in prefixes if prefix]
-    return next((root / name for root in roots if (root / name).is_file()), None)
+    above = Path(__file__).resolve().parents[2:]
+    roots = [above[0], *(prefix / 'share' / PACKAGE for prefix in above)]
+    root = next((root for root in roots if (root / 'package.xml').is_file()), None)
+    return root / name if root is not None and (root / name).exists() else None
 
 
 @cache

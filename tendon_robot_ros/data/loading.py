@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..common.errors import DataSetError, place, refusal
-from ..common.files import new_file
+from ..common.files import new_file, shared_file
 from ..common.words import listing
 from ..robot import Robot, RobotLike, load_robot, parse_robot
 from .arrays import PLAUSIBLE_FACTOR, Marker, default_markers, join_visits, too_tense
@@ -383,7 +383,7 @@ def load_dataset(data: DataSetLike, robot: RobotLike | None = None) -> DataSet:
     data : path, DataSet, or a list of these
         A folder with dataset.yaml, inputs.csv and shapes.csv; a recording (rosbag2 folder, .mcap
         or .db3), of which every still segment is a measurement; a data set or an import as it
-        is. Several of one robot are joined.
+        is. Several of one robot are joined. `data/...` that is not here is that of the package.
     robot : Robot, name, path, text or dict, optional
         The robot to use instead of the one that the measurements name.
 
@@ -398,6 +398,8 @@ def load_dataset(data: DataSetLike, robot: RobotLike | None = None) -> DataSet:
     other = None if robot is None else load_robot(robot)
     if isinstance(data, str | os.PathLike):
         path = place('data', data)
+        if path.parts[:1] == ('data',) and not path.exists():
+            path = shared_file(str(path)) or path
         return import_bag(path, other).dataset if is_bag(path) else read_folder(path, other)
     if isinstance(data, list | tuple) and data:
         return _joined([load_dataset(one, other) for one in data])
