@@ -13,13 +13,13 @@ from tendon_robot_ros.diagnosis import trust as trust_module
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.trust import (
     assess,
-    noncentrality,
     simulated_measurements,
     smallest_sizes,
     wilson,
 )
 from tendon_robot_ros.inference.predict import Predictor
 from tendon_robot_ros.inference.session import Session
+from tendon_robot_ros.inference.statistics import chi2_noncentrality
 from tendon_robot_ros.report.diagnosis_text import trust_lines
 
 ROBOT = simulated.robot(cells=8, exact=True)
@@ -84,7 +84,7 @@ def test_tolerances_and_imperfections_hide_their_twins():
         session = Session(dataset, dataset.robot, CATALOGUE, workers=1)
         session.weigh({})
         tested, _ = session.split_tested({})
-        seen = smallest_sizes(session, session.base_fit(), tested)
+        seen = smallest_sizes(session.fit_all(tested), session.nuisances)
         sizes.append({one.free.effect: one.size for one in seen})
     assert sizes[1]['backbone_stiffness'] > 0.15 > 5.0 * sizes[0]['backbone_stiffness']
     assert sizes[1]['hinge_friction'] > 1.2 * sizes[0]['hinge_friction']
@@ -94,8 +94,8 @@ def test_tolerances_and_imperfections_hide_their_twins():
 
 
 def test_power_and_rates_are_as_tables_say():
-    assert noncentrality(1, 0.05) == pytest.approx((1.96 + 0.8416) ** 2, rel=0.03)
-    assert noncentrality(3, 0.05) == pytest.approx(10.90, rel=0.03)
+    assert chi2_noncentrality(0.8, 0.05, 1) == pytest.approx((1.96 + 0.8416) ** 2, rel=1e-3)
+    assert chi2_noncentrality(0.8, 0.05, 3) == pytest.approx(10.90, rel=1e-3)
     assert wilson(0, 100) == pytest.approx((0.0, 0.0370), abs=1e-3)
     assert wilson(5, 100) == pytest.approx((0.0215, 0.1118), abs=1e-3)
     assert wilson(0, 0) == (0.0, 1.0)

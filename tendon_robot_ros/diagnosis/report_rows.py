@@ -31,13 +31,12 @@ from ..inference.intervals import (
 from ..inference.marginal import Prior
 from ..inference.outliers import Outliers
 from ..inference.session import Session
-from ..inference.statistics import SIGNIFICANCE, chi2_isf, normal_ppf
+from ..inference.statistics import SIGNIFICANCE, chi2_isf
 from .local_tests import faults_of
 from .result import NOT_NEEDED, CandidateRow, EffectFinding
 from .select import Concluded, Fits
-from .trust import DETECTION_POWER
+from .trust import smallest_sizes
 from .verdict import (
-    ALARM_LEVEL,
     APART_FROM_SCORE,
     COVERAGE_MIN,
     P_SINGLE_MIN,
@@ -326,7 +325,11 @@ def details_of(fits: Fits, decision: Concluded) -> dict[str, Any]:
         for c in fits.not_tested
     }
     if decision.verdict is Verdict.ADEQUATE:
-        details['detectable'] = smallest_detectable(fits)
+        details['detectable'] = {
+            one.free.effect: one.plain
+            for one in smallest_sizes(fits.singles, session.nuisances)
+            if one.size and one.alone
+        }
     return details
 
 
@@ -402,21 +405,3 @@ def _next_best(fits: Fits, decision: Concluded) -> tuple[dict[str, Any] | None, 
         return None, wider
     ratio = (other.score - chosen.score) / (2.0 * np.log(10.0) * decision.scale)
     return {'name': other.candidate.label, 'log10_likelihood_ratio': float(ratio)}, wider
-
-
-def smallest_detectable(fits: Fits) -> dict[str, dict[str, Any]]:
-    """Smallest detectable size of each effect with one parameter in these postures."""
-    count = max(len(fits.singles), 1)
-    threshold = np.sqrt(chi2_isf(2.0 * ALARM_LEVEL / count, 1)) + normal_ppf(DETECTION_POWER)
-    sizes = {}
-    for ranked in fits.singles:
-        if len(ranked.fit.frees) == 1 and not ranked.present:
-            spread = np.sqrt(ranked.fit.covariance[0, 0])
-            if np.isfinite(spread):
-                free = ranked.fit.frees[0]
-                sizes[ranked.candidate.label] = {
-                    'size': float(threshold * spread),
-                    'parameter': free.key,
-                    'unit': free.parameter.unit,
-                }
-    return sizes

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -14,14 +13,13 @@ from ..common.errors import Progress, listener
 from ..common.workers import Workers
 from ..data import DataSet
 from ..effects import load_catalogue
-from ..inference.candidates import Candidate
-from ..inference.fit import Fit
-from ..inference.fitter import FAILURES
+from ..inference.candidates import Ranked
+from ..inference.fit import Nuisance
 from ..inference.intervals import QUANTILE
 from ..inference.noise import Noise
 from ..inference.predict import FreeParameter, Point, Predictor
 from ..inference.session import Session
-from ..inference.statistics import chi2_isf
+from ..inference.statistics import chi2_noncentrality
 from ..robot import Robot
 from .select import gather
 from .verdict import ALARM_LEVEL, is_alarming
@@ -36,68 +34,40 @@ class SmallestSize:
 
     free: FreeParameter
     size: float | None
+    alone: bool  # whether it is the only parameter of its effect
+
+    @property
+    def plain(self) -> dict[str, Any]:
+        """Plain data for JSON; `size` in SI."""
+        parameter = self.free.parameter
+        return {'size': self.size, 'parameter': self.free.key, 'unit': parameter.unit}
 
 
 def smallest_sizes(
-    session: Session, base: Fit, candidates: Sequence[Candidate]
+    singles: Sequence[Ranked], nuisances: Sequence[Nuisance]
 ) -> tuple[SmallestSize, ...]:
     """
-    Return the smallest sizes of missing effects, parameter by parameter.
+    Return the smallest sizes of missing effects, parameter by parameter, by the fits with each.
 
-    At this size the whitened change of the markers, less the part that the declared tolerances
-    explain, is long enough for the likelihood ratio to raise the alarm with the probability
-    `DETECTION_POWER`.
+    At this size the likelihood ratio raises the alarm with the probability `DETECTION_POWER`:
+    the other parameters of the effect stay, declared tolerances and imperfections give way.
     """
-    sizes = []
-    for candidate in candidates:
-        effect = session.catalogue[candidate.names[0]]
-        if candidate.present or effect.always_on or effect.stage == 'memory':
-            continue
-        for free in candidate.frees:
-            one_sided = len(candidate.frees) == 1 and free.parameter.neutral in (
-                free.parameter.low,
-                free.parameter.high,
-            )
-            alpha = ALARM_LEVEL / max(len(candidates), 1) * (2.0 if one_sided else 1.0)
-            length = np.sqrt(noncentrality(len(candidate.frees), alpha))
-            sizes.append(SmallestSize(free, _size(session, base, free, float(length))))
+    sizes, declared = [], {nuisance.free: nuisance.spread for nuisance in nuisances}
+    for fit in (ranked.fit for ranked in singles if not ranked.present):
+        k, alpha = len(fit.frees), (2.0 if fit.one_sided else 1.0) * ALARM_LEVEL / len(singles)
+        known = np.flatnonzero(np.isfinite(np.diag(fit.covariance)[:k]))
+        information = np.diag(np.linalg.pinv(fit.covariance[np.ix_(known, known)]))
+        spread = np.full(k, np.inf)
+        spread[known] = 1.0 / np.sqrt(information)
+        spread = np.hypot(spread, [declared.get(free, 0.0) for free in fit.frees])
+        spread *= np.sqrt(chi2_noncentrality(DETECTION_POWER, alpha, k))
+        for free, start, size in zip(
+            fit.frees, np.broadcast_to(fit.described, k), spread, strict=True
+        ):
+            side = 1.0 if start + size <= free.parameter.high else -1.0
+            inside = free.parameter.low <= start + side * size <= free.parameter.high
+            sizes.append(SmallestSize(free, float(size) if inside else None, k == 1))
     return tuple(sizes)
-
-
-def _size(session: Session, base: Fit, free: FreeParameter, length: float) -> float | None:
-    """Return the size whose whitened change of the markers has a length, by rescaling the size."""
-    parameter, size = free.parameter, 0.1 * free.parameter.typical
-    start = base.point.get(free, session.predictor.value(free))
-    side = 1.0 if start + size <= parameter.high else -1.0
-    for _ in range(8):
-        markers = session.predictor.markers({**base.point, free: start + side * size})
-        if markers is None:
-            return None
-        try:  # the tolerances explain a part of the change
-            change = float(np.sqrt(session.mimic(markers, (), base.point, base).chi2))
-        except FAILURES:
-            return None
-        if change <= 0.0:
-            return None
-        ratio = length / change
-        size *= float(np.clip(ratio, 0.1, 10.0))
-        if abs(ratio - 1.0) < 0.02:
-            break
-    return size if parameter.low <= start + side * size <= parameter.high else None
-
-
-@cache
-def noncentrality(freedom: int, alpha: float) -> float:
-    """Return the noncentrality at which a chi² test of this level has the `DETECTION_POWER`."""
-    threshold = chi2_isf(alpha, freedom)
-    noise = np.random.default_rng(0).normal(size=(20_000, freedom))
-    rest = (noise[:, 1:] ** 2).sum(axis=1)
-    low, high = 0.0, 100.0
-    for _ in range(40):
-        middle = 0.5 * (low + high)
-        power = float(((noise[:, 0] + middle) ** 2 + rest > threshold).mean())
-        low, high = (middle, high) if power < DETECTION_POWER else (low, middle)
-    return high**2
 
 
 Task = tuple[int, FreeParameter | None, float]  # seed, hidden parameter and its size
@@ -119,10 +89,7 @@ class Trust:
         """Return plain data; sizes in SI, null where no size within the bounds would show."""
         sizes: dict[str, dict[str, Any]] = {}
         for one in self.detectable:
-            sizes.setdefault(one.free.effect, {})[one.free.key] = {
-                'size': one.size,
-                'unit': one.free.parameter.unit,
-            }
+            sizes.setdefault(one.free.effect, {})[one.free.key] = one.plain
         rate = self.alarms / self.runs if self.runs else None
         return {
             'alarm_rate': rate,
@@ -172,8 +139,9 @@ def assess(
     if session.predictor.markers({}) is None or not session.weigh({}):
         return None
     fits = gather(session)
-    smallest = smallest_sizes(session, fits.base, [r.candidate for r in fits.singles])
-    hidden = [one for one in smallest if one.size is not None]
+    smallest = smallest_sizes(fits.singles, session.nuisances)
+    slow = {e.name for e in session.catalogue if e.always_on or e.stage == 'memory'}
+    hidden = [one for one in smallest if one.size is not None and one.free.effect not in slow]
     clean: list[Task] = [(seed, None, 0.0) for seed in range(runs)]
     sized: list[Task] = [
         (10_000 + i, hidden[i % len(hidden)].free, hidden[i % len(hidden)].size or 0.0)

@@ -217,9 +217,7 @@ def unloads(dataset: DataSet) -> bool:
     return dataset.path != 'from_straight' and let_go
 
 
-def gain_p_value(
-    base: Fit, fit: Fit, described: Sequence[float], freedom: float = np.inf
-) -> float:
+def gain_p_value(base: Fit, fit: Fit, freedom: float = np.inf) -> float:
     """
     Return the p-value of a gain in deviance by the likelihood ratio test; half at a bound.
 
@@ -233,11 +231,7 @@ def gain_p_value(
     if freedom < FREEDOM_MANY:
         ratio = np.expm1(gain / (freedom + rank)) * freedom / rank
         probability = f_sf(float(ratio), rank, freedom)
-    one_sided = len(fit.frees) == 1 and described[0] in (
-        fit.frees[0].parameter.low,
-        fit.frees[0].parameter.high,
-    )
-    return 0.5 * probability if one_sided else probability
+    return 0.5 * probability if fit.one_sided else probability
 
 
 def cell_slopes(

@@ -88,6 +88,12 @@ class Fit:
         return self.frees + tuple(n.free for n in self.nuisances)
 
     @property
+    def one_sided(self) -> bool:
+        """Whether its one parameter can only move to one side of the description."""
+        ends = [(free.parameter.low, free.parameter.high) for free in self.frees]
+        return len(ends) == 1 and np.atleast_1d(self.described)[0] in ends[0]
+
+    @property
     def precisions(self) -> Floats:
         """Precision (k,) of the priors of the fitted parameters; of freed ones nearly zero."""
         return np.append(np.full(len(self.frees), 1e-9), [n.spread**-2 for n in self.nuisances])

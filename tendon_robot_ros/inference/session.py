@@ -31,7 +31,7 @@ from .imperfections import REMAINDER, Imperfections, Members, SplitPredictor, im
 from .marginal import RandomEffects
 from .noise import Noise, Whitener, estimate_noise, input_slopes, relative_error
 from .outliers import Outliers, without_unsettled
-from .predict import FreeParameter, Point, Predictor
+from .predict import Point, Predictor
 from .repeats import Repeats, repeats
 from .statistics import TIE_SCORE
 
@@ -257,14 +257,6 @@ class Session:
             self.response_error,
         )
 
-    def mimic(
-        self, markers: Floats, frees: Sequence[FreeParameter], start: Point, like: Fit
-    ) -> Fit:
-        """Fit parameters to predicted markers (P, J, 3), imperfections as large as in a fit."""
-        fitter = self.fitter()
-        fitter.measured = markers  # these were predicted without imperfections
-        return fitter.fit(frees, start, sizes=like.built.sizes)
-
     @property
     def freedom(self) -> float:
         """Degrees of freedom behind the noise."""
@@ -382,10 +374,9 @@ class Session:
 
     def gain_p_value(self, base: Fit, ranked: Ranked) -> float:
         """Return the p-value of the gain of a candidate over the base."""
-        described = [self.predictor.value(free) for free in ranked.candidate.frees]
         shift = self.whitener.white(ranked.fit.markers - base.markers)
         freedom = base.built.random.freedom(shift, base.built.sizes)
-        return gain_p_value(base, ranked.fit, described, freedom)
+        return gain_p_value(base, ranked.fit, freedom)
 
     def contains(self, large: Ranked, small: Ranked) -> bool:
         """Return whether the larger candidate can imitate the predictions of the smaller one."""
@@ -395,9 +386,10 @@ class Session:
             return True
         if large.fit.rank <= small.fit.rank:
             return False
-        point = large.fit.point
-        mimic = self.mimic(small.fit.markers, large.candidate.frees, point, small.fit)
-        return mimic.chi2 < TIE_SCORE
+        fitter = self.fitter()
+        fitter.measured = small.fit.markers  # these were predicted without imperfections
+        start, sizes = large.fit.point, small.fit.built.sizes
+        return fitter.fit(large.candidate.frees, start, sizes=sizes).chi2 < TIE_SCORE
 
     def twin_of(self, quantity: str) -> str | None:
         """Return the effect with the same influence as a declared quantity; None without one."""

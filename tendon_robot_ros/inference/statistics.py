@@ -47,6 +47,11 @@ def chi2_isf(p: float, freedom: float) -> float:
     return float(special.chdtri(freedom, p))
 
 
+def chi2_noncentrality(power: float, p: float, freedom: float) -> float:
+    """Noncentrality at which chi² exceeds the value of probability p with that power."""
+    return float(special.chndtrinc(chi2_isf(p, freedom), freedom, 1.0 - power))
+
+
 def f_sf(x: float, upper: float, lower: float) -> float:
     """Probability that F with (upper, lower) degrees of freedom exceeds x; 1 without any."""
     return float(special.fdtrc(upper, lower, x)) if x > 0.0 and min(upper, lower) > 0.0 else 1.0
