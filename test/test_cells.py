@@ -27,25 +27,23 @@ def scattered(seed, hidden=None, **cells):
     return replace(measured(real, hidden, seed=seed, noise=FINE, count=10), robot=ROBOT)
 
 
-def test_a_cell_tolerance_is_a_nuisance_of_every_cell():
-    nuisances = Session(measured(ROBOT), ROBOT, CATALOGUE, workers=1).nuisances
-    keys = [f'relative_change[cell {i + 1}]' for i in range(CELLS)]
-    assert [n.free.key for n in nuisances] == keys
-    assert {(n.quantity, n.centre, n.spread) for n in nuisances} == {('cell_stiffness', 0.0, 0.02)}
-
-
 def test_the_fit_is_that_of_generalised_least_squares():
-    """Chi² with the cells free equals chi² with their covariance in the noise."""
+    """Its chi² is that with the covariance of the cells in the noise."""
     session = Session(scattered(1), ROBOT, CATALOGUE, workers=1)
     session.weigh({})
+    cells, _ = session.imperfections.kinds
+    assert (cells.name, cells.plausible, len(cells)) == ('cell_stiffness', 0.02, CELLS)
     fit = session.base_fit()
     here = session.predictor.markers({})
     white = session.whitener.white(session.dataset.mean - here)
+    size, rest = fit.built.sizes
+    assert 0.01 < size < 0.04
+    assert rest < 1e-5
     columns = []
     for i in range(CELLS):
         stiffness = np.where(np.arange(CELLS) == i, 1.001, 1.0)
         moved = session.predictor.markers({}, stiffness=stiffness)
-        columns.append(0.02 * session.whitener.white(moved - here) / 1e-3)
+        columns.append(size * session.whitener.white(moved - here) / 1e-3)
     scatter = np.eye(len(white)) + np.array(columns).T @ np.array(columns)
     assert fit.chi2 == pytest.approx(float(white @ np.linalg.solve(scatter, white)), rel=0.02)
     assert fit.freedom == len(white)

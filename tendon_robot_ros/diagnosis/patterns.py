@@ -14,7 +14,6 @@ from ..inference.fit import Fit
 from ..inference.fitter import BEST_FEW, FAILURES, REVERSAL_GAIN_MIN, ROUNDS_MAX, Fitter
 from ..inference.imperfections import PUSH, SplitPredictor, forces_at, pushes, typical_force
 from ..inference.intervals import load_of
-from ..inference.noise import Whitener
 from ..inference.predict import CELLS, SOFT_CELL, TAPER, FreeParameter, Point
 from ..inference.search import DIFFERENCE_STEP
 from ..inference.session import NEAR_SCORE, side_by_side
@@ -124,8 +123,7 @@ class Patterns:
     Fits the patterns on top of a converged fit.
 
     With a pattern of one parameter per posture, the parameters of the fit stay fixed, while
-    imperfections and tolerances of cells are fitted again: else part of a soft cell would remain
-    in deviations of many cells.
+    imperfections are fitted again: else part of a soft cell would remain in deviations of many.
     """
 
     def __init__(
@@ -140,21 +138,19 @@ class Patterns:
         self.fitter, self.fit, self.line, self.reversals = fitter, fit, line, reversals
         self.point: Point = fit.point
         fitter.resume(fit)
-        self.relief = CellRelief(fit, fitter.whitener)
         markers = fitter.predictor.markers(self.point)
         self.markers = fit.markers if markers is None else markers
         self.settled = fitter.predictor.settled
         self.r = self.white(self.markers)
-        # without those of cells, which are fitted again; summed, because friction may now settle
-        # elsewhere than in the fit, so that a difference from its chi² would be no prior
+        # summed, because friction may now settle elsewhere than in the fit, so that a difference
+        # from its chi² would be no prior
         rows = fit.residual[fitter.whitener.size :][: len(fit.nuisances)]
-        kept = [n.quantity != CELLS for n in fit.nuisances]
-        self.prior = float((rows[kept] ** 2).sum())
+        self.prior = float((rows**2).sum())
         self.extra = fit.rank
 
     def white(self, markers: Floats) -> Floats:
         """Whitened residual for predicted markers, without what imperfections explain."""
-        return self.relief.residual(self.fitter.lift(self.fitter.residual(markers)))
+        return self.fitter.lift(self.fitter.residual(markers))
 
     def deviance(self, predict: Callable[[], Floats | None]) -> float:
         """
@@ -184,7 +180,7 @@ class Patterns:
         """Return columns (N, q) of changes (q, P, J, 3) [m] of the markers of one posture."""
         alone = np.zeros_like(change)
         alone[:, p] = change[:, p]
-        return self.relief.apply(self.fitter.lift(-self.fitter.whitener.white(alone).T))
+        return self.fitter.lift(-self.fitter.whitener.white(alone).T)
 
     @cached_property
     def pushes(self) -> Floats | None:
@@ -365,7 +361,7 @@ class Patterns:
 
     def _gain(self, slopes: Floats) -> float:
         """Return the linearised gain in chi² by changes (q, P, J, 3) of the residual."""
-        white = self.relief.apply(self.fitter.lift(self.fitter.whitener.white(slopes).T))
+        white = self.fitter.lift(self.fitter.whitener.white(slopes).T)
         residual = self.white(self.markers)
         return float(residual @ white @ np.linalg.lstsq(white, residual, rcond=1e-9)[0])
 
@@ -539,31 +535,3 @@ class TiedCell:
             self.split.whole.cells,
             values,
         )
-
-
-class CellRelief:
-    """
-    Removes from a whitened residual what the declared tolerance of the cells explains.
-
-    For patterns on top of a converged fit, whose cells are fitted again linearly. Without such a
-    tolerance nothing changes.
-    """
-
-    def __init__(self, fit: Fit, whitener: Whitener) -> None:
-        """Take the slopes and the values of the cells at a fit."""
-        count, size = len(fit.frees), whitener.size
-        own = [i for i, n in enumerate(fit.nuisances) if n.quantity == CELLS]
-        spread = np.array([fit.nuisances[i].spread for i in own])
-        columns = fit.jacobian[:size, [count + i for i in own]]
-        self._shift = columns @ fit.values[[count + i for i in own]]
-        self._columns = columns * spread
-        self._normal = np.eye(len(own)) + self._columns.T @ self._columns
-
-    def residual(self, white: Floats) -> Floats:
-        """Return the residual (N + cells,) with optimal cells, from one (N,) at the fit."""
-        return self.apply(white - self._shift)
-
-    def apply(self, white: Floats) -> Floats:
-        """Return (N + cells, ...) of whitened changes (N, ...) of the markers."""
-        best = -np.linalg.solve(self._normal, self._columns.T @ white)
-        return np.concatenate([white + self._columns @ best, best])

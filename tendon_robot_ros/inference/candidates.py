@@ -1,13 +1,7 @@
-"""
-Effects that may be missing or whose value may be off, and why some cannot be judged.
-
-Cells whose stiffness scatters by a declared tolerance are parameters with a prior, too: their
-slopes are taken once per set of weights, for they are small, and there are many of them.
-"""
+"""Effects that may be missing or whose value may be off, and why some cannot be judged."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,12 +10,11 @@ import numpy.typing as npt
 
 from ..common.arrays import Floats
 from ..data import DataSet
-from ..effects import Catalogue, Effect, Parameter
+from ..effects import Catalogue, Effect
 from ..robot import Robot
 from .fit import FREEDOM_MANY, Fit, Nuisance
-from .imperfections import PLAUSIBLE_SIZES
 from .noise import Whitener
-from .predict import CELLS, FreeParameter, Point, Predictor, free_parameters
+from .predict import FreeParameter, Point, Predictor, free_parameters
 from .statistics import chi2_sf, f_sf
 
 
@@ -125,11 +118,6 @@ def nuisances_of(robot: Robot, catalogue: Catalogue, predictor: Predictor) -> li
     """Return declared tolerances as parameters with priors; friction only where described."""
     nuisances = []
     for quantity, spread in robot.tolerances.items():
-        if quantity == CELLS and spread > 0.0 and robot.exact:
-            change = Parameter('relative_change', '1', -0.95, 20.0, 0.0, 0.05)
-            cells = enumerate(robot.cell_names)
-            frees = [FreeParameter(CELLS, change, i, name) for i, name in cells]
-            nuisances += [Nuisance(CELLS, free, 0.0, spread) for free in frees]
         twin = catalogue.twin(quantity)
         if twin is None or spread <= 0.0:
             continue
@@ -232,18 +220,3 @@ def gain_p_value(base: Fit, fit: Fit, freedom: float = np.inf) -> float:
         ratio = np.expm1(gain / (freedom + rank)) * freedom / rank
         probability = f_sf(float(ratio), rank, freedom)
     return 0.5 * probability if fit.one_sided else probability
-
-
-def cell_slopes(
-    predictor: Predictor, nuisances: Sequence[Nuisance], point: Point
-) -> dict[FreeParameter, Floats]:
-    """Return the derivatives (P, J, 3) [m] of the markers by the cells' stiffness at a point."""
-    frees = [n.free for n in nuisances if n.free.effect == CELLS]
-    markers = predictor.markers(point) if frees else None
-    if markers is None:
-        return {}
-    near, slopes, step = predictor.settled, {}, PLAUSIBLE_SIZES[CELLS][2]
-    for free in frees:
-        moved = predictor.markers({**point, free: point.get(free, 0.0) + step}, near=near)
-        slopes[free] = np.zeros_like(markers) if moved is None else (moved - markers) / step
-    return slopes

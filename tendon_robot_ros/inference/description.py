@@ -70,9 +70,7 @@ def changed_robot(robot: Robot, catalogue: Catalogue, fit: Fit, dataset: DataSet
 def with_tolerances(robot: Robot, catalogue: Catalogue, fit: Fit) -> Robot:
     """Return a description whose declared quantities have the values to which a fit moved them."""
     moved = list(zip(fit.all_frees, fit.values.tolist(), strict=False))[len(fit.frees) :]
-    own = [value for free, value in moved if free.effect == CELLS]
-    robot = with_cells(robot, np.array(own)) if own else robot
-    return with_values(robot, catalogue, (one for one in moved if one[0].effect != CELLS))
+    return with_values(robot, catalogue, moved)
 
 
 def with_cells(robot: Robot, changes: Floats) -> Robot:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
@@ -51,8 +51,6 @@ class Fitter:
         A `SplitPredictor` for an arm as built.
     whitener : Whitener
     nuisances : sequence of Nuisance
-    columns : mapping, optional
-        Columns (N,) of the Jacobian that need not be computed.
     random : RandomEffects, optional
         Default: none, the description is exact.
     imperfections : Imperfections, optional
@@ -67,14 +65,12 @@ class Fitter:
         predictor: Predictor,
         whitener: Whitener,
         nuisances: Sequence[Nuisance] = (),
-        columns: Mapping[FreeParameter, Floats] | None = None,
         random: RandomEffects | None = None,
         imperfections: Imperfections | None = None,
         response: float = 0.0,
     ) -> None:
         self.response = response
         self.predictor, self.whitener = predictor, whitener
-        self.columns: Mapping[FreeParameter, Floats] = dict(columns or {})
         self.random = random or RandomEffects.none(whitener.size)
         self.imperfections = imperfections or Imperfections.none(predictor.dataset)
         self.sizes = self.random.start  # (K,) of the running fit

@@ -161,8 +161,12 @@ class SplitPredictor(Predictor):
         finally:
             self.parts, self._pulls = parts, None
 
-    def kinds(self) -> tuple[Kind, ...]:
-        """Return the kinds of imperfections; a declared registration is a parameter of the fit."""
+    def kinds(self, every: bool = True) -> tuple[Kind, ...]:
+        """
+        Return the kinds of imperfections; a declared registration is a parameter of the fit.
+
+        Unless `every` is asked for, an arm that is described as exact has declared kinds only.
+        """
         cells = self.whole.cell_names
         axis = planar_axis(self.whole)
         kinks = [f'{cell} towards {xy}' for cell in cells for xy in 'xy']
@@ -174,6 +178,8 @@ class SplitPredictor(Predictor):
             labels |= {HOLE: [t.name for t in self.whole.tendons], ZERO: list(self.whole.inputs)}
         known = self.whole.tolerances
         labels |= {name: list('xyz') for name in (POSITION, ROTATION) if name not in known}
+        if self.whole.exact and not every:
+            labels = {name: labels[name] for name in (CELLS,) if name in known}
         kinds, larger = [], max(self.whole.length / PLAUSIBLE_LENGTH, 1.0)
         for name, members in labels.items():
             unit, plausible, _ = PLAUSIBLE_SIZES[name]
@@ -377,7 +383,7 @@ def imperfections(
     if not isinstance(split, SplitPredictor):
         return Imperfections.none(split.dataset)
     reference = split.dataset.reference
-    kinds, split.around = split.kinds() if reference is None or changed else (), at or {}
+    kinds, split.around = split.kinds(changed) if reference is None or changed else (), at or {}
     if split.markers(point) is None:
         return None
     named = [(kind.name, unit) for kind in kinds for unit in np.eye(len(kind))]

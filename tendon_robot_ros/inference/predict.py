@@ -192,7 +192,7 @@ def held(tensions: Floats, rows: Floats, states: Floats, q: int) -> tuple[Floats
 PATH_STAGES = {'hysteresis', 'transmission'}  # whose derivatives `PathSlopes` follows
 # No effects: every cell's own deviation where a tolerance declares it, one soft cell, a taper.
 CELLS, SOFT_CELL, TAPER = 'cell_stiffness', 'soft_cell', 'taper'
-STIFFNESS = (CELLS, SOFT_CELL, TAPER)
+STIFFNESS = (SOFT_CELL, TAPER)
 
 
 @dataclass(frozen=True)
@@ -645,8 +645,7 @@ def stiffness_factors(free: FreeParameter, value: float, n: int) -> Floats:
     if free.effect == TAPER:
         along = np.linspace(-1.0, 1.0, n) if free.parameter.name == 'slope' else np.ones(n)
         return np.asarray(np.exp(value * along))
-    own = 1.0 + value if free.effect == CELLS else np.exp(-value)
-    return np.where(np.arange(n) == free.column, own, 1.0)
+    return np.where(np.arange(n) == free.column, np.exp(-value), 1.0)
 
 
 def mean_inputs(dataset: DataSet) -> Floats:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Protocol
 
 import numpy as np
@@ -24,7 +23,6 @@ class Weighs(Protocol):
 
     predictor: Predictor
     whitener: Whitener
-    columns: Mapping[FreeParameter, Floats]
 
     def residual(self, markers: Floats) -> Floats:
         """Whitened residual (N,) for predicted markers."""
@@ -157,38 +155,24 @@ class Search:
 
     def _slopes(self) -> tuple[Floats, Rates | None]:
         """Return the Jacobian, and derivatives of states and tensions where they are known."""
-        slopes = np.zeros((len(self.raw), len(self.scale)))
-        rates: Rates | None = None
-        known: list[Floats | None] = []
-        for i, free in enumerate(self.all):
-            column = self.fitter.columns.get(free)
-            if self.low[i] == self.high[i]:  # it is pinned
-                known.append(np.zeros_like(self.raw))
-            elif column is None:
-                known.append(None)
-            else:
-                prior = np.zeros(len(self.spread))
-                prior[i - self.count] = 1.0 / self.spread[i - self.count]
-                known.append(np.concatenate([column, prior]))
-        unknown = [i for i, column in enumerate(known) if column is None]
-        moved = None
-        if unknown and self.settled is not None:
-            frees = [self.all[i] for i in unknown]
+        slopes, unknown = np.zeros((len(self.raw), len(self.scale))), self.low < self.high
+        frees, moved = [f for f, own in zip(self.all, unknown, strict=True) if own], None
+        if frees and self.settled is not None:
             moved = self.fitter.predictor.tangent(self.point, frees, self.settled)
-        if moved is not None and np.isfinite(moved.markers).all():
-            columns = self.fitter.whitener.white(moved.markers).T
-            n, followed = len(columns), (moved.states, moved.tensions)
-            rates = tuple(np.zeros((len(known), *one.shape[1:])) for one in followed)
-            for rate, one in zip(rates, followed, strict=True):
-                rate[unknown] = one
-            slopes[:n, unknown] = -columns
-            for i in range(self.count, len(known)):
-                slopes[n + i - self.count, i] = 1.0 / self.spread[i - self.count]
-        for i, column in enumerate(known):
-            if column is not None:
-                slopes[:, i] = column
-            elif rates is None:
+        if moved is None or not np.isfinite(moved.markers).all():
+            for i in np.flatnonzero(unknown).tolist():
                 slopes[:, i] = self._difference(i)
+            return slopes, None
+        columns, followed = (
+            self.fitter.whitener.white(moved.markers).T,
+            (moved.states, moved.tensions),
+        )
+        rates = tuple(np.zeros((len(unknown), *one.shape[1:])) for one in followed)
+        for rate, one in zip(rates, followed, strict=True):
+            rate[unknown] = one
+        n, nuisances = len(columns), np.arange(len(self.spread))
+        slopes[:n, unknown] = -columns
+        slopes[n + nuisances, self.count + nuisances] = 1.0 / self.spread
         return slopes, rates
 
     def _difference(self, i: int) -> Floats:

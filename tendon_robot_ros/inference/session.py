@@ -20,7 +20,6 @@ from .candidates import (
     Candidate,
     Ranked,
     candidates_of,
-    cell_slopes,
     gain_p_value,
     is_tested,
     nuisances_of,
@@ -31,7 +30,7 @@ from .imperfections import REMAINDER, Imperfections, Members, SplitPredictor, im
 from .marginal import RandomEffects
 from .noise import Noise, Whitener, estimate_noise, input_slopes, relative_error
 from .outliers import Outliers, without_unsettled
-from .predict import Point, Predictor
+from .predict import CELLS, Point, Predictor
 from .repeats import Repeats, repeats
 from .statistics import TIE_SCORE
 
@@ -174,7 +173,8 @@ class Session:
             Predictor(dataset, self.robot, self.catalogue) for _ in range(self.workers)
         ]
         self.predictor = self.predictors[0]
-        exact = self.robot.exact and dataset.reference is None
+        scatters = not self.robot.exact or self.robot.tolerances.get(CELLS)
+        exact = not scatters and dataset.reference is None
         self.arms = self.predictors if exact else [SplitPredictor(p) for p in self.predictors]
 
     @property
@@ -221,8 +221,6 @@ class Session:
         rough = 0.0 if taken is None else taken.noise
         whitener = Whitener(self.dataset, noise, slopes, self.model_error, rough)
         self.whitener = whitener.without(self.held)
-        changes = cell_slopes(self.predictor, self.nuisances, point)
-        self._columns = {free: -self.whitener.white(change) for free, change in changes.items()}
         built = imperfections(arm, point, at) or Imperfections.none(self.dataset)
         columns = self.whitener.white(built.moves).T
         self.imperfections = built
@@ -251,7 +249,6 @@ class Session:
             self.arms[worker],
             self.whitener,
             self.nuisances,
-            self._columns,
             self.random,
             self.imperfections,
             self.response_error,
