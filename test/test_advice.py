@@ -61,7 +61,7 @@ SITUATIONS = [
     ('model reach arm.yaml --positon 10,0,100', 'did you mean --position? see ',
      'model reach arm.yaml --position 10, 0 100'),
     ('simulate arm.yaml --outptu new', 'did you mean --output? see ',
-     'simulate arm.yaml --count 1 --output new'),
+     'simulate arm.yaml --postures 1 --output new'),
     ('model reach arm.yaml --position 1e9,0,0', 'from the base of an arm of 120 mm$', None),
     ('model reach arm.yaml --position 10m,0,0', 'from the base of an arm of 120 mm$', None),
     ('compare arm.yaml', 'is a file, and no data set; name the folder that holds dataset.yaml',
@@ -78,8 +78,9 @@ SITUATIONS = [
     ('import bag run --output new', 'run: is a data set, and no recording; compare it: ',
      'compare run'),
     ('import bag nothing --output new', 'nothing: is a folder without metadata.yaml', None),
-    ('simulate arm.yaml --output new --count 0', '--count: expected a whole number from 1 on',
-     'simulate arm.yaml --output new --count 1'),
+    ('simulate arm.yaml --output new --postures 0',
+     '--postures: expected a whole number from 1 on',
+     'simulate arm.yaml --output new --postures 1'),
 ]  # fmt: skip
 
 

@@ -16,7 +16,7 @@ from marks import slow
 
 from tendon_robot_ros.cli import main as command_line
 from tendon_robot_ros.cli import options
-from tendon_robot_ros.cli.main import COMMANDS, GROUPS, OLD_NAMES, Parser, main
+from tendon_robot_ros.cli.main import COMMANDS, GROUPS, OLD_NAMES, OLD_OPTIONS, Parser, main
 from tendon_robot_ros.common.errors import InputError
 from tendon_robot_ros.data import load_dataset, save_dataset
 from tendon_robot_ros.data.bag_writer import export_bag
@@ -99,7 +99,7 @@ BEFORE = {'effect remove': 'effect add', 'import bag': 'export bag'}
 RUN = [
     *(n for n in ('robot new', 'robot describe', 'model shape', 'model reach', 'model workspace')),
     *('model sweep', 'compare', 'diagnose', 'effect remove', 'import table', 'import bag'),
-    *('export mjcf', 'simulate', 'study friction'),
+    *('export mjcf', 'simulate', 'study friction', 'completion'),
     *map(slow, ('improve', 'study campaign', 'study fleet', 'study paper', 'study rehearse')),
 ]
 
@@ -107,7 +107,8 @@ RUN = [
 # nodes; what is a file, a page or a conversation; what says how far it is until a folder is full
 NO_JSON = {
     'controller', 'driver', 'monitor', 'viewer', 'robot-model', 'teleop', 'demo', 'live',
-    'robot new', 'export mjcf', 'motors emulate', 'study paper', 'study rehearse', 'investigate',
+    'robot new', 'completion', 'export mjcf', 'motors emulate', 'study paper', 'study rehearse',
+    'investigate',
 }  # fmt: skip
 
 
@@ -233,8 +234,8 @@ LONG = {
     'diagnose run': ['reading run', 'effects', 'fitting what was found'],
     'effect add tip_load --data run --output new.yaml': ['reading run', 'fitting tip_load'],
     'improve run --output new.yaml': ['reading run', 'searching', 'searching without'],
-    'simulate arm.yaml --output new --count 2 --trials 2': ['trials', 'trials'],
-    'simulate arm.yaml --table new.csv --count 2 --trials 2': ['trials', 'trials'],
+    'simulate arm.yaml --output new --postures 2 --trials 2': ['trials', 'trials'],
+    'simulate arm.yaml --table new.csv --postures 2 --trials 2': ['trials', 'trials'],
     'export bag run new.mcap': ['writing'],
     'import bag run.mcap --output new': ['reading run.mcap', 'looking at the frame'],
     'plot run.mcap --output new.png': ['reading run.mcap'],
@@ -309,3 +310,31 @@ def test_a_group_lists_its_commands_and_refuses_others(group, capsys):
 
 def test_every_group_has_its_line():
     assert {name.split()[0] for name in COMMANDS if ' ' in name} == {*GROUPS}
+
+
+@pytest.mark.parametrize(('typed', 'known'), [
+    ('im', ['improve', 'import']),
+    ('import ta', ['table']),
+    ('import table --fr', ['--frame']),
+    ('import table raw.csv --ov', ['--overwrite']),
+    ('compare data --js', ['--json']),
+    ('controller --r', ['--ros-args']),
+])  # fmt: skip
+def test_the_shell_completes_commands_and_options(typed, known, capsys):
+    main(['completion'])
+    script = capsys.readouterr().out
+    words = ['tendon_robot_ros', *typed.split()]
+    asked = f'COMP_WORDS=({shlex.join(words)}); COMP_CWORD={len(words) - 1}; _tendon_robot_ros'
+    run = processes.run(['bash', '-c', f'{script}\n{asked}; echo "${{COMPREPLY[@]}}"'])
+    assert (run.stdout.split(), run.stderr) == (known, '')
+
+
+def test_an_old_option_still_counts_and_says_the_new_one(capsys):
+    call = ['model', 'workspace', 'kato_10_1', '--view', '180', '--step', '2.5']
+    main([*call, '--limit=5', '--json'])
+    found = capsys.readouterr()
+    assert json.loads(found.out)['limit'] == 5.0
+    assert found.err.startswith('--limit is now called: --tension-max (the old name goes with')
+    for name, options_of_it in OLD_OPTIONS.items():
+        listed = '\n'.join(help_of(name))
+        assert all(f'\n  {new} ' in listed for new in options_of_it.values())

@@ -226,7 +226,7 @@ def test_the_commands_go_there_and_back(tmp_path, capsys, monkeypatch):
         (['--output', 'o', '--picture', 'a.doc'], '--picture a.doc: end the name with .png, .svg, '
          '.pdf'),
         (['--output', 'o', '--marker', 'tip'], '--marker tip: write NAME=TOPIC, each name once'),
-        (['--output', 'o', '--speed', '0'], '--speed [mm/s], --duration [s] and --change are '
+        (['--output', 'o', '--speed', '0'], '--speed [mm/s], --duration [s] and --same are '
          'above 0'),
         (['--output', 'o', '--duration', '1e-9'], 'a.mcap: 9 s are too long to look for 1e-09 s '
          'of stillness; ask for a longer duration or import a part of the recording'),

@@ -155,13 +155,13 @@ def test_the_command_writes_what_compare_and_diagnose_read(tmp_path, capsys):
 @pytest.mark.parametrize('path', PATHS)
 @pytest.mark.parametrize('kind', INPUTS)
 def test_the_command_takes_every_way_to_the_postures(path, kind, tmp_path, capsys):
-    command = ['simulate', 'kato_10_1', '--output', str(tmp_path / 'new'), '--count', '3']
+    command = ['simulate', 'kato_10_1', '--output', str(tmp_path / 'new'), '--postures', '3']
     assert main([*command, '--trials', '2', '--path', path, '--input', kind]) == 0
     assert load_dataset(tmp_path / 'new').input == kind
 
 
 def test_arms_are_built_with_imperfections_unless_told_otherwise(tmp_path, capsys):
-    arguments = ['simulate', str(KATO), '--count', '3', '--trials', '1', '--noise']
+    arguments = ['simulate', str(KATO), '--postures', '3', '--trials', '1', '--noise']
     arguments += ['position=0.001,setting=0,trial=0', '--output']
     moved = {}
     for name, options in {'built': [], 'exact': ['--exact'], 'bad': ['--level', '2']}.items():

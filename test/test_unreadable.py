@@ -160,8 +160,8 @@ def test_what_an_earlier_run_left_and_cannot_be_read_is_named(content, folder, c
 
 FULL_BYTES = 100
 WRITERS = {
-    'data set': 'simulate arm.yaml --output new --count 1 --trials 1',
-    'table': 'simulate arm.yaml --table new.csv --count 1 --trials 1',
+    'data set': 'simulate arm.yaml --output new --postures 1 --trials 1',
+    'table': 'simulate arm.yaml --table new.csv --postures 1 --trials 1',
     'recording': 'export bag run new.mcap',
     'recording in a folder': 'export bag run new',
     'recording in a database': 'export bag run new --storage sqlite3',

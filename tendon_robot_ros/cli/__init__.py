@@ -9,4 +9,5 @@ data.py        import bag, import table, export bag, plot
 simulate.py    simulate
 diagnosis.py   compare, diagnose, effect add, effect remove, improve
 motors.py      motors calibrate, motors emulate
+completion.py  completion
 """

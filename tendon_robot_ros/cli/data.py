@@ -73,10 +73,10 @@ class ImportBag:
         what = f'at least so long [s] (default: {duration:g})'
         add('--duration', type=float, default=duration, help=what)
         what = (
-            'inputs that differ by more belong to different postures, as 0.05N or 0.2mm '
+            'inputs that differ by less belong to one posture, as 0.05N or 0.2mm '
             '(default: 1 %% of the tension limit, 0.2 %% of the length)'
         )
-        add('--change', metavar='X', help=what)
+        add('--same', metavar='X', help=what)
         what = 'leave segments out whose inputs are all below this, as 0.15N or 0.5mm'
         add('--rest', metavar='X', help=what)
         what = f'sensor_msgs/JointState (default: {topics.states})'
@@ -101,10 +101,10 @@ class ImportBag:
 
     def run(self, args: argparse.Namespace) -> int:
         """Import the recording."""
-        change, rest = input_size('--change', args.change), input_size('--rest', args.rest)
+        change, rest = input_size('--same', args.same), input_size('--rest', args.rest)
         limits = args.speed, args.duration, 1.0 if change is None else change
         if not all(0 < value < 1e4 for value in limits):
-            raise InputError('--speed [mm/s], --duration [s] and --change are above 0')
+            raise InputError('--speed [mm/s], --duration [s] and --same are above 0')
         refuse_dataset_in(args.output, args.overwrite)
         if args.picture:
             refuse_ending('--picture', args.picture)

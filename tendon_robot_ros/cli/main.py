@@ -68,6 +68,7 @@ COMMANDS: dict[str, str] = {
     'study friction': 'tendon_robot_ros.studies.friction',
     'study paper': 'tendon_robot_ros.studies.paper',
     'study rehearse': 'tendon_robot_ros.studies.rehearse',
+    'completion': 'tendon_robot_ros.cli.completion',
 }
 GROUPS = {
     'robot': 'describe a robot: by answers to questions, or what a description says',
@@ -91,6 +92,18 @@ OLD_NAMES = {
         for first, _, second in WORDS
         if first in ('effect', 'model', 'motors', 'study')
     },
+}
+# likewise of its options, by command
+OLD_OPTIONS = {
+    'import bag': {'--change': '--same'},
+    'model workspace': {'--limit': '--tension-max'},
+    'motors calibrate': {'--out': '--output'},
+    'motors emulate': {
+        '--model': '--servo',
+        '--spool-radius': '--spool',
+        '--write-config': '--output',
+    },
+    'simulate': {'--count': '--postures'},
 }
 # with hyphens, and with underscores as ROS has them
 EXECUTABLES = sorted(
@@ -236,11 +249,7 @@ def run_command(name: str, arguments: list[str], program: str) -> int:
         print(f'usage: {PROGRAM} COMMAND [ARGUMENTS]; COMMAND --help\n\n{_listing("")}')
         return 0
     if name in OLD_NAMES and name not in COMMANDS:
-        new = OLD_NAMES[name]
-        print(
-            f'{name} is now called: {new} (the old name goes with the next release)',
-            file=sys.stderr,
-        )
+        new = _renamed(name, OLD_NAMES[name])
         program, name = program.removesuffix(name) + new, new
     elif members := [one for one in COMMANDS if one.startswith(f'{name} ')]:
         word, *arguments = arguments or ['--help']
@@ -261,7 +270,24 @@ def run_command(name: str, arguments: list[str], program: str) -> int:
     command = command_of(COMMANDS[name])
     parser = Parser(prog=program, description=_documentation(COMMANDS[name]))
     command.add_arguments(parser)
-    return int(command.run(parser.parse_args(arguments)))
+    return int(command.run(parser.parse_args(_with_new_options(name, arguments))))
+
+
+def _renamed(old: str, new: str) -> str:
+    """Say that a name is an old one, and return the new one."""
+    end = '(the old name goes with the next release)'
+    print(f'{old} is now called: {new} {end}', file=sys.stderr)
+    return new
+
+
+def _with_new_options(name: str, arguments: Sequence[str]) -> list[str]:
+    """Return arguments with the present names of options."""
+    known, given = OLD_OPTIONS.get(name, {}), []
+    for word in arguments:
+        option, equals, value = word.partition('=')
+        option = _renamed(option, known[option]) if option in known else option
+        given.append(f'{option}{equals}{value}')
+    return given
 
 
 def _listing(group: str) -> str:

@@ -270,7 +270,7 @@ class WorkspaceCommand:
         add('--cubes', metavar='LENGTH', help='their edge (default: for ten postures in each)')
         add('--step', type=float, metavar='N', help='of the tensions of pairs (default: 0.1 N)')
         add('--pretension', type=float, metavar='N', help="default: the robot's lower limit")
-        add('--limit', type=float, metavar='N', help="highest tension (default: the robot's)")
+        add('--tension-max', type=float, metavar='N', help="default: the robot's upper limit")
         what = 'the view angle may be missed by this (default: 2.5)'
         add('--tolerance', type=float, default=2.5, metavar='DEGREES', help=what)
         add('--output', metavar='DIR', help='folder for the results: CSV, npz and a page')
@@ -314,7 +314,7 @@ def sweep_pairs(args: argparse.Namespace, model: Model) -> Result:
             step=0.1 if args.step is None else args.step,
             pretension=args.pretension,
             tolerance=math.radians(args.tolerance),
-            limit=args.limit,
+            limit=args.tension_max,
             progress=show,
         )
 
@@ -364,7 +364,7 @@ def sample_all(args: argparse.Namespace, model: Model) -> Result:
             tolerance=math.radians(args.tolerance),
             limits=(
                 low if args.pretension is None else args.pretension,
-                high if args.limit is None else args.limit,
+                high if args.tension_max is None else args.tension_max,
             ),
             edge=None if args.cubes is None else options.length('--cubes', args.cubes, args.unit),
         )
@@ -397,8 +397,9 @@ class Sweep:
         """Declare the arguments."""
         options.declare(parser, 'robot', '--effect-file', '--json')
         add = parser.add_argument
-        add('--view', type=float, default=180.0, help='angle [°] (default: 180)')
-        add('--steps', type=int, default=40, help='rows (default: 40)')
+        what = 'view angle (default: 180)'
+        add('--view', type=float, default=180.0, metavar='DEGREES', help=what)
+        add('--steps', type=int, default=40, metavar='N', help='rows (default: 40)')
         add('--tensions', action='store_true', help='tensions instead of tip targets')
         options.add_file(parser, '--output', '(default: sweep.csv)', 'CSV', default='sweep.csv')
 

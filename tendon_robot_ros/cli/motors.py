@@ -99,7 +99,7 @@ class Calibrate:
         add('--travel', type=float, default=20.0, metavar='MM')
         add('--speed', type=float, default=5.0, metavar='MM/S')
         what = 'lines of other tendons in it are kept (default %(default)s)'
-        add_file(parser, '--output', what, also=('--out',), default='calibration.yaml')
+        add_file(parser, '--output', what, default='calibration.yaml')
         add_file(parser, '--picture', 'default: beside the output, as PNG')
         add('--yes', action='store_true', help='do not wait for Enter')
         declare(parser, '--json')
@@ -371,9 +371,10 @@ class Emulate:
         add = parser.add_argument
         add('kind', choices=('dynamixel', 'serial'), help='what is emulated')
         add('--robot', required=True, help='robot description (YAML), or the name of one')
-        add('--model', default='XL330-M077', choices=tuple(MODELS))
-        what = 'default: the smallest that is not too coarse for the robot'
-        add('--spool-radius', type=float, metavar='MM', help=what)
+        what = 'kind of servo (default: %(default)s)'
+        add('--servo', default='XL330-M077', choices=tuple(MODELS), help=what)
+        what = 'its radius (default: the smallest that is not too coarse for the robot)'
+        add('--spool', type=float, metavar='MM', help=what)
         add('--baudrate', type=int, default=1_000_000, choices=tuple(BAUD_RATES.values()))
         what = 'what the wires pull: the mock arm, springs, or weights to hang'
         add('--arm', default='plant', choices=ARMS, help=what)
@@ -382,8 +383,7 @@ class Emulate:
         add('--port', metavar='PATH', help='where the port appears (default: made up)')
         what = 'end when the standard input ends'
         add('--ends-with-input', action='store_true', help=what)
-        also = ('--write-config',)
-        add_file(parser, '--output', 'write a configuration for the driver', also=also)
+        add_file(parser, '--output', 'write a configuration for the driver')
 
     def run(self, args: argparse.Namespace) -> int:
         """Serve until the input says quit or a signal comes."""
@@ -431,20 +431,20 @@ def listen(obey: Callable[[str], str], ending: threading.Event, to_the_end: bool
 def emulated_servos(args: argparse.Namespace, robot: Robot) -> Emulated:
     """Return servos on a bus, one for every input."""
     many = range(1, len(robot.inputs) + 1)
-    typed = None if args.spool_radius is None else args.spool_radius / 1e3
-    radius = typed or smallest_spool(MODELS[args.model], robot.tension_limits[1])
-    servos = [Servo(MODELS[args.model], i, args.baudrate) for i in many]
+    typed = None if args.spool is None else args.spool / 1e3
+    radius = typed or smallest_spool(MODELS[args.servo], robot.tension_limits[1])
+    servos = [Servo(MODELS[args.servo], i, args.baudrate) for i in many]
     line = EmulatedBus(Rig(servos, [Wire(i, radius) for i in many], _arm(args, robot)), args.port)
     config: dict[str, Any] = {
         'port': line.port,
         'baudrate': args.baudrate,
-        'model': args.model,
+        'model': args.servo,
         'spool_radius': radius,
         'pull_limits': [-0.05, 0.05],
         'watchdog': 0.2,  # [s]; what is emulated is late with the computer that it runs on
         'motors': {name: {'id': i} for name, i in zip(robot.inputs, many, strict=True)},
     }
-    words = f'{len(servos)} x {args.model}, ids 1 to {len(servos)}, spools of {1e3 * radius:g} mm'
+    words = f'{len(servos)} x {args.servo}, ids 1 to {len(servos)}, spools of {1e3 * radius:g} mm'
     return line, config, words
 
 

@@ -72,12 +72,11 @@ def add_file(
     name: str,
     help: str,
     metavar: str = 'FILE',
-    also: tuple[str, ...] = (),
     **more: Any,
 ) -> None:
     """Declare an option that names a file to write; where none can go is said at once."""
     checked = file_to_write(name)
-    parser.add_argument(name, *also, type=checked, metavar=metavar, help=help, **more)
+    parser.add_argument(name, type=checked, metavar=metavar, help=help, **more)
 
 
 def add_report(parser: argparse.ArgumentParser) -> None:

@@ -56,7 +56,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add('--level', type=float, default=1.0, metavar='X', help=level)
     scatter = "relative sd of the cells' stiffness (default: 0.03 times the level)"
     add('--scatter', type=float, metavar='SD', help=scatter)
-    add('--seed', type=int, default=0, help='another seed: another robot, other noise')
+    add(
+        '--seed', type=int, default=0, metavar='N', help='another seed: another robot, other noise'
+    )
     add('--gravity', metavar='X,Y,Z', help='[m/s²] in the base frame (default: as in ROBOT)')
     add('--output', metavar='DIR', help='folder of the data set')
     add('--check', metavar='DIR', help='a second data set: other postures of the same robot')
@@ -71,9 +73,8 @@ def add_measuring(parser: argparse.ArgumentParser) -> None:
     """Declare the postures, trials, markers and noise."""
     usual = SimulatedNoise()
     add = parser.add_argument
-    add('--postures', metavar='CSV', help='like inputs.csv (default: some that suit the robot)')
-    count = 'so many default postures (default: 12, 20 in a sequence; a check has half)'
-    add('--count', type=int, metavar='N', help=count)
+    what = 'a file like inputs.csv, or so many (default: 12, 20 in a sequence; a check has half)'
+    add('--postures', metavar='N|CSV', default='', help=what)
     add('--trials', type=int, default=5, metavar='N', help='trials of a posture (default: 5)')
     default = f'position={1e3 * usual.position:g},setting={usual.setting:g},trial={usual.trial:g}'
     noise = (
@@ -161,7 +162,7 @@ def write_tables(args: argparse.Namespace, plant: Plant) -> int:
 def _measured(args: argparse.Namespace, plant: Plant, which: int) -> DataSet:
     """Measure the postures (0), or those of the check (1)."""
     robot, names = plant.robot, tuple[str, ...]()
-    if args.postures and which == 0:
+    if args.postures and not is_number(args.postures) and which == 0:
         commands = read_inputs(
             Path(args.postures), robot, args.input, remedy='name a CSV file like inputs.csv'
         )
@@ -184,10 +185,17 @@ def _measured(args: argparse.Namespace, plant: Plant, which: int) -> DataSet:
         )
 
 
+def is_number(text: str) -> bool:
+    """Tell whether postures are given by their number, and not by a file."""
+    return text.removeprefix('-').isdecimal()
+
+
 def _default_postures(args: argparse.Namespace, robot: Robot, which: int) -> Floats:
     """Return as many default postures as are wanted, for a check half of them."""
     usual = round(12 * SEQUENCE_FACTOR) if args.path == 'sequence' else 12
-    count = usual if args.count is None else whole('--count', args.count, 1)
+    count = usual
+    if is_number(args.postures):
+        count = whole('--postures', int(args.postures), 1)
     return default_postures(robot, max(count // (1 + which), 1), which, args.input, args.path)
 
 
