@@ -2,7 +2,7 @@
 RUN := tools/bootstrap.sh
 ARGS :=
 
-.PHONY: help venv paper test test-oldest test-slow test-blind demo bench figures lint format live
+.PHONY: help venv docs paper test test-oldest test-slow test-blind demo bench figures lint format live
 .SILENT:
 # What pytest and its plugins compile is kept, whatever this machine's settings are: each process of
 # tests would else take a second for it, and conftest.py comes too late.
@@ -39,6 +39,12 @@ demo: ## the paper's postures with a mock arm, in under a minute
 
 paper: ## the paper's experiments: published numbers beside ours (results/paper)
 	$(RUN) python -m tendon_robot_ros study paper --output results/paper --overwrite $(ARGS)
+
+# Sphinx is added to .venv the first time. Any warning is an error: a link that leads nowhere is one.
+docs: ## the documentation as a site with search and API (results/docs/index.html)
+	$(RUN) sh -c 'python -c "import furo, myst_parser, numpydoc" 2>/dev/null || \
+		python -m pip install --disable-pip-version-check -q -e ".[docs]"'
+	$(RUN) python -m sphinx -q -W --keep-going docs results/docs $(ARGS)
 
 BENCH := results/bench
 # The diagnosis has benchmarks of its own that take hours: see docs/results.md

@@ -64,6 +64,12 @@ EXTRAS = {
         'pytest<8.4',
         'setuptools<80',
     ],
+    'docs': [
+        'furo>=2024.8',  # theme that is readable on a telephone
+        'myst-parser>=4',  # the pages are Markdown, so that they can be read where the code is
+        'numpydoc>=1.8',  # the docstrings are numpydoc
+        'sphinx>=8',  # what rosdoc2 runs
+    ],
     'dev': ['mypy>=2.4,<3', 'ruff>=0.17,<0.18', 'types-PyYAML', 'types-tqdm'],
 }
 

@@ -9,7 +9,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 # what is made here, by tools and builds
 MADE = ('.git', '.venv*', '.*_cache', '.hypothesis', '__pycache__', '*.egg-info')
-MADE += ('build', 'install', 'log', 'results')
+MADE += ('build', 'generated', 'install', 'log', 'results')
 
 
 def files(pattern='*'):

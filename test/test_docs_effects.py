@@ -16,11 +16,6 @@ TEXT = effects_page.PAGE.read_text(encoding='utf-8')
 SMALL = 40_000  # [bytes] of a picture
 
 
-def test_the_reference_is_that_of_the_model():
-    shown = effects_page.REFERENCE.read_text(encoding='utf-8')
-    assert shown == effects_page.reference(), 'type: python tools/effects_page.py'
-
-
 def test_every_effect_has_a_section_in_catalogue_order():
     assert tuple(re.findall(r'^## (\w+)$', TEXT, re.M)) == CATALOGUE.names == tuple(SIZES)
 

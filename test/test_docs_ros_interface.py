@@ -2,7 +2,6 @@
 
 import ast
 import re
-import sys
 from importlib import import_module
 
 import pytest
@@ -13,20 +12,12 @@ pytest.importorskip('rclpy')
 
 from trajectory_msgs.msg import JointTrajectoryPoint
 
-sys.path.insert(0, str(ROOT / 'tools'))
-import parameters_page
-
 TYPED = (ROOT / 'docs' / 'ros_interface.md').read_text(encoding='utf-8')
 DOC = (ROOT / 'docs' / 'ros_nodes.md').read_text(encoding='utf-8')
 
 
 def section(node):
     return DOC.split(f'\n## {node}\n')[1].split('\n## ')[0]
-
-
-def test_the_page_of_the_parameters_is_up_to_date():
-    page = parameters_page.PAGE.read_text(encoding='utf-8')
-    assert page == parameters_page.page(), 'type: python tools/parameters_page.py'
 
 
 @pytest.mark.parametrize('node', ['controller', 'driver'])

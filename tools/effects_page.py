@@ -1,10 +1,10 @@
 """
-Draw what every effect does to a shape, and write docs/effects_reference.md.
+Draw what every effect does to a shape, and begin its section in docs/effects.md.
 
 python tools/effects_page.py
 
-docs/effects.md, with its equations and how to tell effects apart, is written by hand; the command
-begins the section of a new effect there. test/test_docs_effects.py holds both pages.
+That page, with its equations and how to tell effects apart, is written by hand. `make docs` makes
+the reference of the effects of what is here. test/test_docs_effects.py holds page and pictures.
 """
 
 import inspect
@@ -30,15 +30,13 @@ from matplotlib.figure import Figure
 from tendon_robot_ros.report.sentences import described_quantity
 
 PAGE = ROOT / 'docs' / 'effects.md'
-REFERENCE = ROOT / 'docs' / 'effects_reference.md'
 PICTURES = ROOT / 'docs' / 'images' / 'effects'
 HEAD = """\
 # Reference of the effects
 
-Written by `python tools/effects_page.py`; what each effect is: [effects.md](effects.md). All
-figures are those of the 10:1 arm of the paper (`config/robots/kato_10_1.yaml`: two sections, 208
-mm, standing upright). Bounds and typical sizes follow the length, stiffness and limits of a
-robot.
+What each effect is: [the effects](../effects.md). All figures are those of the 10:1 arm of the
+paper (`config/robots/kato_10_1.yaml`: two sections, 208 mm, standing upright). Bounds and typical
+sizes follow the length, stiffness and limits of a robot.
 """
 ALIKE = """\
 How much of what an effect does one other effect alone can do, in percent of the rms over all
@@ -50,11 +48,10 @@ WITHOUT, WITH = '#888888', '#d55e00'
 
 
 def main():
-    """Write the pictures, the reference, and the beginning of what the page by hand lacks."""
+    """Write the pictures, and the beginning of what the page by hand lacks."""
     PICTURES.mkdir(exist_ok=True)
     for effect in CATALOGUE:
         draw(effect.name)
-    REFERENCE.write_text(reference(), encoding='utf-8')
     text = PAGE.read_text(encoding='utf-8')
     for effect in CATALOGUE:
         if f'\n## {effect.name}\n' not in text:
@@ -108,7 +105,7 @@ def listed(shares):
 
 def gallery():
     """Write the lines that show the pictures."""
-    return [f'![{name}](images/effects/{name}.png)' for name in CATALOGUE.names]
+    return [f'![{name}](../images/effects/{name}.png)' for name in CATALOGUE.names]
 
 
 def millimetres(metres):

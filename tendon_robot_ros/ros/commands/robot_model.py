@@ -2,7 +2,7 @@
 The arm for RViz and Foxglove: its URDF, its joints, and its frames where tf2_ros is installed.
 
 Topics: controller/predicted_shape (subscribed); robot_description (latched), cell_joint_states,
-/tf (published). Parameters and units: docs/ros_parameters.md.
+/tf (published). Parameters and units: ros/parameters.yaml.
 
 example: python -m tendon_robot_ros robot-model --ros-args -r __ns:=/left_arm
 """

@@ -2,7 +2,7 @@
 Move the tip with the keyboard; it stops when the key is released.
 
 Topics: ~/delta_twist remapped to that of the controller (published). Services called: stop and
-reset of the controller. Parameters and units: docs/ros_parameters.md.
+reset of the controller. Parameters and units: ros/parameters.yaml.
 
 example: python -m tendon_robot_ros teleop --ros-args -r __ns:=/left_arm
 """

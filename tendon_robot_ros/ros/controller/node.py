@@ -5,7 +5,7 @@ Topics: ~/target_pose, ~/target_point, ~/delta_twist, ~/tendon_trajectory, tendo
 (subscribed);
 tendon_command, ~/predicted_shape, ~/predicted_tip, ~/markers, ~/status, /diagnostics (published).
 Services: ~/stop, ~/reset. Actions, where their types are installed: ~/follow_joint_trajectory,
-~/navigate_to_pose, ~/navigate_through_poses. Parameters and units: docs/ros_parameters.md.
+~/navigate_to_pose, ~/navigate_through_poses. Parameters and units: ros/parameters.yaml.
 
 example: python -m tendon_robot_ros controller --ros-args -p model:=kato_10_1
 """

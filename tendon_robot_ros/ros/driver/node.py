@@ -3,7 +3,7 @@ The driver node: applies tendon commands to motors, and releases the arm when th
 
 Topics: tendon_command, stop (subscribed); tendon_states, ~/status, /diagnostics (published);
 with the mock also measured_tip and measured_shape. Services: ~/stop, ~/reset, ~/reboot.
-Parameters and units: docs/ros_parameters.md.
+Parameters and units: ros/parameters.yaml.
 
 example: python -m tendon_robot_ros driver --ros-args -p robot:=kato_10_1 -p config:=mock_twin
 """

@@ -1,7 +1,7 @@
 """
 Times that several nodes share: periods of messages and requests, and time-outs.
 
-Times that a user may set are parameters instead (docs/ros_parameters.md).
+Times that a user may set are parameters instead (ros/parameters.yaml).
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 The live page in the browser: measured and predicted arm, errors, tensions, buttons.
 
 Topics: what driver, controller and monitor of its namespace publish (subscribed);
-controller/target_point, tour (published). Parameters and units: docs/ros_parameters.md.
+controller/target_point, tour (published). Parameters and units: ros/parameters.yaml.
 
 example: python -m tendon_robot_ros viewer --ros-args -p port:=8081
 """

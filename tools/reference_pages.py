@@ -1,0 +1,202 @@
+"""
+The pages of the documentation that are made from the code when it is built (docs/conf.py).
+
+Parameters of the nodes, commands, the public names of Python, a gallery, and copies of pages that
+lie outside docs/. Those of the effects: effects_page.py.
+"""
+
+import contextlib
+import io
+import math
+import os
+import re
+import sys
+from pathlib import Path
+
+import effects_page
+
+import tendon_robot_ros
+from tendon_robot_ros.cli.main import COMMANDS, run_command
+from tendon_robot_ros.common.words import PROGRAM
+from tendon_robot_ros.ros.shared.parameters import declared
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / 'docs'
+FOLDER = 'generated'  # in docs/, written anew by every build
+LINK = re.compile(r'(!?)\[([^\]]*)\]\(([^)\s]+)\)')
+FENCED = re.compile(r'(^```.*?^```$)', re.M | re.S)
+# what a link of a page means in the built documentation -> its page there
+PAGES = {
+    'tendon_robot_ros/ros/parameters.yaml': 'ros_parameters',
+    'tendon_robot_ros/effects': 'effects_reference',
+    'CONTRIBUTING.md': 'contributing',
+    'QUALITY_DECLARATION.md': 'quality',
+    **{
+        path.relative_to(ROOT).as_posix(): '_'.join(path.relative_to(ROOT).parts[:-1])
+        for path in sorted((ROOT / 'data').rglob('README.md'))
+    },
+}
+COPIES = {path: name for path, name in PAGES.items() if path.endswith('.md')}
+PARAMETERS = """\
+# Parameters of the nodes
+
+Those with a * are fixed at the start (`-p NAME:=X` after `--ros-args`, or a file of parameters);
+the others can be changed while the node runs (`ros2 param set`). A value outside its range, and a
+parameter that the node does not have, are refused. Topics and services: [nodes](../ros_nodes.md).
+"""
+TABLE = """
+## {node}
+
+| parameter | default | unit, range | meaning |
+|---|---|---|---|
+"""
+COMMAND_PAGE = """\
+# Commands
+
+`python -m tendon_robot_ros COMMAND`, or with ROS 2 `ros2 run tendon_robot_ros COMMAND`.
+"""
+API = """\
+# Python API
+
+The names that `tendon_robot_ros` itself has; [From Python](../python.md) shows them at work.
+
+```{{eval-rst}}
+.. currentmodule:: tendon_robot_ros
+
+.. autosummary::
+   :toctree: api
+
+{names}
+```
+"""
+
+
+def write():
+    """Write all pages."""
+    folder = DOCS / FOLDER
+    folder.mkdir(exist_ok=True)
+    pages = {
+        'ros_parameters': parameters(),
+        'effects_reference': effects_page.reference(),
+        'commands': commands(),
+        'api': API.format(names='\n'.join(f'   {name}' for name in tendon_robot_ros.__all__)),
+        'gallery': gallery(),
+    }
+    for path, name in COPIES.items():
+        text = (ROOT / path).read_text(encoding='utf-8')
+        pages[name] = relinked(text, path, FOLDER)
+    for name, text in pages.items():
+        (folder / f'{name}.md').write_text(text, encoding='utf-8')
+    (folder / 'changelog.rst').write_text((ROOT / 'CHANGELOG.rst').read_text(encoding='utf-8'))
+
+
+def relinked(text, path, folder=''):
+    """
+    Let the links of a page lead to where things are in the built documentation.
+
+    Parameters
+    ----------
+    text : str
+        The page.
+    path : str
+        Where it lies in the repository.
+    folder : str
+        Where the built page lies in docs/.
+
+    """
+
+    def link(match):
+        image, shown, target = match.groups()
+        name, hash_sign, anchor = target.partition('#')
+        if re.match(r'[a-z]+:', target) or not name:
+            return match[0]
+        meant = os.path.normpath(os.path.join(os.path.dirname(path), name))
+        if meant in PAGES:
+            meant = f'docs/{FOLDER}/{PAGES[meant]}.md'
+        elif (ROOT / meant).is_dir():
+            return shown
+        elif re.fullmatch(r'\w+\.md', shown):  # its name, for who reads the files
+            shown = title(ROOT / meant)
+        return f'{image}[{shown}]({os.path.relpath(meant, f"docs/{folder}")}{hash_sign}{anchor})'
+
+    parts = FENCED.split(text)
+    parts[::2] = [LINK.sub(link, part) for part in parts[::2]]
+    return ''.join(parts)
+
+
+def title(page):
+    """Return the first heading of a page."""
+    return re.search(r'^# (.+)$', page.read_text(encoding='utf-8'), re.M)[1]
+
+
+def contents(text):
+    """Return the index with its pages as a table of contents, under the words in bold."""
+    made = {
+        'Reference': ['effects_reference', 'ros_parameters', 'commands', 'api', 'gallery'],
+        'Results': [name for path, name in COPIES.items() if path.startswith('data/')],
+        'Change it': ['contributing', 'quality', 'changelog'],
+    }
+    for part in re.split(r'^\*\*', text, flags=re.M)[1:]:
+        caption = part.partition('**')[0]
+        pages = [target for _, _, target in LINK.findall(part) if re.fullmatch(r'\w+\.md', target)]
+        pages += [f'{FOLDER}/{name}' for name in made.get(caption, ())]
+        lines = [':hidden:', f':caption: {caption}', '', *dict.fromkeys(pages)]
+        text += '\n```{toctree}\n' + '\n'.join(lines) + '\n```\n'
+    return text
+
+
+def commands():
+    """Return what --help-all says of every command."""
+    os.environ['COLUMNS'] = '100'
+    return COMMAND_PAGE + ''.join(
+        f'\n## {name}\n\n```text\n{said(name)}```\n' for name in sorted(COMMANDS)
+    )
+
+
+def said(name):
+    """Return the help of a command."""
+    first, *rest = name.split()
+    with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.suppress(SystemExit):
+        run_command(first, [*rest, '--help-all'], f'{PROGRAM} {first}')
+    return out.getvalue()
+
+
+def gallery():
+    """Return all pictures of the pages, each with the page that explains it."""
+    lines = ['# Gallery\n']
+    for page in sorted(DOCS.glob('*.md')):
+        for image, shown, target in LINK.findall(page.read_text(encoding='utf-8')):
+            if image:
+                lines.append(f'## [{title(page)}](../{page.name})\n')
+                lines.append(f'![{shown}](../{target})\n\n{shown}\n')
+    return '\n'.join([*lines, '## [Effects](effects_reference.md)\n', *effects_page.gallery(), ''])
+
+
+def parameters():
+    """Return the page of the parameters of all nodes."""
+    return PARAMETERS + ''.join(
+        TABLE.format(node=node.replace('_', '-')) + ''.join(map(row, specs.values()))
+        for node, specs in declared().items()
+    )
+
+
+def row(spec):
+    """Write the line of a parameter."""
+    limits = f'{spec.low:g} to {spec.high:g}' if math.isfinite(spec.low) else ''
+    known = ', '.join(filter(None, [spec.unit, limits, *spec.choices]))
+    name = f'`{spec.name}`' + '*' * spec.read_only
+    text = spec.text.replace('<', '&lt;')
+    return f'| {name} | {shown(spec.default)} | {known} | {text} |\n'
+
+
+def shown(default):
+    """Write a default as YAML does, no text as nothing."""
+    if isinstance(default, bool):
+        return str(default).lower()
+    if isinstance(default, list):
+        return '[]'
+    return f'{default:g}' if isinstance(default, float) else default
+
+
+if __name__ == '__main__':
+    sys.exit(write())
