@@ -96,7 +96,9 @@ def test_where_nothing_is_missing_no_effect_explains_anything():
     rows = tuple(replace(row, status=NOT_NEEDED, explained=0.0) for row in found.candidates)
     said = text(diagnosis_page(replace(found, candidates=rows)))
     assert NOT_NEEDED in said and not re.search(r'(?<![\d.])0 %', said)
-    shown = page_parts.verdict(replace(found, candidates=rows).to_json())
+    said = {'sentence': 'Missing: a load (`tip_load`).\nIt explains 98 %.'}
+    shown = page_parts.verdict(replace(found, candidates=rows).to_json() | said)
+    assert '>Missing: a load (<code>tip_load</code>).</p><p style=' in shown
     assert NOT_NEEDED in shown and '0 %' not in shown and 'lever 0.158 mm' in shown
 
 

@@ -198,12 +198,12 @@ class Page:
 
     def text(self, *paragraphs: str) -> None:
         """Add paragraphs."""
-        self.parts += [f'<p>{_marked(paragraph)}</p>' for paragraph in paragraphs]
+        self.parts += [f'<p>{marked(paragraph)}</p>' for paragraph in paragraphs]
 
     def box(self, lines: Iterable[str], kind: str = '', title: str = '') -> None:
         """Add a box; kinds: verdict, those of `common.colours.KINDS`, and both together."""
         head = f'<p class="title">{escape(title)}</p>' if title else ''
-        body = ''.join(f'<p>{_marked(line)}</p>' for line in lines)
+        body = ''.join(f'<p>{marked(line)}</p>' for line in lines)
         self.parts.append(f'<div class="box {escape(kind)}">{head}{body}</div>')
 
     def table(
@@ -286,7 +286,7 @@ def symbol(colour: str, dash: str = '', dot: bool = False) -> str:
     return f'<svg width="28" height="12" aria-hidden="true">{inside}</svg>'
 
 
-def _marked(text: str) -> str:
+def marked(text: str) -> str:
     """Escape a text; what stands between backticks becomes code."""
     return re.sub('`([^`]*)`', r'<code>\1</code>', escape(text))
 

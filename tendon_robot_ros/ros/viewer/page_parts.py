@@ -16,6 +16,7 @@ from ...common.colours import BAD, ERROR, GOOD, INK, KINDS, MEASURED, PREDICTED,
 from ...common.words import mm, percent
 from ...diagnosis.result import NOT_NEEDED
 from ...inference.intervals import LoadVector, Value
+from ...report.page import marked
 from ...report.sentences import load_words, rounded_quantity
 from .state import CURVE_SPAN_S
 
@@ -221,7 +222,7 @@ def verdict(diagnosis: Mapping[str, Any], count: int = 6) -> str:
     """Return verdict, remainder and the best candidates of a diagnosis."""
     if not diagnosis:
         return ''
-    sentences = [str(diagnosis.get(key) or '') for key in ('sentence', 'remainder')]
+    sentences = '\n'.join(str(diagnosis.get(key) or '') for key in ('sentence', 'remainder'))
     rows = []
     for row in diagnosis.get('candidates', [])[:count]:
         values = ', '.join(
@@ -247,7 +248,8 @@ def verdict(diagnosis: Mapping[str, Any], count: int = 6) -> str:
         )
     head = '<tr><th>effect</th><th>value</th><th>explains</th></tr>' if rows else ''
     colour = KINDS.get(str(diagnosis.get('colour')), PREDICTED)
-    paragraphs = ''.join(f'<p style="margin:4px 0">{escape(s)}</p>' for s in sentences if s)
+    lines = filter(None, sentences.split('\n'))
+    paragraphs = ''.join(f'<p style="margin:4px 0">{marked(line)}</p>' for line in lines)
     return (
         f'<div id="verdict" style="{STYLE};overflow-x:auto"><div style="border-left:4px solid '
         f'{colour};padding-left:8px">{paragraphs}</div><table id="candidates" '
