@@ -300,7 +300,7 @@ class Improve:
     the last one that NEW takes. Nothing is written, and the exit code is 2, where no step does.
     `effect remove` undoes an effect.
 
-    example: python -m tendon_robot_ros improve data/tentacle --output better.yaml
+    example: python -m tendon_robot_ros improve data/hinge_friction/fit --output better.yaml
         --report better.html
     """
 
