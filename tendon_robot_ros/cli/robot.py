@@ -43,7 +43,7 @@ Look at the tip of the level arm from the front, so that it points at you:
                 |                {others}
               0 down, where a weight pulls"""
 ANY_ROTATION = '(Where the first tendon lies does not matter then: an import turns the tracker.)'
-FILE_HEAD = '# Written by new-robot. In m and N; +z points along the straight arm.\n'
+FILE_HEAD = '# Written by `robot new`. In m and N; +z points along the straight arm.\n'
 
 
 class NewRobot:
