@@ -33,7 +33,7 @@ from ..inference.crossval import (
     described_by,
     fall,
     last_worthwhile,
-    left_out_markers,
+    left_out_squares,
     model_error_of,
     predict,
     written_markers,
@@ -88,10 +88,9 @@ class AsFound:
     @cached_property
     def left_out(self) -> Floats:
         """Squared errors (P, J) [m²] of postures left out in turn; nan for those held out."""
-        shown = left_out_markers(self.session.fitters[0], self.fit)
-        squares = ((self.search.measured - shown) ** 2).sum(axis=2)
+        squares = left_out_squares(self.session.fitters[0], self.fit)
         squares[list(self.session.held)] = np.nan
-        return np.asarray(squares)
+        return squares
 
     @property
     def is_worthwhile(self) -> bool:

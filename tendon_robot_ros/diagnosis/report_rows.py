@@ -16,7 +16,8 @@ from ..inference.crossval import (
     described_by,
     error_of,
     explained_fraction,
-    left_out_error,
+    left_out_squares,
+    root_mean,
     written,
 )
 from ..inference.fit import Fit
@@ -254,7 +255,7 @@ def _row(fits: Fits, decision: Concluded, ranked: Ranked, errors: FittedErrors) 
     else:
         status = 'rejected'
     if status not in ('best', 'rejected', NOT_NEEDED):
-        held_out = left_out_error(session.fitters[0], fit, errors.beside)
+        held_out = root_mean(left_out_squares(session.fitters[0], fit, errors.beside))
     values = {
         f'{effect}.{key}' if len(ranked.names) > 1 else key: value
         for effect, items in values_of(reported, decision.scale).items()

@@ -19,7 +19,7 @@ from ..data import DataSet
 from ..effects import Catalogue
 from ..robot import Robot
 from .description import changed_robot, with_members, with_tolerances, written_members
-from .fit import LEVERAGE_MAX, Fit, covariance_root, gram_eigen
+from .fit import LEVERAGE_MAX, Fit, covariance_root, left_out
 from .fitter import Fitter
 from .marginal import RIDGE
 from .noise import Whitener, estimate_noise, input_slopes, rms
@@ -113,11 +113,6 @@ def predict(dataset: DataSet, robot: Robot, catalogue: Catalogue) -> tuple[Predi
     return predictor, markers
 
 
-def left_out_error(fitter: Fitter, fit: Fit, beside: bool = True) -> float:
-    """Return the rms error [m] on postures that were not used; see `left_out_markers`."""
-    return rms(fitter.predictor.dataset.mean - left_out_markers(fitter, fit, beside))
-
-
 def model_error_of(dataset: DataSet, squares: Floats, floor: float) -> float:
     """
     Return the size at the tip [m] of the error of a model that left-out postures show.
@@ -140,9 +135,9 @@ def model_error_of(dataset: DataSet, squares: Floats, floor: float) -> float:
     return float(np.sqrt(max(float(h @ excess) / float(h @ h), 0.0)))
 
 
-def left_out_markers(fitter: Fitter, fit: Fit, beside: bool = True) -> Floats:
+def left_out_squares(fitter: Fitter, fit: Fit, beside: bool = True) -> Floats:
     """
-    Predict postures (P, J, 3) [m] that were not used: groups are left out in turn.
+    Return squared errors (P, J) [m²] of postures that were not used: groups are left out in turn.
 
     The parameters without a group follow from the Jacobian at the fit (one Gauss-Newton step); the
     model itself then predicts the left-out postures, as the description to write would: with the
@@ -165,7 +160,7 @@ def left_out_markers(fitter: Fitter, fit: Fit, beside: bool = True) -> Floats:
         markers = written_markers(fitter, fit, fit.values - step, beside)
         if markers is not None:
             predicted[held] = markers[held]
-    return predicted
+    return np.asarray(((dataset.mean - predicted) ** 2).sum(axis=2))
 
 
 def written_markers(
@@ -220,20 +215,15 @@ def left_out_errors(
     """
     Return the mean squared error (P,) [m²] of each posture predicted from other inputs.
 
-    Exact where the model is linear, the hat matrix H: (1 - H_gg)^-1 r_g (Cook and Weisberg 1982).
-    Postures of the same group (P,) are not independent and are left out together.
+    In closed form, see `fit.left_out`. Postures of the same group (P,) are not independent and are
+    left out together.
     """
     owners, (root, _) = whitener.owners, covariance_root(jacobian)
-    errors = np.full(len(groups), np.nan)
-    for group in np.unique(groups[owners]):
-        rows = np.flatnonzero(groups[owners] == group)
-        leverage, vectors = gram_eigen(jacobian[rows] @ root)
-        along = vectors.T @ residual[rows]
-        complement = np.maximum(1.0 - leverage, 1.0 - LEVERAGE_MAX)
-        deleted = residual[rows] + vectors @ (along / complement - along)
-        for p in np.unique(owners[rows]):
-            metres = np.linalg.solve(whitener.root(p), deleted[owners[rows] == p])
-            errors[p] = 3.0 * float(np.mean(metres**2))
+    n, errors, least = len(owners), np.full(len(groups), np.nan), 1.0 - LEVERAGE_MAX
+    deleted, _ = left_out(residual[:n], jacobian[:n] @ root, groups[owners], least)
+    for p in np.unique(owners):
+        metres = np.linalg.solve(whitener.root(p), deleted[owners == p])
+        errors[p] = 3.0 * float(np.mean(metres**2))
     return errors
 
 
@@ -250,10 +240,10 @@ class Written:
     @property
     def left_out(self) -> float:
         """Rms error [m] of what is written, on postures left out in turn."""
-        return _root_mean(self.left_out_squares)
+        return root_mean(self.left_out_squares)
 
 
-def _root_mean(squares: Floats) -> float:
+def root_mean(squares: Floats) -> float:
     """Return the root of the mean of squares (P, J) [m²]; nan where none is known."""
     return rms(np.sqrt(squares)[..., None])
 
@@ -267,16 +257,12 @@ def written(session: Session, fit: Fit) -> Written:
     """
     alone, fitter = described_by(session, fit, beside=False), session.fitters[0]
 
-    def squares(beside: bool) -> Floats:
-        off = session.dataset.mean - left_out_markers(fitter, fit, beside)
-        return np.asarray((off**2).sum(axis=2))
-
-    plain = squares(beside=False)
-    error = _root_mean(plain)
+    plain = left_out_squares(fitter, fit, beside=False)
+    error = root_mean(plain)
     if not fit.as_built and not fit.nuisances:
         return Written(alone, alone, False, error, plain)
-    together = squares(beside=True)
-    if _root_mean(together) > LEFT_OUT_RATIO_MAX * error:
+    together = left_out_squares(fitter, fit)
+    if root_mean(together) > LEFT_OUT_RATIO_MAX * error:
         return Written(alone, alone, False, error, plain)
     return Written(alone, described_by(session, fit, beside=True), True, error, together)
 

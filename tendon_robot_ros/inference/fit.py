@@ -202,45 +202,58 @@ class Fit:
             the parameters.
 
         """
-        hat_root = self.jacobian[: len(owners)] @ self._root[0]
-        left_out = [(0.0, 0.0, 0.0)] + [
-            left_out_alone(self.residual[: len(owners)][owners == p], hat_root[owners == p])
-            for p in np.unique(owners)
-        ]
-        total, weight, weight2 = (float(sum(column)) for column in zip(*left_out, strict=True))
+        n = len(owners)
+        residual, hat_root = self.residual[:n], self.jacobian[:n] @ self._root[0]
+        deleted, (weight, weight2) = left_out(residual, hat_root, owners)
+        total = float(deleted @ deleted)
         if not weight > 1e-9:
             return total, 1.0
         spread = weight2 / weight  # Satterthwaite: a scaled chi²
-        excess = total - float(self.residual[: len(owners)] @ self.residual[: len(owners)])
+        excess = total - float(residual @ residual)
         return total, chi2_sf(excess / spread, weight / spread)
 
 
-def left_out_alone(residual: Floats, hat_root: Floats) -> tuple[float, float, float]:
+def left_out(
+    residual: Floats, hat_root: Floats, owners: npt.NDArray[np.int64], least: float = 1.0
+) -> tuple[Floats, Floats]:
     """
-    Leave out a posture with n values and the hat matrix H = A A', A (n, q) `hat_root`.
+    Leave out what has one owner, in turn, and predict it from the rest: the closed form.
 
-    Returns chi² of the deleted residual (1 - H)^-1 r, the sum of its weights w, the eigenvalues of
-    (1 - H)^-1 - (1 - H), and the sum of their squares. The fitted residual counts in directions
-    that no other posture determines.
+    Exact where the model is linear, with the hat matrix H = A A', A (N, q) `hat_root`, the block g
+    of an owner: (1 - H_gg)^-1 r_g (Cook and Weisberg 1982).
+
+    Returns
+    -------
+    deleted : (N,)
+        Residuals of the predictions.
+    weights : (2,)
+        Sum of their weights, the eigenvalues of (1 - H)^-1 - (1 - H), and of the squares of these.
+        In directions that no other owner determines 1 - H counts as `least`, and without it is
+        the fitted residual.
+
     """
-    if len(hat_root) <= hat_root.shape[1]:
-        rest = np.eye(len(hat_root)) - hat_root @ hat_root.T
+    deleted, weights = np.empty_like(residual), np.zeros(2)
+    for owner in np.unique(owners):
+        rows = np.flatnonzero(owners == owner)
+        r, a = residual[rows], hat_root[rows]
         try:
+            if len(a) > a.shape[1]:
+                raise np.linalg.LinAlgError  # few eigenvectors are quicker
+            rest = np.eye(len(a)) - a @ a.T
             np.linalg.cholesky(rest - (1.0 - LEVERAGE_MAX) * np.eye(len(rest)))  # raises then
             root = root_inverse(rest)
             grown = root.T @ root
-            deleted, more = grown @ residual, grown - rest
-            return float(deleted @ deleted), float(np.trace(more)), float((more * more).sum())
+            deleted[rows], more = grown @ r, grown - rest
+            weights += np.trace(more), (more * more).sum()
         except np.linalg.LinAlgError:
-            pass
-    leverage, vectors = gram_eigen(hat_root)
-    only = leverage > LEVERAGE_MAX
-    leverage = np.clip(leverage, 0.0, LEVERAGE_MAX)
-    along = vectors.T @ residual
-    deleted = along / np.where(only, 1.0, 1.0 - leverage)
-    w = 1.0 / (1.0 - leverage) - (1.0 - leverage)
-    chi2 = residual @ residual - along @ along + deleted @ deleted
-    return float(chi2), float(w.sum()), float((w * w).sum())
+            leverage, vectors = gram_eigen(a)
+            apart = 1.0 - np.minimum(leverage, LEVERAGE_MAX)
+            along = vectors.T @ r
+            grown = 1.0 / np.where(leverage > LEVERAGE_MAX, least, apart)
+            deleted[rows] = r + vectors @ (grown * along - along)
+            w = 1.0 / apart - apart
+            weights += w.sum(), (w * w).sum()
+    return deleted, weights
 
 
 def covariance_of(root: Floats, unseen: npt.NDArray[np.bool_], blind: float = np.inf) -> Floats:
