@@ -20,7 +20,6 @@ from ..inference.candidates import Candidate, is_tested, why_untested
 from ..inference.crossval import Errors, Staircase, Written, errors_on, model_error_of, written
 from ..inference.fit import Fit
 from ..inference.intervals import LoadVector, Value, loads_of, values_with_intervals
-from ..inference.outliers import find_outliers
 from ..inference.predict import Point
 from ..inference.session import Session
 from ..robot import Robot, RobotLike, load_robot
@@ -207,13 +206,7 @@ def add_effects(
     described = dataset.robot if robot is None else load_robot(robot)
     other = None if check is None else load_dataset(check, described)
     session = Session(dataset, described, load_catalogue(catalogue), workers=1)
-    session.leave_out_unsettled()
-    if not session.weigh({}):
-        raise InputError(
-            f'{dataset.name}: one trial per posture and no position_noise in '
-            'dataset.yaml: repeat the postures, or declare the noise of the tracker'
-        )
-    session.leave_out(find_outliers(session.predictor, {}))
+    session.prepare()
     dataset = session.dataset
     by_name, point = {effect.name: effect for effect in start}, None
     if set(names) <= set(by_name):

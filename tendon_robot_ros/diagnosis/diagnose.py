@@ -16,7 +16,7 @@ from ..inference.discrepancy import since
 from ..inference.fitter import BEST_FEW
 from ..inference.noise import rms
 from ..inference.outliers import find_outliers
-from ..inference.session import Session
+from ..inference.session import NOISE_UNKNOWN, Session
 from ..robot import RobotLike, load_robot
 from .marker_hypotheses import exchanged_in
 from .next_measurement import propose
@@ -93,8 +93,7 @@ def diagnose(
     likelier = _likelier_mistake(session, described, rivals)
     if likelier is not None:
         return _mistaken(session, likelier)
-    session.brief = mistake is not None and plain
-    diagnosis = _judge(session)
+    diagnosis = _judge(session, brief=mistake is not None and plain)
     if mistake is not None and plain:  # an effect that explains the data as well is preferred
         if not diagnosis.verdict.may_add:
             return _mistaken(session, mistake)
@@ -121,10 +120,7 @@ def _obstacle(session: Session) -> str | Mistake:
             raise
         return mistake
     if not session.weigh({}):
-        return (
-            'one trial per posture and no position_noise in dataset.yaml: repeat the '
-            'postures, or declare the noise of the tracker'
-        )
+        return NOISE_UNKNOWN
     return ''
 
 
@@ -147,7 +143,7 @@ def _likelier_mistake(
             continue
         assert one.mistake.mended is not None
         mended = session.mended(one.mistake.mended)
-        judged = _judge(mended) if mended.weigh({}) else None
+        judged = _judge(mended, brief=True) if mended.weigh({}) else None
         if judged is None or judged.verdict is Verdict.OUTSIDE_CATALOGUE or implausible(judged):
             continue
         return one.with_rest(judged.error_after, [effect.name for effect in judged.effects])
@@ -173,18 +169,19 @@ def _weighed_against(session: Session, mistake: Mistake, diagnosis: Diagnosis) -
     return _mistaken(session, mistake if gain < -APART_FROM_SCORE else replace(mistake, mend=mend))
 
 
-def _judge(session: Session) -> Diagnosis:
+def _judge(session: Session, brief: bool) -> Diagnosis:
     """
     Judge the effects, mistakes of the set-up being excluded.
 
     A misfit beyond repeatability is judged again by the declared accuracy, where there is one.
+    Where it is to be `brief`, the remainder need not be described.
     """
-    fits = gather(session)
+    fits = gather(session, brief)
     decision = fits.judge()
     outside = decision.verdict is Verdict.OUTSIDE_CATALOGUE
     if outside and session.accuracy and not session.use_accuracy:
         session.use_accuracy = True
-        fits = gather(session)
+        fits = gather(session, brief)
         decision = fits.judge()
     return _result(fits, decision)
 

@@ -208,9 +208,10 @@ def as_found(
             robot = robot.without_effect(name)
             if name in before.effects:
                 robot = robot.with_effect(name, before.effects[name], before.fitted.get(name))
-    session, scale = Session(search.dataset, robot, search.catalogue, workers=1), 1.0
-    if held is not None:
-        session.held, session.use_accuracy = held, by_accuracy
+    session = Session(
+        search.dataset, robot, search.catalogue, 1, held=() if held is None else held
+    )
+    session.use_accuracy, scale = by_accuracy, 1.0
     try:
         session.weigh({})
         if held is None:

@@ -50,6 +50,7 @@ class Fits:
     base: Fit
     singles: list[Ranked]
     not_tested: list[Candidate]
+    brief: bool = False  # whether the remainder need not be described
     reversed: bool = False  # whether a fit was better beyond a reversal of friction
     joint: list[Ranked] = field(default_factory=list)  # effects fitted together
     rivals: list[Pattern] = field(default_factory=list)  # that compete with the best effects
@@ -116,7 +117,7 @@ class Fits:
             tuple(_numbers(r, gain_p_value(session, base, r)) for r in self.singles),
             base.prior_z,
             {quantity: session.twin_of(quantity) for quantity in base.prior_z},
-            session.brief,
+            self.brief,
         )
 
     def _found(self, known: Evidence, missing: Missing) -> dict[str, Any]:
@@ -226,7 +227,7 @@ def gain_p_value(session: Session, base: Fit, ranked: Ranked) -> float:
     return session.gain_p_value(base, ranked) if ranked.held_out < held else 1.0
 
 
-def gather(session: Session) -> Fits:
+def gather(session: Session, brief: bool = False) -> Fits:
     """
     Fit the base and every candidate; weights are taken at the best candidate's fit.
 
@@ -266,7 +267,7 @@ def gather(session: Session) -> Fits:
             late.get(r.candidate.label, r) if any(r.fit is fit for fit in stopped) else r
             for r in singles
         ]
-    return Fits(session, base, singles, not_tested, reversed_once)
+    return Fits(session, base, singles, not_tested, brief, reversed_once)
 
 
 def over_reversals(session: Session, singles: list[Ranked]) -> list[Ranked]:

@@ -24,7 +24,7 @@ from ..common.errors import InputError
 from ..data import DataSet
 from ..effects import Catalogue
 from ..inference.candidates import Candidate, joining_effects
-from ..inference.crossval import Groups, left_out_errors, predict, rms_of
+from ..inference.crossval import Groups, left_out_errors, rms_of
 from ..inference.description import (
     OF_THE_ARM,
     DescribedArm,
@@ -36,11 +36,10 @@ from ..inference.fit import Fit, Nuisance, covariance_of, covariance_root
 from ..inference.fitter import FAILURES, Fitter
 from ..inference.marginal import NEGLIGIBLE
 from ..inference.marginal import STEPS_MAX as ITERATIONS_MAX
-from ..inference.noise import Whitener, estimate_noise, input_slopes, likely, rms
-from ..inference.outliers import find_outliers, without_unsettled
+from ..inference.noise import Whitener, input_slopes, likely, rms
 from ..inference.predict import FreeParameter, Point, Predictor, SettledShapes
 from ..inference.search import DIFFERENCE_STEP, LADDER
-from ..inference.session import POSTURES_MAX
+from ..inference.session import Session
 from ..inference.statistics import chi2_sf, f_sf
 from ..robot import Robot
 from ..robot.estimates import natural_sizes
@@ -246,21 +245,13 @@ class Stepwise:
         if int((dataset.trials > 0).sum()) < GROUPS_MIN:
             raise InputError(f'{dataset.name}: expected {GROUPS_MIN} or more measured postures')
         self.robot, self.catalogue = robot, catalogue.sized(natural_sizes(robot))
-        every = DescribedArm(dataset.thinned(POSTURES_MAX), robot, self.catalogue)
-        settled, self.unsettled = without_unsettled(every)
-        self.outliers = find_outliers(predict(settled, robot, catalogue)[0], {})
-        self.dataset = self.outliers.without(settled) if self.outliers.any else settled
-        self.whole = dataset if self.dataset.thinned_from else self.dataset
+        session = Session(dataset, robot, catalogue, workers=1)
+        session.prepare()
+        self.unsettled, self.outliers = session.unsettled, session.outliers
+        self.dataset, self.whole, self.noise = session.dataset, session.whole, session.noise
         self.predictor = DescribedArm(self.dataset, robot, self.catalogue)
         self.measured = self.dataset.mean
         self.slopes = input_slopes(self.predictor, {})
-        noise = estimate_noise(self.dataset, self.slopes)
-        if noise is None:
-            raise InputError(
-                f'{self.dataset.name}: one trial per posture and no position_noise in '
-                'dataset.yaml: repeat the postures, or declare the noise of the tracker'
-            )
-        self.noise = noise
         self.plain = Whitener(self.dataset, self.noise, self.slopes)
         # a doubtful mistake is refused only if the search does not explain more
         self.doubt = find_mistake(self.predictor, self.plain.floor())

@@ -26,7 +26,6 @@ from ..effects import CatalogueLike, load_catalogue
 from ..robot import RobotLike, load_robot
 from .crossval import described_by, predict
 from .noise import NEGLIGIBLE
-from .outliers import find_outliers
 from .predict import mean_inputs
 from .session import Session
 
@@ -57,6 +56,8 @@ def since(
     ------
     DataSetError
         Markers or inputs differ, or no posture of the reference shows all markers.
+    InputError
+        The noise of the reference is not known.
     NoEquilibriumError
         The description has no equilibrium in many postures of the reference.
 
@@ -76,14 +77,7 @@ def since(
     session = Session(
         old.select(old.postures[p] for p in whole), described, load_catalogue(catalogue), workers=1
     )
-    session.leave_out_unsettled()
-    if not session.weigh({}):
-        raise DataSetError(
-            old.name,
-            'one trial per posture and no position_noise',
-            'repeat the postures, or declare the noise of the tracker',
-        )
-    session.leave_out(find_outliers(session.predictor, {}))
+    session.prepare()
     found = described_by(session, session.base_fit(), beside=True)
     settled = session.dataset
     off = settled.mean - predict(settled, found, session.catalogue)[1]

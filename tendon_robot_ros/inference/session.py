@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.arrays import Floats
-from ..common.errors import Progress, listener
+from ..common.errors import InputError, Progress, listener
 from ..data import DataSet
 from ..effects import Catalogue
 from ..robot import Robot
@@ -29,7 +29,7 @@ from .fitter import FAILURES, GAINS_TO_COME, Descent, Fitter
 from .imperfections import REMAINDER, Imperfections, Members, SplitPredictor, imperfections
 from .marginal import RandomEffects
 from .noise import Noise, Whitener, estimate_noise, input_slopes, relative_error
-from .outliers import Outliers, without_unsettled
+from .outliers import Outliers, find_outliers, without_unsettled
 from .predict import CELLS, Point, Predictor
 from .repeats import Repeats, repeats
 from .statistics import TIE_SCORE
@@ -38,6 +38,10 @@ from .statistics import TIE_SCORE
 # errors of more are alike
 POSTURES_MAX = 100
 NEAR_SCORE = 60.0  # [1] of deviance + 2 k behind the best: docs/inference.md
+NOISE_UNKNOWN = (
+    'one trial per posture and no position_noise in dataset.yaml: repeat the postures, or declare '
+    'the noise of the tracker'
+)
 Starts = Mapping[str, Fit | Point]
 
 
@@ -140,8 +144,9 @@ class Session:
         catalogue: Catalogue,
         workers: int = 2,
         progress: Progress | None = None,
+        held: Sequence[int] | npt.NDArray[np.int64] = (),
     ) -> None:
-        """Build a predictor per worker; the noise is not yet known."""
+        """Build a predictor per worker; the noise is not yet known. `held` have no weight."""
         self.robot, self.catalogue = robot, catalogue.sized(natural_sizes(robot))
         self.workers = max(1, workers)
         self.progress = listener(progress)
@@ -149,22 +154,19 @@ class Session:
         self._set_dataset(dataset.thinned(POSTURES_MAX))
         self.outliers: Outliers | None = None
         self.unsettled: tuple[str, ...] = ()  # excluded postures
-        self.held: Sequence[int] | npt.NDArray[np.int64] = ()  # postures without weight in fits
+        self.held = held
         self.nuisances = nuisances_of(robot, self.catalogue, self.predictor)
         self.candidates = candidates_of(robot, self.catalogue)
         self.accuracy = dataset.accuracy or 0.0
         self.use_accuracy = False
-        self.brief = False  # whether the remainder need not be described
         self.noise: Noise  # set by `weigh`, as are the next three
         self.whitener: Whitener
         self.random: RandomEffects
         self.imperfections: Imperfections
 
     def mended(self, dataset: DataSet) -> Session:
-        """Return a session of corrected measurements, without a description of the remainder."""
-        other = Session(dataset, dataset.robot, self.catalogue, self.workers, self.progress)
-        other.brief = True
-        return other
+        """Return a session of corrected measurements."""
+        return Session(dataset, dataset.robot, self.catalogue, self.workers, self.progress)
 
     def _set_dataset(self, dataset: DataSet) -> None:
         """Set the data set, and build a predictor per worker."""
@@ -181,6 +183,22 @@ class Session:
     def whole(self) -> DataSet:
         """The data set, the postures of a long recording included that are not used."""
         return self._all if self.dataset.thinned_from else self.dataset
+
+    def prepare(self) -> None:
+        """
+        Leave out what has no equilibrium and what other trials contradict, and weigh the rest.
+
+        Raises
+        ------
+        InputError
+            The noise is not known.
+        NoEquilibriumError
+
+        """
+        self.leave_out_unsettled()
+        if not self.weigh({}):
+            raise InputError(f'{self.dataset.name}: {NOISE_UNKNOWN}')
+        self.leave_out(find_outliers(self.predictor, {}))
 
     def leave_out_unsettled(self) -> None:
         """
