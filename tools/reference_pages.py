@@ -29,6 +29,7 @@ FENCED = re.compile(r'(^```.*?^```$)', re.M | re.S)
 PAGES = {
     'tendon_robot_ros/ros/parameters.yaml': 'ros_parameters',
     'tendon_robot_ros/effects': 'effects_reference',
+    'README.md': 'overview',
     'CONTRIBUTING.md': 'contributing',
     'QUALITY_DECLARATION.md': 'quality',
     **{
@@ -132,6 +133,7 @@ def title(page):
 def contents(text):
     """Return the index with its pages as a table of contents, under the words in bold."""
     made = {
+        'Start': ['overview'],
         'Reference': ['effects_reference', 'ros_parameters', 'commands', 'api', 'gallery'],
         'Results': [name for path, name in COPIES.items() if path.startswith('data/')],
         'Change it': ['contributing', 'quality', 'changelog'],
