@@ -48,11 +48,12 @@ class Rig:
                 self.core.predict(self.now, lambda shape: None)
 
     def moved(self, output):
-        if not (self.pull and self.arm.bends_remember):
-            return self.arm.follow(self.shape, output.tensions)
+        arm = self.arm
+        if not (self.pull and (arm.bends_remember or arm.transmission_remembers)):
+            return arm.follow(self.shape, output.tensions)
         if np.allclose(output.pulls, self.shape.pulls, rtol=0.0, atol=1e-9):
             return self.shape
-        return self.arm.pull_shape(output.pulls, self.shape, self.shape.memory)
+        return arm.follow_pulls(self.shape, output.pulls)
 
     def go(self, tensions):
         target = Target(self.models(False).shape(np.array(tensions)).tip_position)

@@ -190,7 +190,8 @@ class ControllerCore(ControllerState):
         """Change the model; the present command continues with it, unless the robot is another."""
         other = another_robot(model.robot, self.model.robot)
         self.model, self.track = model, ShapeTracker(model)
-        self.track.last = shape
+        if shape is not None:
+            self.track.accept(shape)
         self.loop.reset()
         if other:
             self.driver.lost, self._syncing = True, None
@@ -406,6 +407,8 @@ class ControllerCore(ControllerState):
         pulls = None if self.pulls is None else self.pulls.pulls.copy()
         if self.settings.pull_mode and pulls is None:
             return None
+        if pulls is not None and self.tracks_pulls:
+            self.track.commanded(pulls)
         return Output(self.command.copy(), pulls)
 
     def predict(self, now: float, take: Callable[[Shape], None]) -> None:
@@ -419,7 +422,7 @@ class ControllerCore(ControllerState):
             return
         track, find = self.track, self.track.shape_work(tensions)
         if self.pulls is not None and self.tracks_pulls:
-            find = track.held_work(self.pulls.pulls, find)
+            find = track.held_work(find)
 
         def done(shape: Shape | None, error: TendonRobotError | None) -> None:
             if track is not self.track:

@@ -24,6 +24,7 @@ from ..common.rotations import rotated
 from ..drivers.safety import CYCLE_MAX_S, approach, bounded
 from ..model.inverse import POSITION_TOLERANCE_M, TOLERANCE_COST_M2, WORTHWHILE_MAX, judged
 from ..model.program import STEP_MAX
+from ..model.pulls import command
 from ..model.redundancy import Balance, balanced
 from .inputs import Target, Trajectory, Twist
 from .solver import GiveUp
@@ -100,7 +101,7 @@ class FollowTarget(Mode):
         Searches go on while each brings the tip nearer by more than it is worth.
         """
         here, target, most = state.track.last, self.target, WORTHWHILE_MAX * self._missed
-        settled = self._settling.settled(state.time, command, command, command)  # and so tracked
+        settled = self._settling.settled(state.time, command, command, np.ones_like(command))
         if state.solver.busy('again') or not settled:
             return
         task = tip_task(state.model, state.settings, target)
@@ -254,6 +255,15 @@ class PullPath:
         if np.array_equal(begin, end) and not state.track.problem:
             return
         track, now = state.track, state.time
+        find = track.shape_work(end, last)
+        begun = last or track.last
+        past = track.model.arrays.fresh_memory() if begun is None else begun.memory
+        pulls = self.pulls if last is None else last.pulls
+
+        def work(give_up: GiveUp) -> Shape:
+            shape = find(give_up)
+            command(track.model, shape, past, pulls)
+            return shape
 
         def done(shape: Shape | None, error: TendonRobotError | None) -> None:
             if track is not state.track:
@@ -265,7 +275,7 @@ class PullPath:
             if (self.ahead[-1] if self.ahead else None) is last:
                 self.ahead.append(shape)
 
-        state.solver.post('piece', track.shape_work(end, last), done)
+        state.solver.post('piece', work, done)
 
     def play(self, state: ControllerState, pulls: Floats) -> Floats:
         """Command wire pulls (m,) [m] at once; return the last known tensions (m,) [N] there."""

@@ -20,18 +20,21 @@ from ..common.local_stop import SILENCE_S
 from ..drivers.interface import SETTLED_S
 from ..drivers.safety import StopLatch, bounded
 from ..model.program import RANGE_TOLERANCE, bounded_least_squares
-from ..model.pulls import GAP_ACCEPTED_M
+from ..model.pulls import GAP_ACCEPTED_M, transmitted
+from ..model.shape import Reach, Shape
 from .inputs import Refusal, Settings, Target, Trajectory, Twist
 from .solver import GiveUp, Solver
 from .tip_estimator import NOISE_SAMPLES, NullSpaceMotion, TipEstimate, bias_part
 
 if TYPE_CHECKING:
     from ..model.model import Model
-    from ..model.shape import Reach, Shape
 
 GO_ON = 'send another target or call reset'
 # [1] standard deviations; one reading of 16,000 is beyond by chance
 NOISE_SD_MAX = 4.0
+# [1] commanded pulls that a prediction follows, because a backbone that remembers comes to another
+# place on a curve than on its chord, and each takes stiff wires 10 ms
+WAY_MAX = 3
 
 
 @dataclass
@@ -66,8 +69,11 @@ class MeasuredState:
         if not known.any():
             return unknown
         low, high = limits.T
+        passed = transmitted(
+            model, self.pulls[None], None if guess is None else guess.memory.copy()
+        )[0]
         try:
-            shape = model.pull_shape(self.pulls, guess)
+            shape = model.follow_pulls(guess, self.pulls)
             if np.all((shape.inputs >= low) & (shape.inputs <= high)):
                 return shape.inputs
             # a slack tendon is below its limit: fit the pulls within the limits
@@ -77,7 +83,7 @@ class MeasuredState:
                 side = np.where(tensions + step > high, -step, step)
                 moved = [model.shape(tensions + row, current.state).pulls for row in np.diag(side)]
                 slopes = ((np.array(moved) - current.pulls) / side[:, None]).T[known]
-                miss = (self.pulls - current.pulls)[known]
+                miss = (passed - current.pulls)[known]
                 tensions = tensions + bounded_least_squares(
                     slopes, miss, low - tensions, high - tensions
                 )
@@ -294,9 +300,26 @@ class ShapeTracker:
     def __init__(self, model: Model) -> None:
         """Begin with the straight arm."""
         self.model = model
-        self.last: Shape | None = None
+        self._last: Shape | None = None
+        self._way: list[Floats] = []  # (m,) [m] pulls commanded since the last shape
+        self._followed = 0  # number of them that the running prediction follows
         self.problem = ''
         self._failed: tuple[float, float] | None = None  # [s] first and last time, in a row
+
+    @property
+    def last(self) -> Shape | None:
+        """The last shape, with the play of the transmission as it is now."""
+        if self._last is None or not self.model.transmission_remembers:
+            return self._last
+        shape = Shape(self._last.form, self._last.block.copy())
+        if self._way:
+            transmitted(self.model, np.array(self._way), shape.memory)
+        return shape
+
+    def commanded(self, pulls: Floats) -> None:
+        """Take commanded pulls (m,) [m], which the next prediction follows."""
+        if not (self._way and np.array_equal(pulls, self._way[-1])):
+            self._way.append(pulls)
 
     def shape_work(
         self, tensions: Floats, before: Shape | None = None
@@ -305,24 +328,28 @@ class ShapeTracker:
         model, before = self.model, before or self.last
         return lambda give_up: model.follow(before, tensions)
 
-    def held_work(
-        self, pulls: Floats, otherwise: Callable[[GiveUp], Shape]
-    ) -> Callable[[GiveUp], Shape]:
-        """Return solver work: the shape at wire pulls (m,) [m], `otherwise` without one."""
-        model, last = self.model, self.last
+    def held_work(self, otherwise: Callable[[GiveUp], Shape]) -> Callable[[GiveUp], Shape]:
+        """Return solver work: the shape at the commanded pulls, `otherwise` without one."""
+        model, shape, way = self.model, self._last, self._way[::-1]
+        self._followed, step = len(way), max(-(-len(way) // WAY_MAX), 1)
 
         def work(give_up: GiveUp) -> Shape:
-            if last is not None and np.allclose(last.pulls, pulls, rtol=0.0, atol=GAP_ACCEPTED_M):
-                return last
+            nonlocal shape
             with suppress(NoEquilibriumError, InputError):
-                return model.follow_pulls(last, pulls)
+                for pulls in reversed(way[::step]):  # the last one always
+                    if shape is None or np.abs(shape.pulls - pulls).max() > GAP_ACCEPTED_M:
+                        shape = model.follow_pulls(shape, pulls)
+                if shape is not None:
+                    return shape
             return otherwise(give_up)
 
         return work
 
     def accept(self, shape: Shape) -> None:
         """Store a new shape."""
-        self.last = shape
+        self._last = shape
+        del self._way[: self._followed]
+        self._followed = 0
         self.recovered()
 
     def recovered(self) -> None:
@@ -431,8 +458,9 @@ class ControllerState:
 
     @property
     def tracks_pulls(self) -> bool:
-        """Whether the model follows commanded pulls, because bends remember the way."""
-        return self.settings.pull_mode and self.model.bends_remember
+        """Whether the model follows commanded pulls, because bends or motors remember the way."""
+        remembers = self.model.bends_remember or self.model.transmission_remembers
+        return self.settings.pull_mode and remembers
 
     @property
     def in_null_space(self) -> bool:

@@ -92,24 +92,27 @@ def transmitted(model: ForwardModel, pulls: Floats, memory: Floats | None) -> Fl
     return passed
 
 
-def command(model: ForwardModel, shape: Shape, past: Floats) -> None:
+def command(model: ForwardModel, shape: Shape, past: Floats, now: Floats | None = None) -> None:
     """
     Make the pulls of a shape those to command after a memory, which the shape's memory moves on.
 
-    The motors take up what the transmission loses in the direction in which the wires move.
+    The motors take up what the transmission loses in the direction in which the wires move; those
+    whose wires rest stay where they are commanded `now` (m,) [m], by default amid their play.
     """
     if not model.transmission_remembers:
         return
-    wanted, kept = shape.pulls.copy(), past[-len(model.robot.tendons) :]
-    moves = wanted - [kept[list(members)].mean() for members in model.robot.input_tendons]
-    pulls = wanted + FAR_M * np.where(np.abs(moves) > GAP_ACCEPTED_M, np.sign(moves), 0.0)
+    wanted, kept, play = shape.pulls.copy(), past[-len(model.robot.tendons) :], past.copy()
+    if now is None:
+        now = np.array([kept[list(members)].mean() for members in model.robot.input_tendons])
+    moves = wanted - transmitted(model, now[None], play)[0]
+    pulls = now + FAR_M * np.where(np.abs(moves) > GAP_ACCEPTED_M, np.sign(moves), 0.0)
     for _ in range(ITERATIONS_MAX):  # one step, but where tendons of a group slide and stick
-        gaps = transmitted(model, pulls[None], past.copy())[0] - wanted
+        gaps = transmitted(model, pulls[None], play.copy())[0] - wanted
         if np.abs(gaps).max() < GAP_ACCEPTED_M:
             break
         pulls -= gaps
-    shape.pulls[:] = pulls
-    transmitted(model, pulls[None], shape.memory)
+    transmitted(model, pulls[None], play)
+    shape.pulls[:], shape.memory[-len(kept) :] = pulls, play[-len(kept) :]
 
 
 def pull_shapes(
