@@ -18,7 +18,7 @@ from ..inference.outliers import find_outliers
 from ..inference.predict import Predictor
 from ..inference.statistics import ERRORS
 from ..model.pulls import pull_shapes
-from ..model.shape import FIELDS, ShapeBatch
+from ..model.shape import ShapeBatch
 from ..robot import Robot, RobotLike, load_robot
 from .result import Comparison, Measured, ModelErrors
 
@@ -53,14 +53,9 @@ def equilibria(predictor: Predictor) -> ShapeBatch:
             raise NoEquilibriumError(
                 f'a posture of {dataset.name}', model.implicit_effects, np.inf
             )
-        rows = predictor.last_visits(part)
         postures.append(part.rows)
-        parts.append(replace(shapes, **{name: getattr(shapes, name)[rows] for name in FIELDS}))
-    order = np.argsort(np.concatenate(postures))
-    fields = {
-        name: np.concatenate([getattr(batch, name) for batch in parts])[order] for name in FIELDS
-    }
-    return replace(parts[0], **fields)
+        parts.append(shapes.of(predictor.last_visits(part)))
+    return ShapeBatch.joined(parts).of(np.argsort(np.concatenate(postures)))
 
 
 def compare(

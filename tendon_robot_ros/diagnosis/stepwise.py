@@ -431,7 +431,7 @@ class Stepwise:
             for free, centre in zip(frees, centres, strict=True)
         ]
         fitted = Fitter(self.predictor, whitener, priors).fit((), start, steps)
-        fit = Fit(frees, (), fitted.values, fitted.residual, fitted.jacobian, fitted.markers)
+        fit = replace(fitted, frees=frees, nuisances=(), described=0.0)
         low = np.array([free.parameter.low for free in frees])
         high = np.array([free.parameter.high for free in frees])
         slope = fit.jacobian.T @ fit.residual

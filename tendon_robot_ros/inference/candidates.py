@@ -14,7 +14,7 @@ from ..effects import Catalogue, Effect
 from ..robot import Robot
 from .fit import FREEDOM_MANY, Fit, Nuisance
 from .noise import Whitener
-from .predict import FreeParameter, Point, Predictor, free_parameters
+from .predict import FreeParameter, Point, Predictor, SettledShapes, free_parameters
 from .statistics import chi2_sf, f_sf
 
 
@@ -163,7 +163,12 @@ def joining_effects(robot: Robot, catalogue: Catalogue, dataset: DataSet) -> lis
 
 
 def is_tested(
-    candidate: Candidate, predictor: Predictor, whitener: Whitener, point: Point, markers: Floats
+    candidate: Candidate,
+    predictor: Predictor,
+    whitener: Whitener,
+    point: Point,
+    markers: Floats,
+    near: SettledShapes | None = None,
 ) -> bool:
     """
     Return whether a typical size of the effect changes the markers (P, J, 3) at a point.
@@ -188,7 +193,7 @@ def is_tested(
             up = value + own.typical  # else to the side that has room
             moves.append({free: up if up <= own.high else max(value - own.typical, own.low)})
     for move in moves:
-        moved = predictor.markers({**point, **move})
+        moved = predictor.markers({**point, **move}, near=near)
         if moved is None:
             return True
         white = whitener.white(moved - markers)

@@ -23,7 +23,7 @@ from .fit import LEVERAGE_MAX, Fit, covariance_root, left_out
 from .fitter import Fitter
 from .marginal import RIDGE
 from .noise import Whitener, estimate_noise, input_slopes, rms
-from .predict import Predictor
+from .predict import Predictor, SettledShapes
 
 if TYPE_CHECKING:
     from .session import Session
@@ -96,9 +96,12 @@ def errors_on(dataset: DataSet, robots: Staircase, catalogue: Catalogue, kind: s
     )
 
 
-def rms_of(dataset: DataSet, robot: Robot, catalogue: Catalogue) -> float:
+def rms_of(
+    dataset: DataSet, robot: Robot, catalogue: Catalogue, near: SettledShapes | None = None
+) -> float:
     """Return the rms error [m] of a description without any fit; nan without an equilibrium."""
-    markers = Predictor(dataset, robot, catalogue).markers({})
+    predictor = Predictor(dataset, robot, catalogue)
+    markers = predictor.markers({}, near=None if predictor.carries else near)
     return np.nan if markers is None else rms(dataset.mean - markers)
 
 
@@ -178,7 +181,8 @@ def written_markers(
     own = np.clip(values[: len(frees)], low, high)
     units = values[len(fit.all_frees) :]
     fitter.linearise_around(written_members(fit, units) if beside else {})
-    return fitter.predictor.markers(dict(zip(frees, own.tolist(), strict=True)))
+    point = dict(zip(frees, own.tolist(), strict=True))
+    return fitter.predictor.markers(point, near=fit.settled)
 
 
 def fall(before: Floats, after: Floats) -> tuple[float, float]:
@@ -278,4 +282,5 @@ def described_by(session: Session, fit: Fit, beside: bool) -> Robot:
 
 def error_of(session: Session, robot: Robot) -> float:
     """Return the rms error [m] on the measurements; nan without an equilibrium."""
-    return rms_of(session.whole, robot, session.catalogue)
+    near = session.described[0].settled if session.dataset.thinned_from else None
+    return rms_of(session.whole, robot, session.catalogue, near)

@@ -20,7 +20,7 @@ from .imperfections import (
 )
 from .marginal import STEPS_MAX, Prior, RandomEffects, Sizes
 from .noise import Whitener
-from .predict import FreeParameter, Point, Predictor
+from .predict import FreeParameter, Point, Predictor, SettledShapes
 from .search import Search
 
 FAILURES = (ArithmeticError, np.linalg.LinAlgError)  # no equilibrium at a start, or on the path
@@ -109,7 +109,7 @@ class Fitter:
 
         """
         if sizes is not None:
-            search = self._search(frees, start, sizes)
+            search = self.search(frees, start, sizes)
             search.run(steps)
             return self.freeze(search)
         descent = self.begin(frees, start, steps)
@@ -124,13 +124,14 @@ class Fitter:
         steps: int = STEPS_MAX,
     ) -> Descent:
         """Start a fit that runs round by round; see `fit`."""
-        return Descent(self, self._search(frees, start), steps)
+        return Descent(self, self.search(frees, start), steps)
 
-    def _search(
+    def search(
         self,
         frees: Sequence[FreeParameter],
         start: Fit | Point | None = None,
         sizes: Floats | None = None,
+        near: SettledShapes | None = None,
     ) -> Search:
         """Return a started search of free parameters and the other nuisances; see `fit`."""
         claimed = {(free.effect, free.parameter.name) for free in frees}
@@ -146,6 +147,7 @@ class Fitter:
             self.linearise_around({})
         search = Search(self, tuple(frees), nuisances)
         if start is not None:
+            search.settled = start.settled if isinstance(start, Fit) else near
             point = start.point if isinstance(start, Fit) else start
             search.begin([np.array([point.get(f, search.described(f)) for f in search.all])])
         else:
@@ -154,7 +156,7 @@ class Fitter:
 
     def linear_chi2(self, frees: Sequence[FreeParameter], start: Point) -> float:
         """Return the minimum of chi² of an exact arm, linearised at a start."""
-        search = self._search(frees, start)
+        search = self.search(frees, start)
         slopes = search.derivative() * search.scale
         return float(np.square(search.r - slopes @ np.linalg.lstsq(slopes, search.r)[0]).sum())
 
@@ -181,10 +183,10 @@ class Fitter:
         """
         gains = {kind.name: kind for kind in fit.built.kinds}.get(GAIN)
         self.resume(fit)
-        markers = None if gains is None else self.predictor.markers(fit.point)
-        if gains is None or markers is None:
+        near, around = fit.settled, fit.built.around
+        markers = None if gains is None else self.predictor.markers(fit.point, near=near)
+        if gains is None or markers is None or not self.predictor.model.rubs:
             return fit
-        near, around = self.predictor.settled, fit.built.around
         few = {name: own for name, own in around.items() if name in KINDS_WITH_FEW_MEMBERS}
         reversals: list[tuple[float, Members]] = []
         for one in gains.plausible * np.eye(len(gains)):
@@ -250,7 +252,7 @@ class Fitter:
         plain = search.result()
         if self.around:
             with self.predictor.as_described():
-                described = self.predictor.markers(search.point)
+                described = self.predictor.markers(search.point, near=search.settled)
             plain = plain if described is None else replace(plain, markers=described)
         described = np.array([self.predictor.value(free) for free in search.frees])
         plain = replace(plain, response=self.response, described=described)

@@ -23,6 +23,7 @@ from .predict import FreeParameter, Point, Predictor
 from .statistics import SIGNIFICANCE, chi2_isf, chi2_sf, half_width_sd
 
 QUANTILE = half_width_sd(SIGNIFICANCE)
+RISE_ERROR_MAX = 0.02  # [1] of a rise of the profile, because nobody reads more of an end
 CURVATURE_ERROR_MAX = 0.1  # [1] of an end by curvature, else the profile likelihood decides
 DIRECTION_TOLERANCE_RAD = 0.25 * math.pi  # [rad] half an interval, else it would be a guess
 CORRELATED_FROM = 0.98  # [1] correlation of two values; else an interval would be 5 times as wide
@@ -112,15 +113,21 @@ def _endpoint(fitter: Fitter, fit: Fit, i: int, spread: float, wide: float) -> f
     if value == bound:
         return value
     plain, end = end, bound if outside else end
-    rise = _profile_rise(fitter, fit, i, end)
+    rise = _profile_rise(fitter, fit, i, end, wide)
     if outside and rise < wide:
         return bound
+    near, far = (value, 0.0), None  # ends, and the rises there
     for _ in range(ROUNDS_MAX):
-        if abs(rise - wide) < 0.02 * wide or not np.isfinite(rise):
+        if abs(rise - wide) < RISE_ERROR_MAX * wide or not np.isfinite(rise):
             break
-        stretch = float(np.clip(wide / max(rise, 1e-6), 0.2, 5.0))
-        end = float(np.clip(value + (end - value) * stretch, parameter.low, parameter.high))
-        rise = _profile_rise(fitter, fit, i, end)
+        near, far = ((end, rise), far) if rise < wide else (near, (end, rise))
+        if far is None:
+            end = value + (end - value) * float(np.clip(wide / max(rise, 1e-6), 1.0, 5.0))
+            end = float(np.clip(end, parameter.low, parameter.high))
+        else:
+            share = float(np.clip((wide - near[1]) / (far[1] - near[1]), 0.1, 0.9))
+            end = near[0] + share * (far[0] - near[0])
+        rise = _profile_rise(fitter, fit, i, end, wide)
         if end == bound and rise < wide:
             break
     return end if np.isfinite(rise) else plain
@@ -136,7 +143,7 @@ def _rise(fitter: Fitter, fit: Fit, i: int, end: float) -> float:
     ends, deviances = (float(fit.values[i]), end) if fit.as_built else (end,), []
     for at in ends:
         moved, prior = _along(fit, i, at)
-        markers = fitter.predictor.markers(moved)
+        markers = fitter.predictor.markers(moved, near=fit.settled)
         if markers is None:
             return float('nan')
         residual = fitter.residual(markers)
@@ -166,18 +173,24 @@ def _along(fit: Fit, i: int, end: float) -> tuple[Point, float]:
     return point, float(np.sum(np.square(prior)))
 
 
-def _profile_rise(fitter: Fitter, fit: Fit, i: int, end: float) -> float:
-    """Root of the rise of chi² with one parameter fixed at `end` and all others refitted."""
+def _profile_rise(fitter: Fitter, fit: Fit, i: int, end: float, wide: float) -> float:
+    """
+    Root of the rise of chi² with one parameter fixed at `end` and all others refitted.
+
+    As accurate as a comparison with `wide` asks for.
+    """
     free = fit.frees[i]
     pinned = replace(free, parameter=replace(free.parameter, low=end, high=end))
     frees = (*fit.frees[:i], pinned, *fit.frees[i + 1 :])
-    start = {key: value for key, value in fit.point.items() if key != free} | {pinned: end}
+    start = {**_along(fit, i, end)[0], pinned: end}
     fitter.resume(fit)
     try:
-        refit = fitter.fit(frees, start, steps=8, sizes=fit.built.sizes)
+        search = fitter.search(frees, start, fit.built.sizes, fit.settled)
+        search.gain_min = RISE_ERROR_MAX * wide**2
+        search.run(8)
     except FAILURES:
         return float('inf')
-    return float(np.sqrt(max(refit.chi2 - fit.chi2, 0.0)))
+    return float(np.sqrt(max(float(search.r @ search.r) - fit.chi2, 0.0)))
 
 
 def load_of(

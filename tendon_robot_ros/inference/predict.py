@@ -15,12 +15,19 @@ from ..common.errors import EffectError, TendonRobotError
 from ..data import DataSet, Part
 from ..data.arrays import Visits
 from ..effects import Catalogue, Effect, Parameter
-from ..model.compile import LEAST_TENSION_N, KernelArrays
-from ..model.derivatives import DIFFERENCE_STEP, HELD_RCOND, TENSION_STEP, Move, PathSlopes, follow
+from ..model.compile import KernelArrays
+from ..model.derivatives import (
+    DIFFERENCE_STEP,
+    TENSION_STEP,
+    Move,
+    PathSlopes,
+    follow,
+    tensions_by_pulls,
+)
 from ..model.forward import TOLERANCE, ForwardModel
 from ..model.model import Model
-from ..model.pulls import pull_shapes, transmitted
-from ..model.shape import FIELDS, ShapeBatch
+from ..model.pulls import pull_shapes, transmitted, unknown_slopes
+from ..model.shape import FIELDS, ShapeBatch, WireSlopes
 from ..robot import Robot
 
 
@@ -177,11 +184,8 @@ def held(tensions: Floats, rows: Floats, states: Floats, q: int) -> tuple[Floats
     the derivatives (q, b, m) [N per unit] of the tensions.
     """
     m = tensions.shape[1]
-    answers = np.zeros((q, len(tensions), m))
-    for b, own in enumerate(tensions):
-        taut = np.flatnonzero(own > LEAST_TENSION_N)
-        by_tension = rows[q:, b, :m][np.ix_(taut, taut)]
-        answers[:, b, taut] = -rows[:q, b, taut] @ np.linalg.pinv(by_tension, rcond=HELD_RCOND)
+    inverse = tensions_by_pulls(tensions, rows[q:, :, :m].swapaxes(0, 1))
+    answers = -np.einsum('qbm,bmn->qbn', rows[:q, :, :m], inverse)
     return (
         rows[:q] + np.einsum('qbm,mbx->qbx', answers, rows[q:]),
         states[:q] + np.einsum('qbm,mbx->qbx', answers, states[q:]),
@@ -246,10 +250,12 @@ class SettledShapes:
 
     tensions: Floats  # (P, m) [N]
     state: Floats  # (P, 3n) [rad], bends and twists
+    slopes: WireSlopes | None = None  # by the tensions, where wire pulls are commanded
 
     def of(self, rows: npt.NDArray[np.int64]) -> SettledShapes:
         """Return those of some postures."""
-        return SettledShapes(self.tensions[rows], self.state[rows])
+        slopes = None if self.slopes is None else self.slopes.of(rows)
+        return SettledShapes(self.tensions[rows], self.state[rows], slopes)
 
 
 class Predictor:
@@ -340,9 +346,12 @@ class Predictor:
         for part, shapes in self.settle(point, inputs, stiffness, near):
             if shapes is None:
                 return None
-            rows = self.last_visits(part)
-            settled.tensions[part.rows] = shapes.inputs[rows]
-            settled.state[part.rows] = shapes.state[rows]
+            last = shapes.of(self.last_visits(part))
+            settled.tensions[part.rows], settled.state[part.rows] = last.inputs, last.state
+            if last.slopes is not None:
+                slopes = settled.slopes or unknown_slopes(self.model, P)
+                slopes.put(part.rows, last.slopes)
+                settled = replace(settled, slopes=slopes)
             shown, visits = self.see(shapes), self._visits(part)
             placed[part.rows] = shown if visits is None else visits.mean(shown)
             stand_in[part.rows] = part.rows
@@ -545,11 +554,10 @@ class Predictor:
             if visits is None:
                 yield part, self.shapes(own, start)
                 continue
-            legs = []
-            for leg in visits.legs():
-                rows = visits.rows[leg]
-                legs.append(self.shapes(own[rows], None if start is None else start.of(rows)))
-            yield part, together(legs)
+            rows = [visits.rows[leg] for leg in visits.legs()]
+            legs = [self.shapes(own[leg], start and start.of(leg)) for leg in rows]
+            settled = [leg for leg in legs if leg is not None]
+            yield part, ShapeBatch.joined(settled) if len(settled) == len(legs) else None
 
     def predicted(self, part: Conditions) -> Conditions:
         """Return a part with those of its postures that the present model has to predict."""
@@ -573,8 +581,9 @@ class Predictor:
         if self.dataset.input == 'displacement':
             memory = self.model.arrays.fresh_memory() if self.carries else None
             tensions, bends = (None, None) if near is None else (near.tensions, near.state)
+            slopes = None if near is None else near.slopes
             try:
-                return pull_shapes(self.model, inputs, tensions, bends, memory)
+                return pull_shapes(self.model, inputs, tensions, bends, memory, slopes)
             except TendonRobotError:
                 return None
         if self.model.remembers:
@@ -629,15 +638,6 @@ def _moved(predicted: tuple[Floats, SettledShapes]) -> tuple[Floats, Floats, Flo
     """Return markers, states and tensions of a prediction, in the order of `Tangent`."""
     markers, settled = predicted
     return markers, settled.state, settled.tensions
-
-
-def together(batches: Sequence[ShapeBatch | None]) -> ShapeBatch | None:
-    """Concatenate batches of shapes; None if one of them has no equilibrium."""
-    settled = [batch for batch in batches if batch is not None]
-    if len(settled) < len(batches):
-        return None
-    fields = {name: np.concatenate([getattr(one, name) for one in settled]) for name in FIELDS}
-    return replace(settled[0], **fields)
 
 
 def stiffness_factors(free: FreeParameter, value: float, n: int) -> Floats:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -54,6 +55,7 @@ class Search:
         self.spread = np.array([n.spread for n in nuisances])
         self.count = count
         self.damping = 1e-3
+        self.gain_min = GAIN_MIN
         self.slopes: Floats | None = None  # Jacobian at the values `taken`
         self.rates: Rates | None = None  # derivatives of states and tensions there
         self.fresh = False  # whether `slopes` belong to the best point
@@ -202,7 +204,7 @@ class Search:
             return False
         normal = scaled.T @ scaled
         cost = float(self.r @ self.r)
-        gain_min = GAIN_MIN + GAIN_RATIO_MIN * cost
+        gain_min = self.gain_min + GAIN_RATIO_MIN * cost
         for _ in range(12):
             part, step = normal[np.ix_(free, free)], np.zeros(len(self.scale))
             damped = part + self.damping * np.diag(np.diag(part) + 1e-12)
@@ -237,7 +239,9 @@ class Search:
         move = values - self.values
         states, tensions = (np.tensordot(move, rate, 1) for rate in self.rates)
         return SettledShapes(
-            np.maximum(self.settled.tensions + tensions, 0.0), self.settled.state + states
+            np.maximum(self.settled.tensions + tensions, 0.0),
+            self.settled.state + states,
+            self.settled.slopes,
         )
 
     def _age(self) -> None:
@@ -250,4 +254,5 @@ class Search:
     def result(self) -> Fit:
         """Return the fit at the best point."""
         raw, slopes = self.raw, self.derivative()
-        return Fit(self.frees, self.nuisances, self.values, raw, slopes, self.markers)
+        found = Fit(self.frees, self.nuisances, self.values, raw, slopes, self.markers)
+        return replace(found, settled=self.settled)

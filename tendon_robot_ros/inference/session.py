@@ -299,11 +299,15 @@ class Session:
         return self.floor_with(self.random.plausible)
 
     @cached_property
+    def described(self) -> tuple[Predictor, Floats | None]:
+        """Predictor of the description on the whole data set, and its markers (P, J, 3) [m]."""
+        predictor = Predictor(self.whole, self.robot, self.catalogue)
+        return predictor, predictor.markers({})
+
+    @cached_property
     def repeats(self) -> Repeats | None:
         """How far errors of the description differ at equal inputs; None: not told."""
-        whole = self.whole
-        predictor = Predictor(whole, self.robot, self.catalogue)
-        markers = predictor.markers({})
+        whole, (predictor, markers) = self.whole, self.described
         if markers is None or whole.path != 'sequence':
             return None
         blocks = Whitener(whole, self.noise, input_slopes(predictor, {})).variance
@@ -379,11 +383,13 @@ class Session:
 
     def split_tested(self, point: Point) -> tuple[list[Candidate], list[Candidate]]:
         """Return the candidates whose effect the postures show at a point, and the others."""
-        markers = self.predictor.markers(point)
+        predictor, whitener = self.predictor, self.whitener
+        markers = predictor.markers(point)
+        near = predictor.settled
         tested = [
             c
             for c in self.candidates
-            if markers is not None and is_tested(c, self.predictor, self.whitener, point, markers)
+            if markers is not None and is_tested(c, predictor, whitener, point, markers, near)
         ]
         return tested, [c for c in self.candidates if c not in tested]
 

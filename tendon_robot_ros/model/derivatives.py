@@ -36,6 +36,14 @@ RIGID_BELOW = EPSILON / DIFFERENCE_STEP  # [m/N] rounding of places of 1 m, and 
 HELD_RCOND = 1e-9
 
 
+def tensions_by_pulls(tensions: Floats, slopes: Floats) -> Floats:
+    """Return the derivatives (b, m, m) [N/m] of tensions by pulls, of taut wires; else zero."""
+    taut = tensions > LEAST_TENSION_N
+    both = taut[:, :, None] & taut[:, None, :]
+    inverse = np.linalg.pinv(np.where(both, slopes, 0.0), rcond=HELD_RCOND)
+    return np.where(both, inverse, 0.0)  # exactly, else rounding would pull slack wires taut
+
+
 def tip_jacobian(model: ForwardModel, tensions: Floats) -> Floats:
     """Return d (tip position, tip direction) / d tensions, (6, m) [m/N], [1/N], from straight."""
     if model.friction_remembers:
@@ -164,14 +172,12 @@ class PathSlopes:
         (b, m), u = inputs.shape, model.arrays.unknowns
         inputs, states = np.ascontiguousarray(inputs), np.ascontiguousarray(states)
         answers, by_tension = np.empty((b, u, u)), np.empty((b, m, u))
-        pulls, held = np.empty((b, m, m)), np.zeros((b, m, m))
+        pulls = np.empty((b, m, m))
         past, part = model.arrays.fresh_memory(), model.arrays.part('derivatives')
         part.path_slopes(
             model.arrays.address, inputs, states, past, model.scratch, answers, by_tension, pulls
         )
-        for own, tensions, slopes in zip(held, inputs, pulls, strict=True):
-            taut = np.ix_(*[np.flatnonzero(tensions > LEAST_TENSION_N)] * 2)
-            own[taut] = np.linalg.pinv(slopes[taut], rcond=HELD_RCOND) if by_pulls else 0.0
+        held = tensions_by_pulls(inputs, pulls) if by_pulls else np.zeros_like(pulls)
         return cls(model, inputs, states, answers, by_tension, held, by_pulls)
 
     def shapes(self, commanded: Floats) -> ShapeBatch:
@@ -364,7 +370,7 @@ def shown(
     model.arrays.part('shape').show_postures(
         model.arrays.address, block, b, past.ctypes.data, model.scratch
     )
-    return ShapeBatch(**fields, cell_length=form.cell_length, hinge=form.hinge)
+    return ShapeBatch(**fields, cell_length=form.cell_length, hinge=form.hinge, slopes=None)
 
 
 FORCES = ('tip_load', 'force_x'), ('tip_load', 'force_y'), ('tip_load', 'force_z')

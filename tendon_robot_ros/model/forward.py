@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -18,7 +17,7 @@ from ..robot import RobotLike, load_robot
 from ..robot.estimates import natural_sizes
 from ..robot.inputs import TensionsLike, are_tensions, input_rows, tensions_of
 from .compile import BEND_TOLERANCE, KernelArrays
-from .shape import FIELDS, ResultLayout, Shape, ShapeBatch
+from .shape import ResultLayout, Shape, ShapeBatch
 
 TOLERANCE = BEND_TOLERANCE
 # [rad] last step of a search that stalled at a kink of friction, because those of arms that buckle
@@ -123,6 +122,11 @@ class ForwardModel:
         return self.acts_at('transmission')
 
     @property
+    def rubs(self) -> bool:
+        """Whether tendons or joints have friction, which reverses with their motion."""
+        return self.acts_at('eyelet') or self.acts_at('joint_friction')
+
+    @property
     def sticks(self) -> bool:
         """Whether tendons stick by the travel beyond an eyelet, without friction memory."""
         slides = self.acts_at('eyelet') and self.acts_at('friction_travel')
@@ -220,11 +224,13 @@ class ForwardModel:
         self._refuse(inputs, changes)
         return batch
 
-    def sequence(self, tensions: npt.ArrayLike, memory: Floats | None = None) -> ShapeBatch:
+    def sequence(
+        self, tensions: npt.ArrayLike, memory: Floats | None = None, guesses: Floats | None = None
+    ) -> ShapeBatch:
         """Return the shapes (b) of postures one after the other; friction remembers."""
         inputs = input_rows(self.robot, tensions)
         past = self.arrays.fresh_memory() if memory is None else memory
-        batch, changes = self.solve(inputs, None, past, carry=True)
+        batch, changes = self.solve(inputs, guesses, past, carry=True)
         self._refuse(inputs, changes)
         return batch
 
@@ -262,7 +268,7 @@ class ForwardModel:
             edges = np.linspace(0, b, THREADS + 1).astype(int).tolist()
             with ThreadPoolExecutor(THREADS) as pool:
                 list(pool.map(part, edges[:-1], edges[1:]))
-        batch = ShapeBatch(**fields, cell_length=form.cell_length, hinge=form.hinge)
+        batch = ShapeBatch(**fields, cell_length=form.cell_length, hinge=form.hinge, slopes=None)
         return batch, changes
 
     @cached_property
@@ -337,4 +343,4 @@ def workspace_library(model: ForwardModel) -> ShapeBatch:
     inputs = low + spread * (top - low)
     batch, changes = model.solve(inputs)
     good = changes < TOLERANCE
-    return replace(batch, **{name: getattr(batch, name)[good] for name in FIELDS})
+    return batch.of(good)

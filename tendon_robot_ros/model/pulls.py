@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -14,12 +14,13 @@ from ..common.errors import InputError, NoEquilibriumError
 from ..common.estimation import ITERATIONS_MAX
 from ..common.words import FAR_M
 from ..robot.estimates import SAME_TENSION_N
-from ..robot.inputs import TensionsLike, wire_pulls
+from ..robot.inputs import TensionsLike, input_rows, wire_pulls
 from .compile import LEAST_TENSION_N
+from .shape import ShapeBatch, WireSlopes
 
 if TYPE_CHECKING:
     from .forward import ForwardModel
-    from .shape import Shape, ShapeBatch
+    from .shape import Shape
     from .tip_task import TipTask
 
 Aim = Callable[[Floats, Floats, Floats], tuple[float, Floats]]
@@ -74,7 +75,8 @@ def pull_shape(
 def held_shape(model: ForwardModel, pulls: Floats, guess: Shape | None, past: Floats) -> Shape:
     """Return the shape under pulls (m,) [m] behind the transmission, which follow a memory."""
     start = None if guess is None else (guess.inputs, guess.state)
-    inputs, bend = _tensions(model, pulls, start, past, _compliance(model), _KnownSlopes(model))
+    slopes = unknown_slopes(model, 1)
+    inputs, bend = _tensions(model, pulls, start, past, _compliance(model), slopes, 0)
     return model.shape(inputs, bend, past)
 
 
@@ -121,6 +123,7 @@ def pull_shapes(
     tensions: Floats | None = None,
     bends: Floats | None = None,
     memory: Floats | None = None,
+    slopes: WireSlopes | None = None,
 ) -> ShapeBatch:
     """
     Return the shapes under wire pulls (b, m) [m], NaN for slack.
@@ -134,33 +137,38 @@ def pull_shapes(
     memory : optional
         Friction memory of the posture before; postures then follow each other and it moves on.
         Default: every posture is loaded from straight.
+    slopes : WireSlopes, optional
+        Where the search starts; changed in place to those of the shapes.
 
     Raises
     ------
     InputError, NoEquilibriumError
 
     """
-    commanded = np.array([wire_pulls(model.robot, row) for row in pulls])
+    commanded = input_rows(model.robot, pulls, 'displacement')
     targets = transmitted(model, commanded, memory)
     memory = memory if model.remembers else None
     first = None if memory is None else memory.copy()
     inputs, shapes = np.empty((len(targets), len(model.inputs))), list[Floats]()
     compliance, straight = _compliance(model), model.arrays.fresh_memory()
-    slopes = _KnownSlopes(model)
+    part = model.arrays.part('pulls')
+    if slopes is None or slopes.states.shape[2] != model.arrays.unknowns:
+        slopes = unknown_slopes(model, len(targets))
     for b, target in enumerate(targets):
         start = None if tensions is None or bends is None else (tensions[b], bends[b])
         if start is None and memory is not None and shapes and slopes.sprung:
             start = inputs[b - 1], shapes[-1]
         past = straight if memory is None else memory
-        inputs[b], bend = _tensions(model, target, start, past, compliance, slopes)
+        inputs[b], bend = _tensions(model, target, start, past, compliance, slopes, b)
         shapes.append(bend)
         if memory is not None:
-            model.solve(inputs[b : b + 1], bend[None], memory, carry=True)
+            part.keep_memory(model.arrays.address, memory, model.scratch)
+    states = np.array(shapes)
     batch = (
-        model.shapes(inputs, np.array(shapes)) if first is None else model.sequence(inputs, first)
+        model.shapes(inputs, states) if first is None else model.sequence(inputs, first, states)
     )
     batch.pulls[:] += np.nan_to_num(commanded - targets)
-    return batch
+    return replace(batch, slopes=slopes)
 
 
 def _tensions(
@@ -169,18 +177,19 @@ def _tensions(
     start: tuple[Floats, Floats] | None,
     past: Floats,
     compliance: float,
-    slopes: _KnownSlopes,
+    slopes: WireSlopes,
+    b: int,
 ) -> tuple[Floats, Floats]:
     """
     Find tensions (m,) [N] and state (3n,) [rad] that meet wire pulls (m,) [m].
 
     Wires that stretch come first, from soft to stiff: lengths alone often do not determine how
-    hard two wires pull against each other, springs do.
+    hard two wires pull against each other, springs do. `b`: the place of the posture in `slopes`.
     """
     gap, best = np.inf, (np.zeros_like(target), np.zeros(3 * model.arrays.chain.n))
     for search in searches(model, target, start, slopes.sprung):
         inputs, bends = np.array(search.tensions), np.array([search.bend, search.bend])
-        known = slopes.near(target, search.bend)
+        known = slopes.near(b, target, search.bend)
         problem = (model.arrays.address, inputs, target, bends, past, *known, model.scratch)
         part, stretched = model.arrays.part('pulls'), True
         for ratio in search.springs:
@@ -211,23 +220,13 @@ def _tensions(
     return best
 
 
-class _KnownSlopes:
-    """Derivatives by the tensions where a search ended; of springs the next begins with them."""
-
-    def __init__(self, model: ForwardModel) -> None:
-        """Begin with none."""
-        m, part = len(model.inputs), model.arrays.part('pulls')
-        self.sprung = bool(part.wires_are_springs(model.arrays.address))
-        self._pulls, self._states = np.full((m, m), np.nan), np.zeros((m, model.arrays.unknowns))
-        self._slack = np.zeros(m, dtype=bool)
-
-    def near(self, target: Floats, bend: Floats) -> tuple[Floats, Floats]:
-        """Return those of pulls (m, m) [m/N] and states (m, u) [rad/N]; NaN where they are far."""
-        slack = np.isnan(target)
-        if not bend.any() or (slack != self._slack).any():
-            self._pulls[:] = np.nan
-        self._slack = slack
-        return self._pulls, self._states
+def unknown_slopes(model: ForwardModel, count: int) -> WireSlopes:
+    """Return the slopes of so many postures of which nothing is known."""
+    m, arrays = len(model.inputs), model.arrays
+    sprung = bool(arrays.part('pulls').wires_are_springs(arrays.address))
+    return WireSlopes(
+        np.full((count, m, m), np.nan), np.zeros((count, m, arrays.unknowns)), sprung
+    )
 
 
 @dataclass(frozen=True)

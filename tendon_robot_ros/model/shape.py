@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING, Any
@@ -188,6 +188,37 @@ class Bent:
 
 
 @dataclass(frozen=True)
+class WireSlopes:
+    """Derivatives of b postures by the tensions; searches of springs begin with them."""
+
+    pulls: Floats  # (b, m, m) [m/N], NaN where they are not known
+    states: Floats  # (b, m, u) [rad/N]
+    sprung: bool  # whether the wires are springs
+
+    def of(self, rows: npt.NDArray[np.int64] | slice) -> WireSlopes:
+        """Return those of some postures."""
+        return WireSlopes(self.pulls[rows], self.states[rows], self.sprung)
+
+    def put(self, rows: npt.NDArray[np.int64], others: WireSlopes) -> None:
+        """Set those of some postures, if their states have as many entries."""
+        if self.states.shape[2] == others.states.shape[2]:
+            self.pulls[rows], self.states[rows] = others.pulls, others.states
+
+    def near(self, b: int, target: Floats, bend: Floats) -> tuple[Floats, Floats]:
+        """
+        Return those of pulls (m, m) [m/N] and states (m, u) [rad/N] of a posture, to be changed.
+
+        Unknown ones are those of the posture before; NaN where they are of other wires or far.
+        """
+        pulls, states = self.pulls[b], self.states[b]
+        if b > 0 and np.isnan(pulls[0, 0]):
+            pulls[:], states[:] = self.pulls[b - 1], self.states[b - 1]
+        if not bend.any() or (pulls.any(axis=1) == np.isnan(target)).any():
+            pulls[:] = np.nan
+        return pulls, states
+
+
+@dataclass(frozen=True)
 class ShapeBatch(Bent):
     """Shapes of b postures of a robot with n cells, k tendons and m inputs."""
 
@@ -200,6 +231,7 @@ class ShapeBatch(Bent):
     pulls: Floats  # (b, m) [m], mean over the tendons of an input
     cell_length: Floats  # (n,) [m] at rest
     hinge: npt.NDArray[np.bool_]  # (n,)
+    slopes: WireSlopes | None = None  # by the tensions, where they were found for wire pulls
 
     def __len__(self) -> int:
         """Count the postures."""
@@ -208,6 +240,17 @@ class ShapeBatch(Bent):
     def __repr__(self) -> str:
         """Name the numbers of postures and cells."""
         return f'<ShapeBatch: {len(self)} postures of {len(self.cell_length)} cells>'
+
+    def of(self, rows: npt.NDArray[Any] | slice) -> ShapeBatch:
+        """Return some of the postures."""
+        slopes = None if self.slopes is None else self.slopes.of(rows)
+        return replace(self, **{name: getattr(self, name)[rows] for name in FIELDS}, slopes=slopes)
+
+    @staticmethod
+    def joined(batches: Sequence[ShapeBatch]) -> ShapeBatch:
+        """Return the postures of several batches of one robot."""
+        fields = {name: np.concatenate([getattr(one, name) for one in batches]) for name in FIELDS}
+        return replace(batches[0], **fields, slopes=None)
 
     def markers(self, arc_length: Floats, offset: Floats) -> Floats:
         """

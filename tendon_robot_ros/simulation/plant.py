@@ -25,7 +25,7 @@ from ..common.rotations import bent, turned_in_plane
 from ..effects import Catalogue, CatalogueLike, Effect, load_catalogue
 from ..model.model import Model
 from ..model.pulls import pull_shapes
-from ..model.shape import FIELDS, Shape, ShapeBatch
+from ..model.shape import Shape, ShapeBatch
 from ..robot import Robot, RobotLike, Section, load_robot
 from ..robot.description import XY, EffectValues, helix_angles
 from ..robot.estimates import natural_sizes
@@ -305,8 +305,7 @@ class Plant:
                     return settle(row, memory)
 
                 each.append(self._held(again))
-            joined = {name: np.concatenate([getattr(s, name) for s in each]) for name in FIELDS}
-            settled = replace(each[0], **joined)
+            settled = ShapeBatch.joined(each)
         return settled if displacement else replace(settled, inputs=inputs)
 
     def _held[Found: (Shape, ShapeBatch)](self, settle: Callable[[], Found]) -> Found:

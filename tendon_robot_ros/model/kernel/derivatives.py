@@ -77,8 +77,12 @@ def sweep_or_residual(chain, inputs, bend, work, past, out):
 
 
 @compiled
-def input_response(chain, inputs, bend, work, past, rows):
-    """Fill the derivatives of the state by the input tensions, rows (m, unknowns) [rad/N]."""
+def input_response(chain, inputs, bend, work, past, rows, central):
+    """
+    Fill the derivatives of the state by the input tensions, rows (m, unknowns) [rad/N].
+
+    By `central` differences, or by differences to one side.
+    """
     if is_implicit(chain) and stages.eyelet_acts(chain):
         pulls, f = np.empty((chain.k, unknowns(chain))), np.empty(unknowns(chain))
         chain.residual(chain, inputs, bend, work, past, address(f))
@@ -90,13 +94,16 @@ def input_response(chain, inputs, bend, work, past, rows):
     changes, low = np.empty((m, size)), np.empty(size)
     tension, implicit = floats(inputs), is_implicit(chain)
     filled = changes if implicit else rows
+    if not central:
+        sweep_or_residual(chain, inputs, bend, work, past, address(low))
     for j in range(m):
         was = tension[j]
-        width = LEAST_TENSION_N + min(was, LEAST_TENSION_N)
+        width = LEAST_TENSION_N + (min(was, LEAST_TENSION_N) if central else 0.0)
         tension[j] = was + LEAST_TENSION_N
         sweep_or_residual(chain, inputs, bend, work, past, address(filled) + 8 * size * j)
-        tension[j] = was + LEAST_TENSION_N - width
-        sweep_or_residual(chain, inputs, bend, work, past, address(low))
+        if central:
+            tension[j] = was + LEAST_TENSION_N - width
+            sweep_or_residual(chain, inputs, bend, work, past, address(low))
         tension[j] = was
         for q in range(size):
             filled[j, q] = (filled[j, q] - low[q]) / width
@@ -145,14 +152,13 @@ def move_along(chain, inputs, bend, rows, j, step, trial):
 @compiled
 def output_slopes(chain, inputs, solver, state_slopes, slopes):
     """
-    Fill slopes (6 or 6 + m, m): tip position [m/N], tip direction [1/N], wire pulls [m/N].
+    Fill slopes (6, m) of tip position [m/N] and tip direction [1/N] by the inputs.
 
-    By the inputs, at the state kept in the workspace, which balances inputs (m,) at an address;
-    the wire pulls only where there are rows for them. `state_slopes` (m, u) takes the derivatives
-    of the state [rad/N].
+    At the state kept in the workspace, which balances inputs (m,) at an address. `state_slopes`
+    (m, u) takes the derivatives of the state [rad/N].
     """
     n, m, bend, work, past = chain.n, chain.m, solver.bend, solver.work, solver.past
-    input_response(chain, inputs, bend, work, past, state_slopes)
+    input_response(chain, inputs, bend, work, past, state_slopes, True)
     frames, origins = floats(work.frames), floats(work.origins)
     for j in range(m):
         slopes[:, j] = 0.0
@@ -167,11 +173,37 @@ def output_slopes(chain, inputs, solver, state_slopes, slopes):
             for r in range(3):
                 slopes[r, j] += scale * origins[3 * n + r]
                 slopes[3 + r, j] += scale * frames[9 * n + 3 * r + 2]
-            if slopes.shape[0] > 6:
-                wire_pulls(chain, solver.near, work, solver.pulls)
-                mean_pulls(chain, solver.pulls, solver.means)
-                for r in range(m):
-                    slopes[6 + r, j] += scale * floats(solver.means)[r]
+
+
+@compiled
+def input_pulls(chain, inputs, bend, solver):
+    """Return the wire pulls (m,) [m] of inputs at an address and a state, not settled."""
+    place_as(chain, inputs, bend, solver.work, solver.past)
+    wire_pulls(chain, bend, solver.work, solver.pulls)
+    mean_pulls(chain, solver.pulls, solver.means)
+    return floats(solver.means)
+
+
+@compiled
+def pull_rates(chain, inputs, solver, state_slopes, slopes):
+    """
+    Fill slopes (m, m) [m/N] of the wire pulls by the inputs, and of the state, as `output_slopes`.
+
+    By differences to one side: they only guide the steps of a search.
+    """
+    m, bend = chain.m, solver.bend
+    input_response(chain, inputs, bend, solver.work, solver.past, state_slopes, False)
+    pulls = input_pulls(chain, inputs, bend, solver)
+    for j in range(m):
+        for r in range(m):
+            slopes[r, j] = -pulls[r] / LEAST_TENSION_N
+    for j in range(m):
+        was = floats(inputs)[j]
+        move_along(chain, inputs, bend, state_slopes, j, LEAST_TENSION_N, solver.near)
+        pulls = input_pulls(chain, inputs, solver.near, solver)
+        floats(inputs)[j] = was
+        for r in range(m):
+            slopes[r, j] += pulls[r] / LEAST_TENSION_N
 
 
 @entry()
@@ -252,13 +284,12 @@ def path_slopes(robot, inputs, states, past, scratch, answers, by_tension, pulls
     """
     chain = chain_at(robot)
     size, m = unknowns(chain), chain.m
-    bends, both = np.zeros((2, 3 * chain.n)), np.empty((6 + m, m))
+    bends = np.zeros((2, 3 * chain.n))
     solver, unit, f = workspace(chain, bends, past, scratch), np.eye(size), np.empty(size)
     for b in range(inputs.shape[0]):
         tension = address(inputs) + 8 * m * b
         copy(address(states) + 24 * chain.n * b, solver.bend, size)
-        output_slopes(chain, tension, solver, by_tension[b], both)
-        pulls[b] = both[6:]
+        pull_rates(chain, tension, solver, by_tension[b], pulls[b])
         chain.residual(chain, tension, solver.bend, solver.work, solver.past, address(f))
         rows = address(answers) + 8 * size * size * b
         chain.respond(chain, solver.bend, address(unit), size, solver.work, solver.past, rows, 0)

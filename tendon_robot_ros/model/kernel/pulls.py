@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from . import stages
-from .derivatives import output_slopes
+from .derivatives import pull_rates
 from .layout import (
     BEND_TOLERANCE,
     EVERY_METHOD,
@@ -22,13 +22,16 @@ from .layout import (
     address,
     chain_at,
     compiled,
+    copy,
     entry,
     floats,
     keep,
     memory_in,
+    memory_size,
     solve_rows,
     solve_small,
     words,
+    work_size,
 )
 from .shape import accept, is_balanced, mean_pulls, predict, wire_pulls, workspace
 
@@ -54,6 +57,14 @@ def transmit(robot, pulls, past, carry):
                     members += 1
             if members > 0:
                 pulls[b, j] = total / members
+
+
+@entry()
+def keep_memory(robot, past, scratch):
+    """Move the memory in `past` on to that after the equilibrium which was found last."""
+    chain = chain_at(robot)
+    now = memory_in(chain, scratch + 8 * work_size(chain.n, chain.k))
+    copy(now.bend, address(past), memory_size(chain.n, chain.k, chain.m))
 
 
 @compiled
@@ -101,12 +112,10 @@ def wires_are_springs(robot):
 @compiled
 def pull_slopes(chain, inputs, target, solver, state_slopes, slopes):
     """Fill the derivative (m, m) [m/N] of the residuals by the tensions."""
-    m = inputs.shape[0]
-    both = np.empty((6 + m, m))
-    output_slopes(chain, address(inputs), solver, state_slopes, both)
-    for r in range(m):
-        for j in range(m):
-            slopes[r, j] = 0.0 if math.isnan(target[r]) else both[6 + r, j]
+    pull_rates(chain, address(inputs), solver, state_slopes, slopes)
+    for r in range(inputs.shape[0]):
+        if math.isnan(target[r]):
+            slopes[r] = 0.0
 
 
 @compiled
