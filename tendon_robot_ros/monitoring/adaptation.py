@@ -35,7 +35,7 @@ from typing import Any
 import numpy as np
 
 from ..common.arrays import Floats
-from ..common.estimation import kalman_update
+from ..common.estimation import KalmanUpdate, kalman_update
 from ..common.words import listed, with_unit
 from ..data import Marker
 from ..inference.description import with_values
@@ -80,12 +80,6 @@ class _Filter:
         known = self.covariance[: self.p, : self.p]
         information = self.memory * np.linalg.inv(known) + (1.0 - self.memory) * np.eye(self.p)
         self.covariance[: self.p, : self.p] = np.linalg.inv(information)
-
-    def learn(self, off: Floats, columns: Floats, noise: Floats) -> tuple[float, float]:
-        """Update by a residual (r,) [m] at the mean; return predictive log likelihood and chi²."""
-        after = kalman_update(self.mean, self.covariance, columns, off, noise)
-        self.mean, self.covariance = after.mean, after.covariance
-        return after.log_likelihood, after.chi2
 
     def keep_within(self, low: Floats, high: Floats) -> None:
         """Project parameters onto their bounds; correlated states follow."""
@@ -152,7 +146,7 @@ class RecursiveEstimate:
 
     def learn(
         self, off: Floats, columns: Floats, noise: Floats, remainder: Floats | float = 0.0
-    ) -> float:
+    ) -> None:
         """
         Update all filters by a measurement.
 
@@ -167,23 +161,18 @@ class RecursiveEstimate:
         remainder : (r, r), optional
             Covariance of a remainder of 1 m [1].
 
-        Returns
-        -------
-        float
-            Smallest chi² of the filters: the misfit by the best one.
-
         """
-        at, fits = self.mean, list[tuple[float, float]]()
+        at, fits = self.mean, list[KalmanUpdate]()
         for one in self._filters:
             one.forget()
-            spread = noise + one.remainder**2 * remainder
-            fits.append(one.learn(off - columns @ (one.mean - at), columns, spread))
+            spread, own = noise + one.remainder**2 * remainder, off - columns @ (one.mean - at)
+            fits.append(kalman_update(one.mean, one.covariance, columns, own, spread))
+            one.mean, one.covariance = fits[-1].mean, fits[-1].covariance
             one.keep_within(self.low, self.high)
-        logs = WEIGHT_MEMORY * np.log(self.weights) + np.array([log for log, _ in fits])
+        logs = WEIGHT_MEMORY * np.log(self.weights) + [fit.log_likelihood for fit in fits]
         weights = np.exp(logs - logs.max())
         weights = weights / weights.sum() + ODD_PROBABILITY  # no filter is excluded for good
         self.weights = weights / weights.sum()
-        return min(chi2 for _, chi2 in fits)
 
     def fits(self, off: Floats, columns: Floats, noise: Floats, remainder: Floats) -> float:
         """Return the smallest chi² (r degrees of freedom) of a measurement without an update."""
@@ -401,12 +390,12 @@ class Adaptation:
         if moved is None:
             return False
         own = moved[0] * [one.spread for one in self._adaptable]
-        columns = np.hstack([own, expected.columns @ arm.prior])[rows]
+        columns = np.hstack([own, expected.columns[:, : arm.built] @ arm.prior])[rows]
         if self._estimate is None:
             self._estimate = RecursiveEstimate(
                 np.array([one.units(one.low) for one in self._adaptable]),
                 np.array([one.units(one.high) for one in self._adaptable]),
-                expected.columns.shape[1],
+                arm.built,
                 [size for size in arm.remainders if size > 0.0],
             )
         known = columns[:, own.shape[1] :] @ self._estimate.mean[own.shape[1] :]

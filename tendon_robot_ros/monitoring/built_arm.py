@@ -5,13 +5,16 @@ Its imperfections b (cells, kinks, gains, the tracker's frame; prior: plausible 
 estimated by an extended Kalman filter, y = f(T, b) + G(T) a + remainder + noise, linearised at the
 current estimate. The remainder, which no imperfection explains, is independent between postures
 and smooth along the arm; its size and the noise of the measured tensions maximise the likelihood
-of the reference postures, linear around the last estimate. It is at least the `model_error` of the
-description: imperfections that imitate it at the references do not elsewhere.
+of the reference postures, linear around the last estimate. Before there are references it is the
+`model_error` of the description.
 
 A description with a `model_error` may lack effects. Their error is not a new one in every posture:
 it comes back with the tensions, and is alike under similar ones. G, the motion of the markers by
-the parameters a of all effects (prior: typical values), makes cov G a = G(T) A G(T')' between
-postures. Without a `model_error` nothing is known to be lacking, and a = 0.
+the parameters of all effects (prior: typical values), makes cov G a = G(T) A G(T')' between
+postures. It has two columns for a parameter, for a parabola through the motion by a typical value.
+What half a typical value moves beyond that parabola is independent between postures: it is large
+where a moment is near a kink of friction, and only there. Without a `model_error` nothing is known
+to be lacking, and a = 0.
 
 The variance of the innovations is compared with its prediction over one posture and over several
 in sequence (batch means), and widened by the ratio. Tip force and drift alarm use this model.
@@ -69,11 +72,10 @@ ODD_PROBABILITY = 1e-6
 
 @dataclass(frozen=True)
 class Expected:
-    """Prediction of a posture: markers, and their motion by imperfections of 1 sd."""
+    """Prediction of a posture: markers, and their motion by states of 1 sd."""
 
-    markers: Floats  # (3 J,) [m] at the estimated imperfections
-    columns: Floats  # (3 J, q) [m] per sd
-    bent: Floats  # (3 J, 2 m) [m] nonlinearity within the uncertainty of kinks
+    markers: Floats  # (3 J,) [m] at the estimated states
+    columns: Floats  # (3 J, q + n) [m] per sd of the q states, and of n new ones in every posture
 
 
 _Linear = tuple[Expected, Floats]  # without imperfections, and the measured (3 J,) [m]
@@ -126,10 +128,10 @@ class BuiltArm:
         self.split = SplitPredictor(self.whole)
         rest = remainders(predictor(np.zeros((1, 1, J, 3)))).reshape(-1, 3 * J)
         self._rest = rest.T @ rest  # (3 J, 3 J) of a remainder of 1 m sd at the tip
-        known = (robot.model_error or 0.0) / 3.0**0.5  # [m] of a coordinate
-        sizes = {max(part * robot.length, known) for part in REMAINDERS}
+        known = float((robot.model_error or 0.0) / np.sqrt(3.0))  # [m] of a coordinate
+        sizes = {known, *(part * robot.length for part in REMAINDERS)}
         self.remainders: list[float] = sorted(sizes)  # [m] possible ones
-        self.remainder = self.remainders[0]  # [m] 1 sd of a coordinate at the tip
+        self.remainder = known  # [m] 1 sd of a coordinate at the tip, until references show it
         self.setting = 0.0  # 1 sd of a measured tension, in plausible gains
         self.excluded: tuple[int, ...] = ()  # indices of misread references
         self.widening = 1.0  # factor on the predicted variances
@@ -156,7 +158,8 @@ class BuiltArm:
             if effect.name not in (FRAME, LOAD)
             for free in free_parameters(effect, self.robot)
         ]
-        self.plausible = np.append(self.plausible, [f.parameter.typical for f in self.frees])
+        typical = [free.parameter.typical for free in self.frees]
+        self.plausible = np.concatenate([self.plausible, typical, typical])
         prior, self.prior = self.prior, np.eye(len(self.plausible))
         self.prior[: self.built, : self.built] = prior
         self.forget()
@@ -183,11 +186,15 @@ class BuiltArm:
             return None
         markers = self.split.see(shapes).ravel()
         bent = self._bent(inputs, markers, columns, beside)
-        return Expected(markers + self.lacked(columns), columns, bent)
+        return Expected(markers + self.lacked(columns), np.hstack([columns, bent]))
 
     def lacked(self, columns: Floats) -> Floats:
-        """Return the motion (..., 3 J) [m] by what the description lacks, of (..., 3 J, q)."""
-        return np.asarray(columns[..., self.built :] @ self.mean[self.built :])
+        """Return the motion (..., 3 J) [m] by what the description lacks, of (..., 3 J, q + n)."""
+        return self.moves(columns, self.built)
+
+    def moves(self, columns: Floats, first: int = 0) -> Floats:
+        """Return the motion (..., 3 J) [m] by the estimated states from the first one on."""
+        return np.asarray(columns[..., first : len(self.mean)] @ self.mean[first:])
 
     def _beside(self, inputs: Floats) -> tuple[Floats, Floats] | None:
         """
@@ -245,13 +252,7 @@ class BuiltArm:
         """Return the covariance of visible coordinates by a remainder of 1 m at the tip [1]."""
         return np.asarray(self._rest[np.ix_(rows, rows)])
 
-    def scatter(
-        self,
-        rows: Bools,
-        columns: Floats,
-        frames: int = 1,
-        bent: Floats | None = None,
-    ) -> Floats:
+    def scatter(self, rows: Bools, columns: Floats, frames: int = 1) -> Floats:
         """
         Return the covariance (r, r) [m²] of visible coordinates that is independent per posture.
 
@@ -259,20 +260,21 @@ class BuiltArm:
         ----------
         rows : (3 J,) of bool
             Visible coordinates.
-        columns : (3 J, q) [m]
+        columns : (3 J, q + n) [m]
             As of `Expected`: an error of a measured tension acts as an error of its gain.
         frames : int
             Number of frames whose mean the coordinates are.
-        bent : (3 J, k) [m], optional
-            As of `Expected`.
 
         """
-        read = self.setting * columns[rows][:, self._gains]
-        noise = self.noise**2 / frames * np.eye(int(rows.sum()))
-        noise += read @ read.T
-        if bent is not None:
-            noise += bent[rows] @ bent[rows].T
-        return np.asarray(self.remainder**2 * self.rest(rows) + noise)
+        read, new = self.setting * columns[:, self._gains], columns[:, len(self.mean) :]
+        own = np.hstack([read, new])[rows]
+        noise = self.noise**2 / frames * np.eye(len(own))
+        return np.asarray(self.remainder**2 * self.rest(rows) + noise + own @ own.T)
+
+    def spread(self, rows: Bools, columns: Floats, frames: int = 1) -> Floats:
+        """Return the same with the part that all postures share, by the uncertain states."""
+        own = columns[rows, : len(self.mean)]
+        return np.asarray(own @ self.covariance @ own.T + self.scatter(rows, columns, frames))
 
     def fit(self, tensions: Floats, positions: Floats, frames: int = 1) -> float:
         """
@@ -317,14 +319,14 @@ class BuiltArm:
                 (self.expected(t), p.ravel()) for t, p in zip(tensions, positions, strict=True)
             ]
             base = [
-                None if e is None else (replace(e, markers=e.markers - e.columns @ self.mean), y)
+                None if e is None else (replace(e, markers=e.markers - self.moves(e.columns)), y)
                 for e, y in pairs
             ]
             counted = [one for one, c in zip(base, counts, strict=True) if c and one is not None]
             self._vary(counted, frames)
             self.forget()
             for free, measured in counted:
-                markers = free.markers + free.columns @ self.mean
+                markers = free.markers + self.moves(free.columns)
                 self.learn(replace(free, markers=markers), measured, frames)
         return base
 
@@ -355,8 +357,8 @@ class BuiltArm:
     ) -> tuple[Floats, Floats, Floats]:
         """Return residual, columns and scatter of the visible coordinates of a posture."""
         rows = np.isfinite(measured)
-        scatter = self.scatter(rows, expected.columns, frames, expected.bent)
-        return measured[rows] - expected.markers[rows], expected.columns[rows], scatter
+        scatter, own = self.scatter(rows, expected.columns, frames), expected.columns[rows]
+        return measured[rows] - expected.markers[rows], own[:, : len(self.mean)], scatter
 
     def _follow(
         self, tensions: Floats, positions: Floats, frames: int
@@ -385,20 +387,27 @@ class BuiltArm:
         return weighted.T @ off, columns.T @ weighted
 
     def columns(self, inputs: Floats, point: Point) -> Floats | None:
-        """Return the motion of the markers (3 J, q) [m] by states of plausible size."""
+        """Return the motion of the markers (3 J, q + n) [m] by states of plausible size."""
         self.split.inputs = inputs
         moved = self.moved(self.split, point)
         return None if moved is None else moved[0]
 
     def moved(self, split: SplitPredictor, point: Point) -> Floats | None:
-        """Return the motion of the markers (P, 3 J, q) [m] by states of plausible size."""
-        responses = imperfections(split, point, self.members)
-        lacked = None if responses is None else differences(split, point, self.frees)
-        if responses is None or lacked is None:
+        """Return the motion of the markers (P, 3 J, q + n) [m] by states of plausible size."""
+        responses = imperfections(split, point, self.members, changed=True)
+        steps = (
+            None
+            if responses is None
+            else differences(split, point, self.frees, (DIFFERENCE, 0.5, 1.0))
+        )
+        if responses is None or steps is None:
             return None
-        built = responses.moves[: self.built].reshape(self.built, *lacked.shape[1:])
-        moves = np.concatenate([built, lacked]) * self.plausible[:, None, None]
-        return np.moveaxis(moves, 0, 2)
+        slope, half, whole = steps
+        built = responses.moves[: self.built].reshape(self.built, *slope.shape[1:])
+        left = 0.5 * (half - slope) - 0.25 * (whole - slope)
+        moves = np.concatenate([built, slope, whole - slope, left])
+        sizes = np.append(self.plausible, [f.parameter.typical for f in self.frees])
+        return np.asarray(np.moveaxis(moves * sizes[:, None, None], 0, 2))
 
 
 def slopes(
@@ -417,21 +426,25 @@ def slopes(
 
 
 def differences(
-    predictor: Predictor, point: Point, frees: Sequence[FreeParameter]
+    predictor: Predictor,
+    point: Point,
+    frees: Sequence[FreeParameter],
+    parts: Sequence[float] = (DIFFERENCE,),
 ) -> Floats | None:
-    """Return the motion of the markers (k, P, 3 J) by a unit of parameters, beyond kinks."""
-    moves = np.zeros((len(frees), len(predictor.inputs), 3 * len(predictor.dataset.markers)))
+    """Return the motion of the markers (n, k, P, 3 J) per unit, by n parts of typical values."""
+    P, J = len(predictor.inputs), len(predictor.dataset.markers)
+    moves = np.zeros((len(parts), len(frees), P, 3 * J))
     base = predictor.markers(point) if frees else np.zeros(0)
     if base is None:
         return None
-    for move, free in zip(moves, frees, strict=True):
-        value = point.get(free, predictor.value(free))
-        step = DIFFERENCE * free.parameter.typical
-        if value + step > free.parameter.high:
-            step = -step
-        moved = predictor.markers({**point, free: value + step})
+    for (i, part), (k, free) in product(enumerate(parts), enumerate(frees)):
+        value, own = point.get(free, predictor.value(free)), free.parameter
+        step = part * own.typical
+        if value + step > own.high:
+            step = -min(step, value - own.low)
+        moved = predictor.markers({**point, free: value + step}) if step else None
         if moved is not None:
-            move[:] = (moved - base).reshape(move.shape) / step
+            moves[i, k] = (moved - base).reshape(P, 3 * J) / step
     return moves
 
 

@@ -170,7 +170,7 @@ class _Weights:
     """Covariance V of the visible coordinates: of each posture, and by imperfections of all."""
 
     def __init__(self, arm: BuiltArm, postures: MeasuredPostures, columns: Floats) -> None:
-        """Take the columns (P, 3 J, q) [m per sd] of the imperfections."""
+        """Take the columns (P, 3 J, q + n) [m per sd], as of `Expected`."""
         self.rows, self._roots, self.log_determinant = postures.rows, list[Floats](), 0.0
         for rows, own, frames in zip(postures.rows, columns, postures.frames, strict=True):
             root = np.linalg.cholesky(arm.widening * arm.scatter(rows, own, frames))
@@ -180,7 +180,7 @@ class _Weights:
         known = np.linalg.cholesky(arm.widening * arm.covariance + 1e-12 * np.eye(q))
         built, size = Kind('built', '1', 1.0, tuple(map(str, range(q)))), np.ones(1)
         owners = np.zeros(q, dtype=np.int64)
-        self._random = RandomEffects(self._scattered(columns) @ known, owners, [built])
+        self._random = RandomEffects(self._scattered(columns[..., :q]) @ known, owners, [built])
         self._lift = self._random.root(size)
         self.log_determinant += self._random.log_determinant(size)
 
@@ -279,9 +279,8 @@ class ChangeWork:
         """Return the separation (P,) [sd²] of two changes, with the second one free to adapt."""
         off, far = one[0] - other[0], np.zeros(len(self.postures.tensions))
         for p, frames in enumerate(self.postures.frames):
-            columns, rows = self.columns[p], np.ones(off.shape[1], dtype=bool)
-            spread = self.arm.scatter(rows, columns, frames)
-            spread = self.arm.widening * (spread + columns @ self.arm.covariance @ columns.T)
+            rows = np.ones(off.shape[1], dtype=bool)
+            spread = self.arm.widening * self.arm.spread(rows, self.columns[p], frames)
             solved = np.linalg.solve(spread, np.column_stack([off[p], other[1][p]]))
             along = other[1][p].T @ solved[:, 0]
             both = information + other[1][p].T @ solved[:, 1:]

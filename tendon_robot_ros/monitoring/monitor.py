@@ -11,8 +11,8 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..common.arrays import Floats
 from ..common.errors import DataSetError, InputError, NoEquilibriumError
 from ..comparison.result import mean_over
 from ..data import DataSet, Marker, default_markers
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from ..model.model import Model
     from ..model.shape import Shape
 
-Array = NDArray[np.float64]
 # [1] frames of the tracker in each half of a window, else their mean would hardly reduce noise
 FRAMES_PER_HALF_MIN = 4
 FALSE_CHANGE_PROBABILITY = RARE  # of a motion, for an arm at rest
@@ -51,9 +50,9 @@ class History:
     def __init__(self, span: float = 4.0, patience: float = 0.1) -> None:
         """Begin empty."""
         self.span, self.patience = span, patience
-        self._samples: deque[tuple[float, Array]] = deque()
+        self._samples: deque[tuple[float, Floats]] = deque()
 
-    def put(self, time: float, values: Array) -> None:
+    def put(self, time: float, values: Floats) -> None:
         """Add a sample; one that is older than the newest is dropped."""
         if self._samples and time <= self._samples[-1][0]:
             if time > self._samples[-1][0] - self.span:
@@ -68,9 +67,9 @@ class History:
         """Time of the newest sample [s], minus infinity without any."""
         return self._samples[-1][0] if self._samples else -np.inf
 
-    def at(self, time: float) -> Array | None:
+    def at(self, time: float) -> Floats | None:
         """Return the linearly interpolated values at a time [s], None outside of the samples."""
-        later: tuple[float, Array] | None = None
+        later: tuple[float, Floats] | None = None
         for sample in reversed(self._samples):
             if sample[0] > time:
                 later = sample
@@ -83,7 +82,7 @@ class History:
                 return sample[1] + part * (later[1] - sample[1])
         return None
 
-    def mean(self, begin: float, end: float) -> Array | None:
+    def mean(self, begin: float, end: float) -> Floats | None:
         """Return the mean over a closed interval [s], None without a sample in it."""
         samples = [values for at, values in self._samples if begin <= at <= end]
         return np.array(np.mean(samples, axis=0)) if samples else None
@@ -93,8 +92,8 @@ class History:
 class StillMeasurement:
     """Measurement of an arm at rest: means over the window."""
 
-    inputs: Array  # (m,) [N] or [m]
-    positions: Array  # (J, 3) [m], nan for a missing marker
+    inputs: Floats  # (m,) [N] or [m]
+    positions: Floats  # (J, 3) [m], nan for a missing marker
     spread: float  # [m] 1 sd of one coordinate in one frame
     frames: int
     begin: float  # [s]
@@ -122,9 +121,9 @@ class StillWindow:
     def __init__(self, duration: float, speed: float, change: float) -> None:
         """Begin empty."""
         self.duration, self.speed, self.change = duration, speed, change
-        self._frames: deque[tuple[float, Array, Array]] = deque()
+        self._frames: deque[tuple[float, Floats, Floats]] = deque()
 
-    def put(self, time: float, inputs: Array, positions: Array) -> None:
+    def put(self, time: float, inputs: Floats, positions: Floats) -> None:
         """Add a frame: inputs (m,), markers (J, 3) [m]; a gap in time clears the window."""
         if self._frames and not 0.0 < time - self._frames[-1][0] < self.duration:
             self._frames.clear()
@@ -172,8 +171,8 @@ class _Batch:
     """Mean of the frames between two calls."""
 
     at: float  # [s] of the last frame
-    tensions: Array  # (m,) [N]
-    positions: Array  # (J, 3) [m], their mean
+    tensions: Floats  # (m,) [N]
+    positions: Floats  # (J, 3) [m], their mean
     frames: int
 
 
@@ -198,14 +197,14 @@ class FrameMean:
     def __init__(self, noise: float, tension_change: float, longest: float) -> None:
         """Begin without frames."""
         self.noise, self.tension_change, self.longest = noise, tension_change, longest
-        self._new: list[tuple[float, Array, Array]] = []
+        self._new: list[tuple[float, Floats, Floats]] = []
         self._kept = deque[_Batch]()
 
-    def put(self, at: float, tensions: Array, positions: Array) -> None:
+    def put(self, at: float, tensions: Floats, positions: Floats) -> None:
         """Add a frame: its time [s], tensions (m,) [N], markers (J, 3) [m] or nan."""
         self._new.append((at, tensions, positions))
 
-    def take(self, slopes: Array | None = None) -> tuple[Array, int]:
+    def take(self, slopes: Floats | None = None) -> tuple[Floats, int]:
         """
         Return the mean (J, 3) [m] and its number of frames.
 
@@ -226,10 +225,10 @@ class FrameMean:
         self._kept.append(batch)
         return _joined(self._kept)
 
-    def _same(self, tensions: Array, now: Array) -> bool:
+    def _same(self, tensions: Floats, now: Floats) -> bool:
         return not np.abs(tensions - now).max() > self.tension_change
 
-    def _changed(self, batch: _Batch, slopes: Array | None) -> bool:
+    def _changed(self, batch: _Batch, slopes: Floats | None) -> bool:
         """Whether a batch differs significantly from the earlier ones."""
         if not self._same(self._kept[-1].tensions, batch.tensions):
             return True
@@ -243,7 +242,7 @@ class FrameMean:
         return any(p @ p > chi2_isf(FALSE_CHANGE_PROBABILITY, len(p)) for p in parts if len(p))
 
 
-def _joined(batches: deque[_Batch]) -> tuple[Array, int]:
+def _joined(batches: deque[_Batch]) -> tuple[Floats, int]:
     """Return the mean of batches (J, 3) [m], nan for a missing marker, and their frames."""
     frames = np.array([batch.frames for batch in batches])
     positions = np.array([batch.positions for batch in batches])
@@ -268,12 +267,12 @@ class MonitorSettings:
 class Compared:
     """One frame of the tracker and its prediction."""
 
-    measured: Array  # (J, 3) [m]
-    predicted: Array  # (J, 3) [m]
+    measured: Floats  # (J, 3) [m]
+    predicted: Floats  # (J, 3) [m]
     rolling: float  # [m] rms error of the last marker over the window, while inputs were constant
 
     @property
-    def errors(self) -> Array:
+    def errors(self) -> Floats:
         """Measured minus predicted, (J, 3) [m], nan for a missing marker."""
         return self.measured - self.predicted
 
@@ -314,11 +313,11 @@ class Monitor:
         self.model, self._shape = model, None
         self._tips.clear()
 
-    def put_states(self, time: float, tensions: Array, pulls: Array) -> None:
+    def put_states(self, time: float, tensions: Floats, pulls: Floats) -> None:
         """Add measured tensions (m,) [N] and wire pulls (m,) [m], nan where not observable."""
         self.states.put(time, np.concatenate([tensions, pulls]))
 
-    def put_frame(self, time: float, positions: Array) -> Compared | None:
+    def put_frame(self, time: float, positions: Floats) -> Compared | None:
         """Add a frame (J, 3) [m] and return it with its prediction, None without one."""
         if positions.shape != (len(self.markers), 3):
             raise InputError(
@@ -400,7 +399,7 @@ class Monitor:
             setting_noise=settings.setting_noise,
         )
 
-    def _quiet(self, time: float) -> Array | None:
+    def _quiet(self, time: float) -> Floats | None:
         """Return the mean of the last states, None while inputs change."""
         recent = self.states.mean(time - INPUT_AVERAGE_S, time)
         earlier = self.states.mean(time - 2.0 * INPUT_AVERAGE_S, time - INPUT_AVERAGE_S)
@@ -412,7 +411,7 @@ class Monitor:
         change = np.abs(recent - earlier) / scale
         return recent if np.max(change[np.isfinite(change)], initial=0.0) <= 1.0 else None
 
-    def _predict(self, tensions: Array, pulls: Array) -> Shape | None:
+    def _predict(self, tensions: Floats, pulls: Floats) -> Shape | None:
         last = self._shape
         try:
             if np.isfinite(tensions).all():
@@ -424,7 +423,7 @@ class Monitor:
             self._shape = None
         return self._shape
 
-    def _record(self, time: float, tensions: Array, pulls: Array, positions: Array) -> None:
+    def _record(self, time: float, tensions: Floats, pulls: Floats, positions: Floats) -> None:
         kind = 'tension' if np.isfinite(tensions).all() else 'displacement'
         window = self._windows[kind]
         window.put(time, tensions if kind == 'tension' else pulls, positions)

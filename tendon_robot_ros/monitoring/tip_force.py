@@ -129,11 +129,6 @@ class TipForceObserver:
         measured = positions if markers else pulls
         if measured is None or not np.isfinite(measured).any():
             return None
-        if markers and self.arm.frees:
-            columns = self.arm.columns(inputs, {})
-            if columns is None:
-                return None
-            measured = measured.ravel() - self.arm.lacked(columns)
         data = _Measured(inputs, measured.ravel(), markers, frames)
         for start in (self._last, np.zeros(3)):
             estimate = _Fit(self, data).solve(start)
@@ -189,6 +184,7 @@ class _Fit:
         self.prior = observer.prior**-2 * np.eye(3)
         self.factor: Floats = np.zeros((0, 0))
         self.columns: Floats = np.zeros((0, 3))  # (r, 3) [1/N] whitened Jacobian
+        self.lacked: Floats = np.zeros(len(data.measured))  # [m] motion by what is not described
 
     def solve(self, start: Floats) -> TipForce | None:
         """Return the force, None where the model has no equilibrium."""
@@ -285,7 +281,7 @@ class _Fit:
         expected = self.observer.predicted(force, self.data.inputs, self.data.markers)
         if expected is None:
             return None
-        return self.factor @ (self.data.measured - expected)[self.rows]
+        return self.factor @ (self.data.measured - expected - self.lacked)[self.rows]
 
     def _linearised(self, force: Floats, white: Floats) -> tuple[Floats, Floats] | None:
         """Update the whitened Jacobian; return information (3, 3) and gradient (3,)."""
@@ -314,12 +310,13 @@ class _Fit:
                 return None
             free, moved = observer.predicted(np.zeros(3), data.inputs, True), 0.0
             if free is not None:  # motion by the load at the marker that moves most
-                off = np.linalg.norm((data.measured - free).reshape(-1, 3), axis=1)
+                off = data.measured - free - arm.lacked(columns)
+                off = np.linalg.norm(off.reshape(-1, 3), axis=1)
                 moved = float(np.nanmax(off))
             kept = _KeptWhitening(columns, arm.covariance, data, expected, moved)
-        elif data.frames == kept.data.frames:
-            return kept.factor
-        observer.kept = kept = replace(kept, data=data, factor=kept.inverse_root(arm, data))
+        if not len(kept.factor) or data.frames != kept.data.frames:
+            kept = replace(kept, data=data, factor=kept.inverse_root(arm, data))
+        observer.kept, self.lacked = kept, arm.lacked(kept.columns)
         return kept.factor
 
 
@@ -336,11 +333,9 @@ class _KeptWhitening:
 
     def inverse_root(self, arm: BuiltArm, data: _Measured) -> Floats:
         """Return the inverse root of the covariance of the valid coordinates."""
-        own, rows = self.columns[data.rows], data.rows
-        scatter = arm.scatter(rows, self.columns, data.frames)
+        covariance = arm.spread(data.rows, self.columns, data.frames)
         loaded = max(arm.response, LOADED_ERROR if arm.level > 0.0 else 0.0) * self.moved
-        scatter += loaded**2 * arm.rest(rows)
-        covariance = own @ arm.covariance @ own.T + scatter
+        covariance += loaded**2 * arm.rest(data.rows)
         return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
 
     def serves(self, arm: BuiltArm, data: _Measured, expected: Floats) -> bool:

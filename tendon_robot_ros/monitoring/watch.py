@@ -297,7 +297,8 @@ class DriftAlarm:
         moves = differences(whole, {}, self._frees)
         if moves is None:
             return None
-        return np.column_stack([*moves[:, 0], built / self.arm.plausible])
+        states = len(self.arm.plausible)
+        return np.column_stack([*moves[0, :, 0], built[:, :states] / self.arm.plausible])
 
 
 def log_ratio(information: Floats, score: Floats, spread: Floats) -> float:
