@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from marks import slow
 from source_tree import ROOT
 from watched_arm import NOISE, ROBOT, averaged, looked, postures
 
@@ -154,7 +153,7 @@ def test_half_of_what_may_be_lacking_is_a_parabola_and_what_it_leaves(name):
     assert 0.5 * slope[k] + 0.25 * bend[k] + left[k] == pytest.approx(half - none, abs=1e-8)
 
 
-@slow
+@pytest.mark.slow
 @pytest.mark.parametrize('name', ARMS)
 def test_to_know_an_error_makes_no_force_worse_than_not_to_know_it(name):
     hidden = {'eyelet_clearance': {'clearance': 1.1e-4}}
