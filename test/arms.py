@@ -25,7 +25,15 @@ OWN_SIZES = {  # where the typical size, or its sign, would show less
     'pre_curvature': {'angle_x': 0.02, 'angle_y': -0.03},
     'torsion': {'compliance': 1.3},
     'gravity': {'linear_density': 0.3},
-    'tip_load': {'force_x': 0.01, 'force_y': -0.02, 'force_z': 0.03},
+    'tip_load': {'force_x': 0.01, 'force_y': -0.02, 'force_z': 0.03}
+    | {'moment_x': 1e-3, 'moment_y': 2e-3, 'moment_z': -5e-4},
+    'point_load': {'arc_length': 0.016, 'force_x': 0.05, 'force_y': -0.03, 'force_z': 0.02}
+    | {'moment_x': 1e-3, 'moment_y': 2e-3, 'moment_z': -5e-4, 'follows': 0.3},
+    'tether': {'arc_length': 0.0175, 'point_x': 0.06, 'point_y': -0.02, 'point_z': 0.02}
+    | {'slack_length': 0.02, 'stiffness': 1.0, 'tension': 0.1},
+    # a soft pole of 20 mm beside the base, 2 mm inside the straight arm
+    'contact': {'stiffness': 10.0, 'distance': -0.002, 'azimuth': 0.4, 'elevation': 0.05}
+    | {'curvature': 50.0, 'is_pole': 1.0, 'axis': 0.5, 'thickness': 0.001},
     'axial_compression': {'compliance': 3e-3},
     'transmission_loss': {'fraction': 0.1},
     'tension_offset': {'offset': 0.05},
@@ -51,8 +59,17 @@ UNITS = {  # unit -> powers of length and force
     '1/N': (0, -1),
     'm/N': (1, -1),
     'N·m/rad': (1, 1),
+    'N·m': (1, 1),
+    'N/m': (-1, 1),
+    '1/m': (-1, 0),
     'kg/m': (-1, 1),
 }
+DIRECTED = (  # effects with directions, and the stems of their components
+    ('pre_curvature', 'angle'),
+    ('tip_load', 'force', 'moment'),
+    ('point_load', 'force', 'moment'),
+    ('tether', 'point'),
+)
 CATALOGUE = load_catalogue()
 THREE = load_robot(ROOT / 'config/robots/spatial_3.yaml')
 COARSE = replace(
@@ -145,8 +162,12 @@ def turned(robot, angle):
         return tuple(turned_in_plane(np.array([x, y]), angle).tolist())
 
     effects = {name: dict(values) for name, values in robot.effects.items()}
-    for name, stem in (('pre_curvature', 'angle'), ('tip_load', 'force')):
-        if name in effects:
+    if 'point_load' in effects:  # what follows the arm turns as the axes of its frames do not
+        assert effects['point_load'].get('follows', 0.0) == 0.0
+    if 'contact' in effects:
+        effects['contact']['azimuth'] += angle
+    for name, *stems in DIRECTED:
+        for stem in stems if name in effects else ():
             x, y = (effects[name].get(f'{stem}_{axis}', 0.0) for axis in 'xy')
             effects[name][f'{stem}_x'], effects[name][f'{stem}_y'] = turn(x, y)
     gravity = robot.gravity and (*turn(*robot.gravity[:2]), robot.gravity[2])

@@ -162,11 +162,62 @@ class Reference:
             beyond / SMOOTHING_LENGTH
         )
 
-    def energy(self, state, tension):
-        """Potential energy of the loads [J]."""
+    def pushes(self, state, tension):
+        """Return forces [N] and moments [N·m] (n, 3) on the ends of the cells, before they bow."""
+        force, moment = np.zeros((self.n, 3)), np.zeros((self.n, 3))
+        for i, (point, frame) in enumerate(self.ends_of(state, tension)):
+            for name in ('point_load', 'tether'):
+                share = np.interp(
+                    self.get(name, 'arc_length'), self.starts, np.eye(self.n + 1)[i + 1]
+                )
+                turned = np.eye(3) + self.get(name, 'follows') * (frame - np.eye(3))
+                wrench = self.vector(name, 'force'), self.vector(name, 'moment')
+                if name == 'tether':
+                    away = self.vector(name, 'point') - point
+                    over = np.linalg.norm(away) - self.get(name, 'slack_length')
+                    pull = self.get(name, 'tension') + self.get(name, 'stiffness') * over
+                    wrench = (over > 0.0) * pull * away / np.linalg.norm(away), np.zeros(3)
+                force[i] += share * turned @ wrench[0]
+                moment[i] += share * turned @ wrench[1]
+            force[i] += self.push_of_pole(point)
+        return force, moment
+
+    def push_of_pole(self, point):
+        """Force of a pole on a point (3,) [N]."""
+        if not self.get('contact', 'stiffness'):
+            return np.zeros(3)
+        radius, (up, about) = (
+            1.0 / self.get('contact', 'curvature'),
+            (self.get('contact', key) for key in ('elevation', 'azimuth')),
+        )
+        normal = turn(0.0, 0.0, about) @ turn(0.0, -up, 0.0) @ [1.0, 0.0, 0.0]
+        axis = (
+            turn(0.0, 0.0, about) @ turn(0.0, -up, 0.0) @ turn(self.get('contact', 'axis'), 0, 0)
+        )
+        off = point + (self.get('contact', 'distance') + radius) * normal
+        off = off - (off @ axis[:, 1]) * axis[:, 1]
+        depth = radius + self.get('contact', 'thickness') - np.linalg.norm(off)
+        return self.get('contact', 'stiffness') * max(depth, 0.0) * off / np.linalg.norm(off)
+
+    def vector(self, effect, stem):
+        """Components x, y, z of a parameter (3,)."""
+        return np.array([self.get(effect, f'{stem}_{axis}') for axis in 'xyz'])
+
+    def ends_of(self, state, tension):
+        """Where cells end (3,) [m], before they bow, and their frames there (3, 3)."""
+        compliance = self.get('axial_compression', 'compliance')
+        frame, point = np.eye(3), np.zeros(3)
+        for i, section in enumerate(self.sections):
+            length = section.cell_length * (1.0 - compliance * tension[i].sum())
+            point = point + frame @ self.end(i, self.cells(state)[i], length)
+            frame = frame @ self.rotation(self.cells(state)[i])
+            yield point, frame
+
+    def energy(self, state, tension, forces):
+        """Potential energy of the loads [J], and of forces (n, 3) [N] on the ends of the cells."""
         gravity = np.array(self.robot.gravity or (0.0, 0.0, 0.0))
         compliance = self.get('axial_compression', 'compliance')
-        force = np.array([self.get('tip_load', f'force_{c}') for c in 'xyz'])
+        force = self.vector('tip_load', 'force')
         energy, frame, point = 0.0, np.eye(3), np.zeros(3)
         for i, section in enumerate(self.sections):
             mass = self.mass(i)
@@ -177,11 +228,12 @@ class Reference:
             if section.mass_offset:
                 beside = section.mass_offset[self.place(i)]
                 middle = middle + self.bending(0.5 * cell[:2]) @ [*beside, 0.0]
-            over, spring = self.bow(i, cell, frame)
+            over, spring = self.bow(i, cell, frame, forces)
             at = point + frame @ self.half_twist(cell[2]) @ middle
             energy += spring - mass * gravity @ (at + 0.5 * over)
             point = point + frame @ self.end(i, cell, length) + over
             frame = frame @ self.rotation(cell)
+            energy -= forces[i] @ point
         return energy - force @ point
 
     def mass(self, i):
@@ -189,7 +241,7 @@ class Reference:
         density = self.get('gravity', 'linear_density')
         return density * self.profile[i] * self.sections[i].cell_length
 
-    def bow(self, i, cell, frame):
+    def bow(self, i, cell, frame, forces):
         """
         How far a loaded rod ends beyond its arc [m], and the energy of that in the rod [J].
 
@@ -200,7 +252,7 @@ class Reference:
         if self.sections[i].bends_as == 'hinge':
             return none
         beyond = sum(self.mass(j) for j in range(i + 1, self.n)) + 0.5 * self.mass(i)
-        force = np.array([self.get('tip_load', f'force_{c}') for c in 'xyz'])
+        force = self.vector('tip_load', 'force') + forces[i:].sum(axis=0)
         force = force + beyond * np.array(self.robot.gravity or (0.0, 0.0, 0.0))
         frame = frame @ self.half_twist(cell[2]) @ self.bending(0.5 * cell[:2])
         rigidity = self.bending_stiffness(i) * length
@@ -215,12 +267,23 @@ class Reference:
     def moments(self, state, tension):
         """Moment (x, y, about the axis) on every cell (n, 3) [N·m], by virtual work."""
         moments = np.zeros((self.n, 3))
+        forces, held = self.pushes(state, tension)
+        held[-1] += self.vector('tip_load', 'moment')
         for i in range(self.n):
             for c in range(3):
                 step = np.zeros(3 * self.n)
                 step[2 * i + c if c < 2 else 2 * self.n + i] = STEP
                 up, down = self.cells(state + step)[i], self.cells(state - step)[i]
-                work = self.energy(state - step, tension) - self.energy(state + step, tension)
+                work = self.energy(state - step, tension, forces)
+                work -= self.energy(state + step, tension, forces)
+                frames = (self.ends_of(state + side, tension) for side in (step, -step))
+                for moment, (_, after), (_, before) in zip(held, *frames, strict=True):
+                    turning = after @ before.T
+                    work += (
+                        0.5
+                        * moment
+                        @ (turning[[2, 0, 1], [1, 2, 0]] - turning[[1, 2, 0], [2, 0, 1]])
+                    )
                 for k, cells in enumerate(self.ends):
                     if i < cells:
                         work += tension[i, k] * (self.lost(i, k, up) - self.lost(i, k, down))
@@ -279,11 +342,12 @@ class Reference:
     def positions(self, state, tension):
         """Distal ends of the cells (n, 3) [m]."""
         compliance = self.get('axial_compression', 'compliance')
-        frame, points = np.eye(3), [np.zeros(3)]
+        (forces, _), frame = self.pushes(state, tension), np.eye(3)
+        points = [np.zeros(3)]
         for i, section in enumerate(self.sections):
             length = section.cell_length * (1.0 - compliance * tension[i].sum())
             cell = self.cells(state)[i]
-            over, _ = self.bow(i, cell, frame)
+            over, _ = self.bow(i, cell, frame, forces)
             points.append(points[-1] + frame @ self.end(i, cell, length) + over)
             frame = frame @ self.rotation(cell)
         return np.array(points[1:])

@@ -46,6 +46,8 @@ class Parameter:
     has_default : bool
         Whether it only shapes what the others do: a description may leave it out, also of an
         effect that is always on; it is then neutral.
+    only_described : bool
+        Whether a fit leaves it alone unless the description gives it.
 
     """
 
@@ -61,6 +63,7 @@ class Parameter:
     tolerance: str = ''
     parts_power: int = 0
     has_default: bool = False
+    only_described: bool = False
 
     @property
     def per(self) -> str:
@@ -143,6 +146,9 @@ class Effect:
     scales_bends : bool
         Whether it makes all bends larger or smaller alike: postures hardly tell it from the others
         that do.
+    placed : bool
+        Whether it acts at a place that is to be found first: a fit frees it only where the
+        description has it.
     finding : str
         How a verdict says that a model lacks it; by default the title and every parameter.
         `{lever}` stands for the value with its interval, `{relative_change:stiffer/softer}` for
@@ -162,6 +168,7 @@ class Effect:
     divisible: bool = False
     takes_force: bool = False
     scales_bends: bool = False
+    placed: bool = False
     finding: str = ''
     digest: str = field(default='', compare=False)
 

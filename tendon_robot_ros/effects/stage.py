@@ -89,6 +89,17 @@ tip_load *
   > force_x [N] force along x, base frame
   > force_y [N] force along y, base frame
   > force_z [N] force along z, base frame
+  > moment_x [N·m] moment about x, base frame
+  > moment_y [N·m] moment about y, base frame
+  > moment_z [N·m] moment about z, base frame
+push *
+  > force [N] force on the end of a cell (x, y, z), base frame
+  > moment [N·m] moment there (x, y, z), base frame
+  - place [m] where the cell ends (x, y, z), base frame
+  - frame [1] its axes as columns (xx, xy, ... zz), base frame
+  - along [m] arc length from the base to there, at rest
+  - before [m] length of the cell that ends there
+  - behind [m] length of the next cell; infinite at the tip
 moment
   > moment [N·m] size of the bending moment
   - total_tension [N] sum of the tensions in the cell

@@ -137,6 +137,7 @@ def candidates_of(robot: Robot, catalogue: Catalogue) -> list[Candidate]:
     return [
         Candidate((effect.name,), free_parameters(effect, robot), effect.name in robot.effects)
         for effect in catalogue
+        if effect.name in robot.effects or not effect.placed
     ]
 
 

@@ -228,6 +228,8 @@ def free_parameters(effect: Effect, robot: Robot) -> tuple[FreeParameter, ...]:
     frees: list[FreeParameter] = []
     for parameter in effect.parameters:
         described = robot.effects.get(effect.name, {}).get(parameter.name)
+        if parameter.only_described and described is None:
+            continue
         if parameter.per_section or (parameter.per_tendon and isinstance(described, tuple)):
             sections = [(i, s.name) for i, s in enumerate(robot.sections) if not s.is_plate]
             tendons = list(enumerate(tendon.name for tendon in robot.tendons))

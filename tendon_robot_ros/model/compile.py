@@ -207,17 +207,18 @@ LINKED = {
     'sweep': ('prepare', 'place_travel', 'balance', 'residual'),
     'elimination': ('respond',),
     'equilibrium': ('newton', 'solve_equilibrium', 'descend', 'march'),
-    'loads': ('load_moments', 'flat_moments', 'bow_cells'),
-    'linearisation': ('load_slopes', 'leaning_slopes'),
+    'loads': ('load_moments', 'flat_moments', 'bow_cells', 'pushes'),
+    'linearisation': ('load_slopes', 'push_slopes', 'leaning_slopes'),
     'geometry': ('leaning_travel',),
     'shape': ('remembered', 'ramped'),
 }
 MODULES = {name: module for module, names in LINKED.items() for name in names}
 # About half of the work: these are compiled by a process of its own.
 BESIDE = ('respond', 'balance', 'residual', 'newton')
-# What only loaded arms call, those whose tendons lean, those whose friction remembers, and those
-# without loads whose friction follows the cell alone.
+# What only loaded arms call, those that are pushed at a place, those whose tendons lean, those
+# whose friction remembers, and those without loads whose friction follows the cell alone.
 OF_LOADS = {'load_moments', 'flat_moments', 'bow_cells', 'load_slopes', 'descend'}
+OF_PUSHES = {'pushes', 'push_slopes'}
 OF_LEANING = {'leaning_travel', 'leaning_slopes'}
 OF_MEMORY = {'remembered', 'ramped'}
 OF_CAUSAL = {'march'}
@@ -372,11 +373,13 @@ class KernelArrays:
     def _called(self) -> frozenset[str]:
         """Return the functions of `LINKED` that the active effects call."""
         acting = self._acting()
-        called = frozenset(MODULES) - OF_LOADS - OF_LEANING - OF_MEMORY - OF_CAUSAL
-        if acting & {'load', 'tip_load'}:
+        called = frozenset(MODULES) - OF_LOADS - OF_PUSHES - OF_LEANING - OF_MEMORY - OF_CAUSAL
+        if acting & {'load', 'tip_load', 'push'}:
             called |= OF_LOADS
         elif not {'friction_travel', 'eyelet'} <= acting:
             called |= OF_CAUSAL
+        if 'push' in acting:
+            called |= OF_PUSHES
         if 'torsion' in acting or self.helix.any():
             called |= OF_LEANING
         if 'memory' in acting:

@@ -224,8 +224,10 @@ def natural_sizes(robot: Robot) -> dict[str, float]:
     They are the scales of its physics, not its limits: radius [m] of the outermost tendon, length
     [m], bend [rad] of a cell of an arm that bends by one radian, stiffness [N·m/rad] of a cell,
     tension [N] of one tendon that bends the arm by one radian (at most the limit), force [N]
-    across the tip that does about the same, density [kg/m] whose weight is such a force, and the
-    inverse of the tension per unit of length, compliance [1/N], and per radius, give [m/N].
+    across the tip that does about the same, its moment [N·m] about the base and stiffness [N/m] of
+    such a tip, curvature [1/m] of a radian over the length, density [kg/m] whose weight is such a
+    force, and the inverse of the tension per unit of length, compliance [1/N], and per radius,
+    give [m/N].
     """
     stiffness = [k for section in robot.sections for k in section.bending_stiffness]
     softness = sum(1.0 / k for k in stiffness)
@@ -247,6 +249,9 @@ def natural_sizes(robot: Robot) -> dict[str, float]:
         'stiffness': len(stiffness) / softness,
         'tension': tension,
         'force': force,
+        'moment': force * robot.length,
+        'tip_stiffness': force / robot.length,
+        'curvature': 1.0 / robot.length,
         'density': force / (STANDARD_GRAVITY * robot.length),
         'compliance': 1.0 / tension,
         'give': radius / tension,

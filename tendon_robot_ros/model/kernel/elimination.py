@@ -1,10 +1,11 @@
 """
 The linear equations of the chain: what balances a change, and whether an equilibrium is stable.
 
-The changes u of the tensions, of bend and twist before, and of the rotation of the frame pass
-towards the tip, the changes w of the travel beyond an eyelet and of the loads' torque towards the
-base. At every cell, all cells beyond it answer u with w = S u + h. Eliminating a cell, with all
-cells beyond it, gives the S of the cell before; back-substitution runs from the base to the tip.
+The changes u of the tensions, of bend and twist before, and of rotation and place of the frame
+pass towards the tip, the changes w of the travel beyond an eyelet and of the loads' torque and
+force towards the base (place and force only where something pushes the arm at a place). At every
+cell, all cells beyond it answer u with w = S u + h. Eliminating a cell, with all cells beyond it,
+gives the S of the cell before; back-substitution runs from the base to the tip.
 The work grows linearly with the cells. A pivot that is not positive means an unstable equilibrium.
 """
 
@@ -23,23 +24,30 @@ from .layout import (
     compiled,
     entry,
     floats,
+    inlined,
     keep,
     solve_rows,
     words,
 )
 from .linearisation import (
     BEFORE,
+    BY_FORCE,
     BY_ROTATION,
     BY_TENSION,
     BY_TORQUE,
+    GROWS,
     LAGS,
     OWN,
     PASSED,
     PULLS,
+    PUSHES,
+    REACH,
     ROTATIONS,
+    SHIFTS,
     SIZE,
     SLIDES,
     TENDON,
+    TORQUE_BY_FORCE,
     TORQUE_BY_OWN,
     TORQUE_BY_ROTATION,
     TRAVELS,
@@ -52,13 +60,14 @@ from .loads import loaded
 
 # System: sizes and addresses of the equations. Columns: the tensions that come in (kt of them, if
 # there is friction), from `own` on bend and twist before, from `frame` on the rotation of the
-# frame (if there are loads), from `right` on the right-hand sides; `width` in all. Of every cell
-# the changes
+# frame (if there are loads) and its place (if something pushes there), from `right` on the
+# right-hand sides; `width` in all; of the loads as many rows as columns, `right - frame`: torque
+# and force. Of every cell the changes
 #   bends    (2 or 3, width)  of bend and twist; holds the right-hand sides before
 #   tensions (kt, width)      of the tensions
 # and, of the cell at hand,
-#   answers  (2, kt + 3, width)  S and h of what lies beyond it, and of what lies beyond its start
-#   by_own   (kt + 3, 3)         how what lies beyond answers the cell's own bend and twist
+#   answers  (2, kt + 6, width)  S and h of what lies beyond it, and of what lies beyond its start
+#   by_own   (kt + 6, 3)         how what lies beyond answers the cell's own bend and twist
 #   direct   (kt, 3)             part of the tensions by bend and twist of the cell
 #   pivot    (3, 3)              derivative of the cell's residual, all beyond eliminated
 #   matrix, side                 equations of tendons that slide together
@@ -74,10 +83,20 @@ System.__name__ += '_' + __name__.partition('.')[0].rpartition('_')[2]
 
 
 @compiled
+def load_rows(chain):
+    """Return how many changes of the loads pass a cell: of torque, and of force at a place."""
+    if stages.push_acts(chain):
+        return 6
+    return 3 if loaded(chain) else 0
+
+
+@compiled
 def system_size(chain, count):
     """Floats that the equations take, with a number of right-hand sides."""
-    k, width = chain.k, chain.k + 6 + count
-    return chain.n * (3 + k) * width + 2 * (k + 3) * width + (9 + k) * (k + 3) + k * width + 2 * k
+    k, loads = chain.k, load_rows(chain)
+    width = k + 3 + loads + count
+    rows, own = k + loads, 3 * (2 * k + loads) + 9
+    return chain.n * (3 + k) * width + 2 * rows * width + own + k * (k + width + 3) + 2 * k
 
 
 @compiled
@@ -85,12 +104,13 @@ def system_in(chain, count, start):
     """Lay the equations out in an array of `system_size` floats that starts as zeros."""
     kt = chain.k if stages.eyelet_acts(chain) else 0
     frame = kt + coordinates(chain)
-    right = frame + 3 if loaded(chain) else frame
+    loads = load_rows(chain)
+    right = frame + loads
     width = right + count
     tensions = start + 8 * chain.n * (frame - kt) * width
     answers = tensions + 8 * chain.n * kt * width
-    by_own = answers + 16 * (kt + 3) * width
-    direct = by_own + 24 * (kt + 3)
+    by_own = answers + 16 * (kt + loads) * width
+    direct = by_own + 24 * (kt + loads)
     pivot = direct + 24 * kt
     matrix = pivot + 72
     side = matrix + 8 * kt * kt
@@ -104,14 +124,15 @@ def system_in(chain, count, start):
 def answer_own(system, row, s):
     """Fill by_own: the answer of all beyond a cell to its own bend and twist."""
     kt, frame, width = system.kt, system.frame, system.width
-    own, loads = floats(system.by_own), frame != system.right
-    for r in range(kt + 3 if loads else kt):
+    own, loads = floats(system.by_own), system.right - frame
+    for r in range(kt + loads):
         answers = floats(s + 8 * width * r)
         for a in range(frame - kt):
             total = answers[kt + a]
-            if loads:
-                for m in range(3):
-                    total += answers[frame + m] * floats(row)[ROTATIONS + 3 * m + a]
+            for m in range(min(loads, 3)):
+                total += answers[frame + m] * floats(row)[ROTATIONS + 3 * m + a]
+            for m in range(loads - 3):
+                total += answers[frame + 3 + m] * floats(row)[SHIFTS + 3 * m + a]
             own[3 * r + a] = total
 
 
@@ -185,11 +206,46 @@ def slide_together(system, i, row, s, count):
             all_direct[3 * active[p] + a] = side[width + a]
 
 
+@inlined
+def by_load(slopes, a, m):
+    """Differentiate residual a of a cell by torque (m below 3) or force at its end."""
+    return slopes[BY_TORQUE + 3 * a + m] if m < 3 else slopes[BY_FORCE + 3 * a + m - 3]
+
+
+@inlined
+def moved_by(row, m, a):
+    """Component m of how far the end of a cell moves when its start turns about axis a [m/rad]."""
+    if m == a:
+        return 0.0
+    reach = row[REACH + 3 - m - a]
+    return reach if (a + 1) % 3 != m else -reach
+
+
+@compiled
+def answer_pushes(chain, system, i, row, s):
+    """Add to S what the push on the end of a cell answers; then say all by the cell's start."""
+    kt, frame, width, slopes = system.kt, system.frame, system.width, floats(row)
+    for r in range(6):
+        answers = floats(s + 8 * width * (kt + r))
+        for c in range(6):
+            answers[frame + c] += slopes[PUSHES + 6 * r + c]
+    answer_own(system, row, s)
+    for r in range(kt + 6):
+        answers = floats(s + 8 * width * r)
+        for a in range(3):
+            by_place, reach = answers[frame + 3 + a], slopes[REACH + a]
+            for k in range(kt):
+                if i < words(chain.tendon)[2 * k]:
+                    answers[k] += by_place * reach * slopes[GROWS]
+            for m in range(3):
+                answers[frame + a] += answers[frame + 3 + m] * moved_by(slopes, m, a)
+
+
 @compiled
 def gather_cell(chain, system, i, row, s):
     """Fill the pivot of cell i, and move all outside it to its right-hand sides."""
     kt, frame, width, size = (system.kt, system.frame, system.width, system.frame - system.kt)
-    slopes, pivot, loads = floats(row), floats(system.pivot), frame != system.right
+    slopes, pivot, loads = floats(row), floats(system.pivot), system.right - frame
     changes, bends = system.tensions + 8 * width * kt * i, system.bends + 8 * width * size * i
     for q in range(9):
         pivot[q] = slopes[OWN + q]
@@ -198,20 +254,18 @@ def gather_cell(chain, system, i, row, s):
             continue
         for a in range(size):
             factor = floats(row + 8 * (SIZE + TENDON * k))[BY_TENSION + a]
-            if loads:
-                for m in range(3):
-                    factor += slopes[BY_TORQUE + 3 * a + m] * floats(s)[width * (kt + m) + k]
+            for m in range(loads):
+                factor += by_load(slopes, a, m) * floats(s)[width * (kt + m) + k]
             for b in range(size):
                 pivot[3 * a + b] += factor * floats(system.direct)[3 * k + b]
             add_row(bends + 8 * width * a, -factor, changes + 8 * width * k, ZERO, width)
-    if not loads:
-        return
     for a in range(size):
-        for m in range(3):
-            factor = slopes[BY_TORQUE + 3 * a + m]
+        for m in range(loads):
+            factor = by_load(slopes, a, m)
             for b in range(size):
                 pivot[3 * a + b] += factor * floats(system.by_own)[3 * (kt + m) + b]
-            floats(bends)[width * a + frame + m] -= slopes[BY_ROTATION + 3 * a + m]
+            if m < 3:
+                floats(bends)[width * a + frame + m] -= slopes[BY_ROTATION + 3 * a + m]
             add_row(bends + 8 * width * a, -factor, s + 8 * width * (kt + m), frame, width)
 
 
@@ -289,9 +343,8 @@ def answer(chain, system, i, row, s, out):
         else:
             for j in range(width):
                 floats(out)[width * k + j] = 0.0
-    if frame == system.right:
-        return
-    for m in range(3):
+    loads = system.right - frame
+    for m in range(min(loads, 3)):
         at = TORQUE_BY_OWN + 3 * m
         extra = (slopes[at], slopes[at + 1], slopes[at + 2])
         for k in range(kt):
@@ -301,6 +354,12 @@ def answer(chain, system, i, row, s, out):
         answer_row(system, i, kt + m, s, extra, out)
         for a in range(3):
             floats(out)[width * (kt + m) + frame + a] += slopes[TORQUE_BY_ROTATION + 3 * m + a]
+    for m in range(loads - 3):
+        answer_row(system, i, kt + 3 + m, s, (0.0, 0.0, 0.0), out)
+        for a in range(3):
+            factor = slopes[TORQUE_BY_FORCE + 3 * a + m]
+            source = out + 8 * width * (kt + 3 + m)
+            add_row(out + 8 * width * (kt + a), factor, source, ZERO, width)
 
 
 @compiled
@@ -325,14 +384,17 @@ def eliminate(chain, system, tangent):
     then stable.
     """
     unstable, pivot = -1, (1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0)
-    step = 8 * (system.kt + 3) * system.width
+    step = 8 * (system.kt + system.right - system.frame) * system.width
     s, out, own = system.answers, system.answers + step, floats(system.pivot)
-    for q in range((system.kt + 3) * system.width):
+    for q in range((system.kt + system.right - system.frame) * system.width):
         floats(s)[q] = 0.0
     note_first_slides(chain, system, tangent)
     for i in range(chain.n - 1, -1, -1):
         row = tangent_of(chain, tangent, i)
-        answer_own(system, row, s)
+        if system.right == system.frame + 6:
+            answer_pushes(chain, system, i, row, s)
+        else:
+            answer_own(system, row, s)
         pass_tensions(chain, system, i, row, s)
         gather_cell(chain, system, i, row, s)
         solve_cell(system, i)
@@ -346,6 +408,24 @@ def eliminate(chain, system, tangent):
         answer(chain, system, i, row, s, out)
         s, out = out, s
     return unstable, pivot
+
+
+@compiled
+def move_frame(chain, system, i, row, own, u):
+    """Change rotation, and place, where cell i starts, which u holds, to those where it ends."""
+    kt, frame = system.kt, system.frame
+    for m in range(system.right - frame - 3):
+        at = SHIFTS + 3 * m
+        move = row[at] * own[0] + row[at + 1] * own[1] + row[at + 2] * own[2]
+        for a in range(3):
+            move += moved_by(row, m, a) * u[frame + a]
+        for k in range(kt):
+            if i < words(chain.tendon)[2 * k]:
+                move += row[REACH + m] * row[GROWS] * u[k]
+        u[frame + 3 + m] += move
+    for m in range(min(system.right - frame, 3)):
+        at = ROTATIONS + 3 * m
+        u[frame + m] += row[at] * own[0] + row[at + 1] * own[1] + row[at + 2] * own[2]
 
 
 @compiled
@@ -393,9 +473,7 @@ def substitute(chain, system, tangent, column, pulled, first, start, solution):
             out[2 * i + a] = u[kt + a] = own[a]
         if size == 3:
             out[2 * chain.n + i] = u[kt + 2] = own[2]
-        for m in range(right - frame):
-            at = ROTATIONS + 3 * m
-            u[frame + m] += row[at] * own[0] + row[at + 1] * own[1] + row[at + 2] * own[2]
+        move_frame(chain, system, i, row, own, u)
 
 
 @compiled

@@ -63,7 +63,7 @@ from .layout import (
     solve_small,
     words,
 )
-from .loads import force_at_tip, loaded, weight
+from .loads import force_at_tip, loaded, pushed, weight
 from .sweep import (
     active_stages,
     base_tensions,
@@ -554,7 +554,7 @@ def continuation(chain, inputs, x, work, past):
 
 
 @compiled
-def load_ratio(chain):
+def load_ratio(chain, work):
     """
     Return all loads together over Euler's load of the arm, one end free [1].
 
@@ -565,8 +565,8 @@ def load_ratio(chain):
     force = math.sqrt(x * x + y * y + z * z)
     rigidity, total = math.inf, 0.0
     for i in range(chain.n):
-        x, y, z = weight(chain, i)
-        force += math.sqrt(x * x + y * y + z * z)
+        for x, y, z in (weight(chain, i), pushed(chain, work, i)[0]):
+            force += math.sqrt(x * x + y * y + z * z)
         reach = cell(chain, i, LENGTH)
         rigidity = min(rigidity, reach * cell_stiffness(chain, i, section_of(chain, i)))
         total += reach
@@ -639,7 +639,7 @@ def solve_equilibrium(chain, inputs, work, past, bend):
     if not change < BEND_TOLERANCE and floats(work.settings)[EVERY_METHOD] != 0.0:
         change = continuation(chain, inputs, x, work, past)
     if change < BEND_TOLERANCE and floats(work.settings)[STABLE] != 0.0 and loaded(chain):
-        ratio = load_ratio(chain)
+        ratio = load_ratio(chain, work)
         if ratio > SAFE_LOAD:
             chain.descend(chain, inputs, address(x), work, past, ratio)
             swept = False

@@ -75,8 +75,8 @@ Chain = namedtuple(
     'Chain',
     'n k m wide cells offset tendon values on gravity radius helix beside '
     'step prepare place_travel balance residual respond newton solve_equilibrium march '
-    'load_moments flat_moments bow_cells load_slopes descend leaning_travel leaning_slopes '
-    'remembered ramped',
+    'load_moments flat_moments bow_cells load_slopes descend pushes push_slopes leaning_travel '
+    'leaning_slopes remembered ramped',
 )
 # Length [m], bending stiffness [N·m/rad], mass profile times length [m], whether it is a hinge
 # (1), index of its section, number of tendons in it, where its weight lies beside the axis [m].
@@ -97,11 +97,12 @@ Memory = namedtuple('Memory', 'bend sign travel inputs moment passed')
 # [m] of the bends exceeds that of the eyelets in `solve_sliding`, here and beyond, else zeros;
 # settings: SETTINGS below. axial (n, k): moment arms of the tendons about the axis [m]; torque
 # (n,): of the loads [N·m]; compliance (n,): of a cell in bending [rad/(N·m)], from `work_in` on;
-# passed (n,): tension behind an eyelet over that before it.
+# passed (n,): tension behind an eyelet over that before it. push (n, 6): force [N] and
+# moment [N·m] on the ends of the cells of what acts at a place.
 Work = namedtuple(
     'Work',
     'moment_arms travel beyond load lengths tensions frames origins half wrench lag settings '
-    'axial torque compliance passed',
+    'axial torque compliance passed push',
 )
 # Smoothing length of friction [m]; factor on the loads [1]; whether a sweep follows the guess (1)
 # or goes as if no effect needed the shape (0); whether every method for an equilibrium is tried
@@ -160,7 +161,7 @@ CALLED = {
         types.void(CHAIN, WORD, WORD, WORK, MEMORY, WORD),
     ),
     **dict.fromkeys(
-        ('place_travel', 'load_moments', 'flat_moments', 'bow_cells'),
+        ('place_travel', 'load_moments', 'flat_moments', 'bow_cells', 'pushes'),
         types.void(CHAIN, WORD, WORK),
     ),
     'respond': WORD(CHAIN, WORD, WORD, WORD, WORK, MEMORY, WORD, WORD),
@@ -169,6 +170,7 @@ CALLED = {
     'march': FLOAT(CHAIN, WORD, WORD, WORK, MEMORY),
     'load_slopes': types.void(CHAIN, WORD, WORK, WORD, WORD, FLOAT),
     'descend': types.void(CHAIN, WORD, WORD, WORK, MEMORY, FLOAT),
+    'push_slopes': types.void(CHAIN, WORD, WORK, WORD, WORD),
     'leaning_travel': types.void(CHAIN, WORD, FLOAT, FLOAT, FLOAT, FLOAT, FLOAT, FLOAT, WORK),
     'leaning_slopes': types.void(CHAIN, WORK, WORD, FLOAT, FLOAT, FLOAT, FLOAT, WORD),
     'remembered': FLOAT(CHAIN, FLOAT, FLOAT, WORD),
@@ -215,7 +217,7 @@ def work_sizes(n, k):
     """Floats that the arrays of Work take, in their order."""
     wires, joints = n * k, n + 1
     before = (2 * wires, wires, wires, 2 * n, n, wires, 9 * joints, 3 * joints, 2 * n)
-    return before + (6 * n, 2 * wires, SETTINGS_SIZE, wires, n, n, n)
+    return before + (6 * n, 2 * wires, SETTINGS_SIZE, wires, n, n, n, 6 * n)
 
 
 @register_jitable

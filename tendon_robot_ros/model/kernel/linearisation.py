@@ -30,6 +30,7 @@ from .geometry import moment_of_leaning, moment_of_tendons
 from .layout import (
     DIFFERENCE_STEP,
     HINGE,
+    LENGTH,
     LOAD_SCALE,
     SAME_SIGN,
     SLIPPING_FROM,
@@ -50,10 +51,12 @@ from .loads import (
     bow_compliance,
     cell_moment,
     cross,
+    end_at,
     half_arc,
     loaded,
     local,
     plus,
+    push_at,
     scaled,
     turn_moment,
     turned,
@@ -77,12 +80,28 @@ def _starts(parts):
 # Derivatives of a cell, in their order: matrices of three by three. The residual [rad] by the own
 # bend and twist, by the rotation of the first frame (rotation vector, base frame) and by the
 # torque [N·m] at the end; the rotation of the last frame by the own bend and twist; the torque at
-# the start by the rotation of the first frame and by the own bend and twist.
-CELL_PARTS = 'OWN BY_ROTATION BY_TORQUE ROTATIONS TORQUE_BY_ROTATION TORQUE_BY_OWN'.split()
-MATRIX = len(BASE_FRAME)  # entries of such a matrix
-OWN, BY_ROTATION, BY_TORQUE, ROTATIONS, TORQUE_BY_ROTATION, TORQUE_BY_OWN, SIZE = _starts(
-    dict.fromkeys(CELL_PARTS, MATRIX)
-)
+# the start by the rotation of the first frame and by the own bend and twist. Of an arm that is
+# pushed at a place also: the residual by the force [N] at the end; where the cell ends [m] by the
+# own bend and twist; the torque at the start by the force at the end; where the cell ends, from
+# its start (3,) [m]; torque [N·m] and force [N] of the push by rotation and place of the end; how
+# much the cell grows per tension [1/N].
+CELL_PARTS = {
+    'OWN': 9,
+    'BY_ROTATION': 9,
+    'BY_TORQUE': 9,
+    'ROTATIONS': 9,
+    'TORQUE_BY_ROTATION': 9,
+    'TORQUE_BY_OWN': 9,
+    'BY_FORCE': 9,
+    'SHIFTS': 9,
+    'TORQUE_BY_FORCE': 9,
+    'REACH': 3,
+    'PUSHES': 36,
+    'GROWS': 1,
+}
+OWN, BY_ROTATION, BY_TORQUE, ROTATIONS, *_MORE = _starts(CELL_PARTS)
+TORQUE_BY_ROTATION, TORQUE_BY_OWN, BY_FORCE, SHIFTS, TORQUE_BY_FORCE, *_MORE = _MORE
+REACH, PUSHES, GROWS, SIZE = _MORE
 # Then of every tendon: the residual by its tension; its tension behind the eyelet at the cell's
 # start by that before it, by bend and twist before and within the cell, by the travel beyond; its
 # travel by the own bend and twist; the torque by its tension; its tension behind the eyelet by
@@ -183,8 +202,73 @@ def load_slopes(chain, bend, work, i, tangent, total):
         bow_slopes(f, x, y, half_turn(x * x + y * y), bow, plus(force, scaled(0.5, own)), row)
     if general:
         add_column(row, 2, twist_slopes(f, row))
+    if stages.push_acts(chain):
+        chain.push_slopes(chain, bend, work, i, tangent)
     if stages.length_acts(chain):
         compression_slopes(chain, bend, work, i, total, tangent)
+
+
+@entry()
+def push_slopes(chain, bend, work, i, tangent):
+    """Fill what a push on the ends of the cells adds to the derivatives of cell i."""
+    row, general, h = floats(tangent), is_general(chain), DIFFERENCE_STEP
+    x, y, scale = floats(bend)[2 * i], floats(bend)[2 * i + 1], floats(work.settings)[LOAD_SCALE]
+    f, wrench = bending_frame(chain, bend, work, i, general), floats(work.wrench + 48 * i)
+    force, torque = (wrench[0], wrench[1], wrench[2]), (wrench[3], wrench[4], wrench[5])
+    own, bow = local(f, scaled(scale, weight(chain, i))), bow_compliance(chain, work, i)
+    (place, frame), reach = end_at(work, i), cell(chain, i, LENGTH)
+    unloaded = (NO_LOAD, NO_LOAD, NO_LOAD)
+    _, end, _ = loaded_cell(chain, work, i, x, y, unloaded, 0.0, general)
+    whole = turned(f, end)
+    row[REACH], row[REACH + 1], row[REACH + 2] = whole
+    for r in range(3):
+        unit = (1.0 if r == 0 else 0.0, 1.0 if r == 1 else 0.0, 1.0 if r == 2 else 0.0)
+        # moments and torque are squares of the force: a difference over any step is their slope
+        up, low = local(f, plus(force, unit)), local(f, plus(force, scaled(-1.0, unit)))
+        m, end, middle = loaded_cell(
+            chain, work, i, x, y, (up, local(f, torque), own), bow, general
+        )
+        n, far, behind = loaded_cell(
+            chain, work, i, x, y, (low, local(f, torque), own), bow, general
+        )
+        by = difference(1.0, m, n)
+        row[BY_FORCE + r], row[BY_FORCE + 3 + r], row[BY_FORCE + 6 + r] = by
+        after = plus(cross(end, up), cross(middle, own))
+        by = turned(f, difference(1.0, after, plus(cross(far, low), cross(behind, own))))
+        row[TORQUE_BY_FORCE + r], row[TORQUE_BY_FORCE + 3 + r] = by[0], by[1]
+        row[TORQUE_BY_FORCE + 6 + r] = by[2]
+        if r < 2:
+            dx, dy = (h, 0.0) if r == 0 else (0.0, h)
+            _, end, _ = loaded_cell(chain, work, i, x + dx, y + dy, unloaded, 0.0, general)
+            _, far, _ = loaded_cell(chain, work, i, x - dx, y - dy, unloaded, 0.0, general)
+            by = turned(f, difference(h, end, far))
+        else:  # half the twist turns the end about the axis of the frame that bends
+            by = cross((0.5 * f[2], 0.5 * f[5], 0.5 * f[8]), whole)
+        row[SHIFTS + r], row[SHIFTS + 3 + r], row[SHIFTS + 6 + r] = by
+        a, b = turned_by(frame, scaled(h, unit)), turned_by(frame, scaled(-h, unit))
+        fill_push(chain, i, place, a, place, b, scale / (2.0 * h), row, r)
+        step = h * reach
+        a, b = plus(place, scaled(step, unit)), plus(place, scaled(-step, unit))
+        fill_push(chain, i, a, frame, b, frame, scale / (2.0 * step), row, 3 + r)
+
+
+@compiled
+def turned_by(frame, rotation):
+    """Frame (9,) after a small rotation (3,) [rad] in the base frame."""
+    x = plus((frame[0], frame[3], frame[6]), cross(rotation, (frame[0], frame[3], frame[6])))
+    y = plus((frame[1], frame[4], frame[7]), cross(rotation, (frame[1], frame[4], frame[7])))
+    z = plus((frame[2], frame[5], frame[8]), cross(rotation, (frame[2], frame[5], frame[8])))
+    return x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]
+
+
+@compiled
+def fill_push(chain, i, place_up, frame_up, place_low, frame_low, per_step, row, column):
+    """Fill a column of PUSHES from the pushes on the end of cell i at two places and frames."""
+    force, moment = push_at(chain, i, place_up, frame_up)
+    less, slack = push_at(chain, i, place_low, frame_low)
+    for r in range(3):
+        row[PUSHES + 6 * r + column] = per_step * (moment[r] - slack[r])
+        row[PUSHES + 18 + 6 * r + column] = per_step * (force[r] - less[r])
 
 
 @inlined
@@ -302,6 +386,7 @@ def compression_slopes(chain, bend, work, i, total, tangent):
         1.0, total - h, chain, section
     )
     rate /= 2.0 * h * stages.length(1.0, total, chain, section)
+    floats(tangent)[GROWS] = rate
     x, y = floats(bend)[2 * i], floats(bend)[2 * i + 1]
     f, wrench = bending_frame(chain, bend, work, i, YES), floats(work.wrench + 48 * i)
     force = (wrench[0], wrench[1], wrench[2])
@@ -573,8 +658,10 @@ def cell_slopes(chain, bend, work, past, i, moment_arms, scale, tangent):
         my += floats(work.load)[2 * i + 1]
         chain.load_slopes(chain, bend, work, i, tangent, total)
     a, b, c, d, e, f = compliances(chain, past, i, mx, my, total)
-    for q in range(9 if loads else 3):
+    for q in range(12 if loads else 3):
         start = OWN + 9 * (q // 3) + q % 3  # of OWN, BY_ROTATION and BY_TORQUE
+        if q >= 9:
+            start = BY_FORCE + q % 3
         u, v = row[start], row[start + 3]
         row[start], row[start + 3] = -(a * u + c * v), -(b * u + d * v)
     row[OWN] += 1.0
@@ -603,6 +690,7 @@ def fill_twist(chain, work, i, tangent, loads):
         row[OWN + 6 + b] *= -yields
         row[BY_ROTATION + 6 + b] *= -yields
         row[BY_TORQUE + 6 + b] *= -yields
+        row[BY_FORCE + 6 + b] *= -yields
     row[OWN + 8] += 1.0
     for k in range(chain.k):
         if i < words(chain.tendon)[2 * k]:

@@ -10,6 +10,8 @@ bend. A hinge does not bow.
 Of an arm that bends in one plane, x and z, angles say the same as frames (`flat_moments`).
 """
 
+import math
+
 from . import stages
 from .cells import (
     ARC_SERIES_BELOW,
@@ -119,7 +121,7 @@ BASE_FRAME = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 @compiled
 def loaded(chain):
     """Tell whether any load acts."""
-    return stages.load_acts(chain) or stages.tip_load_acts(chain)
+    return stages.load_acts(chain) or stages.tip_load_acts(chain) or stages.push_acts(chain)
 
 
 @compiled
@@ -134,7 +136,58 @@ def weight(chain, i):
 @compiled
 def force_at_tip(chain):
     """Force at the tip (x, y, z) [N]."""
-    return stages.tip_load(0.0, 0.0, 0.0, chain, 0)
+    return at_tip(chain)[:3]
+
+
+@compiled
+def moment_at_tip(chain):
+    """Moment at the tip (x, y, z) [N·m]."""
+    return at_tip(chain)[3:]
+
+
+@compiled
+def at_tip(chain):
+    """Force [N] and moment [N·m] at the tip, (6,)."""
+    return stages.tip_load(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, chain, 0)
+
+
+@compiled
+def push_at(chain, i, place, frame):
+    """Force (3,) [N] and moment (3,) [N·m] on the end of cell i, were it at a place (3,) [m]."""
+    along, behind = 0.0, math.inf
+    for j in range(i + 1):
+        along += cell(chain, j, LENGTH)
+    if i + 1 < chain.n:
+        behind = cell(chain, i + 1, LENGTH)
+    before = cell(chain, i, LENGTH)
+    return stages.push(NO_LOAD, NO_LOAD, place, frame, along, before, behind, chain, 0)
+
+
+@compiled
+def end_at(work, i):
+    """Where cell i ends (3,) [m] before loads bow it, and its frame there (9,)."""
+    o, f = floats(work.origins + 24 * (i + 1)), floats(work.frames + 72 * (i + 1))
+    return (o[0], o[1], o[2]), (f[0], f[1], f[2], f[3], f[4], f[5], f[6], f[7], f[8])
+
+
+@entry()
+def pushes(chain, bend, work):
+    """Fill work.push (n, 6) at frames and origins of `cells.chain_frames`."""
+    for i in range(chain.n):
+        place, frame = end_at(work, i)
+        force, moment = push_at(chain, i, place, frame)
+        push = floats(work.push + 48 * i)
+        push[0], push[1], push[2] = force
+        push[3], push[4], push[5] = moment
+
+
+@compiled
+def pushed(chain, work, i):
+    """Force (3,) [N] and moment (3,) [N·m] of work.push on the end of cell i."""
+    if not stages.push_acts(chain):
+        return NO_LOAD, NO_LOAD
+    push = floats(work.push + 48 * i)
+    return (push[0], push[1], push[2]), (push[3], push[4], push[5])
 
 
 @contracted
@@ -286,8 +339,10 @@ def bow_cells(chain, bend, work):
     general = is_general(chain)
     bends, half, origins = floats(bend), floats(work.half), floats(work.origins)
     scale, beyond, shift = floats(work.settings)[LOAD_SCALE], force_at_tip(chain), NO_LOAD
+    if stages.push_acts(chain):
+        chain.pushes(chain, bend, work)
     for i in range(chain.n):
-        beyond = plus(beyond, weight(chain, i))
+        beyond = plus(beyond, plus(weight(chain, i), pushed(chain, work, i)[0]))
     for i in range(chain.n):
         own, f = weight(chain, i), BASE_FRAME
         across = scaled(scale, plus(beyond, scaled(-0.5, own)))
@@ -298,7 +353,8 @@ def bow_cells(chain, bend, work):
         x, y, s, c = bends[2 * i], bends[2 * i + 1], half[2 * i], half[2 * i + 1]
         part, bow = half_arc(x, y, s, c), bow_compliance(chain, work, i)
         _, _, over = bowed(bow, x, y, s, c, part, local(f, across))
-        shift, beyond = plus(shift, turned(f, over)), plus(beyond, scaled(-1.0, own))
+        shift = plus(shift, turned(f, over))
+        beyond = plus(beyond, scaled(-1.0, plus(own, pushed(chain, work, i)[0])))
         for r in range(3):
             origins[3 * i + 3 + r] += shift[r]
 
@@ -316,8 +372,12 @@ def load_moments(chain, bend, work):
     bends, moments, origins = floats(bend), floats(work.load), floats(work.origins)
     half, lengths = floats(work.half), floats(work.lengths)
     scale = floats(work.settings)[LOAD_SCALE]
-    force, torque = scaled(scale, force_at_tip(chain)), NO_LOAD
+    force, torque = scaled(scale, force_at_tip(chain)), scaled(scale, moment_at_tip(chain))
+    if stages.push_acts(chain):
+        chain.pushes(chain, bend, work)
     for i in range(chain.n - 1, -1, -1):
+        push, moment = pushed(chain, work, i)
+        force, torque = plus(force, scaled(scale, push)), plus(torque, scaled(scale, moment))
         x, y, s, c = bends[2 * i], bends[2 * i + 1], half[2 * i], half[2 * i + 1]
         f = bending_frame(chain, bend, work, i, general)
         wrench = floats(work.wrench + 48 * i)
@@ -405,7 +465,8 @@ def flat_moments(chain, bend, work):
     if bows(chain):
         fill_factors(chain, bends, half, work.wrench)
     factors, n = floats(work.wrench), chain.n
-    scale, tip, torque = floats(work.settings)[LOAD_SCALE], force_at_tip(chain), 0.0
+    scale, tip = floats(work.settings)[LOAD_SCALE], force_at_tip(chain)
+    torque = scale * moment_at_tip(chain)[1]
     total = (scale * tip[0], 0.0, scale * tip[2])
     for i in range(n - 1, -1, -1):
         x, s, c, reach = bends[2 * i], half[2 * i], half[2 * i + 1], floats(work.lengths)[i]

@@ -48,7 +48,7 @@ from .layout import (
     work_from,
     work_size,
 )
-from .loads import force_at_tip, loaded, place_cells, weight
+from .loads import force_at_tip, loaded, moment_at_tip, place_cells, weight
 from .sweep import is_implicit, slip_direction
 
 
@@ -69,7 +69,9 @@ def work_in(chain, start):
 @compiled
 def note_cells(chain, work):
     """Fill the parts of `work` that depend on cells and loads only, not on the search."""
-    flat = not is_general(chain) and force_at_tip(chain)[1] == 0.0
+    at, about = force_at_tip(chain), moment_at_tip(chain)
+    flat = at[1] == 0.0 and about[0] == 0.0 and about[2] == 0.0
+    flat = flat and not (is_general(chain) or stages.push_acts(chain))
     for i in range(chain.n):
         floats(work.lengths)[i] = cell(chain, i, LENGTH)
         floats(work.compliance)[i] = 1.0 / cell_stiffness(chain, i, section_of(chain, i))
@@ -350,7 +352,7 @@ def settle_near(chain, inputs, work, past, bend, before):
 
     For a planar arm sweeps are quicker, and under a heavy load stability has to be checked.
     """
-    heavy = loaded(chain) and load_ratio(chain) > SAFE_LOAD
+    heavy = loaded(chain) and load_ratio(chain, work) > SAFE_LOAD
     if is_implicit(chain) and not (heavy or is_planar(chain, floats(bend))):
         copy(bend, before, unknowns(chain))
         change = chain.newton(chain, inputs, bend, work, past, STEPS_MAX)

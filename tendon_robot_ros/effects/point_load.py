@@ -1,0 +1,66 @@
+"""A force and a moment at a place along the arm, constant or turning with it."""
+
+from .effect import Effect, Parameter
+
+
+def law(
+    force,
+    moment,
+    place,
+    frame,
+    along,
+    before,
+    behind,
+    arc_length,
+    force_x,
+    force_y,
+    force_z,
+    moment_x,
+    moment_y,
+    moment_z,
+    follows,
+):
+    """
+    Add the share of a wrench that acts on the end of a cell.
+
+    Statically the same: of a force within a cell, either end carries as much as it is near.
+    `follows` blends a wrench in the base frame (0) with one in the frame of the arm there (1).
+    """
+    share = min(1.0 - (along - arc_length) / before, 1.0 - (arc_length - along) / behind)
+    if share <= 0.0:
+        return force, moment
+    held, turns = share * (1.0 - follows), share * follows
+    xx, xy, xz, yx, yy, yz, zx, zy, zz = frame
+    fx, fy, fz, mx, my, mz = force_x, force_y, force_z, moment_x, moment_y, moment_z
+    force = (
+        force[0] + held * fx + turns * (xx * fx + xy * fy + xz * fz),
+        force[1] + held * fy + turns * (yx * fx + yy * fy + yz * fz),
+        force[2] + held * fz + turns * (zx * fx + zy * fy + zz * fz),
+    )
+    moment = (
+        moment[0] + held * mx + turns * (xx * mx + xy * my + xz * mz),
+        moment[1] + held * my + turns * (yx * mx + yy * my + yz * mz),
+        moment[2] + held * mz + turns * (zx * mx + zy * my + zz * mz),
+    )
+    return force, moment
+
+
+EFFECT = Effect(
+    name='point_load',
+    title='a force or a moment at a place along the arm',
+    finding='a load of {size} at a place along the arm, {direction}',
+    stage='push',
+    law=law,
+    parameters=(
+        Parameter('arc_length', 'm', 0.0, 1.0, 0.0, typical=0.2, of='length'),
+        Parameter('force_x', 'N', -1e3, 1e3, 0.0, typical=0.2, of='force'),
+        Parameter('force_y', 'N', -1e3, 1e3, 0.0, typical=0.2, of='force'),
+        Parameter('force_z', 'N', -1e3, 1e3, 0.0, typical=0.2, of='force'),
+        Parameter('moment_x', 'N·m', -1e3, 1e3, 0.0, 0.2, of='moment', only_described=True),
+        Parameter('moment_y', 'N·m', -1e3, 1e3, 0.0, 0.2, of='moment', only_described=True),
+        Parameter('moment_z', 'N·m', -1e3, 1e3, 0.0, 0.2, of='moment', only_described=True),
+        Parameter('follows', '1', 0.0, 1.0, 0.0, typical=1.0, only_described=True),
+    ),
+    divisible=True,
+    placed=True,
+)
