@@ -40,7 +40,7 @@ from .linearisation import (
     OWN,
     PASSED,
     PULLS,
-    PUSHES,
+    PUSH_TORQUE,
     REACH,
     ROTATIONS,
     SHIFTS,
@@ -53,8 +53,9 @@ from .linearisation import (
     TRAVELS,
     WITHIN,
     differentiate,
+    pushed_part,
     tangent_of,
-    tangent_size,
+    tangent_width,
 )
 from .loads import loaded
 
@@ -121,7 +122,7 @@ def system_in(chain, count, start):
 
 
 @compiled
-def answer_own(system, row, s):
+def answer_own(chain, system, row, s):
     """Fill by_own: the answer of all beyond a cell to its own bend and twist."""
     kt, frame, width = system.kt, system.frame, system.width
     own, loads = floats(system.by_own), system.right - frame
@@ -132,7 +133,7 @@ def answer_own(system, row, s):
             for m in range(min(loads, 3)):
                 total += answers[frame + m] * floats(row)[ROTATIONS + 3 * m + a]
             for m in range(loads - 3):
-                total += answers[frame + 3 + m] * floats(row)[SHIFTS + 3 * m + a]
+                total += answers[frame + 3 + m] * pushed_part(chain, row)[SHIFTS + 3 * m + a]
             own[3 * r + a] = total
 
 
@@ -207,9 +208,11 @@ def slide_together(system, i, row, s, count):
 
 
 @inlined
-def by_load(slopes, a, m):
+def by_load(chain, row, a, m):
     """Differentiate residual a of a cell by torque (m below 3) or force at its end."""
-    return slopes[BY_TORQUE + 3 * a + m] if m < 3 else slopes[BY_FORCE + 3 * a + m - 3]
+    if m < 3:
+        return floats(row)[BY_TORQUE + 3 * a + m]
+    return pushed_part(chain, row)[BY_FORCE + 3 * a + m - 3]
 
 
 @inlined
@@ -224,12 +227,13 @@ def moved_by(row, m, a):
 @compiled
 def answer_pushes(chain, system, i, row, s):
     """Add to S what the push on the end of a cell answers; then say all by the cell's start."""
-    kt, frame, width, slopes = system.kt, system.frame, system.width, floats(row)
+    kt, frame, width = system.kt, system.frame, system.width
+    slopes = pushed_part(chain, row)
     for r in range(6):
         answers = floats(s + 8 * width * (kt + r))
         for c in range(6):
-            answers[frame + c] += slopes[PUSHES + 6 * r + c]
-    answer_own(system, row, s)
+            answers[frame + c] += slopes[PUSH_TORQUE + 6 * r + c]  # those of PUSH_FORCE follow
+    answer_own(chain, system, row, s)
     for r in range(kt + 6):
         answers = floats(s + 8 * width * r)
         for a in range(3):
@@ -255,13 +259,13 @@ def gather_cell(chain, system, i, row, s):
         for a in range(size):
             factor = floats(row + 8 * (SIZE + TENDON * k))[BY_TENSION + a]
             for m in range(loads):
-                factor += by_load(slopes, a, m) * floats(s)[width * (kt + m) + k]
+                factor += by_load(chain, row, a, m) * floats(s)[width * (kt + m) + k]
             for b in range(size):
                 pivot[3 * a + b] += factor * floats(system.direct)[3 * k + b]
             add_row(bends + 8 * width * a, -factor, changes + 8 * width * k, ZERO, width)
     for a in range(size):
         for m in range(loads):
-            factor = by_load(slopes, a, m)
+            factor = by_load(chain, row, a, m)
             for b in range(size):
                 pivot[3 * a + b] += factor * floats(system.by_own)[3 * (kt + m) + b]
             if m < 3:
@@ -357,7 +361,7 @@ def answer(chain, system, i, row, s, out):
     for m in range(loads - 3):
         answer_row(system, i, kt + 3 + m, s, (0.0, 0.0, 0.0), out)
         for a in range(3):
-            factor = slopes[TORQUE_BY_FORCE + 3 * a + m]
+            factor = pushed_part(chain, row)[TORQUE_BY_FORCE + 3 * a + m]
             source = out + 8 * width * (kt + 3 + m)
             add_row(out + 8 * width * (kt + a), factor, source, ZERO, width)
 
@@ -394,7 +398,7 @@ def eliminate(chain, system, tangent):
         if system.right == system.frame + 6:
             answer_pushes(chain, system, i, row, s)
         else:
-            answer_own(system, row, s)
+            answer_own(chain, system, row, s)
         pass_tensions(chain, system, i, row, s)
         gather_cell(chain, system, i, row, s)
         solve_cell(system, i)
@@ -413,19 +417,20 @@ def eliminate(chain, system, tangent):
 @compiled
 def move_frame(chain, system, i, row, own, u):
     """Change rotation, and place, where cell i starts, which u holds, to those where it ends."""
-    kt, frame = system.kt, system.frame
+    kt, frame, more = system.kt, system.frame, pushed_part(chain, row)
     for m in range(system.right - frame - 3):
         at = SHIFTS + 3 * m
-        move = row[at] * own[0] + row[at + 1] * own[1] + row[at + 2] * own[2]
+        move = more[at] * own[0] + more[at + 1] * own[1] + more[at + 2] * own[2]
         for a in range(3):
-            move += moved_by(row, m, a) * u[frame + a]
+            move += moved_by(more, m, a) * u[frame + a]
         for k in range(kt):
             if i < words(chain.tendon)[2 * k]:
-                move += row[REACH + m] * row[GROWS] * u[k]
+                move += more[REACH + m] * more[GROWS] * u[k]
         u[frame + 3 + m] += move
     for m in range(min(system.right - frame, 3)):
         at = ROTATIONS + 3 * m
-        u[frame + m] += row[at] * own[0] + row[at + 1] * own[1] + row[at + 2] * own[2]
+        slopes = floats(row)
+        u[frame + m] += slopes[at] * own[0] + slopes[at + 1] * own[1] + slopes[at + 2] * own[2]
 
 
 @compiled
@@ -455,7 +460,7 @@ def substitute(chain, system, tangent, column, pulled, first, start, solution):
     if pulled >= 0:
         u[pulled] = 1.0
     for i in range(chain.n):
-        row, own = floats(tangent_of(chain, tangent, i)), (0.0, 0.0, 0.0)
+        row, own = tangent_of(chain, tangent, i), (0.0, 0.0, 0.0)
         for r in range(size + kt):
             at = system.bends + 8 * width * (size * i + r)
             if r >= size:
@@ -529,7 +534,7 @@ def respond(chain, bend, rates, count, work, past, answers, pulls):
         where there is friction: tensions at the first cell need no right-hand side. 0: omitted.
 
     """
-    tangent = np.zeros(tangent_size(chain.n, chain.k))
+    tangent = np.zeros(chain.n * tangent_width(chain))
     memory = np.zeros(system_size(chain, count))
     derivatives, system = address(tangent), system_in(chain, count, address(memory))
     differentiate(chain, bend, work, past, derivatives)

@@ -80,28 +80,12 @@ def _starts(parts):
 # Derivatives of a cell, in their order: matrices of three by three. The residual [rad] by the own
 # bend and twist, by the rotation of the first frame (rotation vector, base frame) and by the
 # torque [N·m] at the end; the rotation of the last frame by the own bend and twist; the torque at
-# the start by the rotation of the first frame and by the own bend and twist. Of an arm that is
-# pushed at a place also: the residual by the force [N] at the end; where the cell ends [m] by the
-# own bend and twist; the torque at the start by the force at the end; where the cell ends, from
-# its start (3,) [m]; torque [N·m] and force [N] of the push by rotation and place of the end; how
-# much the cell grows per tension [1/N].
-CELL_PARTS = {
-    'OWN': 9,
-    'BY_ROTATION': 9,
-    'BY_TORQUE': 9,
-    'ROTATIONS': 9,
-    'TORQUE_BY_ROTATION': 9,
-    'TORQUE_BY_OWN': 9,
-    'BY_FORCE': 9,
-    'SHIFTS': 9,
-    'TORQUE_BY_FORCE': 9,
-    'REACH': 3,
-    'PUSHES': 36,
-    'GROWS': 1,
-}
-OWN, BY_ROTATION, BY_TORQUE, ROTATIONS, *_MORE = _starts(CELL_PARTS)
-TORQUE_BY_ROTATION, TORQUE_BY_OWN, BY_FORCE, SHIFTS, TORQUE_BY_FORCE, *_MORE = _MORE
-REACH, PUSHES, GROWS, SIZE = _MORE
+# the start by the rotation of the first frame and by the own bend and twist.
+CELL_PARTS = 'OWN BY_ROTATION BY_TORQUE ROTATIONS TORQUE_BY_ROTATION TORQUE_BY_OWN'.split()
+MATRIX = len(BASE_FRAME)  # entries of such a matrix
+OWN, BY_ROTATION, BY_TORQUE, ROTATIONS, TORQUE_BY_ROTATION, TORQUE_BY_OWN, SIZE = _starts(
+    dict.fromkeys(CELL_PARTS, MATRIX)
+)
 # Then of every tendon: the residual by its tension; its tension behind the eyelet at the cell's
 # start by that before it, by bend and twist before and within the cell, by the travel beyond; its
 # travel by the own bend and twist; the torque by its tension; its tension behind the eyelet by
@@ -117,18 +101,39 @@ TENDON_PARTS = {
     'LAGS': 1,
 }
 BY_TENSION, PASSED, BEFORE, WITHIN, SLIDES, TRAVELS, PULLS, LAGS, TENDON = _starts(TENDON_PARTS)
+# Last, if something pushes at a place: the residual by the force [N] at the end; where the cell
+# ends [m] by the own bend and twist; the torque at the start by the force at the end; where the
+# cell ends, from its start (3,) [m]; torque [N·m] and force [N] of the push by rotation and place
+# of the end; how much the cell grows per tension [1/N].
+PUSH_PARTS = {
+    'BY_FORCE': 9,
+    'SHIFTS': 9,
+    'TORQUE_BY_FORCE': 9,
+    'REACH': 3,
+    'PUSH_TORQUE': 18,
+    'PUSH_FORCE': 18,
+    'GROWS': 1,
+}
+BY_FORCE, SHIFTS, TORQUE_BY_FORCE, REACH, *_LAST = _starts(PUSH_PARTS)
+PUSH_TORQUE, PUSH_FORCE, GROWS, PUSHED = _LAST
 
 
 @compiled
-def tangent_size(n, k):
-    """Floats that the derivatives of a chain take."""
-    return n * (SIZE + TENDON * k)
+def tangent_width(chain):
+    """Floats that the derivatives of a cell take."""
+    return SIZE + TENDON * chain.k + (PUSHED if stages.push_acts(chain) else 0)
 
 
 @compiled
 def tangent_of(chain, tangent, i):
     """Address of the derivatives of cell i."""
-    return tangent + 8 * i * (SIZE + TENDON * chain.k)
+    return tangent + 8 * i * tangent_width(chain)
+
+
+@compiled
+def pushed_part(chain, row):
+    """Return the last part of the derivatives of a cell at an address."""
+    return floats(row + 8 * (SIZE + TENDON * chain.k))
 
 
 NARROWINGS = (1.0, 1e-3, 1e-6)  # [1] of a difference at a kink: a narrower one would be rounding
@@ -211,7 +216,7 @@ def load_slopes(chain, bend, work, i, tangent, total):
 @entry()
 def push_slopes(chain, bend, work, i, tangent):
     """Fill what a push on the ends of the cells adds to the derivatives of cell i."""
-    row, general, h = floats(tangent), is_general(chain), DIFFERENCE_STEP
+    row, general, h = pushed_part(chain, tangent), is_general(chain), DIFFERENCE_STEP
     x, y, scale = floats(bend)[2 * i], floats(bend)[2 * i + 1], floats(work.settings)[LOAD_SCALE]
     f, wrench = bending_frame(chain, bend, work, i, general), floats(work.wrench + 48 * i)
     force, torque = (wrench[0], wrench[1], wrench[2]), (wrench[3], wrench[4], wrench[5])
@@ -263,12 +268,12 @@ def turned_by(frame, rotation):
 
 @compiled
 def fill_push(chain, i, place_up, frame_up, place_low, frame_low, per_step, row, column):
-    """Fill a column of PUSHES from the pushes on the end of cell i at two places and frames."""
+    """Fill a column of both slopes from the push on the end of cell i at two places."""
     force, moment = push_at(chain, i, place_up, frame_up)
     less, slack = push_at(chain, i, place_low, frame_low)
     for r in range(3):
-        row[PUSHES + 6 * r + column] = per_step * (moment[r] - slack[r])
-        row[PUSHES + 18 + 6 * r + column] = per_step * (force[r] - less[r])
+        row[PUSH_TORQUE + 6 * r + column] = per_step * (moment[r] - slack[r])
+        row[PUSH_FORCE + 6 * r + column] = per_step * (force[r] - less[r])
 
 
 @inlined
@@ -386,7 +391,8 @@ def compression_slopes(chain, bend, work, i, total, tangent):
         1.0, total - h, chain, section
     )
     rate /= 2.0 * h * stages.length(1.0, total, chain, section)
-    floats(tangent)[GROWS] = rate
+    if stages.push_acts(chain):
+        pushed_part(chain, tangent)[GROWS] = rate
     x, y = floats(bend)[2 * i], floats(bend)[2 * i + 1]
     f, wrench = bending_frame(chain, bend, work, i, YES), floats(work.wrench + 48 * i)
     force = (wrench[0], wrench[1], wrench[2])
@@ -658,12 +664,14 @@ def cell_slopes(chain, bend, work, past, i, moment_arms, scale, tangent):
         my += floats(work.load)[2 * i + 1]
         chain.load_slopes(chain, bend, work, i, tangent, total)
     a, b, c, d, e, f = compliances(chain, past, i, mx, my, total)
-    for q in range(12 if loads else 3):
+    for q in range(9 if loads else 3):
         start = OWN + 9 * (q // 3) + q % 3  # of OWN, BY_ROTATION and BY_TORQUE
-        if q >= 9:
-            start = BY_FORCE + q % 3
         u, v = row[start], row[start + 3]
         row[start], row[start + 3] = -(a * u + c * v), -(b * u + d * v)
+    for q in range(3 if stages.push_acts(chain) else 0):
+        more = pushed_part(chain, tangent)
+        u, v = more[BY_FORCE + q], more[BY_FORCE + 3 + q]
+        more[BY_FORCE + q], more[BY_FORCE + 3 + q] = -(a * u + c * v), -(b * u + d * v)
     row[OWN] += 1.0
     row[OWN + 4] += 1.0
     lever, tendon = floats(moment_arms), words(chain.tendon)
@@ -690,7 +698,8 @@ def fill_twist(chain, work, i, tangent, loads):
         row[OWN + 6 + b] *= -yields
         row[BY_ROTATION + 6 + b] *= -yields
         row[BY_TORQUE + 6 + b] *= -yields
-        row[BY_FORCE + 6 + b] *= -yields
+        if stages.push_acts(chain):
+            pushed_part(chain, tangent)[BY_FORCE + 6 + b] *= -yields
     row[OWN + 8] += 1.0
     for k in range(chain.k):
         if i < words(chain.tendon)[2 * k]:
