@@ -36,6 +36,9 @@ OWN_SIZES = {
     'torsion': {'compliance': 2.0},
     'gravity': {'linear_density': 0.006},
     'tip_load': {'force_x': 0.003, 'force_y': 0.0, 'force_z': 0.0},
+    'point_load': {'arc_length': 0.1, 'force_x': 0.006},
+    'tether': {'arc_length': 0.15, 'point_x': 0.1, 'point_z': 0.15, 'tension': 3e-3},
+    'contact': {'stiffness': 2.0, 'distance': 0.02, 'azimuth': np.pi},
     'axial_compression': {'compliance': 0.03},
     'transmission_loss': {'fraction': 0.15},
     'tension_offset': {'offset': 0.1},
@@ -54,9 +57,9 @@ OWN_SIZES = {
 
 def size_of(effect):
     """Return the values at which an effect is drawn: its first parameter, if not its own."""
-    first = effect.parameters[0].name
+    first, own = effect.parameters[0].name, OWN_SIZES.get(effect.name, {})
     usual = {p.name: p.typical if p.name == first else p.neutral for p in effect.parameters}
-    return OWN_SIZES.get(effect.name, usual)
+    return usual | own
 
 
 SIZES = {effect.name: size_of(effect) for effect in CATALOGUE}
