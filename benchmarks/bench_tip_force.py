@@ -106,7 +106,8 @@ def case(robot, full, seed, level, references, frames, where='tip', lacks=None):
         'tip_load': dict(zip(('force_x', 'force_y', 'force_z'), force.tolist(), strict=True))
     }
     if where != 'tip':
-        hidden = {'tether': {'cell': robot.cells // 2, 'force_x': float(full * (1 + seed % 3))}}
+        middle = (robot.cells // 2 - 0.5) / robot.cells * robot.length
+        hidden = {'point_load': {'arc_length': middle, 'force_x': float(full * (1 + seed % 3))}}
     hidden |= (lacks := lacks or {})
     plant = make_plant(robot, hidden, seed=seed, work=Workmanship().times(level))
     arm, markers = watched(robot, seed, level, references, frames, lacks)

@@ -144,13 +144,15 @@ def test_a_soft_cell_bends_in_proportion_and_the_others_do_not():
     np.testing.assert_allclose(np.delete(ratio, 11, axis=1), 1.0, rtol=1e-9)
 
 
-def test_a_tether_bends_the_arm_up_to_its_cell():
+def test_a_force_bends_the_arm_up_to_its_place():
     plain = robot(ARCS, effects={})
-    held = {'tether': {'cell': 10, 'force_x': 1e-4}}  # so little that bends stay small
+    place = 9.5 * plain.length / 30  # in the middle of the tenth cell
+    held = {
+        'point_load': {'arc_length': place, 'force_x': 1e-4}
+    }  # so little that bends stay small
     bend = make_plant(plain, held, scatter=0.0, refine=1).shapes([[0.0] * 4]).bend[0, :, 0]
     length, stiffness = plain.length / 30, 0.027
     lever = np.maximum(9.5 - np.arange(30) - 0.5, 0.0) * length
-    lever[9] = 0.0  # it acts in the middle of that cell: half of the cell bends, a little
     np.testing.assert_allclose(bend[:9], 1e-4 * lever[:9] / stiffness, rtol=1e-3)
     assert not bend[10:].any()
 

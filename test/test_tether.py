@@ -1,19 +1,16 @@
 """A string from the arm to a fixed point is told from a load that is always the same."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import simulated
 from measurements import blind
 
-from tendon_robot_ros.common.errors import EffectError
 from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.tether import Answer, Tether
 from tendon_robot_ros.diagnosis.verdict import Verdict
 from tendon_robot_ros.report.diagnosis_text import verdict
-from tendon_robot_ros.simulation.hidden import String, Workmanship
+from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.measurements import simulate
 from tendon_robot_ros.simulation.plant import make_plant
 from tendon_robot_ros.workspace.postures import default_postures
@@ -67,29 +64,10 @@ def test_an_arm_that_gives_way_along_a_spring_rests_where_both_pull_alike():
     np.testing.assert_allclose(pulls, [[0.2 / (1.0 + give * 0.2 * stiffening), 0.0, 0.0]])
 
 
-@pytest.mark.parametrize('stiffness', [0.0, 0.8])
-def test_a_plant_rests_under_the_pull_of_its_string(stiffness):
-    robot, tied = replace(simulated.robot('spatial_3', cells=6), effects={}), {'cell': 6}
-    point = {'anchor_x': 0.08, 'anchor_y': 0.02, 'anchor_z': 0.1}
-    hidden = tied | point | {'tension': 0.05, 'stiffness': stiffness}
-    held = make_plant(robot, {'tether': hidden}, scatter=0.0, refine=1)
-    tensions = [[1.5, 0.0, 0.3]]
-    shape = held.shapes(tensions)
-    middle = robot.length * (1.0 - 0.5 / 6)
-    at, straight = shape.markers(np.array([middle]), np.zeros((1, 3)))[0, 0], [0.0, 0.0, middle]
-    own = String(5, np.array(list(point.values())), 0.05, stiffness).pull(at, np.array(straight))
-    force = dict(zip(('force_x', 'force_y', 'force_z'), own.tolist(), strict=True))
-    pushed = make_plant(robot, {'tether': tied | force}, scatter=0.0, refine=1).shapes(tensions)
-    np.testing.assert_allclose(shape.tip_position, pushed.tip_position, atol=1e-7)
-    free = make_plant(robot, {}, scatter=0.0, refine=1).shapes(tensions)
-    assert np.abs(free.tip_position - shape.tip_position).max() > 1e-3
-    one = held.respond(tensions[0])
-    np.testing.assert_allclose(one.tip_position, shape.tip_position[0], atol=1e-7)
-
-
-def test_a_string_without_a_whole_fixed_point_is_refused():
-    with pytest.raises(EffectError, match='tether: expected anchor_x, anchor_y, anchor_z of a st'):
-        make_plant(simulated.robot(), {'tether': {'anchor_x': 0.1, 'force_x': 0.1}})
+def middle(arm):
+    """Return the middle of the cell where it is tied."""
+    robot = simulated.robot(ARMS[arm][0], cells=10)
+    return {'arc_length': (ARMS[arm][1] - 0.5) / robot.cells * robot.length}
 
 
 def diagnosed(arm, hidden):
@@ -103,8 +81,8 @@ def diagnosed(arm, hidden):
 @pytest.mark.parametrize('arm', ARMS)
 def test_a_string_is_named_with_its_cell_and_its_fixed_point(arm):
     _, cell, point, tension = ARMS[arm]
-    anchor = dict(zip(('anchor_x', 'anchor_y', 'anchor_z'), point, strict=True))
-    found = diagnosed(arm, {'tether': {'cell': cell, 'tension': tension, **anchor}})
+    anchor = dict(zip(('point_x', 'point_y', 'point_z'), point, strict=True))
+    found = diagnosed(arm, {'tether': {**middle(arm), 'tension': tension, **anchor}})
     rival = found.details['rival']
     assert found.verdict is Verdict.OUTSIDE_CATALOGUE and rival['name'] == 'tether'
     assert abs(rival['cell'] - cell) <= 1
@@ -125,8 +103,8 @@ def test_a_load_that_is_always_the_same_stays_a_tip_load(arm):
 @pytest.mark.parametrize('arm', ARMS)
 def test_a_constant_force_at_a_cell_is_no_string(arm):
     """A string imitates it with one parameter more, and explains no more than chance."""
-    _, cell, _, tension = ARMS[arm]
-    found = diagnosed(arm, {'tether': {'cell': cell, 'force_x': tension, 'force_z': -tension}})
+    force = {'force_x': ARMS[arm][3], 'force_z': -ARMS[arm][3]}
+    found = diagnosed(arm, {'point_load': middle(arm) | force})
     assert found.verdict is Verdict.OUTSIDE_CATALOGUE
     assert found.details['rival']['name'] == 'contact'
     assert 'string' not in found.remainder

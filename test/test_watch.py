@@ -177,7 +177,11 @@ def test_to_know_an_error_makes_no_force_worse_than_not_to_know_it(name):
 
 
 def test_a_force_at_mid_arm_is_told_from_one_at_the_tip():
-    plant = make_plant(ROBOT, {'tether': {'cell': 4, 'force_x': 0.03}}, scatter=0.0)
+    plant = make_plant(
+        ROBOT,
+        {'point_load': {'arc_length': 3.5 * ROBOT.length / ROBOT.cells, 'force_x': 0.03}},
+        scatter=0.0,
+    )
     tensions = np.array([0.4, 0.2, 0.7])
     arm = BuiltArm(ROBOT, load_catalogue(), default_markers(ROBOT), NOISE, 0.1)
     found = TipForceObserver(arm).update(tensions, looked(plant, tensions[None], 1)[0])

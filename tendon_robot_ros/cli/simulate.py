@@ -2,7 +2,7 @@
 Write a data set of a robot that does more than its description says.
 
 The description beside the measurements is ROBOT as it stands; the robot that is measured also has
-the hidden effects: names of the catalogue, or causes outside it (soft_cell, tether,
+the hidden effects: names of the catalogue, or causes outside it (soft_cell,
 stiffness_gradient, posture_gain, posture_rotation). Without parameters an effect has its typical
 size; a value per section is written a/b. The measured robot differs from every model: finer cells,
 the capstan's exponential, and, unless --exact, the ordinary imperfections of a robot as it is

@@ -52,7 +52,7 @@ EFFECT = Effect(
     stage='push',
     law=law,
     parameters=(
-        Parameter('arc_length', 'm', 0.0, 1.0, 0.0, typical=0.2, of='length'),
+        Parameter('arc_length', 'm', 0.0, 1.0, 0.0, typical=0.7, of='length'),
         Parameter('force_x', 'N', -1e3, 1e3, 0.0, typical=0.2, of='force'),
         Parameter('force_y', 'N', -1e3, 1e3, 0.0, typical=0.2, of='force'),
         Parameter('force_z', 'N', -1e3, 1e3, 0.0, typical=0.2, of='force'),

@@ -42,7 +42,7 @@ EFFECT = Effect(
     stage='push',
     law=law,
     parameters=(
-        Parameter('arc_length', 'm', 0.0, 1.0, 0.0, typical=0.2, of='length'),
+        Parameter('arc_length', 'm', 0.0, 1.0, 0.0, typical=0.7, of='length'),
         Parameter('point_x', 'm', -1e3, 1e3, 0.0, typical=0.2, of='length'),
         Parameter('point_y', 'm', -1e3, 1e3, 0.0, typical=0.2, of='length'),
         Parameter('point_z', 'm', -1e3, 1e3, 0.0, typical=0.2, of='length'),

@@ -18,29 +18,11 @@ from ..common.errors import EffectError, InputError, refusal, suggestion
 from ..effects import Catalogue, Effect, Parameter
 from ..robot import Robot
 from ..robot.description import EffectValues
-from ..robot.estimates import stiffnesses
 
 CauseValues = dict[str, float]
 # [1] 1 sd of the stiffness from cell to cell of a plant; its owner would know so much of it
 STIFFNESS_SCATTER = 0.02
 SCATTER_MAX = 0.2  # [1] 1 sd of any imperfection, else cells softer by five of them had none left
-
-
-@dataclass(frozen=True)
-class String:
-    """A string from the middle of a cell to a fixed point, which pulls or hangs slack."""
-
-    cell: int  # index
-    anchor: Floats  # (3,) [m], base frame
-    tension: float  # [N] with the arm straight; below zero: slack by so much
-    stiffness: float  # [N/m]; 0: always the same tension, as of a weight over a pulley
-
-    def pull(self, at: Floats, straight: Floats) -> Floats:
-        """Return the force (3,) [N] on the arm whose cell is `at` (3,) [m], `straight` if so."""
-        way = self.anchor - at
-        longer = np.linalg.norm(way) - np.linalg.norm(self.anchor - straight)
-        tension = max(self.tension + self.stiffness * float(longer), 0.0)
-        return np.asarray(tension * way / np.linalg.norm(way))
 
 
 @dataclass
@@ -49,10 +31,8 @@ class Damage:
 
     robot: Robot
     stiffness: Floats  # (n,) [1] factor on the bending stiffness
-    side_force: Floats  # (n, 3) [N] at mid-cell, base frame
     gain: float = 0.0  # [1] largest deviation of the tensions' gain
     rotation: float = 0.0  # [rad] largest rotation of the tracker
-    string: String | None = None
     waves: Floats = field(default_factory=lambda: np.zeros((0, 0)))
 
     @classmethod
@@ -60,7 +40,7 @@ class Damage:
         """Return no damage; the seed draws how gain and rotation vary from posture to posture."""
         n, m = robot.cells, len(robot.inputs)
         waves = np.random.default_rng([seed, 77]).normal(size=(4, m + 1))
-        return cls(robot, np.ones(n), np.zeros((n, 3)), waves=waves)
+        return cls(robot, np.ones(n), waves=waves)
 
     def deviations(self, inputs: Floats) -> Floats:
         """
@@ -84,37 +64,6 @@ def soft_cell(damage: Damage, values: CauseValues) -> None:
     """One cell is softer: its stiffness times `factor`."""
     cell = damage.cell(values, (2 * damage.robot.cells + 2) // 3)
     damage.stiffness[cell] *= values.get('factor', 0.6)
-
-
-def tether(damage: Damage, values: CauseValues) -> None:
-    """
-    Let a cable pull at one cell: a constant force [N], or a string to a fixed point (`ANCHOR`).
-
-    Raises
-    ------
-    EffectError
-        A string has no fixed point, or is a constant force as well.
-
-    """
-    robot = damage.robot
-    cell = damage.cell(values, (2 * robot.cells + 2) // 3)
-    usual = 0.5 * float(stiffnesses(robot).mean()) / (robot.cells * robot.length)
-    parameters = {key: value for key, value in values.items() if key != 'cell'}
-    if not parameters.keys() & STRING.keys():
-        forces = parameters or {'force_x': usual}
-        damage.side_force[cell] += [forces.get(f'force_{axis}', 0.0) for axis in 'xyz']
-        return
-    if not ANCHOR.keys() <= parameters.keys() <= STRING.keys():
-        raise EffectError(
-            f'tether: expected {", ".join(ANCHOR)} of a string with tension and stiffness, or '
-            f'{", ".join(FORCES)} of a constant force, got {", ".join(parameters)}'
-        )
-    damage.string = String(
-        cell,
-        np.array([parameters[key] for key in ANCHOR]),
-        parameters.get('tension', usual),
-        parameters.get('stiffness', 0.0),
-    )
 
 
 def stiffness_gradient(damage: Damage, values: CauseValues) -> None:
@@ -141,12 +90,8 @@ class Cause:
     act: Callable[[Damage, CauseValues], None]
 
 
-FORCES = {'force_x': 'N', 'force_y': 'N', 'force_z': 'N'}
-ANCHOR = {'anchor_x': 'm', 'anchor_y': 'm', 'anchor_z': 'm'}
-STRING = {**ANCHOR, 'tension': 'N', 'stiffness': 'N/m'}
 CAUSES = {
     'soft_cell': Cause({'cell': '1', 'factor': '1'}, soft_cell),
-    'tether': Cause({'cell': '1', **FORCES, **STRING}, tether),
     'stiffness_gradient': Cause({'relative_change': '1'}, stiffness_gradient),
     'posture_gain': Cause({'size': '1'}, posture_gain),
     'posture_rotation': Cause({'size': 'rad'}, posture_rotation),
@@ -264,25 +209,13 @@ def capstan(passed, turning, friction_coefficient, wraps, exponential):  # type:
     return passed * (1.0 - b) / (1.0 + b)
 
 
-def side_force(  # type: ignore[no-untyped-def]
-    x, y, z, mass_length, gravity_x, gravity_y, gravity_z, side_x, side_y, side_z
-):
-    """Add a force to the middle of the cell, base frame."""
-    return x + side_x, y + side_y, z + side_z
-
-
 def plant_catalogue(catalogue: Catalogue) -> Catalogue:
-    """Return the catalogue with the capstan for tendon friction, and with a force per cell."""
+    """Return the catalogue with the capstan for tendon friction, every parameter one per cell."""
     friction = catalogue['tendon_friction']
     wraps = Parameter('wraps', '1', 0.0, math.inf, 1.0, typical=1.0, per_section=True)
     exponential = Parameter('exponential', '1', 0.0, 1.0, 0.0, typical=1.0)
     parameters = (*friction.parameters, wraps, exponential)
     friction = replace(friction, law=capstan, parameters=parameters)
-    sides = tuple(
-        Parameter(f'side_{axis}', 'N', -math.inf, math.inf, 0.0, typical=1e-2, per_section=True)
-        for axis in 'xyz'
-    )
-    side = Effect('side_force', 'a force on one cell', 'load', sides, side_force)
     effects = []
     for effect in catalogue:  # finer cells have other values, each its own, beyond all bounds
         if effect.name != 'tendon_friction':
@@ -291,7 +224,7 @@ def plant_catalogue(catalogue: Catalogue) -> Catalogue:
                 for p in effect.parameters
             )
             effects.append(replace(effect, parameters=wide))
-    return Catalogue([friction, *effects, side], catalogue.files, catalogue.is_sized)
+    return Catalogue([friction, *effects], catalogue.files, catalogue.is_sized)
 
 
 def elastic_slip(sign, before, change, presliding_length, exponent):  # type: ignore[no-untyped-def]

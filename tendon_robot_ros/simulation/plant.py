@@ -12,15 +12,13 @@ effects, whose scaling is unknown. There a plant differs by capstan and scatter 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from ..common.arrays import Floats
-from ..common.errors import NoEquilibriumError, number, whole
-from ..common.estimation import ITERATIONS_MAX
+from ..common.errors import number, whole
 from ..common.rotations import bent, turned_in_plane
 from ..effects import Catalogue, CatalogueLike, Effect, load_catalogue
 from ..model.model import Model
@@ -39,8 +37,6 @@ from .hidden import (
     hide,
     plant_catalogue,
 )
-
-FORCE_STEP = 1e-3  # [1] of a string's pull for differences, so that they are of the whole shape
 
 
 def parts_per_cell(
@@ -74,7 +70,7 @@ def real_robot(
     parts : int
         Finer cells per cell.
     damage : Damage
-        Hidden: factors on the stiffness of the owner's cells, forces on them.
+        Hidden: factors on the stiffness of the owner's cells.
     exponential : bool
         Friction follows the capstan's exponential.
     built : Built
@@ -90,12 +86,6 @@ def real_robot(
         for name, values in effects.items()
     }
     scaled['tendon_friction'] = {**scaled.get('tendon_friction', {}), **friction}
-    if damage.side_force.any():
-        forces = np.zeros((n, parts, 3))
-        forces[:, parts // 2] = damage.side_force
-        scaled['side_force'] = {
-            f'side_{axis}': tuple(forces[..., i].ravel()) for i, axis in enumerate('xyz')
-        }
     if built.kink.any():  # it lies in the first part of its cell
         kinks, before = np.zeros((n, parts, 2)), scaled.get('pre_curvature', {})
         kinks[:, 0] = built.kink
@@ -206,7 +196,7 @@ class Plant:
         """
         requested, last = self.model.tensions(np.asarray(tensions, dtype=float)), self._state
         applied = requested * self._gain(requested[None])[0]
-        shape = self._held(lambda: self.model.follow(last, applied))
+        shape = self.model.follow(last, applied)
         self._state = PlantShape(shape, self, requested)
         return self._state
 
@@ -218,7 +208,7 @@ class Plant:
         """Return the arm under wire pulls (m,) [m], nan = slack, that follow the last call's."""
         target, last = np.asarray(pulls, dtype=float), self._state
         applied = target * self._gain(target[None], True)[0]
-        shape = self._held(lambda: self.model.follow_pulls(last, applied))
+        shape = self.model.follow_pulls(last, applied)
         self._state = PlantShape(shape, self)
         return self._state
 
@@ -286,69 +276,11 @@ class Plant:
 
     def _fine(self, inputs: Floats, sequence: bool, displacement: bool) -> ShapeBatch:
         applied = inputs * self._gain(inputs, displacement)
-        memory = self.model.arrays.fresh_memory()
-
-        def settle(rows: Floats, past: Floats) -> ShapeBatch:
-            if displacement:
-                return pull_shapes(self.model, rows, memory=past if sequence else None)
-            return self.model.sequence(rows, past) if sequence else self.model.shapes(rows)
-
-        if self.damage.string is None:
-            settled = settle(applied, memory)
-        else:
-            each = []
-            for row in applied[:, None]:
-                before = memory.copy()
-
-                def again(row: Floats = row, before: Floats = before) -> ShapeBatch:
-                    memory[:] = before  # of the posture before, whatever was tried since
-                    return settle(row, memory)
-
-                each.append(self._held(again))
-            settled = ShapeBatch.joined(each)
-        return settled if displacement else replace(settled, inputs=inputs)
-
-    def _held[Found: (Shape, ShapeBatch)](self, settle: Callable[[], Found]) -> Found:
-        """
-        Return the one posture that `settle` finds under the pull of the string, which follows it.
-
-        By Newton's method on the pull, with differences at the first shape.
-
-        Raises
-        ------
-        NoEquilibriumError
-
-        """
-        string = self.damage.string
-        if string is None:
-            return settle()
-        cell = string.cell * self.parts + self.parts // 2
-        lengths = np.repeat(
-            [s.cell_length for s in self.model.robot.sections],
-            [s.cells for s in self.model.robot.sections],
-        )
-        middle = np.array([lengths[:cell].sum() + 0.5 * lengths[cell]])
-
-        def under(force: Floats) -> tuple[Found, Floats]:
-            for axis, value in zip('xyz', force.tolist(), strict=True):
-                self.model.arrays.set('side_force', f'side_{axis}', cell, value)
-            found = settle()
-            return found, found.markers(middle, np.zeros((1, 3))).reshape(3)
-
-        straight = np.append(np.zeros(2), middle)
-        force = string.pull(straight, straight)
-        step = FORCE_STEP * max(float(np.linalg.norm(force)), string.stiffness * self.robot.length)
-        steps = step * np.eye(3)
-        found, at = under(force)
-        moves = np.column_stack([under(force + one)[1] - at for one in steps])
-        for _ in range(ITERATIONS_MAX):  # else it goes slack and taut in turn
-            pull = string.pull(at, straight)
-            if np.abs(pull - force).max() < FORCE_STEP * step:  # less than a tracker tells
-                return found
-            slope = np.column_stack([string.pull(at + one, straight) - pull for one in moves.T])
-            force = force + np.linalg.solve(np.eye(3) - slope / step, pull - force)
-            found, at = under(force)
-        raise NoEquilibriumError('a posture', ('tether',), np.inf)
+        if displacement:
+            memory = self.model.arrays.fresh_memory() if sequence else None
+            return pull_shapes(self.model, applied, memory=memory)
+        settled = self.model.sequence(applied) if sequence else self.model.shapes(applied)
+        return replace(settled, inputs=inputs)
 
     def _gain(self, inputs: Floats, displacement: bool = False) -> Floats:
         own = np.broadcast_to(1.0 + self.built.gain, inputs.shape)

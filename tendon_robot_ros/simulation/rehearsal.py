@@ -98,9 +98,10 @@ def draw(robot: Robot, catalogue: Catalogue, name: str, seed: int) -> Hidden:
     known, random = choices(robot, catalogue), np.random.default_rng(seed)
     if name and name not in known:
         raise InputError(f'hidden: expected one of {", ".join(known)}, got {name!r}')
-    if name == NOTHING_HIDDEN or name in CAUSES:
+    if name in (NOTHING_HIDDEN, *CAUSES) or (name and catalogue[name].placed):
         return Hidden(name, {})
-    remaining = [n for n in known if n not in CAUSES and n != NOTHING_HIDDEN]
+    others = (NOTHING_HIDDEN, *CAUSES, *(e.name for e in catalogue if e.placed))
+    remaining = [n for n in known if n not in others]
     sized = catalogue.sized(natural_sizes(robot))
     while True:
         effect = name or str(random.choice(remaining))

@@ -19,7 +19,7 @@ from ..inference.noise import Whitener, estimate_noise, input_slopes
 from ..inference.predict import Predictor
 from ..robot import Robot
 from ..robot.estimates import natural_sizes
-from ..simulation.hidden import CAUSES, Built, Workmanship
+from ..simulation.hidden import CAUSES, Built, Workmanship, chosen
 from ..simulation.measurements import SimulatedNoise, TrackerFaults, simulate
 from ..simulation.plant import make_plant
 from ..workspace.postures import SEQUENCE_FACTOR, default_postures
@@ -176,6 +176,8 @@ def hidden_values(
     if hidden in CAUSES or hidden == NOTHING:
         return {}
     effect = catalogue[hidden].sized(natural_sizes(robot))
+    if effect.placed:  # many times its size would be another place
+        return {key: float(np.ravel(v)[0]) for key, v in chosen(effect, {}, robot).items()}
     values: HiddenSizes = {}
     vector = sum(parameter.low <= -parameter.typical for parameter in effect.parameters) > 1
     for parameter in effect.parameters:

@@ -216,7 +216,8 @@ def cases_of(
 ) -> Iterator[Case]:
     """List the cases, seeds outermost, so that early results cover all robots."""
     known = (ALL, ALL_CAUSES, *catalogue.names, *CAUSES)
-    groups = {ALL: catalogue.names, ALL_CAUSES: tuple(CAUSES)}
+    everywhere = tuple(effect.name for effect in catalogue if not effect.placed)
+    groups = {ALL: everywhere, ALL_CAUSES: tuple(CAUSES)}
     words = top.words('hidden', known, (ALL,))
     hidden = list(dict.fromkeys(name for word in words for name in groups.get(word, (word,))))
     if setup.question == INTERVALS:  # of effects only
