@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
 import numpy as np
@@ -18,6 +18,7 @@ from ..inference.predict import CELLS, SOFT_CELL, TAPER, FreeParameter, Point
 from ..inference.search import DIFFERENCE_STEP
 from ..inference.session import NEAR_SCORE, side_by_side
 from ..inference.statistics import SIGNIFICANCE, chi2_isf, chi2_sf
+from ..robot import Robot
 from .tether import Answer, FittedTether, fit_tether
 from .verdict import ALARM_LEVEL, APART_FROM_SCORE, SAME_ERROR_RATIO
 
@@ -39,6 +40,8 @@ class Pattern:
     # its least and greatest pull [N]
     values: tuple[float, ...] = ()
     alike: tuple[int, ...] = ()  # 1-based cells that explain as much, its own included
+    effect: str = ''  # of the catalogue, that does the same at a place, and values to start from
+    start: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def everywhere(self) -> bool:
@@ -208,9 +211,11 @@ class Patterns:
             return None
         force, n = fit.values[len(self.fit.frees) : len(fit.frees)], len(slopes)
         size, place = float(np.linalg.norm(force)), i + self._first
-        return Pattern(
-            'contact', fit.deviance, fit.rank + 1, place, size, 3, n, tuple(force.tolist())
-        )
+        start = dict(zip(('force_x', 'force_y', 'force_z'), force.tolist(), strict=True))
+        start['arc_length'] = middle_of(self.fitter.predictor.robot, i)
+        values = tuple(force.tolist())
+        pattern = Pattern('contact', fit.deviance, fit.rank + 1, place, size, 3, n, values)
+        return replace(pattern, effect='point_load', start=start)
 
     @property
     def _first(self) -> int:
@@ -449,6 +454,12 @@ def patterns_of(
     return [pattern for name in NAMES if (pattern := results[name]) is not None]
 
 
+def middle_of(robot: Robot, cell: int) -> float:
+    """Return the arc length [m] of the middle of a cell."""
+    lengths = np.concatenate([np.full(s.cells, s.cell_length) for s in robot.sections])
+    return float(lengths[:cell].sum() + 0.5 * lengths[cell])
+
+
 def _deviance(row: tuple[Fit | None, int]) -> float:
     return np.inf if row[0] is None else row[0].deviance
 
@@ -463,8 +474,7 @@ class TiedCell:
         self.patterns, self.cell, self.split = patterns, cell, split
         self.pushes = [free for free in patterns.fit.frees if free.effect == PUSH]
         self.force = np.array([patterns.point[free] for free in self.pushes])
-        lengths = np.array([section.cell_length for section in split.robot.sections])
-        self.middle = float(lengths[:cell].sum() + 0.5 * lengths[cell])
+        self.middle = middle_of(split.robot, cell)
 
     def answer(self, held: Floats) -> Answer | None:
         """Return how the arm answers under pulls (P, 3) [N]; None where it has no equilibrium."""
@@ -534,4 +544,6 @@ class TiedCell:
             3 + found.parameters,
             self.split.whole.cells,
             values,
+            effect='tether',
+            start=found.tether.effect(self.middle),
         )

@@ -16,6 +16,7 @@ from ..common.arrays import Floats
 from ..inference.candidates import Candidate, Ranked
 from ..inference.fit import Fit
 from ..inference.fitter import BEST_FEW, FAILURES, REVERSAL_GAIN_MIN, ROUNDS_MAX
+from ..inference.predict import FreeParameter, free_parameters
 from ..inference.search import DIFFERENCE_STEP, LADDER
 from ..inference.session import NEAR_SCORE, Session, better
 from ..inference.statistics import first_of_best
@@ -142,6 +143,8 @@ class Fits:
                 memories = session.catalogue.needing('history')
                 own = [one for one in known.singles if memories & set(one.names)]
                 found['helpful'] = tuple(own if own and self.remembers else known.singles)
+            case 'placed':
+                found['placed'] = {**known.placed, **self._placed(missing.names[0])}
             case 'further':
                 self.joint = self._joined(self.fit_of(missing.names))
                 found['further'] = tuple(map(_numbers, self.joint))
@@ -158,9 +161,25 @@ class Fits:
 
     def _numbers(self, patterns: Sequence[Pattern]) -> tuple[Rival, ...]:
         return tuple(
-            Rival(p.name, p.score, p.everywhere, p.gain_p_value(self.base.deviance))
+            Rival(p.name, p.score, p.everywhere, p.gain_p_value(self.base.deviance), p.effect)
             for p in patterns
         )
+
+    def _placed(self, name: str) -> dict[str, Hypothesis | None]:
+        """Fit an effect that acts at a place from where a pattern has found it."""
+        pattern = next(p for p in (*self.rivals, *self.alone) if p.effect == name)
+        session, frees = self.session, dict[FreeParameter, float]()
+        for free in free_parameters(session.catalogue[name], session.robot):
+            if free.parameter.name in pattern.start:
+                value = pattern.start[free.parameter.name]
+                frees[free] = float(np.clip(value, free.parameter.low, free.parameter.high))
+        candidate = Candidate((name,), tuple(frees), present=False)
+        try:
+            ranked = session.rank(candidate, session.fitters[0].fit(candidate.frees, frees))
+        except FAILURES:
+            return {name: None}
+        self.joint = [*self.joint, ranked]
+        return {name: _numbers(ranked)}
 
     def departures(self, ranked: Ranked) -> list[Departure]:
         """

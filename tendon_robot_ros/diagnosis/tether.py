@@ -42,6 +42,18 @@ class Tether:
         """Where it is fixed (3,) [m]."""
         return self.centre + self.force / (np.linalg.norm(self.force) * self.closeness)
 
+    def effect(self, arc_length: float) -> dict[str, float]:
+        """Return what the effect `tether` says of it, tied at an arc length [m]."""
+        size, distance = float(np.linalg.norm(self.force)), 1.0 / self.closeness
+        values = dict(
+            zip(('point_x', 'point_y', 'point_z'), self.fixed_point.tolist(), strict=True)
+        )
+        values['arc_length'] = arc_length
+        if self.stiffening == 0.0:
+            return values | {'tension': size}
+        slack = max(distance - 1.0 / self.stiffening, 0.0)
+        return values | {'slack_length': slack, 'stiffness': size * self.stiffening}
+
     def pulls(self, at: Floats) -> tuple[Floats, Floats]:
         """Return the pulls (P, 3) and their slopes (P, 3, 3) [N/m] by the place."""
         size = max(float(np.linalg.norm(self.force)), 1e-300)

@@ -192,6 +192,7 @@ class Rival:
     score: float
     everywhere: bool = True  # whether it is the same in every posture
     gain_p: float = 1.0  # p-value of its gain over the description
+    effect: str = ''  # of the catalogue, that does the same once its place is known
 
 
 @dataclass(frozen=True)
@@ -212,6 +213,7 @@ class Evidence:
     helpful: tuple[Hypothesis, ...] | None = None  # may be a part of the cause
     further: tuple[Hypothesis, ...] | None = None  # the best one with others of significant gain
     combined: tuple[Hypothesis, ...] | None = None  # the best combination; weights are its own
+    placed: Mapping[str, Hypothesis | None] = field(default_factory=dict)  # effects of rivals
 
 
 class Missing(LookupError):
@@ -282,12 +284,30 @@ def decide(evidence: Evidence) -> Concluded:
     """
     Conclude what explains the error: nothing, one effect, a class, several, or no effect at all.
 
+    An effect whose place is unknown is tried where a pattern that finds places has won.
+
     Raises
     ------
     Missing
         A part of the evidence is not yet known, and the verdict depends on it.
 
     """
+    said = _without_places(evidence)
+    rival = said.rival
+    if rival is None or not rival.effect:
+        return said
+    if rival.effect not in evidence.placed:
+        raise Missing('placed', (rival.effect,))
+    placed = evidence.placed[rival.effect]
+    if placed is None or placed.probability <= P_SINGLE_MIN:
+        return said
+    if placed.score > rival.score + APART_FROM_SCORE:
+        return said
+    return Conclusion(Verdict.MISSING_EFFECT, placed)
+
+
+def _without_places(evidence: Evidence) -> Concluded:
+    """Conclude from the effects that act everywhere, and from patterns."""
     if evidence.combined is not None:
         return _of_several(evidence, evidence.combined)
     if not is_alarming(evidence):

@@ -48,7 +48,6 @@ def law(
 EFFECT = Effect(
     name='point_load',
     title='a force or a moment at a place along the arm',
-    finding='a load of {size} at a place along the arm, {direction}',
     stage='push',
     law=law,
     parameters=(
