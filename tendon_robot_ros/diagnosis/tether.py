@@ -51,8 +51,10 @@ class Tether:
         values['arc_length'] = arc_length
         if self.stiffening == 0.0:
             return values | {'tension': size}
-        slack = max(distance - 1.0 / self.stiffening, 0.0)
-        return values | {'slack_length': slack, 'stiffness': size * self.stiffening}
+        values['stiffness'] = size * self.stiffening
+        if self.stiffening * distance > 1.0:
+            return values | {'slack_length': distance - 1.0 / self.stiffening}
+        return values | {'tension': size * (1.0 - self.stiffening * distance)}
 
     def pulls(self, at: Floats) -> tuple[Floats, Floats]:
         """Return the pulls (P, 3) and their slopes (P, 3, 3) [N/m] by the place."""
