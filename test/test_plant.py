@@ -255,7 +255,10 @@ def test_pulls_from_both_sides_leave_it_where_the_model_with_memory_says(arm, hi
         ({'magic': {}}, "unknown hidden effect 'magic'; in the catalogue: tendon_friction, "),
         ({'soft_cell': {'celll': 3}}, "soft_cell: expected one of cell, factor, got 'celll'"),
         ({'soft_cell': {'cell': 31}}, 'cell: expected a whole number from 1 (base) to 30, got 31'),
-        ({'tip_load': {'force': 1}}, 'tip_load: expected one of force_x, force_y, force_z, got '),
+        (
+            {'tip_load': {'force': 1}},
+            'tip_load: expected one of force_x, force_y, force_z, moment_x',
+        ),
         (
             {'hinge_friction': {'lever': -1.0}},
             'hinge_friction: lever: expected a number from 0 to 0.00275 [m], got -1',

@@ -9,7 +9,6 @@ from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.tether import Answer, Tether
 from tendon_robot_ros.diagnosis.verdict import Verdict
-from tendon_robot_ros.report.diagnosis_text import verdict
 from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.measurements import simulate
 from tendon_robot_ros.simulation.plant import make_plant
@@ -79,17 +78,18 @@ def diagnosed(arm, hidden):
 
 
 @pytest.mark.parametrize('arm', ARMS)
-def test_a_string_is_named_with_its_cell_and_its_fixed_point(arm):
-    _, cell, point, tension = ARMS[arm]
+def test_a_string_is_named_with_its_place_and_its_fixed_point(arm):
+    _, _, point, tension = ARMS[arm]
     anchor = dict(zip(('point_x', 'point_y', 'point_z'), point, strict=True))
     found = diagnosed(arm, {'tether': {**middle(arm), 'tension': tension, **anchor}})
-    rival = found.details['rival']
-    assert found.verdict is Verdict.OUTSIDE_CATALOGUE and rival['name'] == 'tether'
-    assert abs(rival['cell'] - cell) <= 1
-    np.testing.assert_allclose(rival['fixed_point'], point, atol=0.02)
-    assert rival['pull'][0] == pytest.approx(tension, rel=0.25)
-    assert f'a string from cell {rival["cell"]} to (' in found.remainder
-    assert f'{rival["words"]}, fits better' in verdict(found)
+    assert found.verdict is Verdict.MISSING_EFFECT
+    assert [effect.name for effect in found.effects] == ['tether']
+    told = found.effects[0].parameters
+    for key, value in (anchor | middle(arm)).items():
+        assert told[key].value == pytest.approx(value, abs=0.01), key
+        assert told[key].low - 0.005 <= value <= told[key].high + 0.005, key
+    assert told['tension'].value == pytest.approx(tension, rel=0.2)
+    assert found.error_after < 0.1 * found.error_before
 
 
 @pytest.mark.parametrize('arm', ARMS)
@@ -101,13 +101,16 @@ def test_a_load_that_is_always_the_same_stays_a_tip_load(arm):
 
 
 @pytest.mark.parametrize('arm', ARMS)
-def test_a_constant_force_at_a_cell_is_no_string(arm):
+def test_a_constant_force_within_the_arm_is_named_with_its_place(arm):
     """A string imitates it with one parameter more, and explains no more than chance."""
     force = {'force_x': ARMS[arm][3], 'force_z': -ARMS[arm][3]}
     found = diagnosed(arm, {'point_load': middle(arm) | force})
-    assert found.verdict is Verdict.OUTSIDE_CATALOGUE
-    assert found.details['rival']['name'] == 'contact'
-    assert 'string' not in found.remainder
+    assert [effect.name for effect in found.effects] == ['point_load']
+    told = found.effects[0].parameters
+    place = middle(arm)['arc_length']
+    assert told['arc_length'].low <= place <= told['arc_length'].high
+    for key, value in force.items():
+        assert told[key].value == pytest.approx(value, rel=0.05), key
 
 
 def test_friction_that_settles_elsewhere_lets_no_string_win():

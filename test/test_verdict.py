@@ -28,6 +28,8 @@ POOR = replace(HINGE, probability=0.5 * P_SINGLE_MIN)
 BOTH = Hypothesis(('hinge_friction', 'tip_load'), NEAR - 30.0, probability=2.0 * P_SEVERAL_MIN)
 CELL = Rival('soft_cell', NEAR - 2.0 * APART_FROM_SCORE, gain_p=1e-12)
 BEATEN = Rival('soft_cell', NEAR - 0.5 * APART_FROM_SCORE, gain_p=1e-12)
+FORCE = replace(CELL, name='contact', effect='point_load')
+PLACED = Hypothesis(('point_load',), FORCE.score + 1.0)
 CLEAR, NONE = [Departure(5.0, 25.0, 1)], [Departure(0.1, 0.01, 1)]
 
 
@@ -73,6 +75,18 @@ TABLE = {
     'nothing could be combined': (evidence(POOR, combined=()), 'outside_catalogue', POOR),
     'no effect differs from what is described': (
         evidence(POOR, combined=(BOTH,), departures=NONE), 'outside_catalogue', None),
+    'a cause at a place is an effect of the catalogue': (
+        evidence(HINGE, rivals=(FORCE,), placed={'point_load': PLACED}), 'missing_effect', PLACED),
+    'that effect is not adequate': (
+        evidence(HINGE, rivals=(FORCE,), placed={
+            'point_load': replace(PLACED, probability=0.5 * P_SINGLE_MIN)}),
+        'outside_catalogue', HINGE),
+    'that effect is far behind the cause': (
+        evidence(HINGE, rivals=(FORCE,), placed={'point_load': replace(PLACED, score=NEAR)}),
+        'outside_catalogue', HINGE),
+    'that effect has no equilibrium': (
+        evidence(HINGE, rivals=(FORCE,), placed={'point_load': None}),
+        'outside_catalogue', HINGE),
     'nothing was tested': (evidence(combined=()), 'outside_catalogue', None),
 }  # fmt: skip
 
