@@ -128,8 +128,7 @@ def test_data_sets_that_do_not_belong_together_are_refused(changes, message):
         ({'load': {'force_z': 1.0}}, "lab/free: known: unknown effect 'load'; known: "),
         (
             {'tip_load': {'fz': 1.0}},
-            'known: tip_load: expected one of force_x, force_y, force_z, moment_x, moment_y, moment_z, '
-            "got 'fz'",
+            'known: tip_load: expected one of force_x, force_y, force_z, moment_x',
         ),
         ({'tip_load': {'force_z': 1e9}}, 'known: tip_load.force_z: expected a number from'),
     ],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from datetime import date
@@ -20,7 +20,7 @@ from ..inference.candidates import Candidate, is_tested, why_untested
 from ..inference.crossval import Errors, Staircase, Written, errors_on, model_error_of, written
 from ..inference.fit import Fit
 from ..inference.intervals import LoadVector, Value, loads_of, values_with_intervals
-from ..inference.predict import Point
+from ..inference.predict import Point, free_parameters
 from ..inference.session import Session
 from ..robot import Robot, RobotLike, load_robot
 from .result import EffectFinding
@@ -210,7 +210,8 @@ def add_effects(
     dataset = session.dataset
     by_name, point = {effect.name: effect for effect in start}, None
     if set(names) <= set(by_name):
-        frees = [free for name in names for free in _candidate(session, name).frees]
+        own = [_candidate(session, name, by_name[name].parameters) for name in names]
+        frees = _together(own).frees
         point = {free: by_name[free.effect].parameters[free.key].value for free in frees}
     settled = settle(session, names, point)
     fit, descriptions = settled.fit, settled.descriptions
@@ -331,7 +332,8 @@ def add_effect(
 
 def fit_effects(session: Session, names: Sequence[str], start: Point | None = None) -> Fit:
     """Fit effects together, one joining after the other; weights are retaken twice at the fit."""
-    own = [_candidate(session, name) for name in dict.fromkeys(names)]
+    known = {name: [f.key for f in start or () if f.effect == name] for name in names}
+    own = [_candidate(session, name, keys) for name, keys in known.items()]
     fit = _joined(session, own) if start is None else _fit(session, _together(own), start)
     for _ in range(2):
         fit = session.fitters[0].over_reversals(fit)
@@ -382,9 +384,19 @@ def _fit(session: Session, candidate: Candidate, start: Fit | Point | None) -> F
         ) from None
 
 
-def _candidate(session: Session, name: str) -> Candidate:
+def _candidate(session: Session, name: str, known: Collection[str]) -> Candidate:
+    """Return an effect with its parameters; of one at an unknown place those that are `known`."""
     effect = session.catalogue[name]
-    return next(c for c in session.candidates if c.names == (effect.name,))
+    if name in session.robot.effects or not effect.placed:
+        return next(c for c in session.candidates if c.names == (effect.name,))
+    frees = free_parameters(effect, session.robot)
+    frees = tuple(free for free in frees if free.key in known)
+    if not frees:
+        raise InputError(
+            f'{name}: where it acts is not described; `diagnose --add` finds the place and adds '
+            'it, or list it in the description with the place that you know'
+        )
+    return Candidate((name,), frees, present=False)
 
 
 def _refuse_untested(session: Session, candidate: Candidate, fit: Fit | None) -> None:

@@ -252,9 +252,9 @@ class Investigation:
         return robot if self.diagnosis is None else with_effects(self.diagnosis, robot)
 
     def shows(self, effect: Effect) -> bool:
-        """Return whether an effect has any influence on this arm."""
+        """Return whether an effect has any influence on this arm, if it is not at some place."""
         robot = self.arm.robot
-        if effect.acts_on and effect.acts_on not in robot.effects:
+        if effect.placed or (effect.acts_on and effect.acts_on not in robot.effects):
             return False
         has = {
             'history': self.arm.path == 'sequence',

@@ -449,11 +449,11 @@ def differences(
 
 
 def moving_effects(robot: Robot, catalogue: Catalogue) -> list[Effect]:
-    """Return the effects by which an arm moves that rests under tensions."""
+    """Return the effects by which an arm moves that rests under tensions, those at places not."""
     return [
         effect
         for effect in catalogue
-        if not {'history', 'pulls'} & set(effect.needs.split())
+        if not (effect.placed or {'history', 'pulls'} & set(effect.needs.split()))
         and (not effect.acts_on or effect.acts_on in robot.effects)
     ]
 
