@@ -1,0 +1,125 @@
+"""
+Whether a load within the arm, and a string to a fixed point, are named, and where they are found.
+
+Arms of ten cells as built, planar and spatial, twelve postures each by tensions; the place, size
+and direction of what pushes are drawn, and clean arms are drawn beside them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from machine import machine, tell
+
+from tendon_robot_ros.common.errors import NoEquilibriumError
+from tendon_robot_ros.diagnosis.diagnose import diagnose
+from tendon_robot_ros.robot import Robot, load_robot
+from tendon_robot_ros.robot.estimates import natural_sizes
+from tendon_robot_ros.simulation.hidden import Workmanship
+from tendon_robot_ros.simulation.measurements import simulate
+from tendon_robot_ros.simulation.plant import make_plant
+from tendon_robot_ros.workspace.postures import default_postures
+
+CELLS = 10
+PLACES = 0.35, 0.9  # [1] of the length, least and greatest
+FORCES = 0.2, 0.6  # [1] of the force that bends the arm by a radian
+DISTANCES = 0.4, 1.2  # [1] of the length, from the place to where a string is fixed
+KINDS = 'point_load', 'tether', 'none'
+
+
+def arm(name: str) -> Robot:
+    """Return a robot with its cells joined to `CELLS`, as long and as soft as it is."""
+    robot = load_robot(name)
+    (section,) = robot.sections
+    stiffness = CELLS / float(np.sum(np.reciprocal(section.bending_stiffness)))
+    cells = replace(
+        section,
+        cells=CELLS,
+        cell_length=section.cells * section.cell_length / CELLS,
+        bending_stiffness=(stiffness,) * CELLS,
+        mass_profile=(1.0,) * CELLS,
+    )
+    shaping = {
+        name: {'fraction': 1.0} for name in ('eyelet_wrap', 'straight_tendon', 'tendon_travel')
+    }
+    return replace(robot, sections=(cells,), effects={**robot.effects, **shaping})
+
+
+def drawn(robot: Robot, kind: str, random: np.random.Generator) -> dict[str, dict[str, float]]:
+    """Return what is hidden."""
+    planar = not any(tendon.base[1] for tendon in robot.tendons)
+    toward = random.normal(size=3) * [1.0, not planar, 1.0]
+    toward /= np.linalg.norm(toward)
+    place = robot.length * random.uniform(*PLACES)
+    force = natural_sizes(robot)['force'] * random.uniform(*FORCES)
+    point = [0.0, 0.0, place] + robot.length * random.uniform(*DISTANCES) * toward
+    axes = 'xyz'
+    if kind == 'point_load':
+        parts = {f'force_{a}': float(v) for a, v in zip(axes, force * toward, strict=True)}
+        return {kind: {'arc_length': place, **parts}}
+    parts = {f'point_{a}': float(v) for a, v in zip(axes, point, strict=True)}
+    return {} if kind == 'none' else {kind: {'arc_length': place, 'tension': force, **parts}}
+
+
+def tried(robot: Robot, kind: str, seed: int) -> dict[str, object] | None:
+    """Return what a diagnosis says of an arm; None where it has no equilibrium."""
+    hidden = drawn(robot, kind, np.random.default_rng([seed, 37]))
+    try:
+        plant = make_plant(robot, hidden, seed=seed, work=Workmanship())
+        rows = default_postures(robot, 12, seed, 'tension', 'from_straight')
+        measured = simulate(plant, rows, seed=seed)
+    except NoEquilibriumError:
+        return None
+    start = time.process_time()
+    found = diagnose(measured, robot, workers=1)
+    row: dict[str, object] = {
+        'said': ' + '.join((found.verdict.value, *(effect.name for effect in found.effects))),
+        'named': bool(found.effects) and found.verdict.may_add,
+        'seconds': time.process_time() - start,
+    }
+    if kind in hidden and [effect.name for effect in found.effects] == [kind]:
+        told, true = found.effects[0].parameters, hidden[kind]
+        off = abs(told['arc_length'].value - true['arc_length']) / robot.length
+        row |= {'right': True, 'off': off}
+        row['inside'] = [told[key].low <= value <= told[key].high for key, value in true.items()]
+    return row
+
+
+def main() -> int:
+    """Count what is said of drawn arms."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--cases', type=int, default=10, help='of each kind and arm; default 10')
+    parser.add_argument('--robots', nargs='+', default=['kato_10_1_single', 'spatial_3'])
+    parser.add_argument('--kinds', nargs='+', default=KINDS, choices=KINDS)
+    parser.add_argument('--json', type=Path)
+    options = parser.parse_args()
+    figures: dict[str, object] = {}
+    for name in options.robots:
+        robot = arm(name)
+        for kind in options.kinds:
+            rows = [tried(robot, kind, seed) for seed in range(options.cases)]
+            made = [row for row in rows if row is not None]
+            right = [row for row in made if row.get('right')]
+            inside = [one for row in right for one in row['inside']]
+            figures[f'{name}, {kind}'] = {
+                'arms': len(made),
+                'said': dict(Counter(row['said'] for row in made)),
+                'named right': len(right),
+                'named wrong': sum(bool(row['named']) for row in made) - len(right),
+                'within 10 % of the length': sum(row['off'] < 0.1 for row in right),
+                'in their intervals': f'{sum(inside)} of {len(inside)}',
+                'process time [s]': float(np.median([row['seconds'] for row in made])),
+            }
+            print(f'{name}, {kind}: {figures[f"{name}, {kind}"]}', file=sys.stderr, flush=True)
+    tell(figures | {'machine': machine()}, options.json)
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
