@@ -27,7 +27,7 @@ OWN_SIZES = {  # where the typical size, or its sign, would show less
     'gravity': {'linear_density': 0.3},
     'tip_load': {'force_x': 0.01, 'force_y': -0.02, 'force_z': 0.03}
     | {'moment_x': 1e-3, 'moment_y': 2e-3, 'moment_z': -5e-4},
-    'point_load': {'arc_length': 0.016, 'force_x': 0.05, 'force_y': -0.03, 'force_z': 0.02}
+    'point_load': {'arc_length': 0.0185, 'force_x': 0.08, 'force_y': -0.03, 'force_z': 0.02}
     | {'moment_x': 1e-3, 'moment_y': 2e-3, 'moment_z': -5e-4, 'follows': 0.3},
     'tether': {'arc_length': 0.0175, 'point_x': 0.06, 'point_y': -0.02, 'point_z': 0.02}
     | {'slack_length': 0.02, 'stiffness': 1.0, 'tension': 0.1},

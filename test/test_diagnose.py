@@ -51,10 +51,16 @@ def test_a_robot_that_hides_nothing_is_adequate():
 
 
 def test_a_cause_outside_the_catalogue_is_called_so():
-    found = diagnose(load_dataset(blind('g') / 'fit'))
+    found = diagnose(load_dataset(blind('l') / 'fit'))
     assert found.verdict == 'outside_catalogue'
     assert 'in every posture' in found.remainder
     assert not found.adds
+
+
+def test_a_cable_that_holds_the_arm_at_a_disk_is_a_force_at_a_place():
+    found = diagnose(load_dataset(blind('g') / 'fit'))
+    assert (found.verdict, names(found)) == ('missing_effect', ['point_load'])
+    assert found.error_after < 0.2 * found.error_before
 
 
 def test_a_value_that_is_off_is_no_missing_effect():

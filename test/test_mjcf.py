@@ -24,7 +24,7 @@ FOUND = {  # what a diagnosis adds
     'transmission_loss': {'fraction': 0.1},
     'tension_offset': {'offset': 0.05},
     'gravity': {'linear_density': 0.3},
-    'tip_load': {'force_x': 0.02, 'force_y': -0.03, 'force_z': 0.03},
+    'tip_load': {'force_x': 0.02, 'force_y': -0.03, 'force_z': 0.03, 'moment_y': 1e-3},
 }
 
 

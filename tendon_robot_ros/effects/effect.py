@@ -47,7 +47,7 @@ class Parameter:
         Whether it only shapes what the others do: a description may leave it out, also of an
         effect that is always on; it is then neutral.
     only_described : bool
-        Whether a fit leaves it alone unless the description gives it.
+        Whether a fit leaves it alone where the description gives no value, or the neutral one.
 
     """
 

@@ -228,7 +228,7 @@ def free_parameters(effect: Effect, robot: Robot) -> tuple[FreeParameter, ...]:
     frees: list[FreeParameter] = []
     for parameter in effect.parameters:
         described = robot.effects.get(effect.name, {}).get(parameter.name)
-        if parameter.only_described and described is None:
+        if parameter.only_described and described in (None, parameter.neutral):
             continue
         if parameter.per_section or (parameter.per_tendon and isinstance(described, tuple)):
             sections = [(i, s.name) for i, s in enumerate(robot.sections) if not s.is_plate]

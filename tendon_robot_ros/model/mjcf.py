@@ -182,11 +182,11 @@ def mjcf(model: Model) -> str:
             gainprm=f'{gain:.9g}', biastype='affine', biasprm=f'{offset:.9g}',
             ctrlrange=_text((0.0, robot.tension_limits[1])),
         )  # fmt: skip
-    force = laws('tip_load', (0.0, 0.0, 0.0))
-    if any(force):
+    wrench = laws('tip_load', (0.0,) * 6)
+    if any(wrench):
         ElementTree.SubElement(
             actuators, 'general', name='tip_load', site='tip', refsite='base', biastype='affine',
-            gear=_text((*force, 0.0, 0.0, 0.0)), gainprm='0', biasprm='1',
+            gear=_text(wrench), gainprm='0', biasprm='1',
         )  # fmt: skip
     keyframe = ElementTree.SubElement(root, 'keyframe')
     ElementTree.SubElement(keyframe, 'key', name='rest', qpos=_text(rested))
