@@ -198,8 +198,8 @@ def test_a_story_comes_true_only_with_the_right_name_and_a_fallen_error():
     assert 'was hidden' in story('hinge_friction', right, before=5e-3, after=1e-4).problem
     assert story('none', {'verdict': 'adequate'}).problem == ''
     assert 'nothing was hidden' in story('none', right).problem
-    assert story('tether', {'verdict': 'outside_catalogue'}).problem == ''
-    assert 'outside the catalogue' in story('tether', right).problem
+    assert story('soft_cell', {'verdict': 'outside_catalogue'}).problem == ''
+    assert 'outside the catalogue' in story('soft_cell', right).problem
 
 
 def test_a_late_frame_is_compared_with_the_tensions_of_its_own_time(model):
