@@ -8,7 +8,6 @@ import pytest
 from tendon_robot_ros.data import DataSet
 from tendon_robot_ros.data.arrays import corners
 from tendon_robot_ros.data.dataset import BLOCKS_MAX
-from tendon_robot_ros.diagnosis import stepwise
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.improve import improve
 from tendon_robot_ros.effects import load_catalogue
@@ -146,8 +145,7 @@ def test_slopes_along_a_thinned_path_are_those_along_the_whole_one():
 @pytest.fixture
 def few_are_used(monkeypatch):
     """Use so few postures that a test is quick."""
-    for where in (session, stepwise):
-        monkeypatch.setattr(where, 'POSTURES_MAX', USED)
+    monkeypatch.setattr(session, 'POSTURES_MAX', USED)
 
 
 def test_the_text_says_how_many_postures_were_used_and_the_error_is_of_all(few_are_used):

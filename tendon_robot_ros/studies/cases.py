@@ -181,7 +181,8 @@ def hidden_values(
     values: HiddenSizes = {}
     vector = sum(parameter.low <= -parameter.typical for parameter in effect.parameters) > 1
     for parameter in effect.parameters:
-        value = parameter.neutral if parameter.has_default else parameter.typical * size
+        shapes = parameter.has_default or parameter.only_described
+        value = parameter.neutral if shapes else parameter.typical * size
         if parameter.low <= -parameter.typical:  # may have either sign
             value *= float(random.choice([-1.0, 1.0]))
             value *= float(random.uniform(*VECTOR_FRACTIONS)) if vector else 1.0
