@@ -43,7 +43,10 @@ def with_values(
     counts = {'section': len(robot.sections), 'tendon': len(robot.tendons)}
     for name, items in changes.items():
         parameters = {p.name: p for p in catalogue[name].parameters}
-        known = {key: p.neutral for key, p in parameters.items()} | robot.effects.get(name, {})
+        known: EffectValues = {
+            key: p.neutral for key, p in parameters.items() if not p.only_described
+        }
+        known |= robot.effects.get(name, {})
         changed: EffectValues = {}
         for key, own in items.items():
             before, count = known[key], counts.get(parameters[key].per, 1)
