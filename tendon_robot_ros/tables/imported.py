@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..common.arrays import Floats
 from ..common.colours import COLOURS, GOOD, LEFT_OUT, MEASURED, PREDICTED, REST
 from ..common.results import TextResult
 from ..common.rotations import rotation_angle
@@ -18,7 +19,7 @@ from ..data import DataSet, save_dataset
 from ..data.dataset import at_rest
 from ..inference.session import POSTURES_MAX
 from ..robot import Robot
-from .columns import FloatArray, marker_label
+from .columns import marker_label
 from .markers import MarkerOrder
 from .measuring import Piece, StillMeasurements
 from .recipe import Recipe, Selection, dump_recipe
@@ -66,7 +67,7 @@ class ImportedTable(TextResult):
     order: MarkerOrder
     frame: TrackerFrame
     source: str
-    predicted: FloatArray
+    predicted: Floats
     dropped: tuple[str, ...]
     assumed: tuple[str, ...]
     look: tuple[str, ...]
@@ -195,7 +196,7 @@ def draw(
     measured: StillMeasurements,
     recipe: Recipe,
     members: Sequence[int],
-    predicted: FloatArray,
+    predicted: Floats,
 ) -> Figure:
     """
     Draw inputs and markers over time, and the postures beside those of the model.
@@ -294,7 +295,7 @@ def _shade(axes: Axes, measured: StillMeasurements) -> None:
             )
 
 
-def _thinned(axes: Axes, times: FloatArray) -> slice:
+def _thinned(axes: Axes, times: Floats) -> slice:
     """Return which of many samples to draw: a few for each column of the picture."""
     return slice(None, None, max(len(times) // int(4.0 * axes.bbox.width), 1))
 
@@ -321,7 +322,7 @@ def _markers(
 
     out = set(recipe.leave_out or ())
     colours = colormaps['plasma']
-    cut: list[FloatArray] = []  # (K, 2) [s] and [mm]
+    cut: list[Floats] = []  # (K, 2) [s] and [mm]
     for begin, piece in _pieces(measured):
         track = piece.recording.tracks[0]
         part = _thinned(axes, track.times)
