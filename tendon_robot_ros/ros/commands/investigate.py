@@ -31,6 +31,7 @@ from std_msgs.msg import Bool, String
 
 from ...common.arrays import Floats
 from ...common.errors import InputError, NoEquilibriumError, TendonRobotError
+from ...common.json_output import emit, narrate
 from ...control.inputs import Refusal, Trajectory
 from ...data import default_markers
 from ...data.dataset import LOADINGS
@@ -405,7 +406,7 @@ class Investigator:
             )
             findings = investigation.run()
             lines = write_results(findings, folder, investigation.catalogue, args.add)
-            print(*lines, sep='\n', flush=True)
+            emit(args, findings.to_json(), '\n'.join(lines))
             if (folder / BETTER).exists() and not args.keep:
                 better = str((folder / BETTER).resolve())
                 accepted, reason = self.arm.put('model', better, 2.0 * REACTION_TIMEOUT_S)
@@ -420,7 +421,7 @@ class Investigator:
 
     def publish_news(self, news: News) -> None:
         """Print and publish progress."""
-        print(news.text, flush=True)
+        narrate(self.args, news.text)
         content: dict[str, Any] = {'kind': news.kind, 'text': news.text, **news.content}
         self._progress.publish(String(data=json.dumps(content)))
 
