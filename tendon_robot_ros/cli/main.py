@@ -114,8 +114,8 @@ EXECUTABLES = sorted(
     }
 )
 
-# [1] of a help, because a terminal hardly has fewer
-SCREEN_COLUMNS, SCREEN_LINES = 100, 24
+SCREEN_COLUMNS = 100  # [1] of a help, because a terminal hardly has fewer
+SCREEN_LINES = 24  # [1] of a help, because a terminal opens with as many
 PACKAGE = Path(__file__).parent.parent
 NODE_OPTIONS = '[--ros-args [-p NAME:=VALUE] [--params-file FILE] [-r FROM:=TO]]'
 
