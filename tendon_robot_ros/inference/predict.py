@@ -22,6 +22,7 @@ from ..model.derivatives import (
     Move,
     PathSlopes,
     follow,
+    shown,
     tensions_by_pulls,
 )
 from ..model.forward import TOLERANCE, ForwardModel
@@ -450,7 +451,8 @@ class Predictor:
         """
         Return a function that predicts markers (P, J, 3) [m] of a sequence near a point.
 
-        To first order, at the cost of one step for every posture; see `PathSlopes`.
+        To first order, at the cost of one step for every posture; see `PathSlopes`. Postures that
+        only lie on the way are not shown.
         """
         slopes, by_pulls = [], self.dataset.input == 'displacement'
         settled = self._on_the_way(point, settled)
@@ -460,13 +462,14 @@ class Predictor:
             slopes.append(PathSlopes.of(self.model, start.tensions, start.state, by_pulls))
 
         def near(moved: Point) -> tuple[Floats, SettledShapes]:
-            placed = np.empty((len(self.inputs), len(self.dataset.markers), 3))
+            placed = np.zeros((len(self.inputs), len(self.dataset.markers), 3))
             then = SettledShapes(np.empty_like(settled.tensions), np.empty_like(settled.state))
             for part, path in zip(self.parts, slopes, strict=True):
                 self.set_parameters(moved, part)
-                shapes = path.shapes(self.given(self.inputs)[part.rows])
-                placed[part.rows] = self.see(shapes)
-                then.tensions[part.rows], then.state[part.rows] = shapes.inputs, shapes.state
+                tensions, states = path.equilibria(self.given(self.inputs)[part.rows])
+                seen = self._shown[part.rows]
+                placed[part.rows[seen]] = self.see(shown(self.model, tensions[seen], states[seen]))
+                then.tensions[part.rows], then.state[part.rows] = tensions, states
             return placed, then
 
         return near
@@ -489,12 +492,11 @@ class Predictor:
         """Return the derivatives of a sequence that remembers its bends; see `tangent`."""
         start = {**{free: self.value(free) for free in frees if self.is_effect(free)}, **point}
         near, columns = self.along_path(start, settled), []
+        here = _moved(near(start))
         for free in frees:
-            down, up = self._ends(start, free)
-            value, width = start.get(free, 0.0), up - down
-            low, high = (near({**start, free: value + side}) for side in (down, up))
-            pairs = zip(_moved(low), _moved(high), strict=True)
-            columns.append([(above - below) / width for below, above in pairs])
+            side = max(self._ends(start, free), key=abs)
+            there = _moved(near({**start, free: start.get(free, 0.0) + side}))
+            columns.append([(then - now) / side for now, then in zip(here, there, strict=True)])
         return Tangent(*(np.array(part) for part in zip(*columns, strict=True)))
 
     def _ends(self, point: Point, free: FreeParameter) -> tuple[float, float]:
