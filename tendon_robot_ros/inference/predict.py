@@ -124,37 +124,50 @@ class Freed:
 
 
 class Shifted:
-    """Like `Freed`, for a parameter of an effect, whose value is set in the model's arrays."""
+    """Like `Freed`, for a quantity that stands in a few entries of one array."""
 
     def __init__(
         self,
         arrays: KernelArrays,
         ends: tuple[float, float],
         count: int,
-        effect: str,
-        parameter: str,
-        columns: slice,
+        entries: Floats,
+        slope: Floats | float = 1.0,
+        effect: str = '',
+        inputs: Callable[[], Floats] | None = None,
     ) -> None:
-        """Store the location of its values, and its variation in `count` postures."""
+        """
+        Store where it stands, and its variation in `count` postures.
+
+        Parameters
+        ----------
+        entries : ndarray
+            A view; they change by `slope` per unit.
+        effect : str
+            Is on while it is varied; '': none.
+        inputs : callable, optional
+            Returns the inputs (b, m) [N] while it is varied; default: they stay.
+
+        """
         self.down, self.up = (np.full(count, end) for end in ends)
-        self._arrays, self._effect = arrays, effect
-        self._values = arrays.values[arrays.layout.rows[effect, parameter], columns]
-        self._described = self._values.copy()
+        self._arrays, self._effect, self._inputs = arrays, effect, inputs
+        self._entries, self._slope, self._described = entries, slope, entries.copy()
 
     def inputs(self, inputs: Floats, side: Floats) -> Floats:
-        """Return the input tensions (b, m) [N]: they stay."""
-        return inputs
+        """Return the input tensions (b, m) [N] of one side."""
+        return inputs if self._inputs is None else self._inputs()
 
     @contextmanager
     def applied(self, model: ForwardModel, side: Floats) -> Iterator[None]:
-        """Set the parameter to one side, with its effect on, while the block runs."""
+        """Set the quantity to one side, with its effect on, while the block runs."""
         on = self._arrays.on.copy()
-        self._arrays.act(self._effect)
-        self._values[:] = self._described + side[0]
+        if self._effect:
+            self._arrays.act(self._effect)
+        self._entries[:] = self._described + side[0] * self._slope
         try:
             yield
         finally:
-            self._values[:], self._arrays.on[:] = self._described, on
+            self._entries[:], self._arrays.on[:] = self._described, on
 
 
 class Pulled:
@@ -512,9 +525,9 @@ class Predictor:
         value, own = point.get(free, self.value(free)), free.parameter
         ends = self._ends(point, free)
         if self.is_effect(free) and (free.effect, own.name) not in part.known:
-            return Shifted(
-                self.model.arrays, ends, count, free.effect, own.name, self.columns(free)
-            )
+            arrays = self.model.arrays
+            row = arrays.values[arrays.layout.rows[free.effect, own.name]]
+            return Shifted(arrays, ends, count, row[self.columns(free)], effect=free.effect)
 
         def set_to(side: float) -> None:
             self.set_parameters({**point, free: value + side}, part)
