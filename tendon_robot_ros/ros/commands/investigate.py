@@ -188,7 +188,7 @@ class RunningArm(Pilot):
         return MonitorSettings().setting_noise, 0.0
 
     def _trial(self, inputs: Floats) -> StillMeasurement:
-        """Go to a posture and record it; BrokenMeasurementError: in vain, the controller goes on."""
+        """Go to a posture and record it; BrokenMeasurementError: in vain, it goes on."""
 
         def works() -> bool:
             return self.status.get('code') in (*WORKING_CODES, 'released')
