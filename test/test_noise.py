@@ -138,7 +138,7 @@ def test_the_mean_of_a_marker_that_a_trial_lost_has_the_inputs_of_the_others():
         own = noise.position**2 / np.repeat(dataset.counts[p], 3)
         root = whitener.root(p)
         white = root @ (np.diag(own) + g.T @ g) @ root.T
-        np.testing.assert_allclose(white, np.eye(len(white)), atol=2e-3)
+        np.testing.assert_allclose(white, np.eye(len(white)), atol=1e-8)
 
 
 def test_a_noisy_marker_counts_though_a_trial_of_every_posture_lost_it():
@@ -210,7 +210,7 @@ def test_a_shift_weighs_what_lost_readings_leave_of_it():
         root = whitener.root(p)
         own = noise.position**2 / np.repeat(dataset.counts[p], 3)
         white = root @ (np.diag(own) + g.T @ g) @ root.T
-        np.testing.assert_allclose(white, np.eye(len(own)), atol=4e-3)
+        np.testing.assert_allclose(white, np.eye(len(own)), atol=1e-8)
 
 
 def test_of_what_nobody_saw_there_is_no_error_and_no_warning():

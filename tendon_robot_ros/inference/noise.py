@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -107,15 +108,9 @@ class Whitener:
     """
     Covariance of the marker means, a block per posture, and a square root of its inverse.
 
-    (position noise + trial noise + shift) / trials + setting noise, which all trials share.
-    The mean of a marker that one trial lost has the inputs of the others: part of the trial noise
-    is then its own. Errors of a model may come on top, no smaller for more trials: `accuracy` [m]
-    growing along the arm, and `rough` [m, 1 sd per coordinate] of every marker; both of all
-    postures, or (P,) of each.
-
-    Noise of m inputs adds G'G of m rows to a diagonal D. With G D^-1/2 = B and B B' = V L V' the
-    symmetric root of (1 + B'B)^-1 is 1 - B'V f(L) V'B, f(l) = 1 / (1 + l + sqrt(1 + l)): nothing
-    of the size of the markers is factored. Where `accuracy` is asked for, blocks are dense.
+    (position noise + trial noise + shift) / trials + setting noise, which all trials share. Errors
+    of a model may come on top, no smaller for more trials: `accuracy` [m] growing along the arm,
+    and `rough` [m, 1 sd per coordinate] of every marker; both of all postures, or (P,) of each.
     """
 
     def __init__(
@@ -126,35 +121,21 @@ class Whitener:
         accuracy: float | Floats = 0.0,
         rough: float | Floats = 0.0,
     ) -> None:
-        """Factor the covariance; `slopes` are those of `input_slopes`."""
+        """Take the covariance; `slopes` are those of `input_slopes`."""
         self._visible = np.repeat(dataset.counts > 0, 3, axis=1)  # (P, 3 J)
+        self._noise, self._errors = (dataset, noise, slopes), (dataset, accuracy, rough)
         counts = np.repeat(np.maximum(dataset.counts, 1), 3, axis=1)
-        own = noise.position**2 / counts
-        rest = own + np.broadcast_to(rough, len(own))[:, None] ** 2
-        driven = _driven(dataset, noise, slopes, rest)
-        total = own + (driven**2).sum(axis=1)
+        by_inputs = np.square(slopes).sum(axis=1).reshape(counts.shape)
+        total = (noise.position**2 + noise.shift**2) / counts
+        total += (noise.setting**2 + noise.trial**2 / counts) * by_inputs
         self.variance = [one[visible] for one, visible in zip(total, self._visible, strict=True)]
-        self._scale = np.where(self._visible, 1.0 / np.sqrt(rest), 0.0)  # (P, 3 J)
-        scaled = driven * self._scale[:, None]
-        values, vectors = np.linalg.eigh(scaled @ scaled.swapaxes(1, 2))
-        values = np.maximum(values, 0.0)[..., None]  # (P, m, 1)
-        shrunk = 1.0 / np.sqrt(1.0 + values + np.sqrt(1.0 + values))
-        self._along = shrunk * (vectors.swapaxes(1, 2) @ scaled)  # (P, m, 3 J)
-        self._logs = np.log1p(values).sum(axis=(1, 2)) - 2.0 * np.log(
-            self._scale, out=np.zeros_like(self._scale), where=self._visible
-        ).sum(axis=1)
-        self._dense: list[Floats] | None = None
-        if not np.any(accuracy):
-            return
-        self._dense = []
-        each = np.broadcast_to(accuracy, len(own)).tolist()
-        for p, rows in enumerate(self.rows):
-            g = driven[p][:, rows]
-            block = np.diag(rest[p, rows]) + g.T @ g
-            block += common_error(dataset, rows, each[p])
-            root = np.linalg.inv(np.linalg.cholesky(block)) if len(rows) else block
-            self._logs[p] = -2.0 * float(np.log(np.diag(root)).sum())
-            self._dense.append(root)
+
+    @cached_property
+    def _factors(self) -> tuple[Floats, Floats]:
+        """Roots W (P, 3 J, 3 J) of the inverses, and logarithms (P,) of the determinants."""
+        blocks = covariances(*self._noise) + _model_errors(*self._errors)
+        root, logs = _factored(blocks, self._visible)
+        return np.linalg.inv(root), logs
 
     @property
     def rows(self) -> list[npt.NDArray[np.intp]]:
@@ -168,40 +149,24 @@ class Whitener:
 
     def root(self, p: int) -> Floats:
         """Return W (n, n) for what was seen of a posture: W'W is the covariance's inverse."""
-        if self._dense is not None:
-            return self._dense[p]
         rows = np.flatnonzero(self._visible[p])
-        along = self._along[p][:, rows]
-        return np.asarray((np.eye(len(rows)) - along.T @ along) * self._scale[p, rows])
+        return np.asarray(self._factors[0][p][np.ix_(rows, rows)])
 
     def without(self, postures: Sequence[int] | npt.NDArray[np.int64]) -> Whitener:
         """Return the same whitener with some postures weighted zero."""
-        copied, held = copy(self), list(postures)
-        copied._visible, copied._scale = self._visible.copy(), self._scale.copy()
-        copied._along, copied._logs = self._along.copy(), self._logs.copy()
-        copied._visible[held], copied._scale[held] = False, 0.0
-        copied._along[held], copied._logs[held] = 0.0, 0.0
-        if self._dense is not None:
-            nothing = np.zeros((0, 0))
-            copied._dense = [nothing if p in held else one for p, one in enumerate(self._dense)]
-        return copied
+        other = copy(self)
+        other.__dict__.pop('_factors', None)
+        other._visible = self._visible.copy()
+        other._visible[list(postures)] = False
+        return other
 
     def white(self, difference: Floats) -> Floats:
         """Whiten differences (..., P, J, 3) [m] into (..., N)."""
         leading, (P, n) = difference.shape[:-3], self._visible.shape
         flat = difference.reshape(-1, P, n).swapaxes(0, 1)  # (P, q, 3 J)
-        if self._dense is not None:
-            own = zip(flat, self.rows, self._dense, strict=True)
-            blocks = [one[:, rows] @ root.T for one, rows, root in own]
-            return np.concatenate(blocks, axis=1).reshape(*leading, self.size)
-        complete = self._visible.all()
-        scaled = (flat if complete else np.where(self._visible[:, None], flat, 0.0)) * self._scale[
-            :, None
-        ]
-        white = scaled - (scaled @ self._along.swapaxes(1, 2)) @ self._along
-        rows = white.swapaxes(0, 1).reshape(-1, P * n)
-        seen = rows if complete else rows[:, self._visible.reshape(-1)]
-        return seen.reshape(*leading, self.size)
+        seen = flat if self._visible.all() else np.where(self._visible[:, None], flat, 0.0)
+        rows = (seen @ self._factors[0].swapaxes(1, 2)).swapaxes(0, 1)
+        return rows[:, self._visible].reshape(*leading, self.size)
 
     @property
     def owners(self) -> npt.NDArray[np.int64]:
@@ -211,7 +176,7 @@ class Whitener:
     @property
     def log_determinant(self) -> float:
         """Logarithm of the determinant of the covariance."""
-        return float(self._logs.sum())
+        return float(self._factors[1].sum())
 
     def floor(self) -> float:
         """Return the expected rms [m] of the distance for a perfect model, setting noise too."""
@@ -219,48 +184,57 @@ class Whitener:
         return float(np.sqrt(3.0 * total / max(self.size, 1)))
 
 
-def _driven(dataset: DataSet, noise: Noise, slopes: Floats, own: Floats) -> Floats:
-    """Return rows G (P, q, 3 J) [m]: displacements of the marker means by inputs and shifts."""
-    flat = slopes.reshape(*slopes.shape[:2], -1)  # (P, m, 3 J)
-    driven = _moved(_shared_noise(dataset, noise.setting, noise.trial), flat, own)
-    if not noise.shift:
-        return driven
-    axes = np.tile(np.eye(3), (len(flat), 1, flat.shape[2] // 3))  # of every marker alike
-    shifted = _moved(_shared_noise(dataset, 0.0, noise.shift), axes, own)
-    return np.concatenate([driven, shifted], axis=1)
-
-
-def _moved(rows: Floats, flat: Floats, own: Floats) -> Floats:
-    """Return rows (P, r m, 3 J) [m]: noise (P, r, J) of each of m causes, by what a unit does."""
-    loudest = (flat**2 / own[:, None]).max(axis=(1, 2), initial=0.0)
-    shown = (rows**2).sum(axis=2) * loudest[:, None] > NEGLIGIBLE
-    rows = rows[:, : max(int(shown.any(axis=0).sum()), 1)]
-    moved = np.repeat(rows, 3, axis=2)[:, :, None] * flat[:, None]
-    return np.asarray(moved.reshape(len(moved), -1, moved.shape[-1]))
-
-
-def _shared_noise(dataset: DataSet, setting: float, trial: float) -> Floats:
+def covariances(dataset: DataSet, noise: Noise, slopes: Floats) -> Floats:
     """
-    Return rows R (P, r, J), the largest first: R'R is the covariance of what markers share.
+    Return the covariances (P, 3 J, 3 J) [m²] of the marker means by noise, trial by trial or not.
 
-    An error of each setting and one of each trial (1 sd), as they stand behind the mean of every
-    marker, which is that of the trials that saw it.
+    The mean of a marker that one trial lost has the inputs of the others: part of the noise of the
+    trials is then its own.
     """
-    mask, counts = dataset.mask, dataset.counts
-    if (mask.any(axis=1)[:, None] & dataset.trial_mask[..., None] <= mask).all():  # none is lost
-        size = setting**2 + trial**2 / np.maximum(dataset.trials, 1)
-        return np.repeat(np.sqrt(size)[:, None, None], mask.shape[2], axis=2)
-    rows = np.full((len(mask), mask.shape[1] + 1, mask.shape[2]), setting)
-    rows[:, 1:] = trial * mask / np.maximum(counts, 1)[:, None]
-    _, sizes, shapes = np.linalg.svd(rows, full_matrices=False)
-    return np.asarray(sizes[..., None] * shapes)
+    P, J = dataset.counts.shape
+    mask, counts = dataset.mask.astype(float), np.maximum(dataset.counts, 1)
+    weights = mask / counts[:, None]
+    trials = weights.swapaxes(1, 2) @ weights  # (P, J, J) of what is new in every trial
+    flat = slopes.reshape(P, -1, 3 * J)
+    by_inputs = flat.swapaxes(1, 2) @ flat
+    blocks = _each_coordinate(noise.setting**2 + noise.trial**2 * trials) * by_inputs
+    blocks += _each_coordinate(noise.shift**2 * trials) * _same_coordinate(J)
+    diagonal = np.arange(3 * J)
+    blocks[:, diagonal, diagonal] += noise.position**2 / np.repeat(counts, 3, axis=1)
+    return np.asarray(blocks)
 
 
-def common_error(dataset: DataSet, rows: npt.NDArray[np.int64], accuracy: float) -> Floats:
+def _each_coordinate(blocks: Floats) -> Floats:
+    """Return (..., 3 J, 3 J) from blocks (..., J, J), the same for every two coordinates."""
+    return np.repeat(np.repeat(blocks, 3, axis=-2), 3, axis=-1)
+
+
+def _same_coordinate(markers: int) -> Floats:
+    """Return ones (3 J, 3 J) where two values are along the same axis, else zeros."""
+    return np.tile(np.eye(3), (markers, markers))
+
+
+def _model_errors(dataset: DataSet, accuracy: float | Floats, rough: float | Floats) -> Floats:
+    """Return the covariances (P, 3 J, 3 J) [m²] of the errors of a model; see `Whitener`."""
+    smooth, own = (
+        np.square(np.broadcast_to(size, len(dataset.postures)))[:, None, None]
+        for size in (accuracy, rough)
+    )
+    return np.asarray(smooth * common_error(dataset, 1.0) + own * np.eye(3 * len(dataset.markers)))
+
+
+def _factored(blocks: Floats, visible: BoolArray) -> tuple[Floats, Floats]:
+    """Return triangular roots (P, n, n) of what is visible, and logarithms of determinants."""
+    both = visible[:, :, None] & visible[:, None]
+    root = np.linalg.cholesky(np.where(both, blocks, np.eye(visible.shape[1]) * ~both))
+    return root, 2.0 * np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
+
+
+def common_error(dataset: DataSet, accuracy: float) -> Floats:
     """Covariance of an error of one posture that grows along the arm up to `accuracy` [m]."""
-    height = np.repeat(dataset.arc_lengths / dataset.robot.length, 3)[rows]
-    same = (rows[:, None] % 3) == (rows[None, :] % 3)
-    return np.asarray(accuracy**2 / 3.0 * np.minimum.outer(height, height) * same)
+    height = dataset.arc_lengths / dataset.robot.length
+    shared = accuracy**2 / 3.0 * np.minimum.outer(height, height)
+    return np.asarray(_each_coordinate(shared) * _same_coordinate(len(height)))
 
 
 def relative_error(known: float, tips: Floats) -> float:
@@ -308,44 +282,25 @@ def likely(
     visible = np.repeat(dataset.counts > 0, 3, axis=1)  # (P, 3 J)
     visible[list(held)] = False
     size = rms(np.where(visible.reshape(off.shape), off, np.nan)) / np.sqrt(3.0)
-    residuals = _Residuals(
-        dataset, noise, slopes, np.where(visible, off.reshape(visible.shape), 0.0), visible
-    )
+    flat = np.where(visible, off.reshape(visible.shape), 0.0)
+    noises = covariances(dataset, noise, slopes)
+
+    def cost(smooth: float, rough: float) -> float:
+        """Return -2 log likelihood with errors of these sizes [m]."""
+        root, logs = _factored(noises + _model_errors(dataset, smooth, rough), visible)
+        white = np.linalg.solve(root, flat[..., None])
+        return float((white**2).sum() + logs.sum())
+
     best = [0.0, 0.0]
     for _ in range(DESCENT_ROUNDS):
         for i in range(len(best)):
 
             def along(x: float, i: int = i) -> float:
-                return residuals.cost(*(size * np.exp([*best[:i], x, *best[i + 1 :]])))
+                return cost(*(size * np.exp([*best[:i], x, *best[i + 1 :]])))
 
             best[i], _ = minimum(along, *LOG_SIZES, LOG_PRECISION)
     smooth, rough = np.exp(best).tolist()
     return size * smooth, size * rough
-
-
-class _Residuals:
-    """Residuals (P, 3 J) [m] of postures, where markers were seen, and their noise covariance."""
-
-    def __init__(
-        self, dataset: DataSet, noise: Noise, slopes: Floats, flat: Floats, visible: BoolArray
-    ) -> None:
-        self.flat, self.visible, self.indices = flat, visible, np.arange(flat.shape[1])
-        self.own = noise.position**2 / np.repeat(np.maximum(dataset.counts, 1), 3, axis=1)
-        driven = _driven(dataset, noise, slopes, self.own)
-        self.driven = driven.swapaxes(1, 2) @ driven  # (P, 3 J, 3 J)
-        self.common = common_error(dataset, self.indices, 1.0)
-
-    def cost(self, smooth: float, rough: float) -> float:
-        """Return -2 log likelihood with errors of these sizes [m]."""
-        visible, diagonal = self.visible, self.indices
-        blocks = self.driven + smooth**2 * self.common
-        blocks[:, diagonal, diagonal] += self.own + rough**2
-        blocks = np.where(visible[:, :, None] & visible[:, None], blocks, 0.0)
-        blocks[:, diagonal, diagonal] += ~visible
-        root = np.linalg.cholesky(blocks)
-        white = np.linalg.solve(root, self.flat[..., None])
-        logs = np.log(np.diagonal(root, axis1=1, axis2=2))
-        return float((white**2).sum() + 2.0 * logs.sum())
 
 
 # [1] degrees of freedom within postures, from which the noise is estimated by trials, because its
