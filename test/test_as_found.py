@@ -1,7 +1,6 @@
 """The arm as it was found: values and intervals of an improved description, and its last step."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,9 +9,9 @@ from simulated import CATALOGUE, measured
 
 from tendon_robot_ros import improve
 from tendon_robot_ros.diagnosis.add import add_effects
-from tendon_robot_ros.diagnosis.improve import as_found, of_the_search
+from tendon_robot_ros.diagnosis.improve import as_found
 from tendon_robot_ros.diagnosis.result import AS_FOUND, total
-from tendon_robot_ros.diagnosis.stepwise import Stepwise
+from tendon_robot_ros.diagnosis.stepwise import State, Stepwise
 from tendon_robot_ros.inference.description import PROFILE, blocks_of_the_arm
 from tendon_robot_ros.inference.fit import Fit
 from tendon_robot_ros.inference.predict import free_parameters
@@ -36,7 +35,7 @@ def state_of(search, *names):
     """Return blocks fitted together by a search."""
     blocks = tuple(next(b for b in search.blocks if b.label == name) for name in names)
     start = {free: 0.5 * free.parameter.typical for block in blocks for free in block.frees}
-    return search.state(blocks, start, search.weights(search.predict({}), ()))
+    return search.state(blocks, start, None, search.weights(search.predict({})))
 
 
 @pytest.fixture(scope='module')
@@ -110,7 +109,7 @@ def test_of_an_exact_arm_values_are_as_wide_as_the_arm_itself_may_change():
     friction = free_parameters(CATALOGUE['hinge_friction'], ROBOT)
     frees = (*friction, *profile.frees[:2])
     fit = Fit(frees, (), np.array([1e-4, 0.0, 0.0]), np.zeros(3), jacobian, dataset.mean)
-    known = of_the_search(SimpleNamespace(fit=fit))
+    known = State((), fit, None, None).effects
     assert known.frees == friction and known.values == [1e-4]
     assert known.covariance[0, 0] == pytest.approx(np.linalg.inv(jacobian.T @ jacobian)[0, 0])
 

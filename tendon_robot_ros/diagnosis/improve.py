@@ -36,7 +36,7 @@ from ..inference.crossval import (
     written_markers,
 )
 from ..inference.description import OF_THE_ARM, route_changes, stiffness_change
-from ..inference.fit import Fit, covariance_of, covariance_root
+from ..inference.fit import Fit
 from ..inference.fitter import FAILURES
 from ..inference.imperfections import POSITION, ROTATION, SplitPredictor, imperfections
 from ..inference.intervals import QUANTILE, LoadVector, Value, loads_of, values_of
@@ -218,22 +218,6 @@ def as_found(
     except (*FAILURES, NoEquilibriumError):
         return None
     return AsFound(search, state, session, _as_plausible(session, fit), scale)
-
-
-def of_the_search(state: State) -> Fit:
-    """Return the effects of a state with the covariance of the search, of an exact arm."""
-    spread = covariance_of(*covariance_root(state.fit.jacobian))
-    own = np.flatnonzero([free.effect not in OF_THE_ARM for free in state.fit.frees])
-    jacobian = np.linalg.inv(np.linalg.cholesky(spread[np.ix_(own, own)]))
-    effects = tuple(state.fit.frees[i] for i in own)
-    nothing = np.zeros(len(own))
-    return replace(
-        state.fit,
-        frees=effects,
-        values=state.fit.values[own],
-        residual=nothing,
-        jacobian=jacobian,
-    )
 
 
 def _as_plausible(session: Session, fit: Fit) -> Fit:
@@ -503,7 +487,7 @@ class Searched:
         final = self.states[self.taken]
         chance = search.chance(replace(final, fit=replace(final.fit, markers=markers)))
         if arm is None:
-            known = of_the_search(final)
+            known = final.effects
             values, loads = values_of(known), loads_of(known, search.predictor)
         elif self.arm_written:
             values, loads = arm.values, arm.loads

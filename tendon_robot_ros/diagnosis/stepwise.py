@@ -94,7 +94,7 @@ class Rates:
                 continue
             start, own = {}, []
             for free in block.frees:
-                value = described(self.predictor, free)
+                value = self.predictor.start(free)
                 step = DIFFERENCE_STEP * free.parameter.typical
                 step = step if value + step <= free.parameter.high else -step
                 start[free] = value + step
@@ -148,11 +148,6 @@ def jumps(block: Candidate, predictor: Predictor) -> bool:
     """Return whether the description lacks an effect of a block that acts whatever its value."""
     catalogue, present = predictor.model.catalogue, predictor.robot.effects
     return any(n in catalogue and n not in present and catalogue[n].always_on for n in block.names)
-
-
-def described(predictor: Predictor, free: FreeParameter) -> float:
-    """Value in the description, moved inside the bounds of a fit."""
-    return float(np.clip(predictor.value(free), free.parameter.low, free.parameter.high))
 
 
 def bounds(fit: Fit) -> tuple[Floats, Floats]:
@@ -237,11 +232,16 @@ class State:
 
     @property
     def effects(self) -> Fit:
-        """The fit of the effects of the catalogue alone."""
-        own = np.array([f.effect not in OF_THE_ARM for f in self.fit.frees], dtype=bool)
-        frees = tuple(f for f in self.fit.frees if f.effect not in OF_THE_ARM)
-        values, jacobian = self.fit.values[own], self.fit.jacobian[:, own]
-        return replace(self.fit, frees=frees, values=values, jacobian=jacobian)
+        """The effects of the catalogue with the covariance of the search, of an exact arm."""
+        own = np.flatnonzero([free.effect not in OF_THE_ARM for free in self.fit.frees])
+        spread = covariance_of(*covariance_root(self.fit.jacobian))[np.ix_(own, own)]
+        return replace(
+            self.fit,
+            frees=tuple(self.fit.frees[i] for i in own),
+            values=self.fit.values[own],
+            residual=np.zeros(len(own)),
+            jacobian=np.linalg.inv(np.linalg.cholesky(spread)),
+        )
 
 
 class Stepwise:
@@ -438,7 +438,7 @@ class Stepwise:
         spread = np.array([PRIOR_TYPICALS * free.parameter.typical for free in frees])
         back = np.zeros(len(frees))
         if np.any(joining.change):
-            back += [joining.start[free] - described(self.predictor, free) for free in frees]
+            back += [joining.start[free] - self.predictor.start(free) for free in frees]
         system = grown(state.fit, joining, state.whitener, back, spread)
         return promised(*system, state.whitener, self.dataset.groups)
 
@@ -446,7 +446,7 @@ class Stepwise:
         """Return the linearised left-out error [m²] if a block left."""
         residual, jacobian, frees = state.fit.residual, state.fit.jacobian, state.fit.frees
         own = np.array([free in block.frees for free in frees])
-        back = np.array([described(self.predictor, free) for free in frees]) - state.fit.values
+        back = np.array([self.predictor.start(free) for free in frees]) - state.fit.values
         residual = residual + jacobian[:, own] @ back[own]
         return promised(residual, jacobian[:, ~own], state.whitener, self.dataset.groups)
 
@@ -461,7 +461,7 @@ class Stepwise:
     ) -> State:
         """Fit blocks together, with their priors, from a start with equilibria near it."""
         frees = tuple(free for block in blocks for free in block.frees)
-        centres = [described(self.predictor, free) for free in frees]
+        centres = [self.predictor.start(free) for free in frees]
         priors = [
             Nuisance(free.effect, free, centre, PRIOR_TYPICALS * free.parameter.typical)
             for free, centre in zip(frees, centres, strict=True)
@@ -552,5 +552,5 @@ class Stepwise:
 
     def written(self, state: State) -> Robot:
         """Return the description with the fitted values of a state."""
-        robot = changed_robot(self.robot, self.catalogue, state.effects, self.dataset)
+        robot = changed_robot(self.robot, self.catalogue, state.fit, self.dataset)
         return arm_with(robot, state.fit.point)

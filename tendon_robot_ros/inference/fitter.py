@@ -153,7 +153,8 @@ class Fitter:
         if start is not None:
             search.settled = start.settled if isinstance(start, Fit) else near
             point = start.point if isinstance(start, Fit) else start
-            search.begin([np.array([point.get(f, search.described(f)) for f in search.all])])
+            start_of = self.predictor.start
+            search.begin([np.array([point.get(f, start_of(f)) for f in search.all])])
         else:
             search.begin(search.starts())
         return search

@@ -331,6 +331,10 @@ class Predictor:
             ]
         )
 
+    def start(self, free: FreeParameter) -> float:
+        """Value in the description, moved inside the bounds of a fit."""
+        return float(np.clip(self.value(free), free.parameter.low, free.parameter.high))
+
     def markers(
         self,
         point: Point,

@@ -63,14 +63,9 @@ class Search:
         self.r: Floats  # the same without what imperfections explain
         self.settled: SettledShapes | None = None  # of the best point, from which neighbours start
 
-    def described(self, free: FreeParameter) -> float:
-        """Return the described value, clipped to the bounds."""
-        value = self.fitter.predictor.value(free)
-        return float(np.clip(value, free.parameter.low, free.parameter.high))
-
     def starts(self) -> list[Floats]:
         """Points to start from: as described, and for one parameter a ladder of sizes."""
-        start = np.array([self.described(f) for f in self.frees] + list(self.centre))
+        start = np.array([self.fitter.predictor.start(f) for f in self.frees] + list(self.centre))
         catalogue = self.fitter.predictor.model.catalogue
         starts = [start]
         if any(catalogue[f.effect].always_on for f in self.frees):
