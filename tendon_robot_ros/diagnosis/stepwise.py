@@ -31,7 +31,7 @@ from ..inference.description import (
     changed_robot,
 )
 from ..inference.fit import Fit, Nuisance, covariance_of, covariance_root
-from ..inference.fitter import FAILURES, Fitter
+from ..inference.fitter import DEVIANCE_CONVERGED, FAILURES, Fitter
 from ..inference.marginal import NEGLIGIBLE
 from ..inference.marginal import STEPS_MAX as ITERATIONS_MAX
 from ..inference.noise import Whitener, input_slopes, likely, rms
@@ -150,22 +150,6 @@ def jumps(block: Candidate, predictor: Predictor) -> bool:
     return any(n in catalogue and n not in present and catalogue[n].always_on for n in block.names)
 
 
-def bounds(fit: Fit) -> tuple[Floats, Floats]:
-    """Return the lowest and highest values (q,) of the parameters of a fit."""
-    ends = [(free.parameter.low, free.parameter.high) for free in fit.frees]
-    low, high = np.array(ends).reshape(-1, 2).T
-    return low, high
-
-
-def pressed(fit: Fit) -> npt.NDArray[np.bool_]:
-    """Return which parameters (q,) lie at a bound beyond which the error would fall."""
-    (low, high), slope = bounds(fit), fit.jacobian.T @ fit.residual
-    out: npt.NDArray[np.bool_] = (fit.values <= low) & (slope > 0.0) | (fit.values >= high) & (
-        slope < 0.0
-    )
-    return out
-
-
 def promised(residual: Floats, jacobian: Floats, whitener: Whitener, groups: Groups) -> float:
     """Return the mean squared error [m²] of left-out postures after one Gauss-Newton step."""
     step = covariance_of(*covariance_root(jacobian), blind=0.0) @ (jacobian.T @ residual)
@@ -192,16 +176,6 @@ def grown(
         residual[:n] -= whitener.white(np.asarray(joining.change))
     beside = np.zeros((q, fit.jacobian.shape[1]))
     return residual, np.block([[fit.jacobian, columns], [beside, np.diag(1.0 / spread)]])
-
-
-def reweighed(rows: Floats, before: Whitener, after: Whitener) -> Floats:
-    """Return rows (n, ...) with other weights, which may leave out some of the postures."""
-    owners, own = before.owners, after.owners
-    parts = [
-        after.root(p) @ np.linalg.solve(before.root(p), rows[: len(owners)][owners == p])
-        for p in np.unique(own).tolist()
-    ]
-    return np.concatenate([*parts, rows[len(owners) :]])
 
 
 @dataclass(frozen=True)
@@ -277,12 +251,10 @@ class Stepwise:
             *joining_effects(robot, self.catalogue, self.dataset),
             *blocks_of_the_arm(robot),
         ]
-        # [m²] that a block was to gain when it was first judged, by its label; see `promising`
-        self.gains = dict[str, float]()
         self.folds = folds_of(self.dataset, FOLDS if self.dataset.thinned_from else GROUPS_MAX)
         self.held: Held = ()  # postures without weight
         # fits of all postures, and what may join these, by the blocks that have joined
-        self.fits = dict[frozenset[str], State]()
+        self.fits = dict[frozenset[str], Fit]()
         self.joinings = dict[frozenset[str], dict[str, Joining | None]]()
 
     def _refuse(self, mistake: Mistake) -> None:
@@ -318,7 +290,7 @@ class Stepwise:
         """
         Return the same search without some postures, with a model of its own.
 
-        It goes on from the fits of this one, as far as it chooses the same blocks.
+        Its fits begin at those of this one, where it chooses the same blocks.
         """
         other = copy(self)
         other.predictor = DescribedArm(self.dataset, self.robot, self.catalogue)
@@ -327,8 +299,9 @@ class Stepwise:
 
     def path(self) -> Iterator[State]:
         """Yield the states of a search; the first has no blocks."""
-        whitener, gains = self.weights(self.predict({})), dict(self.gains)
-        state = self.state((), {}, None, whitener)
+        # [m²] that a block was to gain when it was last judged, by its label; see `promising`
+        gains = dict[str, float]()
+        state = self.state((), {}, None, self.weights(self.predict({})))
         for _ in range(STEPS_MAX):
             yield state
             if self.chance(state) > P_SINGLE_MIN:
@@ -399,8 +372,6 @@ class Stepwise:
                 if error < state.score:
                     best[block.label] = (error, joining)
             gains[block.label] = state.score - error
-            if not len(self.held):
-                self.gains.setdefault(block.label, gains[block.label])
         order = sorted(best.values(), key=lambda pair: pair[0])
         return [joining for _, joining in order[:TRIED_MAX]]
 
@@ -466,17 +437,17 @@ class Stepwise:
             Nuisance(free.effect, free, centre, PRIOR_TYPICALS * free.parameter.typical)
             for free, centre in zip(frees, centres, strict=True)
         ]
-        fitted = Fitter(self.predictor, whitener, priors).fit((), start, steps, near=near)
-        fit = replace(fitted, frees=frees, nuisances=(), described=0.0)
-        return self._with_errors(blocks, fit, whitener, joined)
-
-    def _with_errors(
-        self, blocks: tuple[Candidate, ...], fit: Fit, whitener: Whitener, joined: str
-    ) -> State:
-        """Return the state of a fit: parameters that press on a bound stay when others leave."""
-        errors = left_out_errors(
-            fit.residual, fit.jacobian[:, ~pressed(fit)], whitener, self.dataset.groups
-        )
+        fitter = Fitter(self.predictor, whitener, priors)
+        search = fitter.search((), start, near=near)
+        search.gain_min = DEVIANCE_CONVERGED
+        search.run(steps)
+        fit = replace(fitter.freeze(search), frees=frees, nuisances=(), described=0.0)
+        low = np.array([free.parameter.low for free in frees])
+        high = np.array([free.parameter.high for free in frees])
+        slope = fit.jacobian.T @ fit.residual
+        pressed = (fit.values <= low) & (slope > 0.0) | (fit.values >= high) & (slope < 0.0)
+        free = fit.jacobian[:, ~pressed]
+        errors = left_out_errors(fit.residual, free, whitener, self.dataset.groups)
         return State(blocks, fit, whitener, errors, joined)
 
     def fitted(
@@ -488,53 +459,17 @@ class Stepwise:
         joined: str = '',
         steps: int = ITERATIONS_MAX,
     ) -> State | None:
-        """
-        Return the `state` of blocks; None where the arm has no equilibrium.
-
-        Without some postures it is a step from the fit of all of them, where there is one.
-        """
+        """Return the `state` of blocks; None where the arm has no equilibrium."""
         names = frozenset(block.label for block in blocks)
         if len(self.held) and names in self.fits:
-            state = self._left_out_of(self.fits[names], whitener, joined)
-            if state is not None:
-                return state
+            start, near = self.fits[names].point, self.fits[names].settled
         try:
             state = self.state(blocks, start, near, whitener, joined, steps)
         except FAILURES:
             return None
         if not len(self.held):
-            self.fits[names] = state
+            self.fits[names] = state.fit
         return state
-
-    def _left_out_of(self, whole: State, whitener: Whitener, joined: str) -> State | None:
-        """
-        Return a fit without the held postures: the closed form, predicted by the model.
-
-        One step of Gauss-Newton from the fit of all postures; None where the error of the others
-        does not fall by it.
-        """
-        fit = whole.fit
-        residual, jacobian = (
-            reweighed(rows, whole.whitener, whitener) for rows in (fit.residual, fit.jacobian)
-        )
-        fit = replace(fit, residual=residual, jacobian=jacobian)
-        free = ~pressed(fit)
-        step = np.zeros(len(free))
-        columns = jacobian[:, free]
-        step[free] = covariance_of(*covariance_root(columns), blind=0.0) @ (columns.T @ residual)
-        low, high = bounds(fit)
-        values, n = np.clip(fit.values - step, low, high), whitener.size
-        point = dict(zip(fit.frees, values.tolist(), strict=True))
-        markers = self.predictor.markers(point, near=fit.settled)
-        if markers is None:
-            return None
-        prior = residual[n:] + jacobian[n:] @ (values - fit.values)
-        moved = np.append(whitener.white(self.measured - markers), prior)
-        if moved @ moved > residual @ residual:
-            return None
-        settled = self.predictor.settled
-        fit = replace(fit, values=values, residual=moved, markers=markers, settled=settled)
-        return self._with_errors(whole.blocks, fit, whitener, joined)
 
     def weights(self, markers: Floats) -> Whitener:
         """Return weights that include the error of a prediction, of estimated size."""
