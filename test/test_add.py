@@ -17,9 +17,9 @@ from tendon_robot_ros.comparison.compare import compare
 from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.diagnosis.add import add_effects, restore
 from tendon_robot_ros.diagnosis.diagnose import diagnose
-from tendon_robot_ros.inference.noise import rms
 from tendon_robot_ros.inference.outliers import find_outliers
 from tendon_robot_ros.inference.predict import Predictor
+from tendon_robot_ros.inference.statistics import rms
 from tendon_robot_ros.report.diagnosis_text import addition_warnings
 from tendon_robot_ros.robot import dump_robot, load_robot, parse_robot
 

@@ -7,9 +7,10 @@ import pytest
 import simulated
 from simulated import CATALOGUE, NOISE, measured
 
-from tendon_robot_ros.inference.noise import Noise, Whitener, estimate_noise, input_slopes, rms
+from tendon_robot_ros.inference.noise import Noise, Whitener, estimate_noise, input_slopes
 from tendon_robot_ros.inference.predict import Predictor
 from tendon_robot_ros.inference.repeats import repeats
+from tendon_robot_ros.inference.statistics import rms
 
 HIDDEN = {'hinge_friction': {'lever': 4e-4}}
 ROBOT = simulated.robot()

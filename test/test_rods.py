@@ -10,7 +10,7 @@ from marks import slow
 from source_tree import ROOT
 
 from tendon_robot_ros.diagnosis.diagnose import diagnose
-from tendon_robot_ros.inference.noise import rms
+from tendon_robot_ros.inference.statistics import rms
 from tendon_robot_ros.model.model import Model
 
 sys.path.append(str(ROOT / 'benchmarks'))

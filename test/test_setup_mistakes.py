@@ -22,9 +22,9 @@ from tendon_robot_ros.diagnosis.setup_mistakes import (
 )
 from tendon_robot_ros.diagnosis.stepwise import Stepwise
 from tendon_robot_ros.inference.intervals import Value
-from tendon_robot_ros.inference.noise import rms
 from tendon_robot_ros.inference.predict import Predictor
 from tendon_robot_ros.inference.session import Session
+from tendon_robot_ros.inference.statistics import rms
 from tendon_robot_ros.report.diagnosis_text import lines
 from tendon_robot_ros.robot import parse_robot
 

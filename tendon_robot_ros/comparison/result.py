@@ -21,7 +21,15 @@ from ..common.arrays import Floats
 from ..common.errors import InputError
 from ..common.files import read_text
 from ..common.results import TextResult, make_frame
-from ..inference.statistics import Estimate, PairedT, estimate, half_width, paired_t
+from ..inference.statistics import (
+    Estimate,
+    PairedT,
+    estimate,
+    half_width,
+    mean_over,
+    paired_t,
+    root_mean,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -272,18 +280,6 @@ class Comparison(TextResult):
             return None
         angles = self.measured.angles
         return mean_over(angles, 0), half_width(angles, self.error)
-
-
-def mean_over(values: Floats, axis: int) -> Floats:
-    """Mean along an axis; NaN = missing, and where all is missing."""
-    seen = np.isfinite(values)
-    count, total = seen.sum(axis=axis), np.where(seen, values, 0.0).sum(axis=axis)
-    return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
-
-
-def root_mean(squares: Floats) -> float:
-    """Root of the mean of squares; NaN = missing."""
-    return float(np.sqrt(np.nanmean(squares)))
 
 
 def _mm(metres: float) -> str:

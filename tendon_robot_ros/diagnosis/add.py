@@ -17,7 +17,7 @@ from ..common.results import TextResult, make_frame
 from ..data import DataSetLike, load_dataset
 from ..effects import CatalogueLike, load_catalogue
 from ..inference.candidates import Candidate, is_tested, why_untested
-from ..inference.crossval import Errors, Staircase, Written, errors_on, model_error_of, written
+from ..inference.crossval import Errors, Written, errors_on, model_error_of, written
 from ..inference.fit import Fit
 from ..inference.intervals import LoadVector, Value, loads_of, values_with_intervals
 from ..inference.predict import Point, free_parameters
@@ -217,10 +217,9 @@ def add_effects(
     fit, descriptions = settled.fit, settled.descriptions
     probability, scale = settled.probability, settled.scale
     values = values_with_intervals(session.fitters[0], fit, scale)
-    robots = Staircase(session.robot, descriptions.alone, descriptions.robot)
-    fitted = errors_on(session.dataset, robots, session.catalogue, 'fitted')
+    fitted = errors_on(session.dataset, described, descriptions, session.catalogue, 'fitted')
     if other is not None:
-        on_check = errors_on(other, robots, session.catalogue, 'check')
+        on_check = errors_on(other, described, descriptions, session.catalogue, 'check')
     else:
         alone = descriptions.alone_left_out if descriptions.beside else None
         on_check = replace(fitted, kind='left out', alone=alone, after=descriptions.left_out)

@@ -14,9 +14,9 @@ from ..data import DataSetLike, load_dataset
 from ..effects import CatalogueLike, load_catalogue
 from ..inference.discrepancy import since
 from ..inference.fitter import BEST_FEW
-from ..inference.noise import rms
 from ..inference.outliers import find_outliers
 from ..inference.session import NOISE_UNKNOWN, Session
+from ..inference.statistics import rms
 from ..robot import RobotLike, load_robot
 from .marker_hypotheses import exchanged_in
 from .next_measurement import propose

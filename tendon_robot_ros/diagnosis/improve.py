@@ -42,6 +42,7 @@ from ..inference.imperfections import POSITION, ROTATION, SplitPredictor, imperf
 from ..inference.intervals import QUANTILE, LoadVector, Value, loads_of, values_of
 from ..inference.predict import FreeParameter, Predictor
 from ..inference.session import Session, side_by_side
+from ..inference.statistics import mean_over
 from ..robot import Robot, RobotLike, load_robot
 from .add import Addition, fit_effects, more_at_work, settle, with_origin
 from .local_tests import faults_of, local_faults
@@ -324,7 +325,7 @@ def errors_of(dataset: DataSet, robot: Robot, catalogue: Catalogue) -> Floats:
     markers = Predictor(dataset, robot, catalogue).markers({})
     if markers is None:
         return np.full(len(dataset.markers), np.nan)
-    return np.asarray(np.sqrt(np.nanmean(((dataset.mean - markers) ** 2).sum(axis=2), axis=0)))
+    return np.sqrt(mean_over(((dataset.mean - markers) ** 2).sum(axis=2), 0))
 
 
 @dataclass(frozen=True)

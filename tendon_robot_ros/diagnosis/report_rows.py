@@ -17,7 +17,6 @@ from ..inference.crossval import (
     error_of,
     explained_fraction,
     left_out_squares,
-    root_mean,
     written,
 )
 from ..inference.fit import Fit
@@ -32,7 +31,7 @@ from ..inference.intervals import (
 from ..inference.marginal import Prior
 from ..inference.outliers import Outliers
 from ..inference.session import Session
-from ..inference.statistics import SIGNIFICANCE, chi2_isf
+from ..inference.statistics import SIGNIFICANCE, chi2_isf, root_mean
 from .local_tests import faults_of
 from .result import NOT_NEEDED, CandidateRow, EffectFinding
 from .select import Concluded, Fits

@@ -16,8 +16,8 @@ from ..common.rotations import rigid_fit, rotation_angle, rotation_between
 from ..common.words import STANDARD_GRAVITY
 from ..data import DataSet
 from ..inference.marginal import NEGLIGIBLE
-from ..inference.noise import rms
 from ..inference.predict import Point, Predictor
+from ..inference.statistics import rms
 from .verdict import RESIDUAL_RATIO_MAX
 
 EARTH = round(STANDARD_GRAVITY, 2)  # [m/s²] as descriptions have it, because `robot new` rounds so

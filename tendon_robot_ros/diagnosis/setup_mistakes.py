@@ -20,10 +20,11 @@ from ..effects import Catalogue
 from ..inference.candidates import Candidate, joining_effects, nuisances_of
 from ..inference.fit import Fit
 from ..inference.fitter import BEST_FEW, FAILURES, Fitter
-from ..inference.noise import Noise, Whitener, rms
+from ..inference.noise import Noise, Whitener
 from ..inference.predict import Point, Predictor
 from ..inference.search import DIFFERENCE_STEP
 from ..inference.session import Session
+from ..inference.statistics import rms
 from .marker_hypotheses import (
     by_distances,
     exchanged,

@@ -34,11 +34,11 @@ from ..inference.fit import Fit, Nuisance, covariance_of, covariance_root
 from ..inference.fitter import DEVIANCE_CONVERGED, FAILURES, Fitter
 from ..inference.marginal import NEGLIGIBLE
 from ..inference.marginal import STEPS_MAX as ITERATIONS_MAX
-from ..inference.noise import Whitener, input_slopes, likely, rms
+from ..inference.noise import Whitener, input_slopes, likely
 from ..inference.predict import FreeParameter, Point, Predictor, SettledShapes
 from ..inference.search import DIFFERENCE_STEP, LADDER
 from ..inference.session import Session
-from ..inference.statistics import chi2_sf, f_sf
+from ..inference.statistics import chi2_sf, f_sf, rms
 from ..robot import Robot
 from ..robot.estimates import natural_sizes
 from .setup_hypotheses import Mistake

@@ -23,8 +23,9 @@ from .description import changed_robot, with_members, with_tolerances, written_m
 from .fit import LEVERAGE_MAX, Fit, covariance_root, left_out
 from .fitter import Fitter
 from .marginal import RIDGE
-from .noise import Whitener, estimate_noise, input_slopes, rms
+from .noise import Whitener, estimate_noise, input_slopes
 from .predict import Predictor, SettledShapes
+from .statistics import rms, root_mean
 
 if TYPE_CHECKING:
     from .session import Session
@@ -69,20 +70,12 @@ def explained_fraction(before: float, after: float, floor: float) -> float | Non
     return (before - after) / (before - unexplainable) if before > unexplainable else None
 
 
-@dataclass(frozen=True)
-class Staircase:
-    """Three descriptions: as described, with effects alone, and as it is written."""
-
-    before: Robot
-    alone: Robot
-    after: Robot
-
-
-def errors_on(dataset: DataSet, robots: Staircase, catalogue: Catalogue, kind: str) -> Errors:
-    """Return the errors of unchanged descriptions on a data set, without any fit."""
-    old = predict(dataset, robots.before, catalogue)[1]
-    predictor, new = predict(dataset, robots.after, catalogue)
-    same = robots.alone is robots.after
+def errors_on(
+    dataset: DataSet, before: Robot, written: Written, catalogue: Catalogue, kind: str
+) -> Errors:
+    """Return the errors on a data set of a description and of what takes its place."""
+    old = predict(dataset, before, catalogue)[1]
+    predictor, new = predict(dataset, written.robot, catalogue)
     slopes = input_slopes(predictor, {})
     noise = estimate_noise(dataset, slopes)
     floor = None if noise is None else Whitener(dataset, noise, slopes).floor()
@@ -93,7 +86,7 @@ def errors_on(dataset: DataSet, robots: Staircase, catalogue: Catalogue, kind: s
         rms(dataset.mean - old),
         rms(dataset.mean - new),
         floor,
-        None if same else rms_of(dataset, robots.alone, catalogue),
+        rms_of(dataset, written.alone, catalogue) if written.beside else None,
     )
 
 
@@ -253,11 +246,6 @@ class Written:
     def left_out(self) -> float:
         """Rms error [m] of what is written, on postures left out in turn."""
         return root_mean(self.left_out_squares)
-
-
-def root_mean(squares: Floats) -> float:
-    """Return the root of the mean of squares (P, J) [m²]; nan where none is known."""
-    return rms(np.sqrt(squares)[..., None])
 
 
 def written(session: Session, fit: Fit) -> Written:

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from ..common.arrays import Floats
 from ..data import DataSet
 from .predict import Point, Predictor
-from .statistics import chi2_isf, minimum
+from .statistics import chi2_isf, minimum, rms
 
 BoolArray = npt.NDArray[np.bool_]
 Indices = npt.NDArray[np.intp]
@@ -240,13 +240,6 @@ def common_error(dataset: DataSet, accuracy: float) -> Floats:
 def relative_error(known: float, tips: Floats) -> float:
     """Return a known error of a model [m] relative to what the tip (P, 3) [m] moves [1]."""
     return known / max(rms(tips - np.nanmean(tips, axis=0)), known) if known else 0.0
-
-
-def rms(difference: Floats) -> float:
-    """Root mean square 3-D distance [m] over visible markers (P, J, 3); nan without any."""
-    distance2 = (difference**2).sum(axis=-1)
-    known = distance2[~np.isnan(distance2)]
-    return float(np.sqrt(known.mean())) if known.size else float('nan')
 
 
 # [1] logarithms of the size of an error over the rms of all residuals between which it is sought:

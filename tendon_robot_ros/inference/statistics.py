@@ -147,6 +147,23 @@ class PairedT:
     posture: str | None  # the pairs are the trials of this posture; None: the postures
 
 
+def mean_over(values: Floats, axis: int | None) -> Floats:
+    """Mean along an axis; NaN = missing, and where all is missing."""
+    seen = np.isfinite(values)
+    count, total = seen.sum(axis=axis), np.where(seen, values, 0.0).sum(axis=axis)
+    return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+
+
+def root_mean(squares: Floats) -> float:
+    """Root of the mean of squares; NaN = missing, and where all is missing."""
+    return float(np.sqrt(mean_over(squares, None)))
+
+
+def rms(difference: Floats) -> float:
+    """Root mean square distance [m] over visible markers (..., 3); nan without any."""
+    return root_mean((difference**2).sum(axis=-1))
+
+
 def half_width(values: Floats, error: str = 'ci') -> Floats:
     """
     Half the width of the interval of a mean.

@@ -14,9 +14,8 @@ import numpy as np
 
 from ..common.arrays import Floats
 from ..common.errors import DataSetError, InputError, NoEquilibriumError
-from ..comparison.result import mean_over
 from ..data import DataSet, Marker, default_markers
-from ..inference.statistics import RARE, chi2_isf
+from ..inference.statistics import RARE, chi2_isf, mean_over
 
 if TYPE_CHECKING:
     from ..model.model import Model

@@ -22,8 +22,8 @@ from ..diagnosis.trust import DETECTION_POWER, wilson
 from ..diagnosis.verdict import SAME_ERROR_RATIO, Verdict
 from ..effects import load_catalogue
 from ..inference.intervals import Value
-from ..inference.noise import rms
 from ..inference.predict import Predictor, frees_of
+from ..inference.statistics import rms
 from ..model.model import Model
 from ..model.versions import UserEffect, catalogue_of
 from ..simulation.hidden import CAUSES, Built

@@ -22,9 +22,9 @@ from ..common.words import LISTED_MAX, STANDARD_GRAVITY, listed, mm
 from ..data import DataSet
 from ..data.arrays import Vector
 from ..effects import Catalogue
-from ..inference.noise import rms
 from ..inference.outliers import Outliers, find_outliers
 from ..inference.predict import Predictor
+from ..inference.statistics import rms
 from ..robot.estimates import BY_EYE_RAD, MODEL_ERROR_MAX, NOISE_FACTOR, TRACKER_NOISE_M
 from .columns import UPS
 from .recipe import FrameChoice, Recipe
