@@ -35,8 +35,13 @@ from ..inference.crossval import (
     predict,
     written_markers,
 )
-from ..inference.description import OF_THE_ARM, route_changes, stiffness_change
-from ..inference.fit import Fit
+from ..inference.description import (
+    OF_THE_ARM,
+    WRITABLE_KINDS,
+    route_changes,
+    stiffness_change,
+)
+from ..inference.fit import Fit, covariance_root
 from ..inference.fitter import FAILURES
 from ..inference.imperfections import POSITION, ROTATION, SplitPredictor, imperfections
 from ..inference.intervals import QUANTILE, LoadVector, Value, loads_of, values_of
@@ -44,11 +49,11 @@ from ..inference.predict import FreeParameter, Predictor
 from ..inference.session import Session, side_by_side
 from ..inference.statistics import mean_over
 from ..robot import Robot, RobotLike, load_robot
-from .add import Addition, fit_effects, more_at_work, settle, with_origin
+from .add import Addition, more_at_work, settle, with_origin
 from .local_tests import faults_of, local_faults
 from .report_rows import arm_report, left_out
 from .result import AS_FOUND, Improvement, ImprovementStep, total
-from .stepwise import GROUPS_MIN, PRIOR_TYPICALS, STEPS_MAX, Held, Rates, State, Stepwise, grown
+from .stepwise import GROUPS_MIN, PRIOR_TYPICALS, STEPS_MAX, Rates, State, Stepwise, grown
 from .verdict import P_SINGLE_MIN, TOLERANCE_SD_MAX
 
 Values = dict[str, dict[str, Value]]
@@ -77,31 +82,54 @@ class AsFound:
         shown = written_markers(self.session.fitters[0], self.fit, self.fit.values)
         return np.full_like(self.fit.markers, np.nan) if shown is None else shown
 
-    @property
-    def squares(self) -> Floats:
-        """Squared errors (P, J) [m²] of that description."""
-        return np.asarray(((self.search.measured - self.markers) ** 2).sum(axis=2))
-
     @cached_property
     def left_out(self) -> Floats:
-        """Squared errors (P, J) [m²] of postures left out in turn; nan for those held out."""
-        squares = left_out_squares(self.session.fitters[0], self.fit, folds=self.search.folds)
-        squares[list(self.session.held)] = np.nan
-        return squares
+        """Squared errors (P, J) [m²] of postures left out in turn."""
+        return left_out_squares(self.session.fitters[0], self.fit, folds=self.search.folds)
 
     @property
     def is_worthwhile(self) -> bool:
         """Whether it lowers the left-out error of its search by more than the standard error."""
-        return self.lowers(self.state)
-
-    def lowers(self, state: State) -> bool:
-        """Whether it lowers the left-out error of a state of the same blocks by as much."""
-        before = state.left_out[:, None]
+        before = self.state.left_out[:, None]
         predicted = np.isfinite(self.left_out[np.isfinite(before[:, 0])]).any(axis=1)
         if not (predicted.all() and np.isfinite(self.markers).all()):
             return False  # a posture has no equilibrium
         gain, scatter = fall(before, self.left_out)
         return gain > scatter
+
+    def beside(self, state: State) -> Floats:
+        """
+        Predict markers (P, J, 3) [m] by a state of a search without some postures, and by the arm.
+
+        The effects of the state and the imperfections that the other postures show, by one
+        Gauss-Newton step from its fit; slopes and sizes of the imperfections are those of this
+        one. Nan without an equilibrium.
+        """
+        search, fit, whitener = self.search, state.fit, state.whitener
+        built, n = self.session.imperfections, state.whitener.size
+        own = np.flatnonzero([free.effect not in OF_THE_ARM for free in fit.frees])
+        k, spread = len(own), self.fit.built.sizes[built.owners]
+        columns = np.zeros((len(fit.residual), len(spread)))
+        columns[:n] = -whitener.white(built.moves).T * spread
+        prior = np.eye(len(spread), k + len(spread), k)
+        jacobian = np.vstack([np.hstack([fit.jacobian[:, own], columns]), prior])
+        residual = np.append(fit.residual, np.zeros(len(spread)))
+        root = covariance_root(jacobian)[0]
+        step = root @ (root.T @ (jacobian.T @ residual))
+        frees = [fit.frees[i] for i in own]
+        point = {
+            free: float(np.clip(value, free.parameter.low, free.parameter.high))
+            for free, value in zip(frees, fit.values[own] - step[:k], strict=True)
+        }
+        robot = search.written(state)
+        arm = SplitPredictor(Predictor(search.dataset, robot, search.catalogue))
+        arm.around = {
+            kind.name: -(spread * step[k:])[built.owners == i]
+            for i, kind in enumerate(built.kinds)
+            if kind.name in WRITABLE_KINDS
+        }
+        markers = arm.markers(point)
+        return np.full_like(fit.markers, np.nan) if markers is None else markers
 
     @cached_property
     def values(self) -> Values:
@@ -173,24 +201,12 @@ class AsFound:
         return loads_of(moved, self.session.predictor, covariance=spread)
 
 
-def as_found(
-    search: Stepwise, state: State, held: Held | None = None, by_accuracy: bool = False
-) -> AsFound | None:
+def as_found(search: Stepwise, state: State) -> AsFound | None:
     """
     Fit a state of a search again, with the arm as it is built; None without an equilibrium.
 
     A frame error of plausible size is treated as an imperfection, not as an effect: as a free
     parameter it would absorb errors of kinks, whose size would then be underestimated.
-
-    Parameters
-    ----------
-    search : Stepwise
-    state : State
-    held : (n,), optional
-        Postures without weight in the fit; its weights are then those of `by_accuracy`.
-    by_accuracy : bool
-        Whether the weights include the declared accuracy.
-
     """
     robot, before = search.written(state), search.robot
     names = [name for block in state.blocks for name in block.names if name not in OF_THE_ARM]
@@ -205,20 +221,13 @@ def as_found(
             robot = robot.without_effect(name)
             if name in before.effects:
                 robot = robot.with_effect(name, before.effects[name], before.fitted.get(name))
-    session = Session(
-        search.dataset, robot, search.catalogue, 1, held=() if held is None else held
-    )
-    session.use_accuracy, scale = by_accuracy, 1.0
+    session = Session(search.dataset, robot, search.catalogue, 1)
     try:
         session.weigh({})
-        if held is None:
-            settled = settle(session, names, {})
-            fit, scale = settled.fit, settled.scale
-        else:
-            fit = fit_effects(session, names, {})
+        settled = settle(session, names, {})
     except (*FAILURES, NoEquilibriumError):
         return None
-    return AsFound(search, state, session, _as_plausible(session, fit), scale)
+    return AsFound(search, state, session, _as_plausible(session, settled.fit), settled.scale)
 
 
 def _as_plausible(session: Session, fit: Fit) -> Fit:
@@ -286,7 +295,7 @@ def improve(
     if arm is not None:
         searched = replace(searched, arm=arm)
         if arm.is_worthwhile:
-            searched = searched.with_the_arm(workers)
+            searched = searched.with_the_arm()
     return searched.result()
 
 
@@ -372,38 +381,19 @@ class Searched:
         every = np.array(errors)
         return cls(search, states, fitted, paths, every, how_many(states, every), chosen, check)
 
-    def with_the_arm(self, workers: int) -> Searched:
+    def with_the_arm(self) -> Searched:
         """
         Judge the arm as it was found as a last step, by searches that did not know the posture.
 
-        Every search selects it by its own left-out errors, like any other step. It is written
-        where the error of the searches that did not know the posture falls as well. Of a search
-        that took the same steps the closed form tells it, else another fit.
+        It is written where their error falls as well.
         """
         assert self.arm is not None
-        arm, by_accuracy = self.arm, self.arm.session.use_accuracy
         last, chosen = self.errors[self.taken].copy(), self.chosen.copy()
-
-        def without(held: Held, state: State) -> tuple[Floats, bool]:
-            if state.names == arm.state.names:
-                return arm.left_out[held], arm.lowers(state)
-            refitted = as_found(self.search, state, held, by_accuracy)
-            if refitted is None:
-                return np.full_like(last[held], np.nan), False
-            return refitted.squares[held], refitted.is_worthwhile
-
-        def judge(i: int, worker: int) -> None:
-            held, path = self.search.folds[i], self.paths[i]
-            own, k = last_worthwhile(inner(path)), min(self.taken, len(path) - 1)
-            squares, helps = without(held, path[k])
-            if np.isfinite(squares).any(axis=1).all():
-                last[held] = squares
-            if own != k:
-                squares, helps = without(held, path[own])
-            if helps:
-                chosen[held] = squares
-
-        side_by_side([partial(judge, i) for i in range(len(self.paths))], workers)
+        for held, path in zip(self.search.folds, self.paths, strict=True):
+            for k, squares in ((self.taken, last), (last_worthwhile(inner(path)), chosen)):
+                off = self.search.measured[held] - self.arm.beside(path[k])[held]
+                if np.isfinite(off).any(axis=(1, 2)).all():
+                    squares[held] = (off**2).sum(axis=2)
         lower = float(np.nanmean(last)) < float(np.nanmean(self.errors[self.taken]))
         return replace(self, last=last, chosen=chosen, arm_written=lower)
 

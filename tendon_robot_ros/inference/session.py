@@ -8,7 +8,6 @@ from contextlib import suppress
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from ..common.arrays import Floats
 from ..common.errors import InputError, Progress, listener
@@ -144,9 +143,8 @@ class Session:
         catalogue: Catalogue,
         workers: int = 2,
         progress: Progress | None = None,
-        held: Sequence[int] | npt.NDArray[np.int64] = (),
     ) -> None:
-        """Build a predictor per worker; the noise is not yet known. `held` have no weight."""
+        """Build a predictor per worker; the noise is not yet known."""
         self.robot, self.catalogue = robot, catalogue.sized(natural_sizes(robot))
         self.workers = max(1, workers)
         self.progress = listener(progress)
@@ -154,7 +152,6 @@ class Session:
         self._set_dataset(dataset.thinned(POSTURES_MAX))
         self.outliers: Outliers | None = None
         self.unsettled: tuple[str, ...] = ()  # excluded postures
-        self.held = held
         self.nuisances = nuisances_of(robot, self.catalogue, self.predictor)
         self.candidates = candidates_of(robot, self.catalogue)
         self.accuracy = dataset.accuracy or 0.0
@@ -237,8 +234,7 @@ class Session:
         self.noise = noise
         taken = self.dataset.reference
         rough = 0.0 if taken is None else taken.noise
-        whitener = Whitener(self.dataset, noise, slopes, self.model_error, rough)
-        self.whitener = whitener.without(self.held)
+        self.whitener = Whitener(self.dataset, noise, slopes, self.model_error, rough)
         built = imperfections(arm, point, at) or Imperfections.none(self.dataset)
         columns = self.whitener.white(built.moves).T
         self.imperfections = built
