@@ -1,4 +1,4 @@
-"""The pages on ROS name every topic, service, parameter and status code, with its unit."""
+"""What is declared of topics and services is what nodes create; the page names every status."""
 
 import ast
 import re
@@ -12,6 +12,8 @@ pytest.importorskip('rclpy')
 
 from trajectory_msgs.msg import JointTrajectoryPoint
 
+from tendon_robot_ros.ros.shared.interface import declared
+
 TYPED = (ROOT / 'docs' / 'ros_interface.md').read_text(encoding='utf-8')
 DOC = (ROOT / 'docs' / 'ros_nodes.md').read_text(encoding='utf-8')
 
@@ -20,18 +22,36 @@ def section(node):
     return DOC.split(f'\n## {node}\n')[1].split('\n## ')[0]
 
 
-@pytest.mark.parametrize('node', ['controller', 'driver'])
-def test_every_topic_and_service_is_documented(node):
-    files = [f'{node}/node.py', 'shared/lifecycle.py', 'shared/inbox.py']
-    files += [f'{node}/topics.py' if node == 'controller' else f'{node}/backend.py']
-    source = '\n'.join((ROOT / 'tendon_robot_ros' / 'ros' / name).read_text() for name in files)
-    made = r"(?:create_(?:publisher|subscription|service)|subscribe)\(\s*\w+,\s*'([^']+)'"
-    made += r"|passing_(?:publisher|subscription)\(\s*\w+,\s*\w+,\s*'([^']+)'"
-    made += r"|offer_trigger\(\w+, '([^']+)'"
-    made += r"|Inbox\(\S+, \w+, '([^']+)'"
-    names = {name for pair in re.findall(made, source) for name in pair if name}
-    assert len(names) >= 8
-    assert [name for name in names if f'`{name}`' not in section(node)] == []
+def sources_of(node):
+    """Return the source of a node, and of what all nodes share."""
+    folder, name = ROOT / 'tendon_robot_ros' / 'ros', node.replace('-', '_')
+    own = [folder / 'commands' / f'{name}.py', *(folder / name).glob('*.py')]
+    paths = [path for path in own if path.exists()]
+    assert paths, node
+    return ''.join(path.read_text() for path in [*paths, *(folder / 'shared').glob('*.py')])
+
+
+def test_every_declared_topic_is_created_by_the_nodes_that_it_names():
+    for name, topic in declared()['topics'].items():
+        for node in {*topic.get('from', ()), *topic.get('to', ())} - {'tracker'}:
+            assert f"'{name}'" in sources_of(node), (name, node)
+
+
+def test_every_declared_service_and_action_is_offered():
+    for name in [*declared()['services'], *declared()['actions']]:
+        node, _, own = name.partition('/')
+        offered = sources_of(node)
+        assert name in declared()['actions'] or re.search(rf"'(~/)?{own}'", offered), name
+
+
+def test_nodes_create_topics_and_services_as_they_are_declared():
+    """What is created by another name is a topic whose name a user gives."""
+    nodes = '\n'.join(p.read_text() for p in (ROOT / 'tendon_robot_ros/ros').glob('*/*.py'))
+    assert re.findall(r"create_(?:publisher|subscription)\(\s*\w+,\s*f?'([^']+)'", nodes) == []
+    services = re.findall(r"(?:offer_trigger\(\w+|Service\(self, Trigger), '~/(\w+)'", nodes)
+    assert len(services) >= 5
+    known = {name.partition('/')[2] for name in declared()['services']}
+    assert {*services} <= known
 
 
 def test_every_status_code_is_documented():
@@ -111,8 +131,6 @@ def test_what_a_person_types_is_a_message_of_that_topic():
     assert len(typed) == 5
     for topic, package, kind, text in typed:
         message = fill(getattr(import_module(f'{package}.msg'), kind)(), yaml.safe_load(text))
-        node, _, name = topic.rpartition('/')
-        row = f'| `~/{name}` | {package}/{kind} |' if node else f'| `{name}` | {package}/{kind} |'
-        assert row in section(node or 'driver')
+        assert declared()['topics'][topic]['type'] == f'{package}/{kind}'
         if hasattr(message, 'twist') or hasattr(message, 'pose') or hasattr(message, 'point'):
             assert message.header.frame_id == 'kato_10_1_base'

@@ -1,8 +1,8 @@
 """
 The pages of the documentation that are made from the code when it is built (docs/conf.py).
 
-Parameters of the nodes, commands, the public names of Python, a gallery, and copies of pages that
-lie outside docs/. Those of the effects: effects_page.py.
+Topics and parameters of the nodes, commands, the public names of Python, a gallery, and copies of
+pages that lie outside docs/. Those of the effects: effects_page.py.
 """
 
 import contextlib
@@ -18,6 +18,7 @@ import effects_page
 import tendon_robot_ros
 from tendon_robot_ros.cli.main import COMMANDS, run_command
 from tendon_robot_ros.common.words import PROGRAM
+from tendon_robot_ros.ros.shared import interface
 from tendon_robot_ros.ros.shared.parameters import declared
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -28,6 +29,7 @@ FENCED = re.compile(r'(^```.*?^```$)', re.M | re.S)
 # what a link of a page means in the built documentation -> its page there
 PAGES = {
     'tendon_robot_ros/ros/parameters.yaml': 'ros_parameters',
+    'tendon_robot_ros/ros/interface.yaml': 'ros_topics',
     'tendon_robot_ros/effects': 'effects_reference',
     'README.md': 'overview',
     'CONTRIBUTING.md': 'contributing',
@@ -43,13 +45,41 @@ PARAMETERS = """\
 
 Those with a * are fixed at the start (`-p NAME:=X` after `--ros-args`, or a file of parameters);
 the others can be changed while the node runs (`ros2 param set`). A value outside its range, and a
-parameter that the node does not have, are refused. Topics and services: [nodes](../ros_nodes.md).
+parameter that the node does not have, are refused. [Topics and services](ros_topics.md).
 """
 TABLE = """
 ## {node}
 
 | parameter | default | unit, range | meaning |
 |---|---|---|---|
+"""
+TOPICS = """\
+# Topics, services, actions
+
+Names are relative to the namespace of the robot. All messages are standard ones, in SI units.
+[Conventions, examples, quality of service](../ros_interface.md);
+[what the statuses say](../ros_nodes.md).
+
+## Topics
+
+| topic | type, quality of service | published by | subscribed by | meaning |
+|---|---|---|---|---|
+"""
+SERVICES = """
+## Services
+
+All of type std_srvs/Trigger.
+
+| service | what it does |
+|---|---|
+"""
+ACTIONS = """
+## Actions
+
+Offered where the package of the type is installed.
+
+| action | type | goal |
+|---|---|---|
 """
 COMMAND_PAGE = """\
 # Commands
@@ -78,6 +108,7 @@ def write():
     folder.mkdir(exist_ok=True)
     pages = {
         'ros_parameters': parameters(),
+        'ros_topics': topics(),
         'effects_reference': effects_page.reference(),
         'commands': commands(),
         'api': API.format(names='\n'.join(f'   {name}' for name in tendon_robot_ros.__all__)),
@@ -134,7 +165,14 @@ def contents(text):
     """Return the index with its pages as a table of contents, under the words in bold."""
     made = {
         'Start': ['overview'],
-        'Reference': ['effects_reference', 'ros_parameters', 'commands', 'api', 'gallery'],
+        'Reference': [
+            'effects_reference',
+            'ros_topics',
+            'ros_parameters',
+            'commands',
+            'api',
+            'gallery',
+        ],
         'Results': [name for path, name in COPIES.items() if path.startswith('data/')],
         'Change it': ['contributing', 'quality', 'changelog'],
     }
@@ -172,6 +210,19 @@ def gallery():
                 lines.append(f'## [{title(page)}](../{page.name})\n')
                 lines.append(f'![{shown}](../{target})\n\n{shown}\n')
     return '\n'.join([*lines, '## [Effects](effects_reference.md)\n', *effects_page.gallery(), ''])
+
+
+def topics():
+    """Return the page of topics, services and actions."""
+    table = interface.declared()
+    lines = []
+    for name, topic in table['topics'].items():
+        sent, heard = (', '.join(topic.get(key, ())) for key in ('from', 'to'))
+        kind = f'{topic["type"]}, {topic["quality"]}'
+        lines.append(f'| `{name}` | {kind} | {sent} | {heard} | {topic["text"]} |\n')
+    services = [f'| `{name}` | {text} |\n' for name, text in table['services'].items()]
+    actions = [f'| `{n}` | {a["type"]} | {a["text"]} |\n' for n, a in table['actions'].items()]
+    return ''.join([TOPICS, *lines, SERVICES, *services, ACTIONS, *actions])
 
 
 def parameters():

@@ -199,8 +199,8 @@ class ImportTable:
             '--recipe', metavar='YAML', help='an import.yaml; other options go before what it says'
         )
         options.declare(parser, '--json', '--effect-file')
-        add_columns(parser.add_argument_group('columns and units'))
         add_arm(parser.add_argument_group('markers and frame'))
+        add_columns(parser.add_argument_group('columns and units'))
         add_still(parser.add_argument_group('what is a measurement'))
 
     def run(self, args: argparse.Namespace) -> int:

@@ -115,6 +115,7 @@ EXECUTABLES = sorted(
 )
 
 SCREEN_COLUMNS = 100  # [1] of a help, because a terminal hardly has fewer
+SCREEN_LINES = 24  # [1] of a help, because a terminal opens with as many
 PACKAGE = Path(__file__).parent.parent
 NODE_OPTIONS = '[--ros-args [-p NAME:=VALUE] [--params-file FILE] [-r FROM:=TO]]'
 
@@ -182,17 +183,30 @@ class Parser(argparse.ArgumentParser):
     def format_help(self, whole: bool = False) -> str:
         """Return the help: the first paragraph and a line per option, or all of both."""
         shown = [action for action in self._actions if action.help != argparse.SUPPRESS]
+        for named in range(
+            len(shown) + 1
+        ):  # the last options, where a screen has no line for each
+            text = self._help(shown, shown[len(shown) - named :], whole)
+            if whole or text.count('\n') <= SCREEN_LINES:
+                break
+        return text
+
+    def _help(
+        self, shown: list[argparse.Action], named: list[argparse.Action], whole: bool
+    ) -> str:
+        """Return the help of the arguments that are `shown`, some of which are only `named`."""
         needed = [a for a in shown if not a.option_strings]
         needed += [a for a in shown if a.option_strings and a.required]
         words = [self.prog, *map(_call, needed), *(['[options]'] * (len(shown) > len(needed)))]
         parts = [f'usage: {" ".join(words)}', *(self.text if whole else self.text[:1])]
         for group in self._action_groups:
-            own = [action for action in group._group_actions if action in shown]
+            own = [a for a in group._group_actions if a in shown and a not in named]
             title = [] if group in self._action_groups[:2] or not own else [f'{group.title}:']
             parts.append('\n'.join([*title, *(self._line(action, whole) for action in own)]))
-        more = '' if whole else 'more: --help-all'
+        also = ', '.join(action.option_strings[0] for action in named)
+        more = wrap(f'more: --help-all{", also of " * bool(named)}{also}', SCREEN_COLUMNS)
         example = f'example: {self.example}' if self.example else ''
-        parts += [self.note, '\n'.join(filter(None, [more, example]))]
+        parts += [self.note, '\n'.join(filter(None, [*([] if whole else more), example]))]
         return '\n\n'.join(filter(None, parts)) + '\n'
 
     def _line(self, action: argparse.Action, whole: bool) -> str:

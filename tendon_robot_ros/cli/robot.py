@@ -18,7 +18,7 @@ import yaml
 
 from ..common.errors import InputError
 from ..common.files import new_file, write_text
-from ..common.words import STANDARD_GRAVITY, columns, mm
+from ..common.words import PROGRAM, STANDARD_GRAVITY, columns, mm
 from ..report.in_words import route, rows
 from ..robot import Robot, dump_robot, load_robot, parse_robot
 from ..robot.estimates import (
@@ -65,7 +65,7 @@ class NewRobot:
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Declare the arguments."""
         add_file(parser, '--output', 'the description (default: NAME.yaml)')
-        declare(parser, '--overwrite')
+        declare(parser, '--overwrite', '--json')
 
     def run(self, args: argparse.Namespace) -> int:
         """Ask, write, draw."""
@@ -81,7 +81,6 @@ class NewRobot:
 
         path, robot = questions.until_answered(ask_all)
         write_text(path, FILE_HEAD + dump_robot(robot))
-        print(description(robot))
         picture = path.with_suffix('.png')
         from ..model.model import Model
         from ..report.pictures import draw_robot
@@ -89,9 +88,13 @@ class NewRobot:
         print('drawing (the first model ever is compiled before)', file=sys.stderr)
         with new_file(picture) as draft:
             draw_robot(Model(robot), draft)
-        print(f'\nwritten: {path}   picture: {picture}')
-        first = robot.inputs[0]
-        print(f'next: python -m tendon_robot_ros model shape {path} --tensions {first}=1')
+        lines = [
+            description(robot),
+            f'\nwritten: {path}   picture: {picture}',
+            f'next: {PROGRAM} model shape {path} --tensions {robot.inputs[0]}=1',
+        ]
+        content = {'robot': yaml.safe_load(dump_robot(robot)), 'written': str(path)}
+        emit(args, content | {'picture': str(picture)}, '\n'.join(lines))
         return 0
 
 

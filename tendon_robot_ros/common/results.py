@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
+import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -76,6 +77,11 @@ JSON_OPTION: dict[str, Any] = {
     'metavar': 'OUT',
     'help': 'print the result as JSON instead of the table, or write it to OUT',
 }
+
+
+def narrate(args: argparse.Namespace, text: str) -> None:
+    """Print how far a command is, on stderr where stdout is to hold the JSON alone."""
+    print(text, file=sys.stderr if args.json == '-' else sys.stdout, flush=True)
 
 
 def emit(args: argparse.Namespace, content: Any, table: str) -> None:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..common.errors import InputError
+from ..common.results import JSON_OPTION
 from ..common.words import listed, mm
 from ..data import DataSet
 from ..diagnosis.result import Diagnosis
@@ -89,15 +90,16 @@ OPTIONS = {
 def add_goal(parser: argparse.ArgumentParser, trials: int) -> None:
     """Declare the goal, where results go, and what is kept out; `trials` is the default."""
     add, default = parser.add_argument, Goal(trials=trials)
+    add('--output', required=True, metavar='DIR', help='new folder')
     for name, option in OPTIONS.items():
         value = default.typed(name)
         text = option.help + (f' (default: {value:g})' if math.isfinite(value) else '')
         add(flag(name), type=type(value), default=value, metavar=option.metavar, help=text)
     text = 'write what is found though a class or more is left'
     add('--add', action='store_true', help=text)
-    add('--output', required=True, metavar='DIR', help='new folder')
     add('--resume', action='store_true', help='go on with what DIR has')
     add('--keep-out', metavar='YAML', help='regions where no part of the arm may be')
+    add('--json', **JSON_OPTION)
 
 
 def flag(name: str) -> str:

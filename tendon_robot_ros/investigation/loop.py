@@ -91,6 +91,14 @@ class Findings:
     addition: Addition | None = None  # fitted effects, and their error on fresh postures
     check: DataSet | None = None
 
+    def to_json(self) -> dict[str, Any]:
+        """Return why it ended, the verdict, and what was added."""
+        return {
+            **self.record.outcome,
+            'diagnosis': None if self.diagnosis is None else self.diagnosis.to_json(),
+            'added': None if self.addition is None else self.addition.to_json(),
+        }
+
     @property
     def may_add(self) -> bool:
         """Whether the new description may be written without --add."""

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from ..cli.options import progress
+from ..cli.options import declare, emit, progress
 from ..common.colours import INK, MEASURED, line_style
 from ..common.errors import InputError, Progress, listener
 from ..common.files import new_folder
@@ -76,6 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add('--output', required=True, metavar='DIR', help='folder for the page and the table')
     add('--overwrite', action='store_true', help='replace them in that folder')
     add('--robots', metavar='DIR', help="folder with robots of your own instead of the paper's")
+    declare(parser, '--json')
 
 
 def run(args: argparse.Namespace) -> int:
@@ -93,8 +94,9 @@ def run(args: argparse.Namespace) -> int:
         text = json.dumps(paper.to_json(), indent=1)
         (draft / PAPER_FILES[1]).write_text(text, encoding='utf-8')
     cells = [ROW_COLUMNS, *map(number_cells, paper.rows)]
-    print(columns([row[:-1] for row in cells]))  # without the reasons, which are long
-    print(f'written: {folder / PAPER_FILES[0]}, {folder / PAPER_FILES[1]}')
+    table = columns([row[:-1] for row in cells])  # without the reasons, which are long
+    written = ', '.join(str(folder / name) for name in PAPER_FILES)
+    emit(args, paper.to_json(), f'{table}\nwritten: {written}')
     return 0
 
 

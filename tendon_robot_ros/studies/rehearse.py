@@ -25,6 +25,7 @@ from ..cli.options import declare
 from ..cli.simulate import hidden_effect, simulated_noise
 from ..common.arrays import Floats
 from ..common.errors import InputError, NoEquilibriumError
+from ..common.results import emit, narrate
 from ..data import Marker, default_markers
 from ..data.dataset import INPUTS, LOADINGS
 from ..effects import load_catalogue
@@ -70,12 +71,13 @@ def run(args: argparse.Namespace) -> int:
         plant, simulated_noise(args.noise), args.seed, args.input, args.path, args.lost
     )
     folder = Path(args.output)
-    print(f'hidden:  {", ".join(args.hidden) or "nothing"}')
+    narrate(args, f'hidden:  {", ".join(args.hidden) or "nothing"}')
     investigation = Investigation(
-        arm, goal, folder, regions, lambda news: print(news.text, flush=True), args.resume
+        arm, goal, folder, regions, lambda news: narrate(args, news.text), args.resume
     )
     findings = investigation.run()
-    print(*write_results(findings, folder, investigation.catalogue, goal.add), sep='\n')
+    lines = write_results(findings, folder, investigation.catalogue, goal.add)
+    emit(args, findings.to_json(), '\n'.join(lines))
     return 0
 
 

@@ -31,6 +31,7 @@ from std_msgs.msg import Bool, String
 
 from ...common.arrays import Floats
 from ...common.errors import InputError, NoEquilibriumError, TendonRobotError
+from ...common.results import emit, narrate
 from ...control.inputs import Refusal, Trajectory
 from ...data import default_markers
 from ...data.dataset import LOADINGS
@@ -46,10 +47,11 @@ from ...monitoring.watch import load_change
 from ...robot import Robot
 from ...robot.estimates import natural_sizes
 from ...robot.keep_out import KeepOut, load_keep_out
+from ..shared import interface
 from ..shared.lifecycle import OK, WARN, Status
 from ..shared.messages import offer_trigger, points_of, seconds, tensions_and_pulls, time_now
 from ..shared.parameters import parsed
-from ..shared.quality import LATCHED, LATCHED_BY_MANY, LISTEN, STATE
+from ..shared.quality import STATE
 from ..shared.robot_client import MESSAGES_MAX, MOVE_MIN_S, WORKING_CODES, Pilot, add_controller
 from ..shared.runtime import SPIN_S, Ending, repeat, ros
 from ..shared.timing import REACTION_TIMEOUT_S, SILENCE_S, STATUS_PERIOD_S
@@ -130,8 +132,8 @@ class RunningArm(Pilot):
             if np.isfinite(self._own_half(state)).all():
                 self._states.put(seconds(message.header.stamp), state)
 
-        self.create_subscription(PoseArray, f'{monitor}/measured', frame, STATE)
-        self.create_subscription(JointState, 'tendon_states', states, LISTEN)
+        interface.subscribe(self, 'monitor/measured', frame, monitor, STATE)
+        interface.subscribe(self, 'tendon_states', states)
         self._own: Model | None = None
         self.input = 'tension'
         self._variances: list[float] = []  # [m²] of the mean positions so far
@@ -186,7 +188,7 @@ class RunningArm(Pilot):
         return MonitorSettings().setting_noise, 0.0
 
     def _trial(self, inputs: Floats) -> StillMeasurement:
-        """Go to a posture and record it; BrokenMeasurementError: in vain, the controller goes on."""
+        """Go to a posture and record it; BrokenMeasurementError: in vain, it goes on."""
 
         def works() -> bool:
             return self.status.get('code') in (*WORKING_CODES, 'released')
@@ -366,8 +368,8 @@ class Investigator:
         self._start_requested = False
         self._busy = False
         self._status = Status(arm, 'investigation')
-        self._progress = arm.create_publisher(String, '~/progress', LATCHED_BY_MANY)
-        self._tour = arm.create_publisher(Bool, 'tour', LATCHED)
+        self._progress = arm.create_publisher(*interface.topic('investigate/progress'))
+        self._tour = arm.create_publisher(*interface.topic('tour'))
         offer_trigger(arm, '~/start', self._start)
         offer_trigger(arm, '~/stop', self._stop)
         repeat(arm, STATUS_PERIOD_S, self._publish_status)
@@ -398,7 +400,7 @@ class Investigator:
             )
             findings = investigation.run()
             lines = write_results(findings, folder, investigation.catalogue, args.add)
-            print(*lines, sep='\n', flush=True)
+            emit(args, findings.to_json(), '\n'.join(lines))
             if (folder / BETTER).exists() and not args.keep:
                 better = str((folder / BETTER).resolve())
                 accepted, reason = self.arm.put('model', better, 2.0 * REACTION_TIMEOUT_S)
@@ -413,7 +415,7 @@ class Investigator:
 
     def publish_news(self, news: News) -> None:
         """Print and publish progress."""
-        print(news.text, flush=True)
+        narrate(self.args, news.text)
         content: dict[str, Any] = {'kind': news.kind, 'text': news.text, **news.content}
         self._progress.publish(String(data=json.dumps(content)))
 

@@ -24,9 +24,7 @@ from typing import Any
 
 import numpy as np
 import yaml
-from geometry_msgs.msg import PoseStamped, Vector3Stamped
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, String
+from std_msgs.msg import String
 
 from ...common.arrays import Floats
 from ...common.errors import InputError, MissingExtraError, NoEquilibriumError, TendonRobotError
@@ -38,8 +36,9 @@ from ...robot import Robot, dump_robot, load_robot
 from ...robot.keep_out import KeepOut
 from ...simulation.hidden import STIFFNESS_SCATTER
 from ...simulation.rehearsal import Hidden, Story, TourPosture, draw, refined, reveal, tour
+from ..shared import interface
 from ..shared.messages import seconds, time_now, xyz
-from ..shared.quality import LATCHED, LATCHED_BY_MANY, LISTEN, STATE
+from ..shared.quality import STATE
 from ..shared.robot_client import MESSAGES_MAX, TIP_AVERAGE_S, RobotClient
 from ..shared.runtime import Ending, NodeProcess, ros
 from ..shared.timing import MOVE_TIMEOUT_S, REACTION_TIMEOUT_S, WORK_TIMEOUT_S
@@ -190,19 +189,19 @@ class Director(RobotClient):
         def keep(name: str) -> Callable[[Any], None]:
             return lambda message: setattr(self, name, message.data)
 
-        def sample(name: str, kind: type, topic: str, values: Callable[[Any], Any]) -> None:
+        def sample(name: str, topic: str, values: Callable[[Any], Any], at: str = '') -> None:
             def receive(message: Any) -> None:
                 samples.append((seconds(message.header.stamp), np.array(values(message))))
 
             samples = self._samples[name] = deque(maxlen=MESSAGES_MAX)
-            self.create_subscription(kind, topic, receive, LISTEN)
+            interface.subscribe(self, topic, receive, at)
 
-        sample('tip', PoseStamped, 'measured_tip', lambda m: xyz(m.pose.position))
-        sample('error', Vector3Stamped, 'monitor/error', lambda m: xyz(m.vector))
-        sample('tensions', JointState, 'tendon_states', lambda m: m.effort)
-        self.create_subscription(String, 'monitor/progress', keep('progress'), STATE)
-        self.create_subscription(String, 'monitor/verdict', verdict, LATCHED)
-        self.create_subscription(Bool, 'tour', keep('touring'), LATCHED)
+        sample('tip', 'measured_tip', lambda m: xyz(m.pose.position))
+        sample('error', 'monitor/error', lambda m: xyz(m.vector), 'monitor')
+        sample('tensions', 'tendon_states', lambda m: m.effort)
+        interface.subscribe(self, 'monitor/progress', keep('progress'), 'monitor', STATE)
+        interface.subscribe(self, 'monitor/verdict', verdict, 'monitor')
+        interface.subscribe(self, 'tour', keep('touring'))
 
     def print_investigation(self) -> None:
         """Print the progress of an investigation from now on, as the page shows it."""
@@ -210,7 +209,7 @@ class Director(RobotClient):
         def show(message: String) -> None:
             print(json.loads(message.data)['text'], flush=True)
 
-        self.create_subscription(String, 'investigate/progress', show, LATCHED_BY_MANY)
+        interface.subscribe(self, 'investigate/progress', show, 'investigate')
 
     def wait_until_up(self) -> None:
         """Wait until all nodes work; TendonRobotError: one has ended."""

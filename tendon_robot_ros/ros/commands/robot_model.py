@@ -23,9 +23,9 @@ from ...common.arrays import Floats
 from ...common.errors import TendonRobotError
 from ...robot import Robot, load_robot
 from ...robot.urdf import joint_angles, joint_names, transforms, urdf
+from ..shared import interface
 from ..shared.messages import matrix, quaternion, refilled
 from ..shared.parameters import Parameters, RemoteParameter
-from ..shared.quality import LATCHED, LISTEN, STATE
 from ..shared.runtime import Runnable, repeat, run
 from ..shared.timing import STATUS_PERIOD_S
 
@@ -42,14 +42,14 @@ class RobotModelNode(Runnable, Node):
         controller = self.parameters['controller']
         self._robot: Robot | None = None
         self._prefix, self._problem = '', ''
-        self._description = self.create_publisher(String, 'robot_description', LATCHED)
-        self._joints = self.create_publisher(JointState, 'cell_joint_states', STATE)
+        self._description = self.create_publisher(*interface.topic('robot_description'))
+        self._joints = self.create_publisher(*interface.topic('cell_joint_states'))
         self._broadcaster: Any = None
         if self.parameters['publish_tf'] and importlib.util.find_spec('tf2_ros') is not None:
             from tf2_ros import TransformBroadcaster
 
             self._broadcaster = TransformBroadcaster(self)
-        self.create_subscription(PoseArray, f'{controller}/predicted_shape', self._shape, LISTEN)
+        interface.subscribe(self, 'controller/predicted_shape', self._shape, controller)
         self._remote = RemoteParameter(self, controller, 'model')
         if self.parameters['robot']:
             self._take(self.parameters['robot'])

@@ -25,9 +25,9 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from ...common.errors import InputError
+from ..shared import interface
 from ..shared.messages import Request, header_now, status_values, vector
 from ..shared.parameters import Parameters
-from ..shared.quality import COMMAND, LATCHED
 from ..shared.runtime import Runnable, repeat, run
 from ..shared.timing import NEWS_PERIOD_S
 
@@ -45,13 +45,13 @@ class TeleopNode(Runnable, Node):
             raise InputError('teleop: expected a terminal to read keys from, got a pipe or file')
         self.parameters = Parameters(self, 'teleop')
         name = self.parameters['controller']
-        self._twists = self.create_publisher(TwistStamped, f'{name}/delta_twist', COMMAND)
+        self._twists = self.create_publisher(*interface.topic('controller/delta_twist', name))
         self._calls = {
             key: Request(self, Trigger, f'{name}/{service}')
             for key, service in ((' ', 'stop'), ('c', 'reset'))
         }
         self._problem = ''  # of the controller, as printed last
-        self.create_subscription(DiagnosticStatus, f'{name}/status', self._receive, LATCHED)
+        interface.subscribe(self, 'node/status', self._receive, name)
         self._deadman = Deadman(self.parameters['hold'])
         self._factor, self._in_tip, self._quit, self._moved = 1.0, False, False, False
         self._keyboard = keyboard()

@@ -22,6 +22,7 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 
 from ...control import ControllerCore, Refusal
 from ...control.status import GoalOutcome, MotionGoal, Progress, Tolerance
+from ..shared.interface import declared
 from ..shared.messages import duration, header_now, pose, seconds, xyzw
 from ..shared.timing import VALUES_PERIOD_S
 from .topics import Incoming
@@ -162,11 +163,13 @@ def _fill(message: Any, **values: object) -> None:
 
 
 ActionKind = TendonTrajectory | TipPoses
-# name, package and type of an action, and the class that converts its messages
-OFFERED: tuple[tuple[str, str, str, type[ActionKind]], ...] = (
-    ('follow_joint_trajectory', 'control_msgs', 'FollowJointTrajectory', TendonTrajectory),
-    ('navigate_to_pose', 'nav2_msgs', 'NavigateToPose', TipPoses),
-    ('navigate_through_poses', 'nav2_msgs', 'NavigateThroughPoses', TipPoses),
+# what converts the messages of an action, by the package of its type
+CONVERTERS: dict[str, type[ActionKind]] = {'control_msgs': TendonTrajectory, 'nav2_msgs': TipPoses}
+# name, package and type of an action, and what converts its messages
+OFFERED = tuple(
+    (name.removeprefix('controller/'), package, kind, CONVERTERS[package])
+    for name, action in declared()['actions'].items()
+    for package, kind in [action['type'].split('/')]
 )
 
 

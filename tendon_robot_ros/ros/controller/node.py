@@ -18,11 +18,10 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
-from geometry_msgs.msg import PointStamped, PoseStamped, TwistStamped
+from geometry_msgs.msg import PoseStamped
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
-from trajectory_msgs.msg import JointTrajectory
 
 from ...common.errors import TendonRobotError
 from ...common.processes import Realtime, go_realtime, in_realtime
@@ -33,11 +32,12 @@ from ...control.status import controller_status, controller_values
 from ...drivers.safety import StopLatch
 from ...model.model import Model
 from ...robot.keep_out import KeepOut
+from ..shared import interface
 from ..shared.inbox import Inbox, Received, Service, subscribe_any_qos
 from ..shared.lifecycle import LEVELS, Status, StoppableNode
 from ..shared.messages import header_now, passing_subscription, refilled, stamp_now
 from ..shared.parameters import Parameters
-from ..shared.quality import COMMAND, JOINTS, LISTEN
+from ..shared.quality import JOINTS, LISTEN
 from ..shared.runtime import has_priority, repeat, run
 from ..shared.senders import OwnPublisher, Senders, gid_text
 from ..shared.timing import NEWS_PERIOD_S
@@ -82,9 +82,9 @@ class ControllerNode(StoppableNode):
         self._drivers = Senders(self, 'tendon_states')
         self._speaking = threading.Lock()
         self._command = JointState()
-        self._commands = self.create_publisher(JointState, 'tendon_command', COMMAND)
+        self._commands = self.create_publisher(*interface.topic('tendon_command'))
         self._own = OwnPublisher(self, self._commands)
-        self._measured = Inbox(self, JointState, 'tendon_states', JOINTS)
+        self._measured = Inbox(self, *interface.topic('tendon_states')[:2], JOINTS)
         self._tracker: Subscription | None = None
         self._subscribe_tip()
         topic, gid = self.parameters['driver_status'], gid_text(self._own.gid)
@@ -152,11 +152,17 @@ class ControllerNode(StoppableNode):
                 self.core.refusals['target'] = Refusal('length', problem)
 
         self._targets = [
-            *subscribe_any_qos(self, PoseStamped, '~/target_pose', pose, too_long),
-            *subscribe_any_qos(self, PointStamped, '~/target_point', point, too_long),
-            passing_subscription(self, TwistStamped, '~/delta_twist', twist, LISTEN),
-            *subscribe_any_qos(self, JointTrajectory, '~/tendon_trajectory', play, too_long),
+            passing_subscription(
+                self, *interface.topic('controller/delta_twist')[:2], twist, LISTEN
+            )
         ]
+        takers = {
+            'controller/target_pose': pose,
+            'controller/target_point': point,
+            'controller/tendon_trajectory': play,
+        }
+        for name, take in takers.items():
+            self._targets += subscribe_any_qos(self, *interface.topic(name)[:2], take, too_long)
 
     def deactivate(self) -> None:
         """Have the arm released, and send no more commands."""
@@ -198,7 +204,7 @@ class ControllerNode(StoppableNode):
                 core.tip_measured(time.monotonic(), incoming.measured_tip(message))
 
             self._tracker = passing_subscription(
-                self, PoseStamped, 'measured_tip', partial(self._take, 'tip', tip), LISTEN
+                self, *interface.topic('measured_tip')[:2], partial(self._take, 'tip', tip), LISTEN
             )
 
     def _take(

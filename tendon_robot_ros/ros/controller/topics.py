@@ -12,13 +12,12 @@ from dataclasses import replace
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import Point, PointStamped, PoseArray, PoseStamped, TwistStamped
+from geometry_msgs.msg import Point, PointStamped, PoseStamped, TwistStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
-from visualization_msgs.msg import MarkerArray
 
 from ...common.arrays import Floats
 from ...common.colours import PREDICTED
@@ -28,6 +27,7 @@ from ...data.tracker_faults import is_missing
 from ...model.model import Model
 from ...model.shape import Shape
 from ...robot import Robot
+from ..shared import interface
 from ..shared.messages import (
     Frames,
     Request,
@@ -45,7 +45,7 @@ from ..shared.messages import (
     xyzw,
 )
 from ..shared.parameters import Parameters, base_frame
-from ..shared.quality import LATCHED, STATE
+from ..shared.quality import LATCHED
 from ..shared.timing import SILENCE_S, VALUES_PERIOD_S
 
 # [1] points of a trajectory: more would delay the commands while they are parsed
@@ -190,9 +190,9 @@ class Prediction:
         """Create the publishers."""
         self._node = node
         self.use(frame, model)
-        self._shape = passing_publisher(node, PoseArray, '~/predicted_shape', STATE)
-        self._tip = passing_publisher(node, PoseStamped, '~/predicted_tip', STATE)
-        self._markers = passing_publisher(node, MarkerArray, '~/markers', STATE)
+        self._shape = passing_publisher(node, *interface.topic('controller/predicted_shape'))
+        self._tip = passing_publisher(node, *interface.topic('controller/predicted_tip'))
+        self._markers = passing_publisher(node, *interface.topic('controller/markers'))
 
     def use(self, frame: str, model: Model) -> None:
         """Use the robot of a model and the name of its base frame."""

@@ -13,7 +13,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PoseArray, PoseStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -28,6 +27,7 @@ from ...drivers.safety import SafetyRules
 from ...model.model import Model
 from ...model.shape import Shape
 from ...robot import Robot
+from ..shared import interface
 from ..shared.messages import (
     header_now,
     passing_publisher,
@@ -36,7 +36,7 @@ from ..shared.messages import (
     pose_stamped,
 )
 from ..shared.parameters import Parameters, base_frame, read_config
-from ..shared.quality import COMMAND, JOINTS, STATE
+from ..shared.quality import COMMAND, JOINTS
 from ..shared.runtime import repeat
 
 
@@ -91,8 +91,8 @@ class MockTracker:
         robot = driver.robot
         self._frame = base_frame(parameters, robot.name)
         self._arc_lengths = np.cumsum(robot.cell_lengths)
-        self._tip = passing_publisher(node, PoseStamped, 'measured_tip', STATE)
-        self._shape = passing_publisher(node, PoseArray, 'measured_shape', STATE)
+        self._tip = passing_publisher(node, *interface.topic('measured_tip'))
+        self._shape = passing_publisher(node, *interface.topic('measured_shape'))
         self._timer = repeat(node, 1.0 / self._config.rate, self._publish)
 
     def close(self) -> None:

@@ -26,11 +26,12 @@ from ...drivers.mock import MockDriver
 from ...drivers.safety import FOLLOWING, HOLDING, LIMP, OFF, RELEASED, StopLatch, Supervisor
 from ...drivers.tendon_check import due
 from ...robot import load_robot
+from ..shared import interface
 from ..shared.inbox import Inbox, Received
 from ..shared.lifecycle import ERROR, OK, WARN, Status, StoppableNode
 from ..shared.messages import check_age, offer_trigger, refilled, stamp_now
 from ..shared.parameters import Parameters
-from ..shared.quality import JOINTS, STATE
+from ..shared.quality import JOINTS
 from ..shared.runtime import end_requested, has_priority, on_end_request, repeat, run
 from ..shared.senders import OwnPublisher, Senders, gid_text
 from ..shared.timing import SILENCE_S, VALUES_PERIOD_S
@@ -68,9 +69,9 @@ class DriverNode(StoppableNode):
         self._cycle: Cycle | None = None
         self._senders = Senders(self, 'tendon_command')
         self._state = JointState()
-        self._states = self.create_publisher(JointState, 'tendon_states', STATE)
+        self._states = self.create_publisher(*interface.topic('tendon_states'))
         self._own = OwnPublisher(self, self._states)
-        self._commands = Inbox(self, JointState, 'tendon_command', JOINTS)
+        self._commands = Inbox(self, *interface.topic('tendon_command')[:2], JOINTS)
         self.listen()
         offer_trigger(self, '~/reset', self._reset)
         for name, act, outcome in (

@@ -36,6 +36,7 @@ from ...monitoring.job import Work
 from ...monitoring.monitor import Compared
 from ...monitoring.watch import ArmWatch
 from ...robot import load_robot
+from ..shared import interface
 from ..shared.lifecycle import ERROR, OK, WARN, Status
 from ..shared.messages import (
     Frames,
@@ -52,7 +53,7 @@ from ..shared.messages import (
     xyz,
 )
 from ..shared.parameters import Parameters, RemoteParameter, base_frame, parsed
-from ..shared.quality import LATCHED, LISTEN, STATE
+from ..shared.quality import LISTEN
 from ..shared.runtime import Runnable, repeat, run
 from ..shared.timing import SILENCE_S, STATUS_PERIOD_S, VALUES_PERIOD_S
 from .watching import Adapting, Watching
@@ -82,9 +83,9 @@ class MonitorNode(Runnable, Node):
         self._output = MonitorOutput(self)
         self.watching: Watching | None = None
         self.adapting: Adapting | None = None
-        self._progress = publish(String, '~/progress', LATCHED)
-        self._verdict = publish(String, '~/verdict', LATCHED)
-        self.create_subscription(JointState, 'tendon_states', self._states, LISTEN)
+        self._progress = publish(*interface.topic('monitor/progress'))
+        self._verdict = publish(*interface.topic('monitor/verdict'))
+        interface.subscribe(self, 'tendon_states', self._states)
         services: dict[str, Callable[[], str]] = {
             'record': self.record,
             'diagnose': self.diagnose,
@@ -333,8 +334,8 @@ class MarkerInput:
                 callback = partial(self._marker, indices[str(name)])
                 node.create_subscription(PoseStamped, str(topic), callback, LISTEN)
         else:
-            node.create_subscription(PoseArray, 'measured_shape', self._shape, LISTEN)
-            node.create_subscription(PoseStamped, 'measured_tip', self._tip, LISTEN)
+            interface.subscribe(node, 'measured_shape', self._shape)
+            interface.subscribe(node, 'measured_tip', self._tip)
         self._shape_at = -np.inf
 
     def hand_over(self, late: bool = False) -> None:
@@ -430,11 +431,11 @@ class MonitorOutput:
     def __init__(self, node: Node) -> None:
         """Create the publishers."""
         self._node, publish = node, node.create_publisher
-        self._error = publish(Vector3Stamped, '~/error', STATE)
-        self._rolling = publish(Float64, '~/rolling_error', STATE)
-        self._per_marker = publish(Float64MultiArray, '~/marker_errors', STATE)
-        self._measured = publish(PoseArray, '~/measured', STATE)
-        self._predicted = publish(PoseArray, '~/predicted', STATE)
+        self._error = publish(*interface.topic('monitor/error'))
+        self._rolling = publish(*interface.topic('monitor/rolling_error'))
+        self._per_marker = publish(*interface.topic('monitor/marker_errors'))
+        self._measured = publish(*interface.topic('monitor/measured'))
+        self._predicted = publish(*interface.topic('monitor/predicted'))
 
     def publish(self, frame: str, compared: Compared) -> None:
         """Publish a compared frame; markers that are not visible are nan."""

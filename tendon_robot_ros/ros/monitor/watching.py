@@ -26,9 +26,9 @@ from ...monitoring.tip_force import TipForce
 from ...monitoring.watch import ArmWatch, WatchSettings
 from ...report.sentences import load_words
 from ...robot import Robot, dump_robot
+from ..shared import interface
 from ..shared.messages import header_now, vector
 from ..shared.parameters import Parameters
-from ..shared.quality import LATCHED, STATE
 
 LOG = 'adaptation.jsonl'  # in the folder of the monitor: a line for every change
 Send = Callable[[str, Callable[[bool, str], None]], None]
@@ -52,9 +52,9 @@ class Watching:
             parameters['tracker_noise'], TENSION_STILL * high, parameters['force_time']
         )
         publish = node.create_publisher
-        self._wrench = publish(WrenchStamped, '~/tip_force', STATE)
-        self._covariance = publish(Float64MultiArray, '~/tip_force_covariance', STATE)
-        self._state = publish(String, '~/drift', LATCHED)
+        self._wrench = publish(*interface.topic('monitor/tip_force'))
+        self._covariance = publish(*interface.topic('monitor/tip_force_covariance'))
+        self._state = publish(*interface.topic('monitor/drift'))
         self._published = ''
 
     force: TipForce | None
@@ -153,7 +153,7 @@ class Adapting:
         """Start from the model in use and its text; `send` sends the controller another one."""
         self._node, self._parameters, self._monitor = node, parameters, monitor
         self._send, self._sent, self._waiting = send, text, False
-        self._publisher = node.create_publisher(String, '~/adaptation', LATCHED)
+        self._publisher = node.create_publisher(*interface.topic('monitor/adaptation'))
         self._begin(monitor.model)
 
     def set_model(self, model: Model, text: str) -> bool:

@@ -2,6 +2,7 @@
 Code that the nodes share.
 
 messages.py            messages to arrays and back; frames (TF); requests
+interface.py           topics as interface.yaml declares them: publishers, subscriptions
 quality.py             quality of service of topics
 timing.py              times that several nodes share, each with its reason
 parameters.py          declared parameters with range and unit; those of another node

@@ -27,6 +27,7 @@ from rclpy.subscription import Subscription
 from rclpy.type_support import check_is_valid_msg_type, check_is_valid_srv_type
 from std_msgs.msg import Bool, String
 
+from . import interface
 from .messages import passing_subscription
 from .quality import COMMAND, COMMAND_ALL, LATCHED_BY_MANY, LISTEN, LISTEN_ALL
 from .timing import SILENCE_S, VALUES_PERIOD_S
@@ -364,7 +365,7 @@ class StopTopic:
         Fast DDS drops a message that was not taken when its publisher leaves.
         """
         kinds = LISTEN_ALL, COMMAND_ALL, LATCHED_BY_MANY
-        inboxes = [Inbox(self._node, Bool, 'stop', qos) for qos in kinds]
+        inboxes = [Inbox(self._node, *interface.topic('stop')[:2], qos) for qos in kinds]
         forwarded = Inbox(self._node, String, FORWARDED, COMMAND_ALL)
         last_text = ''
         while not self._closed:

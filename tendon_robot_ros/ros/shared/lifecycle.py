@@ -17,10 +17,10 @@ from std_srvs.srv import Trigger
 from ...common.errors import MovedError, TendonRobotError
 from ...common.local_stop import StopListener, Stoppable
 from ...drivers.safety import StopLatch
+from . import interface
 from .inbox import STOP_REASON, Service, StopTopic
 from .messages import stamp_now
 from .parameters import Parameters
-from .quality import LATCHED, STATE
 from .runtime import Runnable
 from .timing import NEWS_PERIOD_S, RETRY_PERIOD_S, STATUS_PERIOD_S, VALUES_PERIOD_S
 
@@ -225,8 +225,8 @@ class Status:
         """Create the publishers."""
         self._node, self.arm = node, ''  # hardware_id: the robot, once it is known
         self._name = f'{node.get_fully_qualified_name().removeprefix("/")}: {what}'
-        self._latched = node.create_publisher(DiagnosticStatus, '~/status', LATCHED)
-        self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', STATE)
+        self._latched = node.create_publisher(*interface.topic('node/status'))
+        self._diagnostics = node.create_publisher(*interface.topic('/diagnostics'))
         # what was published last: the message for a person, the robot, the values
         self._sent: tuple[str, str, dict[str, str]] | None = None
         self._sent_at = self._read_at = 0.0  # [s] when it was published, when values were read

@@ -29,6 +29,7 @@ from ...effects import load_catalogue
 from ...model.model import Model
 from ...robot import load_robot
 from ...robot.keep_out import joined, text_of
+from . import interface
 from .messages import (
     Request,
     duration,
@@ -41,7 +42,7 @@ from .messages import (
     xyzw,
 )
 from .parameters import RemoteParameter, declared
-from .quality import COMMAND, LATCHED, LISTEN
+from .quality import COMMAND
 from .runtime import SPIN_S, Ending
 from .timing import CALL_TIMEOUT_S, REACTION_TIMEOUT_S
 
@@ -96,8 +97,10 @@ class RobotClient(Node):
         self.statuses: dict[str, dict[str, str]] = {node: {} for node in (controller, *watched)}
         self._status_at = 0.0  # [s] when the controller's status came
         self._remotes: dict[tuple[str, str], RemoteParameter] = {}  # of (node, name)
-        self._poses = self.create_publisher(PoseStamped, f'{controller}/target_pose', COMMAND)
-        self._points = self.create_publisher(PointStamped, f'{controller}/target_point', COMMAND)
+        self._poses = self.create_publisher(*interface.topic('controller/target_pose', controller))
+        self._points = self.create_publisher(
+            *interface.topic('controller/target_point', controller)
+        )
 
         def receive(node: str, message: DiagnosticStatus) -> None:
             self.statuses[node] = {**status_values(message), 'message': message.message}
@@ -105,9 +108,7 @@ class RobotClient(Node):
                 self._status_at = time.monotonic()
 
         for node in self.statuses:
-            self.create_subscription(
-                DiagnosticStatus, f'{node}/status', partial(receive, node), LATCHED
-            )
+            interface.subscribe(self, 'node/status', partial(receive, node), node)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self)
 
@@ -236,7 +237,7 @@ class Pilot(RobotClient):
         }
         self._commands: list[tuple[float, Floats]] = []
         self._trajectories = self.create_publisher(
-            JointTrajectory, f'{controller}/tendon_trajectory', COMMAND
+            *interface.topic('controller/tendon_trajectory', controller)
         )
 
         def predicted(message: PoseStamped) -> None:
@@ -252,10 +253,9 @@ class Pilot(RobotClient):
             values = message.position if self.pull else message.effort
             self._commands.append((time.monotonic(), np.array(values)))
 
-        subscribe = self.create_subscription
-        subscribe(PoseStamped, f'{controller}/predicted_tip', predicted, LISTEN)
-        subscribe(PoseStamped, 'measured_tip', measured, LISTEN)
-        subscribe(JointState, 'tendon_command', command, COMMAND)
+        interface.subscribe(self, 'controller/predicted_tip', predicted, controller)
+        interface.subscribe(self, 'measured_tip', measured)
+        interface.subscribe(self, 'tendon_command', command, heard=COMMAND)
 
     def connect(self, timeout: float = REACTION_TIMEOUT_S) -> None:
         """

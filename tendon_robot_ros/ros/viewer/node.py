@@ -22,14 +22,15 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped, PoseArray, WrenchStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, Float64, Float64MultiArray, String
+from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from ...robot import load_robot
+from ..shared import interface
 from ..shared.lifecycle import OK, Status
 from ..shared.messages import Request, header_now, point, points_of, status_values, xyz
 from ..shared.parameters import Parameters, RemoteParameter
-from ..shared.quality import COMMAND, LATCHED, LATCHED_BY_MANY, LISTEN, STATE
+from ..shared.quality import STATE
 from ..shared.runtime import Runnable, repeat, run
 from ..shared.timing import STATUS_PERIOD_S
 from .page import LivePage
@@ -66,9 +67,9 @@ class ViewerNode(Runnable, Node):
         self._frames: deque[float] = deque(maxlen=100)  # [s] when the arm was drawn
         self._listen(names)
         self._targets = self.create_publisher(
-            PointStamped, f'{names["controller"]}/target_point', COMMAND
+            *interface.topic('controller/target_point', names['controller'])
         )
-        self._tour = self.create_publisher(Bool, 'tour', LATCHED)
+        self._tour = self.create_publisher(*interface.topic('tour'))
         self._remote = RemoteParameter(self, names['controller'], 'model')
         self._triggers = {
             (name, owner): Request(self, Trigger, f'{names[owner]}/{name}')
@@ -95,7 +96,6 @@ class ViewerNode(Runnable, Node):
     def _listen(self, names: dict[str, str]) -> None:
         """Subscribe to the topics that update the state of the page."""
         state, now = self.state, time.monotonic
-        monitor, investigate = names['monitor'], names['investigate']
 
         def status(key: str, message: DiagnosticStatus) -> None:
             level, values = int.from_bytes(message.level, 'little'), status_values(message)
@@ -116,29 +116,23 @@ class ViewerNode(Runnable, Node):
             return lambda message: setattr(state, name, value(message))
 
         for key, name in names.items():
-            self.create_subscription(
-                DiagnosticStatus, f'{name}/status', partial(status, key), LATCHED
-            )
-        errors, change = f'{monitor}/marker_errors', f'{investigate}/progress'
-        subscriptions: tuple[tuple[type, str, Callable[[Any], None], Any], ...] = (
-            (JointState, 'tendon_states', states, LISTEN),
-            (PoseArray, 'measured_shape', measured, LISTEN),
-            (PoseArray, f'{monitor}/predicted', keep('predicted', points_of), LISTEN),
-            (WrenchStamped, f'{monitor}/tip_force', force, LISTEN),
-            (
-                Float64,
-                f'{monitor}/rolling_error',
-                lambda m: state.add_error(now(), m.data),
-                LISTEN,
-            ),
-            (Float64MultiArray, errors, lambda m: state.add_marker_errors(now(), m.data), LISTEN),
-            (String, f'{monitor}/progress', keep('progress', lambda m: m.data), STATE),
-            (String, f'{monitor}/verdict', lambda m: state.set_verdict(m.data), LATCHED),
-            (Bool, 'tour', keep('touring', lambda m: m.data), LATCHED),
-            (String, change, lambda m: state.add_investigation(m.data), LATCHED_BY_MANY),
-        )
-        for kind, topic, callback, quality in subscriptions:
-            self.create_subscription(kind, topic, callback, quality)
+            interface.subscribe(self, 'node/status', partial(status, key), name)
+        progress = keep('progress', lambda m: m.data)
+        interface.subscribe(self, 'monitor/progress', progress, names['monitor'], STATE)
+        topics: dict[str, Callable[[Any], None]] = {
+            'tendon_states': states,
+            'measured_shape': measured,
+            'monitor/predicted': keep('predicted', points_of),
+            'monitor/tip_force': force,
+            'monitor/rolling_error': lambda m: state.add_error(now(), m.data),
+            'monitor/marker_errors': lambda m: state.add_marker_errors(now(), m.data),
+            'monitor/verdict': lambda m: state.set_verdict(m.data),
+            'tour': keep('touring', lambda m: m.data),
+            'investigate/progress': lambda m: state.add_investigation(m.data),
+        }
+        for topic, callback in topics.items():
+            at = names.get(topic.partition('/')[0], '')
+            interface.subscribe(self, topic, callback, at)
 
     def _cycle(self) -> None:
         """Handle clicks, draw the arms, and update the panel every `PANEL_PERIOD_S`."""
