@@ -61,6 +61,7 @@ def cluster(tmp_path_factory):
         yield both
 
 
+@pytest.mark.slow  # of processes of this machine: test_workers.py; a new worker takes seconds
 def test_workers_of_a_cluster_that_are_killed_again_and_again_lose_nothing(cluster):
     dead, found, handed = set(), {}, []
     often = 4  # Dask itself gives a piece of work up after three

@@ -141,29 +141,27 @@ def test_an_addition_shows_both_kinds_of_postures(hinges):
 
 @pytest.fixture(scope='module')
 def commanded(tmp_path_factory):
-    """Give the page of a diagnosis with --check and --add, as the command writes it."""
+    """Give a folder with the page of a diagnosis with --check and --add, and what was measured."""
     folder = tmp_path_factory.mktemp('commanded')
-    fit, check = blind('b') / 'fit', blind('b') / 'check'
-    asked = ['diagnose', str(fit), '--check', str(check), '--add', 'new.yaml']
+    robot = simulated.robot(cells=8, exact=True)  # diagnosed at once
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
+        for which, name in enumerate(('fit', 'check')):
+            made = simulated.measured(robot, {'hinge_friction': {'lever': 3e-4}}, which=which)
+            save_dataset(made, name)
+        asked = ['diagnose', 'fit', '--check', 'check', '--add', 'new.yaml']
         assert main([*asked, '--report', 'page.html']) == 0
-    return folder / 'page.html'
+    return folder
 
 
-def test_what_became_of_the_file_stands_where_it_was_asked_for(
-    commanded, tmp_path, monkeypatch, capsys
-):
-    monkeypatch.chdir(tmp_path)
-    robot = simulated.robot(cells=8, exact=True)  # diagnosed at once
-    save_dataset(simulated.measured(robot, {'hinge_friction': {'lever': 3e-4}}), 'small')
-    assert main(['diagnose', 'small', '--report', 'page.html']) == 0
-    assert 'report: page.html' in capsys.readouterr().out
-    for page, told in ((tmp_path / 'page.html', '--add better.yaml'),
-                       (commanded, 'written: new.yaml')):  # fmt: skip
-        body = page.read_text(encoding='utf-8').partition('<body>')[2]
+def test_what_became_of_the_file_stands_where_it_was_asked_for(commanded, monkeypatch, capsys):
+    monkeypatch.chdir(commanded)
+    assert main(['diagnose', 'fit', '--report', 'other.html']) == 0
+    assert 'report: other.html' in capsys.readouterr().out
+    for page, told in (('other.html', '--add better.yaml'), ('page.html', 'written: new.yaml')):
+        body = (commanded / page).read_text(encoding='utf-8').partition('<body>')[2]
         assert told in body
-        assert ('Add it to the robot description' in body) == (page != commanded)
+        assert ('Add it to the robot description' in body) == (page == 'other.html')
     lacking = diagnosis_page(diagnosis('outside_catalogue'), outcome='Nothing was added.')
     assert 'Nothing was added.' in text(lacking) and '--add better.yaml' not in text(lacking)
 
@@ -260,7 +258,7 @@ def test_no_noise_no_heat_map():
 
 @pytest.mark.browser
 def test_the_page_of_the_command_opens_and_fits(commanded, tmp_path):
-    seen = open_page(commanded, tmp_path)
+    seen = open_page(commanded / 'page.html', tmp_path)
     assert_fine(seen)
     for part in ('Missing: friction in the hinges', 'The error falls', 'What else it could be',
                  'The moment that the model lacks', 'What this rests on'):  # fmt: skip

@@ -103,11 +103,12 @@ def test_a_posture_left_out_has_no_part_in_its_prediction(arm):
     )
 
 
-def test_nothing_joins_where_nothing_is_missing(tmp_path, capsys):
+def test_nothing_joins_where_nothing_is_missing(tmp_path, capsys, monkeypatch):
     dataset = measured(ROBOT, count=6)
     found = improve(dataset, workers=1)
     assert found.taken == 0 and len(found.steps) == 1
     assert found.robot.effects == ROBOT.effects
+    monkeypatch.setattr('tendon_robot_ros.cli.diagnosis.improve', lambda *args: found)
     save_dataset(dataset, tmp_path / 'data')
     new = tmp_path / 'new.yaml'
     assert main(['improve', str(tmp_path / 'data'), '--output', str(new)]) == 2

@@ -50,6 +50,11 @@ def arm(hidden, seed=3, robot=COARSE, **options):
     return SimulatedArm(plant, seed=seed, **options)
 
 
+def exact_arm(hidden):
+    """Return an arm that is as its description says but for what it hides: judged at once."""
+    return SimulatedArm(make_plant(replace(COARSE, exact=True), hidden, scatter=0.0), seed=5)
+
+
 def test_the_information_of_one_reading_of_one_parameter_is_that_of_a_gaussian_channel():
     signal, noise = 3.0, 0.5
     added = 0.5 * information(np.eye(1), np.array([[signal / noise]]))
@@ -172,7 +177,7 @@ def test_an_arm_that_is_never_seen_ends_with_one_line(tmp_path):
 
 
 def test_interrupted_it_lets_go_and_goes_on_where_it_was(tmp_path):
-    folder, subject = tmp_path / 'broken_off', arm({'hinge_friction': {}})
+    folder, subject = tmp_path / 'broken_off', exact_arm({'hinge_friction': {}})
     usual, count = subject.measure, [0]
 
     def interrupted(inputs, trials):
@@ -221,8 +226,7 @@ def test_adequate_is_not_said_while_an_effect_may_move_the_tip_unseen():
 
 
 def test_a_visible_effect_that_is_left_possible_keeps_the_question_open():
-    exact = SimulatedArm(make_plant(replace(COARSE, exact=True), scatter=0.0), seed=5)
-    made = Investigation(exact, Goal(postures=4, start=4)).run()
+    made = Investigation(exact_arm({}), Goal(postures=4, start=4)).run()
     found, dataset = made.diagnosis, made.dataset
     catalogue = load_catalogue().sized(natural_sizes(dataset.robot))
     everything = possible(found, dataset, catalogue, 0.0)

@@ -164,7 +164,8 @@ def test_emulated_motors_find_the_load_and_the_controller_uses_it(made):
 class Hesitating:
     """The part of a running arm that judges a measurement; its controller says these codes."""
 
-    measure, _controller_works = RunningArm.measure, RunningArm._controller_works
+    measure, _trial = RunningArm.measure, RunningArm._trial
+    path = 'sequence'
 
     def __init__(self, *codes):
         self.codes = list(codes)
@@ -177,7 +178,10 @@ class Hesitating:
         del self.codes[:-1]
         return condition()
 
-    def _measured(self, inputs, trials):
+    def _command(self, inputs):
+        return inputs
+
+    def _go(self, target):
         raise TendonRobotError(f'the controller says {self.codes[0]}')
 
 
@@ -197,7 +201,8 @@ def test_a_robot_that_is_stopped_or_gone_ends_the_investigation(codes):
 class Unloaded:
     """A running arm whose description lacks a load; it goes where it is told at once."""
 
-    _measured, _command = RunningArm._measured, RunningArm._command
+    measure, _trial = RunningArm.measure, RunningArm._trial
+    _command = RunningArm._command
     input, pull, path = 'displacement', True, 'sequence'
 
     def __init__(self, name):
@@ -232,7 +237,7 @@ def test_a_slack_wire_that_a_load_pulls_taut_is_recorded_at_its_length(monkeypat
     arm = Unloaded('spatial_3')
     inputs = np.array([np.nan, 0.0035, np.nan])
     assert arm.truth.pull_shape(arm._command(inputs)).inputs[2] > 0.0
-    measured = arm._measured(inputs, 1)
+    measured = arm.measure(inputs, 1)
     assert np.abs(arm.seen(measured.inputs[0]) - measured.positions[0]).max() < 1e-6  # [m]
 
 

@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..common.arrays import Bools, Floats
 from ..common.errors import DriverError, TendonRobotError
 from ..common.yaml_reading import ConfigFields, read_yaml
 from ..robot import Robot
-from .interface import Array, Driver
+from .interface import Driver
 from .safety import CYCLE_MAX_S, STOP_TIME_MIN_S, approach, bounded
 
 PULL_MAX_M = 1.0  # [m] of wire either way: more would be a mistake in a unit
@@ -46,19 +46,19 @@ class HardwareDriver(Driver):
 
     """
 
-    def __init__(self, robot: Robot, mode: str, place: str, limits: Array, rates: Array) -> None:
+    def __init__(self, robot: Robot, mode: str, place: str, limits: Floats, rates: Floats) -> None:
         """Create a closed driver."""
         self.robot, self.inputs, self.mode, self.place = robot, robot.inputs, mode, place
         self.limits, self.rates = limits, rates
         self._is_open = False
-        self._goal: Array = np.zeros(len(self.inputs))  # (m,) what was commanded last
+        self._goal: Floats = np.zeros(len(self.inputs))  # (m,) what was commanded last
         self._written = -np.inf  # monotonic [s]
 
     def _require_open(self, what: str) -> None:
         if not self._is_open:
             raise DriverError(f'{self.place}: {what}: the driver is not open; call open() first')
 
-    def _chosen(self, inputs: Sequence[str]) -> NDArray[np.bool_]:
+    def _chosen(self, inputs: Sequence[str]) -> Bools:
         """Return a mask (m,) of the named inputs; none named means all."""
         unknown = [name for name in inputs if name not in self.inputs]
         if unknown:
@@ -73,7 +73,7 @@ class HardwareDriver(Driver):
         passed, self._written = now - self._written, now
         return passed
 
-    def _towards(self, command: Array, limits: Array, passed: float) -> Array:
+    def _towards(self, command: Floats, limits: Floats, passed: float) -> Floats:
         """Return the next goal (m,): towards a command (m,), within limits and rates."""
         goal = bounded(command, limits)
         rates = self.rates
@@ -279,7 +279,7 @@ class LineFit(NamedTuple):
     scatter: float = 0.0
 
 
-def fit_line(x: Array, y: Array, noise: float = 0.0) -> LineFit:
+def fit_line(x: Floats, y: Floats, noise: float = 0.0) -> LineFit:
     """
     Fit a straight line by least squares, with the standard errors of linear regression.
 

@@ -10,12 +10,11 @@ from itertools import compress
 from typing import Any, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..common.arrays import Floats
 from ..common.errors import DriverError, MissingExtraError
 from ..robot import Robot
 
-Array = NDArray[np.float64]
 MODES = ('tension', 'pull')
 # [s] between two commands where a driver or a check itself moves motors, so that they go as
 # smoothly as under a controller at 100 Hz
@@ -115,10 +114,10 @@ class Reading:
     """
 
     time: float
-    pulls: Array
-    tensions: Array
+    pulls: Floats
+    tensions: Floats
     source: str
-    tension_sd: Array | None = None
+    tension_sd: Floats | None = None
     faults: tuple[Fault, ...] = ()
 
 
@@ -153,8 +152,8 @@ class Driver(abc.ABC):
     robot: Robot
     inputs: tuple[str, ...]
     mode: str
-    limits: Array
-    rates: Array
+    limits: Floats
+    rates: Floats
     port: str = ''
     limits_current: bool = False
 
@@ -175,7 +174,7 @@ class Driver(abc.ABC):
         """Torque off at once for the named inputs, or all. Never raises: `read` reports faults."""
 
     @abc.abstractmethod
-    def write(self, command: Array) -> None:
+    def write(self, command: Floats) -> None:
         """Command every input, shape (m,) [N] or [m], kept within limits and rates."""
 
     def limit_current(self, reduction: float, tension: float) -> None:
@@ -219,7 +218,7 @@ class Driver(abc.ABC):
         """Return as text after which silence the motors stop, and why; empty where unknown."""
         return ''
 
-    def checked(self, command: Array) -> Array:
+    def checked(self, command: Floats) -> Floats:
         """Return the command as an array; refuse a wrong shape or a value that is not finite."""
         values = np.asarray(command, dtype=float)
         if values.shape != (len(self.inputs),):

@@ -9,13 +9,13 @@ from dataclasses import dataclass, fields
 from typing import Any, Protocol, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..common.arrays import Bools, Floats
 from ..common.errors import DriverError, TendonRobotError
 from ..common.yaml_reading import ConfigFields
 from ..robot import Robot
 from .hardware import HardwareDriver
-from .interface import Array, Fault, Reading
+from .interface import Fault, Reading
 
 # what can be injected -> (message, reported by the motor itself, readings are lost)
 FAULTS = {
@@ -29,17 +29,17 @@ FAULTS = {
 class PlantState(Protocol):
     """State of a plant's arm: a `Shape`, or anything with the same fields."""
 
-    inputs: Array  # (m,) [N]
-    pulls: Array  # (m,) [m]
+    inputs: Floats  # (m,) [N]
+    pulls: Floats  # (m,) [m]
 
 
 class MockPlant(Protocol):
     """An arm to be moved; the driver does not know how it works."""
 
-    def respond(self, tensions: Array) -> PlantState:
+    def respond(self, tensions: Floats) -> PlantState:
         """Return the arm under these tensions, (m,) [N]."""
 
-    def respond_to_pulls(self, pulls: Array) -> PlantState:
+    def respond_to_pulls(self, pulls: Floats) -> PlantState:
         """Return the arm under these wire pulls, (m,) [m], nan = slack."""
 
 
@@ -91,7 +91,7 @@ class MockDriver(HardwareDriver):
         self._updated = clock()
         self._injected: dict[str, Fault] = {}
         self._state: PlantState | None = None
-        self._given: Array | None = None  # what the plant last responded to
+        self._given: Floats | None = None  # what the plant last responded to
         self._problem = ''
 
     @classmethod
@@ -134,7 +134,7 @@ class MockDriver(HardwareDriver):
         self._advance()
         self._on &= ~self._chosen(inputs)
 
-    def write(self, command: Array) -> None:
+    def write(self, command: Floats) -> None:
         """Command every input; what is off stays off."""
         self._require_open('write')
         values = self.checked(command)
@@ -191,12 +191,12 @@ class MockDriver(HardwareDriver):
             'tension_noise (N)': f'{self.config.tension_noise:g}',
         }
 
-    def _lost(self) -> NDArray[np.bool_]:
+    def _lost(self) -> Bools:
         lost = [fault for code, fault in self._injected.items() if FAULTS[code][2]]
         names = [name for fault in lost for name in fault.inputs or self.inputs]
         return np.isin(self.inputs, names)
 
-    def _noise(self, sd: float) -> Array:
+    def _noise(self, sd: float) -> Floats:
         m = len(self.inputs)
         return self._random.normal(0.0, sd, m) if sd > 0.0 else np.zeros(m)
 

@@ -15,6 +15,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from ..common.arrays import Floats
 from ..common.errors import DriverError
 from ..common.yaml_reading import ConfigFields
 from ..robot import Robot
@@ -26,7 +27,7 @@ from .hardware import (
     read_pull_limits,
     read_spool_radius,
 )
-from .interface import Array, Fault, Reading
+from .interface import Fault, Reading
 
 PULL_DEFAULT_M = 0.05  # [m] either way without `pull_limits`, else nothing would bound a pull
 
@@ -168,7 +169,7 @@ class Ros2ControlDriver(HardwareDriver):
             self._goal = np.where(which, 0.0, self._goal)
         self._send()
 
-    def write(self, command: Array) -> None:
+    def write(self, command: Floats) -> None:
         """Command every input within limits and rates; what is off stays off."""
         self._require_open('write')
         values = self.checked(command)

@@ -15,12 +15,11 @@ from dataclasses import dataclass, field
 from itertools import compress
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..common.arrays import Floats
 from ..common.errors import DriverError
 from .interface import MODES, Reading
 
-Array = NDArray[np.float64]
 OFF, FOLLOWING, RELEASING, RELEASED, LIMP = 'off', 'following', 'releasing', 'released', 'limp'
 HOLDING = 'holding'  # a release whose cause ended before the arm was at rest
 HARDWARE = 'hardware'  # key of a stop that nobody requested
@@ -28,7 +27,7 @@ CYCLE_MAX_S = 0.05  # [s] after a longer cycle the command does not catch up, el
 STOP_TIME_MIN_S = CYCLE_MAX_S  # in which a stop may let go at the soonest: not in one step either
 
 
-def approach(current: Array, goal: Array, step: Array) -> Array:
+def approach(current: Floats, goal: Floats, step: Floats) -> Floats:
     """
     Move towards a goal on a straight line, no input by more than its step.
 
@@ -56,7 +55,7 @@ def approach(current: Array, goal: Array, step: Array) -> Array:
     return np.clip(current + part * change, low, high)
 
 
-def bounded(command: Array, limits: Array) -> Array:
+def bounded(command: Floats, limits: Floats) -> Floats:
     """Clip a command, shape (m,), to limits, shape (m, 2)."""
     return np.minimum(np.maximum(command, limits[:, 0]), limits[:, 1])  # np.clip costs more
 
@@ -153,9 +152,9 @@ class SafetyRules:
 
     inputs: tuple[str, ...]
     mode: str
-    limits: Array
-    rates: Array
-    rest: Array
+    limits: Floats
+    rates: Floats
+    rest: Floats
     release_rate: float
     command_timeout: float = 0.1
     release_to: str = 'pretension'
@@ -214,7 +213,7 @@ class Decision:
 
     """
 
-    command: Array
+    command: Floats
     off: tuple[str, ...]
     state: str
     reasons: tuple[str, ...] = ()
@@ -233,8 +232,8 @@ class Supervisor:
     rules: SafetyRules
     state: str = OFF
     latch: StopLatch = field(default_factory=StopLatch)
-    _output: Array = field(init=False)
-    _requested: Array | None = None  # last usable command
+    _output: Floats = field(init=False)
+    _requested: Floats | None = None  # last usable command
     _requested_at: float = -np.inf
     _now: float = -np.inf
     _clipped: tuple[str, ...] = ()
@@ -311,7 +310,7 @@ class Supervisor:
         self._let_go = reason
         self._hold_back(reason)
 
-    def step(self, now: float, command: Array | None, reading: Reading) -> Decision:
+    def step(self, now: float, command: Floats | None, reading: Reading) -> Decision:
         """
         Decide one cycle.
 
@@ -364,7 +363,7 @@ class Supervisor:
             self._reduction,
         )
 
-    def _accept(self, command: Array | None) -> None:
+    def _accept(self, command: Floats | None) -> None:
         """Accept a command, clipped to the limits; of a released arm only note its time."""
         if command is None or not np.isfinite(command).all():
             return
@@ -427,7 +426,7 @@ class Supervisor:
         wound = np.minimum(self.rules.rest, self._output + rates * passed)
         self._output = np.maximum(self._output, wound)
 
-    def _move(self, goal: Array, rate: Array, passed: float, reading: Reading) -> None:
+    def _move(self, goal: Floats, rate: Floats, passed: float, reading: Reading) -> None:
         """
         Approach a goal; reduce the tension of a wire above its limit at once.
 
@@ -453,7 +452,7 @@ class Supervisor:
         reached = np.where(beyond > 0.0, np.minimum(reached, self._output - less), reached)
         self._output = np.maximum(reached, np.minimum(self._output, rules.limits[:, 0]))
 
-    def _measured(self, reading: Reading, unknown: Array) -> Array:
+    def _measured(self, reading: Reading, unknown: Floats) -> Floats:
         """Return the measured state as a command; `unknown` where it is not observable."""
         measured = reading.tensions if self.rules.mode == 'tension' else reading.pulls
         known = np.where(np.isfinite(measured), measured, unknown)

@@ -21,12 +21,12 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 import serial
-from numpy.typing import NDArray
 
+from ..common.arrays import Bools, Floats
 from ..common.errors import REASON_MAX, DriverError, MovedError
 from ..robot import Robot
 from .hardware import HardwareDriver, PortConfig, WireConfig
-from .interface import Array, Fault, Reading
+from .interface import Fault, Reading
 
 # exceptions of an unplugged port: serial's error is an OSError, termios.error is none
 PORT_ERRORS = (OSError, termios.error)
@@ -266,7 +266,7 @@ class PortDriver(HardwareDriver):
             raise failed(str(error)) from None
         self._start_from_measured()
 
-    def write(self, command: Array) -> None:
+    def write(self, command: Floats) -> None:
         """Command tensions [N] or pulls [m], shape (m,), kept within limits and rates."""
         self._require_open('write')
         requested, passed = self.checked(command), self._since_write()
@@ -304,7 +304,7 @@ class PortDriver(HardwareDriver):
         """Reopen the lost port; return whether that worked."""
         return self.link.reopen()
 
-    def _start_from_measured(self, which: NDArray[np.bool_] | None = None) -> None:
+    def _start_from_measured(self, which: Bools | None = None) -> None:
         """
         Let the next command begin at what is measured.
 
@@ -362,9 +362,9 @@ class PortDriver(HardwareDriver):
         """Return the present faults of the motors behind the open port."""
 
     @abstractmethod
-    def _tensions(self) -> tuple[Array, Array]:
+    def _tensions(self) -> tuple[Floats, Floats]:
         """Return tensions and their standard uncertainties, (m,) [N]; nan where unknown."""
 
     @abstractmethod
-    def _pulls(self) -> Array:
+    def _pulls(self) -> Floats:
         """Return the wire pulls, (m,) [m]; nan where unknown."""

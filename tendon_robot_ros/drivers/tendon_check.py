@@ -17,11 +17,12 @@ from typing import Any
 import numpy as np
 import yaml
 
+from ..common.arrays import Floats
 from ..common.errors import DriverError, InputError
 from ..common.files import write_text
 from ..common.processes import ends_between
 from ..common.yaml_reading import ConfigFields, read_yaml
-from .interface import CYCLE_S, Array, Driver
+from .interface import CYCLE_S, Driver
 
 RAMP_S = 4.0  # [s] to the reference tension, so that the arm follows without swinging
 STOP_S = 0.2  # [s] in which tendons let go when a signal asks for the end, else it would be a jerk
@@ -39,8 +40,8 @@ class TendonReference:
 
     inputs: tuple[str, ...]
     tension: float  # [N] commanded on every input
-    pulls: Array  # (m,) [m]
-    tensions: Array  # (m,) [N] as the motors or load cells measure them, nan where nothing does
+    pulls: Floats  # (m,) [m]
+    tensions: Floats  # (m,) [N] as the motors or load cells measure them, nan where nothing does
     date: str
     boot: str = ''  # id of this start of the computer: it changes when the power was off
 
@@ -140,7 +141,7 @@ def read_reference(path: Path) -> TendonReference:
     if not isinstance(names, list) or not names:
         raise top.error('inputs', 'a list of names', names)
 
-    def numbers(key: str) -> Array:  # that may be missing (nan)
+    def numbers(key: str) -> Floats:  # that may be missing (nan)
         values = top.content.get(key)
         if (
             not isinstance(values, list)
@@ -194,17 +195,17 @@ class _HeldTendons:
 
     driver: Driver
     check: Callable[[], None]  # raises when a signal requests the end
-    command: Array  # (m,) [N] the last one
+    command: Floats  # (m,) [N] the last one
     clock = staticmethod(time.monotonic)
 
-    def ramp(self, end: Array, seconds: float) -> None:
+    def ramp(self, end: Floats, seconds: float) -> None:
         """Bring the tensions from the last command to an end (m,) [N]."""
         begin, began = self.command, self.clock()
         while (passed := self.clock() - began) < seconds:
             self._cycle(begin + passed / seconds * (end - begin))
         self._cycle(end)
 
-    def still(self) -> tuple[Array, Array]:
+    def still(self) -> tuple[Floats, Floats]:
         """Hold until the pulls are constant for a while; return mean pulls and tensions."""
         began, rows = self.clock(), []
         while self.clock() - began < STILL_TIMEOUT_S:
@@ -223,7 +224,7 @@ class _HeldTendons:
             f'{STILL_TIMEOUT_S:g} s; is something holding the arm?'
         )
 
-    def _cycle(self, command: Array) -> tuple[Array, Array]:
+    def _cycle(self, command: Floats) -> tuple[Floats, Floats]:
         self.check()
         self.driver.write(command)
         self.command, reading = command, self.driver.read()

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, pchip_interpolate
 
+from ..common.arrays import Floats, Ints
 from ..common.errors import InputError
 from ..common.rotations import angle_between
 from ..control.inputs import STREAM_PERIOD_S, Trajectory
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from ..model.model import Model
     from ..model.shape import Shape
 
-Array = NDArray[np.float64]
 # [m], [rad] samples of a path lie no further apart, and a target counts as reached within them:
 # about what a tracker sees of a moving tip, so that neither shows in a run
 POSITION_TOLERANCE_M = 1e-3
@@ -52,10 +51,10 @@ class TipPath:
 
     """
 
-    times: Array
-    positions: Array
-    directions: Array
-    rows: NDArray[np.int64]
+    times: Floats
+    positions: Floats
+    directions: Floats
+    rows: Ints
 
     def backwards(self) -> TipPath:
         """Return the path from its end to its start."""
@@ -66,7 +65,7 @@ class TipPath:
 
 
 def tip_path(
-    times: Array | None, positions: Array, directions: Array, smooth: bool = True
+    times: Floats | None, positions: Floats, directions: Floats, smooth: bool = True
 ) -> TipPath:
     """
     Sample a path through rows of targets.
@@ -117,7 +116,7 @@ def tip_path(
     return TipPath(sampled, curve, interpolated_directions(directions, piece, fraction), rows)
 
 
-def set_points(times: Array, positions: Array, directions: Array) -> TipPath:
+def set_points(times: Floats, positions: Floats, directions: Floats) -> TipPath:
     """
     Return the path of targets that are held until the next one, as in a recording.
 
@@ -133,9 +132,7 @@ def set_points(times: Array, positions: Array, directions: Array) -> TipPath:
     return TipPath(path.times, path.positions, path.directions, path.rows[own])
 
 
-def smooth_curve(
-    times: Array, positions: Array, piece: NDArray[np.int64], fraction: Array
-) -> Array | None:
+def smooth_curve(times: Floats, positions: Floats, piece: Ints, fraction: Floats) -> Floats | None:
     """Return positions on a monotone cubic; None where rows coincide and there is none."""
     along = times
     if not np.all(np.diff(times) > 0.0):  # no times: the length of the path instead
@@ -152,7 +149,7 @@ def smooth_curve(
     return np.asarray(curve(along[piece] + fraction * (along[piece + 1] - along[piece])))
 
 
-def interpolated_directions(directions: Array, piece: NDArray[np.int64], fraction: Array) -> Array:
+def interpolated_directions(directions: Floats, piece: Ints, fraction: Floats) -> Floats:
     """
     Return directions (N, 3) that turn at constant speed from row to row (slerp).
 
@@ -215,10 +212,10 @@ class Plan:
     """
 
     path: TipPath
-    tensions: Array
-    position_errors: Array
-    direction_errors: Array
-    detours: Array
+    tensions: Floats
+    position_errors: Floats
+    direction_errors: Floats
+    detours: Floats
     requested_duration: float
     regions: tuple[str, ...] = ()
 
@@ -227,7 +224,7 @@ class Plan:
         """How long it takes [s]."""
         return float(self.path.times[-1])
 
-    def at(self, time: float) -> tuple[Array, Array | None]:
+    def at(self, time: float) -> tuple[Floats, Floats | None]:
         """Return target position and direction (None: none requested) at a time [s]."""
         times, path = self.path.times, self.path
         place = int(np.clip(np.searchsorted(times, time, side='right') - 1, 0, len(times) - 1))
@@ -324,7 +321,7 @@ def plan(
     )
 
 
-def stretched(times: Array, values: Array, rate: float) -> Array:
+def stretched(times: Floats, values: Floats, rate: float) -> Floats:
     """Return times (n,) [s] at which values (n, m) change by no more than a rate per second."""
     if rate <= 0.0:
         raise InputError(f'rate: expected more than 0, got {rate:g}')
@@ -332,7 +329,7 @@ def stretched(times: Array, values: Array, rate: float) -> Array:
     return np.concatenate([[0.0], np.cumsum(gaps)])
 
 
-def retreat(times: Array, commands: Array, rate: float) -> Trajectory:
+def retreat(times: Floats, commands: Floats, rate: float) -> Trajectory:
     """
     Return the commands of a run in reverse, so that the arm goes back along its own path.
 
@@ -351,7 +348,7 @@ def retreat(times: Array, commands: Array, rate: float) -> Trajectory:
     return Trajectory(back + 0.05, commands[kept])
 
 
-def thinned(times: Array, values: Array) -> NDArray[np.int64]:
+def thinned(times: Floats, values: Floats) -> Ints:
     """
     Return the indices of rows (n, m) at times (n,) [s] between which straight lines suffice.
 
@@ -399,43 +396,43 @@ class PathRun:
     """
 
     inputs: tuple[str, ...]
-    target_times: Array
-    targets: Array
-    target_directions: Array
-    row_times: Array
-    tip_times: Array
-    tips: Array
-    tip_directions: Array
+    target_times: Floats
+    targets: Floats
+    target_directions: Floats
+    row_times: Floats
+    tip_times: Floats
+    tips: Floats
+    tip_directions: Floats
     measured: bool
-    command_times: Array
-    commands: Array
+    command_times: Floats
+    commands: Floats
     pull: bool
-    target_values: Array | None = None
+    target_values: Floats | None = None
 
-    def tip_at(self, times: Array) -> tuple[Array, Array]:
+    def tip_at(self, times: Floats) -> tuple[Floats, Floats]:
         """Return positions (n, 3) [m] and directions (n, 3) of the tip at times (n,) [s]."""
         places = _interpolated(times, self.tip_times, self.tips)
         along = _interpolated(times, self.tip_times, self.tip_directions)
         sizes = np.linalg.norm(along, axis=1, keepdims=True)
         return places, along / np.where(sizes > 0.0, sizes, np.nan)
 
-    def commanded_at(self, times: Array) -> Array:
+    def commanded_at(self, times: Floats) -> Floats:
         """Return commands (n, m) at times (n,) [s]."""
         return _interpolated(times, self.command_times, self.commands)
 
-    def targets_at(self, times: Array) -> tuple[Array, Array]:
+    def targets_at(self, times: Floats) -> tuple[Floats, Floats]:
         """Return the targets (n, 3) [m] and their directions (n, 3) at times (n,) [s]."""
         places = _interpolated(times, self.target_times, self.targets)
         return places, _interpolated(times, self.target_times, self.target_directions)
 
-    def errors(self, times: Array) -> tuple[Array, Array]:
+    def errors(self, times: Floats) -> tuple[Floats, Floats]:
         """Return distances (n,) [m] and angles (n,) [rad] between tip and target at times."""
         targets, views = self.targets_at(times)
         places, along = self.tip_at(times)
         views = views / np.linalg.norm(views, axis=1, keepdims=True)
         return np.linalg.norm(places - targets, axis=1), angle_between(views, along)
 
-    def across(self) -> Array:
+    def across(self) -> Floats:
         """Return distances (T,) [m] of the tip from the nearest point of the path."""
         if not len(self.targets):
             return np.full(len(self.tips), np.nan)
@@ -464,7 +461,7 @@ class PathRun:
         return float(np.sqrt(np.mean(errors**2))), float(errors.max()), float(self.across().max())
 
 
-def _interpolated(times: Array, known: Array, values: Array) -> Array:
+def _interpolated(times: Floats, known: Floats, values: Floats) -> Floats:
     if not len(known):
         return np.full((len(times), values.shape[1]), np.nan)
     return np.column_stack([np.interp(times, known, column) for column in values.T])

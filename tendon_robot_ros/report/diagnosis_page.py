@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,7 +27,7 @@ from .comparison import add_loops, add_shapes
 from .diagnosis_text import next_measurement, trust_lines
 from .error_plots import Step, heat_maps, moments, per_marker, per_posture, staircase
 from .page import HEIGHTS_PX, Page
-from .sentences import Fault, quantities, where_wrong
+from .sentences import quantities, where_wrong
 
 BEFORE = 'as described'
 GROUPS = {
@@ -135,9 +135,11 @@ def diagnosis_page(
         add_staircase(page, diagnosis, addition)
         add_alternatives(page, diagnosis)
     if pictures is not None:
-        details = diagnosis.details
-        add_pictures(page, pictures, details.get('local_faults', ()), details.get('reference'))
-    add_assumptions(page, diagnosis)
+        add_pictures(page, pictures, diagnosis.details)
+    sentences = [*diagnosis_text.declared(diagnosis), *trust_lines(diagnosis)]
+    if sentences:
+        page.heading('What this rests on')
+        page.text(*map(capital, sentences))
     return page
 
 
@@ -245,16 +247,11 @@ def candidate_row(row: CandidateRow) -> list[str]:
     ]
 
 
-def add_pictures(
-    page: Page,
-    pictures: Pictures,
-    faults: Sequence[Fault] = (),
-    reference: Mapping[str, Any] | None = None,
-) -> None:
+def add_pictures(page: Page, pictures: Pictures, details: Mapping[str, Any]) -> None:
     """Add shapes, errors, heat maps and missing moments, and mark where the model is wrong."""
-    comparison = pictures.comparison
+    comparison, faults = pictures.comparison, details.get('local_faults', ())
     page.heading('Where the model is off')
-    if reference is not None:
+    if (reference := details.get('reference')) is not None:
         page.text(
             'Measured places are shown without what the arm deviated from its description in '
             f'{reference["data"]}: what is off was not off there.'
@@ -275,11 +272,3 @@ def add_pictures(
         page.figures(moments(pictures.before), 'two')
     add_loops(page, comparison)
     add_shapes(page, comparison, faults)
-
-
-def add_assumptions(page: Page, diagnosis: Diagnosis) -> None:
-    """Add what was taken as exact, and how far to trust the procedure."""
-    sentences = [*diagnosis_text.declared(diagnosis), *trust_lines(diagnosis)]
-    if sentences:
-        page.heading('What this rests on')
-        page.text(*map(capital, sentences))

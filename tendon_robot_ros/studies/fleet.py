@@ -26,7 +26,7 @@ import numpy as np
 
 from ..cli.options import add_cluster, declare, emit, progress
 from ..common.colours import BEFORE, FLOOR, PREDICTED
-from ..common.errors import InputError, Progress, TendonRobotError
+from ..common.errors import InputError, TendonRobotError
 from ..common.words import columns, digits, listed, mm, scale_of
 from ..common.workers import Workers
 from ..common.yaml_reading import parse_yaml
@@ -63,11 +63,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Diagnose what is new, print, write."""
     folder, output = Path(args.folder), Path(args.output)
-    datasets_below(folder)
+    places, inside = datasets_below(folder), output.resolve()
+    cases = [FleetCase.of(p, folder) for p in places if inside not in p.resolve().parents]
     effects = UserEffect.read(args.effect_file)
     prepare = Preparation.of_this_process(effects)
     with Workers(args.workers, args.cluster, prepare) as workers, progress(True) as show:
-        rows = run_fleet(folder, output, workers, effects, show)
+        table = GrowingTable(output / TABLE, FleetRow)
+        rows = judge_all(Fleet(effects), cases, table, workers, show, 'recordings')
+    rows.sort(key=lambda row: (row.robot, row.when, row.place))
     page = fleet_page(rows, f'Fleet: {folder.resolve().name}').write(output / PAGE)
     content = {
         'recordings': [asdict(row) for row in rows],
@@ -191,41 +194,6 @@ def datasets_below(folder: Path) -> list[Path]:
             f'{folder}: no data set (dataset.yaml) and no recording (.mcap, .db3) below it'
         )
     return sorted(places)
-
-
-def run_fleet(
-    folder: Path,
-    output: Path,
-    workers: Workers,
-    effects: tuple[UserEffect, ...] = (),
-    progress: Progress | None = None,
-) -> list[FleetRow]:
-    """
-    Diagnose what is below a folder and not in the table yet.
-
-    Parameters
-    ----------
-    folder : Path
-    output : Path
-        Folder of the table.
-    workers : Workers
-        Have to see the same files.
-    effects : tuple of UserEffect
-        The user's own.
-    progress : callable, optional
-        Called with (what, done, total).
-
-    Returns
-    -------
-    list of FleetRow
-        By robot and time.
-
-    """
-    places, inside = datasets_below(folder), output.resolve()
-    cases = [FleetCase.of(p, folder) for p in places if inside not in p.resolve().parents]
-    table = GrowingTable(output / TABLE, FleetRow)
-    rows = judge_all(Fleet(effects), cases, table, workers, progress, 'recordings')
-    return sorted(rows, key=lambda row: (row.robot, row.when, row.place))
 
 
 def when_of(path: Path) -> tuple[str, str]:

@@ -8,9 +8,10 @@ from itertools import compress
 
 import numpy as np
 
+from ...common.arrays import Floats
 from ...common.errors import DriverError
 from ...robot import Robot
-from ..interface import Array, Fault
+from ..interface import Fault
 from ..serial_port import RESTART_TIMEOUT_S, PortDriver, PortLostError
 from .bus import Bus, check_latency
 from .config import DynamixelConfig, read_config
@@ -232,7 +233,7 @@ class DynamixelDriver(PortDriver):
         every = (motor.faults(self.port, talker) for motor in self.motors.values())
         return tuple(fault for some in every for fault in some)
 
-    def _tensions(self) -> tuple[Array, Array]:
+    def _tensions(self) -> tuple[Floats, Floats]:
         tensions = [motor.tension(wire) if known else np.nan for motor, wire, known in self._wires]
         doubt = [
             wire.calibration.uncertainty(tension)
@@ -240,7 +241,7 @@ class DynamixelDriver(PortDriver):
         ]
         return np.array(tensions), np.array(doubt)
 
-    def _pulls(self) -> Array:
+    def _pulls(self) -> Floats:
         return np.array([motor.pull(wire) for motor, wire, _ in self._wires])
 
     def _converse(self, now: float) -> None:

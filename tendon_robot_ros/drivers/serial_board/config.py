@@ -15,8 +15,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.arrays import Floats, Ints
 from ...common.errors import InputError
 from ...common.yaml_reading import ConfigFields
 from ...robot import Robot
@@ -34,7 +34,6 @@ from ..hardware import (
     read_spool_radius,
     read_wire_limits,
 )
-from ..interface import Array
 from .messages import RELEASES, Protocol
 
 
@@ -62,7 +61,7 @@ class Cell:
     slope_error: float = 0.0
     scatter: float = 0.0
 
-    def uncertainty(self, tension: Array) -> Array:
+    def uncertainty(self, tension: Floats) -> Floats:
         """Return the standard uncertainty [N] at tensions [N], any shape."""
         fixed = self.newtons_per_count * math.hypot(self.zero_error, self.scatter)
         relative = self.slope_error / self.newtons_per_count
@@ -211,7 +210,7 @@ class BoardConfig(PortConfig):
         return 1.0 / self.telemetry_rate
 
     @cached_property
-    def places(self) -> npt.NDArray[np.int64]:
+    def places(self) -> Ints:
         """Channel (m,) of every input."""
         return np.array([tendon.channel for tendon in self.tendons])
 

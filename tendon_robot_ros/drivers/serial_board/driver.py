@@ -12,11 +12,11 @@ from collections.abc import Sequence
 from itertools import compress
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...common.arrays import Bools, Floats
 from ...common.errors import DriverError, MovedError
 from ...robot import Robot
-from ..interface import CYCLE_S, Array, Fault, travelled
+from ..interface import CYCLE_S, Fault, travelled
 from ..safety import CYCLE_MAX_S
 from ..serial_port import ANSWER_TIMEOUT_S, PortDriver, PortLostError
 from . import messages
@@ -143,7 +143,7 @@ class SerialDriver(PortDriver):
         if self.torque_requested.any():
             self.command(self.mode, self._goal)
 
-    def command(self, mode: str, goal: Array) -> None:
+    def command(self, mode: str, goal: Floats) -> None:
         """Send one command, shape (m,) [N] or [m], to all channels in one frame."""
         values = np.zeros(self.link.channels)
         values[self.config.places] = goal if mode == 'tension' else goal + self.zero
@@ -159,32 +159,32 @@ class SerialDriver(PortDriver):
     def _forget_readings(self) -> None:
         self.telemetry = None
 
-    def _tensions(self) -> tuple[Array, Array]:
+    def _tensions(self) -> tuple[Floats, Floats]:
         tensions, doubt = self.measured_tensions(), np.zeros(len(self.inputs))
         for k, tendon in enumerate(self.config.tendons):
             if tendon.cell is not None and np.isfinite(tensions[k]):
                 doubt[k] = tendon.cell.uncertainty(tensions[k])
         return tensions, doubt
 
-    def measured_tensions(self) -> Array:
+    def measured_tensions(self) -> Floats:
         """Return measured tensions, shape (m,) [N]; nan where the load cell has a fault."""
         return self._channels('tensions', ChannelFault.LOAD_CELL)
 
-    def _pulls(self) -> Array:
+    def _pulls(self) -> Floats:
         """Return wire pulls from the zero, shape (m,) [m]; nan where the encoder has a fault."""
-        pulls: Array = self._channels('pulls', ChannelFault.ENCODER) - np.nan_to_num(self.zero)
+        pulls: Floats = self._channels('pulls', ChannelFault.ENCODER) - np.nan_to_num(self.zero)
         return pulls
 
-    def _channels(self, name: str, fault: ChannelFault) -> Array:
+    def _channels(self, name: str, fault: ChannelFault) -> Floats:
         """Return a value of the telemetry, shape (m,); nan where a channel has the fault."""
         if self.telemetry is None:
             return np.full(len(self.inputs), np.nan)
         places = self.config.places
-        values: Array = np.array(getattr(self.telemetry, name)[places], dtype=float)
+        values: Floats = np.array(getattr(self.telemetry, name)[places], dtype=float)
         values[self.telemetry.faults[places] & fault != 0] = np.nan
         return values
 
-    def _mask(self, which: NDArray[np.bool_]) -> bytes:
+    def _mask(self, which: Bools) -> bytes:
         """Return a byte with a bit for the channel of each input that is chosen, shape (m,)."""
         return bytes((int(np.bitwise_or.reduce(1 << self.config.places[which], initial=0)),))
 
@@ -294,7 +294,7 @@ class SerialDriver(PortDriver):
         self.zero = self._wind_until_taut(origin)
         distances.clear()
 
-    def _wind_until_taut(self, origin: Array) -> Array:
+    def _wind_until_taut(self, origin: Floats) -> Floats:
         """Command the homing tension until every wire has it; return where they are, (m,) [m]."""
         config = self.config
         goal = np.full(len(self.inputs), config.home_tension)
@@ -333,13 +333,13 @@ class SerialDriver(PortDriver):
             raise MovedError(f'no pull zero found: {error}') from None
         return self._board_pulls()
 
-    def _board_pulls(self) -> Array:
+    def _board_pulls(self) -> Floats:
         """Return the wire pulls from the board's zero, shape (m,) [m]."""
         if self.telemetry is None:
             raise DriverError(f'{self.config.port}: no telemetry; check cable and supply')
         return np.array(self.telemetry.pulls[self.config.places], dtype=float)
 
-    def _refuse_too_far(self, which: NDArray[np.bool_]) -> None:
+    def _refuse_too_far(self, which: Bools) -> None:
         """Raise DriverError for inputs (m,) whose search for slack has gone too far."""
         if which.any():
             names = ', '.join(compress(self.inputs, which))

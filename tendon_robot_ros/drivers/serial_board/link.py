@@ -14,9 +14,10 @@ import time
 
 import numpy as np
 
+from ...common.arrays import Floats
 from ...common.errors import DriverError
 from ..hardware import READINGS_MIN
-from ..interface import CYCLE_S, Array
+from ..interface import CYCLE_S
 from ..serial_port import ANSWER_TIMEOUT_S, RESTART_TIMEOUT_S, PortLink, PortLostError, write_all
 from . import messages
 from .config import BoardConfig, CountsPoint
@@ -166,7 +167,7 @@ class BoardLink(PortLink):
                 last = self.channels - 1
                 raise DriverError(f'{config.source}: {wire}: the board has channels 0 to {last}')
 
-    def configure(self, config: BoardConfig, zeros: Array) -> None:
+    def configure(self, config: BoardConfig, zeros: Floats) -> None:
         """Send the board its configuration; its motors are off. `zeros`: shape (m,) [m]."""
         for wire in config.tendons:
             if (cell := wire.cell) is not None:
@@ -184,7 +185,7 @@ class BoardLink(PortLink):
         self.ask(Message.SETTINGS, content)
 
     def give_limits(
-        self, config: BoardConfig, zeros: Array, pulls: tuple[float, float] | None = None
+        self, config: BoardConfig, zeros: Floats, pulls: tuple[float, float] | None = None
     ) -> None:
         """
         Give the board the limits; it counts wire from its own zero.

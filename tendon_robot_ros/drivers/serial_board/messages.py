@@ -17,6 +17,7 @@ from enum import IntEnum, IntFlag
 import numpy as np
 from numpy.typing import NDArray
 
+from ...common.arrays import Floats
 from ...common.words import UNIT_PREFIXES
 
 MICRO = UNIT_PREFIXES['µ']  # [N], [m] of one count: docs/serial_protocol.md
@@ -235,9 +236,9 @@ class Telemetry:
     mode: int
     sequence: int
     bad: int
-    tensions: NDArray[np.float64]
-    pulls: NDArray[np.float64]
-    currents: NDArray[np.float64]
+    tensions: Floats
+    pulls: Floats
+    currents: Floats
     faults: NDArray[np.uint16]
 
 
@@ -271,18 +272,18 @@ def read_cells(frame: Frame, channels: int) -> NDArray[np.int32] | None:
     return np.frombuffer(frame.payload, '<i4', offset=4)
 
 
-def command(mode: str, values: NDArray[np.float64]) -> bytes:
+def command(mode: str, values: Floats) -> bytes:
     """Return the payload of a command: shape (n,) [N] or [m]."""
     return bytes((MODES.index(mode),)) + micro(values)
 
 
-def micro(values: NDArray[np.float64]) -> bytes:
+def micro(values: Floats) -> bytes:
     """Return values in millionths as 32-bit integers; beyond their range the nearest."""
     whole = np.clip(np.rint(np.asarray(values) / MICRO), -(2**31) + 1, 2**31 - 1)
     return whole.astype('<i4').tobytes()
 
 
-def limits(channel: int, values: NDArray[np.float64]) -> bytes:
+def limits(channel: int, values: Floats) -> bytes:
     """Return the payload of limits: tension [N], pull [m], low and high; rates [N/s], [m/s]."""
     return bytes((channel,)) + micro(values)
 
