@@ -21,7 +21,7 @@ from ..common.files import file_to_write, write_text
 from ..common.json_output import JSON_OPTION
 from ..common.json_output import emit as emit
 from ..common.processes import UPKEEP_S
-from ..common.words import TYPED_LENGTHS, UNITS, digits, other_unit, read_quantity
+from ..common.words import COMPILING, TYPED_LENGTHS, UNITS, digits, other_unit, read_quantity
 from ..data import DataSet, join, load_dataset
 from ..data.bag_reader import is_bag
 from ..data.folder import described_robot
@@ -100,7 +100,7 @@ def effects_of(args: argparse.Namespace) -> Catalogue:
 
     catalogue = load_catalogue(args.effect_file)
     if not is_compiled(catalogue):
-        print('compiling the model (once)', file=sys.stderr)
+        print(COMPILING, file=sys.stderr)
     return catalogue
 
 

@@ -28,9 +28,10 @@ from std_msgs.msg import String
 
 from ...common.arrays import Floats
 from ...common.errors import MissingExtraError, NoEquilibriumError, TendonRobotError
-from ...common.words import mm
+from ...common.words import COMPILING, mm
 from ...control.loading import load
 from ...effects import load_catalogue
+from ...model.compile import is_compiled
 from ...model.model import Model
 from ...robot import Robot, dump_robot
 from ...robot.keep_out import KeepOut
@@ -134,7 +135,8 @@ def run(options: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
     if not options.headless and importlib.util.find_spec('viser') is None:
         raise MissingExtraError('viser', 'viewer')
     catalogue = load_catalogue()
-    print('loading the model (the first time it is compiled: a minute)', file=sys.stderr)
+    if not is_compiled(catalogue):
+        print(COMPILING, file=sys.stderr)
     robot, hidden, seed = cast(options, catalogue)
     model = load(robot, catalogue)
     with ros(ros_arguments) as ending, ExitStack() as stack:
