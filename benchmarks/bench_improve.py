@@ -105,7 +105,7 @@ def judge(robot_name, hidden, level, markers, seed):
 def searched(data, robot):
     """Return the values of what one search adds."""
     search = Stepwise(data, robot, load_catalogue())
-    states = search.path()
+    states = [*search.path()]
     final = states[last_worthwhile(inner(states))]
     found = as_found(search, final)
     return found.values if found.is_worthwhile else found.values_of_the_search

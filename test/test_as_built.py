@@ -38,8 +38,8 @@ def case(name, part='fit'):
     return load_dataset(CASES / name / part)
 
 
-# what others diagnose as well (test_add.py), and another arm that hides nothing
-AGAIN = ('messy_002', 'messy_008', 'messy_015', 'messy_s0')
+# what others diagnose as well (test_add.py), another arm that hides nothing, another spatial one
+AGAIN = ('messy_002', 'messy_008', 'messy_015', 'messy_s0', 'messy_s2')
 
 
 @pytest.mark.parametrize(
@@ -66,8 +66,9 @@ def test_what_an_arm_as_built_hides_is_named(name):
 def test_an_exact_description_knows_no_scatter():
     dataset = case('messy_000')
     exact = replace(dataset.robot, exact=True)
-    assert diagnose(dataset, exact).verdict != 'adequate'
-    assert diagnose(dataset, exact).details['as_built'] is None
+    found = diagnose(dataset, exact)
+    assert found.verdict != 'adequate'
+    assert found.details['as_built'] is None
 
 
 def test_a_cell_of_its_own_moves_the_markers_as_the_whole_model_does():

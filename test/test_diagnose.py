@@ -147,7 +147,7 @@ def test_without_trials_or_a_declared_noise_nothing_can_be_judged():
 
 def test_progress_is_told():
     seen = []
-    diagnose(measured(ROBOT, count=3), progress=lambda *said: seen.append(said))
+    diagnose(measured(EXACT, count=3), progress=lambda *said: seen.append(said))
     assert seen[-1][1] <= seen[-1][2]
     assert all(what and done >= 1 for what, done, _ in seen)
 

@@ -97,7 +97,7 @@ def test_a_posture_left_out_has_no_part_in_its_prediction(arm):
         positions=dataset.positions[others],
     )
     search = Stepwise(without, ROBOT, CATALOGUE)
-    robot = search.written(search.path()[-1])
+    robot = search.written([*search.path()][-1])
     assert errors_of(robot, dataset)[p, -1] == pytest.approx(
         found.tips[dataset.postures[p]], rel=0.05
     )
@@ -184,7 +184,7 @@ def test_where_a_fit_has_no_equilibrium_the_search_goes_on(arm, monkeypatch):
         raise ArithmeticError('no start of the fit has an equilibrium')
 
     search = Stepwise(arm[0], ROBOT, CATALOGUE)
-    state = search.path()[0]
+    state = next(search.path())
     monkeypatch.setattr(Stepwise, 'state', fails)
     assert search.step(state, {}) is None
 

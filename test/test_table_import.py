@@ -345,6 +345,7 @@ def test_gaps_rest_and_jumps_are_told(noisy):
     assert 'below' in ' '.join(imported.assumed)
 
 
+@pytest.mark.slow  # docs/from_mocap_to_verdict.md goes the same way, to a load within its interval
 def test_what_was_hidden_is_found_through_the_table(noisy):
     imported = import_table(noisy, ARM, {'up': 'y'})
     assert imported.frame.residual > 5e-3  # the model lacks the load, the frame is off by it

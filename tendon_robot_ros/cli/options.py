@@ -18,9 +18,9 @@ from tqdm import tqdm
 
 from ..common.errors import InputError, Progress, TendonRobotError, listener
 from ..common.files import file_to_write, write_text
-from ..common.json_output import JSON_OPTION
-from ..common.json_output import emit as emit
 from ..common.processes import UPKEEP_S
+from ..common.results import JSON_OPTION
+from ..common.results import emit as emit
 from ..common.words import COMPILING, TYPED_LENGTHS, UNITS, digits, other_unit, read_quantity
 from ..data import DataSet, join, load_dataset
 from ..data.bag_reader import is_bag

@@ -5,8 +5,7 @@ errors.py         every error that a user can meet, and checks of arguments that
 files.py          files and folders that are written whole or not at all; the cache folder
 yaml_reading.py   checked reading of YAML; every refusal names file, key, expectation and value
 words.py          numbers, units and names as people write and read them
-json_output.py    the option --json of a command, and what it prints or writes
-results.py        results that say themselves in words, in notebooks and as DataFrames
+results.py        results that say themselves in words, in notebooks, as DataFrames and JSON
 workers.py        chunks of independent work: here, in processes, on a cluster
 processes.py      children that end with who started them; who goes first; one thread
 local_stop.py     a stop on the same computer, without discovery

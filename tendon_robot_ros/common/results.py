@@ -1,12 +1,16 @@
-"""What results offer besides their values: words, a table in notebooks, a DataFrame."""
+"""What results offer besides their values: words, a table in notebooks, a DataFrame, JSON."""
 
 from __future__ import annotations
 
+import argparse
 import importlib
+import json
+import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from .errors import MissingExtraError
+from .files import file_to_write, write_text
 
 # Imported by name when `text` is called, because `report` imports the results.
 WORDS = 'tendon_robot_ros.report.in_words'
@@ -64,3 +68,28 @@ def make_frame(
     frame = package.DataFrame({**columns, **names})
     frame.attrs['units'] = {name: units[name] for name in columns if name in units}
     return frame
+
+
+JSON_OPTION: dict[str, Any] = {
+    'type': file_to_write('--json'),
+    'nargs': '?',
+    'const': '-',
+    'metavar': 'OUT',
+    'help': 'print the result as JSON instead of the table, or write it to OUT',
+}
+
+
+def narrate(args: argparse.Namespace, text: str) -> None:
+    """Print how far a command is, on stderr where stdout is to hold the JSON alone."""
+    print(text, file=sys.stderr if args.json == '-' else sys.stdout, flush=True)
+
+
+def emit(args: argparse.Namespace, content: Any, table: str) -> None:
+    """Print the table, or the content as JSON; write the content where --json says."""
+    text = json.dumps(content, indent=1, allow_nan=False)
+    if args.json == '-':
+        print(text, flush=True)
+        return
+    if args.json is not None:
+        write_text(args.json, text + '\n')
+    print(table, flush=True)

@@ -6,12 +6,11 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from .arrays import Floats
 
 
-def bent(toward: Array, angle: Array) -> Array:
+def bent(toward: Floats, angle: Floats) -> Floats:
     """Rotation (..., 3, 3) by an angle [rad] towards a unit vector (..., 2), without twist."""
     x, y = toward[..., 0], toward[..., 1]
     s, v = np.sin(angle), 1.0 - np.cos(angle)
@@ -23,7 +22,7 @@ def bent(toward: Array, angle: Array) -> Array:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def about(axis: int, angle: float) -> Array:
+def about(axis: int, angle: float) -> Floats:
     """Return the rotation about the x (0), y (1) or z (2) axis."""
     rotation, (i, j) = np.eye(3), ((axis + 1) % 3, (axis + 2) % 3)
     rotation[i, i] = rotation[j, j] = math.cos(angle)
@@ -32,19 +31,19 @@ def about(axis: int, angle: float) -> Array:
     return rotation
 
 
-def turned_in_plane(vector: Array, angle: Array) -> Array:
+def turned_in_plane(vector: Floats, angle: Floats) -> Floats:
     """Turn vectors (..., 2) by angles (...) [rad] from x to y."""
     x, y, c, s = vector[..., 0], vector[..., 1], np.cos(angle), np.sin(angle)
     return np.stack([c * x - s * y, s * x + c * y], axis=-1)
 
 
-def rotated(vector: Array, rotation: Array) -> Array:
+def rotated(vector: Floats, rotation: Floats) -> Floats:
     """Rotate a unit vector by a rotation vector [rad] (Rodrigues' formula)."""
     angle = float(np.linalg.norm(rotation))
     if angle < 1e-12:
         return vector
     axis = rotation / angle
-    turned: Array = (
+    turned: Floats = (
         vector * np.cos(angle)
         + np.cross(axis, vector) * np.sin(angle)
         + axis * (axis @ vector) * (1.0 - np.cos(angle))
@@ -52,12 +51,12 @@ def rotated(vector: Array, rotation: Array) -> Array:
     return turned / np.linalg.norm(turned)
 
 
-def from_rotation_vector(vector: Sequence[float] | Array) -> Array:
+def from_rotation_vector(vector: Sequence[float] | Floats) -> Floats:
     """Return the rotation matrix (3, 3) of a rotation vector [rad]."""
     return np.array([rotated(axis, np.asarray(vector, dtype=float)) for axis in np.eye(3)]).T
 
 
-def towards(direction: Array) -> Array:
+def towards(direction: Floats) -> Floats:
     """Return the smallest rotation (3, 3) that maps +z to a unit vector."""
     x, y, z = direction
     across = x * x + y * y
@@ -67,19 +66,19 @@ def towards(direction: Array) -> Array:
     return np.array([[1 - k * x * x, -k * x * y, x], [-k * x * y, 1 - k * y * y, y], [-x, -y, z]])
 
 
-def rotation_between(direction: Array, other: Array) -> Array:
+def rotation_between(direction: Floats, other: Floats) -> Floats:
     """Return a rotation (3, 3) that maps the direction of one vector (3,) to that of another."""
     one, two = (towards(v / np.linalg.norm(v)) for v in (direction, other))
-    rotation: Array = two @ one.T
+    rotation: Floats = two @ one.T
     return rotation
 
 
-def angle_between(direction: Array, other: Array) -> Array:
+def angle_between(direction: Floats, other: Floats) -> Floats:
     """Return the angles (...) [rad] between unit vectors (..., 3)."""
     return np.asarray(np.arccos(np.clip((direction * other).sum(axis=-1), -1.0, 1.0)))
 
 
-def quaternions(rotations: Array) -> Array:
+def quaternions(rotations: Floats) -> Floats:
     """Return quaternions (n, 4) x, y, z, w of rotation matrices (n, 3, 3)."""
     trace = np.trace(rotations, axis1=1, axis2=2)
     # four times the products of every two components; the largest square is safe to divide by
@@ -94,18 +93,18 @@ def quaternions(rotations: Array) -> Array:
     return best / np.linalg.norm(best, axis=1, keepdims=True)
 
 
-def from_quaternion(quaternion: Sequence[float]) -> Array:
+def from_quaternion(quaternion: Sequence[float]) -> Floats:
     """Return the rotation matrix (3, 3) of a unit quaternion x, y, z, w."""
     *axis, w = quaternion
     v = np.array(axis)
     cross = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
-    rotation: Array = np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
+    rotation: Floats = np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
     return rotation
 
 
 def rigid_fit(
-    points: Array, onto: Array, weights: Array | None = None, axis: Array | None = None
-) -> tuple[Array, Array]:
+    points: Floats, onto: Floats, weights: Floats | None = None, axis: Floats | None = None
+) -> tuple[Floats, Floats]:
     """
     Return the rotation (3, 3) and the translation (3,) [m] that fit points to others.
 
@@ -124,13 +123,13 @@ def rigid_fit(
     return rotation, target_middle - rotation @ middle
 
 
-def rotation_about(axis: Array, vectors: Array, onto: Array) -> Array:
+def rotation_about(axis: Floats, vectors: Floats, onto: Floats) -> Floats:
     """Return the rotation (3, 3) about a unit vector that fits vectors (n, 3) to others."""
     along = (vectors @ axis) @ (onto @ axis)
     across = float(axis @ np.cross(vectors, onto).sum(axis=0))
     return from_rotation_vector(math.atan2(across, float((vectors * onto).sum() - along)) * axis)
 
 
-def rotation_angle(rotation: Array) -> float:
+def rotation_angle(rotation: Floats) -> float:
     """Return the angle [rad] of a rotation matrix (3, 3)."""
     return math.acos(min(max((float(np.trace(rotation)) - 1.0) / 2.0, -1.0), 1.0))

@@ -12,16 +12,13 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..common.arrays import RESOLUTION, Floats
+from ..common.arrays import RESOLUTION, Bools, Floats, Ints
 from ..common.errors import DataSetError, refusal, short
 from ..common.words import UNITS, listed
 from ..robot import Robot
 from ..robot.estimates import INPUT_TOLERANCE
 
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 # [1] times the largest tension, or the length of the arm, beyond which a value is refused, because
 # it is in another unit or frame
 PLAUSIBLE_FACTOR = 3.0
@@ -176,7 +173,7 @@ def read_frame(
     return arrays | {'inputs': mean}, markers, arc_lengths
 
 
-def mean_inputs(each: Floats, measured: BoolArray) -> tuple[Floats, Floats | None]:
+def mean_inputs(each: Floats, measured: Bools) -> tuple[Floats, Floats | None]:
     """
     Return the inputs of postures, (P, m), and of their trials where these differ, (P, Q, m).
 
@@ -195,7 +192,7 @@ def mean_inputs(each: Floats, measured: BoolArray) -> tuple[Floats, Floats | Non
     return mean, np.where(known, each, np.nan) if differ else None
 
 
-def _codes(column: Any) -> tuple[tuple[str, ...], IntArray]:
+def _codes(column: Any) -> tuple[tuple[str, ...], Ints]:
     """
     Return the names in a column, and the index of each row's name.
 
@@ -250,10 +247,10 @@ class Visits:
     """
 
     commands: tuple[str, ...]  # (P,) what was commanded, by the name that files give it
-    rows: IntArray  # (V,) index of the posture that was visited
-    fresh: BoolArray  # (V,) whether the arm came from straight; else from the visit before
-    counts: BoolArray  # (V,) whether it was measured
-    trials: IntArray  # (V,) index of the trial that it was; -1: more than one, or none
+    rows: Ints  # (V,) index of the posture that was visited
+    fresh: Bools  # (V,) whether the arm came from straight; else from the visit before
+    counts: Bools  # (V,) whether it was measured
+    trials: Ints  # (V,) index of the trial that it was; -1: more than one, or none
 
     @property
     def in_one_go(self) -> bool:
@@ -269,7 +266,7 @@ class Visits:
             origins[row] = '' if self.fresh[v] else self.commands[self.rows[v - 1]]
         return tuple(origins)
 
-    def among(self, postures: IntArray) -> Visits:
+    def among(self, postures: Ints) -> Visits:
         """Return the visits to some postures; no other may lie between them."""
         place = np.full(len(self.commands), -1)
         place[postures] = np.arange(len(postures))
@@ -282,7 +279,7 @@ class Visits:
             self.trials[own],
         )
 
-    def masked(self, mask: BoolArray) -> Visits:
+    def masked(self, mask: Bools) -> Visits:
         """Return the same visits, of which only those of trials in a mask (P, Q) are measured."""
         known = self.trials >= 0
         counts = self.counts.copy()
@@ -294,7 +291,7 @@ class Visits:
         begins = np.flatnonzero(self.fresh).tolist()
         return [slice(a, b) for a, b in zip(begins, [*begins[1:], len(self.rows)], strict=True)]
 
-    def mean(self, observed: NDArray[np.float64]) -> NDArray[np.float64]:
+    def mean(self, observed: Floats) -> Floats:
         """Average observations (V, ...) of the visits over those of each posture, (P, ...)."""
         measured = np.zeros(len(self.commands), dtype=bool)
         measured[self.rows[self.counts]] = True
@@ -305,14 +302,14 @@ class Visits:
         return total / number.reshape(-1, *(1,) * (observed.ndim - 1))
 
     @property
-    def last(self) -> IntArray:
+    def last(self) -> Ints:
         """Return the last visit (P,) to each posture."""
         last = np.zeros(len(self.commands), dtype=np.int64)
         last[self.rows] = np.arange(len(self.rows))
         return last
 
 
-def corners(path: NDArray[np.float64], kept: IntArray) -> IntArray:
+def corners(path: Floats, kept: Ints) -> Ints:
     """
     Return the rows between which a path (P, m) is straight, the rows in `kept` among them.
 
@@ -352,16 +349,16 @@ class Split:
 
     visits: Visits
     postures: tuple[str, ...]  # (P,) 'bent after rest'
-    command: IntArray  # (P,) index of the command
-    posture: IntArray  # (R,) index of the posture of each row that was split
+    command: Ints  # (P,) index of the command
+    posture: Ints  # (R,) index of the posture of each row that was split
 
 
 def split_by_order(
     names: Sequence[str],
-    commands: IntArray,
-    trials: IntArray,
-    measured: BoolArray,
-    fresh: BoolArray | None = None,
+    commands: Ints,
+    trials: Ints,
+    measured: Bools,
+    fresh: Bools | None = None,
 ) -> Split:
     """
     Split commands (V,) that followed each other.
@@ -374,9 +371,7 @@ def split_by_order(
     return _split(names, pairs, posture, Visits((), posture, fresh, measured, trials))
 
 
-def split_by_origin(
-    names: Sequence[str], commands: IntArray, before: IntArray, measured: BoolArray
-) -> Split:
+def split_by_origin(names: Sequence[str], commands: Ints, before: Ints, measured: Bools) -> Split:
     """Split rows (R,) by their given command before, which the arm reached from straight."""
     pairs, posture = _pairs(commands, before)
     present = np.zeros(len(pairs), dtype=bool)
@@ -394,12 +389,12 @@ def split_by_origin(
     return _split(names, pairs, posture, visits)
 
 
-def _pairs(commands: IntArray, before: IntArray) -> tuple[IntArray, IntArray]:
+def _pairs(commands: Ints, before: Ints) -> tuple[Ints, Ints]:
     pairs, posture = np.unique(np.stack([commands, before], 1), axis=0, return_inverse=True)
     return pairs, posture.reshape(-1)
 
 
-def _split(names: Sequence[str], pairs: IntArray, posture: IntArray, visits: Visits) -> Split:
+def _split(names: Sequence[str], pairs: Ints, posture: Ints, visits: Visits) -> Split:
     commands = tuple(names[command] for command in pairs[:, 0].tolist())
     origins = ['the straight arm' if b == STRAIGHT else names[b] for b in pairs[:, 1].tolist()]
     labels = tuple(f'{c} after {b}' for c, b in zip(commands, origins, strict=True))

@@ -10,8 +10,8 @@ from statistics import NormalDist
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.errors import DataSetError, reason_of
 from ..common.rotations import from_quaternion
 from ..common.words import PROGRAM, listing
@@ -30,7 +30,6 @@ from .bag_writer import (
     parse_pose_array,
     poses_of,
 )
-from .dataset import FloatArray
 from .tracker_faults import CHANCE_PROBABILITY
 
 STORED = ('.mcap', '.db3')  # endings of recordings in one file
@@ -51,9 +50,9 @@ class Topics:
 class Track:
     """Samples of J markers that came in the same messages, S of them."""
 
-    times: FloatArray  # (S,) [s] since the recording began
-    positions: FloatArray  # (S, J, 3) [m]
-    orientations: FloatArray  # (S, J, 4)
+    times: Floats  # (S,) [s] since the recording began
+    positions: Floats  # (S, J, 3) [m]
+    orientations: Floats  # (S, J, 4)
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,7 @@ class Recording:
     """The content of a bag; times in seconds since its beginning."""
 
     name: str
-    state_times: FloatArray  # (T,) [s]
+    state_times: Floats  # (T,) [s]
     states: list[Any]  # (T,) the JointState messages
     tracks: tuple[Track, ...]  # one of all markers, or one per marker; empty: see `with_markers`
     marker_names: tuple[str, ...]  # of tracks of one marker each; empty for a PoseArray
@@ -71,7 +70,7 @@ class Recording:
     frame: str = ''  # in which the markers are
     start: int = 0  # [ns] when it began
 
-    def inputs(self, names: tuple[str, ...], kind: str) -> FloatArray:
+    def inputs(self, names: tuple[str, ...], kind: str) -> Floats:
         """Return the inputs at `state_times`, (T, m) [N] or [m], NaN where not given."""
         column = 0 if kind == 'displacement' else 1
         return _sane(np.array([joints_of(state, names)[column] for state in self.states]))
@@ -125,7 +124,7 @@ def read_bag(path: str | Path, topics: Topics | None = None) -> Recording:
     def last(role: str) -> str | None:
         return str(received[role][-1][1].data) if role in received else None
 
-    def times(role: str) -> FloatArray:
+    def times(role: str) -> Floats:
         return 1e-9 * np.array([time - start for time, _ in received[role]])
 
     return Recording(
@@ -241,7 +240,7 @@ def stored(reader: Any, topics: Iterable[str]) -> Iterator[tuple[Any, int, bytes
         yield from reader.messages(connections=connections)
 
 
-def _track(bag: str, times: FloatArray, samples: Sequence[tuple[int, FloatArray]]) -> Track:
+def _track(bag: str, times: Floats, samples: Sequence[tuple[int, Floats]]) -> Track:
     counts = {len(poses) for _, poses in samples}
     if len(counts) > 1:
         problem = f'the shape has {min(counts)} poses in one message and {max(counts)} in another'
@@ -251,7 +250,7 @@ def _track(bag: str, times: FloatArray, samples: Sequence[tuple[int, FloatArray]
     return Track(times, values[..., :3], _sane(values[..., 3:]))
 
 
-def _sane(values: FloatArray) -> FloatArray:
+def _sane(values: Floats) -> Floats:
     """Replace values that are no measurements, and would overflow in a sum, by NaN."""
     return np.where(np.abs(values) < 1e9, values, np.nan)
 
@@ -260,7 +259,7 @@ BASES = ('', 'base', 'base_link', 'base_frame')  # and what ends with _base
 STEADY_RAD = (
     0.01  # [rad] that a fixed frame may turn, because a tracker measures rotations less well
 )
-Pose = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]  # rotation (3, 3), shift (3,) [m]
+Pose = tuple[Floats, Floats]  # rotation (3, 3), shift (3,) [m]
 
 
 def is_base(frame: str) -> bool:
@@ -420,7 +419,7 @@ def in_base(recording: Recording) -> Recording:
     return replace(recording, tracks=tracks, frame='base')
 
 
-def _moved(track: Track, matrix: FloatArray, shift: FloatArray) -> Track:
+def _moved(track: Track, matrix: Floats, shift: Floats) -> Track:
     from scipy.spatial.transform import Rotation
 
     quats = track.orientations.copy()
@@ -442,7 +441,7 @@ APART_FRACTION = 0.1
 CHANCE = 0.006
 
 
-def refuse_two_senders(recording: Recording, inputs: FloatArray) -> None:
+def refuse_two_senders(recording: Recording, inputs: Floats) -> None:
     """
     Refuse a recording in which messages about two different states take turns.
 
@@ -492,7 +491,7 @@ def refuse_two_senders(recording: Recording, inputs: FloatArray) -> None:
         )
 
 
-def alternating(times: FloatArray, values: FloatArray) -> tuple[float, float, float] | None:
+def alternating(times: Floats, values: Floats) -> tuple[float, float, float] | None:
     """Return begin, end [s] and difference where values (S, n) of two kinds alternate."""
     count = len(times) // GROUP
     if not count:

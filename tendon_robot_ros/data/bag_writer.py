@@ -11,12 +11,13 @@ from typing import Any, Self
 
 import numpy as np
 
+from ..common.arrays import Floats
 from ..common.errors import DataSetError, MissingExtraError
 from ..common.files import new_file, new_folder
 from ..common.words import UNITS
 from ..robot import dump_robot
 from .arrays import NO_ROTATION
-from .dataset import DataSet, FloatArray
+from .dataset import DataSet
 from .folder import dump_description
 
 STORAGES = ('mcap', 'sqlite3')
@@ -158,7 +159,7 @@ class Builder:
         return self._types[STRING](data=text)
 
     def joint_state(
-        self, time: int, names: Sequence[str], pull: FloatArray, tension: FloatArray
+        self, time: int, names: Sequence[str], pull: Floats, tension: Floats
     ) -> object:
         """Build a JointState: wire pulls [m] as positions, tensions [N] as efforts; time [ns]."""
         return self._types[JOINT_STATE](
@@ -169,7 +170,7 @@ class Builder:
             effort=np.asarray(tension, dtype=float),
         )
 
-    def pose_array(self, time: int, positions: FloatArray, quaternions: FloatArray) -> object:
+    def pose_array(self, time: int, positions: Floats, quaternions: Floats) -> object:
         """Build a PoseArray from positions (J, 3) [m] and quaternions (J, 4); time [ns]."""
         pose, point = (self._types[f'geometry_msgs/msg/{name}'] for name in ('Pose', 'Point'))
         quaternion = self._types['geometry_msgs/msg/Quaternion']
@@ -184,13 +185,13 @@ class Builder:
         return self._types['std_msgs/msg/Header'](stamp=stamp, frame_id=self._frame)
 
 
-def poses_of(message: Any) -> tuple[str, FloatArray]:
+def poses_of(message: Any) -> tuple[str, Floats]:
     """Take the frame and x, y, z [m], qx, qy, qz, qw of a PoseStamped, (1, 7)."""
     p, q = message.pose.position, message.pose.orientation
     return message.header.frame_id, np.array([[p.x, p.y, p.z, q.x, q.y, q.z, q.w]])
 
 
-def parse_pose_array(data: bytes) -> tuple[str, FloatArray]:
+def parse_pose_array(data: bytes) -> tuple[str, Floats]:
     """
     Take the frame and the poses (J, 7) from the bytes of a PoseArray.
 
@@ -320,7 +321,7 @@ def _write(dataset: DataSet, writer: BagWriter, timing: Timing) -> None:
                 time += step
 
 
-def _stages(dataset: DataSet, timing: Timing) -> Iterator[tuple[str, FloatArray]]:
+def _stages(dataset: DataSet, timing: Timing) -> Iterator[tuple[str, Floats]]:
     """
     Yield every hold and every move between two: its label, and its instants.
 

@@ -18,10 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.arrays import ROWS_AT_ONCE
+from ..common.arrays import ROWS_AT_ONCE, Bools, Floats, Ints
 from ..common.errors import DataSetError, short
 from ..common.words import listing
-from .dataset import BoolArray, FloatArray, IntArray
 
 NEEDED = 'every data set needs this file'
 EMPTY_CELL = re.compile(r',(?=[,\n]|\Z)')
@@ -117,20 +116,20 @@ class CsvFile:
                 str(path), 'is empty', f'start it with the line {",".join(required)}'
             )
         self.header = self._header(line, required, known)
-        self.codes: dict[str, IntArray] = {}
+        self.codes: dict[str, Ints] = {}
         self.labels: dict[str, tuple[str, ...]] = {}
-        self.numbers: dict[str, FloatArray] = {}
+        self.numbers: dict[str, Floats] = {}
 
     def error(self, row: int, problem: str, remedy: str) -> DataSetError:
         """Build the error for a row, counted from 1 for the header."""
         return DataSetError(f'{self.path}, row {row}', problem, remedy)
 
-    def refuse(self, where: BoolArray, problem: str, remedy: str) -> None:
+    def refuse(self, where: Bools, problem: str, remedy: str) -> None:
         """Raise the error for the first row (n,) where something holds."""
         if where.any():
             raise self.error(int(where.argmax()) + 2, problem, remedy)
 
-    def columns(self, names: Iterable[str]) -> FloatArray:
+    def columns(self, names: Iterable[str]) -> Floats:
         """Return columns of numbers, (n, c)."""
         return np.stack([self.numbers[name] for name in names], axis=1)
 
@@ -142,7 +141,7 @@ class CsvFile:
         """Return the name in a cell."""
         return self.labels[key][int(self.codes[key][row])]
 
-    def translate(self, key: str, known: tuple[str, ...]) -> IntArray:
+    def translate(self, key: str, known: tuple[str, ...]) -> Ints:
         """Return the index of each row's name among the known ones, (n,), -1 for others."""
         places = {name: place for place, name in enumerate(known)}
         table = np.array([places.get(label, -1) for label in self.labels[key]], dtype=np.int64)

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..common.arrays import Bools, Floats, Ints
 from ..common.errors import DataSetError, InputError, choice, names, number, refusal
 from ..common.results import TextResult, make_frame
 from ..common.words import listing
@@ -29,9 +30,6 @@ from .arrays import (
     too_tense,
 )
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
 Known = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value
 
 EXPECTED = 'a DataSet, its folder, a recording, or a list of these'
@@ -54,7 +52,7 @@ PATHS = (*LOADINGS, 'visits')
 READINGS = ('positions', 'orientations')  # arrays (P, Q, J, n)
 
 
-def at_rest(inputs: FloatArray) -> BoolArray:
+def at_rest(inputs: Floats) -> Bools:
     """Return which postures (P,) of inputs (P, m) [N] or [m] are at rest; NaN is a slack wire."""
     sizes = np.abs(np.nan_to_num(inputs)).max(axis=1)
     return np.asarray(sizes < REST_FRACTION * sizes.max())
@@ -80,8 +78,8 @@ class EarlierRecording:
 
     name: str  # of the recording
     error: float  # [m] rms at the tip of what the arm deviated there
-    doubt: FloatArray  # (P,) [m] rms at the tip of what it leaves open for each posture
-    noise: FloatArray  # (P,) [m] 1 sd per coordinate of the tracker in what is taken off
+    doubt: Floats  # (P,) [m] rms at the tip of what it leaves open for each posture
+    noise: Floats  # (P,) [m] 1 sd per coordinate of the tracker in what is taken off
 
     def rows(self, rows: NDArray[np.intp]) -> EarlierRecording:
         """Return that of some postures."""
@@ -103,10 +101,10 @@ class DataSet(TextResult):
     robot: Robot
     markers: tuple[Marker, ...]  # (J,)
     postures: tuple[str, ...]  # (P,)
-    inputs: FloatArray  # (P, m) [N] or [m], columns as robot.inputs; NaN = slack
-    positions: FloatArray  # (P, Q, J, 3) [m], base frame
-    orientations: FloatArray | None = None  # (P, Q, J, 4) [1], quaternion x y z w
-    trial_inputs: FloatArray | None = None  # (P, Q, m) where they were measured per trial
+    inputs: Floats  # (P, m) [N] or [m], columns as robot.inputs; NaN = slack
+    positions: Floats  # (P, Q, J, 3) [m], base frame
+    orientations: Floats | None = None  # (P, Q, J, 4) [1], quaternion x y z w
+    trial_inputs: Floats | None = None  # (P, Q, m) where they were measured per trial
     trial_names: tuple[str, ...] = ()  # (Q,), by default '0' to 'Q-1'
     input: str = 'tension'  # or 'displacement'
     path: str = 'from_straight'  # or 'sequence' or 'visits'
@@ -118,7 +116,7 @@ class DataSet(TextResult):
     accuracy: float | None = None  # [m], the error the user can live with
     known: Known = field(default_factory=dict)  # effects that acted here and nowhere else
     parts: tuple[Part, ...] = ()  # the data sets that it was joined from; none: it is one
-    part: IntArray | None = None  # (P,) index of the part that a posture belongs to
+    part: Ints | None = None  # (P,) index of the part that a posture belongs to
     reference: EarlierRecording | None = None  # whose deviations are taken off the positions
     thinned_from: int = 0  # [1] measured postures of which these are some; 0: these are all
 
@@ -308,7 +306,7 @@ class DataSet(TextResult):
     def _checked(
         cls,
         robot: Robot,
-        markers: Sequence[Marker | float] | FloatArray | None,
+        markers: Sequence[Marker | float] | Floats | None,
         labels: tuple[str, ...],
         **values: Any,
     ) -> DataSet:
@@ -385,7 +383,7 @@ class DataSet(TextResult):
         return self.robot.inputs
 
     @cached_property
-    def divided(self) -> tuple[tuple[Part, IntArray], ...]:
+    def divided(self) -> tuple[tuple[Part, Ints], ...]:
         """The parts, and which postures each of them has."""
         if self.part is None:
             whole = Part(self.name, self.gravity, self.known)
@@ -393,7 +391,7 @@ class DataSet(TextResult):
         return tuple((part, np.flatnonzero(self.part == i)) for i, part in enumerate(self.parts))
 
     @cached_property
-    def groups(self) -> IntArray:
+    def groups(self) -> Ints:
         """
         Index (P,) of the command, of a sequence of the block of time: the same where alike.
 
@@ -406,34 +404,34 @@ class DataSet(TextResult):
         return np.unique(commanded, axis=0, return_inverse=True)[1].reshape(-1)
 
     @cached_property
-    def mask(self) -> BoolArray:
+    def mask(self) -> Bools:
         """Whether a marker was visible in a trial, (P, Q, J)."""
         return np.isfinite(self.positions).all(axis=3)
 
     @cached_property
-    def trial_mask(self) -> BoolArray:
+    def trial_mask(self) -> Bools:
         """Whether a trial has at least one visible marker, (P, Q)."""
         return self.mask.any(axis=2)
 
     @cached_property
-    def trials(self) -> NDArray[np.int64]:
+    def trials(self) -> Ints:
         """Number of trials with at least one visible marker, (P,)."""
         return self.trial_mask.sum(axis=1)
 
     @cached_property
-    def counts(self) -> NDArray[np.int64]:
+    def counts(self) -> Ints:
         """Number of trials in which the marker was visible, (P, J)."""
         return self.mask.sum(axis=1)
 
     @cached_property
-    def mean(self) -> FloatArray:
+    def mean(self) -> Floats:
         """Mean position over the trials with a visible marker, (P, J, 3) [m]; NaN without any."""
         total = np.where(self.mask[..., None], self.positions, 0.0).sum(axis=1)
         counts = self.counts[..., None]
         return np.where(counts > 0, total / np.maximum(counts, 1), np.nan)
 
     @cached_property
-    def inputs_by_trial(self) -> FloatArray:
+    def inputs_by_trial(self) -> Floats:
         """Inputs of every trial, (P, Q, m) [N] or [m]: the measured ones, else the posture's."""
         if self.trial_inputs is not None:
             return self.trial_inputs
@@ -441,12 +439,12 @@ class DataSet(TextResult):
         return np.broadcast_to(self.inputs[:, None, :], (P, Q, self.inputs.shape[1]))
 
     @cached_property
-    def arc_lengths(self) -> FloatArray:
+    def arc_lengths(self) -> Floats:
         """Arc length of every marker, (J,) [m]."""
         return np.array([marker.arc_length for marker in self.markers])
 
     @cached_property
-    def offsets(self) -> FloatArray:
+    def offsets(self) -> Floats:
         """Offset of every marker in the frame at its arc length, (J, 3) [m]."""
         return np.array([marker.offset for marker in self.markers]).reshape(-1, 3)
 
@@ -538,13 +536,13 @@ class DataSet(TextResult):
         check = {name for name, command in measured.items() if commands.index(command) in drawn}
         return self.select(set(measured) - check), self.select(check)
 
-    def by_origin(self, split: Split, trials: IntArray | None) -> DataSet:
+    def by_origin(self, split: Split, trials: Ints | None) -> DataSet:
         """Split the postures by the command before; rows (R,) are of a trial, or of all."""
         inputs = self.inputs[split.command]
         own = np.zeros((len(split.postures), self.positions.shape[1]), dtype=bool)
         own[split.posture, slice(None) if trials is None else trials] = True
 
-        def part(array: FloatArray, other: FloatArray | float = np.nan) -> FloatArray:
+        def part(array: Floats, other: Floats | float = np.nan) -> Floats:
             wide = own.reshape(*own.shape, *(1,) * (array.ndim - 2))
             return np.where(wide, array[split.command], other)
 

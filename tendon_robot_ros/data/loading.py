@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from ..common.arrays import Floats, Ints
 from ..common.errors import DataSetError, place, refusal
 from ..common.files import new_file, shared_file
 from ..common.words import listing
@@ -31,7 +32,7 @@ from .bag_reader import (
     with_markers,
 )
 from .bag_writer import DESCRIPTION, ROBOT
-from .dataset import EXPECTED, DataSet, FloatArray, HasDataSet, IntArray, Part, as_dataset
+from .dataset import EXPECTED, DataSet, HasDataSet, Part, as_dataset
 from .folder import Description, describe, read_fields, read_folder
 from .still_segments import (
     ArmMotion,
@@ -61,8 +62,8 @@ class Imported:
     dataset: DataSet
     segments: tuple[Segment, ...]
     motion: ArmMotion
-    state_times: FloatArray  # (T,) [s]
-    inputs: FloatArray  # (T, m) [N] or [m]
+    state_times: Floats  # (T,) [s]
+    inputs: Floats  # (T, m) [N] or [m]
     rule: Rule
     left_out: tuple[str, ...]  # one line about each measurement or reading that was not used
     frame: str = 'base'  # in which the positions are
@@ -256,7 +257,7 @@ def _markers(recording: Recording, robot: Robot, description: Description) -> tu
     return tuple(known[name] for name in names)
 
 
-def _inputs(recording: Recording, robot: Robot, kind: str) -> FloatArray:
+def _inputs(recording: Recording, robot: Robot, kind: str) -> Floats:
     inputs = recording.inputs(robot.inputs, kind)
     field = 'effort' if kind == 'tension' else 'position'
     listed = {name for state in recording.states for name in state.name}
@@ -472,7 +473,7 @@ def _joined(datasets: Sequence[DataSet]) -> DataSet:
     if len(set(names)) < len(names):  # the last parts of two folders are the same
         names = [dataset.name for dataset in datasets]
     parts: list[Part] = []
-    part: list[IntArray] = []  # index of the part of every posture
+    part: list[Ints] = []  # index of the part of every posture
     for name, dataset in zip(names, datasets, strict=True):
         part.append(np.zeros(len(dataset.postures), dtype=np.int64))
         for one, rows in dataset.divided:
@@ -511,7 +512,7 @@ def _joined(datasets: Sequence[DataSet]) -> DataSet:
     )
 
 
-def _stacked(arrays: Sequence[FloatArray], trials: int) -> FloatArray:
+def _stacked(arrays: Sequence[Floats], trials: int) -> Floats:
     """Join arrays (P, Q, ...) of postures, each padded with NaN to the same number of trials."""
     padded = []
     for array in arrays:

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from ..common.arrays import Bools, Floats, Ints
 from ..common.errors import DataSetError
 from ..common.words import listing
 from ..robot import Robot
 from .arrays import PLAUSIBLE_FACTOR, POSITION, QUATERNION, STRAIGHT, VALUES_MAX, too_tense
 from .csv_file import NEEDED, CsvFile
-from .dataset import BoolArray, FloatArray, IntArray
 
 VISIT, ORIGIN = HISTORY = ('visit', 'previous')  # columns of the history of a posture
 
@@ -22,9 +22,9 @@ class Commands:
     """The R rows of inputs.csv."""
 
     file: CsvFile
-    values: FloatArray  # (R, m) [N] or [m], NaN = slack
-    visit: IntArray | None  # (R,) order of the visits; None: not in the file
-    origin: IntArray | None  # (R,) index of the posture before, `STRAIGHT` for none
+    values: Floats  # (R, m) [N] or [m], NaN = slack
+    visit: Ints | None  # (R,) order of the visits; None: not in the file
+    origin: Ints | None  # (R,) index of the posture before, `STRAIGHT` for none
 
     @property
     def postures(self) -> tuple[str, ...]:
@@ -36,7 +36,7 @@ class Commands:
         """Names of the trials, None where the values hold for all trials of a posture."""
         return self.file.labels.get('trial')
 
-    def by_posture(self) -> FloatArray:
+    def by_posture(self) -> Floats:
         """
         Return the values of every posture, the mean over its trials, (P, m) [N] or [m].
 
@@ -61,7 +61,7 @@ class Commands:
         )
         return np.where(pulled > 0, total / np.maximum(pulled, 1), np.nan)
 
-    def by_trial(self, trials: tuple[str, ...]) -> FloatArray | None:
+    def by_trial(self, trials: tuple[str, ...]) -> Floats | None:
         """
         Return the values of every trial, (P, Q, m), None where the file has none.
 
@@ -132,7 +132,7 @@ def check_drums(file: CsvFile, robot: Robot) -> None:
             raise file.error(1, f'column {missing!r} is missing', remedy)
 
 
-def wound(file: CsvFile, robot: Robot) -> FloatArray:
+def wound(file: CsvFile, robot: Robot) -> Floats:
     """Return the values of the inputs (R, m); a drum winds each of its wires."""
     columns = dict(file.numbers)
     for drum, wires in robot.drums.items():
@@ -157,7 +157,7 @@ def check_history(file: CsvFile, visits: bool) -> None:
         raise file.error(1, "visits are counted, but column 'trial' is missing", 'add it')
 
 
-def visits_of(file: CsvFile) -> IntArray | None:
+def visits_of(file: CsvFile) -> Ints | None:
     """Return the numbers of the visits (R,), None where the file has none."""
     if VISIT not in file.numbers:
         return None
@@ -171,7 +171,7 @@ def visits_of(file: CsvFile) -> IntArray | None:
     return np.asarray(visit, dtype=np.int64)
 
 
-def origins(file: CsvFile) -> IntArray | None:
+def origins(file: CsvFile) -> Ints | None:
     """Return the index of the posture before (R,), None if the file has no such column."""
     if ORIGIN not in file.labels:
         return None
@@ -186,8 +186,8 @@ def origins(file: CsvFile) -> IntArray | None:
     return np.where(origin < 0, STRAIGHT, origin)
 
 
-def _check(file: CsvFile, values: FloatArray, robot: Robot, kind: str) -> None:
-    def refuse(where: BoolArray, problem: str, remedy: str) -> None:
+def _check(file: CsvFile, values: Floats, robot: Robot, kind: str) -> None:
+    def refuse(where: Bools, problem: str, remedy: str) -> None:
         if where.any():
             row, column = np.argwhere(where)[0]
             text = problem.format(name=robot.inputs[column], value=values[row, column])
@@ -213,7 +213,7 @@ def _check(file: CsvFile, values: FloatArray, robot: Robot, kind: str) -> None:
 
 
 KEYS = ('posture', 'trial', 'marker')
-Places = tuple[IntArray, IntArray, BoolArray, tuple[str, ...]]
+Places = tuple[Ints, Ints, Bools, tuple[str, ...]]
 
 
 @dataclass(frozen=True)
@@ -221,8 +221,8 @@ class Shapes:
     """Arrays in the order of the postures of inputs.csv; NaN where nothing was seen."""
 
     trials: tuple[str, ...]  # (Q,)
-    positions: FloatArray  # (P, Q, J, 3) [m]
-    orientations: FloatArray | None  # (P, Q, J, 4), unit quaternions
+    positions: Floats  # (P, Q, J, 3) [m]
+    orientations: Floats | None  # (P, Q, J, 4), unit quaternions
 
 
 def read_shapes(
@@ -279,14 +279,14 @@ def read_shapes(
     return Shapes(trials, positions, orientations)
 
 
-def _known(file: CsvFile, key: str, known: tuple[str, ...], problem: str) -> IntArray:
+def _known(file: CsvFile, key: str, known: tuple[str, ...], problem: str) -> Ints:
     places = file.translate(key, known)
     name = file.label(int((places < 0).argmax()), key)
     file.refuse(places < 0, f'{key} {name!r}: {problem}', f'use one of {listing(known)}')
     return places
 
 
-def _check_positions(file: CsvFile, xyz: FloatArray, robot: Robot) -> None:
+def _check_positions(file: CsvFile, xyz: Floats, robot: Robot) -> None:
     missing = np.isnan(xyz)
     file.refuse(
         missing.any(axis=1) & ~missing.all(axis=1),
@@ -316,7 +316,7 @@ def _check_trials(file: CsvFile, commands: Commands, places: Places, sequence: b
     measured = np.zeros((len(commands.postures), len(trials)), dtype=bool)
     measured[posture[visible], trial[visible]] = True
 
-    def refuse(where: BoolArray, problem: str, remedy: str) -> None:
+    def refuse(where: Bools, problem: str, remedy: str) -> None:
         file.refuse(where, f'{file.name(int(where.argmax()), *KEYS[:2])}: {problem}', remedy)
 
     refuse(~measured[posture, trial], 'no marker was seen in this trial', 'remove its rows')
@@ -342,7 +342,7 @@ def _check_trials(file: CsvFile, commands: Commands, places: Places, sequence: b
         )
 
 
-def _quaternions(file: CsvFile, visible: BoolArray) -> FloatArray:
+def _quaternions(file: CsvFile, visible: Bools) -> Floats:
     """Return unit quaternions, (n, 4)."""
     q = file.columns(QUATERNION)
     missing = np.isnan(q)

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from ..common.arrays import Floats
 from ..common.errors import DataSetError
 from ..common.rotations import from_quaternion
 from .bag_reader import opened, stored, topic_of
 from .bag_writer import JOINT_STATE, POSE_STAMPED, joints_of
 from .csv_file import CsvFile, first_line
-from .dataset import FloatArray
 
 PLACE, VIEW = ('x', 'y', 'z'), ('dx', 'dy', 'dz')
 NO_PATH = 'name a CSV file of targets, or a recording'
@@ -23,9 +23,9 @@ NO_PATH = 'name a CSV file of targets, or a recording'
 class TipRows:
     """Targets of the tip; with `held` each target holds until the next one."""
 
-    times: FloatArray | None  # (n,) [s] from 0, None: as fast as the limits allow
-    positions: FloatArray  # (n, 3) [m]
-    directions: FloatArray  # (n, 3) unit vectors, NaN where none is asked
+    times: Floats | None  # (n,) [s] from 0, None: as fast as the limits allow
+    positions: Floats  # (n, 3) [m]
+    directions: Floats  # (n, 3) unit vectors, NaN where none is asked
     held: bool = False
 
 
@@ -33,8 +33,8 @@ class TipRows:
 class TendonRows:
     """Values of the robot's inputs over time."""
 
-    times: FloatArray  # (n,) [s] from 0
-    values: FloatArray  # (n, m) [N] or [m]
+    times: Floats  # (n,) [s] from 0
+    values: Floats  # (n, m) [N] or [m]
 
 
 def read_path(path: str | Path, inputs: tuple[str, ...]) -> TipRows | TendonRows:
@@ -86,7 +86,7 @@ def read_path(path: str | Path, inputs: tuple[str, ...]) -> TipRows | TendonRows
     return TipRows(times if 'time' in file.numbers else None, positions, directions)
 
 
-def _times(file: CsvFile, values: FloatArray) -> FloatArray:
+def _times(file: CsvFile, values: Floats) -> Floats:
     """Return the times (n,) [s] of values (n, c) from 0, else their rows; refuse gaps."""
     times = file.numbers.get('time', np.arange(len(values), dtype=float))
     empty = np.isnan(np.column_stack([times, values])).any(axis=1)
@@ -121,9 +121,9 @@ TRAJECTORY = ('tendon_trajectory', 'trajectory_msgs/msg/JointTrajectory')
 class Places:
     """Positions (n, 3) [m] and directions (n, 3), NaN where none is given, over time (n,) [s]."""
 
-    times: FloatArray
-    positions: FloatArray
-    directions: FloatArray
+    times: Floats
+    positions: Floats
+    directions: Floats
 
     def __len__(self) -> int:
         return len(self.times)
@@ -134,12 +134,12 @@ class Moves:
     """A recording of motion; times [s] since its first message."""
 
     targets: Places
-    trajectory_times: FloatArray  # when a trajectory of the tendons took over
+    trajectory_times: Floats  # when a trajectory of the tendons took over
     tips: Places
     measured: bool  # whether a tracker measured the tip; else it is the model's
     inputs: tuple[str, ...]
-    command_times: FloatArray  # (C,)
-    commands: FloatArray  # (C, m) [N], or [m] if pull
+    command_times: Floats  # (C,)
+    commands: Floats  # (C, m) [N], or [m] if pull
     pull: bool
 
 
@@ -187,7 +187,7 @@ def read_moves(path: str | Path) -> Moves:
     )
 
 
-def _place(stamped: tuple[float, Any]) -> tuple[float, FloatArray, FloatArray]:
+def _place(stamped: tuple[float, Any]) -> tuple[float, Floats, Floats]:
     """Return time, position and approach direction (+z) of a pose or a point."""
     time, message = stamped
     if hasattr(message, 'point'):
@@ -197,7 +197,7 @@ def _place(stamped: tuple[float, Any]) -> tuple[float, FloatArray, FloatArray]:
     return time, np.array([p.x, p.y, p.z]), from_quaternion((q.x, q.y, q.z, q.w))[:, 2]
 
 
-def _places(samples: list[tuple[float, FloatArray, FloatArray]], start: float) -> Places:
+def _places(samples: list[tuple[float, Floats, Floats]], start: float) -> Places:
     samples = sorted(samples, key=lambda sample: sample[0])
     samples = [s for s in samples if np.isfinite(s[1]).all()]
     return Places(

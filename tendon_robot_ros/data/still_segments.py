@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from ..common.arrays import DIGITS, RESOLUTION
+from ..common.arrays import DIGITS, RESOLUTION, Floats, Ints
 from ..common.errors import DataSetError, short
 from ..robot import Robot
 from .arrays import NO_ROTATION, VALUES_MAX, Marker, mean_inputs
 from .bag_reader import Recording
-from .dataset import READINGS, DataSet, FloatArray, IntArray
+from .dataset import READINGS, DataSet
 from .measurement_files import sort_trials
 
 STEPS_PER_WINDOW = 10  # [1] of the time grid, so that a stretch is found to a tenth of the window
@@ -45,12 +45,12 @@ class Rule:
 class ArmMotion:
     """Speed of the arm and change of its inputs, on a regular grid of times."""
 
-    times: FloatArray  # (G,) [s]
-    speed: FloatArray  # (G,) [m/s], inf where no marker was seen
-    change: FloatArray  # (G,) [N] or [m], largest of the inputs
+    times: Floats  # (G,) [s]
+    speed: Floats  # (G,) [m/s], inf where no marker was seen
+    change: Floats  # (G,) [N] or [m], largest of the inputs
 
 
-def motion(recording: Recording, inputs: FloatArray, rule: Rule) -> ArmMotion:
+def motion(recording: Recording, inputs: Floats, rule: Rule) -> ArmMotion:
     """
     Compute speed and change of inputs.
 
@@ -98,7 +98,7 @@ def motion(recording: Recording, inputs: FloatArray, rule: Rule) -> ArmMotion:
 
 
 def never_still(
-    name: str, motions: Sequence[ArmMotion], times: Sequence[FloatArray], rule: Rule
+    name: str, motions: Sequence[ArmMotion], times: Sequence[Floats], rule: Rule
 ) -> DataSetError:
     """Return the error of recordings without any still segment; `times` [s] of their markers."""
     slowest = 1e3 * min(float(moved.speed.min(initial=np.inf)) for moved in motions)
@@ -138,7 +138,7 @@ def never_still(
 
 
 def still_stretches(
-    moved: ArmMotion, rule: Rule, cuts: FloatArray | None = None
+    moved: ArmMotion, rule: Rule, cuts: Floats | None = None
 ) -> list[tuple[float, float]]:
     """
     Return begin and end [s] of every stretch in which the rule holds.
@@ -168,9 +168,7 @@ def still_stretches(
     return stretches
 
 
-def sample_means(
-    times: FloatArray, values: FloatArray, begin: FloatArray, end: FloatArray
-) -> FloatArray:
+def sample_means(times: Floats, values: Floats, begin: Floats, end: Floats) -> Floats:
     """
     Return means over stretches of time.
 
@@ -200,9 +198,7 @@ def sample_means(
     return np.where(count > 0, mean, np.nan)
 
 
-def held_means(
-    times: FloatArray, values: FloatArray, begin: FloatArray, end: FloatArray
-) -> FloatArray:
+def held_means(times: Floats, values: Floats, begin: Floats, end: Floats) -> Floats:
     """Return `sample_means`, or the last value before where a stretch has no sample."""
     means = sample_means(times, values, begin, end)
     last = np.searchsorted(times, end + 1e-9) - 1
@@ -216,16 +212,16 @@ class Segment:
 
     begin: float  # [s] since the recording began
     end: float  # [s]
-    inputs: FloatArray  # (m,) [N] or [m]
-    positions: FloatArray  # (J, 3) [m]
-    orientations: FloatArray  # (J, 4)
+    inputs: Floats  # (m,) [N] or [m]
+    positions: Floats  # (J, 3) [m]
+    orientations: Floats  # (J, 4)
     noise: float = 0.0  # [m] 1 sd of a mean position, from the frames; NaN where there is one
     posture: str = ''
     trial: str = ''
 
 
 def find_segments(
-    recording: Recording, inputs: FloatArray, moved: ArmMotion, rule: Rule, sequence: bool
+    recording: Recording, inputs: Floats, moved: ArmMotion, rule: Rule, sequence: bool
 ) -> tuple[list[Segment], list[str]]:
     """
     Return the measurements of a recording, and a line for each one that is excluded.
@@ -279,7 +275,7 @@ def _label(bag: str, text: str) -> tuple[str, str]:
         ) from None
 
 
-def _average(recording: Recording, inputs: FloatArray, begin: float, end: float) -> Segment:
+def _average(recording: Recording, inputs: Floats, begin: float, end: float) -> Segment:
     """Average over a stretch of time."""
     first, last = np.array([begin]), np.array([end])
     positions, orientations, noise = [], [], []
@@ -303,7 +299,7 @@ def _average(recording: Recording, inputs: FloatArray, begin: float, end: float)
     )
 
 
-def _noise(positions: FloatArray) -> float:
+def _noise(positions: Floats) -> float:
     """Return 1 sd [m] of the mean of frames (S, J, 3), per coordinate."""
     visible = np.isfinite(positions)
     count = visible.sum(axis=0)
@@ -315,7 +311,7 @@ def _noise(positions: FloatArray) -> float:
     return float(np.sqrt(np.mean(squares[known] / (count[known] * (count[known] - 1)))))
 
 
-def _mean_quaternion(quaternions: FloatArray) -> FloatArray:
+def _mean_quaternion(quaternions: Floats) -> Floats:
     """Return the mean of quaternions that differ little, (S, J, 4) to (J, 4)."""
     known = np.abs(np.linalg.norm(quaternions, axis=2, keepdims=True) - 1.0) < 0.05
     values = np.where(known, quaternions, 0.0)
@@ -346,7 +342,7 @@ def name_segments(segments: list[Segment], rule: Rule, sequence: bool) -> list[S
 
 def rows_of(
     segments: Sequence[Segment], postures: tuple[str, ...], trials: tuple[str, ...]
-) -> tuple[IntArray, IntArray]:
+) -> tuple[Ints, Ints]:
     """Return the indices (N,) of the posture and of the trial of every segment."""
     known = [{name: i for i, name in enumerate(names)} for names in (postures, trials)]
     pairs = [(known[0][one.posture], known[1][one.trial]) for one in segments]

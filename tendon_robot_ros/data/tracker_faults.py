@@ -13,14 +13,10 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Bools, Floats, Ints
 from ..common.words import listed
 from .arrays import PLAUSIBLE_FACTOR
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
-IntArray = npt.NDArray[np.int64]
 
 UNSEEN_M = 1e3  # [m] farther away there is no marker, because no tracker sees so far
 # [1] probability by chance of what is refused: that a marker repeats its last place exactly in so
@@ -42,7 +38,7 @@ WHY = {
 }
 
 
-def is_missing(places: FloatArray, far: float = UNSEEN_M) -> BoolArray:
+def is_missing(places: Floats, far: float = UNSEEN_M) -> Bools:
     """
     Return which positions (..., 3) are no marker: not finite, 0 0 0, or too far away.
 
@@ -59,11 +55,11 @@ def is_missing(places: FloatArray, far: float = UNSEEN_M) -> BoolArray:
 
 
 def without_unseen(
-    positions: FloatArray,
+    positions: Floats,
     length: float | None,
     far: float = UNSEEN_M,
-    news: BoolArray | None = None,
-) -> tuple[FloatArray, dict[str, IntArray]]:
+    news: Bools | None = None,
+) -> tuple[Floats, dict[str, Ints]]:
     """
     Replace invalid readings by NaN, and count them by reason.
 
@@ -97,7 +93,7 @@ def without_unseen(
     return cleaned, {why: mask.sum(axis=0) for why, mask in masks.items() if mask.any()}
 
 
-def unseen_lines(counts: dict[str, IntArray], labels: Sequence[str]) -> list[str]:
+def unseen_lines(counts: dict[str, Ints], labels: Sequence[str]) -> list[str]:
     """Describe how many readings of which markers are excluded, and why."""
     lines = []
     for why, count in counts.items():
@@ -108,7 +104,7 @@ def unseen_lines(counts: dict[str, IntArray], labels: Sequence[str]) -> list[str
     return lines
 
 
-def _is_sentinel(positions: FloatArray, length: float | None) -> BoolArray:
+def _is_sentinel(positions: Floats, length: float | None) -> Bools:
     """Return which readings (T, J) are an exactly repeated value that cannot lie on this arm."""
     visible = np.isfinite(positions[..., 0])
     marked = np.zeros(visible.shape, dtype=bool)
@@ -127,13 +123,13 @@ def _is_sentinel(positions: FloatArray, length: float | None) -> BoolArray:
     return marked
 
 
-def changes(positions: FloatArray) -> BoolArray:
+def changes(positions: Floats) -> Bools:
     """Return at which steps (T - 1, J) the positions (T, J, 3) of visible markers change."""
     visible = np.isfinite(positions[..., 0])
     return np.asarray((visible[1:] & visible[:-1]) & (positions[1:] != positions[:-1]).any(axis=2))
 
 
-def _held(positions: FloatArray, news: BoolArray | None) -> BoolArray:
+def _held(positions: Floats, news: Bools | None) -> Bools:
     """
     Return which readings (T, J) only repeat the last position of their marker.
 
@@ -164,7 +160,7 @@ def _held(positions: FloatArray, news: BoolArray | None) -> BoolArray:
     return held
 
 
-def renumbered(positions: FloatArray) -> list[tuple[int, ...]]:
+def renumbered(positions: Floats) -> list[tuple[int, ...]]:
     """
     Return which columns hold one marker, one after the other, because it was renumbered.
 
@@ -211,7 +207,7 @@ def renumbered(positions: FloatArray) -> list[tuple[int, ...]]:
     return [tuple(chain) for chain in chains]
 
 
-def put_back(places: FloatArray) -> tuple[FloatArray, list[tuple[int, int, int]]]:
+def put_back(places: Floats) -> tuple[Floats, list[tuple[int, int, int]]]:
     """
     Undo exchanges: put two markers that exchange their columns back into their own.
 
@@ -236,7 +232,7 @@ def put_back(places: FloatArray) -> tuple[FloatArray, list[tuple[int, int, int]]
         both = np.flatnonzero(visible[:, i] & visible[:, j])
         before, after = places[both[:-1], :, :3], places[both[1:], :, :3]
 
-        def steps(a: int, b: int, before: FloatArray = before, after: FloatArray = after) -> Any:
+        def steps(a: int, b: int, before: Floats = before, after: Floats = after) -> Any:
             return np.linalg.norm(after[:, a] - before[:, b], axis=1)
 
         crossed = steps(i, j) + steps(j, i) < CROSSED_FRACTION_MAX * (steps(i, i) + steps(j, j))
@@ -252,7 +248,7 @@ def put_back(places: FloatArray) -> tuple[FloatArray, list[tuple[int, int, int]]
 
 
 def exchange_lines(
-    exchanges: Sequence[tuple[int, int, int]], times: FloatArray, names: Sequence[str]
+    exchanges: Sequence[tuple[int, int, int]], times: Floats, names: Sequence[str]
 ) -> list[str]:
     """Describe which markers exchange their columns, when first [s], and how often."""
     lines = []
@@ -266,7 +262,7 @@ def exchange_lines(
     return lines
 
 
-def joined(places: FloatArray, chains: Sequence[Sequence[int]]) -> FloatArray:
+def joined(places: Floats, chains: Sequence[Sequence[int]]) -> Floats:
     """Return places (T, J, n) of markers whose columns follow each other, as of `renumbered`."""
     columns = []
     for first, *later in chains:

@@ -13,22 +13,19 @@ inputs, the tracker's frame), where that lowers them as well.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ..common.arrays import Floats
 from ..common.errors import InputError, NoEquilibriumError, Progress, listener, whole
 from ..common.processes import one_thread
 from ..data import DataSet, DataSetLike, load_dataset
-from ..effects import CatalogueLike, load_catalogue
+from ..effects import Catalogue, CatalogueLike, load_catalogue
 from ..inference.crossval import (
-    FOLDS,
     Errors,
     described_by,
     fall,
@@ -44,19 +41,18 @@ from ..inference.fitter import FAILURES
 from ..inference.imperfections import POSITION, ROTATION, SplitPredictor, imperfections
 from ..inference.intervals import QUANTILE, LoadVector, Value, loads_of, values_of
 from ..inference.predict import FreeParameter, Predictor
-from ..inference.session import Session
+from ..inference.session import Session, side_by_side
 from ..robot import Robot, RobotLike, load_robot
 from .add import Addition, fit_effects, more_at_work, settle, with_origin
 from .local_tests import faults_of, local_faults
 from .report_rows import arm_report, left_out
 from .result import AS_FOUND, Improvement, ImprovementStep, total
-from .stepwise import GROUPS_MIN, PRIOR_TYPICALS, STEPS_MAX, Rates, State, Stepwise, grown
+from .stepwise import GROUPS_MIN, PRIOR_TYPICALS, STEPS_MAX, Held, Rates, State, Stepwise, grown
 from .verdict import P_SINGLE_MIN, TOLERANCE_SD_MAX
 
-Held = npt.NDArray[np.int64]
 Values = dict[str, dict[str, Value]]
 FRAME = (POSITION, ROTATION)
-GROUPS_MAX = 16  # [1] of postures, because the whole search is made without each of them
+STEPS_IN_VAIN = 2  # [1] in a row end a search; not one, because some effects only help together
 
 
 @dataclass(frozen=True)
@@ -88,14 +84,18 @@ class AsFound:
     @cached_property
     def left_out(self) -> Floats:
         """Squared errors (P, J) [m²] of postures left out in turn; nan for those held out."""
-        squares = left_out_squares(self.session.fitters[0], self.fit)
+        squares = left_out_squares(self.session.fitters[0], self.fit, folds=self.search.folds)
         squares[list(self.session.held)] = np.nan
         return squares
 
     @property
     def is_worthwhile(self) -> bool:
         """Whether it lowers the left-out error of its search by more than the standard error."""
-        before = self.state.left_out[:, None]
+        return self.lowers(self.state)
+
+    def lowers(self, state: State) -> bool:
+        """Whether it lowers the left-out error of a state of the same blocks by as much."""
+        before = state.left_out[:, None]
         predicted = np.isfinite(self.left_out[np.isfinite(before[:, 0])]).any(axis=1)
         if not (predicted.all() and np.isfinite(self.markers).all()):
             return False  # a posture has no equilibrium
@@ -139,14 +139,10 @@ class AsFound:
         """The fit with the parameters of the arm that joined the search."""
         fit, whitener = self.fit, self.session.whitener
         blocks = [block for block in self.state.blocks if block.label in OF_THE_ARM]
-        if not blocks:
-            return fit
-        off = whitener.white(self.search.measured - self.state.fit.markers)
-        searched = replace(self.state.fit, residual=off)
-        for joining in Rates(self.search.predictor, whitener, searched).of(blocks):
+        for joining in Rates(self.search.predictor, self.state).of(blocks):
             frees = joining.block.frees
             spread = np.array([PRIOR_TYPICALS * free.parameter.typical for free in frees])
-            residual, jacobian = grown(fit, joining, np.zeros(len(frees)), spread)
+            residual, jacobian = grown(fit, joining, whitener, np.zeros(len(frees)), spread)
             fit = replace(fit, residual=residual, jacobian=jacobian)
         return fit
 
@@ -294,55 +290,19 @@ def improve(
     before = dataset.robot if robot is None else load_robot(robot)
     other = None if check is None else load_dataset(check, before)
     search = Stepwise(dataset, before, load_catalogue(catalogue))
-    measured = np.flatnonzero(search.dataset.trials > 0)
-    grouped = search.dataset.groups[measured]  # postures of the same inputs are left out together
-    groups = np.unique(grouped)
-    if len(groups) < GROUPS_MIN:
+    if len(search.folds) < GROUPS_MIN:
         raise InputError(
-            f'{search.dataset.name}: {len(groups)} different inputs, expected {GROUPS_MIN} or more'
+            f'{search.dataset.name}: {len(search.folds)} different inputs, expected '
+            f'{GROUPS_MIN} or more'
         )
-    folds = min(FOLDS if search.dataset.thinned_from else GROUPS_MAX, len(groups))
-    held = [measured[np.isin(grouped, groups[fold::folds])] for fold in range(folds)]
-    states = search.path(show=lambda k: show('searching', k, STEPS_MAX * (1 + folds)))
-    search.refuse_mistake(states[-1])
-    states = search.settled(states)
-    finished, every = len(states), len(states) * (1 + folds)
-
-    def search_without(group: Held, own: Stepwise) -> list[State]:
-        nonlocal finished
-        path = own.path(group)
-        finished += len(states)
-        show('searching without some postures', finished, every)
-        return path
-
-    searches = [search.with_own_model() for _ in range(workers)]
-    paths = _spread(held, lambda group, w: search_without(group, searches[w]), workers)
-    errors = np.full((len(states), *search.measured.shape[:2]), np.nan)
-    chosen = np.full(errors.shape[1:], np.nan)
-    for group, path in zip(held, paths, strict=True):
-        own = [((search.measured - state.fit.markers) ** 2).sum(axis=2)[group] for state in path]
-        for k in range(len(states)):
-            errors[k, group] = own[min(k, len(path) - 1)]
-        chosen[group] = own[last_worthwhile(inner(path))]
-    taken = how_many(states, errors)
-    searched = Searched(search, states, errors, taken, chosen, other)
-    arm = None if search.robot.exact else as_found(search, states[taken])
+    searched = Searched.by(search, other, workers, show)
+    search.refuse_mistake(searched.states[-1])
+    arm = None if search.robot.exact else as_found(search, searched.states[searched.taken])
     if arm is not None:
         searched = replace(searched, arm=arm)
         if arm.is_worthwhile:
-            searched = searched.with_the_arm(list(zip(held, paths, strict=True)), workers)
+            searched = searched.with_the_arm(workers)
     return searched.result()
-
-
-def _spread[T, R](items: Sequence[T], do: Callable[[T, int], R], workers: int) -> list[R]:
-    """Return `do(item, thread)` of every item, computed by so many threads."""
-
-    def work(worker: int) -> list[R]:
-        return [do(item, worker) for item in items[worker::workers]]
-
-    with ThreadPoolExecutor(workers) as pool:
-        parts = list(pool.map(work, range(workers)))
-    return [parts[i % workers][i // workers] for i in range(len(items))]
 
 
 def inner(states: Sequence[State]) -> Floats:
@@ -375,12 +335,22 @@ def shown(errors: Floats, taken: int) -> list[int]:
     return [*kept, *range(taken + 1, len(squares))]
 
 
+def errors_of(dataset: DataSet, robot: Robot, catalogue: Catalogue) -> Floats:
+    """Return the rms errors (J,) [m] of a description; nan without an equilibrium."""
+    markers = Predictor(dataset, robot, catalogue).markers({})
+    if markers is None:
+        return np.full(len(dataset.markers), np.nan)
+    return np.asarray(np.sqrt(np.nanmean(((dataset.mean - markers) ** 2).sum(axis=2), axis=0)))
+
+
 @dataclass(frozen=True)
 class Searched:
     """The steps of a search, and the errors of searches that did not know some postures."""
 
     search: Stepwise
     states: list[State]
+    fitted: list[Floats]  # (J,) [m] errors of the description after every step
+    paths: list[list[State]]  # of the searches without each fold, the last state again and again
     errors: Floats  # (K, P, J) [m²] after 0, 1, ... steps
     taken: int  # steps
     chosen: (
@@ -391,29 +361,64 @@ class Searched:
     last: Floats | None = None  # (P, J) [m²] with the arm as found; None: not tried
     arm_written: bool = False  # whether the arm as it was found is the last step
 
-    def with_the_arm(self, paths: Sequence[tuple[Held, list[State]]], workers: int) -> Searched:
+    @classmethod
+    def by(cls, search: Stepwise, check: DataSet | None, workers: int, show: Progress) -> Searched:
+        """Search step by step, in turn with and without each fold, while this lowers errors."""
+        walks = [search.without(held).path() for held in search.folds]
+        paths, states = [list[State]() for _ in walks], list[State]()
+        fitted, errors = list[Floats](), list[Floats]()
+
+        def go_on(i: int, worker: int) -> None:
+            show('searching without some postures', i, len(walks))
+            paths[i].append(next(walks[i], None) or paths[i][-1])
+
+        for k, state in enumerate(search.path()):
+            show('searching', k, STEPS_MAX)
+            after = errors_of(search.whole, search.written(state), search.catalogue)
+            if k and np.isnan(after).any():
+                break  # a posture that was not used has no equilibrium
+            states.append(state)
+            fitted.append(after)
+            side_by_side([partial(go_on, i) for i in range(len(walks))], workers)
+            errors.append(search.squares([path[-1] for path in paths]))
+            if k - int(np.argmin(np.nanmean(errors, axis=(1, 2)))) == STEPS_IN_VAIN:
+                break
+        chosen = search.squares([path[last_worthwhile(inner(path))] for path in paths])
+        every = np.array(errors)
+        return cls(search, states, fitted, paths, every, how_many(states, every), chosen, check)
+
+    def with_the_arm(self, workers: int) -> Searched:
         """
         Judge the arm as it was found as a last step, by searches that did not know the posture.
 
         Every search selects it by its own left-out errors, like any other step. It is written
-        where the error of the searches that did not know the posture falls as well.
+        where the error of the searches that did not know the posture falls as well. Of a search
+        that took the same steps the closed form tells it, else another fit.
         """
         assert self.arm is not None
-        search, by_accuracy = self.search, self.arm.session.use_accuracy
+        arm, by_accuracy = self.arm, self.arm.session.use_accuracy
         last, chosen = self.errors[self.taken].copy(), self.chosen.copy()
 
-        def judge(one: tuple[Held, list[State]], worker: int) -> None:
-            held, path = one
-            own, k = last_worthwhile(inner(path)), min(self.taken, len(path) - 1)
-            refitted = as_found(search, path[k], held, by_accuracy)
-            if refitted is not None and np.isfinite(refitted.markers[held]).all():
-                last[held] = refitted.squares[held]
-            if own != k:
-                refitted = as_found(search, path[own], held, by_accuracy)
-            if refitted is not None and refitted.is_worthwhile:
-                chosen[held] = refitted.squares[held]
+        def without(held: Held, state: State) -> tuple[Floats, bool]:
+            if state.names == arm.state.names:
+                return arm.left_out[held], arm.lowers(state)
+            refitted = as_found(self.search, state, held, by_accuracy)
+            if refitted is None:
+                return np.full_like(last[held], np.nan), False
+            return refitted.squares[held], refitted.is_worthwhile
 
-        _spread(paths, judge, workers)
+        def judge(i: int, worker: int) -> None:
+            held, path = self.search.folds[i], self.paths[i]
+            own, k = last_worthwhile(inner(path)), min(self.taken, len(path) - 1)
+            squares, helps = without(held, path[k])
+            if np.isfinite(squares).any(axis=1).all():
+                last[held] = squares
+            if own != k:
+                squares, helps = without(held, path[own])
+            if helps:
+                chosen[held] = squares
+
+        side_by_side([partial(judge, i) for i in range(len(self.paths))], workers)
         lower = float(np.nanmean(last)) < float(np.nanmean(self.errors[self.taken]))
         return replace(self, last=last, chosen=chosen, arm_written=lower)
 
@@ -430,10 +435,12 @@ class Searched:
             added = [name for name in joined if name and name not in removed]
             dropped = tuple(name for name in removed if name not in joined)
             before = self.errors[min(max(begin, 0), taken)]
-            steps.append(self._step(' + '.join(added), dropped, robots[k], before, self.errors[k]))
+            after, name = self.errors[k], ' + '.join(added)
+            steps.append(self._step(name, dropped, self.fitted[k], robots[k], before, after))
         last_step, errors, robot = kept.index(taken), self.errors[taken], robots[taken]
         if self.last is not None and arm is not None:
-            step = self._step(AS_FOUND, (), arm.robot, errors, self.last)
+            fitted = errors_of(search.whole, arm.robot, search.catalogue)
+            step = self._step(AS_FOUND, (), fitted, arm.robot, errors, self.last)
             steps.insert(last_step + 1 if self.arm_written else len(steps), step)
             if self.arm_written:
                 last_step, errors, robot = last_step + 1, self.last, arm.robot
@@ -462,20 +469,21 @@ class Searched:
         )
 
     def _step(
-        self, joined: str, removed: tuple[str, ...], robot: Robot, before: Floats, after: Floats
+        self,
+        joined: str,
+        removed: tuple[str, ...],
+        fitted: Floats,
+        robot: Robot,
+        before: Floats,
+        after: Floats,
     ) -> ImprovementStep:
         """Return a step with its errors, those left out (P, J) [m²] before and after it."""
-
-        def errors(dataset: DataSet) -> Floats:  # (J,) [m] of a description as it stands
-            off = dataset.mean - predict(dataset, robot, self.search.catalogue)[1]
-            return np.asarray(np.sqrt(np.nanmean((off**2).sum(axis=2), axis=0)))
-
         return ImprovementStep(
             joined,
             removed,
-            errors(self.search.whole),
+            fitted,
             np.sqrt(np.nanmean(after, axis=0)),
-            None if self.check is None else errors(self.check),
+            None if self.check is None else errors_of(self.check, robot, self.search.catalogue),
             *fall(before, after),
         )
 

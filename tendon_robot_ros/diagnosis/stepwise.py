@@ -10,11 +10,9 @@ size is estimated after every step.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +22,7 @@ from ..common.errors import InputError
 from ..data import DataSet
 from ..effects import Catalogue
 from ..inference.candidates import Candidate, joining_effects
-from ..inference.crossval import Groups, left_out_errors, rms_of
+from ..inference.crossval import FOLDS, Groups, folds_of, left_out_errors
 from ..inference.description import (
     OF_THE_ARM,
     DescribedArm,
@@ -49,6 +47,7 @@ from .verdict import P_SINGLE_MIN, POSTURES_MIN
 
 Held = Sequence[int] | npt.NDArray[np.int64]
 GROUPS_MIN = POSTURES_MIN + 1  # [1] of different inputs, because one is left out
+GROUPS_MAX = 16  # [1] of postures, because the whole search is made without each of them
 PRIOR_TYPICALS = 10.0  # [1] sd of the priors, so that only what nothing tells stays as described
 STEPS_MAX = 12  # [1] effects that may join, else a model that fits nothing would collect them all
 TRIED_MAX = 2  # [1] effects fitted at a step, because fits are what a search takes its time for
@@ -57,32 +56,22 @@ STEPS_TRIED = 3  # [1] of a first fit, because the fit of the best block continu
 
 @dataclass(frozen=True)
 class Joining:
-    """A block that may join a fit: its start, and its derivatives of N whitened residuals."""
+    """A block that may join a fit: its start, and what it does to the markers."""
 
     block: Candidate
-    start: Mapping[FreeParameter, float]
-    change: Floats | float  # (N,) of the residual at the start; 0 for a law without a jump
-    columns: Floats  # (N, q) derivatives
+    start: Point
+    change: Floats | float  # (P, J, 3) [m] at the start; 0 for a law without a jump
+    moves: Floats  # (q, P, J, 3) [m per unit] derivatives
 
 
 class Rates:
-    """Derivatives of the residual by the blocks that may join a fit."""
+    """Derivatives of the markers by the blocks that may join a fit."""
 
-    def __init__(self, predictor: Predictor, whitener: Whitener, fit: Fit) -> None:
-        """
-        Settle the postures at the fit.
-
-        Raises
-        ------
-        ArithmeticError
-            They have no equilibrium.
-
-        """
-        self.predictor, self.whitener, self.fit = predictor, whitener, fit
-        if predictor.markers(fit.point, near=predictor.settled) is None:
-            raise ArithmeticError('a fit has no equilibrium')
-        assert predictor.settled is not None
-        self.settled: SettledShapes = predictor.settled
+    def __init__(self, predictor: Predictor, state: State) -> None:
+        """Take the equilibria of a state."""
+        self.predictor, self.whitener, self.fit = predictor, state.whitener, state.fit
+        assert state.fit.settled is not None
+        self.settled = state.fit.settled
 
     def of(self, blocks: Sequence[Candidate]) -> Iterator[Joining]:
         """Yield the blocks with their derivatives; those that are always on from several sizes."""
@@ -95,11 +84,10 @@ class Rates:
             if free.effect not in effects or self.predictor.has_slopes(effects[free.effect])
         ]
         moved = self.predictor.tangent(self.fit.point, smooth, self.settled) if smooth else None
-        slopes, before = dict[FreeParameter, Floats](), self.fit.residual[: self.whitener.size]
+        slopes = dict[FreeParameter, Floats]()
         if moved is not None:
-            columns = -self.whitener.white(moved.markers)
-            finite = np.isfinite(columns).all(axis=1)
-            slopes = {free: columns[i] for i, free in enumerate(smooth) if finite[i]}
+            finite = np.isfinite(moved.markers).all(axis=(1, 2, 3))
+            slopes = {free: moved.markers[i] for i, free in enumerate(smooth) if finite[i]}
         for block in blocks:
             if jumps(block, self.predictor):
                 yield from self._jumping(block)
@@ -110,51 +98,50 @@ class Rates:
                 step = DIFFERENCE_STEP * free.parameter.typical
                 step = step if value + step <= free.parameter.high else -step
                 start[free] = value + step
-                column = slopes.get(free)
-                if column is None:
-                    after = self._residual({**self.fit.point, free: value + step})
-                    column = np.zeros_like(before) if after is None else (after - before) / step
-                own.append(column)
-            yield Joining(block, start, 0.0, np.array(own).T)
+                slope = slopes.get(free)
+                own.append(self._slope({free: value + step}, step) if slope is None else slope)
+            yield Joining(block, start, 0.0, np.array(own))
 
     def _jumping(self, block: Candidate) -> Iterator[Joining]:
         """
-        Yield a block whose presence changes the residual at every value, from the best of sizes.
+        Yield a block whose presence changes the markers at every value, from the best of sizes.
 
         Sizes grow until a larger one is worse, the parameters of the fit adjusted linearly; they
         stay below the typical ones, from where a fit goes on.
         """
-        n = self.whitener.size
-        own, slopes = self.fit.residual[:n], self.fit.jacobian[:n]
+        slopes = self.fit.jacobian[: self.whitener.size]
         best, lowest = None, np.inf
         for size in LADDER[:4:2]:
             start = {
                 free: float(np.clip(size * p.typical, p.low, p.high))
                 for free, p in ((free, free.parameter) for free in block.frees)
             }
-            jumped = self._residual({**self.fit.point, **start})
+            jumped = self._markers(start)
             if jumped is None:
                 break
-            rest = jumped - slopes @ np.linalg.lstsq(slopes, jumped)[0]
+            white = self.whitener.white(self.predictor.dataset.mean - jumped)
+            rest = white - slopes @ np.linalg.lstsq(slopes, white)[0]
             if float(rest @ rest) > lowest:
                 break
             lowest, best = float(rest @ rest), (start, jumped)
         if best is None:
             return
         start, jumped = best
-        columns = []
+        moves = []
         for free, value in start.items():
             step = DIFFERENCE_STEP * value
-            moved = self._residual({**self.fit.point, **start, free: value + step})
-            columns.append(np.zeros_like(jumped) if moved is None else (moved - jumped) / step)
-        yield Joining(block, start, jumped - own, np.array(columns).T)
+            moves.append(self._slope({**start, free: value + step}, step, jumped))
+        yield Joining(block, start, jumped - self.fit.markers, np.array(moves))
 
-    def _residual(self, point: Mapping[FreeParameter, float]) -> Floats | None:
-        """Return the whitened residual (N,) at a point; None without equilibrium."""
-        markers = self.predictor.markers(point, near=self.settled)
-        if markers is None:
-            return None
-        return self.whitener.white(self.predictor.dataset.mean - markers)
+    def _slope(self, point: Point, step: float, before: Floats | None = None) -> Floats:
+        """Return the slope (P, J, 3) between a point and one a step off; 0 if it cannot stand."""
+        before = self.fit.markers if before is None else before
+        after = self._markers(point)
+        return np.zeros_like(before) if after is None else (after - before) / step
+
+    def _markers(self, more: Point) -> Floats | None:
+        """Return the markers (P, J, 3) [m] at the fit with more; None without equilibrium."""
+        return self.predictor.markers({**self.fit.point, **more}, near=self.settled)
 
 
 def jumps(block: Candidate, predictor: Predictor) -> bool:
@@ -168,6 +155,22 @@ def described(predictor: Predictor, free: FreeParameter) -> float:
     return float(np.clip(predictor.value(free), free.parameter.low, free.parameter.high))
 
 
+def bounds(fit: Fit) -> tuple[Floats, Floats]:
+    """Return the lowest and highest values (q,) of the parameters of a fit."""
+    ends = [(free.parameter.low, free.parameter.high) for free in fit.frees]
+    low, high = np.array(ends).reshape(-1, 2).T
+    return low, high
+
+
+def pressed(fit: Fit) -> npt.NDArray[np.bool_]:
+    """Return which parameters (q,) lie at a bound beyond which the error would fall."""
+    (low, high), slope = bounds(fit), fit.jacobian.T @ fit.residual
+    out: npt.NDArray[np.bool_] = (fit.values <= low) & (slope > 0.0) | (fit.values >= high) & (
+        slope < 0.0
+    )
+    return out
+
+
 def promised(residual: Floats, jacobian: Floats, whitener: Whitener, groups: Groups) -> float:
     """Return the mean squared error [m²] of left-out postures after one Gauss-Newton step."""
     step = covariance_of(*covariance_root(jacobian), blind=0.0) @ (jacobian.T @ residual)
@@ -175,7 +178,9 @@ def promised(residual: Floats, jacobian: Floats, whitener: Whitener, groups: Gro
     return float(np.nanmean(errors))
 
 
-def grown(fit: Fit, joining: Joining, back: Floats, spread: Floats) -> tuple[Floats, Floats]:
+def grown(
+    fit: Fit, joining: Joining, whitener: Whitener, back: Floats, spread: Floats
+) -> tuple[Floats, Floats]:
     """
     Return residual (N + p,) and Jacobian (N + p, f) of a fit with a block and its priors.
 
@@ -185,12 +190,23 @@ def grown(fit: Fit, joining: Joining, back: Floats, spread: Floats) -> tuple[Flo
         Distance of the start of the block from the description, and the sd of its priors.
 
     """
-    n, q = joining.columns.shape
-    columns = np.vstack([joining.columns, np.zeros((len(fit.residual) - n, q))])
+    n, q = whitener.size, len(joining.moves)
+    columns, residual = np.zeros((len(fit.residual), q)), np.append(fit.residual, back / spread)
+    columns[:n] = -whitener.white(joining.moves).T
+    if np.any(joining.change):
+        residual[:n] -= whitener.white(np.asarray(joining.change))
     beside = np.zeros((q, fit.jacobian.shape[1]))
-    residual = np.append(fit.residual, back / spread)
-    residual[:n] += joining.change
     return residual, np.block([[fit.jacobian, columns], [beside, np.diag(1.0 / spread)]])
+
+
+def reweighed(rows: Floats, before: Whitener, after: Whitener) -> Floats:
+    """Return rows (n, ...) with other weights, which may leave out some of the postures."""
+    owners, own = before.owners, after.owners
+    parts = [
+        after.root(p) @ np.linalg.solve(before.root(p), rows[: len(owners)][owners == p])
+        for p in np.unique(own).tolist()
+    ]
+    return np.concatenate([*parts, rows[len(owners) :]])
 
 
 @dataclass(frozen=True)
@@ -205,9 +221,9 @@ class State:
     removed: tuple[str, ...] = ()  # blocks that left after that
 
     @property
-    def names(self) -> set[str]:
+    def names(self) -> frozenset[str]:
         """Names of the blocks."""
-        return {block.label for block in self.blocks}
+        return frozenset(block.label for block in self.blocks)
 
     @property
     def effects_in(self) -> set[str]:
@@ -263,6 +279,11 @@ class Stepwise:
         ]
         # [m²] that a block was to gain when it was first judged, by its label; see `promising`
         self.gains = dict[str, float]()
+        self.folds = folds_of(self.dataset, FOLDS if self.dataset.thinned_from else GROUPS_MAX)
+        self.held: Held = ()  # postures without weight
+        # fits of all postures, and what may join these, by the blocks that have joined
+        self.fits = dict[frozenset[str], State]()
+        self.joinings = dict[frozenset[str], dict[str, Joining | None]]()
 
     def _refuse(self, mistake: Mistake) -> None:
         before = rms(self.measured - self.predict({}))
@@ -286,48 +307,51 @@ class Stepwise:
         assert markers is not None
         return markers
 
-    def with_own_model(self) -> Stepwise:
-        """Return a copy with its own model, for another thread."""
+    def squares(self, states: Sequence[State]) -> Floats:
+        """Return squared errors (P, J) [m²], of each fold those of its state."""
+        squares = np.full(self.measured.shape[:2], np.nan)
+        for held, state in zip(self.folds, states, strict=True):
+            squares[held] = ((self.measured - state.fit.markers) ** 2).sum(axis=2)[held]
+        return squares
+
+    def without(self, held: Held) -> Stepwise:
+        """
+        Return the same search without some postures, with a model of its own.
+
+        It goes on from the fits of this one, as far as it chooses the same blocks.
+        """
         other = copy(self)
         other.predictor = DescribedArm(self.dataset, self.robot, self.catalogue)
+        other.held, other.plain = held, self.plain.without(held)
         return other
 
-    def settled(self, states: list[State]) -> list[State]:
-        """Return the states before the first without an equilibrium in a posture not used."""
-        for k, state in enumerate(states if self.dataset.thinned_from else ()):
-            if math.isnan(rms_of(self.whole, self.written(state), self.catalogue)):
-                return states[: max(k, 1)]
-        return states
-
-    def path(self, held: Held = (), show: Callable[[int], None] | None = None) -> list[State]:
-        """Return the states of a search without the held postures; the first has no blocks."""
-        whitener = self.weights(self.predict({}), held)
-        states, gains = [self.state((), {}, whitener)], dict(self.gains)
-        for k in range(STEPS_MAX):
-            if show is not None:
-                show(k)
-            if self.chance(states[-1], held) > P_SINGLE_MIN:
-                break  # nothing but noise remains
-            better = self.step(states[-1], gains)
+    def path(self) -> Iterator[State]:
+        """Yield the states of a search; the first has no blocks."""
+        whitener, gains = self.weights(self.predict({})), dict(self.gains)
+        state = self.state((), {}, None, whitener)
+        for _ in range(STEPS_MAX):
+            yield state
+            if self.chance(state) > P_SINGLE_MIN:
+                return  # nothing but noise remains
+            better = self.step(state, gains)
             if better is None:
-                break
-            whitener = self.weights(better.fit.markers, held)
-            refitted = self.state_or_none(better.blocks, better.fit.point, whitener, better.joined)
-            states.append(replace(refitted or better, removed=better.removed))
-        return states
+                return
+            whitener, fit = self.weights(better.fit.markers), better.fit
+            fitted = self.fitted(better.blocks, fit.point, fit.settled, whitener, better.joined)
+            state = replace(fitted or better, removed=better.removed)
+        yield state
 
     def step(self, state: State, gains: dict[str, float]) -> State | None:
         """Return the state with the best further block, without idle ones; None if none helps."""
-        attempts = []
+        attempts, near = [], state.fit.settled
         for joining in self.promising(state, gains):
             blocks, start = (*state.blocks, joining.block), {**state.fit.point, **joining.start}
             label = joining.block.label
-            fitted = self.state_or_none(blocks, start, state.whitener, label, STEPS_TRIED)
+            fitted = self.fitted(blocks, start, near, state.whitener, label, STEPS_TRIED)
             attempts += [] if fitted is None else [fitted]
         if not attempts:
             return None
         best = min(attempts, key=lambda state: state.score)
-        best = self.state_or_none(best.blocks, best.fit.point, state.whitener, best.joined) or best
         if best.score > (1.0 - 0.5 * NEGLIGIBLE) * state.score:
             return None
         return self.without_idle(best)
@@ -339,7 +363,7 @@ class Stepwise:
                 continue
             rest = tuple(one for one in state.blocks if one is not block)
             point = {f: value for f, value in state.fit.point.items() if f not in block.frees}
-            fewer = self.state_or_none(rest, point, state.whitener, state.joined)
+            fewer = self.fitted(rest, point, state.fit.settled, state.whitener, state.joined)
             if fewer is not None and fewer.score <= state.score:
                 state = replace(fewer, removed=(*state.removed, block.label))
         return state
@@ -357,14 +381,10 @@ class Stepwise:
         block gains falls as others join, so that its gain in an earlier step, `gains` [m²] by its
         label, is a bound (lazy greedy search, Minoux 1978).
         """
-        try:
-            rates = Rates(self.predictor, state.whitener, state.fit)
-        except ArithmeticError:
-            return []
         best: dict[str, tuple[float, Joining]] = {}
         blocks = [block for block in self.blocks if self.may_join(block, state)]
         slow = [block for block in blocks if jumps(block, self.predictor)]
-        for joining in rates.of([block for block in blocks if block not in slow]):
+        for joining in self.joining(state, [block for block in blocks if block not in slow]):
             error = self.promise(state, joining)
             if error < state.score:
                 best[joining.block.label] = (error, joining)
@@ -374,14 +394,29 @@ class Stepwise:
             if state.score - gains.get(block.label, np.inf) >= beaten:
                 continue
             error = state.score
-            for joining in rates.of([block]):
+            for joining in self.joining(state, [block]):
                 error = self.promise(state, joining)
                 if error < state.score:
                     best[block.label] = (error, joining)
             gains[block.label] = state.score - error
-            self.gains.setdefault(block.label, gains[block.label])
+            if not len(self.held):
+                self.gains.setdefault(block.label, gains[block.label])
         order = sorted(best.values(), key=lambda pair: pair[0])
         return [joining for _, joining in order[:TRIED_MAX]]
+
+    def joining(self, state: State, blocks: Sequence[Candidate]) -> list[Joining]:
+        """Return what blocks do beside a state; by the fit of all postures, where it is known."""
+        known = self.joinings.get(state.names, {})
+        new = [block for block in blocks if block.label not in known]
+        if new:
+            own = {
+                joining.block.label: joining for joining in Rates(self.predictor, state).of(new)
+            }
+            known = known | {block.label: own.get(block.label) for block in new}
+            if not len(self.held):
+                self.joinings[state.names] = known
+        made = [known[block.label] for block in blocks]
+        return [joining for joining in made if joining is not None]
 
     def may_join(self, block: Candidate, state: State) -> bool:
         """Return whether a block is new in a state, and the effect that it modifies is present."""
@@ -404,7 +439,7 @@ class Stepwise:
         back = np.zeros(len(frees))
         if np.any(joining.change):
             back += [joining.start[free] - described(self.predictor, free) for free in frees]
-        system = grown(state.fit, joining, back, spread)
+        system = grown(state.fit, joining, state.whitener, back, spread)
         return promised(*system, state.whitener, self.dataset.groups)
 
     def promise_without(self, block: Candidate, state: State) -> float:
@@ -419,42 +454,97 @@ class Stepwise:
         self,
         blocks: tuple[Candidate, ...],
         start: Point,
+        near: SettledShapes | None,
         whitener: Whitener,
         joined: str = '',
         steps: int = ITERATIONS_MAX,
     ) -> State:
-        """Fit blocks together, with their priors."""
+        """Fit blocks together, with their priors, from a start with equilibria near it."""
         frees = tuple(free for block in blocks for free in block.frees)
         centres = [described(self.predictor, free) for free in frees]
         priors = [
             Nuisance(free.effect, free, centre, PRIOR_TYPICALS * free.parameter.typical)
             for free, centre in zip(frees, centres, strict=True)
         ]
-        fitted = Fitter(self.predictor, whitener, priors).fit((), start, steps)
+        fitted = Fitter(self.predictor, whitener, priors).fit((), start, steps, near=near)
         fit = replace(fitted, frees=frees, nuisances=(), described=0.0)
-        low = np.array([free.parameter.low for free in frees])
-        high = np.array([free.parameter.high for free in frees])
-        slope = fit.jacobian.T @ fit.residual
-        pressed = (fit.values <= low) & (slope > 0.0) | (fit.values >= high) & (slope < 0.0)
-        free = fit.jacobian[:, ~pressed]
-        errors = left_out_errors(fit.residual, free, whitener, self.dataset.groups)
+        return self._with_errors(blocks, fit, whitener, joined)
+
+    def _with_errors(
+        self, blocks: tuple[Candidate, ...], fit: Fit, whitener: Whitener, joined: str
+    ) -> State:
+        """Return the state of a fit: parameters that press on a bound stay when others leave."""
+        errors = left_out_errors(
+            fit.residual, fit.jacobian[:, ~pressed(fit)], whitener, self.dataset.groups
+        )
         return State(blocks, fit, whitener, errors, joined)
 
-    def state_or_none(self, *arguments: Any) -> State | None:
-        """Return the `state` of blocks; None where the arm has no equilibrium."""
+    def fitted(
+        self,
+        blocks: tuple[Candidate, ...],
+        start: Point,
+        near: SettledShapes | None,
+        whitener: Whitener,
+        joined: str = '',
+        steps: int = ITERATIONS_MAX,
+    ) -> State | None:
+        """
+        Return the `state` of blocks; None where the arm has no equilibrium.
+
+        Without some postures it is a step from the fit of all of them, where there is one.
+        """
+        names = frozenset(block.label for block in blocks)
+        if len(self.held) and names in self.fits:
+            state = self._left_out_of(self.fits[names], whitener, joined)
+            if state is not None:
+                return state
         try:
-            return self.state(*arguments)
+            state = self.state(blocks, start, near, whitener, joined, steps)
         except FAILURES:
             return None
+        if not len(self.held):
+            self.fits[names] = state
+        return state
 
-    def weights(self, markers: Floats, held: Held) -> Whitener:
+    def _left_out_of(self, whole: State, whitener: Whitener, joined: str) -> State | None:
+        """
+        Return a fit without the held postures: the closed form, predicted by the model.
+
+        One step of Gauss-Newton from the fit of all postures; None where the error of the others
+        does not fall by it.
+        """
+        fit = whole.fit
+        residual, jacobian = (
+            reweighed(rows, whole.whitener, whitener) for rows in (fit.residual, fit.jacobian)
+        )
+        fit = replace(fit, residual=residual, jacobian=jacobian)
+        free = ~pressed(fit)
+        step = np.zeros(len(free))
+        columns = jacobian[:, free]
+        step[free] = covariance_of(*covariance_root(columns), blind=0.0) @ (columns.T @ residual)
+        low, high = bounds(fit)
+        values, n = np.clip(fit.values - step, low, high), whitener.size
+        point = dict(zip(fit.frees, values.tolist(), strict=True))
+        markers = self.predictor.markers(point, near=fit.settled)
+        if markers is None:
+            return None
+        prior = residual[n:] + jacobian[n:] @ (values - fit.values)
+        moved = np.append(whitener.white(self.measured - markers), prior)
+        if moved @ moved > residual @ residual:
+            return None
+        settled = self.predictor.settled
+        fit = replace(fit, values=values, residual=moved, markers=markers, settled=settled)
+        return self._with_errors(whole.blocks, fit, whitener, joined)
+
+    def weights(self, markers: Floats) -> Whitener:
         """Return weights that include the error of a prediction, of estimated size."""
-        sizes = likely(self.dataset, self.noise, self.slopes, self.measured - markers, held)
-        return Whitener(self.dataset, self.noise, self.slopes, *sizes).without(held)
+        off = self.measured - markers
+        sizes = likely(self.dataset, self.noise, self.slopes, off, self.held)
+        return Whitener(self.dataset, self.noise, self.slopes, *sizes).without(self.held)
 
-    def chance(self, state: State, held: Held = ()) -> float:
+    def chance(self, state: State) -> float:
         """Return the p-value of the residual under noise alone, on postures not held out."""
-        white = self.plain.without(held).white(self.measured - state.fit.markers)
+        white = self.plain.white(self.measured - state.fit.markers)
         chi2, freedom = float(white @ white), max(len(white) - len(state.fit.frees), 1)
         if not np.isfinite(self.noise.freedom):
             return chi2_sf(chi2, freedom)

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..common.arrays import Floats
 from ..common.errors import TendonRobotError
 from ..common.estimation import ITERATIONS_MAX
 from ..common.words import STANDARD_GRAVITY
@@ -23,7 +23,6 @@ from ..drivers.serial_port import ANSWER_TIMEOUT_S
 from ..robot.estimates import SAME_TENSION_N
 from .servo import STEP_S, Load, Servo
 
-Array = NDArray[np.float64]
 # [N] of change in which an arm keeps its compliance: a probe for every wire costs as many calls of
 # the model, so that one at every step would be slower than the time that it emulates
 LINEAR_N = 0.2
@@ -39,7 +38,7 @@ SILENCE_STEP_MAX_S = REGISTERS['bus_watchdog'].unit
 class Arm(Protocol):
     """Something with wires."""
 
-    def tensions(self, wound: Array, passed: float) -> Array:
+    def tensions(self, wound: Floats, passed: float) -> Floats:
         """Return the tensions [N] for the wound wire, both shape (m,) [m], after `passed` s."""
         ...
 
@@ -55,14 +54,14 @@ class Arm(Protocol):
 class SpringArm:
     """Independent linear springs: the simplest arm that has slack and tension."""
 
-    def __init__(self, stiffness: Array, slack: Array | None = None) -> None:
+    def __init__(self, stiffness: Floats, slack: Floats | None = None) -> None:
         """Take stiffness [N/m] and slack [m] per wire, shape (m,)."""
-        self.stiffness: Array = np.asarray(stiffness, dtype=float)
+        self.stiffness: Floats = np.asarray(stiffness, dtype=float)
         self.slack = np.zeros_like(self.stiffness) if slack is None else np.asarray(slack)
         self.weights = np.full_like(self.stiffness, np.inf)  # [N] that a spring pulls at most
-        self._pull: Array = -self.stiffness * self.slack
+        self._pull: Floats = -self.stiffness * self.slack
 
-    def tensions(self, wound: Array, passed: float) -> Array:
+    def tensions(self, wound: Floats, passed: float) -> Floats:
         """Return stiffness times what is wound beyond the slack, or the weight."""
         self._pull = np.minimum(self.stiffness * (wound - self.slack), self.weights)
         return np.maximum(0.0, self._pull)
@@ -76,7 +75,7 @@ class SpringArm:
 class HangingWeights(SpringArm):
     """A weight on every wire, for a calibration: constant tension once it is off the ground."""
 
-    def __init__(self, masses: Array, stiffness: float = 2e4) -> None:
+    def __init__(self, masses: Floats, stiffness: float = 2e4) -> None:
         """Take the masses [kg], shape (m,), and the stiffness of the wires [N/m]."""
         super().__init__(np.full(len(masses), stiffness))
         self.weights = STANDARD_GRAVITY * np.asarray(masses, dtype=float)
@@ -104,7 +103,7 @@ class ElasticArm:
 
     def __init__(
         self,
-        pulls: Callable[[Array], Array],
+        pulls: Callable[[Floats], Floats],
         inputs: int,
         highest: float,
         slack: float = 0.0,
@@ -145,7 +144,7 @@ class ElasticArm:
         self._probe()
         self._linearise()
 
-    def tensions(self, wound: Array, passed: float) -> Array:
+    def tensions(self, wound: Floats, passed: float) -> Floats:
         """Return the present tensions [N]; once a period `pulls` of the arm is called."""
         self._since += passed
         self._coming *= math.exp(-passed / CYCLE_S)  # else the arm would jump
@@ -163,7 +162,7 @@ class ElasticArm:
         value = self._values[wire]
         return (value if self._taut[wire] else -stiffness * value), stiffness
 
-    def _evaluate(self, tensions: Array, wound: Array) -> None:
+    def _evaluate(self, tensions: Floats, wound: Floats) -> None:
         """Make the arm linear about tensions (m,) [N], with so much wire (m,) [m] wound."""
         with contextlib.suppress(TendonRobotError):
             self._point, self._pulls = tensions, self.pulls(tensions)
@@ -189,7 +188,7 @@ class ElasticArm:
         self._offset -= self._compliance @ self._point
         self._pivot()
 
-    def _held(self, wound: Array) -> Array:
+    def _held(self, wound: Floats) -> Floats:
         """Return tensions (m,) >= 0 [N] that hold so much wire; Murty's least-index method."""
         beyond = wound + self._coming - self._offset
         values = self._map @ beyond
@@ -218,7 +217,7 @@ class ElasticArm:
         self._stiffness: list[float] = (1.0 / alone).tolist()
 
 
-def softer(compliance: Array) -> float:
+def softer(compliance: Floats) -> float:
     """
     Return the addition to the diagonal of a compliance [m/N] for which tensions are unique.
 

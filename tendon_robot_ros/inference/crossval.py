@@ -7,6 +7,7 @@ The error on postures left out also decides whether the arm as it was found is w
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -138,24 +139,31 @@ def model_error_of(dataset: DataSet, squares: Floats, floor: float) -> float:
     return float(np.sqrt(max(float(h @ excess) / float(h @ h), 0.0)))
 
 
-def left_out_squares(fitter: Fitter, fit: Fit, beside: bool = True) -> Floats:
-    """
-    Return squared errors (P, J) [m²] of postures that were not used: groups are left out in turn.
+def folds_of(dataset: DataSet, count: int = FOLDS) -> list[Groups]:
+    """Return the postures of at most so many folds; those of the same inputs stay together."""
+    measured = np.flatnonzero(dataset.trials > 0)
+    own = dataset.groups[measured]
+    groups = np.unique(own)
+    count = min(count, len(groups))
+    return [measured[np.isin(own, groups[fold::count])] for fold in range(count)]
 
-    The parameters without a group follow from the Jacobian at the fit (one Gauss-Newton step); the
+
+def left_out_squares(
+    fitter: Fitter, fit: Fit, beside: bool = True, folds: Sequence[Groups] = ()
+) -> Floats:
+    """
+    Return squared errors (P, J) [m²] of postures that were not used: folds are left out in turn.
+
+    The parameters without a fold follow from the Jacobian at the fit (one Gauss-Newton step); the
     model itself then predicts the left-out postures, as the description to write would: with the
     tolerances and imperfections that it can hold (`beside`), or without.
     """
     dataset, owners = fitter.predictor.dataset, fitter.whitener.owners
-    measured = np.flatnonzero(dataset.trials > 0)
-    groups = np.unique(dataset.groups[measured])  # postures of the same inputs are not independent
-    folds = min(FOLDS, len(groups))
     predicted = np.full_like(fit.markers, np.nan)
     scale = np.maximum(np.linalg.norm(fit.jacobian, axis=0), 1e-300)
     scaled = fit.jacobian / scale
     normal, gradient = scaled.T @ scaled, scaled.T @ fit.residual
-    for fold in range(folds):
-        held = measured[np.isin(dataset.groups[measured], groups[fold::folds])]
+    for held in folds or folds_of(dataset):
         rows = np.flatnonzero(np.isin(owners, held))
         out, off = fit.jacobian[rows] / scale, fit.residual[rows]
         remaining = normal - out.T @ out + RIDGE * np.eye(len(normal))

@@ -84,6 +84,7 @@ class Fitter:
         steps: int = STEPS_MAX,
         sizes: Floats | None = None,
         hopeless: float = np.inf,
+        near: SettledShapes | None = None,
     ) -> Fit:
         """
         Fit free parameters, and the nuisances for which none of them stands.
@@ -101,6 +102,8 @@ class Fitter:
             Fixed sizes; imperfections are then linear around those of the fitter.
         hopeless : float
             Deviance; a fit that is not expected to fall below it stops early.
+        near : SettledShapes, optional
+            Equilibria near a start that is a point.
 
         Raises
         ------
@@ -109,10 +112,10 @@ class Fitter:
 
         """
         if sizes is not None:
-            search = self.search(frees, start, sizes)
+            search = self.search(frees, start, sizes, near)
             search.run(steps)
             return self.freeze(search)
-        descent = self.begin(frees, start, steps)
+        descent = self.begin(frees, start, steps, near)
         while not descent.converged:
             descent.go_on(hopeless)
         return descent.fit()
@@ -122,9 +125,10 @@ class Fitter:
         frees: Sequence[FreeParameter],
         start: Fit | Point | None = None,
         steps: int = STEPS_MAX,
+        near: SettledShapes | None = None,
     ) -> Descent:
         """Start a fit that runs round by round; see `fit`."""
-        return Descent(self, self.search(frees, start), steps)
+        return Descent(self, self.search(frees, start, near=near), steps)
 
     def search(
         self,

@@ -22,11 +22,10 @@ from ..common.arrays import Floats
 from ..data import DataSet
 from ..effects import Catalogue, Parameter
 from ..model.derivatives import Move
-from ..model.forward import ForwardModel
 from ..model.shape import ShapeBatch
 from ..robot import Robot, Section
 from ..robot.description import EffectValues
-from .predict import CELLS, Conditions, Freed, FreeParameter, Point, Predictor
+from .predict import CELLS, Conditions, FreeParameter, Point, Predictor, Shifted
 
 KINK, ACROSS, GAIN, HOLE = 'cell_kink', 'cell_kink_across', 'channel_gain', 'hole_radius'
 ZERO, POSITION, ROTATION = 'pull_zero', 'position', 'rotation'
@@ -234,6 +233,24 @@ class SplitPredictor(Predictor):
         kinks[:, 1 - axis] = off.get(ACROSS, 0.0)
         return kinks
 
+    def member(self, name: str, i: int, part: Conditions, count: int) -> Shifted:
+        """Return the move of member i of a kind of `around`; the model is set to a point."""
+        arrays, own, rows = self.model.arrays, self.around[name], self.predicted(part).rows
+        entries, slope, effect, axis = own[i : i + 1], np.ones(1), '', planar_axis(self.whole)
+        if name in (KINK, ACROSS):
+            cell, xy = divmod(i, 2) if axis is None else (i, axis if name == KINK else 1 - axis)
+            entries, effect = arrays.values[self.rests[xy], cell : cell + 1], REST
+        elif name in (CELLS, HOLE):
+            entries = arrays.cells[i, 1:2] if name == CELLS else arrays.offset[:, i]
+            slope = entries / (1.0 + own[i])
+
+        def given() -> Floats:
+            return self.given(self.inputs)[rows]
+
+        by_gain = name == GAIN and self.dataset.input == 'tension'
+        inputs = given if by_gain else None
+        return Shifted(arrays, (-STEP, STEP), count, entries, slope, effect, inputs)
+
     def given(self, inputs: Floats) -> Floats:
         """Return the inputs (P, m) [N] or [m] that reach the arm."""
         off = self.around
@@ -327,48 +344,6 @@ def forces_at(robot: Robot, cell: int) -> list[FreeParameter]:
     return [FreeParameter(PUSH, axis, cell) for axis in axes]
 
 
-class _Member(Freed):
-    """One imperfection that is varied to both sides about what it is."""
-
-    def __init__(
-        self,
-        split: SplitPredictor,
-        point: Point,
-        part: Conditions,
-        name: str,
-        unit: Floats,
-        b: int,
-    ) -> None:
-        """Store the arrays of the model at both ends, for `b` postures."""
-        self.split, at, step = split, split.around, STEP
-        centre = at.get(name, np.zeros(len(unit)))
-        self._around: dict[float, Members] = {0.0: at}
-        self._around |= {side: {**at, name: centre + side * unit} for side in (-step, step)}
-        self._rows = split.predicted(part).rows
-
-        def set_to(side: float) -> None:
-            split.around = self._around[side]
-            split.set_parameters(point, part)
-
-        super().__init__(split.model.arrays, (-step, step), b, set_to)
-
-    def inputs(self, inputs: Floats, side: Floats) -> Floats:
-        """Return the input tensions (b, m) [N] of one side, which a gain changes."""
-        split = self.split
-        by_tension = split.dataset.input == 'tension'
-        return split.given(split.inputs)[self._rows] if by_tension else inputs
-
-    @contextmanager
-    def applied(self, model: ForwardModel, side: Floats) -> Iterator[None]:
-        """Set the imperfection to one side while the block runs."""
-        self.split.around = self._around[float(side[0])]
-        try:
-            with super().applied(model, side):
-                yield
-        finally:
-            self.split.around = self._around[0.0]
-
-
 def imperfections(
     split: Predictor, point: Point, at: Members | None = None, changed: bool = False
 ) -> Imperfections | None:
@@ -386,16 +361,17 @@ def imperfections(
     kinds, split.around = split.kinds(changed) if reference is None or changed else (), at or {}
     if split.markers(point) is None:
         return None
-    named = [(kind.name, unit) for kind in kinds for unit in np.eye(len(kind))]
+    named = [(kind.name, i, len(kind)) for kind in kinds for i in range(len(kind))]
     if not named:
         moves = np.empty((0, len(split.inputs), len(split.dataset.markers), 3))
     elif split.model.friction_remembers or split.carries:
         moves = _differences(split, point, named)
     else:
+        split.around = {k.name: np.zeros(len(k)) + split.around.get(k.name, 0.0) for k in kinds}
         moves = _slopes(
             split,
             point,
-            lambda part, b: [_Member(split, point, part, *one, b) for one in named],
+            lambda part, b: [split.member(name, i, part, b) for name, i, _ in named],
         )
     columns = remainders(split)
     allowed = 0.0 if reference is None else reference.error / np.sqrt(3.0)
@@ -433,7 +409,7 @@ def _slopes(
 
 
 def _differences(
-    split: SplitPredictor, point: Point, named: Sequence[tuple[str, Floats]]
+    split: SplitPredictor, point: Point, named: Sequence[tuple[str, int, int]]
 ) -> Floats:
     """Return central differences (q, P, J, 3) of the markers by members of kinds."""
     near, at = split.settled, split.around
@@ -446,10 +422,10 @@ def _differences(
             return along(point)[0]
 
     moves, zero = [], np.zeros((len(split.inputs), len(split.dataset.markers), 3))
-    for name, unit in named:
-        step, centre, sides = PLAUSIBLE_SIZES[name][2], at.get(name, np.zeros(len(unit))), []
+    for name, i, count in named:
+        step, centre, sides = PLAUSIBLE_SIZES[name][2], at.get(name, np.zeros(count)), []
         for side in (step, -step):
-            split.around = {**at, name: centre + side * unit}
+            split.around = {**at, name: centre + side * np.eye(count)[i]}
             sides.append(predict())
         up, down = sides
         moves.append(zero if up is None or down is None else (up - down) / (2.0 * step))

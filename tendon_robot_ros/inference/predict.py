@@ -22,6 +22,7 @@ from ..model.derivatives import (
     Move,
     PathSlopes,
     follow,
+    shown,
     tensions_by_pulls,
 )
 from ..model.forward import TOLERANCE, ForwardModel
@@ -123,37 +124,50 @@ class Freed:
 
 
 class Shifted:
-    """Like `Freed`, for a parameter of an effect, whose value is set in the model's arrays."""
+    """Like `Freed`, for a quantity that stands in a few entries of one array."""
 
     def __init__(
         self,
         arrays: KernelArrays,
         ends: tuple[float, float],
         count: int,
-        effect: str,
-        parameter: str,
-        columns: slice,
+        entries: Floats,
+        slope: Floats | float = 1.0,
+        effect: str = '',
+        inputs: Callable[[], Floats] | None = None,
     ) -> None:
-        """Store the location of its values, and its variation in `count` postures."""
+        """
+        Store where it stands, and its variation in `count` postures.
+
+        Parameters
+        ----------
+        entries : ndarray
+            A view; they change by `slope` per unit.
+        effect : str
+            Is on while it is varied; '': none.
+        inputs : callable, optional
+            Returns the inputs (b, m) [N] while it is varied; default: they stay.
+
+        """
         self.down, self.up = (np.full(count, end) for end in ends)
-        self._arrays, self._effect = arrays, effect
-        self._values = arrays.values[arrays.layout.rows[effect, parameter], columns]
-        self._described = self._values.copy()
+        self._arrays, self._effect, self._inputs = arrays, effect, inputs
+        self._entries, self._slope, self._described = entries, slope, entries.copy()
 
     def inputs(self, inputs: Floats, side: Floats) -> Floats:
-        """Return the input tensions (b, m) [N]: they stay."""
-        return inputs
+        """Return the input tensions (b, m) [N] of one side."""
+        return inputs if self._inputs is None else self._inputs()
 
     @contextmanager
     def applied(self, model: ForwardModel, side: Floats) -> Iterator[None]:
-        """Set the parameter to one side, with its effect on, while the block runs."""
+        """Set the quantity to one side, with its effect on, while the block runs."""
         on = self._arrays.on.copy()
-        self._arrays.act(self._effect)
-        self._values[:] = self._described + side[0]
+        if self._effect:
+            self._arrays.act(self._effect)
+        self._entries[:] = self._described + side[0] * self._slope
         try:
             yield
         finally:
-            self._values[:], self._arrays.on[:] = self._described, on
+            self._entries[:], self._arrays.on[:] = self._described, on
 
 
 class Pulled:
@@ -450,7 +464,8 @@ class Predictor:
         """
         Return a function that predicts markers (P, J, 3) [m] of a sequence near a point.
 
-        To first order, at the cost of one step for every posture; see `PathSlopes`.
+        To first order, at the cost of one step for every posture; see `PathSlopes`. Postures that
+        only lie on the way are not shown.
         """
         slopes, by_pulls = [], self.dataset.input == 'displacement'
         settled = self._on_the_way(point, settled)
@@ -460,13 +475,14 @@ class Predictor:
             slopes.append(PathSlopes.of(self.model, start.tensions, start.state, by_pulls))
 
         def near(moved: Point) -> tuple[Floats, SettledShapes]:
-            placed = np.empty((len(self.inputs), len(self.dataset.markers), 3))
+            placed = np.zeros((len(self.inputs), len(self.dataset.markers), 3))
             then = SettledShapes(np.empty_like(settled.tensions), np.empty_like(settled.state))
             for part, path in zip(self.parts, slopes, strict=True):
                 self.set_parameters(moved, part)
-                shapes = path.shapes(self.given(self.inputs)[part.rows])
-                placed[part.rows] = self.see(shapes)
-                then.tensions[part.rows], then.state[part.rows] = shapes.inputs, shapes.state
+                tensions, states = path.equilibria(self.given(self.inputs)[part.rows])
+                seen = self._shown[part.rows]
+                placed[part.rows[seen]] = self.see(shown(self.model, tensions[seen], states[seen]))
+                then.tensions[part.rows], then.state[part.rows] = tensions, states
             return placed, then
 
         return near
@@ -489,12 +505,11 @@ class Predictor:
         """Return the derivatives of a sequence that remembers its bends; see `tangent`."""
         start = {**{free: self.value(free) for free in frees if self.is_effect(free)}, **point}
         near, columns = self.along_path(start, settled), []
+        here = _moved(near(start))
         for free in frees:
-            down, up = self._ends(start, free)
-            value, width = start.get(free, 0.0), up - down
-            low, high = (near({**start, free: value + side}) for side in (down, up))
-            pairs = zip(_moved(low), _moved(high), strict=True)
-            columns.append([(above - below) / width for below, above in pairs])
+            side = max(self._ends(start, free), key=abs)
+            there = _moved(near({**start, free: start.get(free, 0.0) + side}))
+            columns.append([(then - now) / side for now, then in zip(here, there, strict=True)])
         return Tangent(*(np.array(part) for part in zip(*columns, strict=True)))
 
     def _ends(self, point: Point, free: FreeParameter) -> tuple[float, float]:
@@ -510,9 +525,9 @@ class Predictor:
         value, own = point.get(free, self.value(free)), free.parameter
         ends = self._ends(point, free)
         if self.is_effect(free) and (free.effect, own.name) not in part.known:
-            return Shifted(
-                self.model.arrays, ends, count, free.effect, own.name, self.columns(free)
-            )
+            arrays = self.model.arrays
+            row = arrays.values[arrays.layout.rows[free.effect, own.name]]
+            return Shifted(arrays, ends, count, row[self.columns(free)], effect=free.effect)
 
         def set_to(side: float) -> None:
             self.set_parameters({**point, free: value + side}, part)

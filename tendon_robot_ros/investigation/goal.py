@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..common.errors import InputError
-from ..common.json_output import JSON_OPTION
+from ..common.results import JSON_OPTION
 from ..common.words import listed, mm
 from ..data import DataSet
 from ..diagnosis.result import Diagnosis

@@ -181,8 +181,12 @@ class PathSlopes:
         return cls(model, inputs, states, answers, by_tension, held, by_pulls)
 
     def shapes(self, commanded: Floats) -> ShapeBatch:
+        """Return the shapes (b) of the model as it is now, to first order; see `equilibria`."""
+        return shown(self.model, *self.equilibria(commanded))
+
+    def equilibria(self, commanded: Floats) -> tuple[Floats, Floats]:
         """
-        Return the shapes (b) of the model as it is now, to first order.
+        Return tensions (b, m) [N] and states (b, 3n) [rad] of the model, to first order.
 
         Parameters
         ----------
@@ -206,7 +210,7 @@ class PathSlopes:
             self.by_tension,
             self.held,
         )
-        return shown(model, inputs, states)
+        return inputs, states
 
 
 class Move(Protocol):

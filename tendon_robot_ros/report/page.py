@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.colours import ERROR, INK, KINDS, LineStyle
 from ..common.errors import MissingExtraError
 from ..common.files import write_text
@@ -48,7 +49,7 @@ def degrees_list(radians: npt.ArrayLike) -> list[float | None]:
     return plain(radians, 180.0 / np.pi)
 
 
-def coordinates(points: npt.NDArray[np.float64]) -> Trace:
+def coordinates(points: Floats) -> Trace:
     """Return points (n, 3) [m] as x, y and z in mm."""
     return {axis: mm_list(points[:, i]) for i, axis in enumerate('xyz')}
 
@@ -80,7 +81,7 @@ def trace(
     return {'x': x, 'y': y, 'name': escape(name), 'mode': mode, **more}
 
 
-def placed(points: npt.NDArray[np.float64], mode: str, name: str, **more: Any) -> Trace:
+def placed(points: Floats, mode: str, name: str, **more: Any) -> Trace:
     """Return what is drawn of points (n, 3) [m], in mm; its name is escaped."""
     return {**coordinates(points), 'mode': mode, 'name': escape(name), **more}
 

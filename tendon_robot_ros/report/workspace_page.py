@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..common.arrays import Floats
+from ..common.arrays import Floats, Ints
 from ..common.colours import ERROR, FLOOR, INK, PREDICTED, line_style
 from ..common.words import commands, digits, listed
-from ..workspace.cubes import SPHERE_PART_COUNT, Numbers, Reached
+from ..workspace.cubes import SPHERE_PART_COUNT, Reached
 from ..workspace.view_angle import Family, Workspace
 from ..workspace.volume import Volume, bends_as_one
 from .page import (
@@ -359,7 +359,7 @@ def section_figure(volume: Volume, values: Floats, title: str, axis: int) -> Fig
     )
 
 
-def heat_map(frame: tuple[Numbers, Numbers, float], cells: Numbers, values: Floats) -> Trace:
+def heat_map(frame: tuple[Ints, Ints, float], cells: Ints, values: Floats) -> Trace:
     """Return a picture of cubes (c, 2) in a plane; what none fills stays empty."""
     low, high, edge = frame
     shape = high - low + 1

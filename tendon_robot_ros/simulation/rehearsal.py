@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..common.arrays import Floats
 from ..common.errors import InputError, NoEquilibriumError, whole
 from ..common.words import STANDARD_GRAVITY, digits, listed, mm
 from ..diagnosis.verdict import Verdict
@@ -21,7 +21,6 @@ from ..robot.estimates import natural_sizes
 from ..workspace.postures import default_postures
 from .hidden import CAUSES, STIFFNESS_SCATTER, chosen
 
-Array = NDArray[np.float64]
 NOTHING_HIDDEN = 'none'
 REFINEMENTS = ('eyelet_wrap', 'tendon_travel')  # what the mock's wires do, and its owner knows
 # [1] tip error of a hidden effect, in lengths of the arm: between what a person sees on the page
@@ -54,8 +53,8 @@ class Hidden:
 class TourPosture:
     """A posture of the tour: where to go, with or without a direction."""
 
-    position: Array  # (3,) [m]
-    direction: Array | None  # (3,)
+    position: Floats  # (3,) [m]
+    direction: Floats | None  # (3,)
 
 
 def refined(robot: Robot) -> Robot:

@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..cli import options
+from ..common.arrays import Floats
 from ..common.errors import DataSetError, InputError
 from ..common.words import listed
 from ..data.csv_file import CsvFile
@@ -97,7 +98,7 @@ class SlipFriction:
         return asdict(self)
 
 
-def read_slip_angles(path: str | Path) -> tuple[tuple[str, ...], npt.NDArray[np.float64]]:
+def read_slip_angles(path: str | Path) -> tuple[tuple[str, ...], Floats]:
     """
     Read a CSV file with the columns `measurement` (a name) and `angle_deg`.
 

@@ -25,7 +25,7 @@ from ..cli.options import declare
 from ..cli.simulate import hidden_effect, simulated_noise
 from ..common.arrays import Floats
 from ..common.errors import InputError, NoEquilibriumError
-from ..common.json_output import emit, narrate
+from ..common.results import emit, narrate
 from ..data import Marker, default_markers
 from ..data.dataset import INPUTS, LOADINGS
 from ..effects import load_catalogue

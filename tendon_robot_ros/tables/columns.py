@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..common.arrays import Floats
 from ..common.errors import DataSetError, short
 from ..common.words import Unit, find_unit, listing, split_name
 
-FloatArray = NDArray[np.float64]
 # [1] times what is usual, because what is more is something else: motion, or another marker
 UNUSUAL_FACTOR = 10.0
 # [1] rows that show how columns behave; a table without times has no more, because nobody measures
@@ -72,7 +72,7 @@ class RawTable:
         """Return whether a column holds something else than numbers."""
         return bool(self.columns[column].dtype == object)
 
-    def places(self, points: Sequence[Sequence[str]], step: int = 1) -> FloatArray:
+    def places(self, points: Sequence[Sequence[str]], step: int = 1) -> Floats:
         """Return the places (R / step, K, 3) in columns of x, y and z, of every so many rows."""
         rows = [[self.numbers(column)[::step] for column in point] for point in points]
         return np.array(rows).transpose(2, 0, 1)
@@ -86,7 +86,7 @@ class RawTable:
         """Name a row for a message, counted as an editor does."""
         return f'{self.name}, row {row + (1 if self.first is None else self.first)}'
 
-    def numbers(self, column: str, expected: str = 'a number') -> FloatArray:
+    def numbers(self, column: str, expected: str = 'a number') -> Floats:
         """
         Return a column (R,) of numbers.
 
@@ -299,7 +299,7 @@ class Triple:
     kind: str  # MARKER by default
     table: RawTable  # that it is in
 
-    def places(self) -> FloatArray:
+    def places(self) -> Floats:
         """Return some of its places (R, 3), NaN where it was not seen."""
         places = self.table.places([self.columns], self.table.step)[:, 0]
         places[(places == 0.0).all(axis=1)] = np.nan

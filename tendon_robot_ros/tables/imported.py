@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..common.arrays import Floats
 from ..common.colours import COLOURS, GOOD, LEFT_OUT, MEASURED, PREDICTED, REST
 from ..common.results import TextResult
 from ..common.rotations import rotation_angle
@@ -18,7 +19,7 @@ from ..data import DataSet, save_dataset
 from ..data.dataset import at_rest
 from ..inference.session import POSTURES_MAX
 from ..robot import Robot
-from .columns import FloatArray, marker_label
+from .columns import marker_label
 from .markers import MarkerOrder
 from .measuring import Piece, StillMeasurements
 from .recipe import Recipe, Selection, dump_recipe
@@ -66,7 +67,7 @@ class ImportedTable(TextResult):
     order: MarkerOrder
     frame: TrackerFrame
     source: str
-    predicted: FloatArray
+    predicted: Floats
     dropped: tuple[str, ...]
     assumed: tuple[str, ...]
     look: tuple[str, ...]
@@ -95,9 +96,63 @@ class ImportedTable(TextResult):
         )
 
     def plot(self) -> Figure:
-        """Draw the raw traces, the excluded readings, and the markers on the arm (matplotlib)."""
-        members = self.order.members
-        return draw(self.dataset, self.measured, self.recipe, members, self.predicted)
+        """
+        Draw inputs and markers over time, and the postures beside those of the model (matplotlib).
+
+        Readings and trials that were left out are marked.
+        """
+        from matplotlib import colormaps, rc_context
+        from matplotlib.figure import Figure
+        from matplotlib.lines import Line2D
+        from matplotlib.patches import Patch
+
+        style: Any = {
+            'font.size': 14.0,
+            'axes.spines.top': False,
+            'axes.spines.right': False,
+            'legend.frameon': False,
+            'legend.handlelength': 1.1,
+            'legend.columnspacing': 1.1,
+        }
+        with rc_context(style):
+            figure = Figure(figsize=(8.0, 12.5), dpi=150, layout='constrained')  # 1200 pixels wide
+            heights = figure.add_gridspec(3, 2, height_ratios=[1.0, 1.0, 1.6])
+            self._draw_inputs(figure.add_subplot(heights[0, :]))
+            self._draw_markers(figure.add_subplot(heights[1, :]))
+            drawn = slice(None, None, max(len(self.dataset.postures) // POSTURES_MAX, 1))
+            for axis, name in enumerate('xy'):  # postures from two sides
+                axes = figure.add_subplot(heights[2, axis])
+                styles: Any = (
+                    (self.predicted, {'color': PREDICTED, 'linewidth': 1.8}),
+                    (
+                        self.dataset.mean,
+                        {'color': MEASURED, 'linewidth': 0.6, 'marker': 'o', 'ms': 4.5},
+                    ),
+                )
+                for places, line in styles:
+                    from_base = 1e3 * np.insert(places[drawn], 0, 0.0, axis=1)
+                    axes.plot(from_base[..., axis].T, from_base[..., 2].T, **line)
+                axes.plot(0.0, 0.0, 's', color='black', markersize=7.0)
+                axes.set_aspect('equal', adjustable='datalim')
+                axes.set_xlabel(f'{name} [mm]')
+                if axis == 0:
+                    axes.set_ylabel('z [mm]')
+                axes.grid(alpha=0.3)
+            has_cut = any(len(piece.cut) for piece in self.measured.pieces)
+            colours = colormaps['plasma']
+            handles = [
+                Patch(color=GOOD, alpha=0.3, label='taken'),
+                Patch(color=REST, alpha=0.6, label='rest'),
+                Patch(**EXCLUDED_STYLE, label='left out'),
+                *[Line2D([], [], color=LEFT_OUT, marker='x', linestyle='', label='cut out')]
+                * has_cut,
+                Line2D([], [], color=colours(0.0), label='marker next to the base'),
+                Line2D([], [], color=colours(TIP_SHADE), label='marker at the tip'),
+                Line2D([], [], color=MEASURED, marker='o', linewidth=0.6, label='measured'),
+                Line2D([], [], color=PREDICTED, label='model'),
+            ]
+            figure.legend(handles=handles, loc='outside lower center', ncols=3)
+        return figure
 
     def text(self) -> str:
         """List the columns in use, exclusions, assumptions and the tracker's frame."""
@@ -111,6 +166,79 @@ class ImportedTable(TextResult):
         lines += labelled_lines('assumed', self.assumed)
         lines += labelled_lines('frame', frame_lines(self.frame, self.dataset.robot))
         return '\n'.join([*lines, *labelled_lines('LOOK', self.look)])
+
+    def _pieces(self) -> list[tuple[float, Piece]]:
+        """Return the recordings one after the other, with the time [s] at which each begins."""
+        placed, begin = [], 0.0
+        for piece in self.measured.pieces:
+            placed.append((begin, piece))
+            begin += float(piece.recording.tracks[0].times[-1]) * 1.02
+        return placed
+
+    def _shade(self, axes: Axes) -> None:
+        for begin, piece in self._pieces():
+            for group, colour in ((piece.resting, REST), (piece.segments, GOOD)):
+                spans = [(begin + one.begin, one.end - one.begin) for one in group]
+                axes.broken_barh(
+                    spans,
+                    (0.0, 1.0),
+                    transform=axes.get_xaxis_transform(),
+                    color=colour,
+                    alpha=0.3,
+                    linewidth=0,
+                )
+
+    def _draw_inputs(self, axes: Axes) -> None:
+        unit, scale = (
+            ('tension [N]', 1.0) if self.dataset.input == 'tension' else ('wire pull [mm]', 1e3)
+        )
+        for begin, piece in self._pieces():
+            part = _thinned(axes, piece.recording.state_times)
+            axes.set_prop_cycle(color=COLOURS)
+            times = begin + piece.recording.state_times[part]
+            lines = axes.plot(times, scale * piece.inputs[part], linewidth=1.0)
+        place: Any = {'loc': 'lower left', 'bbox_to_anchor': (0.0, 1.0)}  # above
+        axes.legend(lines, self.dataset.input_names, ncols=4, borderpad=0.0, **place)
+        self._shade(axes)
+        axes.set_ylabel(unit)
+        axes.margins(x=0.0)
+
+    def _draw_markers(self, axes: Axes) -> None:
+        """Draw how far every marker moved since the start, and excluded readings and trials."""
+        from matplotlib import colormaps
+
+        out = set(self.recipe.leave_out or ())
+        colours = colormaps['plasma']
+        cut: list[Floats] = []  # (K, 2) [s] and [mm]
+        for begin, piece in self._pieces():
+            track = piece.recording.tracks[0]
+            part = _thinned(axes, track.times)
+            for place, j in enumerate(self.order.members):
+                path = track.positions[part, j]
+                visible = np.flatnonzero(np.isfinite(path[:, 0]))
+                if not len(visible):
+                    continue
+                distance = 1e3 * np.linalg.norm(path - path[visible[0]], axis=1)
+                shade = colours(TIP_SHADE * place / max(len(self.order.members) - 1, 1))
+                axes.plot(begin + track.times[part], distance, color=shade, linewidth=1.0)
+                mine = piece.cut[piece.cut[:, 1] == j]
+                far = 1e3 * np.linalg.norm(mine[:, 2:] - path[visible[0]], axis=1)
+                cut.append(np.column_stack([begin + mine[:, 0], far]))
+        if sum(map(len, cut)):
+            when, far = np.concatenate(cut).T
+            top = axes.get_ylim()[1]  # distant readings are drawn at the upper edge
+            style: dict[str, Any] = {'color': LEFT_OUT, 'markersize': 6.0, 'clip_on': False}
+            axes.plot(when, np.minimum(far, top), 'x', zorder=3.0, **style)
+            axes.set_ylim(top=top)
+        self._shade(axes)
+        segments = iter(self.measured.segments)
+        for begin, piece in self._pieces():
+            for one in (next(segments) for _ in piece.segments):
+                if (one.posture, one.trial) in out:
+                    axes.axvspan(begin + one.begin, begin + one.end, **EXCLUDED_STYLE)
+        axes.set_ylabel('markers moved [mm]')
+        axes.set_xlabel('time [s]' if self.recipe.time else 'row')
+        axes.margins(x=0.0)
 
 
 METHODS = {
@@ -190,80 +318,6 @@ TIP_SHADE = 0.62
 EXCLUDED_STYLE: Any = {'facecolor': 'none', 'edgecolor': LEFT_OUT, 'hatch': '////'}
 
 
-def draw(
-    dataset: DataSet,
-    measured: StillMeasurements,
-    recipe: Recipe,
-    members: Sequence[int],
-    predicted: FloatArray,
-) -> Figure:
-    """
-    Draw inputs and markers over time, and the postures beside those of the model.
-
-    Parameters
-    ----------
-    dataset : DataSet
-        In the base frame.
-    measured : StillMeasurements
-        Raw recordings and their still segments.
-    recipe : Recipe
-        Says what was left out.
-    members : sequence of int
-        Which of the recordings' markers are on the arm, from base to tip.
-    predicted : (P, J, 3) [m]
-        The same markers by the robot as described.
-
-    """
-    from matplotlib import colormaps, rc_context
-    from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    style: Any = {
-        'font.size': 14.0,
-        'axes.spines.top': False,
-        'axes.spines.right': False,
-        'legend.frameon': False,
-        'legend.handlelength': 1.1,
-        'legend.columnspacing': 1.1,
-    }
-    with rc_context(style):
-        figure = Figure(figsize=(8.0, 12.5), dpi=150, layout='constrained')  # 1200 pixels wide
-        heights = figure.add_gridspec(3, 2, height_ratios=[1.0, 1.0, 1.6])
-        _inputs(figure.add_subplot(heights[0, :]), dataset, measured)
-        _markers(figure.add_subplot(heights[1, :]), measured, recipe, members)
-        drawn = slice(None, None, max(len(dataset.postures) // POSTURES_MAX, 1))
-        for axis, name in enumerate('xy'):  # postures from two sides
-            axes = figure.add_subplot(heights[2, axis])
-            styles: Any = (
-                (predicted, {'color': PREDICTED, 'linewidth': 1.8}),
-                (dataset.mean, {'color': MEASURED, 'linewidth': 0.6, 'marker': 'o', 'ms': 4.5}),
-            )
-            for places, line in styles:
-                from_base = 1e3 * np.insert(places[drawn], 0, 0.0, axis=1)
-                axes.plot(from_base[..., axis].T, from_base[..., 2].T, **line)
-            axes.plot(0.0, 0.0, 's', color='black', markersize=7.0)
-            axes.set_aspect('equal', adjustable='datalim')
-            axes.set_xlabel(f'{name} [mm]')
-            if axis == 0:
-                axes.set_ylabel('z [mm]')
-            axes.grid(alpha=0.3)
-        has_cut = any(len(piece.cut) for piece in measured.pieces)
-        colours = colormaps['plasma']
-        handles = [
-            Patch(color=GOOD, alpha=0.3, label='taken'),
-            Patch(color=REST, alpha=0.6, label='rest'),
-            Patch(**EXCLUDED_STYLE, label='left out'),
-            *[Line2D([], [], color=LEFT_OUT, marker='x', linestyle='', label='cut out')] * has_cut,
-            Line2D([], [], color=colours(0.0), label='marker next to the base'),
-            Line2D([], [], color=colours(TIP_SHADE), label='marker at the tip'),
-            Line2D([], [], color=MEASURED, marker='o', linewidth=0.6, label='measured'),
-            Line2D([], [], color=PREDICTED, label='model'),
-        ]
-        figure.legend(handles=handles, loc='outside lower center', ncols=3)
-    return figure
-
-
 def picture_file(figure: Figure) -> bytes:
     """Return a figure as a PNG file."""
     content = io.BytesIO()
@@ -271,83 +325,6 @@ def picture_file(figure: Figure) -> bytes:
     return content.getvalue()
 
 
-def _pieces(measured: StillMeasurements) -> list[tuple[float, Piece]]:
-    """Return the recordings one after the other, with the time [s] at which each begins."""
-    placed, begin = [], 0.0
-    for piece in measured.pieces:
-        placed.append((begin, piece))
-        begin += float(piece.recording.tracks[0].times[-1]) * 1.02
-    return placed
-
-
-def _shade(axes: Axes, measured: StillMeasurements) -> None:
-    for begin, piece in _pieces(measured):
-        for group, colour in ((piece.resting, REST), (piece.segments, GOOD)):
-            spans = [(begin + one.begin, one.end - one.begin) for one in group]
-            axes.broken_barh(
-                spans,
-                (0.0, 1.0),
-                transform=axes.get_xaxis_transform(),
-                color=colour,
-                alpha=0.3,
-                linewidth=0,
-            )
-
-
-def _thinned(axes: Axes, times: FloatArray) -> slice:
+def _thinned(axes: Axes, times: Floats) -> slice:
     """Return which of many samples to draw: a few for each column of the picture."""
     return slice(None, None, max(len(times) // int(4.0 * axes.bbox.width), 1))
-
-
-def _inputs(axes: Axes, dataset: DataSet, measured: StillMeasurements) -> None:
-    unit, scale = ('tension [N]', 1.0) if dataset.input == 'tension' else ('wire pull [mm]', 1e3)
-    for begin, piece in _pieces(measured):
-        part = _thinned(axes, piece.recording.state_times)
-        axes.set_prop_cycle(color=COLOURS)
-        times = begin + piece.recording.state_times[part]
-        lines = axes.plot(times, scale * piece.inputs[part], linewidth=1.0)
-    place: Any = {'loc': 'lower left', 'bbox_to_anchor': (0.0, 1.0)}  # above
-    axes.legend(lines, dataset.input_names, ncols=4, borderpad=0.0, **place)
-    _shade(axes, measured)
-    axes.set_ylabel(unit)
-    axes.margins(x=0.0)
-
-
-def _markers(
-    axes: Axes, measured: StillMeasurements, recipe: Recipe, members: Sequence[int]
-) -> None:
-    """Draw the displacement of every marker since the start, and excluded readings and trials."""
-    from matplotlib import colormaps
-
-    out = set(recipe.leave_out or ())
-    colours = colormaps['plasma']
-    cut: list[FloatArray] = []  # (K, 2) [s] and [mm]
-    for begin, piece in _pieces(measured):
-        track = piece.recording.tracks[0]
-        part = _thinned(axes, track.times)
-        for place, j in enumerate(members):
-            path = track.positions[part, j]
-            visible = np.flatnonzero(np.isfinite(path[:, 0]))
-            if not len(visible):
-                continue
-            distance = 1e3 * np.linalg.norm(path - path[visible[0]], axis=1)
-            shade = colours(TIP_SHADE * place / max(len(members) - 1, 1))
-            axes.plot(begin + track.times[part], distance, color=shade, linewidth=1.0)
-            mine = piece.cut[piece.cut[:, 1] == j]
-            far = 1e3 * np.linalg.norm(mine[:, 2:] - path[visible[0]], axis=1)
-            cut.append(np.column_stack([begin + mine[:, 0], far]))
-    if sum(map(len, cut)):
-        when, far = np.concatenate(cut).T
-        top = axes.get_ylim()[1]  # distant readings are drawn at the upper edge
-        style: dict[str, Any] = {'color': LEFT_OUT, 'markersize': 6.0, 'clip_on': False}
-        axes.plot(when, np.minimum(far, top), 'x', zorder=3.0, **style)
-        axes.set_ylim(top=top)
-    _shade(axes, measured)
-    segments = iter(measured.segments)
-    for begin, piece in _pieces(measured):
-        for one in (next(segments) for _ in piece.segments):
-            if (one.posture, one.trial) in out:
-                axes.axvspan(begin + one.begin, begin + one.end, **EXCLUDED_STYLE)
-    axes.set_ylabel('markers moved [mm]')
-    axes.set_xlabel('time [s]' if recipe.time else 'row')
-    axes.margins(x=0.0)

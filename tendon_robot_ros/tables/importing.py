@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ..common.arrays import Floats
 from ..common.errors import DataSetError, Progress, listener, refusal
 from ..common.words import LISTED_MAX, listed, mm
 from ..data import DataSet, Marker
@@ -19,7 +20,7 @@ from ..inference.noise import input_effect, input_slopes
 from ..inference.predict import Predictor
 from ..robot import Robot, RobotLike, load_robot
 from ..robot.estimates import TRACKER_NOISE_M
-from .columns import FloatArray, RawTable, from_frame, marker_label
+from .columns import RawTable, from_frame, marker_label
 from .imported import ImportedTable
 from .markers import AS_GIVEN, MarkerOrder, flag_columns, order_markers, places_contradicted
 from .measuring import FROM_STRAIGHT, SEQUENCE, VISITS, StillMeasurements, measure
@@ -287,7 +288,7 @@ def _place_warnings(dataset: DataSet) -> list[str]:
     ]
 
 
-def _offset_warnings(dataset: DataSet, predicted: FloatArray, catalogue: Catalogue) -> list[str]:
+def _offset_warnings(dataset: DataSet, predicted: Floats, catalogue: Catalogue) -> list[str]:
     """Return a line if markers seem to sit beside the backbone although no offset is given."""
     if np.any(dataset.offsets):
         return []
@@ -310,7 +311,7 @@ def _offset_warnings(dataset: DataSet, predicted: FloatArray, catalogue: Catalog
 
 
 def path_dependence(
-    segments: Sequence[Segment], begins: Sequence[int], places: FloatArray
+    segments: Sequence[Segment], begins: Sequence[int], places: Floats
 ) -> list[str]:
     """
     Return a line if trials of a posture differ with the posture before it.

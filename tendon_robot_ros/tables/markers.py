@@ -13,11 +13,11 @@ from itertools import pairwise
 
 import numpy as np
 
+from ..common.arrays import Bools, Floats
 from ..common.errors import DataSetError
 from ..common.rotations import angle_between
 from ..common.words import listed, listing, mm
 from ..data import DataSet, default_markers
-from ..data.tracker_faults import BoolArray
 from ..robot import Robot
 from ..robot.estimates import TRACKER_NOISE_M
 from .columns import (
@@ -28,7 +28,6 @@ from .columns import (
     MARKER,
     MISSING,
     ColumnName,
-    FloatArray,
     RawTable,
     Triple,
     is_number,
@@ -168,7 +167,7 @@ def _rims(markers: Sequence[Triple]) -> list[list[Triple]]:
     ]
 
 
-def _is_rim(places: FloatArray) -> bool:
+def _is_rim(places: Floats) -> bool:
     """Return whether markers (T, K, 3) keep their distances and lie on a circle."""
     visible = places[np.isfinite(places).all(axis=(1, 2))]
     if not len(visible):
@@ -188,7 +187,7 @@ def _is_rim(places: FloatArray) -> bool:
     )
 
 
-def circle_centres(points: FloatArray) -> FloatArray:
+def circle_centres(points: Floats) -> Floats:
     """
     Return the centres (T, 3) of the circles through points (T, K, 3); of one point itself.
 
@@ -251,7 +250,7 @@ def flag_columns(
             yield name, kind, of or list(range(len(markers)))
 
 
-def not_visible(table: RawTable, markers: Sequence[Sequence[str]]) -> dict[str, BoolArray]:
+def not_visible(table: RawTable, markers: Sequence[Sequence[str]]) -> dict[str, Bools]:
     """Return masks (R, J) of the readings that a column marks as hidden, by reason."""
     masks = {}
     for name, kind, of in flag_columns(table, markers):
@@ -302,7 +301,7 @@ class MarkerOrder:
 
 
 def order_markers(
-    positions: FloatArray, robot: Robot, given: Sequence[float | None] = (), name: str = 'markers'
+    positions: Floats, robot: Robot, given: Sequence[float | None] = (), name: str = 'markers'
 ) -> MarkerOrder:
     """
     Order markers by their place along the arm where it is straightest.
@@ -414,7 +413,7 @@ def places_contradicted(dataset: DataSet) -> list[str]:
     ]
 
 
-def _distances(positions: FloatArray) -> FloatArray:
+def _distances(positions: Floats) -> Floats:
     """
     Return the distance (J, J) [m] of markers where the arm is straightest.
 
@@ -424,18 +423,16 @@ def _distances(positions: FloatArray) -> FloatArray:
     with np.errstate(invalid='ignore'):
         chords = np.linalg.norm(positions[:, :, None] - positions[:, None], axis=-1)
     known = np.isfinite(chords)
-    longest: FloatArray = np.where(known, chords, -1.0).max(axis=0)
+    longest: Floats = np.where(known, chords, -1.0).max(axis=0)
     whole = np.where(known.all(axis=(1, 2)), np.nan_to_num(chords).max(axis=(1, 2)), -1.0)
     best = int(whole.argmax())
     if whole[best] >= longest.max() - 2.0 * TRACKER_NOISE_M:  # maxima over many collect noise
-        straightest: FloatArray = chords[best]
+        straightest: Floats = chords[best]
         return straightest
     return longest
 
 
-def _lengths_to_tip(
-    positions: FloatArray, apart: FloatArray, members: Sequence[int]
-) -> FloatArray:
+def _lengths_to_tip(positions: Floats, apart: Floats, members: Sequence[int]) -> Floats:
     """
     Return how much of the arm lies between each marker and the last one, (J,) [m].
 
@@ -459,7 +456,7 @@ def _lengths_to_tip(
     return np.append(np.cumsum(lengths[::-1])[::-1], 0.0)
 
 
-def _snapped(measured: FloatArray, robot: Robot) -> tuple[tuple[float, ...], str]:
+def _snapped(measured: Floats, robot: Robot) -> tuple[tuple[float, ...], str]:
     """Return arc lengths at the ends of cells where all markers are near them."""
     ends = np.array([marker.arc_length for marker in default_markers(robot)])
     lengths = np.diff(ends, prepend=0.0)

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Floats, Ints
 from ..common.errors import DataSetError
 from ..common.words import digits
 from ..data.bag_reader import Recording, Track
@@ -27,7 +27,7 @@ from ..data.still_segments import (
 from ..data.tracker_faults import unseen_lines
 from ..robot import Robot
 from ..robot.estimates import INPUT_TOLERANCE, NOISE_FACTOR
-from .columns import UNUSUAL_FACTOR, FloatArray, marker_label
+from .columns import UNUSUAL_FACTOR, marker_label
 from .recipe import Recipe, Selection
 from .traces import Traces
 
@@ -128,11 +128,11 @@ class Piece:
     """One recording: its content, the motion of the arm, and its still segments."""
 
     recording: Recording
-    inputs: FloatArray  # (T, m) [N] or [m]
+    inputs: Floats  # (T, m) [N] or [m]
     motion: ArmMotion | None  # None: every row is a measurement
     segments: tuple[Segment, ...]
     resting: tuple[Segment, ...]
-    cut: FloatArray  # (K, 5) of the markers, as of `Traces`
+    cut: Floats  # (K, 5) of the markers, as of `Traces`
 
 
 @dataclass(frozen=True)
@@ -173,7 +173,7 @@ def measure(traces: Sequence[Traces], chosen: Selection, robot: Robot) -> StillM
     rule = Rule(still.speed or Rule.speed, still.duration or Rule.duration, still.change)
     rule = rule.fill(robot, kind)
     motions: list[ArmMotion | None] = [None] * len(traces)
-    unseen: dict[str, npt.NDArray[np.int64]] = {}  # readings (J,) that are none, by why
+    unseen: dict[str, Ints] = {}  # readings (J,) that are none, by why
     for one in traces:
         for why, count in one.unseen.items():
             unseen[why] = unseen.get(why, np.zeros_like(count)) + count

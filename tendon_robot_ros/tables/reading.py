@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from ..common.arrays import Floats
 from ..common.errors import DataSetError, MissingExtraError, reason_of, short
 from ..common.files import TABLE_ENDINGS, TEXT_ENDINGS
 from ..common.results import pandas
@@ -23,7 +24,6 @@ from .columns import (
     MISSING,
     ROWS_MAX,
     UPS,
-    FloatArray,
     RawTable,
     guess_time,
     is_number,
@@ -259,7 +259,7 @@ def _with_times(table: RawTable, head: Head) -> RawTable:
     return replace(table, columns=columns, units=units, up=up, notes=notes)
 
 
-def _frames(table: RawTable, head: Head) -> tuple[FloatArray, str]:
+def _frames(table: RawTable, head: Head) -> tuple[Floats, str]:
     """Return the frame number (R,) of each row, and a note of the rate."""
     note, every = f'{head.rate:g} frames a second', 1
     if 'frame' in table.columns:
@@ -273,7 +273,7 @@ def _frames(table: RawTable, head: Head) -> tuple[FloatArray, str]:
             remedy = 'export it again, with the columns of frames and times'
             raise DataSetError(table.name, problem, remedy)
         note += f', every {every}th of {head.frames:,} frames' if every > 1 else ''
-    count: FloatArray = np.arange(len(table), dtype=float)
+    count: Floats = np.arange(len(table), dtype=float)
     return every * count, note
 
 
@@ -354,7 +354,7 @@ def read_c3d(shown: str, path: Path) -> RawTable:
     rate, count = (values('POINT', 'RATE') or [0.0])[0], points.shape[2]
     if not points.shape[1] or not count or rate <= 0.0:
         raise DataSetError(shown, 'holds no frames of points', 'export the markers, too')
-    columns: dict[str, FloatArray] = {'time': np.arange(count) / rate}
+    columns: dict[str, Floats] = {'time': np.arange(count) / rate}
     units = {'time': 's'}
     length = str((values('POINT', 'UNITS') or ['mm'])[0])
     written = names('POINT', points.shape[1])
@@ -465,7 +465,7 @@ def _whose(table: RawTable, time: str) -> str | None:
     return best
 
 
-def _numbered(table: RawTable, column: str) -> FloatArray:
+def _numbered(table: RawTable, column: str) -> Floats:
     """Return the numbers (R,) of a column; of texts their numbers in alphabetical order."""
     if table.is_text(column):
         return np.unique(table.columns[column], return_inverse=True)[1].astype(float)

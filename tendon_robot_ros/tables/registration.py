@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..common.arrays import DIGITS
+from ..common.arrays import DIGITS, Bools, Floats
 from ..common.errors import DataSetError, InputError
 from ..common.estimation import ITERATIONS_MAX
 from ..common.rotations import (
@@ -21,13 +21,12 @@ from ..common.rotations import (
 from ..common.words import LISTED_MAX, STANDARD_GRAVITY, listed, mm
 from ..data import DataSet
 from ..data.arrays import Vector
-from ..data.dataset import BoolArray
 from ..effects import Catalogue
 from ..inference.noise import rms
 from ..inference.outliers import Outliers, find_outliers
 from ..inference.predict import Predictor
 from ..robot.estimates import BY_EYE_RAD, MODEL_ERROR_MAX, NOISE_FACTOR, TRACKER_NOISE_M
-from .columns import UPS, FloatArray
+from .columns import UPS
 from .recipe import FrameChoice, Recipe
 
 # [1] lengths of the arm that the tip of a straight posture may be off the axis, because no arm
@@ -63,8 +62,8 @@ class TrackerFrame:
 
     """
 
-    rotation: FloatArray
-    shift: FloatArray
+    rotation: Floats
+    shift: Floats
     method: str
     residual: float
     at_base: float
@@ -99,9 +98,9 @@ class TrackerFrame:
         }
 
 
-def up_axis(up: str) -> FloatArray:
+def up_axis(up: str) -> Floats:
     """Return the unit vector (3,) of an axis such as `y` or `-z`."""
-    axis: FloatArray = np.eye(3)['xyz'.index(up[-1])]
+    axis: Floats = np.eye(3)['xyz'.index(up[-1])]
     return -axis if up.startswith('-') else axis
 
 
@@ -198,12 +197,12 @@ def up_that_fits(
 
 
 def _weighted(
-    measured: FloatArray,
-    markers: FloatArray,
-    arc_lengths: FloatArray,
+    measured: Floats,
+    markers: Floats,
+    arc_lengths: Floats,
     up: str | None,
-    above: FloatArray | None,
-) -> tuple[FloatArray, FloatArray]:
+    above: Floats | None,
+) -> tuple[Floats, Floats]:
     """
     Lay postures (P, J, 3) [m] onto the model's; with `above` the verticals stay together.
 
@@ -227,7 +226,7 @@ def _weighted(
     return rotation, shift
 
 
-def _weights(squares: FloatArray, visible: BoolArray, arc_lengths: FloatArray) -> FloatArray:
+def _weights(squares: Floats, visible: Bools, arc_lengths: Floats) -> Floats:
     """Return a weight (J,) [1/m²] for each marker, from squared distances (P, J) [m²]."""
     cube = visible * arc_lengths**3
     growth = float((squares * cube).sum() / (cube**2).sum())
@@ -235,7 +234,7 @@ def _weights(squares: FloatArray, visible: BoolArray, arc_lengths: FloatArray) -
 
 
 def side_offset(
-    dataset: DataSet, predicted: FloatArray, sideways: tuple[FloatArray, FloatArray]
+    dataset: DataSet, predicted: Floats, sideways: tuple[Floats, Floats]
 ) -> Vector | None:
     """
     Return the offset [m] at which all markers seem to sit beside the backbone, None for none.
@@ -272,23 +271,23 @@ def side_offset(
     return round(x, 4), round(y, 4), 0.0
 
 
-def _free_residual(measured: FloatArray, markers: FloatArray) -> float:
+def _free_residual(measured: Floats, markers: Floats) -> float:
     rotation, shift = rigid_fit(measured, markers)
     return rms(measured @ rotation.T + shift - markers)
 
 
-def _straight_postures(markers: FloatArray, dataset: DataSet) -> BoolArray:
+def _straight_postures(markers: Floats, dataset: DataSet) -> Bools:
     """Return which postures are straight according to the model, (P,)."""
     straight = np.zeros_like(markers)
     straight[..., 2] = dataset.arc_lengths
     off = np.linalg.norm(markers - straight - dataset.offsets, axis=2).max(axis=1)
-    is_straight: BoolArray = off < STRAIGHT_TOLERANCE * dataset.robot.length
+    is_straight: Bools = off < STRAIGHT_TOLERANCE * dataset.robot.length
     return is_straight
 
 
 def _straight(
-    measured: FloatArray, markers: FloatArray, dataset: DataSet, visible: BoolArray
-) -> tuple[FloatArray, FloatArray]:
+    measured: Floats, markers: Floats, dataset: DataSet, visible: Bools
+) -> tuple[Floats, Floats]:
     """Align the straight posture with +z, and fit the rotation about it to the other postures."""
     chosen = _straight_postures(markers, dataset)
     use = visible & chosen[:, None]
@@ -307,7 +306,7 @@ def _straight(
     return rotation, arc.mean() * along - rotation @ middle
 
 
-def rotation_vector(rotation: FloatArray) -> Vector:
+def rotation_vector(rotation: Floats) -> Vector:
     """Return the rotation vector [rad] of a matrix."""
     x, y, z = Rotation.from_matrix(rotation).as_rotvec().round(DIGITS + 3).tolist()
     return x, y, z

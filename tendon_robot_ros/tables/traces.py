@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 
+from ..common.arrays import Floats, Ints
 from ..common.errors import DataSetError, InputError
 from ..common.results import pandas
 from ..common.words import UNITS, find_unit, listing
@@ -24,7 +24,7 @@ from ..data.tracker_faults import (
     without_unseen,
 )
 from ..robot.estimates import TRACKER_NOISE_M
-from .columns import ROWS_MAX, UNUSUAL_FACTOR, FloatArray, RawTable, marker_label
+from .columns import ROWS_MAX, UNUSUAL_FACTOR, RawTable, marker_label
 from .markers import circle_centres, not_visible
 from .recipe import MarkerColumns, Recipe, Selection, WireSpool, time_column
 
@@ -56,9 +56,7 @@ class ClockFit:
         return self.match >= MATCH_MIN and self.next_best < CLEAR_RATIO * self.match
 
 
-def find_clock(
-    state_times: FloatArray, inputs: FloatArray, times: FloatArray, positions: FloatArray
-) -> ClockFit:
+def find_clock(state_times: Floats, inputs: Floats, times: Floats, positions: Floats) -> ClockFit:
     """
     Find how to delay and stretch the markers' times so that they move when the inputs do.
 
@@ -116,7 +114,7 @@ def find_clock(
     return ClockFit((place - before) * step, drift, float(match[best]), other)
 
 
-def _modes(times: FloatArray, values: FloatArray, step: float) -> tuple[FloatArray, FloatArray]:
+def _modes(times: Floats, values: Floats, step: float) -> tuple[Floats, Floats]:
     """Return left singular vectors and singular values of columns, gaps bridged, without means."""
     grid = np.arange(times[0], times[-1] + 0.5 * step, step)
     columns = []
@@ -129,7 +127,7 @@ def _modes(times: FloatArray, values: FloatArray, step: float) -> tuple[FloatArr
     return u, s
 
 
-def _matches(inputs: FloatArray, moved: FloatArray, drift: float) -> FloatArray:
+def _matches(inputs: Floats, moved: Floats, drift: float) -> Floats:
     """Return the fraction of the motion that is explained, for all delays."""
     before = int((len(moved) - 1) * (1.0 + drift))
     old = np.arange(len(moved), dtype=float)
@@ -143,7 +141,7 @@ def _matches(inputs: FloatArray, moved: FloatArray, drift: float) -> FloatArray:
     return np.asarray(np.roll(match, before)[: len(inputs) + before])
 
 
-def _next_best(match: FloatArray, best: int) -> float:
+def _next_best(match: Floats, best: int) -> float:
     """Return the highest match that is not on the slopes of the best one."""
     low = CLEAR_RATIO * match[best]
     below = np.flatnonzero(match < low)
@@ -153,7 +151,6 @@ def _next_best(match: FloatArray, best: int) -> float:
     return float(max(match[:begin].max(initial=0.0), match[end:].max(initial=0.0)))
 
 
-IntArray = npt.NDArray[np.int64]
 # [s] for which a marker is taken for another one at most, so that motions are not cut out
 JUMP_MAX_S = 0.3
 # [1] of the distance that the arm moves: smaller steps from row to row are those of a recording,
@@ -198,11 +195,11 @@ class Traces:
     """What one recording holds; inputs have times of their own where they have their own file."""
 
     recording: Recording
-    inputs: FloatArray  # (T, m) [N] or [m] at `recording.state_times`
-    unseen: dict[str, IntArray]  # readings (J,) of each marker that are none, by why
+    inputs: Floats  # (T, m) [N] or [m] at `recording.state_times`
+    unseen: dict[str, Ints]  # readings (J,) of each marker that are none, by why
     # (K, 5) readings that were cut out, because a marker was elsewhere for a moment: time [s],
     # index of the marker, place [m]
-    cut: FloatArray
+    cut: Floats
     delay: float | None = None  # [s] that the tracker's file begins later; None: there is one file
     drift: float = 0.0  # [s/s] that the tracker's clock loses
     clocks: str = ''  # how these are known, where there are two clocks
@@ -307,7 +304,7 @@ def _trace(
 
 def marker_places(
     table: RawTable, recipe: Recipe, length: float
-) -> tuple[FloatArray, dict[str, IntArray]]:
+) -> tuple[Floats, dict[str, Ints]]:
     """Return places (T, J, 3) [m], NaN where not seen, and the readings (J,) left out, by why."""
     factor = UNITS['length'][find_unit(recipe.positions or 'm').text]  # type: ignore[union-attr]
     markers = [marker.parts for marker in recipe.markers or ()]
@@ -369,7 +366,7 @@ def follow_renumbered(tables: Sequence[RawTable], chosen: Selection, length: flo
 
 
 def _clock(
-    state_times: FloatArray, inputs: FloatArray, times: FloatArray, positions: FloatArray
+    state_times: Floats, inputs: Floats, times: Floats, positions: Floats
 ) -> tuple[float, float, str]:
     """Return delay [s] and drift [s/s] of the tracker's clock, and how they are known."""
     fit = find_clock(state_times, inputs, times, positions)
@@ -393,7 +390,7 @@ def _clock(
     return delay, drift, how
 
 
-def _cut_jumps(positions: FloatArray, times: FloatArray) -> FloatArray:
+def _cut_jumps(positions: Floats, times: Floats) -> Floats:
     """Take out frames in which a marker leaps away and, a moment later, is back."""
     step_s = float(np.median(np.diff(times))) if len(times) > 2 else 1.0
     frames_max = int(np.clip(JUMP_MAX_S / max(step_s, 1e-9), 1, 50))
@@ -422,7 +419,7 @@ def _cut_jumps(positions: FloatArray, times: FloatArray) -> FloatArray:
     return np.concatenate(cut)
 
 
-def _times(table: RawTable, recipe: Recipe) -> FloatArray:
+def _times(table: RawTable, recipe: Recipe) -> Floats:
     column = time_column(table, recipe.time)
     assert column is not None
     stamps = None  # times written as dates
@@ -446,5 +443,5 @@ def _times(table: RawTable, recipe: Recipe) -> FloatArray:
         row = int(back[0]) + 1
         problem = f'time goes back from {times[row - 1]:g} to {times[row]:g} s'
         raise DataSetError(table.where(row), problem, 'one file per recording: split it there')
-    started: FloatArray = times - times[0]
+    started: Floats = times - times[0]
     return started

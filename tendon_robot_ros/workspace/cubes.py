@@ -11,10 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..common.arrays import Floats
+from ..common.arrays import Bools, Floats, Ints
 from ..robot import Robot
 
-Numbers = npt.NDArray[np.int64]
 # [1] equal areas of the sphere of directions, by height and around the base: 48, so that a bit for
 # each fits into 64
 SPHERE_PARTS = (6, 8)
@@ -27,11 +26,11 @@ class Reached:
 
     robot: Robot
     edge: float  # [m] of a cube
-    cells: Numbers  # (c, 3) cube i spans i to i + 1 edges along x, y, z
+    cells: Ints  # (c, 3) cube i spans i to i + 1 edges along x, y, z
     tensions: Floats  # (c, m) [N] of the posture with the lowest highest tension
     tips: Floats  # (c, 3) [m] of that posture
     directions: Floats  # (c, 3) its approach direction
-    looks: Numbers  # (c,) how many equal parts of the sphere hold approach directions
+    looks: Ints  # (c,) how many equal parts of the sphere hold approach directions
     lows: Floats  # (3,) [m] the least coordinate of all tips
     highs: Floats  # (3,) [m] the greatest
     postures: int  # that were added
@@ -60,7 +59,7 @@ class Reached:
         return float(inner.sum() * self.edge ** (2 if self.is_flat else 3))
 
     @cached_property
-    def hull(self) -> tuple[Floats, Numbers, float]:
+    def hull(self) -> tuple[Floats, Ints, float]:
         """
         Vertices (v, 3) [m] of the convex hull of the tips, its faces, and its size.
 
@@ -85,7 +84,7 @@ class Reached:
         return np.asarray(self.tensions[around <= np.median(around)])
 
     @cached_property
-    def outside(self) -> npt.NDArray[np.bool_]:
+    def outside(self) -> Bools:
         """Which cubes (c,) have a free neighbour, (c,)."""
         return np.asarray(neighbours(self.cells, self.is_flat) < (8 if self.is_flat else 26))
 
@@ -185,8 +184,8 @@ class Cubes:
 class Rows(NamedTuple):
     """Cubes, and of each a posture."""
 
-    where: Numbers  # (r,) which cube: its place in the box of all
-    seen: Numbers  # (r,) a bit for every part of the sphere that holds a direction
+    where: Ints  # (r,) which cube: its place in the box of all
+    seen: Ints  # (r,) a bit for every part of the sphere that holds a direction
     best: Floats  # (r, m + 6) tensions, tip, direction
 
     def lowest_tension(self, inputs: int) -> Rows:
@@ -210,7 +209,7 @@ class Rows(NamedTuple):
         return Rows(self.where[kept], visible, self.best[kept])
 
 
-def sphere_part(directions: Floats, finer: int) -> Numbers:
+def sphere_part(directions: Floats, finer: int) -> Ints:
     """Return the index (b,) of the part of the sphere of directions (b, 3), finer² as many."""
     heights, sectors = (finer * count for count in SPHERE_PARTS)
     up = np.clip(0.5 * (directions[:, 2] + 1.0) * heights, 0, heights - 1).astype(np.int64)
@@ -218,7 +217,7 @@ def sphere_part(directions: Floats, finer: int) -> Numbers:
     return up * sectors + np.clip(fraction * sectors, 0, sectors - 1).astype(np.int64)
 
 
-def beyond(cells: Numbers, known: Numbers) -> npt.NDArray[np.bool_]:
+def beyond(cells: Ints, known: Ints) -> Bools:
     """Tell which cubes (c, 3) are not among the known ones (k, 3), nor beside one of them."""
     if not len(known):
         return np.ones(len(cells), dtype=bool)
@@ -226,11 +225,11 @@ def beyond(cells: Numbers, known: Numbers) -> npt.NDArray[np.bool_]:
     near = np.zeros(np.maximum(cells.max(axis=0), known.max(axis=0)) - low + 2, dtype=bool)
     for step in np.ndindex(3, 3, 3):
         near[tuple((known - low + step - 1).T)] = True
-    known_or_beside: npt.NDArray[np.bool_] = near[tuple((cells - low).T)]
+    known_or_beside: Bools = near[tuple((cells - low).T)]
     return ~known_or_beside
 
 
-def neighbours(cells: Numbers, is_flat: bool) -> Numbers:
+def neighbours(cells: Ints, is_flat: bool) -> Ints:
     """Count the neighbours (c,) of every cube, up to 26, or 8 in the x-z plane."""
     full, shifted = _grid(cells)
     count = np.full(len(cells), -1)  # it is none of its own
@@ -239,7 +238,7 @@ def neighbours(cells: Numbers, is_flat: bool) -> Numbers:
     return count
 
 
-def _grid(cells: Numbers) -> tuple[npt.NDArray[np.bool_], Numbers]:
+def _grid(cells: Ints) -> tuple[Bools, Ints]:
     """Return the occupancy of a box of cubes with a free layer around, and their indices in it."""
     shifted = cells - cells.min(axis=0, initial=np.iinfo(np.int64).max >> 1) + 1
     full = np.zeros(shifted.max(axis=0, initial=1) + 2, dtype=bool)
@@ -247,7 +246,7 @@ def _grid(cells: Numbers) -> tuple[npt.NDArray[np.bool_], Numbers]:
     return full, shifted
 
 
-def folds(positions: Floats, thickness: Floats, lengths: Floats) -> npt.NDArray[np.bool_]:
+def folds(positions: Floats, thickness: Floats, lengths: Floats) -> Bools:
     """
     Return which arms (b,) collide with themselves.
 

@@ -16,7 +16,7 @@ import numpy as np
 from ...common.arrays import Floats
 from ...common.errors import DataSetError, InputError
 from ...common.files import file_to_write, refuse_ending
-from ...common.json_output import JSON_OPTION, emit
+from ...common.results import JSON_OPTION, emit
 from ...common.rotations import angle_between
 from ...common.words import TYPED_LENGTHS, UNITS, other_unit, read_quantity
 from ...control.inputs import Refusal, Trajectory

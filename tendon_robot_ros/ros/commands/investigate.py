@@ -31,7 +31,7 @@ from std_msgs.msg import Bool, String
 
 from ...common.arrays import Floats
 from ...common.errors import InputError, NoEquilibriumError, TendonRobotError
-from ...common.json_output import emit, narrate
+from ...common.results import emit, narrate
 from ...control.inputs import Refusal, Trajectory
 from ...data import default_markers
 from ...data.dataset import LOADINGS
@@ -187,36 +187,29 @@ class RunningArm(Pilot):
         """Standard deviation of an input: relative [1] and absolute."""
         return MonitorSettings().setting_noise, 0.0
 
-    def measure(self, inputs: Floats, trials: int) -> PostureMeasured:
-        """Measure a posture: go there `trials` times, wait for rest, and record."""
-        try:
-            return self._measured(inputs, trials)
-        except (StoppedError, BrokenMeasurementError, InputError):
-            raise
-        except TendonRobotError as error:
-            if not self._controller_works():
-                raise
-            raise BrokenMeasurementError(f'{error}; it goes on') from None
-
-    def _controller_works(self) -> bool:
-        """Return whether the controller works, or does so again soon after a late driver."""
+    def _trial(self, inputs: Floats) -> StillMeasurement:
+        """Go to a posture and record it; BrokenMeasurementError: in vain, it goes on."""
 
         def works() -> bool:
             return self.status.get('code') in (*WORKING_CODES, 'released')
 
-        late = self.status.get('code') == 'no_driver'
-        return works() or (
-            late and self.wait(works, REACTION_TIMEOUT_S, 'the driver', strict=False)
-        )
-
-    def _measured(self, inputs: Floats, trials: int) -> PostureMeasured:
-        """Measure a posture once."""
-        measurements = []
-        for _ in range(trials):
+        try:
             if self.path == 'from_straight':
                 self._go(self._rest())
             self._go(self._command(inputs))
-            measurements.append(self._stand())
+            return self._stand()
+        except (StoppedError, BrokenMeasurementError, InputError):
+            raise
+        except TendonRobotError as error:
+            late = self.status.get('code') == 'no_driver'  # it may come back soon
+            again = late and self.wait(works, REACTION_TIMEOUT_S, 'the driver', strict=False)
+            if not again and not works():
+                raise
+            raise BrokenMeasurementError(f'{error}; it goes on') from None
+
+    def measure(self, inputs: Floats, trials: int) -> PostureMeasured:
+        """Measure a posture: go there `trials` times, wait for rest, and record."""
+        measurements = [self._trial(inputs) for _ in range(trials)]
         for one in measurements if self.input == 'tension' else ():
             # off by more than half: a tendon has slipped or a motor sticks, because neither
             # friction of a transmission nor noise of a load cell reaches that

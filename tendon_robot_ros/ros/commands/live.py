@@ -250,10 +250,14 @@ class Director(RobotClient):
         """Number of postures that the monitor has recorded."""
         return int(self.statuses['monitor'].get('postures', '0'))
 
-    def uses(self, effects: Sequence[str]) -> bool:
-        """Return whether controller and monitor have these effects in their model."""
-        models = [values.get('model', '') for values in self.statuses.values()]
-        return all(name in model for name in effects for model in models)
+    def takes(self, effects: Sequence[str]) -> bool:
+        """Wait until controller and monitor have these effects in their model, if they ever do."""
+
+        def uses() -> bool:
+            models = [values.get('model', '') for values in self.statuses.values()]
+            return all(name in model for name in effects for model in models)
+
+        return self.wait(uses, MOVE_TIMEOUT_S, 'the reload', strict=False)
 
     def error(self) -> float:
         """Return the norm of the mean tip error [m] since the arm is at rest."""
@@ -299,10 +303,7 @@ def play_as_text(director: Director, model: Model, story: Story, postures: int) 
     director.wait(
         lambda: director.statuses['monitor'].get('added') == '1', WORK_TIMEOUT_S, 'the adding'
     )
-    names = [effect['name'] for effect in story.verdict['effects']]
-    story.added = director.wait(
-        lambda: director.uses(names), MOVE_TIMEOUT_S, 'the reload', strict=False
-    )
+    story.added = director.takes([effect['name'] for effect in story.verdict['effects']])
     print(f'{director.progress}\ncontroller: {director.status.get("model")}')
     before, after = [], []
     for stop in tour(model, postures // 2, 1):
@@ -329,10 +330,7 @@ def investigate(director: Director, story: Story, folder: Path) -> None:
         findings = investigation.Investigator(arm, args, KeepOut()).once(Path(args.output), False)
     story.verdict = {} if findings.diagnosis is None else findings.diagnosis.to_json()
     if findings.addition is not None and findings.diagnosis is not None:
-        names = [effect.name for effect in findings.diagnosis.effects]
-        story.added = director.wait(
-            lambda: director.uses(names), MOVE_TIMEOUT_S, 'the reload', strict=False
-        )
+        story.added = director.takes([effect.name for effect in findings.diagnosis.effects])
         story.before, story.after = findings.addition.check.before, findings.addition.check.after
 
 

@@ -26,7 +26,7 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
 from ...common.errors import InputError, TendonRobotError
 from ...common.files import write_errors
-from ...common.json_output import JSON_OPTION, emit
+from ...common.results import JSON_OPTION, emit
 from ...data.bag_writer import (
     DESCRIPTION,
     ROBOT,

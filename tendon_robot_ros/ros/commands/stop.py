@@ -16,9 +16,9 @@ import os
 from collections.abc import Sequence
 
 from ...common.errors import InputError, TendonRobotError
-from ...common.json_output import JSON_OPTION, emit
 from ...common.local_stop import stop_local
 from ...common.processes import go_first
+from ...common.results import JSON_OPTION, emit
 from ..shared.timing import STOP_ANSWER_S
 
 HELP = 'stop every controller and driver, say whether they have stopped'

@@ -292,8 +292,8 @@ class NodeProcess:
         Of the node and its topics.
     output : file, optional
         Receives its messages; default: the output of this process.
-    extra, own : sequence of str
-        Further arguments of ROS, and its own.
+    own : sequence of str
+        Further arguments of the command.
 
     """
 
@@ -303,14 +303,13 @@ class NodeProcess:
         parameters: Mapping[str, object],
         namespace: str = '/',
         output: IO[str] | None = None,
-        extra: Sequence[str] = (),
         own: Sequence[str] = (),
     ) -> None:
         """Start the process; it gets SIGINT when this one dies, however that happens."""
-        arguments = [*ros_arguments(parameters, namespace), *extra]
+        arguments = [*own, *ros_arguments(parameters, namespace)]
         self.name = name
         self.process = subprocess.Popen(
-            [sys.executable, '-m', 'tendon_robot_ros', name, *own, *arguments],
+            [sys.executable, '-m', 'tendon_robot_ros', name, *arguments],
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=output,

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...common.arrays import Floats
 from ...common.colours import BAD, ERROR, GOOD, INK, KINDS, MEASURED, PREDICTED, WARN, rgb
 from ...common.words import mm, percent
 from ...diagnosis.result import NOT_NEEDED
@@ -59,7 +60,7 @@ def legend(square: float) -> str:
     )
 
 
-def scene(measured: NDArray[np.float64] | None, predicted: NDArray[np.float64] | None) -> str:
+def scene(measured: Floats | None, predicted: Floats | None) -> str:
     """Return a description of the arms (J, 3) [m] in the scene, for screen readers."""
     tips, text = [], 'Scene in space: the arm stands on a grid, its base at the origin, z up'
     for who, arm in (('measured', measured), ('predicted', predicted)):
@@ -310,7 +311,7 @@ def tube_faces(nodes: int) -> NDArray[np.uint32]:
     return quads.reshape(-1, 3).astype(np.uint32)
 
 
-def tube_vertices(nodes: NDArray[np.float64], radius: float) -> Floats32:
+def tube_vertices(nodes: Floats, radius: float) -> Floats32:
     """
     Return rings (n SIDES, 3) of a radius around nodes (n, 3), n > 1, all in the same unit.
 
