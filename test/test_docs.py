@@ -27,7 +27,7 @@ from documents import (
 )
 from source_tree import ROOT, files
 
-from tendon_robot_ros.cli.main import COMMANDS, Parser, command_of
+from tendon_robot_ros.cli.main import COMMANDS, OLD_OPTIONS, Parser, command_of
 
 DOCS = [page for page in PAGES if page.parent.name in ('docs', 'data')]
 LIVE = [page for page in DOCS if is_live(text_of(page))]
@@ -113,6 +113,34 @@ def test_every_command_and_option_on_a_page_exists():
                 f'{page}: {name} {o}' for o in re.findall(r' (--[\w-]+)', given) if o not in known
             ]
     assert not wrong, '\n'.join(wrong)
+
+
+SCRIPT = re.compile(r'python ((?:benchmarks|examples|tools)/\w+\.py)([^`\n]*)')
+
+
+def test_every_script_and_its_options_on_a_page_exist():
+    calls = [(page, *call) for page in PAGES for call in SCRIPT.findall(text_of(page))]
+    assert len(calls) > 20
+    wrong = [f'{page}: {name}' for page, name, _ in calls if not (ROOT / name).is_file()]
+    shared = ''.join(map(text_of, files('benchmarks/[!b]*.py')))  # what benchmarks import
+    for page, name, given in calls:
+        source = text_of(name) + shared
+        options = re.findall(r' (--[\w-]+)', given)
+        wrong += [f'{page}: {name} {o}' for o in options if not re.search(f"['-]{o[2:]}'", source)]
+    assert not wrong, '\n'.join(wrong)
+
+
+def test_no_page_says_an_option_of_an_earlier_version():
+    known = set()
+    for place in COMMANDS.values():
+        if '.cli.' in place:
+            parser = Parser(prog='', description='')
+            command_of(place).add_arguments(parser)
+            known |= {*parser._option_string_actions}
+    old = {option for options in OLD_OPTIONS.values() for option in options} - known
+    assert '--limit' in old
+    said = [f'{p}: {o}' for p in PAGES for o in re.findall(r'--[\w-]+', text_of(p)) if o in old]
+    assert not said, '\n'.join(said)
 
 
 @pytest.mark.skipif(importlib.util.find_spec('rclpy') is None, reason='rclpy is not installed')

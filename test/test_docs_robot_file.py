@@ -1,14 +1,18 @@
-"""docs/robot_file.md explains every key of a robot description; its example is one."""
+"""Every key of a robot description, of a configuration and of a plan is explained."""
 
 import ast
 import re
 
+import pytest
 from source_tree import ROOT, parse
 
+from tendon_robot_ros.drivers.dynamixel import config as dynamixel
+from tendon_robot_ros.drivers.serial_board import config as serial_board
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.compile import KernelArrays
 from tendon_robot_ros.robot import parse_robot
 from tendon_robot_ros.robot.description import TOLERANCES
+from tendon_robot_ros.studies import plan
 
 PAGE = (ROOT / 'docs' / 'robot_file.md').read_text(encoding='utf-8')
 EXAMPLE = PAGE.split('```yaml\n')[1].split('```')[0]
@@ -33,3 +37,21 @@ def test_every_key_is_explained():
     keys = {*read_keys(), *TOLERANCES}
     assert len(keys) > 15
     assert sorted(keys - explained) == []
+
+
+@pytest.mark.parametrize(
+    ('keys', 'files'),
+    [
+        (
+            {*dynamixel.KEYS, *dynamixel.MOTOR_KEYS},
+            ('config/dynamixel_tension.yaml', 'config/dynamixel_pull.yaml'),
+        ),
+        ({*serial_board.KEYS, *serial_board.TENDON_KEYS}, ('config/serial_board.yaml',)),
+        ({*plan.KEYS}, ('examples/campaign.yaml',)),
+    ],
+    ids=['dynamixel', 'serial', 'campaign'],
+)
+def test_every_key_of_a_configuration_is_in_its_example(keys, files):
+    text = '\n'.join((ROOT / file).read_text(encoding='utf-8') for file in files)
+    told = set(re.findall(r'[\w-]+', text))
+    assert sorted(keys - told) == []

@@ -96,7 +96,7 @@ def test_every_kind_of_story_comes_true(name):
     ('arguments', 'words'),
     [
         (['--hidden', 'gremlins'], 'hidden: expected one of '),
-        (['--postures', '1'], 'expected at least 4, got 1'),
+        (['--postures', '1'], 'expected a whole number from 4 on, got 1'),
         (['--hide', 'x'], 'unrecognized arguments: --hide x; did you mean --hidden? see '),
     ],
 )

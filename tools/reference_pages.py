@@ -26,12 +26,22 @@ DOCS = ROOT / 'docs'
 FOLDER = 'generated'  # in docs/, written anew by every build
 LINK = re.compile(r'(!?)\[([^\]]*)\]\(([^)\s]+)\)')
 FENCED = re.compile(r'(^```.*?^```$)', re.M | re.S)
+CONFIGURATIONS = """\
+# Configuration files
+
+Examples with every key of a driver's configuration, and of a campaign's plan.
+"""
+CONFIGURED = (
+    *('config/dynamixel_tension.yaml', 'config/dynamixel_pull.yaml', 'config/serial_board.yaml'),
+    *('config/ros2_control.yaml', 'config/mock.yaml', 'examples/campaign.yaml'),
+)
 # what a link of a page means in the built documentation -> its page there
 PAGES = {
     'tendon_robot_ros/ros/parameters.yaml': 'ros_parameters',
     'tendon_robot_ros/ros/interface.yaml': 'ros_topics',
     'tendon_robot_ros/effects': 'effects_reference',
     'README.md': 'overview',
+    **dict.fromkeys(CONFIGURED, 'configurations'),
     'CONTRIBUTING.md': 'contributing',
     'QUALITY_DECLARATION.md': 'quality',
     **{
@@ -39,6 +49,7 @@ PAGES = {
         for path in sorted((ROOT / 'data').rglob('README.md'))
     },
 }
+UNSOUGHT = ('contributing', 'quality')  # in the search they hide what a user looks for
 COPIES = {path: name for path, name in PAGES.items() if path.endswith('.md')}
 PARAMETERS = """\
 # Parameters of the nodes
@@ -109,6 +120,7 @@ def write():
     pages = {
         'ros_parameters': parameters(),
         'ros_topics': topics(),
+        'configurations': configurations(),
         'effects_reference': effects_page.reference(),
         'commands': commands(),
         'api': API.format(names='\n'.join(f'   {name}' for name in tendon_robot_ros.__all__)),
@@ -117,9 +129,12 @@ def write():
     for path, name in COPIES.items():
         text = (ROOT / path).read_text(encoding='utf-8')
         pages[name] = relinked(text, path, FOLDER)
+    pages |= {command_file(name): f'# {name}\n\n{said(name)}' for name in COMMANDS}
     for name, text in pages.items():
-        (folder / f'{name}.md').write_text(text, encoding='utf-8')
-    (folder / 'changelog.rst').write_text((ROOT / 'CHANGELOG.rst').read_text(encoding='utf-8'))
+        unsought = '---\nnosearch: true\n---\n' * (name in UNSOUGHT)
+        (folder / f'{name}.md').write_text(unsought + text, encoding='utf-8')
+    changes = (ROOT / 'CHANGELOG.rst').read_text(encoding='utf-8')
+    (folder / 'changelog.rst').write_text(f':nosearch:\n\n{changes}', encoding='utf-8')
 
 
 def relinked(text, path, folder=''):
@@ -169,6 +184,7 @@ def contents(text):
             'effects_reference',
             'ros_topics',
             'ros_parameters',
+            'configurations',
             'commands',
             'api',
             'gallery',
@@ -186,11 +202,15 @@ def contents(text):
 
 
 def commands():
-    """Return what --help-all says of every command."""
-    os.environ['COLUMNS'] = '100'
-    return COMMAND_PAGE + ''.join(
-        f'\n## {name}\n\n```text\n{said(name)}```\n' for name in sorted(COMMANDS)
-    )
+    """Return the list of commands; each has a page with what its --help-all says."""
+    pages = [command_file(name) for name in COMMANDS]
+    lines = [f'- [{n}]({page}.md)' for n, page in zip(COMMANDS, pages, strict=True)]
+    return '\n'.join([COMMAND_PAGE, *lines, '', '```{toctree}', ':hidden:', '', *pages, '```', ''])
+
+
+def command_file(name):
+    """Return the name of the page of a command."""
+    return f'command_{name.replace(" ", "_").replace("-", "_")}'
 
 
 def said(name):
@@ -198,7 +218,7 @@ def said(name):
     first, *rest = name.split()
     with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.suppress(SystemExit):
         run_command(first, [*rest, '--help-all'], f'{PROGRAM} {first}')
-    return out.getvalue()
+    return f'```text\n{out.getvalue()}```\n'
 
 
 def gallery():
@@ -210,6 +230,12 @@ def gallery():
                 lines.append(f'## [{title(page)}](../{page.name})\n')
                 lines.append(f'![{shown}](../{target})\n\n{shown}\n')
     return '\n'.join([*lines, '## [Effects](effects_reference.md)\n', *effects_page.gallery(), ''])
+
+
+def configurations():
+    """Return the page of the configuration files."""
+    texts = ((path, (ROOT / path).read_text(encoding='utf-8')) for path in CONFIGURED)
+    return CONFIGURATIONS + ''.join(f'\n## {path}\n\n```yaml\n{text}```\n' for path, text in texts)
 
 
 def topics():

@@ -70,6 +70,8 @@ COMMANDS: dict[str, str] = {
     'study rehearse': 'tendon_robot_ros.studies.rehearse',
     'completion': 'tendon_robot_ros.cli.completion',
 }
+# what a command of ROS does without it
+WITHOUT_ROS = {'tendon_robot_ros.ros.commands.live': 'tendon_robot_ros.cli.live'}
 GROUPS = {
     'robot': 'describe a robot: by answers to questions, or what a description says',
     'model': 'ask the model: shape, tensions for a target, range of the tip, a way to look around',
@@ -332,14 +334,15 @@ def run_node(place: str, arguments: list[str], program: str) -> int:
     takes_more = 'add_arguments' in functions
     note = f'and, as every node: {NODE_OPTIONS}'
     parser = Parser(prog=program, description=_documentation(place), note=note)
-    if {'-h', '--help', '--help-all'} & {*own} and (missing or not takes_more):
+    known = takes_more and (place in WITHOUT_ROS or not missing)
+    if {'-h', '--help', '--help-all'} & {*own} and not known:
         print(parser.format_help(whole=True), end='')
         return 0
-    if missing:
+    if missing and place not in WITHOUT_ROS:
         raise MissingExtraError('rclpy', 'ros')
     # the wheels of rclpy find their middleware through this; a sourced ROS has set it
     os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)
-    command = command_of(place)
+    command = command_of(WITHOUT_ROS[place] if missing else place)
     if not takes_more:
         return int(command.main(arguments))
     command.add_arguments(parser)

@@ -8,7 +8,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +21,7 @@ from ..common.files import file_to_write, write_text
 from ..common.processes import UPKEEP_S
 from ..common.results import JSON_OPTION
 from ..common.results import emit as emit
-from ..common.words import TYPED_LENGTHS, UNITS, digits, other_unit, read_quantity
+from ..common.words import COMPILING, TYPED_LENGTHS, UNITS, digits, other_unit, read_quantity
 from ..data import DataSet, join, load_dataset
 from ..data.bag_reader import is_bag
 from ..data.folder import described_robot
@@ -100,7 +100,7 @@ def effects_of(args: argparse.Namespace) -> Catalogue:
 
     catalogue = load_catalogue(args.effect_file)
     if not is_compiled(catalogue):
-        print('compiling the model (once)', file=sys.stderr)
+        print(COMPILING, file=sys.stderr)
     return catalogue
 
 
@@ -111,31 +111,52 @@ def load_model(args: argparse.Namespace) -> Model:
     return Model(load_robot(args.robot), effects_of(args))
 
 
-def named_numbers(option: str, text: str, unit: str) -> dict[str, float]:
+def named[T](option: str, text: str, form: str, read: Callable[[str], T]) -> dict[str, T]:
     """
-    Read 'left=0.51,right=0'; of newtons a number may have its own unit: left=510mN.
+    Read NAME=VALUE,NAME=VALUE; `form` says for messages how a value is written.
 
     Raises
     ------
     InputError
-        It reads otherwise, or names something twice.
+        It reads otherwise (`read` raises it, or ValueError), or names something twice.
 
     """
-    values: dict[str, float] = {}
+    values: dict[str, T] = {}
     for part in text.split(','):
-        name, _, number = (word.strip() for word in part.rpartition('='))
-        value = None
-        with suppress(ValueError):
-            value = float(number)
-        if value is None and name and unit == 'N' and number[:1].isdigit():
-            value = read_quantity(f'{option}: {name}', number, unit, 'force')
-        if value is None or not name:
-            expected = f'expected NAME=NUMBER,NAME=NUMBER in {unit}'
-            raise InputError(f'{option}: {expected}, got {part.strip()!r}')
+        name, _, value = (word.strip() for word in part.rpartition('='))
+        try:
+            if not name:
+                raise ValueError
+            read_value = read(value)
+        except ValueError:
+            kind, _, unit = form.partition(' ')
+            raise InputError(
+                f'{option}: expected NAME={kind},NAME={kind} {unit}, got {part.strip()!r}'
+            ) from None
         if name in values:
             raise InputError(f'{option}: {name!r} stands twice')
-        values[name] = value
+        values[name] = read_value
     return values
+
+
+def named_numbers(option: str, text: str, unit: str) -> dict[str, float]:
+    """Read left=0.51,right=0; of newtons a number may have its own unit: left=510mN."""
+
+    def read(number: str) -> float:
+        if unit == 'N' and number[:1].isdigit() and number[-1:].isalpha():
+            return read_quantity(option, number, unit, 'force')
+        return float(number)
+
+    return named(option, text, f'NUMBER in {unit}', read)
+
+
+def named_lengths(option: str, text: str, unit: str) -> dict[str, float]:
+    """Read left=6,right=-2mm in metres."""
+
+    def read(number: str) -> float:
+        return length(option, number, unit)
+
+    return named(option, text, f'LENGTH in {unit}', read)
 
 
 def length(option: str, text: str, unit: str) -> float:
@@ -146,25 +167,6 @@ def length(option: str, text: str, unit: str) -> float:
 def input_size(option: str, text: str | None) -> float | None:
     """Read 0.2N or 0.5mm in newtons or metres; a bare number is newtons."""
     return None if text is None else read_quantity(option, text, 'N', 'force', 'length')
-
-
-def named_lengths(option: str, text: str, unit: str) -> dict[str, float]:
-    """
-    Read 'left=6,right=-2mm' in metres.
-
-    Raises
-    ------
-    InputError
-        It reads otherwise, or names something twice.
-
-    """
-    pairs = [part.rpartition('=') for part in text.split(',')]
-    if not all(name.strip() and equals for name, equals, _ in pairs):
-        raise InputError(f'{option}: expected NAME=LENGTH,NAME=LENGTH in {unit}, got {text!r}')
-    values = {name.strip(): length(option, number, unit) for name, _, number in pairs}
-    if len(values) < len(pairs):
-        raise InputError(f'{option}: a name stands twice in {text!r}')
-    return values
 
 
 def position(option: str, text: str | None, unit: str, reach: float) -> list[float] | None:

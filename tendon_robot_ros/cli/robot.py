@@ -18,7 +18,7 @@ import yaml
 
 from ..common.errors import InputError
 from ..common.files import new_file, write_text
-from ..common.words import PROGRAM, STANDARD_GRAVITY, columns, mm
+from ..common.words import COMPILING, PROGRAM, STANDARD_GRAVITY, columns, mm
 from ..report.in_words import route, rows
 from ..robot import Robot, dump_robot, load_robot, parse_robot
 from ..robot.estimates import (
@@ -85,7 +85,7 @@ class NewRobot:
         from ..model.model import Model
         from ..report.pictures import draw_robot
 
-        print('drawing (the first model ever is compiled before)', file=sys.stderr)
+        print(f'drawing; {COMPILING}, if not done', file=sys.stderr)
         with new_file(picture) as draft:
             draw_robot(Model(robot), draft)
         lines = [

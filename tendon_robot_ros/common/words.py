@@ -15,6 +15,7 @@ TIMES_WORDS = (
 )
 # [1] prefixes of SI (brochure of 2019) in which a person reads lengths and forces
 UNIT_PREFIXES = {'M': 1e6, 'k': 1e3, '': 1.0, 'm': 1e-3, 'µ': 1e-6, 'n': 1e-9}
+COMPILING = 'compiling the model, once; half a minute'
 PROGRAM = 'python -m tendon_robot_ros'
 FAR_M = 100.0  # [m] a larger number is a slip of the pen, because no arm reaches so far
 # [1] names in a line, or rows of a table for a person, because a message may hold a million

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import argparse
+import time
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from ..common.arrays import Floats
-from ..common.errors import InputError, NoEquilibriumError
+from ..common.errors import InputError, NoEquilibriumError, whole
 from ..common.words import STANDARD_GRAVITY, digits, listed, mm
 from ..diagnosis.verdict import Verdict
 from ..effects import Catalogue
 from ..model.model import Model
-from ..robot import Robot
+from ..robot import Robot, load_robot
 from ..robot.description import EffectValues
 from ..robot.estimates import natural_sizes
 from ..workspace.postures import default_postures
@@ -65,6 +67,33 @@ def refined(robot: Robot) -> Robot:
         robot = robot.with_effect(name, {'fraction': 1.0})
     tolerances = {**robot.tolerances, 'cell_stiffness': STIFFNESS_SCATTER}
     return replace(robot, gravity=(0.0, 0.0, STANDARD_GRAVITY), tolerances=tolerances)
+
+
+def add_story(parser: argparse.ArgumentParser) -> None:
+    """Declare what is hidden in which robot, and how the story is told."""
+    add = parser.add_argument
+    what = 'hide this: an effect, a cause outside the catalogue, or none (default: drawn)'
+    add('--hidden', default='', metavar='NAME', help=what)
+    what = 'draws what is hidden, how large it is, and the noise (default: from the clock)'
+    add('--seed', type=int, metavar='N', help=what)
+    add('--reveal', action='store_true', help='say at the end what was hidden')
+    what = 'no page: the same story as text; exits with 0 only if it came true'
+    add('--headless', action='store_true', help=what)
+    what = 'of the tour that is recorded (default: 14)'
+    add('--postures', type=int, default=14, metavar='N', help=what)
+    what = 'the arm chooses its postures by itself, until it knows (docs/investigate.md)'
+    add('--investigate', action='store_true', help=what)
+    add('--port', type=int, default=8080, metavar='N', help='of the page (default: 8080)')
+    what = 'in config/robots (default: kato_10_1)'
+    add('--robot', default='kato_10_1', metavar='NAME', help=what)
+
+
+def cast(args: argparse.Namespace, catalogue: Catalogue) -> tuple[Robot, Hidden, int]:
+    """Return the robot of a story as its owner describes it, what it hides, and the seed."""
+    whole('live: --postures', args.postures, 4)
+    seed = int(time.time()) % 100000 if args.seed is None else args.seed
+    robot = refined(load_robot(args.robot))
+    return robot, draw(robot, catalogue, args.hidden, seed), seed
 
 
 def choices(robot: Robot, catalogue: Catalogue) -> tuple[str, ...]:
@@ -204,8 +233,10 @@ class Story:
         return 'a cause that no effect describes: called so'
 
 
-def reveal(hidden: Hidden, units: dict[str, str]) -> str:
-    """Return one line that names the hidden cause; units by parameter."""
+def reveal(hidden: Hidden, catalogue: Catalogue) -> str:
+    """Return one line that names the hidden cause, with values and units."""
+    effect = catalogue[hidden.name].parameters if hidden.values else ()
+    units = {parameter.name: parameter.unit for parameter in effect}
     values = [
         f'{key} = {listed(digits(v, 3) for v in np.atleast_1d(value))} {units.get(key, "1")}'
         for key, value in hidden.values.items()

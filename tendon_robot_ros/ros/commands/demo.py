@@ -22,8 +22,10 @@ from ...common.arrays import Floats
 from ...common.colours import COLOURS, ERROR
 from ...common.files import new_file
 from ...common.rotations import angle_between
+from ...common.words import COMPILING
 from ...control.loading import load
 from ...effects import load_catalogue
+from ...model.compile import is_compiled
 from ...model.model import Model
 from ...robot import load_robot
 from ...robot.estimates import TRACKER_NOISE_M
@@ -40,10 +42,10 @@ PICTURE = Path('demo/postures.png')
 def main(arguments: Sequence[str]) -> int:
     """Run the demo; return 0 when every reachable target was reached."""
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    print(
-        'loading the model (the first time it is compiled, about half a minute)', file=sys.stderr
-    )
-    model = load(load_robot(ROBOT), load_catalogue())
+    catalogue = load_catalogue()
+    if not is_compiled(catalogue):
+        print(COMPILING, file=sys.stderr)
+    model = load(load_robot(ROBOT), catalogue)
     robot, length = model.robot, model.robot.length
     beyond = np.array([0.9 * length, 0.0, 0.9 * length])
     unreachable = Posture('out of reach', model.limits[:, 0], beyond, np.array([1.0, 0.0, 0.0]))

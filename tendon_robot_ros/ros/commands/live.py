@@ -27,15 +27,24 @@ import yaml
 from std_msgs.msg import String
 
 from ...common.arrays import Floats
-from ...common.errors import InputError, MissingExtraError, NoEquilibriumError, TendonRobotError
-from ...common.words import mm
+from ...common.errors import MissingExtraError, NoEquilibriumError, TendonRobotError
+from ...common.words import COMPILING, mm
 from ...control.loading import load
 from ...effects import load_catalogue
+from ...model.compile import is_compiled
 from ...model.model import Model
-from ...robot import Robot, dump_robot, load_robot
+from ...robot import Robot, dump_robot
 from ...robot.keep_out import KeepOut
 from ...simulation.hidden import STIFFNESS_SCATTER
-from ...simulation.rehearsal import Hidden, Story, TourPosture, draw, refined, reveal, tour
+from ...simulation.rehearsal import (
+    Hidden,
+    Story,
+    TourPosture,
+    add_story,
+    cast,
+    reveal,
+    tour,
+)
 from ..shared import interface
 from ..shared.messages import seconds, time_now, xyz
 from ..shared.quality import STATE
@@ -117,36 +126,19 @@ class Performance:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    add = parser.add_argument
-    what = 'hide this: an effect, a cause outside the catalogue, or none (default: drawn)'
-    add('--hidden', default='', metavar='NAME', help=what)
-    what = 'draws what is hidden, how large it is, and the noise (default: from the clock)'
-    add('--seed', type=int, metavar='N', help=what)
-    add('--reveal', action='store_true', help='say at the end what was hidden')
-    what = 'no page: the same story as text; exits with 0 only if it came true'
-    add('--headless', action='store_true', help=what)
-    what = 'of the tour that is recorded (default: 14)'
-    add('--postures', type=int, default=14, metavar='N', help=what)
-    what = 'the arm chooses its postures by itself, until it knows (docs/investigate.md)'
-    add('--investigate', action='store_true', help=what)
-    add('--port', type=int, default=8080, metavar='N', help='of the page (default: 8080)')
-    what = 'in config/robots (default: kato_10_1)'
-    add('--robot', default='kato_10_1', metavar='NAME', help=what)
+    add_story(parser)
 
 
 def run(options: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
     """Run the page, or the story as text."""
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    if options.postures < 4:
-        raise InputError(f'live: --postures: expected at least 4, got {options.postures}')
     if not options.headless and importlib.util.find_spec('viser') is None:
         raise MissingExtraError('viser', 'viewer')
     catalogue = load_catalogue()
-    robot = refined(load_robot(options.robot))
-    seed = int(time.time()) % 100000 if options.seed is None else options.seed
-    print('loading the model (the first time it is compiled: a minute)', file=sys.stderr)
+    if not is_compiled(catalogue):
+        print(COMPILING, file=sys.stderr)
+    robot, hidden, seed = cast(options, catalogue)
     model = load(robot, catalogue)
-    hidden = draw(robot, catalogue, options.hidden, seed)
     with ros(ros_arguments) as ending, ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix='tendon_live_')))
         if not options.headless:
@@ -166,8 +158,7 @@ def run(options: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
             print('error:', error, *last_lines, sep='\n  ', file=sys.stderr)
             code = 1
         if options.reveal:
-            effect = catalogue[hidden.name].parameters if hidden.values else ()
-            print(reveal(hidden, {parameter.name: parameter.unit for parameter in effect}))
+            print(reveal(hidden, catalogue))
     return code
 
 

@@ -25,6 +25,7 @@ from std_srvs.srv import Trigger
 
 from ...common.errors import TendonRobotError
 from ...common.processes import Realtime, go_realtime, in_realtime
+from ...common.words import COMPILING
 from ...control import ControllerCore, Refusal
 from ...control.inputs import another_robot
 from ...control.solver import SOLVER, Worker
@@ -51,7 +52,7 @@ HELP = 'move the tip to targets: poses, points or twists in, tendon commands out
 NOT_READY = 'the controller is not configured', 'the stop is over; there is no model'
 STARTING_WORDS = {
     'loading': 'reading the model',
-    'compiling': 'compiling the model, once; half a minute',
+    'compiling': COMPILING,
     'building': 'building the library of shapes',
 }
 

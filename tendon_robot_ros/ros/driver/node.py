@@ -21,6 +21,7 @@ from std_srvs.srv import Trigger
 
 from ...common.errors import DriverError
 from ...common.processes import Realtime, go_realtime
+from ...common.words import COMPILING
 from ...control.inputs import Refusal, by_name, finite
 from ...drivers.mock import MockDriver
 from ...drivers.safety import FOLLOWING, HOLDING, LIMP, OFF, RELEASED, StopLatch, Supervisor
@@ -103,7 +104,7 @@ class DriverNode(StoppableNode):
         if self._check_due:
             self.get_logger().warning(self._check_due)
         if self.parameters['backend'] == 'mock':
-            text = 'makes the mock arm; compiles it, once: a minute'
+            text = f'makes the mock arm; {COMPILING}, if not done'
             self.status.publish(WARN, 'starting', text)
         driver, tracker = backend.make(robot, self.parameters, self)
         supervisor = Supervisor(backend.rules(robot, driver, self.parameters))

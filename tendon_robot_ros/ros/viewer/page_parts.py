@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ...common.arrays import Floats
 from ...common.colours import BAD, ERROR, GOOD, INK, KINDS, MEASURED, PREDICTED, WARN, rgb
-from ...common.words import mm, percent
+from ...common.words import digits, mm, percent
 from ...diagnosis.result import NOT_NEEDED
 from ...inference.intervals import LoadVector, Value
 from ...report.page import marked
@@ -133,7 +133,7 @@ def curve(
     usual = 2.0 * float(np.quantile(sizes, 0.75))
     axes = _Axes(max(1.15 * min(max(sizes), usual), 0.6))
     points = ' '.join(f'{axes.x(age):.1f},{axes.y(min(e, axes.top)):.1f}' for age, e in shown)
-    cut = f', peaks up to {max(sizes):.2g} are cut off' if max(sizes) > axes.top else ''
+    cut = f', peaks up to {digits(max(sizes), 2)} are cut off' if max(sizes) > axes.top else ''
     parts = axes.grid(floor)
     parts.append(f'<polyline points="{points}" fill="none" stroke="{MEASURED}" stroke-width="2"/>')
     for at, text in marks:  # when an effect was added
