@@ -245,30 +245,50 @@ class SearchRequest:
         """Return the approach to the target; `report` is called with intermediate solutions."""
         model, settings = self.model, self.settings
         from_below = settings.approach == 'from_below' and not self._local
+        via = forgetting_tensions(model) if from_below else ()
         if from_below or settings.keep_out or settings.pull_mode:
             report = None
         # independent of the present shape, so that a position always has the same tensions
         guess = None if from_below else self.guess
         if not (model.remembers or settings.keep_out):
-            solution = self._solve_from(None, guess, give_up, report)
-            return Approach(solution, forgetting_tensions(model) if from_below else ())
+            return Approach(self._solve_from(None, guess, give_up, report), via)
         if self.last is not None and settings.pull_mode and model.bends_remember:
             start = self.last  # at the pulls, whose tensions may be others than the commanded ones
         else:
             start = model.follow(self.last, self.acting)
-        past = start if model.remembers else None
-        if settings.tip_gain > 0.0 and not (from_below or settings.keep_out):
-            return Approach(self._for_closed_loop(start, give_up, report))
-        path = Approach(self._solve_from(past, guess or past, give_up, report))
-        if from_below:
-            via = forgetting_tensions(model)
-            with suppress(NoEquilibriumError):  # else in a straight line
-                shape = start
-                for tensions in via:
-                    shape = model.follow(shape, tensions)
-                past = shape if model.remembers else None
-                path = Approach(self._solve_from(past, shape, give_up), via)
+        past = start
+        try:
+            for tensions in via:
+                past = model.follow(past, tensions)
+        except NoEquilibriumError:  # then in a straight line
+            past, via = start, ()
+        if model.remembers:
+            path = Approach(self._solve_with_memory(past, give_up, report), via)
+        else:
+            path = Approach(self._solve_from(None, guess, give_up, report), via)
         return self._truncated(start, path) if settings.keep_out else path
+
+    def _solve_with_memory(self, past: Shape, give_up: GiveUp, report: Report | None) -> Reach:
+        """
+        Return tensions for the target when it is approached from the shape `past`.
+
+        The search begins at the solution for an arm without a past, because it does not depend on
+        where the arm comes from: of several solutions every approach then ends in the same, and
+        the model's errors are the same, too. Targets near the last one begin at the present shape.
+        """
+        model, preferences = self.model, self.settings.preferences
+        guess = self.guess or past
+        if not (self._local or (preferences is not None and preferences.smooth > 0.0)):
+            with suppress(NoEquilibriumError, InputError):
+                reference = self._solve_from(None, None, give_up)
+                if self.settings.pull_mode:
+                    guess = model.follow_pulls(past, reference.shape.pulls)
+                else:
+                    guess = model.follow(past, reference.tensions)
+                near = self._reach(past, guess, TRACK, give_up, report)
+                if near.status == 'reached' or reference.status != 'reached':
+                    return near
+        return self._solve_from(past, guess, give_up, report)
 
     @property
     def _local(self) -> bool:
@@ -303,44 +323,23 @@ class SearchRequest:
         report: Report | None = None,
     ) -> Reach:
         """Return tensions for the target when it is approached from the shape `past`."""
-        preferences = None if self._local else self.settings.preferences
-        task = replace(self._task(past), guess=guess, preferences=preferences)
         *policies, last = self._policies()
         for policy in policies:
             with suppress(NoEquilibriumError):
-                return reach(task, policy, give_up, report)
-        return reach(task, last, give_up, report)
+                return self._reach(past, guess, policy, give_up, report)
+        return self._reach(past, guess, last, give_up, report)
 
-    def _for_closed_loop(self, start: Shape, give_up: GiveUp, report: Report | None) -> Reach:
-        """
-        Return tensions from which the closed loop brings the tip to the target.
-
-        From the present state of friction, an inaccurate model may require high co-contraction,
-        where its error is largest. Solutions without the friction memory, and without the tip's
-        bias, are therefore candidates, too: the first one whose highest tension is close to the
-        lowest of all candidates is returned, and the loop corrects the rest.
-        """
-        if self._local or self.settings.pull_mode:
-            return self._solve_from(start, self.guess or start, give_up, report)
-        without_bias = replace(self, target=self.as_sent)
-        solutions: list[Reach] = []
-        for request, past, on_report in (
-            (self, None, report),
-            (without_bias, None, None),
-            (self, start, None),
-        ):
-            try:
-                if not (solutions and give_up()):
-                    solution = request._solve_from(past, self.guess or past, give_up, on_report)
-                    solutions.insert(len(solutions) if past is None else 0, solution)
-            except NoEquilibriumError:
-                if not solutions and past is not None:  # the last request
-                    raise
-        candidates = [one for one in solutions if one.status == 'reached'] or solutions
-        low, high = self.model.limits.T
-        highest = [float(((one.tensions - low) / (high - low)).max()) for one in candidates]
-        enough = min(highest) + JUMP_MAX
-        return next(one for one, size in zip(candidates, highest, strict=True) if size <= enough)
+    def _reach(
+        self,
+        past: Shape | None,
+        guess: Shape | None,
+        policy: Policy,
+        give_up: GiveUp,
+        report: Report | None,
+    ) -> Reach:
+        preferences = None if self._local else self.settings.preferences
+        task = replace(self._task(past), guess=guess, preferences=preferences)
+        return reach(task, policy, give_up, report)
 
     def _truncated(self, start: Shape, path: Approach) -> Approach:
         """
