@@ -18,7 +18,7 @@ import numpy as np
 from ..common.arrays import Floats
 from ..common.errors import InputError, NoEquilibriumError
 from ..common.estimation import ITERATIONS_MAX
-from ..model.inverse import JUMP_MAX, POSITION_TOLERANCE_M, reach
+from ..model.inverse import POSITION_TOLERANCE_M, reach
 from ..model.program import STEP_MAX
 from ..model.shape import Reach
 from ..model.tip_task import COLD, STREAM, TRACK, Patience, Policy, TipTask
