@@ -18,7 +18,7 @@ import numpy as np
 from ..common.arrays import Floats
 from ..common.errors import InputError, NoEquilibriumError
 from ..common.estimation import ITERATIONS_MAX
-from ..model.inverse import POSITION_TOLERANCE_M, reach
+from ..model.inverse import JUMP_MAX, POSITION_TOLERANCE_M, reach
 from ..model.program import STEP_MAX
 from ..model.shape import Reach
 from ..model.tip_task import COLD, STREAM, TRACK, Patience, Policy, TipTask
@@ -275,20 +275,31 @@ class SearchRequest:
         The search begins at the solution for an arm without a past, because it does not depend on
         where the arm comes from: of several solutions every approach then ends in the same, and
         the model's errors are the same, too. Targets near the last one begin at the present shape.
+
+        An inaccurate model may ask for high co-contraction, where its error is largest. In closed
+        loop the solution without a past then counts, and the loop corrects the rest.
         """
-        model, preferences = self.model, self.settings.preferences
-        guess = self.guess or past
-        if not (self._local or (preferences is not None and preferences.smooth > 0.0)):
-            with suppress(NoEquilibriumError, InputError):
+        model, settings, reference = self.model, self.settings, None
+        smooth = settings.preferences is not None and settings.preferences.smooth > 0.0
+        if not (self._local or smooth):
+            with suppress(NoEquilibriumError):
                 reference = self._solve_from(None, None, give_up)
-                if self.settings.pull_mode:
-                    guess = model.follow_pulls(past, reference.shape.pulls)
-                else:
-                    guess = model.follow(past, reference.tensions)
-                near = self._reach(past, guess, TRACK, give_up, report)
-                if near.status == 'reached' or reference.status != 'reached':
-                    return near
-        return self._solve_from(past, guess, give_up, report)
+        guess = self.guess or past if reference is None else reference.shape
+        if settings.pull_mode:  # the same lengths are hardly another shape, whatever the tensions
+            with suppress(NoEquilibriumError, InputError):
+                guess = model.follow_pulls(past, guess.pulls)
+        corrects = reference is not None and settings.tip_gain > 0.0
+        try:
+            solution = self._solve_from(past, guess, give_up, report, reference)
+        except NoEquilibriumError:
+            if reference is None or not corrects:
+                raise
+            return reference
+        if reference is None or not corrects:
+            return solution
+        low, high = model.limits.T
+        most = (reference.tensions + JUMP_MAX * (high - low)).max()
+        return solution if solution.tensions.max() <= most else reference
 
     @property
     def _local(self) -> bool:
@@ -306,14 +317,13 @@ class SearchRequest:
 
         With friction memory, a target near the last one is searched near the present shape first.
         """
-        local = [replace(STREAM, starts=0, relax=not self.tracking)] if self._local else []
         if self.tracking:
-            return local if self.model.remembers else [TRACK]
+            return [TRACK]
         # more starts would exceed the budget of a target
         cold = replace(COLD, starts=STREAM.starts)
-        if self.streamed and self.model.sticks:
-            cold = STREAM
-        return [*(local if self.model.remembers else ()), cold]
+        if self.streamed and self.model.remembers:
+            return [replace(STREAM, starts=0), cold]
+        return [STREAM if self.streamed and self.model.sticks else cold]
 
     def _solve_from(
         self,
@@ -321,25 +331,23 @@ class SearchRequest:
         guess: Shape | None,
         give_up: GiveUp,
         report: Report | None = None,
+        reference: Reach | None = None,
     ) -> Reach:
-        """Return tensions for the target when it is approached from the shape `past`."""
-        *policies, last = self._policies()
-        for policy in policies:
-            with suppress(NoEquilibriumError):
-                return self._reach(past, guess, policy, give_up, report)
-        return self._reach(past, guess, last, give_up, report)
+        """
+        Return tensions for the target when it is approached from the shape `past`.
 
-    def _reach(
-        self,
-        past: Shape | None,
-        guess: Shape | None,
-        policy: Policy,
-        give_up: GiveUp,
-        report: Report | None,
-    ) -> Reach:
+        Near a `reference` first, and elsewhere only where that alone reaches the target.
+        """
         preferences = None if self._local else self.settings.preferences
         task = replace(self._task(past), guess=guess, preferences=preferences)
-        return reach(task, policy, give_up, report)
+        *policies, last = (*([TRACK] if reference else []), *self._policies())
+        for policy in policies:
+            with suppress(NoEquilibriumError):
+                solution = reach(task, policy, give_up, report)
+                nearest = reference is None or reference.status != 'reached'
+                if nearest or solution.status == 'reached':
+                    return solution
+        return reach(task, last, give_up, report)
 
     def _truncated(self, start: Shape, path: Approach) -> Approach:
         """
