@@ -8,7 +8,7 @@ before keep-out regions.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -355,16 +355,13 @@ class SearchRequest:
 
         An arm that is inside a region already may leave it: only deeper postures are refused.
         """
-        regions, shape = self.settings.keep_out, start
-        allowed, via = _allowed(start, regions), list[Floats]()
-        for tensions in (*path.via, path.reach.tensions):
-            leg = _postures(self.model.follow, shape, shape.inputs, tensions, regions)
-            for _, new, near in leg:
-                if near.distance < allowed:
-                    errors = self._task(start).errors(shape)
-                    return Approach(Reach(shape, *errors, 'nearest', (), near.region), via)
-                shape = new
-            via.append(tensions)
+        regions, shape, ends = self.settings.keep_out, start, (*path.via, path.reach.tensions)
+        allowed = _allowed(start, regions)
+        for leg, _, new, near in _postures(self.model.follow, start, start.inputs, ends, regions):
+            if near.distance < allowed:
+                errors = self._task(start).errors(shape)
+                return Approach(Reach(shape, *errors, 'nearest', (), near.region), ends[:leg])
+            shape = new
         return path
 
 
@@ -494,26 +491,22 @@ def keep_out_refusal(
 
     """
     solve = model.follow_pulls if pull else model.follow
-    allowed, time = _allowed(start, keep_out), 0.0
-    shape, begin = start, start.pulls if pull else start.inputs
-    for due, end in zip(trajectory.times.tolist(), trajectory.values, strict=True):
-        try:
-            for fraction, new, near in _postures(solve, shape, begin, end, keep_out):
-                shape = new
-                if near.distance < allowed:
-                    return Refusal(
-                        'keep_out',
-                        f'tendon_trajectory: at {time + fraction * (due - time):.2f} s the arm '
-                        f'would enter {near.region}; nothing of it was played',
-                    )
-        except (NoEquilibriumError, InputError) as error:
-            return Refusal(
-                'no_equilibrium',
-                f'tendon_trajectory: after {time:.2f} s nobody can say whether the arm keeps out '
-                f'of the regions: {error}; nothing of it was played',
-            )
-        time, begin = due, end
-    return None
+    begin, times, time = start.pulls if pull else start.inputs, (0.0, *trajectory.times), 0.0
+    code, allowed = 'keep_out', _allowed(start, keep_out)
+    try:
+        for leg, part, _, near in _postures(solve, start, begin, trajectory.values, keep_out):
+            time = times[leg] + part * (times[leg + 1] - times[leg])
+            if near.distance < allowed:
+                problem = f'at {time:.2f} s the arm would enter {near.region}'
+                break
+        else:
+            return None
+    except (NoEquilibriumError, InputError) as error:
+        code = 'no_equilibrium'
+        problem = (
+            f'after {time:.2f} s nobody can say whether the arm keeps out of the regions: {error}'
+        )
+    return Refusal(code, f'tendon_trajectory: {problem}; nothing of it was played')
 
 
 def _allowed(start: Shape, keep_out: KeepOut) -> float:
@@ -522,20 +515,22 @@ def _allowed(start: Shape, keep_out: KeepOut) -> float:
 
 
 def _postures(
-    solve: Solve, shape: Shape, begin: Floats, end: Floats, keep_out: KeepOut
-) -> Iterator[tuple[float, Shape, Clearance]]:
+    solve: Solve, shape: Shape, begin: Floats, ends: Iterable[Floats], keep_out: KeepOut
+) -> Iterator[tuple[int, float, Shape, Clearance]]:
     """
-    Yield postures along a straight leg: fraction of the leg, shape and clearance.
+    Yield postures along straight legs: leg, fraction of it, shape and clearance.
 
     No point moves by more than half of the clearance between two of them, as far as the shortest
     step allows it, so that none cuts a corner of a region.
     """
-    fraction, step = 0.0, STEP_MAX
-    while fraction < 1.0:
-        fraction = min(fraction + step, 1.0)
-        new = solve(shape, begin + fraction * (end - begin))
-        moved = float(np.linalg.norm(new.positions - shape.positions, axis=1).max())
-        clearance = keep_out.clearance(new.positions)
-        yield fraction, new, clearance
-        factor = 0.5 * clearance.distance / max(moved, 1e-9)
-        step, shape = min(max(step * factor, 0.1 * STEP_MAX), 2.0 * step), new
+    for leg, end in enumerate(ends):
+        fraction, step = 0.0, STEP_MAX
+        while fraction < 1.0:
+            fraction = min(fraction + step, 1.0)
+            new = solve(shape, begin + fraction * (end - begin))
+            moved = float(np.linalg.norm(new.positions - shape.positions, axis=1).max())
+            clearance = keep_out.clearance(new.positions)
+            yield leg, fraction, new, clearance
+            factor = 0.5 * clearance.distance / max(moved, 1e-9)
+            step, shape = min(max(step * factor, 0.1 * STEP_MAX), 2.0 * step), new
+        begin = end
