@@ -117,7 +117,7 @@ class ControllerCore(ControllerState):
     def _play(self, now: float, trajectory: Trajectory) -> None:
         self._drop()
         if not self.settings.pull_mode:  # another model may have come meanwhile
-            trajectory = trajectory.within(self.settings.limits(self.model))
+            trajectory = trajectory.within(self.limits)
         self.driver.dropped = None
         self.mode = PlayTrajectory(trajectory.begin(now, self.commanded))
 
@@ -201,8 +201,7 @@ class ControllerCore(ControllerState):
             self.pulls = PullPath(self.pulls.pulls)
         pending = None if self.search is None else self.search.target
         if isinstance(mode := self.mode, PlayTrajectory) and not self.settings.pull_mode:
-            limits = self.settings.limits(model)
-            self.mode = PlayTrajectory(mode.trajectory.within(limits))
+            self.mode = PlayTrajectory(mode.trajectory.within(self.limits))
         elif isinstance(mode, FollowTwist):
             self.mode = Mode()
         elif isinstance(mode, FollowTarget):
@@ -389,7 +388,7 @@ class ControllerCore(ControllerState):
         if self.pulls is not None and isinstance(self.mode, PlayTrajectory):
             self.command = self.pulls.play(self, goal)
             return
-        goal = bounded(goal, self.settings.limits(self.model))
+        goal = bounded(goal, self.limits)
         step = self.settings.rate_limit * passed
         if self.pulls is not None:
             self.command = self.pulls.advance(self, goal, step)
@@ -451,7 +450,7 @@ class ControllerCore(ControllerState):
         self._syncing = None
         if self.playing is not None or self.jogging:
             self.mode = Mode()
-        state, limits = self.driver.state, self.settings.limits(self.model)
+        state, limits = self.driver.state, self.limits
         pull, model, guess = self.settings.pull_mode, self.model, self.track.last
         if not pull and state.observed:
             self._begin(bounded(np.maximum(state.tensions, 0.0), limits), None)

@@ -13,7 +13,7 @@ from ..common.errors import InputError
 from ..common.rotations import from_quaternion
 from ..common.words import LISTED_MAX, NAME_LENGTH_MAX
 from ..drivers.safety import bounded
-from ..model.pulls import limits_by_pulls
+from ..model.tip_task import limits_by_pulls
 from ..robot import Robot
 from ..robot.keep_out import KeepOut
 

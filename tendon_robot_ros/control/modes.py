@@ -75,7 +75,7 @@ class FollowTarget(Mode):
         if self.via and _same(state.command, self.via[0]):
             measured, settled = state.driver.tensions, True
             if measured is not None and state.command is not None and not state.settings.pull_mode:
-                low, high = state.settings.limits(state.model).T
+                low, high = state.limits.T
                 settled = self._settling.settled(state.time, state.command, measured, high - low)
             if settled:
                 self.via.pop(0)
@@ -285,7 +285,7 @@ class PullPath:
         self.ahead.clear()
         if state.solver.busy('playing'):
             return tensions
-        model, guess, limits = state.model, state.track.last, state.settings.limits(state.model)
+        model, guess, limits = state.model, state.track.last, state.limits
         measured = MeasuredState(np.full(len(pulls), np.nan), pulls, state.time)
 
         def work(give_up: GiveUp) -> Floats:

@@ -437,6 +437,11 @@ class ControllerState:
         self.track = ShapeTracker(self.model)
 
     @property
+    def limits(self) -> Floats:
+        """Limits of the tensions (m, 2) [N]."""
+        return self.settings.limits(self.model)
+
+    @property
     def target(self) -> Target | None:
         """The current target."""
         return self.mode.target
@@ -470,7 +475,7 @@ class ControllerState:
 
     def acting_tensions(self) -> Floats:
         """Return the estimated tensions (m,) [N]: the command, corrected by the measured ones."""
-        low, high = self.settings.limits(self.model).T
+        low, high = self.limits.T
         acting = self.driver.acting
         command = low if self.command is None else acting.followed(self.command)
         # noise of load cells must not appear as a motion of the arm to the null-space motion
@@ -483,7 +488,7 @@ class ControllerState:
             return tensions
         if self.loop.solution is not self.solution:
             return tensions  # of a new target, whose search includes the bias
-        return bounded(self.loop.tensions, self.settings.limits(self.model))
+        return bounded(self.loop.tensions, self.limits)
 
     def tip_bias(self, place: Floats) -> Floats:
         """

@@ -8,7 +8,7 @@ before keep-out regions.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -245,30 +245,61 @@ class SearchRequest:
         """Return the approach to the target; `report` is called with intermediate solutions."""
         model, settings = self.model, self.settings
         from_below = settings.approach == 'from_below' and not self._local
+        via = forgetting_tensions(model) if from_below else ()
         if from_below or settings.keep_out or settings.pull_mode:
             report = None
         # independent of the present shape, so that a position always has the same tensions
         guess = None if from_below else self.guess
         if not (model.remembers or settings.keep_out):
-            solution = self._solve_from(None, guess, give_up, report)
-            return Approach(solution, forgetting_tensions(model) if from_below else ())
+            return Approach(self._solve_from(None, guess, give_up, report), via)
         if self.last is not None and settings.pull_mode and model.bends_remember:
             start = self.last  # at the pulls, whose tensions may be others than the commanded ones
         else:
             start = model.follow(self.last, self.acting)
-        past = start if model.remembers else None
-        if settings.tip_gain > 0.0 and not (from_below or settings.keep_out):
-            return Approach(self._for_closed_loop(start, give_up, report))
-        path = Approach(self._solve_from(past, guess or past, give_up, report))
-        if from_below:
-            via = forgetting_tensions(model)
-            with suppress(NoEquilibriumError):  # else in a straight line
-                shape = start
-                for tensions in via:
-                    shape = model.follow(shape, tensions)
-                past = shape if model.remembers else None
-                path = Approach(self._solve_from(past, shape, give_up), via)
+        past = start
+        try:
+            for tensions in via:
+                past = model.follow(past, tensions)
+        except NoEquilibriumError:  # then in a straight line
+            past, via = start, ()
+        if model.remembers:
+            path = Approach(self._solve_with_memory(past, give_up, report), via)
+        else:
+            path = Approach(self._solve_from(None, guess, give_up, report), via)
         return self._truncated(start, path) if settings.keep_out else path
+
+    def _solve_with_memory(self, past: Shape, give_up: GiveUp, report: Report | None) -> Reach:
+        """
+        Return tensions for the target when it is approached from the shape `past`.
+
+        The search begins at the solution for an arm without a past, because it does not depend on
+        where the arm comes from: of several solutions every approach then ends in the same, and
+        the model's errors are the same, too. Targets near the last one begin at the present shape.
+
+        An inaccurate model may ask for high co-contraction, where its error is largest. In closed
+        loop the solution without a past then counts, and the loop corrects the rest.
+        """
+        model, settings, reference = self.model, self.settings, None
+        smooth = settings.preferences is not None and settings.preferences.smooth > 0.0
+        if not (self._local or smooth):
+            with suppress(NoEquilibriumError):
+                reference = self._solve_from(None, None, give_up)
+        guess = self.guess or past if reference is None else reference.shape
+        if settings.pull_mode:  # the same lengths are hardly another shape, whatever the tensions
+            with suppress(NoEquilibriumError, InputError):
+                guess = model.follow_pulls(past, guess.pulls)
+        corrects = reference is not None and settings.tip_gain > 0.0
+        try:
+            solution = self._solve_from(past, guess, give_up, report, reference)
+        except NoEquilibriumError:
+            if reference is None or not corrects:
+                raise
+            return reference
+        if reference is None or not corrects:
+            return solution
+        low, high = model.limits.T
+        most = (reference.tensions + JUMP_MAX * (high - low)).max()
+        return solution if solution.tensions.max() <= most else reference
 
     @property
     def _local(self) -> bool:
@@ -286,14 +317,13 @@ class SearchRequest:
 
         With friction memory, a target near the last one is searched near the present shape first.
         """
-        local = [replace(STREAM, starts=0, relax=not self.tracking)] if self._local else []
         if self.tracking:
-            return local if self.model.remembers else [TRACK]
+            return [TRACK]
         # more starts would exceed the budget of a target
         cold = replace(COLD, starts=STREAM.starts)
-        if self.streamed and self.model.sticks:
-            cold = STREAM
-        return [*(local if self.model.remembers else ()), cold]
+        if self.streamed and self.model.remembers:
+            return [replace(STREAM, starts=0), cold]
+        return [STREAM if self.streamed and self.model.sticks else cold]
 
     def _solve_from(
         self,
@@ -301,46 +331,23 @@ class SearchRequest:
         guess: Shape | None,
         give_up: GiveUp,
         report: Report | None = None,
+        reference: Reach | None = None,
     ) -> Reach:
-        """Return tensions for the target when it is approached from the shape `past`."""
+        """
+        Return tensions for the target when it is approached from the shape `past`.
+
+        Near a `reference` first, and elsewhere only where that alone reaches the target.
+        """
         preferences = None if self._local else self.settings.preferences
         task = replace(self._task(past), guess=guess, preferences=preferences)
-        *policies, last = self._policies()
+        *policies, last = (*([TRACK] if reference else []), *self._policies())
         for policy in policies:
             with suppress(NoEquilibriumError):
-                return reach(task, policy, give_up, report)
+                solution = reach(task, policy, give_up, report)
+                nearest = reference is None or reference.status != 'reached'
+                if nearest or solution.status == 'reached':
+                    return solution
         return reach(task, last, give_up, report)
-
-    def _for_closed_loop(self, start: Shape, give_up: GiveUp, report: Report | None) -> Reach:
-        """
-        Return tensions from which the closed loop brings the tip to the target.
-
-        From the present state of friction, an inaccurate model may require high co-contraction,
-        where its error is largest. Solutions without the friction memory, and without the tip's
-        bias, are therefore candidates, too: the first one whose highest tension is close to the
-        lowest of all candidates is returned, and the loop corrects the rest.
-        """
-        if self._local or self.settings.pull_mode:
-            return self._solve_from(start, self.guess or start, give_up, report)
-        without_bias = replace(self, target=self.as_sent)
-        solutions: list[Reach] = []
-        for request, past, on_report in (
-            (self, None, report),
-            (without_bias, None, None),
-            (self, start, None),
-        ):
-            try:
-                if not (solutions and give_up()):
-                    solution = request._solve_from(past, self.guess or past, give_up, on_report)
-                    solutions.insert(len(solutions) if past is None else 0, solution)
-            except NoEquilibriumError:
-                if not solutions and past is not None:  # the last request
-                    raise
-        candidates = [one for one in solutions if one.status == 'reached'] or solutions
-        low, high = self.model.limits.T
-        highest = [float(((one.tensions - low) / (high - low)).max()) for one in candidates]
-        enough = min(highest) + JUMP_MAX
-        return next(one for one, size in zip(candidates, highest, strict=True) if size <= enough)
 
     def _truncated(self, start: Shape, path: Approach) -> Approach:
         """
@@ -348,16 +355,13 @@ class SearchRequest:
 
         An arm that is inside a region already may leave it: only deeper postures are refused.
         """
-        regions, shape = self.settings.keep_out, start
-        allowed, via = _allowed(start, regions), list[Floats]()
-        for tensions in (*path.via, path.reach.tensions):
-            leg = _postures(self.model.follow, shape, shape.inputs, tensions, regions)
-            for _, new, near in leg:
-                if near.distance < allowed:
-                    errors = self._task(start).errors(shape)
-                    return Approach(Reach(shape, *errors, 'nearest', (), near.region), via)
-                shape = new
-            via.append(tensions)
+        regions, shape, ends = self.settings.keep_out, start, (*path.via, path.reach.tensions)
+        allowed = _allowed(start, regions)
+        for leg, _, new, near in _postures(self.model.follow, start, start.inputs, ends, regions):
+            if near.distance < allowed:
+                errors = self._task(start).errors(shape)
+                return Approach(Reach(shape, *errors, 'nearest', (), near.region), ends[:leg])
+            shape = new
         return path
 
 
@@ -487,26 +491,22 @@ def keep_out_refusal(
 
     """
     solve = model.follow_pulls if pull else model.follow
-    allowed, time = _allowed(start, keep_out), 0.0
-    shape, begin = start, start.pulls if pull else start.inputs
-    for due, end in zip(trajectory.times.tolist(), trajectory.values, strict=True):
-        try:
-            for fraction, new, near in _postures(solve, shape, begin, end, keep_out):
-                shape = new
-                if near.distance < allowed:
-                    return Refusal(
-                        'keep_out',
-                        f'tendon_trajectory: at {time + fraction * (due - time):.2f} s the arm '
-                        f'would enter {near.region}; nothing of it was played',
-                    )
-        except (NoEquilibriumError, InputError) as error:
-            return Refusal(
-                'no_equilibrium',
-                f'tendon_trajectory: after {time:.2f} s nobody can say whether the arm keeps out '
-                f'of the regions: {error}; nothing of it was played',
-            )
-        time, begin = due, end
-    return None
+    begin, times, time = start.pulls if pull else start.inputs, (0.0, *trajectory.times), 0.0
+    code, allowed = 'keep_out', _allowed(start, keep_out)
+    try:
+        for leg, part, _, near in _postures(solve, start, begin, trajectory.values, keep_out):
+            time = times[leg] + part * (times[leg + 1] - times[leg])
+            if near.distance < allowed:
+                problem = f'at {time:.2f} s the arm would enter {near.region}'
+                break
+        else:
+            return None
+    except (NoEquilibriumError, InputError) as error:
+        code = 'no_equilibrium'
+        problem = (
+            f'after {time:.2f} s nobody can say whether the arm keeps out of the regions: {error}'
+        )
+    return Refusal(code, f'tendon_trajectory: {problem}; nothing of it was played')
 
 
 def _allowed(start: Shape, keep_out: KeepOut) -> float:
@@ -515,20 +515,22 @@ def _allowed(start: Shape, keep_out: KeepOut) -> float:
 
 
 def _postures(
-    solve: Solve, shape: Shape, begin: Floats, end: Floats, keep_out: KeepOut
-) -> Iterator[tuple[float, Shape, Clearance]]:
+    solve: Solve, shape: Shape, begin: Floats, ends: Iterable[Floats], keep_out: KeepOut
+) -> Iterator[tuple[int, float, Shape, Clearance]]:
     """
-    Yield postures along a straight leg: fraction of the leg, shape and clearance.
+    Yield postures along straight legs: leg, fraction of it, shape and clearance.
 
     No point moves by more than half of the clearance between two of them, as far as the shortest
     step allows it, so that none cuts a corner of a region.
     """
-    fraction, step = 0.0, STEP_MAX
-    while fraction < 1.0:
-        fraction = min(fraction + step, 1.0)
-        new = solve(shape, begin + fraction * (end - begin))
-        moved = float(np.linalg.norm(new.positions - shape.positions, axis=1).max())
-        clearance = keep_out.clearance(new.positions)
-        yield fraction, new, clearance
-        factor = 0.5 * clearance.distance / max(moved, 1e-9)
-        step, shape = min(max(step * factor, 0.1 * STEP_MAX), 2.0 * step), new
+    for leg, end in enumerate(ends):
+        fraction, step = 0.0, STEP_MAX
+        while fraction < 1.0:
+            fraction = min(fraction + step, 1.0)
+            new = solve(shape, begin + fraction * (end - begin))
+            moved = float(np.linalg.norm(new.positions - shape.positions, axis=1).max())
+            clearance = keep_out.clearance(new.positions)
+            yield leg, fraction, new, clearance
+            factor = 0.5 * clearance.distance / max(moved, 1e-9)
+            step, shape = min(max(step * factor, 0.1 * STEP_MAX), 2.0 * step), new
+        begin = end

@@ -281,7 +281,7 @@ class TipLoop(TipCorrection):
         assert solution is not None and desired is not None
         acting, model = core.acting_tensions(), core.model
         offset = core.driver.acting.offset
-        limits, keep_out = core.settings.limits(model), core.settings.keep_out
+        limits, keep_out = core.limits, core.settings.keep_out
         goal, last, known = core.goal(solution.tensions), core.track.last, self.estimate
         motion = self.motion if core.in_null_space else None
         passed, self._due = self._due, 0.0
@@ -360,5 +360,5 @@ class _Compared(NamedTuple):
 def _at_goal(core: ControllerState, goal: Floats, tolerance: float) -> bool:
     """Whether the command is at its goal (m,) [N], within a tolerance [1] of the ranges."""
     assert core.command is not None
-    low, high = core.settings.limits(core.model).T
+    low, high = core.limits.T
     return bool(np.all(np.abs(goal - core.command) < tolerance * (high - low)))

@@ -13,7 +13,7 @@ from ..common.arrays import Floats
 from ..common.errors import NoEquilibriumError
 from ..common.estimation import ITERATIONS_MAX
 from .program import within
-from .pulls import Aim, aim_by_pulls, command, held_shape, limits_by_pulls
+from .pulls import Aim, aim_by_pulls, command, held_shape
 from .redundancy import Balance, balanced
 from .shape import Reach, Shape
 from .starts import (
@@ -111,7 +111,7 @@ def reach(
     # beyond reach the nearest tip is the target: no tension reaches the requested one
     held = task if solution.status == 'reached' else task.held_at(solution.shape)
     preferences = task.preferences or Preferences()
-    balance = Balance(held, preferences, task.keep_out, search.limits, present)
+    balance = Balance(held, preferences, task.keep_out, task.limits, present)
     return _balanced(task, balance, solution, give_up)
 
 
@@ -127,7 +127,6 @@ class _Search:
     ) -> None:
         self.task, self.policy, self.model = task, policy, task.model
         self.give_up, self.report = give_up, report
-        self.limits = limits_by_pulls(self.model) if task.by_pulls else self.model.limits
         converged = CONVERGED_LENGTH * self.model.robot.length
         # [m²] friction near standstill turns within four times as much (docs/model.md)
         self.converged_cost, self.kink_cost = cost_of(converged), cost_of(4.0 * converged)
@@ -198,7 +197,7 @@ class _Search:
         guess, model, initial = self.task.guess, self.model, best
         best = self._priced(best, best)
         if guess is not None:
-            inputs = within(guess.inputs, *model.limits.T)
+            inputs = within(guess.inputs, *self.task.limits.T)
             best = self._priced(best, replace(initial, inputs=inputs, state=guess.state))
         if not (self.policy.frugal or late):
             straight = np.zeros(3 * model.robot.cells)
@@ -277,7 +276,7 @@ class _Search:
         if self.policy.frugal:
             search = partial(aim_frugally, task, tension, TRIALS_MAX)
         inputs = start.inputs.copy()
-        cost, state = search(inputs, start.state, self.limits)
+        cost, state = search(inputs, start.state, self.task.limits)
         if task.by_pulls:  # only the taut wires keep tension
             cost, state = aim_by_pulls(task, search, inputs, state)
         result = TriedTensions(cost, inputs, state)

@@ -273,11 +273,6 @@ def _compliance(model: ForwardModel) -> float:
     return float(((offset**2).sum(axis=2) / cells[:, 1:2]).sum(axis=0).max())
 
 
-def limits_by_pulls(model: ForwardModel) -> Floats:
-    """Return tension limits (m, 2) [N] of wires that may be slack."""
-    return model.limits * [0.0, 1.0]
-
-
 def aim_by_pulls(task: TipTask, aim: Aim, inputs: Floats, bend: Floats) -> tuple[float, Floats]:
     """
     Improve inputs (m,) [N] in place among those that wire lengths can hold.
@@ -299,10 +294,9 @@ def aim_by_pulls(task: TipTask, aim: Aim, inputs: Floats, bend: Floats) -> tuple
         State, bends and twists.
 
     """
-    model = task.model
-    taut = inputs > model.limits[:, 0] + LEAST_TENSION_N
+    model, taut = task.model, inputs > LEAST_TENSION_N
     for _ in range(len(inputs)):
-        limits = limits_by_pulls(model) * taut[:, None]
+        limits = task.limits * taut[:, None]
         np.clip(inputs, *limits.T, out=inputs)
         cost, bends = aim(inputs, bend, limits)
         if not np.isfinite(cost):

@@ -178,7 +178,7 @@ def starts_of(task: TipTask, policy: Policy, reports: bool) -> Iterator[Start]:
         steps = TRIALS_MAX // (4 if task.target[7] else 2)
         nearby = partial(seek, task, 1.0, steps=steps)
     if guess is not None:
-        present = within(guess.inputs, *model.limits.T)
+        present = within(guess.inputs, *task.limits.T)
         # where friction remembers, a search creeps along narrow valleys
         trials = 4 * TRIALS_MAX if model.remembers else TRIALS_MAX
         trials = STICKING_TRIALS_MAX if model.sticks else trials

@@ -41,6 +41,11 @@ def cost_of(distance: float) -> float:
     return 0.5 * distance * distance
 
 
+def limits_by_pulls(model: ForwardModel) -> Floats:
+    """Return tension limits (m, 2) [N] of wires that may be slack."""
+    return model.limits * [0.0, 1.0]
+
+
 class Patience:
     """A time budget: calling it returns True once it is over; another thread may end it early."""
 
@@ -212,6 +217,11 @@ class TipTask:
             weight = 0.2 * model.robot.length if direction_weight is None else direction_weight
             target[3:6], target[7] = along / size, weight
         return cls(model, target, model.arrays.fresh_memory() if memory is None else memory)
+
+    @property
+    def limits(self) -> Floats:
+        """Limits of the tensions (m, 2) [N] in the search."""
+        return limits_by_pulls(self.model) if self.by_pulls else self.model.limits
 
     @property
     def per_newton(self) -> float:
