@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -23,11 +21,11 @@ from ..effects import Catalogue, load_catalogue
 from ..robot import Robot
 from ..robot.description import EffectValues
 from . import diagnosis_text
-from .comparison import add_loops, add_shapes
+from .comparison import Push, add_loops, add_shapes
 from .diagnosis_text import next_measurement, trust_lines
 from .error_plots import Step, heat_maps, moments, per_marker, per_posture, staircase
 from .page import HEIGHTS_PX, Page
-from .sentences import Fault, quantities, where_wrong
+from .sentences import quantities, where_wrong
 
 BEFORE = 'as described'
 GROUPS = {
@@ -135,8 +133,7 @@ def diagnosis_page(
         add_staircase(page, diagnosis, addition)
         add_alternatives(page, diagnosis)
     if pictures is not None:
-        details = diagnosis.details
-        add_pictures(page, pictures, details.get('local_faults', ()), details.get('reference'))
+        add_pictures(page, pictures, diagnosis)
     add_assumptions(page, diagnosis)
     return page
 
@@ -245,14 +242,31 @@ def candidate_row(row: CandidateRow) -> list[str]:
     ]
 
 
-def add_pictures(
-    page: Page,
-    pictures: Pictures,
-    faults: Sequence[Fault] = (),
-    reference: Mapping[str, Any] | None = None,
-) -> None:
+def pushes_of(diagnosis: Diagnosis) -> dict[str, Push]:
+    """Return what pushes the arm in each posture, of the first effect that is a force."""
+    for effect in diagnosis.effects:
+        rows = diagnosis.details.get('pushes', {}).get(effect.name, ())
+        largest = max((float(np.linalg.norm(row['force'])) for row in rows), default=0.0)
+        fixed = [effect.parameters.get(f'point_{axis}') for axis in 'xyz']
+        to = None if None in fixed else np.array([one.value for one in fixed if one])
+        pushes = {
+            row['posture']: Push(
+                np.array(row['at']),
+                np.array(row['force']) / largest,
+                to,
+                'arc_length' not in effect.parameters,
+            )
+            for row in rows
+        }
+        if pushes:
+            return pushes
+    return {}
+
+
+def add_pictures(page: Page, pictures: Pictures, diagnosis: Diagnosis) -> None:
     """Add shapes, errors, heat maps and missing moments, and mark where the model is wrong."""
-    comparison = pictures.comparison
+    comparison, details = pictures.comparison, diagnosis.details
+    faults, reference = details.get('local_faults', ()), details.get('reference')
     page.heading('Where the model is off')
     if reference is not None:
         page.text(
@@ -274,7 +288,7 @@ def add_pictures(
         )
         page.figures(moments(pictures.before), 'two')
     add_loops(page, comparison)
-    add_shapes(page, comparison, faults)
+    add_shapes(page, comparison, faults, pushes_of(diagnosis))
 
 
 def add_assumptions(page: Page, diagnosis: Diagnosis) -> None:
