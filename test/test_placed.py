@@ -67,6 +67,18 @@ def test_a_string_is_named_with_its_place_and_its_fixed_point(arm, built):
     assert found.error_after < 0.1 * found.error_before
 
 
+def test_a_spring_is_told_from_a_string_of_constant_tension():
+    anchor = dict(zip(('point_x', 'point_y', 'point_z'), ARMS['spatial'][2], strict=True))
+    spring = {**middle('spatial'), **anchor, 'stiffness': 1.5, 'slack_length': 0.05}
+    found = diagnose(measured('spatial', {'tether': spring}, exact=True), workers=1)
+    assert (found.verdict, [one.name for one in found.effects]) == ('missing_effect', ['tether'])
+    told = found.effects[0].parameters
+    assert 'tension' not in told
+    assert told['stiffness'].value == pytest.approx(spring['stiffness'], rel=0.05)
+    for key in (*anchor, 'arc_length', 'slack_length'):
+        assert told[key].value == pytest.approx(spring[key], abs=0.006), key
+
+
 @pytest.mark.parametrize('arm', ARMS)
 def test_a_load_that_is_always_the_same_stays_a_tip_load(arm):
     force = 0.5 * ARMS[arm][3]

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from ..common.arrays import Floats
+from ..effects import Effect
 from ..inference.candidates import Candidate, Ranked
 from ..inference.fit import Fit
 from ..inference.fitter import BEST_FEW, FAILURES, Fitter
@@ -44,7 +45,6 @@ class Screen:
     free: Floats  # (n, P, 3) [m] the places as predicted without it
     measured: Floats  # (n, P, 3) [m] and as measured
     length: float  # [m] of the arm
-    hard: float  # [N/m] stiffness of a wall that gives way a hundred times less than the tip
 
     @classmethod
     def of(cls, fitter: Fitter, base: Fit) -> Screen | None:
@@ -58,15 +58,7 @@ class Screen:
             slopes = pushes(predictor, base.point, arc_lengths)
         if slopes is None or markers is None:
             return None
-        n, _, P = slopes.shape[:3]
-        alone = fitter.lift(fitter.lift(fitter.residual(markers)))  # counts what nothing explains
-        white = fitter.whitener.white(slopes)
-        gain, weight = np.zeros((n, P, 3)), np.zeros((n, P, 3, 3))
-        for p in range(P):
-            own = white[:, :, fitter.whitener.owners == p]
-            gain[:, p] = own @ alone[: len(fitter.whitener.owners)][fitter.whitener.owners == p]
-            weight[:, p] = own @ own.swapaxes(1, 2)
-        free = np.zeros((n, P, 3))
+        free = np.zeros((len(arc_lengths), len(predictor.inputs), 3))
         for part, shapes in predictor.settle(
             base.point, predictor.given(predictor.inputs), near=predictor.settled
         ):
@@ -74,20 +66,34 @@ class Screen:
                 return None
             free[:, part.rows] = shapes.of(predictor.last_visits(part)).positions.swapaxes(0, 1)
         order = np.argsort(dataset.arc_lengths)
-        off = np.nan_to_num(dataset.mean - markers)[:, order]
         arcs = np.append(0.0, dataset.arc_lengths[order])
-        moved = [
-            [np.interp(arc_lengths, arcs, np.append(0.0, row)) for row in one.T] for one in off
-        ]
+        off = np.nan_to_num(dataset.mean - markers)[:, order].transpose(0, 2, 1)
+        off = np.concatenate([np.zeros((*off.shape[:2], 1)), off], axis=2)
+        moved = np.array([[np.interp(arc_lengths, arcs, row) for row in one] for one in off])
+        alone = fitter.lift(fitter.lift(fitter.residual(markers)))  # counts what nothing explains
+        white, owners = fitter.whitener.white(slopes), fitter.whitener.owners
+        shown = np.flatnonzero(dataset.trials > 0)
+        own = [(white[:, :, owners == p], alone[owners == p]) for p in shown]
         return cls(
             arc_lengths,
-            gain,
-            weight,
-            free,
-            free + np.array(moved).transpose(2, 0, 1),
+            np.stack([columns @ left for columns, left in own], axis=1),
+            np.stack([columns @ columns.swapaxes(1, 2) for columns, _ in own], axis=1),
+            free[:, shown],
+            (free + moved.transpose(2, 0, 1))[:, shown],
             predictor.robot.length,
-            predictor.model.catalogue['contact'].parameters[0].typical,
         )
+
+    def starts(self, effect: Effect, load: Ranked | None) -> Iterator[Start]:
+        """Yield starts of an effect, those that gain most first."""
+        if effect.name == 'point_load':
+            yield from self.loads()
+        elif effect.name == 'tether':
+            if load is not None:
+                yield from self.strings_like(load)
+            yield from self.strings()
+        else:
+            hard = effect.parameters[0].typical
+            yield from ({'stiffness': hard, **wall} for wall in self.walls())
 
     def loads(self) -> Iterator[Start]:
         """Yield loads, those that gain most first."""
@@ -114,14 +120,21 @@ class Screen:
         for _, start in sorted(rows, key=lambda row: -row[0]):
             yield start
 
-    def strings_like(self, load: Ranked) -> Iterator[Start]:
-        """Yield strings that pull as a load does where the arm is in the mean."""
+    def strings_like(self, load: Ranked, are_springs: bool = False) -> Iterator[Start]:
+        """Yield strings, or springs half as long at rest, that pull as a load does in the mean."""
         place, *force = load.fit.values[:4].tolist()
         size = float(np.linalg.norm(force))
-        at = [np.interp(place, self.arc_lengths, own) for own in self.measured.mean(axis=1).T]
-        for distance in DISTANCES if size > 0.0 else ():
-            point = np.array(at) + distance * self.length * np.array(force) / size
-            yield {'arc_length': place, **_vector('point', point), 'tension': size}
+        for distance in self.length * np.array(DISTANCES) if size > 0.0 else ():
+            point = self.mean(place) + distance * np.array(force) / size
+            pull = {'tension': size}
+            if are_springs:
+                pull = {'slack_length': 0.5 * distance, 'stiffness': 2.0 * size / distance}
+            yield {'arc_length': place, **_vector('point', point), **pull}
+
+    def mean(self, arc_length: float) -> Floats:
+        """Return where a place is in the mean of the postures, (3,) [m]."""
+        at = self.measured.mean(axis=1).T
+        return np.array([np.interp(arc_length, self.arc_lengths, own) for own in at])
 
     def walls(self) -> Iterator[Start]:
         """
@@ -137,7 +150,6 @@ class Screen:
             gain = np.maximum(self.gain[nearest, every] @ normal, 0.0) * behind
             weight = np.einsum('pij,i,j->p', self.weight[nearest, every], normal, normal)
             flat = {
-                'stiffness': self.hard,
                 'distance': distance,
                 'azimuth': float(np.arctan2(normal[1], normal[0])),
                 'elevation': float(np.arcsin(normal[2])),
@@ -165,21 +177,24 @@ def fit_placed(session: Session, base: Fit) -> list[Ranked]:
 
     A string also starts from the load that explains most: it is one from far away.
     """
-    screen, found = Screen.of(session.fitters[0], base), list[Ranked]()
+    screen, fitted = Screen.of(session.fitters[0], base), dict[str, Ranked]()
     if screen is None:
-        return found
-    load = _fitted(session, 'point_load', screen.loads(), base.deviance)
-    strings, walls = [*screen.strings()], screen.walls()
-    if load is not None:
-        found.append(load)
-        strings = [*screen.strings_like(load), *strings]
-    if session.fitters[0].response > 0.0:
-        return found  # a force that seems to change with the posture may be the model's error
-    for name, starts in (('tether', strings), ('contact', walls)):
-        ranked = _fitted(session, name, starts, base.deviance)
-        if ranked is not None:
-            found.append(ranked)
-    return found
+        return []
+    names = ['point_load', 'tether', 'contact']
+    if session.fitters[0].response > 0.0:  # what changes with the posture may be the model's error
+        names = names[:1]
+    for name in names:
+        if name not in session.catalogue or name in session.robot.effects:
+            continue
+        starts = screen.starts(session.catalogue[name], fitted.get('point_load'))
+        best = _fitted(session, name, starts, base.deviance)
+        if name == 'tether' and 'point_load' in fitted:
+            springs = screen.strings_like(fitted['point_load'], are_springs=True)
+            both = best, _fitted(session, name, springs, base.deviance)
+            best = min(filter(None, both), key=lambda one: one.score, default=None)
+        if best is not None:
+            fitted[name] = best
+    return list(fitted.values())
 
 
 def _fitted(session: Session, name: str, starts: Iterable[Start], line: float) -> Ranked | None:
