@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import simulated
+from marks import slow
 from measurements import blind
 
 from tendon_robot_ros.data import load_dataset
@@ -32,6 +33,7 @@ WALLS = {  # stiffness [N/m], distance [m], azimuth [rad], elevation [rad]
 }
 FIRM = 1e-3  # [N] of a push: a lighter touch may not be seen
 BUILT = {'exact': True, 'as built': False}
+CASES = [*((arm, 'exact') for arm in ARMS), ('planar', 'as built'), slow('spatial', 'as built')]
 
 
 def middle(arm):
@@ -50,8 +52,7 @@ def measured(arm, hidden, exact=False):
     return replace(simulate(plant, rows, seed=3), robot=robot)
 
 
-@pytest.mark.parametrize('built', BUILT)
-@pytest.mark.parametrize('arm', ARMS)
+@pytest.mark.parametrize(('arm', 'built'), CASES)
 def test_a_string_is_named_with_its_place_and_its_fixed_point(arm, built):
     _, _, point, tension = ARMS[arm]
     anchor = dict(zip(('point_x', 'point_y', 'point_z'), point, strict=True))
@@ -88,8 +89,7 @@ def test_a_load_that_is_always_the_same_stays_a_tip_load(arm):
     assert found.effects[0].name == 'tip_load'
 
 
-@pytest.mark.parametrize('built', BUILT)
-@pytest.mark.parametrize('arm', ARMS)
+@pytest.mark.parametrize(('arm', 'built'), CASES)
 def test_a_constant_force_within_the_arm_is_named_with_its_place(arm, built):
     """A string from far away is the same, which the verdict then says."""
     force = {'force_x': 0.5 * ARMS[arm][3], 'force_z': -0.5 * ARMS[arm][3]}
@@ -103,8 +103,7 @@ def test_a_constant_force_within_the_arm_is_named_with_its_place(arm, built):
         assert told[key].value == pytest.approx(value, rel=0.1), key
 
 
-@pytest.mark.parametrize('built', BUILT)
-@pytest.mark.parametrize('arm', ARMS)
+@pytest.mark.parametrize(('arm', 'built'), CASES)
 def test_a_wall_is_named_with_the_postures_that_touch_it_and_added(arm, built):
     names = 'stiffness', 'distance', 'azimuth', 'elevation'
     wall = dict(zip(names, WALLS[arm], strict=True))
