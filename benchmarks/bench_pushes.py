@@ -1,8 +1,8 @@
 """
-Whether a load within the arm, and a string to a fixed point, are named, and where they are found.
+Whether a load within the arm, a string to a fixed point, and a wall that it touches are named.
 
-Arms of ten cells as built, planar and spatial, twelve postures each by tensions; the place, size
-and direction of what pushes are drawn, and clean arms are drawn beside them.
+Arms of ten cells as built, planar and spatial, twelve postures each; the place, size and direction
+of what pushes are drawn, and clean arms are drawn beside them.
 """
 
 from __future__ import annotations
@@ -18,19 +18,25 @@ import numpy as np
 from machine import machine, tell
 
 from tendon_robot_ros.common.errors import NoEquilibriumError
+from tendon_robot_ros.data import DataSet
 from tendon_robot_ros.diagnosis.diagnose import diagnose
+from tendon_robot_ros.diagnosis.placed import acting
+from tendon_robot_ros.diagnosis.result import Diagnosis
+from tendon_robot_ros.effects import load_catalogue
+from tendon_robot_ros.inference.predict import Predictor
+from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import Robot, load_robot
 from tendon_robot_ros.robot.estimates import natural_sizes
 from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.measurements import simulate
 from tendon_robot_ros.simulation.plant import make_plant
-from tendon_robot_ros.workspace.postures import default_postures
+from tendon_robot_ros.workspace.postures import INPUTS, default_postures
 
 CELLS = 10
 PLACES = 0.35, 0.9  # [1] of the length, least and greatest
 FORCES = 0.2, 0.6  # [1] of the force that bends the arm by a radian
 DISTANCES = 0.4, 1.2  # [1] of the length, from the place to where a string is fixed
-KINDS = 'point_load', 'tether', 'none'
+KINDS = 'point_load', 'tether', 'contact', 'none'
 
 
 def arm(name: str) -> Robot:
@@ -51,8 +57,10 @@ def arm(name: str) -> Robot:
     return replace(robot, sections=(cells,), effects={**robot.effects, **shaping})
 
 
-def drawn(robot: Robot, kind: str, random: np.random.Generator) -> dict[str, dict[str, float]]:
-    """Return what is hidden."""
+def drawn(
+    robot: Robot, kind: str, random: np.random.Generator, rows: np.ndarray
+) -> dict[str, dict[str, float]]:
+    """Return what is hidden; a wall is where half of the postures (P, m) would reach beyond it."""
     planar = not any(tendon.base[1] for tendon in robot.tendons)
     toward = random.normal(size=3) * [1.0, not planar, 1.0]
     toward /= np.linalg.norm(toward)
@@ -63,32 +71,58 @@ def drawn(robot: Robot, kind: str, random: np.random.Generator) -> dict[str, dic
     if kind == 'point_load':
         parts = {f'force_{a}': float(v) for a, v in zip(axes, force * toward, strict=True)}
         return {kind: {'arc_length': place, **parts}}
+    if kind == 'contact':
+        toward[2] = abs(toward[2])
+        reach = (Model(robot).shapes(rows).positions @ toward).max(axis=1)
+        stiffness = 100.0 * natural_sizes(robot)['tip_stiffness']
+        azimuth, elevation = np.arctan2(-toward[1], -toward[0]), np.arcsin(-toward[2])
+        values = stiffness, np.median(reach), azimuth, elevation
+        names = 'stiffness', 'distance', 'azimuth', 'elevation'
+        return {kind: dict(zip(names, map(float, values), strict=True))}
     parts = {f'point_{a}': float(v) for a, v in zip(axes, point, strict=True)}
     return {} if kind == 'none' else {kind: {'arc_length': place, 'tension': force, **parts}}
 
 
-def tried(robot: Robot, kind: str, seed: int) -> dict[str, object] | None:
+def tried(robot: Robot, kind: str, seed: int, input: str = 'tension') -> dict[str, object] | None:
     """Return what a diagnosis says of an arm; None where it has no equilibrium."""
-    hidden = drawn(robot, kind, np.random.default_rng([seed, 37]))
+    rows = default_postures(robot, 12, seed, 'tension', 'from_straight')
+    hidden = drawn(robot, kind, np.random.default_rng([seed, 37]), rows)
+    rows = default_postures(robot, 12, seed, input, 'from_straight')
     try:
         plant = make_plant(robot, hidden, seed=seed, work=Workmanship())
-        rows = default_postures(robot, 12, seed, 'tension', 'from_straight')
         measured = simulate(plant, rows, seed=seed)
     except NoEquilibriumError:
         return None
     start = time.process_time()
     found = diagnose(measured, robot, workers=1)
+    names = [effect.name for effect in found.effects]
+    alike = found.cannot_tell_apart
     row: dict[str, object] = {
-        'said': ' + '.join((found.verdict.value, *(effect.name for effect in found.effects))),
-        'named': bool(found.effects) and found.verdict.may_add,
+        'said': ' + '.join((found.verdict.value, *(alike or names))),
+        'alike': kind in alike,
+        'wrong': found.verdict.may_add and not alike and names != [kind],
         'seconds': time.process_time() - start,
     }
-    if kind in hidden and [effect.name for effect in found.effects] == [kind]:
+    if kind in hidden and names == [kind]:
         told, true = found.effects[0].parameters, hidden[kind]
-        off = abs(told['arc_length'].value - true['arc_length']) / robot.length
-        row |= {'right': True, 'off': off}
-        row['inside'] = [told[key].low <= value <= told[key].high for key, value in true.items()]
+        if 'azimuth' in true:  # the same direction after a turn
+            turns = round((told['azimuth'].value - true['azimuth']) / (2.0 * np.pi))
+            true['azimuth'] += 2.0 * np.pi * turns
+        row |= {'right': True, 'off': off(measured, robot, kind, true, found) / robot.length}
+        row['inside'] = [told[key].low <= true[key] <= told[key].high for key in true]
     return row
+
+
+def off(
+    measured: DataSet, robot: Robot, kind: str, true: dict[str, float], found: Diagnosis
+) -> float:
+    """Return by how much [m] the place is off, in the median posture that is pushed."""
+    arm = Predictor(measured, robot.with_effect(kind, true), load_catalogue())
+    places = dict(zip(measured.postures, acting(arm, {}, kind)[:, 0], strict=True))
+    away = [
+        abs(one['arc_length'] - places[one['posture']]) for one in found.details['pushes'][kind]
+    ]
+    return float(np.nanmedian(away))
 
 
 def main() -> int:
@@ -97,13 +131,14 @@ def main() -> int:
     parser.add_argument('--cases', type=int, default=10, help='of each kind and arm; default 10')
     parser.add_argument('--robots', nargs='+', default=['kato_10_1_single', 'spatial_3'])
     parser.add_argument('--kinds', nargs='+', default=KINDS, choices=KINDS)
+    parser.add_argument('--input', choices=INPUTS, default='tension')
     parser.add_argument('--json', type=Path)
     options = parser.parse_args()
     figures: dict[str, object] = {}
     for name in options.robots:
         robot = arm(name)
         for kind in options.kinds:
-            rows = [tried(robot, kind, seed) for seed in range(options.cases)]
+            rows = [tried(robot, kind, seed, options.input) for seed in range(options.cases)]
             made = [row for row in rows if row is not None]
             right = [row for row in made if row.get('right')]
             inside = [one for row in right for one in row['inside']]
@@ -111,7 +146,10 @@ def main() -> int:
                 'arms': len(made),
                 'said': dict(Counter(row['said'] for row in made)),
                 'named right': len(right),
-                'named wrong': sum(bool(row['named']) for row in made) - len(right),
+                'of these with another that explains as much': sum(row['alike'] for row in right),
+                'second of those that explain as much': sum(row['alike'] for row in made)
+                - sum(row['alike'] for row in right),
+                'named wrong': sum(row['wrong'] for row in made),
                 'within 10 % of the length': sum(row['off'] < 0.1 for row in right),
                 'in their intervals': f'{sum(inside)} of {len(inside)}',
                 'process time [s]': float(np.median([row['seconds'] for row in made])),

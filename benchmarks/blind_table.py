@@ -119,8 +119,8 @@ def page(outcomes: list[Outcome]) -> str:
         HEAD
         + f'{line(COLUMNS)}\n{line(["---"] * len(COLUMNS))}\n'
         + '\n'.join(row(outcome) for outcome in outcomes)
-        + '\n\n`tether` (a cable holds the arm at one disk) and `soft_cell` (cell 4 is damaged) '
-        'are in no catalogue.\nWhat is said of what remains:\n\n'
+        + '\n\n`soft_cell` (cell 4 is damaged) is in no catalogue.'
+        '\nWhat is said of what remains:\n\n'
         + '\n'.join(said)
         + f'\n\nOne diagnosis took {seconds[0]:.1f} to {seconds[-1]:.1f} s, the median was '
         f'{seconds[len(seconds) // 2]:.1f} s\n(two threads on {known["processor"]}, '

@@ -15,7 +15,7 @@ from tendon_robot_ros.robot.estimates import natural_sizes
 pytestmark = pytest.mark.blind
 CONFUSION = Confusion()
 ROBOTS = ('kato_10_1_single', 'kato_10_1', 'spatial_3', 'spatial_6')
-OUTSIDE = ('tether', 'soft_cell')
+OUTSIDE = ('soft_cell',)
 
 
 @pytest.mark.parametrize('letter', LETTERS)

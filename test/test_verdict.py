@@ -28,15 +28,23 @@ POOR = replace(HINGE, probability=0.5 * P_SINGLE_MIN)
 BOTH = Hypothesis(('hinge_friction', 'tip_load'), NEAR - 30.0, probability=2.0 * P_SEVERAL_MIN)
 CELL = Rival('soft_cell', NEAR - 2.0 * APART_FROM_SCORE, gain_p=1e-12)
 BEATEN = Rival('soft_cell', NEAR - 0.5 * APART_FROM_SCORE, gain_p=1e-12)
-FORCE = replace(CELL, name='contact', effect='point_load')
-PLACED = Hypothesis(('point_load',), FORCE.score + 1.0)
+PUSH = Hypothesis(('point_load',), CELL.score)
+STRING = Hypothesis(('tether',), CELL.score + 0.9 * APART_FROM_SCORE)
+
+
+def at_places(*placed):
+    """Return effects whose place had to be found as rivals of the others."""
+    return tuple(Rival(one.names[0], one.score, gain_p=1e-12, placed=one) for one in placed)
+
+
 CLEAR, NONE = [Departure(5.0, 25.0, 1)], [Departure(0.1, 0.01, 1)]
 
 
 def evidence(*singles, built=False, probability=1e-9, departures=CLEAR, **known):
     """Return evidence of which every part is known, without a cause from outside."""
     parts = {'patterns': (), 'rivals': (), 'further': (), 'wider': frozenset(), 'helpful': singles}
-    every = (*singles, *known.get('combined', ()), *(known.get('further') or ()))
+    placed = (one.placed for one in known.get('rivals') or () if one.placed)
+    every = (*singles, *known.get('combined', ()), *(known.get('further') or ()), *placed)
     parts |= {'departures': {one.names: departures for one in every}} | known
     return Evidence(built, 1000.0, probability, singles, **parts)
 
@@ -75,17 +83,23 @@ TABLE = {
     'nothing could be combined': (evidence(POOR, combined=()), 'outside_catalogue', POOR),
     'no effect differs from what is described': (
         evidence(POOR, combined=(BOTH,), departures=NONE), 'outside_catalogue', None),
-    'a cause at a place is an effect of the catalogue': (
-        evidence(HINGE, rivals=(FORCE,), placed={'point_load': PLACED}), 'missing_effect', PLACED),
-    'that effect is not adequate': (
-        evidence(HINGE, rivals=(FORCE,), placed={
-            'point_load': replace(PLACED, probability=0.5 * P_SINGLE_MIN)}),
-        'outside_catalogue', HINGE),
-    'that effect is far behind the cause': (
-        evidence(HINGE, rivals=(FORCE,), placed={'point_load': replace(PLACED, score=NEAR)}),
-        'outside_catalogue', HINGE),
-    'that effect has no equilibrium': (
-        evidence(HINGE, rivals=(FORCE,), placed={'point_load': None}),
+    'a load at a place explains more': (
+        evidence(HINGE, rivals=at_places(PUSH)), 'missing_effect', PUSH),
+    'a string at a place explains as much as that load': (
+        evidence(HINGE, rivals=at_places(PUSH, STRING)), 'ambiguous', PUSH),
+    'a string far behind that load': (
+        evidence(HINGE, rivals=at_places(PUSH, replace(STRING, score=NEAR))),
+        'missing_effect', PUSH),
+    'a string explains more than a load at the tip, but not by enough': (
+        evidence(LOAD, rivals=at_places(replace(STRING, score=NEAR - 2.0))), 'ambiguous', LOAD),
+    'a string explains no more than chance beyond a load at the tip': (
+        evidence(LOAD, rivals=at_places(replace(STRING, score=NEAR))),
+        'missing_effect', LOAD),
+    'a load at a place that leaves too much is a part of the cause': (
+        evidence(HINGE, rivals=at_places(replace(PUSH, probability=0.5 * P_SINGLE_MIN))),
+        'outside_catalogue', PUSH),
+    'a cause from outside beats a load at a place': (
+        evidence(HINGE, rivals=(replace(CELL, score=0.0), *at_places(PUSH))),
         'outside_catalogue', HINGE),
     'nothing was tested': (evidence(combined=()), 'outside_catalogue', None),
 }  # fmt: skip

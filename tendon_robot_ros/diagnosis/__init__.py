@@ -10,7 +10,7 @@ verdict.py            from evidence in numbers to a verdict: thresholds, gates, 
 diagnose.py           `diagnose`: from the evidence to a verdict
 select.py             fits of all candidates; pairs and larger combinations of effects
 patterns.py           patterns without a physical law, for causes outside the catalogue
-tether.py             the pull of a string to a fixed point, and its fit
+placed.py             effects at a place to be found: a load, a string, a wall
 local_tests.py        where the best model still misfits: cell, posture, tendon, direction
 next_measurement.py   the posture that separates effects which the present ones do not
 missing_moment.py     the moment that the model lacks along the arm, for pictures

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -12,17 +12,13 @@ from ..common.arrays import Floats
 from ..effects import Parameter
 from ..inference.fit import Fit
 from ..inference.fitter import BEST_FEW, FAILURES, REVERSAL_GAIN_MIN, ROUNDS_MAX, Fitter
-from ..inference.imperfections import PUSH, SplitPredictor, forces_at, pushes, typical_force
-from ..inference.intervals import load_of
 from ..inference.predict import CELLS, SOFT_CELL, TAPER, FreeParameter, Point
 from ..inference.search import DIFFERENCE_STEP
 from ..inference.session import NEAR_SCORE, side_by_side
 from ..inference.statistics import SIGNIFICANCE, chi2_isf, chi2_sf
-from ..robot import Robot
-from .tether import Answer, FittedTether, fit_tether
-from .verdict import ALARM_LEVEL, APART_FROM_SCORE, SAME_ERROR_RATIO
+from .verdict import APART_FROM_SCORE, SAME_ERROR_RATIO
 
-NAMES = ('contact', 'tether', 'soft_cell', 'taper', 'gain_per_posture', 'rotation_per_posture')
+NAMES = ('soft_cell', 'taper', 'gain_per_posture', 'rotation_per_posture')
 
 
 @dataclass(frozen=True)
@@ -32,21 +28,17 @@ class Pattern:
     name: str  # one of `NAMES`
     deviance: float  # chi², of an arm as built with log |V| and priors
     parameters: int
-    cell: int = 0  # 1-based, of a soft cell, a contact or a tether
+    cell: int = 0  # 1-based, of a soft cell
     size: float = 0.0  # soft cell: bend over the bend it should have; taper: change tip - base
     free: int = 1  # parameters of the pattern itself
     places: int = 1  # number of places that were searched
-    # one per posture [1] or [rad]; contact: force (3,) [N]; tether: its fixed point (3,) [m], and
-    # its least and greatest pull [N]
-    values: tuple[float, ...] = ()
+    values: tuple[float, ...] = ()  # one per posture [1] or [rad]
     alike: tuple[int, ...] = ()  # 1-based cells that explain as much, its own included
-    effect: str = ''  # of the catalogue, that does the same at a place, and values to start from
-    start: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def everywhere(self) -> bool:
         """Whether the pattern is the same in every posture."""
-        return self.name in NAMES[:4]
+        return self.name in NAMES[:2]
 
     def gain_p_value(self, deviance: float) -> float:
         """P-value of the gain over a deviance without the pattern, corrected for the places."""
@@ -57,40 +49,8 @@ class Pattern:
         """Deviance plus twice the number of parameters."""
         return self.deviance + 2.0 * self.parameters
 
-    @property
-    def tied(self) -> dict[str, int | tuple[float, ...]]:
-        """Return where a tether is tied: cell, fixed point [m], least and greatest pull [N]."""
-        if self.name != 'tether':
-            return {}
-        return {'cell': self.cell, 'fixed_point': self.values[:3], 'pull': self.values[3:]}
-
-    @property
-    def words(self) -> str:
-        """Return what a tether is, with its numbers; '' of other patterns."""
-        if self.name != 'tether':
-            return ''
-        x, y, z, least, most = (1e3 * value for value in self.values)
-        slack = '0' if least == 0.0 else f'{least:.2g}'
-        pull = f'{slack} to {most:.2g}' if most > SAME_ERROR_RATIO * least else f'{most:.2g}'
-        return (
-            f'a string from cell {self.cell} to ({x:.0f}, {y:.0f}, {z:.0f}) mm, '
-            f'which pulls with {pull} mN'
-        )
-
     def text(self, postures: Sequence[str]) -> str:
         """Return a sentence on what to check, given the names of the postures."""
-        if self.name == 'contact':
-            angle = load_of(self.values).from_axis
-            off_axis = ''
-            if angle is not None:
-                off_axis = f", {np.degrees(angle.value):.0f}° from the arm's axis"
-            return (
-                f'The remainder looks like a force of {1e3 * self.size:.2g} mN{off_axis}, at cell '
-                f'{self.cell}, the same in every posture: does a cable pull there, or something '
-                'touch?'
-            )
-        if self.name == 'tether':
-            return f'The remainder looks like {self.words}: is the arm tied, or does a cable pull?'
         if self.name == 'soft_cell':
             much = f'{self.size:.1f} times as much as'
             if SAME_ERROR_RATIO > self.size > 1.0 / SAME_ERROR_RATIO:
@@ -185,82 +145,10 @@ class Patterns:
         alone[:, p] = change[:, p]
         return self.fitter.lift(-self.fitter.whitener.white(alone).T)
 
-    @cached_property
-    def pushes(self) -> Floats | None:
-        """Slopes of the markers by forces at every cell, (n, 3, P, J, 3) [m/N]."""
-        split = self.fitter.predictor
-        if not isinstance(split, SplitPredictor) or not split.pushable:
-            return None
-        return pushes(split, self.point)
-
-    def contact(self) -> Pattern | None:
-        """Fit a force at one cell, the same in all postures: its place and vector [N]."""
-        return self._constant
-
-    @cached_property
-    def _constant(self) -> Pattern | None:
-        slopes = self.pushes
-        if slopes is None:
-            return None
-        fits = self._at_best_places(
-            [self._gain(-moves) for moves in slopes],
-            partial(forces_at, self.fitter.predictor.robot),
-        )
-        fit, i = min(fits, key=_deviance)
-        if fit is None:
-            return None
-        force, n = fit.values[len(self.fit.frees) : len(fit.frees)], len(slopes)
-        size, place = float(np.linalg.norm(force)), i + self._first
-        start = dict(zip(('force_x', 'force_y', 'force_z'), force.tolist(), strict=True))
-        start['arc_length'] = middle_of(self.fitter.predictor.robot, i)
-        values = tuple(force.tolist())
-        pattern = Pattern('contact', fit.deviance, fit.rank + 1, place, size, 3, n, values)
-        return replace(pattern, effect='point_load', start=start)
-
     @property
     def _first(self) -> int:
         """Number of the model's cell 0: a base plate has none."""
         return 1 - self.fitter.predictor.robot.plate_cells
-
-    def tether(self) -> Pattern | None:
-        """
-        Fit a string from one cell to a fixed point; None where a constant force explains as much.
-
-        It is sought where a constant force gains more than chance would: else noise would be tied
-        to some point. It is tried where forces that differ from posture to posture explain most,
-        and then at the neighbours of the best place while the score falls.
-        """
-        if self.fitter.response > 0.0:
-            return None  # a force that seems to change with the posture may be the model's error
-        slopes, constant = self.pushes, self._constant
-        if slopes is None or constant is None:
-            return None
-        if constant.gain_p_value(self.fit.deviance) >= ALARM_LEVEL:
-            return None
-        each = np.eye(slopes.shape[2])[:, None, :, None, None]  # one posture after the other
-        gains = [self._gain(-(each * moves).reshape(-1, *moves.shape[1:])) for moves in slopes]
-        tried: dict[int, tuple[float, TiedCell | None]] = {}
-        near = np.argsort(gains)[::-1][:BEST_FEW].tolist()
-        while untried := [i for i in near if i not in tried and 0 <= i < len(slopes)]:
-            tried |= {i: self._tied(i) for i in untried}
-            best = min(tried, key=lambda i: tried[i][0])
-            near = [best - 1, best + 1]
-        place, pattern = tried[best][1], None
-        if place is not None:
-            self.fitter.resume(place.patterns.fit)
-            pattern = place.pattern(self._first)
-        self.fitter.resume(self.fit)
-        worse = pattern is None or pattern.score > constant.score - APART_FROM_SCORE
-        return None if worse else pattern
-
-    def _tied(self, cell: int) -> tuple[float, TiedCell | None]:
-        """Return the score of a string at a cell, linear about a force there."""
-        fit = self._refit(forces_at(self.fitter.predictor.robot, cell))
-        place = None if fit is None else TiedCell(Patterns(self.fitter, fit), cell)
-        found = None if place is None else place.fit(rounds=1)
-        if place is None or found is None:
-            return np.inf, None
-        return place.patterns.prior + found.score, place
 
     def soft_cell(self) -> Pattern | None:
         """Fit one cell with its own stiffness: its place and softness."""
@@ -454,96 +342,5 @@ def patterns_of(
     return [pattern for name in NAMES if (pattern := results[name]) is not None]
 
 
-def middle_of(robot: Robot, cell: int) -> float:
-    """Return the arc length [m] of the middle of a cell."""
-    lengths = np.concatenate([np.full(s.cells, s.cell_length) for s in robot.sections])
-    return float(lengths[:cell].sum() + 0.5 * lengths[cell])
-
-
 def _deviance(row: tuple[Fit | None, int]) -> float:
     return np.inf if row[0] is None else row[0].deviance
-
-
-class TiedCell:
-    """A string from one cell to a fixed point, fitted on top of a force at that cell."""
-
-    def __init__(self, patterns: Patterns, cell: int) -> None:
-        """Take the patterns on top of the fit of that force, and the cell's index."""
-        split = patterns.fitter.predictor
-        assert isinstance(split, SplitPredictor)
-        self.patterns, self.cell, self.split = patterns, cell, split
-        self.pushes = [free for free in patterns.fit.frees if free.effect == PUSH]
-        self.force = np.array([patterns.point[free] for free in self.pushes])
-        self.middle = middle_of(split.robot, cell)
-
-    def answer(self, held: Floats) -> Answer | None:
-        """Return how the arm answers under pulls (P, 3) [N]; None where it has no equilibrium."""
-        split, point = self.split, self.patterns.point
-        with split.pulling(held - self.force):
-            markers = split.markers(point, near=self.patterns.settled)
-            near = split.settled
-            if markers is None or near is None:
-                return None
-            tangent = split.tangent(point, self.pushes, near)
-            if tangent is None:
-                return None
-            at = np.zeros_like(held)
-            for part, shapes in split.settle(point, split.given(split.inputs), near=near):
-                if shapes is None:
-                    return None
-                at[part.rows] = shapes.markers(np.array([self.middle]), np.zeros((1, 3)))[:, 0]
-        fitter, changes = self.patterns.fitter, self.patterns._changes
-        columns = np.hstack([changes(tangent.markers, p) for p in range(len(held))])
-        arcs = split.dataset.arc_lengths
-        order = np.argsort(arcs)
-        weights = np.array(
-            [
-                np.interp(self.middle, np.append(0.0, arcs[order]), row)
-                for row in np.eye(len(arcs) + 1)[1:]
-            ]
-        )  # of the markers, along the arm; the base stays
-        give = np.einsum('j,qpji->piq', weights, tangent.markers[:, :, order])
-        self.raw = fitter.residual(markers)
-        return Answer(held, at, give, self.patterns.white(markers), columns)
-
-    def fit(self, rounds: int) -> FittedTether | None:
-        """Fit it; of several rounds each is linear at the pulls of the one before."""
-        fitter, found = self.patterns.fitter, None
-        held = np.tile(self.force, (len(self.split.inputs), 1))
-        nothing = np.zeros((fitter.whitener.size, 0))
-        for _ in range(rounds):
-            arm = self.answer(held)
-            if arm is None:
-                break
-            if found is not None:
-                fitter.sizes = fitter.random.estimate(self.raw, nothing, fitter.sizes).values
-                arm = self.answer(held) or arm
-            whole = self.split.whole
-            found = fit_tether(arm, typical_force(whole), whole.length)
-            held = found.pulls
-        return found
-
-    def pattern(self, first: int) -> Pattern | None:
-        """Return it as a pattern; the model's cell 0 has the number `first`."""
-        found = self.fit(rounds=ROUNDS_MAX // 2)
-        if found is None:
-            return None
-
-        def predict() -> Floats | None:
-            with self.split.pulling(found.pulls - self.force):
-                return self.split.markers(self.patterns.point, near=self.patterns.settled)
-
-        sizes = np.linalg.norm(found.pulls, axis=1)
-        values = (*found.tether.fixed_point.tolist(), float(sizes.min()), float(sizes.max()))
-        return Pattern(
-            'tether',
-            self.patterns.deviance(predict),
-            self.patterns.extra + 1 + found.parameters,
-            self.cell + first,
-            float(sizes.mean()),
-            3 + found.parameters,
-            self.split.whole.cells,
-            values,
-            effect='tether',
-            start=found.tether.effect(self.middle),
-        )

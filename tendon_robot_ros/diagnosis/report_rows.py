@@ -33,6 +33,7 @@ from ..inference.outliers import Outliers
 from ..inference.session import Session
 from ..inference.statistics import SIGNIFICANCE, chi2_isf, root_mean
 from .local_tests import faults_of
+from .placed import pushes_by
 from .result import NOT_NEEDED, CandidateRow, EffectFinding
 from .select import Concluded, Fits
 from .trust import smallest_sizes
@@ -222,7 +223,7 @@ def rows_of(fits: Fits, decision: Concluded, errors: FittedErrors) -> tuple[Cand
 
     The error of every candidate is of the same kind as that of the chosen one.
     """
-    ranked, chosen = list(fits.singles), decision.chosen
+    ranked, chosen = fits.every, decision.chosen
     if chosen is not None and chosen not in ranked:
         ranked.append(chosen)
     rows = []
@@ -305,9 +306,8 @@ def details_of(fits: Fits, decision: Concluded) -> dict[str, Any]:
         taken = session.dataset.reference
         details['reference'] = {'data': taken.name, 'error': taken.error}
     if decision.rival is not None:
-        names = ('name', 'deviance', 'parameters', 'words')
+        names = 'name', 'deviance', 'parameters'
         details['rival'] = {name: getattr(decision.rival, name) for name in names}
-        details['rival'] |= decision.rival.tied
     details['next_best'], details['wider'] = _next_best(fits, decision)
     details['described'] = {
         name: session.robot.effects[name]
@@ -319,6 +319,12 @@ def details_of(fits: Fits, decision: Concluded) -> dict[str, Any]:
         effect.name: {'title': effect.title, 'finding': effect.finding}
         for effect in session.catalogue
         if effect.name in named
+    }
+    details['pushes'] = {
+        name: pushes_by(session, ranked.fit, name, decision.scale)
+        for ranked in dict.fromkeys(filter(None, (chosen, *decision.alike)))
+        for name in ranked.names
+        if session.catalogue[name].placed
     }
     details['not_tested_because'] = {
         c.names[0]: why_untested(session.catalogue[c.names[0]], session.dataset, session.robot)
@@ -390,7 +396,7 @@ def _next_best(fits: Fits, decision: Concluded) -> tuple[dict[str, Any] | None, 
     """Return the best candidate outside the class, and those that fit as well but contain one."""
     chosen = decision.chosen
     others = [
-        r for r in fits.singles if r is not chosen and r.candidate.label not in decision.together
+        r for r in fits.every if r is not chosen and r.candidate.label not in decision.together
     ]
     if chosen is None or not others:
         return None, []

@@ -16,11 +16,11 @@ from ..common.arrays import Floats
 from ..inference.candidates import Candidate, Ranked
 from ..inference.fit import Fit
 from ..inference.fitter import BEST_FEW, FAILURES, REVERSAL_GAIN_MIN, ROUNDS_MAX
-from ..inference.predict import FreeParameter, free_parameters
 from ..inference.search import DIFFERENCE_STEP, LADDER
 from ..inference.session import NEAR_SCORE, Session, better
 from ..inference.statistics import first_of_best
 from .patterns import Pattern, patterns_of
+from .placed import fit_placed
 from .verdict import (
     ALARM_LEVEL,
     APART_FROM_SCORE,
@@ -56,6 +56,7 @@ class Fits:
     joint: list[Ranked] = field(default_factory=list)  # effects fitted together
     rivals: list[Pattern] = field(default_factory=list)  # that compete with the best effects
     alone: list[Pattern] = field(default_factory=list)  # beside the base
+    placed: list[Ranked] | None = None  # effects at places that had to be found
     _reported: dict[str, Fit] = field(default_factory=dict)
 
     @property
@@ -94,9 +95,7 @@ class Fits:
     def judge(self) -> Concluded:
         """Return the conclusion, with the fits behind it."""
         said: Conclusion[Any, Any] = self.answer(decide)
-        rivals = {one.name: one for one in self.rivals}
-        if said.rival is not None and said.rival.name not in rivals:  # it raised the alarm
-            rivals = {one.name: one for one in self.patterns}
+        rivals = {one.name: one for one in (*self.alone, *self.rivals)}
         return replace(
             said,
             chosen=said.chosen and self.fit_of(said.chosen.names),
@@ -106,7 +105,12 @@ class Fits:
 
     def fit_of(self, names: Names) -> Ranked:
         """Return the fit of effects."""
-        return next(r for r in (*self.joint, *self.singles) if r.names == names)
+        return next(r for r in (*self.joint, *self.every) if r.names == names)
+
+    @property
+    def every(self) -> list[Ranked]:
+        """Fits of all single effects, those at places that had to be found included."""
+        return [*self.singles, *(self.placed or ())]
 
     def evidence(self) -> Evidence:
         """Return what is known before anything is asked."""
@@ -138,13 +142,11 @@ class Fits:
                 found['patterns'] = self._numbers(self.patterns)
             case 'rivals':
                 self.rivals = self._rivals(missing.score)
-                found['rivals'] = self._numbers(self.rivals)
+                found['rivals'] = () if self.remembers else self._numbers(self.rivals)
             case 'helpful':
                 memories = session.catalogue.needing('history')
                 own = [one for one in known.singles if memories & set(one.names)]
                 found['helpful'] = tuple(own if own and self.remembers else known.singles)
-            case 'placed':
-                found['placed'] = {**known.placed, **self._placed(missing.names[0])}
             case 'further':
                 self.joint = self._joined(self.fit_of(missing.names))
                 found['further'] = tuple(map(_numbers, self.joint))
@@ -154,32 +156,26 @@ class Fits:
                     self.base = session.base_fit((self.base,))
                     self.singles = session.refit(self.singles, self.base)
                     self.alone.clear()
+                    if self.placed:
+                        self.placed = session.refit(self.placed, self.base)
                     self._reported.clear()
                     found |= vars(self.evidence())
                 found['combined'] = tuple(map(_numbers, self.joint))
         return found
 
     def _numbers(self, patterns: Sequence[Pattern]) -> tuple[Rival, ...]:
-        return tuple(
-            Rival(p.name, p.score, p.everywhere, p.gain_p_value(self.base.deviance), p.effect)
-            for p in patterns
-        )
-
-    def _placed(self, name: str) -> dict[str, Hypothesis | None]:
-        """Fit an effect that acts at a place from where a pattern has found it."""
-        pattern = next(p for p in (*self.rivals, *self.alone) if p.effect == name)
-        session, frees = self.session, dict[FreeParameter, float]()
-        for free in free_parameters(session.catalogue[name], session.robot):
-            if free.parameter.name in pattern.start:
-                value = pattern.start[free.parameter.name]
-                frees[free] = float(np.clip(value, free.parameter.low, free.parameter.high))
-        candidate = Candidate((name,), tuple(frees), present=False)
-        try:
-            ranked = session.rank(candidate, session.fitters[0].fit(candidate.frees, frees))
-        except FAILURES:
-            return {name: None}
-        self.joint = [*self.joint, ranked]
-        return {name: _numbers(ranked)}
+        """Return the numbers of patterns, and of the effects at places that had to be found."""
+        session, base = self.session, self.base
+        if self.placed is None:
+            self.placed = fit_placed(session, base)
+        places = session.predictor.model.arrays.chain.n
+        rivals = [
+            Rival(p.name, p.score, p.everywhere, p.gain_p_value(base.deviance)) for p in patterns
+        ]
+        for r in self.placed:
+            by_chance = places * gain_p_value(session, base, r)
+            rivals.append(Rival(r.names[0], r.score, True, by_chance, _numbers(r)))
+        return tuple(rivals)
 
     def departures(self, ranked: Ranked) -> list[Departure]:
         """

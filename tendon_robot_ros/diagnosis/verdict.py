@@ -14,7 +14,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from ..inference.statistics import RARE, SIGNIFICANCE, chi2_sf, first_of_best, half_width_sd
+from ..inference.statistics import (
+    RARE,
+    SIGNIFICANCE,
+    chi2_isf,
+    chi2_sf,
+    first_of_best,
+    half_width_sd,
+)
 from ..robot.estimates import NOISE_FACTOR
 
 # Significance and likelihood
@@ -26,6 +33,8 @@ P_SINGLE_MIN = RARE  # p-value of one effect, below which the true one falls
 P_SEVERAL_MIN = 0.01  # [1] p-value of several; stricter because two imitate more than one does
 # [1] of deviance + 2 k: chi² with two degrees of freedom exceeds it by chance in 1 of 100
 APART_FROM_SCORE = 9.21
+# [1] of deviance + 2 k, by which one parameter more lowers it by chance in 1 of 20
+LIKELIER_FROM_SCORE = chi2_isf(SIGNIFICANCE, 1) - 2.0
 EFFECTS_MAX = 3  # [1] together, because more of them fit any dozen of postures
 TOLERANCE_SD_MAX = NOISE_FACTOR  # declared sd that a quantity may move
 # [1] of the repeatability that may be left; else what accounts for it is said: docs/inference.md
@@ -186,13 +195,13 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Rival:
-    """A pattern outside the catalogue, in numbers."""
+    """A pattern outside the catalogue, or an effect whose place had to be found, in numbers."""
 
     name: str
     score: float
     everywhere: bool = True  # whether it is the same in every posture
     gain_p: float = 1.0  # p-value of its gain over the description
-    effect: str = ''  # of the catalogue, that does the same once its place is known
+    placed: Hypothesis | None = None  # the effect of the catalogue that it is, at the place found
 
 
 @dataclass(frozen=True)
@@ -208,12 +217,11 @@ class Evidence:
     brief: bool = False  # whether the remainder is not described where nothing explains the data
     wider: frozenset[Names] | None = None  # contenders that can imitate smaller ones
     departures: Mapping[Names, Sequence[Departure]] = field(default_factory=dict)  # of each effect
-    patterns: tuple[Rival, ...] | None = None  # outside the catalogue
+    patterns: tuple[Rival, ...] | None = None  # outside the catalogue, or at a place to be found
     rivals: tuple[Rival, ...] | None = None  # those that compete with the best effects
     helpful: tuple[Hypothesis, ...] | None = None  # may be a part of the cause
     further: tuple[Hypothesis, ...] | None = None  # the best one with others of significant gain
     combined: tuple[Hypothesis, ...] | None = None  # the best combination; weights are its own
-    placed: Mapping[str, Hypothesis | None] = field(default_factory=dict)  # effects of rivals
 
 
 class Missing(LookupError):
@@ -284,7 +292,8 @@ def decide(evidence: Evidence) -> Concluded:
     """
     Conclude what explains the error: nothing, one effect, a class, several, or no effect at all.
 
-    An effect whose place is unknown is tried where a pattern that finds places has won.
+    An effect whose place had to be found is named where it beats all others, with the others of
+    its kind that explain as much; where it is not adequate, it may be a part of the cause.
 
     Raises
     ------
@@ -293,17 +302,19 @@ def decide(evidence: Evidence) -> Concluded:
 
     """
     said = _without_places(evidence)
-    rival = said.rival
-    if rival is None or not rival.effect:
+    best = None if said.rival is None else said.rival.placed
+    if best is None:
         return said
-    if rival.effect not in evidence.placed:
-        raise Missing('placed', (rival.effect,))
-    placed = evidence.placed[rival.effect]
-    if placed is None or placed.probability <= P_SINGLE_MIN:
-        return said
-    if placed.score > rival.score + APART_FROM_SCORE:
-        return said
-    return Conclusion(Verdict.MISSING_EFFECT, placed)
+    near = _places(evidence, best.score + APART_FROM_SCORE)
+    return _named(evidence, near) if near else _outside(evidence, best, None)
+
+
+def _places(evidence: Evidence, score: float) -> list[Hypothesis]:
+    """Return the adequate effects whose place had to be found, up to a score, best first."""
+    every = [one.placed for one in evidence.rivals or () if one.placed is not None]
+    near = [one for one in every if one.score <= score and one.probability > P_SINGLE_MIN]
+    near.sort(key=lambda one: one.score)
+    return [one for one in near if differs(evidence, one)]
 
 
 def _without_places(evidence: Evidence) -> Concluded:
@@ -328,7 +339,7 @@ def _without_places(evidence: Evidence) -> Concluded:
         for more in evidence.further:
             if differs(evidence, more):
                 return Conclusion(Verdict.SEVERAL, more)
-    return _named(evidence, group)
+    return _named(evidence, [*group, *_places(evidence, best.score - LIKELIER_FROM_SCORE)])
 
 
 def _of_several(evidence: Evidence, combined: Sequence[Hypothesis]) -> Concluded:

@@ -73,4 +73,5 @@ EFFECT = Effect(
     ),
     divisible=True,
     placed=True,
+    finding='something that the arm touches in {postures} at {place}, {distance} from the base',
 )

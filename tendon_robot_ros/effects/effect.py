@@ -152,7 +152,8 @@ class Effect:
     finding : str
         How a verdict says that a model lacks it; by default the title and every parameter.
         `{lever}` stands for the value with its interval, `{relative_change:stiffer/softer}` for
-        its size and one of two words by its sign, `{size}` and `{direction}` for those of a force.
+        its size and one of two words by its sign, `{size}` and `{direction}` for those of a force,
+        `{postures}` and `{place}` for where it pushes the arm.
 
     """
 
@@ -201,10 +202,10 @@ class Effect:
             )
         fields = [p.name for p in self.parameters]
         named = {field for _, field, _, _ in Formatter().parse(self.finding) if field}
-        if unknown := named - {*fields, 'size', 'direction'}:
+        if unknown := named - {*fields, 'size', 'direction', 'postures', 'place'}:
             raise EffectError(
-                f'effect {self.name}: finding: expected fields of {", ".join(fields)}, size and '
-                f'direction, got {", ".join(sorted(unknown))}'
+                f'effect {self.name}: finding: expected fields of {", ".join(fields)}, size, '
+                f'direction, postures and place, got {", ".join(sorted(unknown))}'
             )
         for parameter in self.parameters:
             if not parameter.low <= parameter.neutral <= parameter.high:

@@ -10,8 +10,7 @@ and tendon has its own imperfection.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -20,12 +19,13 @@ import numpy.typing as npt
 
 from ..common.arrays import Floats
 from ..data import DataSet
-from ..effects import Catalogue, Parameter
-from ..model.derivatives import Move
+from ..effects import Catalogue
+from ..model.derivatives import DIFFERENCE_STEP, Move
 from ..model.shape import ShapeBatch
 from ..robot import Robot, Section
 from ..robot.description import EffectValues
-from .predict import CELLS, Conditions, FreeParameter, Point, Predictor, Shifted
+from ..robot.estimates import natural_sizes
+from .predict import CELLS, Conditions, Freed, FreeParameter, Point, Predictor, Shifted
 
 KINK, ACROSS, GAIN, HOLE = 'cell_kink', 'cell_kink_across', 'channel_gain', 'hole_radius'
 ZERO, POSITION, ROTATION = 'pull_zero', 'position', 'rotation'
@@ -47,7 +47,7 @@ PLAUSIBLE_LENGTH = 0.2  # [m] of an arm; of a longer one lengths grow because it
 STEP = 1e-6  # [1], [rad], [m] of differences without solving, because rounding is 1e-16
 BEND_MAX_RAD = 0.5  # [rad] of one cell, else the whole arm would be wrong: docs/inference.md
 REST = 'pre_curvature'  # the effect whose parameters are the bends at rest
-PUSH, WEIGHT = 'push', 'gravity'  # a force at the middle of a cell; the effect that it uses
+PUSH = 'point_load'  # the effect of a force at a place along the arm
 Members = Mapping[str, Floats]  # kind -> size of each of its members
 
 
@@ -135,7 +135,6 @@ class SplitPredictor(Predictor):
             split_robot(predictor.robot, predictor.model.catalogue),
             predictor.model.catalogue,
         )
-        self._pulls: Floats | None = None  # (P, 3) [N] beside the push, posture by posture
         self._spread: dict[FreeParameter, tuple[FreeParameter, ...]] = {}
         ends = np.cumsum([section.cells for section in self.whole.sections])
         self._spans = [
@@ -144,21 +143,6 @@ class SplitPredictor(Predictor):
         self._offsets = self.model.arrays.offset.copy()
         layout, effect = self.model.arrays.layout, self.model.catalogue[REST]
         self.rests = [layout.rows[REST, parameter.name] for parameter in effect.parameters]
-
-    @contextmanager
-    def pulling(self, forces: Floats) -> Iterator[None]:
-        """Let forces (P, 3) [N] act beside the push, at its cell, while the block runs."""
-        parts = self.parts
-        self._pulls = forces
-        self.parts = [
-            replace(part, rows=part.rows[i : i + 1])
-            for part in parts
-            for i in range(len(part.rows))
-        ]
-        try:
-            yield
-        finally:
-            self.parts, self._pulls = parts, None
 
     def kinds(self, every: bool = True) -> tuple[Kind, ...]:
         """
@@ -204,20 +188,11 @@ class SplitPredictor(Predictor):
         self, point: Point, part: Conditions, stiffness: Floats | None = None
     ) -> None:
         """Set the parameters and imperfections; see `Predictor.set_parameters`."""
-        split = {
-            one: value
-            for free, value in point.items()
-            if free.effect != PUSH
-            for one in self.spread(free)
-        }
+        split = {one: value for free, value in point.items() for one in self.spread(free)}
         off, arrays = self.around, self.model.arrays
         own = 1.0 + off.get(CELLS, np.zeros(self.whole.cells))
         super().set_parameters(split, part, own if stiffness is None else own * stiffness)
         arrays.offset[:] = self._offsets * (1.0 + off.get(HOLE, np.zeros(1))[None, :, None])
-        pushes = {free: value for free, value in point.items() if free.effect == PUSH}
-        if pushes:
-            more = 0.0 if self._pulls is None else self._pulls[part.rows[0]]
-            self._push(next(iter(pushes)).column, np.array(list(pushes.values())) + more)
         kinks = self.kinks()
         if kinks.any():
             arrays.values[self.rests, : len(kinks)] += kinks.T
@@ -264,21 +239,6 @@ class SplitPredictor(Predictor):
             across = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # p @ it: turn x p
             placed = placed + (placed.reshape(-1, 3) @ across).reshape(placed.shape)
         return placed + off[POSITION] if POSITION in off else placed
-
-    @property
-    def pushable(self) -> bool:
-        """Whether forces at cells can be predicted, for which the arm must be without weight."""
-        return not self._on[self.model.arrays.layout.index[WEIGHT]]
-
-    def _push(self, cell: int | None, force: Floats) -> None:
-        """Apply a force (3,) [N] to one cell, as a weight of that cell alone."""
-        arrays = self.model.arrays
-        size = float(np.linalg.norm(force))
-        if size > 0.0:
-            assert cell is not None
-            arrays.gravity[:] = force / size
-            weight = self.model.catalogue[WEIGHT].parameters[0].name
-            arrays.set(WEIGHT, weight, cell, size / arrays.cells[cell, 2])
 
     def value(self, free: FreeParameter) -> float:
         """Value that the description gives a parameter; see `Predictor.value`."""
@@ -331,19 +291,6 @@ def split_robot(robot: Robot, catalogue: Catalogue) -> Robot:
     return replace(robot, sections=sections, tendons=tendons, effects=effects, fitted={})
 
 
-def typical_force(robot: Robot) -> float:
-    """Return a side force [N] at the tip that bends the arm by about a third of a radian."""
-    softness = sum(1.0 / k for section in robot.sections for k in section.bending_stiffness)
-    return 0.6 / (softness * robot.length)
-
-
-def forces_at(robot: Robot, cell: int) -> list[FreeParameter]:
-    """Return the parameters of a force at one cell."""
-    unit = typical_force(robot)
-    axes = [Parameter(f'force_{xyz}', 'N', -30 * unit, 30 * unit, 0.0, unit) for xyz in 'xyz']
-    return [FreeParameter(PUSH, axis, cell) for axis in axes]
-
-
 def imperfections(
     split: Predictor, point: Point, at: Members | None = None, changed: bool = False
 ) -> Imperfections | None:
@@ -379,29 +326,38 @@ def imperfections(
     return Imperfections((*kinds, rest), np.concatenate([moves, columns]))
 
 
-def pushes(split: SplitPredictor, point: Point) -> Floats | None:
+def pushes(predictor: Predictor, point: Point, arc_lengths: Floats | None = None) -> Floats | None:
     """
-    Return the slopes of the markers by forces at every cell, (n, 3, P, J, 3) [m/N].
+    Return the slopes of the markers by forces at places along the arm, (n, 3, P, J, 3) [m/N].
 
-    None where the model has no equilibrium.
+    By default at the middle of every cell. None where the model has no equilibrium or remembers,
+    or where a force along the arm is described already.
     """
-    if split.markers(point) is None or split.model.remembers:
+    robot = predictor.robot
+    if arc_lengths is None:
+        lengths = predictor.model.arrays.cells[:, 0]
+        arc_lengths = np.cumsum(lengths) - 0.5 * lengths
+    if predictor.model.remembers or PUSH in robot.effects or predictor.markers(point) is None:
         return None
-    at_cells = [forces_at(split.robot, i) for i in range(len(split.model.arrays.cells))]
+    effect = predictor.model.catalogue[PUSH].sized(natural_sizes(robot))
+    along, *forces = (FreeParameter(PUSH, parameter) for parameter in effect.parameters[:4])
 
     def moves(part: Conditions, b: int) -> list[Move]:
-        return [
-            split.moved({**point, **dict.fromkeys(frees, 0.0)}, part, free, b)
-            for frees in at_cells
-            for free in frees
-        ]
+        def freed(place: float, force: FreeParameter) -> Freed:
+            def set_to(side: float) -> None:
+                predictor.set_parameters({**point, along: place, force: side}, part)
 
-    slopes = _slopes(split, point, moves)
+            step = DIFFERENCE_STEP * force.parameter.typical
+            return Freed(predictor.model.arrays, (-step, step), b, set_to)
+
+        return [freed(place, force) for place in arc_lengths.tolist() for force in forces]
+
+    slopes = _slopes(predictor, point, moves)
     return slopes.reshape(-1, 3, *slopes.shape[1:])
 
 
 def _slopes(
-    split: SplitPredictor, point: Point, moves: Callable[[Conditions, int], list[Move]]
+    split: Predictor, point: Point, moves: Callable[[Conditions, int], list[Move]]
 ) -> Floats:
     """Return derivatives (q, P, J, 3) of the markers at the settled postures, by moves."""
     assert split.settled is not None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import Any
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..common.arrays import Floats
-from ..common.colours import FLOOR, MEASURED, WARN, line_style
+from ..common.colours import BAD, FLOOR, MEASURED, WARN, line_style
 from ..common.words import PROGRAM, capital, columns, digits, mm, postures, probability, times
 from ..comparison.result import Comparison, ModelErrors
 from ..data.dataset import at_rest
@@ -33,6 +33,8 @@ from .page import (
 )
 from .sentences import Fault, excluded_lines, interval_name, marks, of_inputs, posture_name
 
+# [1] of the reach of the markers, at the largest force of all postures: less would be no direction
+ARROW_FRACTION = 0.3
 # [1] of the motion of the markers: with a noise floor above this a model would pass that is off by
 # a tenth of the motion; measurements of an arm with a tracker have a hundredth
 FLOOR_FRACTION_MAX = 0.1
@@ -241,16 +243,21 @@ def add_loops(page: Page, comparison: Comparison) -> None:
         page.figures(figures, 'two')
 
 
-def add_shapes(page: Page, comparison: Comparison, faults: Sequence[Fault] = ()) -> None:
-    """Add the measured and predicted shapes; what a diagnosis found wrong is marked."""
+def add_shapes(
+    page: Page,
+    comparison: Comparison,
+    faults: Sequence[Fault] = (),
+    pushes: Pushes | None = None,
+) -> None:
+    """Add the measured and predicted shapes; what a diagnosis found is marked."""
     page.heading('Shapes')
     drawn, measured = len(chosen_postures(comparison)), int((comparison.measured.trials > 0).sum())
     if drawn < measured:
         page.text(
             f'The {drawn} postures of {measured} that {comparison.best.name} predicts worst.'
         )
-    page.key(shape_key(comparison, faults))
-    for figures, across in shape_figures(comparison, faults):
+    page.key(shape_key(comparison, faults, pushes))
+    for figures, across in shape_figures(comparison, faults, pushes):
         page.figures(figures, across)
 
 
@@ -275,26 +282,32 @@ def add_angles(page: Page, comparison: Comparison) -> None:
 
 
 def shape_figures(
-    comparison: Comparison, faults: Sequence[Fault] = ()
+    comparison: Comparison, faults: Sequence[Fault] = (), pushes: Pushes | None = None
 ) -> list[tuple[list[Figure], str]]:
     """
     Return rows of figures of the shapes, and how many of each stand beside each other.
 
     `faults` of the details of a diagnosis are marked where the model is wrong.
     """
-    drawn = [DrawnPosture.of(comparison, p, faults) for p in chosen_postures(comparison)]
+    drawn = [
+        DrawnPosture.of(comparison, p, faults, pushes or {}) for p in chosen_postures(comparison)
+    ]
     if is_planar(comparison):
         return [([flat_figure(one) for one in drawn], 'many')]
     sides = [side_figure(one) for one in drawn]
     return [([scene_figure(comparison, drawn)], ''), (sides, 'two')]
 
 
-def shape_key(comparison: Comparison, faults: Sequence[Fault] = ()) -> list[tuple[str, str]]:
+def shape_key(
+    comparison: Comparison, faults: Sequence[Fault] = (), pushes: Pushes | None = None
+) -> list[tuple[str, str]]:
     """Return the legend that the pictures share."""
     styles = [(line_style(i), model.name) for i, model in enumerate(comparison.models)]
     entries = [(symbol(style.colour, style.stroke), name) for style, name in styles]
     if any(fault['along'] is not None for fault in faults):
         entries.append((symbol(WARN, dot=True), 'here the model is wrong'))
+    if pushes:
+        entries.append((symbol(BAD), 'what pushes the arm'))
     return [(symbol(MEASURED, dot=True), 'measured (mean of the trials)'), *entries]
 
 
@@ -313,6 +326,46 @@ def is_planar(comparison: Comparison) -> bool:
 
 
 @dataclass(frozen=True)
+class Push:
+    """What pushes the arm in one posture, as a diagnosis found it, to be drawn."""
+
+    at: Floats  # (3,) [m]
+    force: Floats  # (3,) [1] over the largest of all postures
+    to: Floats | None = None  # (3,) [m] where the string is fixed that pulls
+    is_wall: bool = False
+
+    def traces(self, length: float, azimuth: float) -> list[Trace]:
+        """Return an arrow, and the string or the wall, for an arm of a length [m] as seen."""
+        size = float(np.linalg.norm(self.force))
+        along = self.force / size
+        across = np.cross(along, [-np.sin(azimuth), np.cos(azimuth), 0.0])
+        across /= max(float(np.linalg.norm(across)), 1e-9)
+        end = self.at + ARROW_FRACTION * length * self.force
+        barbs = [
+            end + 0.1 * ARROW_FRACTION * length * (side - 2.0 * along)
+            for side in (across, -across)
+        ]
+        arrow = np.array([self.at, end, barbs[0], end, barbs[1]])
+        drawn = [placed(arrow, 'lines', 'force', line={'color': BAD, 'width': 3, 'dash': 'solid'})]
+        ends = None
+        if self.to is not None:
+            ends = [self.at, self.to]
+        elif self.is_wall:
+            ends = [self.at + side * length * ARROW_FRACTION * across for side in (-1.0, 1.0)]
+        if ends is not None:
+            line = {
+                'color': BAD,
+                'width': 1.5,
+                'dash': 'dot' if self.is_wall is False else 'solid',
+            }
+            drawn.append(placed(np.array(ends), 'lines', 'what pushes', line=line))
+        return drawn
+
+
+Pushes = Mapping[str, Push]  # posture -> what pushes the arm in it
+
+
+@dataclass(frozen=True)
 class DrawnPosture:
     """One posture in space: lines, points and marks, and the words around them."""
 
@@ -323,18 +376,19 @@ class DrawnPosture:
     azimuth: float  # [rad] in which it bends, as measured and as predicted
 
     @classmethod
-    def of(cls, comparison: Comparison, p: int, faults: Sequence[Fault]) -> DrawnPosture:
-        """Draw a posture; faults are marked."""
+    def of(
+        cls, comparison: Comparison, p: int, faults: Sequence[Fault], pushes: Pushes
+    ) -> DrawnPosture:
+        """Draw a posture; faults are marked, and what pushes the arm is drawn."""
         lines = [comparison.measured.mean[p], *(model.line[p] for model in comparison.models)]
         best, name = comparison.best, comparison.measured.postures[p]
         words = [f'{best.name}: rms {mm(best.per_posture_rms[p])}', *of_inputs(faults, name)]
-        return cls(
-            p,
-            capital(posture_name(comparison, p)),
-            '; '.join(words),
-            posture_traces(comparison, p) + fault_rings(best.line[p], marks(faults, name)),
-            bending_azimuth(np.concatenate(lines)),
-        )
+        azimuth, traces = bending_azimuth(np.concatenate(lines)), posture_traces(comparison, p)
+        traces += fault_rings(best.line[p], marks(faults, name))
+        if name in pushes:
+            across = 0.0 if is_planar(comparison) else azimuth
+            traces += pushes[name].traces(comparison.measured.arc_lengths.max(), across)
+        return cls(p, capital(posture_name(comparison, p)), '; '.join(words), traces, azimuth)
 
 
 def fault_rings(line: Floats, places: Sequence[tuple[float, str]]) -> list[Trace]:

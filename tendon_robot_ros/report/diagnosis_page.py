@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -23,7 +21,7 @@ from ..effects import Catalogue, load_catalogue
 from ..robot import Robot
 from ..robot.description import EffectValues
 from . import diagnosis_text
-from .comparison import add_loops, add_shapes
+from .comparison import Push, add_loops, add_shapes
 from .diagnosis_text import next_measurement, trust_lines
 from .error_plots import Step, heat_maps, moments, per_marker, per_posture, staircase
 from .page import HEIGHTS_PX, Page
@@ -135,7 +133,7 @@ def diagnosis_page(
         add_staircase(page, diagnosis, addition)
         add_alternatives(page, diagnosis)
     if pictures is not None:
-        add_pictures(page, pictures, diagnosis.details)
+        add_pictures(page, pictures, diagnosis)
     sentences = [*diagnosis_text.declared(diagnosis), *trust_lines(diagnosis)]
     if sentences:
         page.heading('What this rests on')
@@ -247,9 +245,31 @@ def candidate_row(row: CandidateRow) -> list[str]:
     ]
 
 
-def add_pictures(page: Page, pictures: Pictures, details: Mapping[str, Any]) -> None:
+def pushes_of(diagnosis: Diagnosis) -> dict[str, Push]:
+    """Return what pushes the arm in each posture, of the first effect that is a force."""
+    for effect in diagnosis.effects:
+        rows = diagnosis.details.get('pushes', {}).get(effect.name, ())
+        largest = max((float(np.linalg.norm(row['force'])) for row in rows), default=0.0)
+        fixed = [effect.parameters.get(f'point_{axis}') for axis in 'xyz']
+        to = None if None in fixed else np.array([one.value for one in fixed if one])
+        pushes = {
+            row['posture']: Push(
+                np.array(row['at']),
+                np.array(row['force']) / largest,
+                to,
+                'arc_length' not in effect.parameters,
+            )
+            for row in rows
+        }
+        if pushes:
+            return pushes
+    return {}
+
+
+def add_pictures(page: Page, pictures: Pictures, diagnosis: Diagnosis) -> None:
     """Add shapes, errors, heat maps and missing moments, and mark where the model is wrong."""
-    comparison, faults = pictures.comparison, details.get('local_faults', ())
+    comparison, details = pictures.comparison, diagnosis.details
+    faults = details.get('local_faults', ())
     page.heading('Where the model is off')
     if (reference := details.get('reference')) is not None:
         page.text(
@@ -271,4 +291,4 @@ def add_pictures(page: Page, pictures: Pictures, details: Mapping[str, Any]) -> 
         )
         page.figures(moments(pictures.before), 'two')
     add_loops(page, comparison)
-    add_shapes(page, comparison, faults)
+    add_shapes(page, comparison, faults, pushes_of(diagnosis))

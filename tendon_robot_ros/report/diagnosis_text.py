@@ -33,8 +33,6 @@ from .sentences import (
 TOLERANCE_UNITS = {'position': 'm', 'pull_zero': 'm', 'rotation': 'rad', 'cell_kink': 'rad'}
 # a fit without physics that beat the effects, by its name
 PATTERNS = {
-    'contact': 'a force somewhere along the arm',
-    'tether': 'a string from the arm to a fixed point',
     'soft_cell': 'a single soft cell',
     'taper': 'a stiffness that changes along the arm',
     'gain_per_posture': 'a factor of its own on the inputs of every posture',
@@ -137,7 +135,8 @@ def in_words(
     """Say an effect with its values, in the words of its own file."""
     words = diagnosis.details.get('effects_in_words', {}).get(name, {})
     title, finding = words.get('title', name.replace('_', ' ')), words.get('finding', '')
-    return f'{finding_words(title, finding, values, load)} (`{name}`)'
+    pushes = diagnosis.details.get('pushes', {}).get(name, ())
+    return f'{finding_words(title, finding, values, load, pushes)} (`{name}`)'
 
 
 def as_written(diagnosis: Diagnosis) -> str:
@@ -237,8 +236,6 @@ def what_remains(diagnosis: Diagnosis) -> str:
     lowers += f' the error from {mm(diagnosis.error_before)} to {mm(after)}'
     text = f'Nearest: {findings(diagnosis)}. {lowers}, but '
     rival = diagnosis.details.get('rival')
-    if rival and rival.get('words'):
-        return f'{text}{rival["words"]}, fits better'
     if rival and best is not None and best.probability > P_SINGLE_MIN:
         name = rival['name']
         return f'{text}{PATTERNS.get(name, name)} fits better without any physics'

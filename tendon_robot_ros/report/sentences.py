@@ -93,9 +93,17 @@ class _Found:
 
 
 def finding_words(
-    title: str, finding: str, values: Mapping[str, Value], load: LoadVector | None = None
+    title: str,
+    finding: str,
+    values: Mapping[str, Value],
+    load: LoadVector | None = None,
+    pushes: Sequence[Mapping[str, Any]] = (),
 ) -> str:
-    """Say what was found of an effect: in the words of `Effect.finding`, else by its title."""
+    """
+    Say what was found of an effect: in the words of `Effect.finding`, else by its title.
+
+    `pushes` are those of the details of a diagnosis: where it pushes the arm.
+    """
     names = dict.fromkeys(key.partition('[')[0] for key in values)
     found: dict[str, Any] = {
         name: _Found(values, name, _largest(values, one.unit))
@@ -105,10 +113,24 @@ def finding_words(
     if load is not None:
         found |= {'size': _with_interval('', load.size), 'direction': load_direction(load)}
     fields = {field for _, field, _, _ in Formatter().parse(finding) if field}
-    if finding and fields <= set(found):
-        return finding.format(**found)
+    where = pushed(pushes)
+    if finding and fields <= {*found, *where}:
+        return finding.format(**found, **where)
     shown = [f'{name.replace("_", " ")} {value}' for name, value in found.items()]
     return ', '.join([title, *shown])
+
+
+def pushed(pushes: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """Say in which postures something pushes the arm, and between which places along it."""
+    if not pushes:
+        return {}
+    names = [str(one['posture']) for one in pushes]
+    low = 1e3 * min(one['arc_length'] - one['half'] for one in pushes)
+    high = 1e3 * max(one['arc_length'] + one['half'] for one in pushes)
+    half = max(0.5 * (high - low), 0.1)  # [mm] because no marker is placed more closely
+    place = f'{rounded(0.5 * (low + high), decimals(half))} ± {rounded(half, decimals(half))} mm'
+    word = 'posture' if len(names) == 1 else 'postures'
+    return {'postures': f'{word} {listed(names)}', 'place': place}
 
 
 def load_words(load: LoadVector) -> str:

@@ -1,0 +1,288 @@
+"""
+Effects that act at a place nobody knows: starts by what forces along the arm would gain, and fits.
+
+To first order a force f (3,) [N] at one place in one posture changes chi² by f' D f - 2 g' f. The
+measured shapes say where the places are, so that the direction of a string and the distance of a
+wall that the arm touches follow from few unknowns, which are searched.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any
+
+import numpy as np
+
+from ..common.arrays import Floats
+from ..effects import Effect
+from ..inference.candidates import Candidate, Ranked
+from ..inference.fit import Fit
+from ..inference.fitter import BEST_FEW, FAILURES, Fitter
+from ..inference.imperfections import pushes
+from ..inference.intervals import QUANTILE
+from ..inference.predict import FreeParameter, Point, Predictor, free_parameters
+from ..inference.search import DIFFERENCE_STEP
+from ..inference.session import NEAR_SCORE, Session
+
+Start = Mapping[str, float]  # parameter -> SI
+DIRECTIONS = 200  # [1] of a wall or a string, because neighbours of so many are 15° apart
+# [1] arm lengths from the place to where a string is fixed, because its direction turns twice as
+# fast at each as at the next
+DISTANCES = (0.25, 0.5, 1.0, 2.0, 4.0)
+STARTS = 4 * BEST_FEW  # [1] predicted before the best few are fitted, because slopes are not all
+
+
+@dataclass(frozen=True)
+class Screen:
+    """What forces at n places of P postures would gain, imperfections of plausible size beside."""
+
+    arc_lengths: Floats  # (n,) [m]
+    gain: Floats  # (n, P, 3) [1/N] half the fall of chi² by a force
+    weight: Floats  # (n, P, 3, 3) [1/N²] the rise of chi² by its square
+    free: Floats  # (n, P, 3) [m] the places as predicted without it
+    measured: Floats  # (n, P, 3) [m] and as measured
+    length: float  # [m] of the arm
+
+    @classmethod
+    def of(cls, fitter: Fitter, base: Fit) -> Screen | None:
+        """Return what forces would gain on top of a fit; None where there are no slopes."""
+        predictor, dataset = fitter.predictor, fitter.predictor.dataset
+        fitter.linearise_around({})
+        fitter.sizes = fitter.random.start
+        arc_lengths = np.cumsum(predictor.model.arrays.cells[:, 0])
+        slopes, markers = None, predictor.markers(base.point)
+        if markers is not None:
+            slopes = pushes(predictor, base.point, arc_lengths)
+        if slopes is None or markers is None:
+            return None
+        free = np.zeros((len(arc_lengths), len(predictor.inputs), 3))
+        for part, shapes in predictor.settle(
+            base.point, predictor.given(predictor.inputs), near=predictor.settled
+        ):
+            if shapes is None:
+                return None
+            free[:, part.rows] = shapes.of(predictor.last_visits(part)).positions.swapaxes(0, 1)
+        order = np.argsort(dataset.arc_lengths)
+        arcs = np.append(0.0, dataset.arc_lengths[order])
+        off = np.nan_to_num(dataset.mean - markers)[:, order].transpose(0, 2, 1)
+        off = np.concatenate([np.zeros((*off.shape[:2], 1)), off], axis=2)
+        moved = np.array([[np.interp(arc_lengths, arcs, row) for row in one] for one in off])
+        alone = fitter.lift(fitter.lift(fitter.residual(markers)))  # counts what nothing explains
+        white, owners = fitter.whitener.white(slopes), fitter.whitener.owners
+        shown = np.flatnonzero(dataset.trials > 0)
+        own = [(white[:, :, owners == p], alone[owners == p]) for p in shown]
+        return cls(
+            arc_lengths,
+            np.stack([columns @ left for columns, left in own], axis=1),
+            np.stack([columns @ columns.swapaxes(1, 2) for columns, _ in own], axis=1),
+            free[:, shown],
+            (free + moved.transpose(2, 0, 1))[:, shown],
+            predictor.robot.length,
+        )
+
+    def starts(self, effect: Effect, load: Ranked | None) -> Iterator[Start]:
+        """Yield starts of an effect, those that gain most first."""
+        if effect.name == 'point_load':
+            yield from self.loads()
+        elif effect.name == 'tether':
+            if load is not None:
+                yield from self.strings_like(load)
+            yield from self.strings()
+        else:
+            hard = effect.parameters[0].typical
+            yield from ({'stiffness': hard, **wall} for wall in self.walls())
+
+    def loads(self) -> Iterator[Start]:
+        """Yield loads, those that gain most first."""
+        gain, weight = self.gain.sum(axis=1), self.weight.sum(axis=1)
+        forces = np.array([np.linalg.lstsq(w, g)[0] for w, g in zip(weight, gain, strict=True)])
+        for i in np.argsort(-(forces * gain).sum(axis=1)).tolist():
+            yield {'arc_length': self.arc_lengths[i], **_vector('force', forces[i])}
+
+    def strings(self) -> Iterator[Start]:
+        """Yield strings, a place at a time, those that gain most first."""
+        rows = []
+        for i, arc_length in enumerate(self.arc_lengths.tolist()):
+            at = self.measured[i]
+            far = np.concatenate([self.length * d * directions() for d in DISTANCES])
+            points = at.mean(axis=0) + far
+            way = points[:, None] - at
+            way = way / np.maximum(np.linalg.norm(way, axis=2, keepdims=True), 1e-9)
+            gain = np.einsum('mpi,pi->m', way, self.gain[i])
+            weight = np.einsum('mpi,pij,mpj->m', way, self.weight[i], way)
+            pull = np.maximum(gain, 0.0) / np.maximum(weight, 1e-300)
+            m = int(np.argmax(gain * pull))
+            place = {'arc_length': arc_length, **_vector('point', points[m])}
+            rows.append((float(gain[m] * pull[m]), {**place, 'tension': float(pull[m])}))
+        for _, start in sorted(rows, key=lambda row: -row[0]):
+            yield start
+
+    def strings_like(self, load: Ranked, are_springs: bool = False) -> Iterator[Start]:
+        """Yield strings, or springs half as long at rest, that pull as a load does in the mean."""
+        place, *force = load.fit.values[:4].tolist()
+        size = float(np.linalg.norm(force))
+        for distance in self.length * np.array(DISTANCES) if size > 0.0 else ():
+            point = self.mean(place) + distance * np.array(force) / size
+            pull = {'tension': size}
+            if are_springs:
+                pull = {'slack_length': 0.5 * distance, 'stiffness': 2.0 * size / distance}
+            yield {'arc_length': place, **_vector('point', point), **pull}
+
+    def mean(self, arc_length: float) -> Floats:
+        """Return where a place is in the mean of the postures, (3,) [m]."""
+        at = self.measured.mean(axis=1).T
+        return np.array([np.interp(arc_length, self.arc_lengths, own) for own in at])
+
+    def walls(self) -> Iterator[Start]:
+        """
+        Yield walls that the measured arm just touches, those that gain most first.
+
+        They push where the arm is nearest to them, in the postures in which it would be behind.
+        """
+        rows, every = [], np.arange(self.gain.shape[1])
+        for normal in directions():
+            distance = float((-self.measured @ normal).max())
+            nearest = np.argmin(self.measured @ normal, axis=0)
+            behind = -(self.free[nearest, every] @ normal) > distance
+            gain = np.maximum(self.gain[nearest, every] @ normal, 0.0) * behind
+            weight = np.einsum('pij,i,j->p', self.weight[nearest, every], normal, normal)
+            flat = {
+                'distance': distance,
+                'azimuth': float(np.arctan2(normal[1], normal[0])),
+                'elevation': float(np.arcsin(normal[2])),
+            }
+            rows.append((float((gain**2 / np.maximum(weight, 1e-300)).sum()), flat))
+        for _, start in sorted(rows, key=lambda row: -row[0]):
+            yield start
+
+
+def directions() -> Floats:
+    """Return `DIRECTIONS` unit vectors (m, 3), evenly spread (a spiral by the golden angle)."""
+    up = 1.0 - (2.0 * np.arange(DIRECTIONS) + 1.0) / DIRECTIONS
+    turn = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(DIRECTIONS)
+    flat = np.sqrt(1.0 - up**2)
+    return np.column_stack([flat * np.cos(turn), flat * np.sin(turn), up])
+
+
+def _vector(stem: str, values: Floats) -> dict[str, float]:
+    return {f'{stem}_{axis}': value for axis, value in zip('xyz', values.tolist(), strict=True)}
+
+
+def fit_placed(session: Session, base: Fit) -> list[Ranked]:
+    """
+    Fit every effect whose place is unknown from its best starts; without equilibrium none.
+
+    A string also starts from the load that explains most: it is one from far away.
+    """
+    screen, fitted = Screen.of(session.fitters[0], base), dict[str, Ranked]()
+    if screen is None:
+        return []
+    names = ['point_load', 'tether', 'contact']
+    if session.fitters[0].response > 0.0:  # what changes with the posture may be the model's error
+        names = names[:1]
+    for name in names:
+        if name not in session.catalogue or name in session.robot.effects:
+            continue
+        starts = screen.starts(session.catalogue[name], fitted.get('point_load'))
+        best = _fitted(session, name, starts, base.deviance)
+        if name == 'tether' and 'point_load' in fitted:
+            springs = screen.strings_like(fitted['point_load'], are_springs=True)
+            both = best, _fitted(session, name, springs, base.deviance)
+            best = min(filter(None, both), key=lambda one: one.score, default=None)
+        if best is not None:
+            fitted[name] = best
+    return list(fitted.values())
+
+
+def _fitted(session: Session, name: str, starts: Iterable[Start], line: float) -> Ranked | None:
+    """Return the best fit of an effect from the first starts, those with the least error first."""
+    fitter, best = session.fitters[0], None
+    rows = list[tuple[float, int, dict[FreeParameter, float]]]()
+    every = free_parameters(session.catalogue[name], session.robot)
+    for start in islice(starts, STARTS):
+        frees = {
+            free: float(np.clip(start[free.key], free.parameter.low, free.parameter.high))
+            for free in every
+            if free.key in start
+        }
+        with suppress(*FAILURES):
+            search = fitter.search(tuple(frees), frees)
+            rows.append((float(search.r @ search.r), len(rows), frees))
+    for _, _, frees in sorted(rows)[:BEST_FEW]:
+        candidate = Candidate((name,), tuple(frees), present=False)
+        hopeless = line + NEAR_SCORE if best is None else best.fit.deviance
+        with suppress(*FAILURES):
+            fit = fitter.fit(candidate.frees, frees, hopeless=hopeless)
+            if best is None or fit.deviance < best.fit.deviance:
+                best = session.rank(candidate, fit)
+    return best
+
+
+def acting(predictor: Predictor, point: Point, name: str) -> Floats:
+    """
+    Return where an effect pushes the arm in every posture, and how, by its own law.
+
+    Returns
+    -------
+    (P, 7)
+        Arc length [m] (nan: it does not push there), place [m] and force [N] in the base frame;
+        of forces at several places their sum, at their mean by size.
+
+    """
+    effect, arrays = predictor.model.catalogue[name], predictor.model.arrays
+    lengths, nothing = arrays.cells[:, 0], (0.0, 0.0, 0.0)
+    ends, behind = np.cumsum(lengths).tolist(), np.append(lengths[1:], np.inf).tolist()
+    rows = np.full((len(predictor.inputs), 7), np.nan)
+    for part, shapes in predictor.settle(point, predictor.given(predictor.inputs)):
+        if shapes is None:
+            continue
+        last = shapes.of(predictor.last_visits(part))
+        own = [arrays.layout.rows[name, parameter.name] for parameter in effect.parameters]
+        values = arrays.values[own, 0].tolist()
+        for p, places, frames in zip(part.rows, last.positions, last.frames, strict=True):
+            cells = zip(places, frames.reshape(-1, 9), ends, lengths, behind, strict=True)
+            forces = np.array(
+                [
+                    effect.law(nothing, nothing, at.tolist(), frame.tolist(), *along, *values)[0]
+                    for at, frame, *along in cells
+                ]
+            )
+            sizes = np.linalg.norm(forces, axis=1)
+            if sizes.any():
+                mean = sizes / sizes.sum()
+                rows[p] = [mean @ ends, *(mean @ places), *forces.sum(axis=0)]
+    return rows
+
+
+def pushes_by(session: Session, fit: Fit, name: str, scale: float = 1.0) -> list[dict[str, Any]]:
+    """
+    Return in which postures an effect of a fit pushes the arm, where [m] and how [N].
+
+    Where the tracker sees them. `half` is half the 95 % interval of the arc length; `scale`
+    multiplies the covariance.
+    """
+    predictor, slopes = session.predictor, []
+    point = {free: value for free, value in fit.point.items() if free.effect == name}
+    rows, own = acting(predictor, point, name), [free.effect == name for free in fit.frees]
+    for free, value in point.items():
+        step = DIFFERENCE_STEP * free.parameter.typical
+        moved = acting(predictor, {**point, free: value + step}, name)
+        slopes.append(np.nan_to_num(moved[:, 0] - rows[:, 0]) / step)
+    known = scale * fit.interval_covariance[np.ix_(own, own)]
+    spread = np.einsum('qp,qr,rp->p', slopes, np.nan_to_num(known, posinf=0.0), slopes)
+    half = QUANTILE * np.sqrt(np.maximum(spread, 0.0))
+    at = predictor.model.measured(rows[:, 1:4])
+    force = predictor.model.measured(rows[:, 1:4] + rows[:, 4:]) - at
+    return [
+        {
+            'posture': session.dataset.postures[p],
+            'arc_length': float(rows[p, 0]),
+            'half': float(half[p]),
+            'at': at[p].tolist(),
+            'force': force[p].tolist(),
+        }
+        for p in np.flatnonzero(np.isfinite(rows[:, 0]))
+    ]
