@@ -262,10 +262,10 @@ def fed_frames(
 def test_an_arm_that_stands_is_averaged_over_all_its_frames_and_seldom_begun_anew():
     random, made = np.random.default_rng(2), FrameMean(FRAME_NOISE, 0.01, 1e9)
     taken = fed_frames(made, random, 400)
-    counts = [frames for _, frames in taken]
+    counts = [frames for _, _, frames in taken]
     restarts = sum(after < before for before, after in pairwise(counts))
     assert restarts <= 4, 'two tests of 0.1 % each: 0.8 are expected'
-    mean, frames = taken[-1]
+    _, mean, frames = taken[-1]
     off = (mean - SHAPE).ravel()
     assert np.sqrt(np.mean(off**2)) == pytest.approx(FRAME_NOISE / np.sqrt(frames), rel=0.3)
 
@@ -273,8 +273,19 @@ def test_an_arm_that_stands_is_averaged_over_all_its_frames_and_seldom_begun_ane
 def test_it_forgets_what_is_older_than_it_may_be():
     made = FrameMean(FRAME_NOISE, 0.01, 1.0)
     taken = fed_frames(made, np.random.default_rng(3), 30)
-    assert max(frames for _, frames in taken) == 36
-    assert taken[-1][1] == 36
+    assert max(frames for _, _, frames in taken) == 36
+    assert taken[-1][2] == 36
+
+
+def test_tensions_are_averaged_over_the_same_frames():
+    made = FrameMean(FRAME_NOISE, 0.01, 1e9)
+    for number, read in enumerate((-0.004, 0.0, 0.001)):  # [N] off, less than another tension
+        made.put(0.1 * number, TENSIONS + read, SHAPE)
+    tensions, _, frames = made.take(SLOPES)
+    assert (tensions - TENSIONS) == pytest.approx(-0.001, abs=1e-12) and frames == 3
+    made.put(0.4, TENSIONS + 0.003, SHAPE)
+    tensions, _, frames = made.take(SLOPES)
+    assert (tensions - TENSIONS) == pytest.approx(0.0, abs=1e-12) and frames == 4
 
 
 def test_a_small_force_that_hides_in_the_noise_of_a_frame_is_a_change():
@@ -284,20 +295,20 @@ def test_a_small_force_that_hides_in_the_noise_of_a_frame_is_a_change():
     along = np.linalg.qr(SLOPES)[0][:, 0].reshape(J, 3)
     pushed = SHAPE + 6.0 * FRAME_NOISE / np.sqrt(6.0) * along
     assert np.abs(pushed - SHAPE).max() < 1.5 * FRAME_NOISE
-    ((mean, frames),) = fed_frames(made, random, 1, pushed, begin=1.0)
+    ((_, mean, frames),) = fed_frames(made, random, 1, pushed, begin=1.0)
     assert frames == 6
     assert abs(np.sum((mean - pushed) * along)) < 4.0 * FRAME_NOISE / np.sqrt(6.0)
 
 
 def test_other_tensions_and_frames_without_the_arm_begin_anew():
     random, made = np.random.default_rng(5), FrameMean(FRAME_NOISE, 0.01, 1e9)
-    assert fed_frames(made, random, 3)[-1][1] == 18
-    assert fed_frames(made, random, 1, tensions=TENSIONS + 0.02, begin=1.0)[-1][1] == 6
+    assert fed_frames(made, random, 3)[-1][2] == 18
+    assert fed_frames(made, random, 1, tensions=TENSIONS + 0.02, begin=1.0)[-1][2] == 6
     lost = np.full((J, 3), np.nan)
     lost[0] = SHAPE[0]
-    mean, frames = fed_frames(made, random, 1, lost, tensions=TENSIONS + 0.02, begin=2.0)[-1]
+    _, mean, frames = fed_frames(made, random, 1, lost, tensions=TENSIONS + 0.02, begin=2.0)[-1]
     assert frames == 12
     assert np.isfinite(mean).all(), 'what was seen before counts'
     made.put(3.0, TENSIONS, np.full((J, 3), np.nan))
-    mean, _ = made.take(None)
+    _, mean, _ = made.take(None)
     assert np.isnan(mean).all()

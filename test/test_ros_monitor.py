@@ -15,6 +15,7 @@ from forked import Forked
 from geometry_msgs.msg import WrenchStamped
 from ros_station import LATCHED, PATIENT, ForkedNode, Station, last, values
 from std_msgs.msg import Float64, Float64MultiArray, String
+from visualization_msgs.msg import Marker, MarkerArray
 from watched_arm import coarse
 
 from tendon_robot_ros.robot import dump_robot, load_robot
@@ -175,6 +176,57 @@ def test_a_stiffer_arm_is_followed_within_the_interval_and_undo_gives_the_old_mo
     assert (changed['what'], undone['what']) == ('changed', 'undone')
     (before,), (after,) = changed['parameters'], undone['parameters']
     assert (before['before'], before['after']) == (after['after'], after['before'])
+
+
+def test_a_contact_is_told_with_its_place_and_stops_the_arm_or_lets_it_yield(space):
+    """Something pushes at six tenths of the arm from the second start of the driver on."""
+    place = 0.6 * COARSE.length
+    pushed = COARSE.with_effect('point_load', {'arc_length': place, 'force_x': 0.015})
+    space.run('driver', robot=dump_robot(COARSE), config=EXACT_TRACKER)
+    space.run('controller', model=dump_robot(COARSE))
+    reacting = {'contact_action': 'stop', 'contact_threshold': 0.005}
+    space.run('monitor', still_time=0.3, tracker_noise=1e-4, **reacting)
+    space.comparing()
+    contacts = space.hear(String, 'monitor/contact')
+    arrows = space.hear(MarkerArray, 'monitor/markers')
+
+    def touched():
+        return bool(contacts) and json.loads(last(contacts).data)['acts']
+
+    space.go_to_point(0.06, 0.17)
+    space.until(lambda: contacts and arrows, 'an estimate')
+    assert not touched()
+    assert last(arrows).markers[0].action == Marker.DELETE
+    space.started[0].process.kill()
+    space.run('driver', robot=dump_robot(pushed), config=EXACT_TRACKER)
+    space.until(touched, 'the contact', LOADED)
+    space.until_code(space.controller, 'stopped')
+    space.until_code(space.driver, 'stopped')
+
+    def placed():
+        told = json.loads(last(contacts).data)
+        return told['acts'] and abs(told['arc_length'] - place) < 0.1 * COARSE.length
+
+    space.until(placed, 'its place, when the arm is at rest')
+    told, arrow = json.loads(last(contacts).data), last(arrows).markers[0]
+    low, high = told['interval']
+    assert low <= told['arc_length'] <= high < COARSE.length
+    assert told['force'][0] == pytest.approx(0.015, rel=0.3)
+    assert told['reaction'] == 'stop'
+    assert (arrow.type, arrow.action) == (Marker.ARROW, Marker.ADD)
+    assert [arrow.points[0].x, arrow.points[0].z] == pytest.approx(
+        [told['point'][0], told['point'][2]], abs=0.05 * COARSE.length
+    )
+    refused = space.trigger('controller/reset')
+    assert not refused.success, 'the contact lasts'
+    assert space.set('monitor', 'contact_action', 'none').successful
+    for node in 'driver', 'controller':
+        space.until(lambda node=node: space.trigger(f'{node}/reset').success, f'{node} goes on')
+    space.go_to_point(0.06, 0.17)
+    assert space.code() in ('reached', 'nearest', 'at_limit')
+    assert space.set('monitor', 'contact_action', 'yield').successful
+    space.until_code(space.controller, 'holding')
+    assert values(last(space.driver))['code'] == 'following', 'it lets go of nothing'
 
 
 def learned_and_changed(space):

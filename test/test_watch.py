@@ -2,6 +2,7 @@
 
 from copy import copy
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -16,8 +17,8 @@ from tendon_robot_ros.investigation.loop import Investigation
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.monitoring.built_arm import BuiltArm
 from tendon_robot_ros.monitoring.change import ChangeFinder, ChangeFit, changes_of
+from tendon_robot_ros.monitoring.contact import ContactObserver
 from tendon_robot_ros.monitoring.references import Reference, log_likelihood, widening
-from tendon_robot_ros.monitoring.tip_force import TipForceObserver
 from tendon_robot_ros.monitoring.watch import (
     ArmWatch,
     DriftAlarm,
@@ -43,12 +44,15 @@ def test_the_force_under_which_the_model_itself_was_bent_comes_back(sign):
     shape = loaded.shape(tensions)
     exact = replace(ROBOT, exact=True)
     arm = BuiltArm(exact, load_catalogue(), default_markers(ROBOT), 1e-5)
-    found = TipForceObserver(arm).update(tensions, shape.positions)
+    found = ContactObserver(arm).update(tensions, shape.positions)
     assert found.force == pytest.approx(force, abs=2e-5)
-    assert found.cell is None
-    assert found.acts
-    free = TipForceObserver(arm).update(tensions, Model(ROBOT).shape(tensions).positions)
+    assert found.acts and found.exceeds(0.9 * np.linalg.norm(force))
+    assert not found.exceeds(1.1 * np.linalg.norm(force))
+    assert found.place == pytest.approx(ROBOT.length, rel=0.02)
+    free = ContactObserver(arm).update(tensions, Model(ROBOT).shape(tensions).positions)
     assert np.linalg.norm(free.force) < 2e-5
+    assert not free.acts and not free.exceeds(0.0)
+    assert (free.place, free.interval) == (ROBOT.length, (0.0, ROBOT.length))
 
 
 def test_without_a_tracker_the_wire_pulls_tell_the_force():
@@ -56,7 +60,7 @@ def test_without_a_tracker_the_wire_pulls_tell_the_force():
     loaded = Model(robot.with_effect('tip_load', {'force_x': 0.006, 'force_y': 0.003}))
     tensions = np.array([0.4, 0.2, 0.7])
     arm = BuiltArm(robot, load_catalogue(), default_markers(robot), NOISE)
-    found = TipForceObserver(arm).update(tensions, None, loaded.shape(tensions).pulls)
+    found = ContactObserver(arm).update(tensions, None, loaded.shape(tensions).pulls)
     off = found.force - force
     assert (np.abs(off) < 1.96 * np.sqrt(np.diag(found.covariance))).all()
     assert np.linalg.norm(found.force[:2] - force[:2]) < 0.002
@@ -81,7 +85,7 @@ def test_what_the_model_is_known_to_be_off_is_no_force(name, exact):
     shapes = [seen + drawn_off(robot, off, random) for _ in range(12)]
     known = replace(robot, model_error=off)
     arm = BuiltArm(known, load_catalogue(), default_markers(robot), NOISE)
-    observer = TipForceObserver(arm)
+    observer = ContactObserver(arm)
     assert not any(observer.update(tensions, shape).acts for shape in shapes)
 
 
@@ -90,9 +94,9 @@ def test_of_a_shape_that_no_force_explains_the_covariance_is_one_nevertheless(na
     robot, random = replace(ARMS[name], exact=True), np.random.default_rng(8)
     tensions = np.linspace(0.4, 0.8, len(robot.inputs))
     seen = Model(robot).shape(tensions).positions
-    observer = TipForceObserver(BuiltArm(robot, load_catalogue(), default_markers(robot), NOISE))
+    observer = ContactObserver(BuiltArm(robot, load_catalogue(), default_markers(robot), NOISE))
     for _ in range(12):
-        found = observer.update(tensions, seen + drawn_off(robot, 4e-3, random))
+        found = observer.update(tensions, seen + drawn_off(robot, 6e-3, random))
         assert np.linalg.cond(found.covariance) < 1e9
         assert found.chi2 > 10.0 * found.freedom
 
@@ -169,24 +173,72 @@ def test_to_know_an_error_makes_no_force_worse_than_not_to_know_it(name):
         plant = make_plant(robot, hidden | {'tip_load': load}, seed=4, work=Workmanship())
         read, (seen,) = averaged(plant, tensions[None], random)
         for arm in arms:
-            observer = TipForceObserver(arm)
+            observer = ContactObserver(arm)
             found = [observer.update(read[0], seen, None, 30) for _ in range(2)][-1]
             off.append(np.linalg.norm(found.force - force))
     known, unknown = np.median(np.reshape(off, (-1, 2)), axis=0)
     assert known < 1.1 * unknown
 
 
-def test_a_force_at_mid_arm_is_told_from_one_at_the_tip():
-    plant = make_plant(
-        ROBOT,
-        {'point_load': {'arc_length': 3.5 * ROBOT.length / ROBOT.cells, 'force_x': 0.03}},
-        scatter=0.0,
+@cache
+def known_arm(name, exact):
+    """Return an arm as it is learned from its references."""
+    return learned_from(replace(ARMS[name], exact=exact))
+
+
+@pytest.mark.parametrize('part', [0.4, 0.75, 1.0])
+@pytest.mark.parametrize('exact', [True, False], ids=['exact', 'as built'])
+@pytest.mark.parametrize('name', ARMS)
+def test_a_contact_is_told_with_its_place_and_ends(name, exact, part):
+    """A force across the arm that moves it by a few hundredths of its length."""
+    arm, robot = known_arm(name, exact), ARMS[name]
+    place, force = part * robot.length, {'force_x': 0.006 / part, 'force_z': 0.002}
+    hidden = {'point_load': {'arc_length': place, **force}}
+    rows = np.clip(default_postures(robot, 3, 21), *robot.tension_limits)
+    work, random = Workmanship().times(not exact), np.random.default_rng(5)
+    free, pushed = (
+        averaged(make_plant(robot, h, seed=4, work=work), rows, random) for h in ({}, hidden)
     )
+    true = np.array([force['force_x'], 0.0, force['force_z']])
+    observer, off = ContactObserver(arm), []
+    for i in range(len(rows)):
+        told = observer.update(free[0][i], free[1][i], None, 30)
+        assert not told.acts and told.place == robot.length, 'nothing acts yet, or any more'
+        told = observer.update(pushed[0][i], pushed[1][i], None, 30)
+        assert told.acts
+        low, high = told.interval
+        assert low <= told.place <= high < robot.length + 1e-9
+        off.append(abs(told.place - place))
+        across = np.linalg.eigh(told.covariance)[1][:, 0]  # what is told best
+        assert across @ told.force == pytest.approx(across @ true, rel=0.25, abs=5e-4)
+        aside = np.linalg.norm(pushed[1][i] - told.point, axis=1).min()
+        assert aside < robot.length / robot.cells, 'on the arm'
+    assert np.median(off) <= 0.05 * robot.length and max(off) <= 0.25 * robot.length
+
+
+@pytest.mark.parametrize('name', ARMS)
+def test_of_a_tip_alone_the_place_is_not_told_and_the_force_is_as_if_at_the_tip(name):
+    arm, robot, force = known_arm(name, False), ARMS[name], 0.004
+    hidden = {'tip_load': {'force_x': force}}
+    (tensions,) = np.clip(default_postures(robot, 1, 23), *robot.tension_limits)
+    plant = make_plant(robot, hidden, seed=4, work=Workmanship())
+    read, seen = averaged(plant, tensions[None], np.random.default_rng(5))
+    seen[0, :-1] = np.nan
+    told = ContactObserver(arm).update(read[0], seen[0], None, 30)
+    assert (told.place, told.interval) == (robot.length, (0.0, robot.length))
+    off = told.force - [force, 0.0, 0.0]
+    assert off @ np.linalg.solve(told.covariance, off) < 16.3, '1 of 1000 by chance'
+
+
+def test_where_the_description_has_a_load_at_a_place_a_force_is_as_if_at_the_tip():
+    loads = {'arc_length': 0.5 * ROBOT.length, 'force_y': 0.01}
+    robot = replace(ROBOT, exact=True).with_effect('point_load', loads)
     tensions = np.array([0.4, 0.2, 0.7])
-    arm = BuiltArm(ROBOT, load_catalogue(), default_markers(ROBOT), NOISE, 0.1)
-    found = TipForceObserver(arm).update(tensions, looked(plant, tensions[None], 1)[0])
-    assert found.cell is not None
-    assert abs(found.cell - 4) <= 2
+    seen = Model(robot.with_effect('tip_load', {'force_x': 0.004})).shape(tensions).positions
+    arm = BuiltArm(robot, load_catalogue(), default_markers(robot), NOISE)
+    told = ContactObserver(arm).update(tensions, seen)
+    assert told.force == pytest.approx([0.004, 0.0, 0.0], abs=2e-4)
+    assert (told.place, told.interval) == (robot.length, (0.0, robot.length))
 
 
 @pytest.fixture(scope='module')
@@ -427,7 +479,7 @@ def test_a_force_along_a_straight_arm_is_told_only_as_far_as_it_shows():
     random, spreads = np.random.default_rng(8), []
     for frames in (1, 25):
         seen = exact + random.normal(0.0, NOISE / np.sqrt(frames), exact.shape)
-        found = TipForceObserver(arm).update(tensions, seen, None, frames)
+        found = ContactObserver(arm).update(tensions, seen, None, frames)
         sd = np.sqrt(np.diag(found.covariance))
         off = np.abs(found.force - [force, 0.0, -force])
         assert (off < 4.0 * sd).all()
@@ -448,7 +500,7 @@ def test_what_a_model_does_wrong_of_a_loaded_arm_is_in_the_covariance():
         axes = dict(zip(('force_x', 'force_y', 'force_z'), force.tolist(), strict=True))
         plant = make_plant(robot, {'tip_load': axes}, scatter=0.0)
         for tensions, seen in zip(rows, plant.markers(rows, arcs, offsets), strict=True):
-            observer = TipForceObserver(arm)
+            observer = ContactObserver(arm)
             observer.update(tensions, seen, None, 100)
             found = observer.update(tensions, seen, None, 100)
             spread, axes_of_it = np.linalg.eigh(found.covariance)

@@ -135,6 +135,7 @@ class Shifted:
         slope: Floats | float = 1.0,
         effect: str = '',
         inputs: Callable[[], Floats] | None = None,
+        about: Floats | None = None,
     ) -> None:
         """
         Store where it stands, and its variation in `count` postures.
@@ -147,11 +148,14 @@ class Shifted:
             Is on while it is varied; '': none.
         inputs : callable, optional
             Returns the inputs (b, m) [N] while it is varied; default: they stay.
+        about : ndarray, optional
+            What the entries are varied about; default: what they are.
 
         """
         self.down, self.up = (np.full(count, end) for end in ends)
         self._arrays, self._effect, self._inputs = arrays, effect, inputs
         self._entries, self._slope, self._described = entries, slope, entries.copy()
+        self._about = self._described if about is None else about
 
     def inputs(self, inputs: Floats, side: Floats) -> Floats:
         """Return the input tensions (b, m) [N] of one side."""
@@ -163,7 +167,7 @@ class Shifted:
         on = self._arrays.on.copy()
         if self._effect:
             self._arrays.act(self._effect)
-        self._entries[:] = self._described + side[0] * self._slope
+        self._entries[:] = self._about + side[0] * self._slope
         try:
             yield
         finally:

@@ -203,26 +203,29 @@ class FrameMean:
         """Add a frame: its time [s], tensions (m,) [N], markers (J, 3) [m] or nan."""
         self._new.append((at, tensions, positions))
 
-    def take(self, slopes: Floats | None = None) -> tuple[Floats, int]:
+    def take(self, slopes: Floats | None = None) -> tuple[Floats, Floats, int]:
         """
-        Return the mean (J, 3) [m] and its number of frames.
+        Return the mean tensions (m,) [N] and positions (J, 3) [m], and the number of frames.
 
         Parameters
         ----------
         slopes : (3 J, 3), optional
-            Last Jacobian of the coordinates by the tip force [m/N].
+            Last Jacobian of the coordinates by the force [m/N].
 
         """
         at, now, _ = self._new[-1]
-        rows = [y for _, t, y in self._new if self._same(t, now)]
+        same = [(t, y) for _, t, y in self._new if self._same(t, now)]
         self._new.clear()
-        batch = _Batch(at, now, mean_over(np.array(rows), 0), len(rows))
+        tensions, positions = (np.array(rows) for rows in zip(*same, strict=True))
+        batch = _Batch(at, tensions.mean(axis=0), mean_over(positions, 0), len(same))
         while self._kept and self._kept[0].at < at - self.longest:
             self._kept.popleft()
         if self._kept and self._changed(batch, slopes):
             self._kept.clear()
         self._kept.append(batch)
-        return _joined(self._kept)
+        weights = [one.frames for one in self._kept]
+        kept = np.average([one.tensions for one in self._kept], axis=0, weights=weights)
+        return kept, *_joined(self._kept)
 
     def _same(self, tensions: Floats, now: Floats) -> bool:
         return not np.abs(tensions - now).max() > self.tension_change

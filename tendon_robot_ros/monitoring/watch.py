@@ -1,5 +1,5 @@
 """
-Monitoring of a working robot: first the arm is learned, then drift and tip force are observed.
+Monitoring of a working robot: first the arm is learned, then drift and contact are observed.
 
 The drift alarm is a sequential test with a stated false-alarm rate.
 
@@ -44,7 +44,7 @@ from ..model.model import Model
 from ..robot import dump_robot, parse_robot
 from .built_arm import ODD_PROBABILITY, BuiltArm, Expected, differences
 from .change import LIKELY_MAX, ChangeFinder, Suspect, changes_of, described
-from .tip_force import TipForce, TipForceObserver
+from .contact import Contact, ContactObserver
 
 FORMAT = 'tendon_robot_ros/change@1'
 SIZES = 'remainder', 'setting', 'widening'  # fields of a learned arm
@@ -250,10 +250,9 @@ class DriftAlarm:
         place, change = np.unravel_index(int(np.argmax(logs)), logs.shape)
         point = self._change_points[int(place)]
         # the alarm requires evidence beyond the strongest posture
-        strongest = min(
-            range(point.at, point.at + point.postures),
-            key=lambda at: self._log_ratio(point, int(change), at),
-        )
+        without = [point.without(point.at + k) for k in range(point.postures)]
+        left = self._log_ratios(without, self._places[int(change)])
+        strongest = point.at + int(np.argmin(left))
         enough = evidence >= self.threshold and _sum(self._logs(strongest)) >= CONFIRMED
         alarm = self.state.alarm or enough
         suspects = self._suspects(point, posture) if alarm else ()
@@ -261,10 +260,13 @@ class DriftAlarm:
 
     def _logs(self, without: int = -1) -> Floats:
         """Return the log likelihood ratios (change points, changes), without a given posture."""
-        which = range(len(self._changes))
-        return np.array(
-            [[self._log_ratio(b, i, without) for i in which] for b in self._change_points]
-        )
+        evidence = [point.without(without) for point in self._change_points]
+        return np.stack([self._log_ratios(evidence, place) for place in self._places], axis=1)
+
+    def _log_ratios(self, evidence: Sequence[tuple[Floats, Floats]], place: slice) -> Floats:
+        """Return the log likelihood ratio (n,) of a change against none, by n evidences."""
+        information, score = (np.array(part) for part in zip(*evidence, strict=True))
+        return log_ratio(information[:, place, place], score[:, place], self._spread[place])
 
     def _suspects(self, point: _ChangePoint, posture: _Posture) -> tuple[Suspect, ...]:
         """Return the suspects, refitted when the postures after the alarm have doubled."""
@@ -285,11 +287,6 @@ class DriftAlarm:
             return self.state.suspects
         return self.finder.suspects()[:LIKELY_MAX]
 
-    def _log_ratio(self, point: _ChangePoint, i: int, without: int = -1) -> float:
-        """Return the log likelihood ratio of a change since a change point against no change."""
-        place, (information, score) = self._places[i], point.without(without)
-        return log_ratio(information[place, place], score[place], self._spread[place])
-
     def _signatures(self, tensions: Floats, built: Floats) -> Floats | None:
         """Return the motion of the markers by a unit of every change, (3 J, c) [m per unit]."""
         whole = self.arm.whole
@@ -301,11 +298,11 @@ class DriftAlarm:
         return np.column_stack([*moves[0, :, 0], built[:, :states] / self.arm.plausible])
 
 
-def log_ratio(information: Floats, score: Floats, spread: Floats) -> float:
-    """Return log E of a change, from C (k, k), d (k,) and its prior 1 sd (k,); see the module."""
+def log_ratio(information: Floats, score: Floats, spread: Floats) -> Floats:
+    """Return log E (...) of a change, from C (..., k, k), d (..., k), its prior 1 sd (k,)."""
     both, score = information * np.outer(spread, spread) + np.eye(len(spread)), score * spread
-    gained = float(score @ np.linalg.solve(both, score))
-    return 0.5 * gained - 0.5 * float(np.linalg.slogdet(both)[1])
+    gained = (score * np.linalg.solve(both, score[..., None])[..., 0]).sum(axis=-1)
+    return np.asarray(0.5 * gained - 0.5 * np.linalg.slogdet(both)[1])
 
 
 def _sum(logs: Floats) -> float:
@@ -384,7 +381,7 @@ class WatchSettings:
 
 @dataclass
 class ArmWatch:
-    """Learns the arm at its first postures, then detects changes and the tip force."""
+    """Learns the arm at its first postures, then detects changes and contact."""
 
     model: Model
     markers: Sequence[Marker]
@@ -398,7 +395,7 @@ class ArmWatch:
         """Restart with the next postures as references."""
         robot, catalogue = self.model.robot, self.model.catalogue
         self._arm = BuiltArm(robot, catalogue, self.markers, self.settings.tracker_noise)
-        self._observer = TipForceObserver(self._arm)
+        self._observer = ContactObserver(self._arm)
         self._references: list[tuple[Floats, Floats]] = []
         self._frames = 1  # smallest number of frames of a reference
         self._learning: threading.Thread | None = None
@@ -456,7 +453,7 @@ class ArmWatch:
 
     @property
     def slopes(self) -> Floats | None:
-        """Last Jacobian of the markers by a force at the tip (3 J, 3) [m/N], None before one."""
+        """Last Jacobian of the markers by the force (3 J, 3) [m/N], None before one."""
         return self._observer.slopes
 
     def force(
@@ -465,8 +462,8 @@ class ArmWatch:
         positions: Floats | None,
         pulls: Floats | None = None,
         frames: int = 1,
-    ) -> TipForce | None:
-        """Return the force at the tip, None while the arm is learned; see `TipForceObserver`."""
+    ) -> Contact | None:
+        """Return what pushes the arm, None while the arm is learned; see `ContactObserver`."""
         if self._learning is not None and self.alarm is None:
             return None  # the thread that learns uses the model
         return self._observer.update(tensions, positions, pulls, frames)

@@ -3,8 +3,9 @@ Compare the model with the measurements of the running arm; record, diagnose, ad
 
 Topics: tendon_states and measured_shape, measured_tip or a topic per marker (subscribed); ~/error,
 ~/rolling_error, ~/marker_errors, ~/measured, ~/predicted, ~/progress, ~/verdict, ~/status
-(published); ~/tip_force, ~/tip_force_covariance, ~/drift, ~/adaptation by parameter. Services:
-~/record, ~/diagnose, ~/add, ~/learn, ~/change, ~/undo. Parameters: ros/parameters.yaml.
+(published); ~/tip_force, ~/tip_force_covariance, ~/contact, ~/markers, ~/drift, ~/adaptation by
+parameter. Services: ~/record, ~/diagnose, ~/add, ~/learn, ~/change, ~/undo. Parameters:
+ros/parameters.yaml.
 
 example: python -m tendon_robot_ros monitor --ros-args -p model:=kato_10_1
 """

@@ -1,4 +1,4 @@
-"""Drift, tip force and adaptation in the monitor node: rates and publishers."""
+"""Drift, contact and adaptation in the monitor node: rates and publishers."""
 
 from __future__ import annotations
 
@@ -12,24 +12,27 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import Wrench, WrenchStamped
 from rclpy.node import Node
-from std_msgs.msg import Float64MultiArray, String
+from std_msgs.msg import Bool, Float64MultiArray, String
+from trajectory_msgs.msg import JointTrajectory
 
 from ...common.arrays import Floats
+from ...common.colours import BAD
 from ...common.errors import InputError
 from ...common.words import with_unit
 from ...inference.intervals import load_of
 from ...model.model import Model
 from ...monitoring import Monitor, StillMeasurement
 from ...monitoring.adaptation import Adaptation, ModelChange
+from ...monitoring.contact import Contact
 from ...monitoring.monitor import TENSION_STILL, FrameMean
-from ...monitoring.tip_force import TipForce
 from ...monitoring.watch import ArmWatch, WatchSettings
 from ...report.sentences import load_words
 from ...robot import Robot, dump_robot
 from ..shared import interface
-from ..shared.messages import header_now, vector
+from ..shared.messages import arrow_marker, header_now, vector
 from ..shared.parameters import Parameters
 
+ARROW_THICKNESS = 0.01  # [1] of the length, because the arm's own line is about as thick
 LOG = 'adaptation.jsonl'  # in the folder of the monitor: a line for every change
 Send = Callable[[str, Callable[[bool, str], None]], None]
 
@@ -46,7 +49,8 @@ class Watching:
         self._drift = parameters['reference_postures'] > 0.0
         rate = parameters['force_rate']
         self._period = 1.0 / rate if rate > 0.0 else np.inf
-        self._due, self.force = 0.0, None
+        self._due, self.contact = 0.0, None
+        self._reaction = Reaction(node, parameters)
         high = monitor.model.robot.tension_limits[1]
         self._frames = FrameMean(
             parameters['tracker_noise'], TENSION_STILL * high, parameters['force_time']
@@ -54,10 +58,12 @@ class Watching:
         publish = node.create_publisher
         self._wrench = publish(*interface.topic('monitor/tip_force'))
         self._covariance = publish(*interface.topic('monitor/tip_force_covariance'))
+        self._contact = publish(*interface.topic('monitor/contact'))
+        self._markers = publish(*interface.topic('monitor/markers'))
         self._state = publish(*interface.topic('monitor/drift'))
         self._published = ''
 
-    force: TipForce | None
+    contact: Contact | None
 
     def set_model(self, model: Model) -> None:
         """Restart the learning with another description."""
@@ -74,13 +80,26 @@ class Watching:
         values = {}
         if self._drift:
             values = {'drift': str(self.drifted).lower(), 'watch': self.watch.text}
-        if self.force is not None:
-            gravity = self.watch.model.robot.gravity
-            load = load_of(self.force.force, self.force.covariance, gravity)
-            values['tip_force'] = load_words(load)
-            values['tip_force (N)'] = f'{float(np.linalg.norm(self.force.force)):.4g}'
-            values['touched_at_cell'] = str(self.force.cell or '')
+        if (contact := self.contact) is not None:
+            values['tip_force'] = self._said(contact)
+            values['tip_force (N)'] = f'{float(np.linalg.norm(contact.force)):.4g}'
+            touched, robot = contact.acts, self.watch.model.robot
+            ends = np.cumsum(robot.cell_lengths) + 1e-9  # [m] a cell's end belongs to it
+            cell = int(np.searchsorted(ends, contact.place)) + 1 - robot.plate_cells
+            values['touched_at_cell'] = str(cell) if touched else ''
+            places = contact.place, *contact.interval
+            at, low, high = (f'{place:.4g}' if touched else 'nan' for place in places)
+            values |= {'touched_at (m)': at, 'touched_from (m)': low, 'touched_to (m)': high}
+            values['reaction'] = self._reaction.done
         return values
+
+    def _said(self, contact: Contact) -> str:
+        """Return force and place in words."""
+        gravity = self.watch.model.robot.gravity
+        words = load_words(load_of(contact.force, contact.covariance, gravity))
+        place, low, high = (f'{1e3 * one:.0f}' for one in (contact.place, *contact.interval))
+        where = f'at {place} mm ({low} to {high})' if contact.acts else 'nothing acts'
+        return f'{words}; {where}'
 
     def frame(
         self, at: float, positions: Floats, base: str, still: StillMeasurement | None
@@ -95,7 +114,8 @@ class Watching:
         tensions, _ = np.split(state, 2)
         self._frames.put(at, tensions, positions)
         if self._is_due():
-            self._publish(base, tensions, *self._frames.take(self.watch.slopes), None)
+            tensions, positions, frames = self._frames.take(self.watch.slopes)
+            self._publish(base, tensions, positions, frames, None)
 
     def blind(self, base: str) -> None:
         """Estimate the force without the tracker, from wire pulls and tensions if both exist."""
@@ -122,12 +142,28 @@ class Watching:
     ) -> None:
         if not np.isfinite(tensions).all():
             return
-        self.force = self.watch.force(tensions, positions, pulls, frames)
-        if self.force is None:
+        self.contact = contact = self.watch.force(tensions, positions, pulls, frames)
+        if contact is None:
             return
-        wrench = Wrench(force=vector(self.force.force))
-        self._wrench.publish(WrenchStamped(header=header_now(self._node, base), wrench=wrench))
-        self._covariance.publish(Float64MultiArray(data=self.force.covariance.ravel().tolist()))
+        self._reaction.to(contact)
+        header, robot = header_now(self._node, base), self.watch.model.robot
+        wrench, arrow = Wrench(force=vector(contact.force)), contact.arrow(robot.length)
+        self._wrench.publish(WrenchStamped(header=header, wrench=wrench))
+        self._covariance.publish(Float64MultiArray(data=contact.covariance.ravel().tolist()))
+        content = {
+            'text': self._said(contact),
+            'acts': contact.acts,
+            'arc_length': contact.place,
+            'interval': contact.interval,
+            'point': contact.point.tolist(),
+            'force': contact.force.tolist(),
+            'arrow': arrow.tolist(),
+            'reaction': self._reaction.done,
+        }
+        self._contact.publish(String(data=json.dumps(content)))
+        thickness = ARROW_THICKNESS * robot.length
+        ends = arrow if contact.acts else None
+        self._markers.publish(arrow_marker(header, ends, thickness, BAD))
 
     def _publish_state(self) -> None:
         """Publish the state of the alarm when it has changed."""
@@ -142,6 +178,34 @@ class Watching:
         if text != self._published:
             self._published = text
             self._state.publish(String(data=text))
+
+
+class Reaction:
+    """Stops the arm, or lets it yield, when a contact is harder than a threshold."""
+
+    def __init__(self, node: Node, parameters: Parameters) -> None:
+        """Create the publishers."""
+        self._node, self._parameters, self.done = node, parameters, ''
+        self._stop = node.create_publisher(*interface.topic('stop'))
+        held = interface.topic('controller/tendon_trajectory', parameters['controller'])
+        self._hold = node.create_publisher(*held)
+
+    def to(self, contact: Contact) -> None:
+        """React once when a contact exceeds the threshold, and take a stop back when it ends."""
+        action = self._parameters['contact_action']
+        acts = action != 'none' and contact.exceeds(self._parameters['contact_threshold'])
+        before, self.done = self.done, action if acts else ''
+        if self.done == before:
+            return
+        if 'stop' in (self.done, before):
+            self._stop.publish(Bool(data=self.done == 'stop'))
+        if self.done == 'yield':
+            self._hold.publish(JointTrajectory())  # without points: hold now
+        if self.done:
+            force = float(np.linalg.norm(contact.force))
+            self._node.get_logger().warning(
+                f'contact of {force:.3g} N at {1e3 * contact.place:.0f} mm: {self.done}'
+            )
 
 
 class Adapting:

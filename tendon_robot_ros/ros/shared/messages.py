@@ -182,6 +182,18 @@ def arm_markers(
     return MarkerArray(markers=[line, tip])
 
 
+def arrow_marker(header: Header, ends: Floats | None, thickness: float, color: str) -> MarkerArray:
+    """Return an arrow from its first end (2, 3) [m] to the second; None: what takes it away."""
+    red, green, blue = (level / 255.0 for level in rgb(color))
+    both = {'header': header, 'ns': 'contact', 'type': Marker.ARROW}
+    both['color'] = ColorRGBA(r=red, g=green, b=blue, a=1.0)
+    arrow = Marker(action=Marker.DELETE if ends is None else Marker.ADD, **both)
+    arrow.points = [] if ends is None else [point(end) for end in ends]
+    arrow.pose.orientation.w = 1.0
+    arrow.scale.x, arrow.scale.y = thickness, 2.0 * thickness
+    return MarkerArray(markers=[arrow])
+
+
 def check_age(node: Node, header: Header, what: str, tolerance: float) -> float:
     """Return the time of the node's clock [s]; Refusal: the stamp is too old, or in the future."""
     now = time_now(node)

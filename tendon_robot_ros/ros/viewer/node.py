@@ -10,6 +10,7 @@ example: python -m tendon_robot_ros viewer --ros-args -p port:=8081
 from __future__ import annotations
 
 import ipaddress
+import json
 import secrets
 import time
 from collections import deque
@@ -19,16 +20,16 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PointStamped, PoseArray, WrenchStamped
+from geometry_msgs.msg import PointStamped, PoseArray
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool
+from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 
 from ...robot import load_robot
 from ..shared import interface
 from ..shared.lifecycle import OK, Status
-from ..shared.messages import Request, header_now, point, points_of, status_values, xyz
+from ..shared.messages import Request, header_now, point, points_of, status_values
 from ..shared.parameters import Parameters, RemoteParameter
 from ..shared.quality import STATE
 from ..shared.runtime import Runnable, repeat, run
@@ -109,8 +110,8 @@ class ViewerNode(Runnable, Node):
             state.measured = points_of(message)
             self._base = self._base or message.header.frame_id
 
-        def force(message: WrenchStamped) -> None:
-            state.force, state.force_at = np.array(xyz(message.wrench.force)), now()
+        def contact(message: String) -> None:
+            state.force, state.force_at = np.array(json.loads(message.data)['arrow']), now()
 
         def keep(name: str, value: Callable[[Any], object]) -> Callable[[Any], None]:
             return lambda message: setattr(state, name, value(message))
@@ -123,7 +124,7 @@ class ViewerNode(Runnable, Node):
             'tendon_states': states,
             'measured_shape': measured,
             'monitor/predicted': keep('predicted', points_of),
-            'monitor/tip_force': force,
+            'monitor/contact': contact,
             'monitor/rolling_error': lambda m: state.add_error(now(), m.data),
             'monitor/marker_errors': lambda m: state.add_marker_errors(now(), m.data),
             'monitor/verdict': lambda m: state.set_verdict(m.data),

@@ -163,7 +163,7 @@ class LivePage:
             errors = state.errors()
             if errors is not None and len(errors):
                 self._line('error', errors)
-            force = state.force_line(time.monotonic(), self._size)
+            force = state.force_line(time.monotonic())
             if force is not None or 'force' in self._lines:
                 self._line('force', np.zeros((1, 2, 3)) if force is None else force)
             tip = None if state.measured is None else state.measured[-1]

@@ -20,9 +20,6 @@ PANEL_PERIOD_S = 0.2
 STEADY_S = 1.5
 # [s] shown by the curve, so that it covers a recording of a dozen postures
 CURVE_SPAN_S = 120.0
-# [N] of a force whose arrow has half of its largest length, so that forces of 0.01 N and of 1 N
-# are visible in one scene
-FORCE_HALF_N = 0.01
 # [1] postures for a diagnosis, else several effects would explain them equally well
 POSTURES_ADVISED = 8
 CHANGED_HINT = 'Click Investigate: it goes to the postures that tell what has changed.'
@@ -42,7 +39,7 @@ class ViewState:
     limits: tuple[float, float] = (0.0, 5.0)  # [N]
     measured: Floats | None = None  # (J, 3) [m]
     predicted: Floats | None = None
-    force: Floats | None = None  # (3,) [N] at the tip
+    force: Floats | None = None  # (2, 3) [m] arrow of what pushes the arm
     force_at: float = -np.inf
     marker_errors: deque[tuple[float, Floats]] = field(default_factory=deque)  # [s], (J,) [m]
     curve: deque[tuple[float, float]] = field(  # [s], rolling error [m]
@@ -175,15 +172,9 @@ class ViewState:
         unseen = ~np.isfinite(measured).all(axis=1)
         return np.stack([predicted, np.where(unseen[:, None], predicted, measured)], axis=1)
 
-    def force_line(self, now: float, size: float) -> Floats | None:
+    def force_line(self, now: float) -> Floats | None:
         """Return an arrow of the force as segments (1, 2, 3) [m]; None without a fresh one."""
-        if self.force is None or now - self.force_at > SILENCE_S or self.measured is None:
-            return None
-        tip, length = self.measured[-1], float(np.linalg.norm(self.force))
-        if not np.isfinite(tip).all() or length == 0.0:
-            return None
-        long = 0.5 * size * length / (length + FORCE_HALF_N)
-        return np.array([[tip, tip + long * self.force / length]])
+        return None if self.force is None or now - self.force_at > SILENCE_S else self.force[None]
 
     def per_marker(self) -> str:
         """Return the marker with the largest median error of the last `STEADY_S`, as text."""

@@ -1,0 +1,506 @@
+"""
+What pushes the arm: a force, and the place along the arm at which it acts.
+
+The measured shape is compared with the prediction under the measured tensions and a force F at an
+arc length s. The imperfections of the arm are those of `BuiltArm`: their mean shifts the
+prediction, their covariance is noise that all markers share. Without a tracker, wire pulls replace
+the markers.
+
+    r = y - f(T, b; F, s),   V = B P B' + remainder + loaded remainder + noise,
+    F += (J' V^-1 J)^-1 J' V^-1 r   (Gauss-Newton)
+
+Unloaded references contain no information on the errors of the model of a loaded arm: the loaded
+remainder is proportional to the motion of the arm by the load, as the known error of the model is
+to what the tip moves.
+
+The place is that of the lowest cost r' V^-1 r + F' F / prior², profiled over the force at every
+place. At a given shape the moments of a force are linear in it, so that slopes by forces at all
+cells profile the cost near a solution. The place has the interval within which the cost is as low
+by chance. Where nothing tells it (a single marker, wire pulls), and where nothing acts
+significantly, it is that of the whole arm and the force the one as if at the tip.
+
+Along the line from a place to the base a force hardly bends the arm, and f is not linear: mean and
+covariance are those of the posterior, integrated numerically along that axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import make_interp_spline
+
+from ..common.arrays import Floats
+from ..common.estimation import gauss_newton
+from ..inference.predict import Conditions, FreeParameter, SettledShapes, Shifted, free_parameters
+from ..inference.search import DIFFERENCE_STEP
+from ..inference.statistics import RARE, SIGNIFICANCE, TIE_SCORE, chi2_isf
+from ..model.derivatives import Move
+from ..model.shape import ShapeBatch
+from .built_arm import LOAD, ODD_PROBABILITY, BuiltArm
+
+# the effect whose place is sought; where the description has one itself, the tip is the only place
+PLACED = 'point_load'
+# [1] of a typical force: prior 1 sd at the tip, because such a force bends the arm by a quarter;
+# elsewhere that of the same moment at the base
+PRIOR = 5.0
+# [1] places along the arm at which the cost is profiled, because a hundredth of the length is a
+# tenth of what a place is told to
+PLACES = 100
+# [1] searches for the place, because each is linear about the last one: most end after two, those
+# of an arm that was pushed by a third of its length between two frames after six
+ROUNDS = 8
+# [1] standard deviations along the worst axis between the mean and the centre of the integration,
+# else part of the posterior would lie outside
+SHIFTED_SD = 0.5
+# [1] of the length: an arm that moved by less keeps its covariance, because the Jacobian of the
+# imperfections hardly changes; a solution that is farther off is a local minimum
+SAME_LENGTH = 0.02
+# [1] of the prior: below this 1 sd an axis is linear, because the force hardly varies
+LINEAR = 0.01
+# [1] standard deviations at which the posterior is evaluated; beyond lies 0.3 % by chance
+SPREAD = np.linspace(-3.0, 3.0, 9)
+# [1] of a wire pull: error of its model, 1 sd, because wires stretch (assumed)
+PULL_ERROR = 0.02
+# [m] of a wire pull: smallest error, 1 sd, because wires settle on their drums (assumed)
+PULL_ERROR_M = 1e-4
+# [N] of a force whose arrow has half of its largest length, so that forces of 0.01 N and of 1 N
+# are visible in one scene
+FORCE_HALF_N = 0.01
+# [1] of the motion by the load: error of its model, 1 sd; without it one of two 95 % intervals
+# would miss the force
+LOADED_ERROR = 0.01
+
+
+@dataclass(frozen=True)
+class Contact:
+    """The force on the arm in the base frame, and its place."""
+
+    force: Floats  # (3,) [N]
+    covariance: Floats  # (3, 3) [N²] at that place
+    chi2: float  # of the residual
+    freedom: int  # degrees of freedom of the residual
+    place: float  # [m] arc length
+    interval: tuple[float, float]  # [m] of the place, 95 %
+    point: Floats  # (3,) [m] of the arm at the place, as the tracker sees it
+    off: float  # [m] largest residual of a coordinate
+
+    @property
+    def acts(self) -> bool:
+        """Whether the force is significant: by chance once in a million estimates."""
+        squared = float(self.force @ np.linalg.solve(self.covariance, self.force))
+        return squared > chi2_isf(ODD_PROBABILITY, 3)
+
+    def exceeds(self, threshold: float) -> bool:
+        """Whether the force acts and its size is above a threshold [N] in 97.5 of 100 cases."""
+        size = float(np.linalg.norm(self.force))
+        along = self.force / max(size, 1e-12)
+        sd = float(np.sqrt(along @ self.covariance @ along))
+        return self.acts and size - np.sqrt(chi2_isf(SIGNIFICANCE, 1)) * sd > threshold
+
+    def arrow(self, size: float) -> Floats:
+        """Return the force as an arrow (2, 3) [m] from its place, in a scene of a size [m]."""
+        length = 0.5 * size / (float(np.linalg.norm(self.force)) + FORCE_HALF_N)
+        return np.array([self.point, self.point + length * self.force])
+
+
+class ContactObserver:
+    """Estimates force and place repeatedly, each time from the last estimate."""
+
+    def __init__(self, arm: BuiltArm, pull_noise: float = 2e-5) -> None:
+        """
+        Begin without a force; what a description lacks unknowingly appears as a force.
+
+        Parameters
+        ----------
+        arm : BuiltArm
+        pull_noise : float
+            1 sd of a measured wire pull [m].
+
+        """
+        self.arm, self.pull_noise, self.tip = arm, pull_noise, arm.robot.length
+        self.effect = LOAD if PLACED in arm.robot.effects else PLACED
+        frees = free_parameters(arm.catalogue[self.effect], arm.robot)
+        named = {free.parameter.name: free for free in frees}
+        self._frees = [named[f'force_{xyz}'] for xyz in 'xyz']
+        self._place = named.get('arc_length')
+        self._described = np.array([arm.whole.value(free) for free in self._frees])
+        self._typical = self._frees[0].parameter.typical
+        self._last = np.zeros(3), self.tip
+        self._shapes: ShapeBatch | None = None  # the last one, start of the next equilibrium
+        self.kept: _KeptWhitening | None = None  # of the last covariance
+        self.slopes: Floats | None = None  # (3 J, 3) [m/N] last Jacobian of the markers
+
+    def update(
+        self,
+        tensions: Floats,
+        positions: Floats | None,
+        pulls: Floats | None = None,
+        frames: int = 1,
+    ) -> Contact | None:
+        """
+        Estimate force and place.
+
+        Parameters
+        ----------
+        tensions : (m,) [N]
+            Measured tensions.
+        positions : (J, 3) [m], optional
+            Measured markers, nan where missing; without any the wire pulls are used.
+        pulls : (m,) [m], optional
+            Measured wire pulls, from the straight arm.
+        frames : int
+            Number of frames whose mean the positions are.
+
+        Returns
+        -------
+        Contact or None
+            None where the model has no equilibrium or nothing was measured.
+
+        """
+        inputs = np.maximum(tensions, 0.0)[None]
+        markers = positions is not None and bool(np.isfinite(positions).any())
+        measured = positions if markers else pulls
+        if measured is None or not np.isfinite(measured).any():
+            return None
+        data = _Measured(inputs, measured.ravel(), markers, frames)
+        best, none = None, np.zeros(3)
+        # a local minimum leaves a marker elsewhere, as an arm does that was pushed far at once
+        for start in (self._last, (none, self.tip), (none, 0.5 * self.tip)):
+            contact = _Fit(self, data).solve(*start)
+            if contact is not None and (best is None or contact.off < best.off):
+                best = contact
+            if best is not None and (best.off < SAME_LENGTH * self.tip or not markers):
+                break
+        if best is not None:
+            self._last = best.force, best.place
+        return best
+
+    def point(self, force: Floats, place: float) -> dict[FreeParameter, float]:
+        """Return the parameters of the model under a force at a place."""
+        values = (self._described + force).tolist()
+        where = {} if self._place is None else {self._place: place}
+        return where | dict(zip(self._frees, values, strict=True))
+
+    def predicted(
+        self, force: Floats, inputs: Floats, markers: bool, place: float | None = None
+    ) -> Floats | None:
+        """Return markers (3 J,) or wire pulls (m,) [m] under a force (3,) [N] (at the tip)."""
+        point = self.point(force, self.tip if place is None else place)
+        last = self._shapes
+        near = None if last is None else SettledShapes(last.inputs, last.state)
+        shapes = self.arm.shapes(inputs, point, near)
+        if shapes is None:
+            return None
+        self._shapes = shapes
+        return self.arm.split.see(shapes).ravel() if markers else np.array(shapes.pulls[0])
+
+    def along(self, force: Floats, place: float, inputs: Floats) -> Floats | None:
+        """
+        Return the slopes of the markers (PLACES, 3 J, 3) [m/N] by forces along a loaded arm.
+
+        None where the place is not sought, or the arm has no slopes.
+        """
+        split, point = self.arm.split, self.point(force, place)
+        split.inputs = inputs
+        if self._place is None or split.model.remembers or split.markers(point) is None:
+            return None
+        assert split.settled is not None
+        arrays, ends = split.model.arrays, np.append(0.0, np.cumsum(self.arm.robot.cell_lengths))
+        first = arrays.layout.rows[self.effect, 'arc_length']
+        place_row, *force_rows = np.eye(4)[:, :, None]  # the components of the force follow
+
+        def moves(part: Conditions, count: int) -> list[Move]:
+            entries, step = arrays.values[first : first + 4], self.step
+            return [
+                Shifted(arrays, (-step, step), count, entries, row, about=end * place_row)
+                for end in ends[1:]
+                for row in force_rows
+            ]
+
+        slopes = split.tangent_by(moves, point, split.settled).markers
+        at_ends = slopes.reshape(len(ends) - 1, 3, -1).swapaxes(1, 2)
+        at_ends = np.concatenate([np.zeros_like(at_ends[:1]), at_ends])
+        # within a cell both ends carry as much as they are near
+        return np.asarray(make_interp_spline(ends, at_ends, k=1)(self.places))
+
+    def point_at(self, place: float) -> Floats:
+        """Return the point (3,) [m] of the last predicted arm at an arc length."""
+        assert self._shapes is not None
+        there = self._shapes.markers(np.array([place]), np.zeros((1, 3)))
+        return np.asarray(self.arm.split.model.measured(there)[0, 0])
+
+    @property
+    def places(self) -> Floats:
+        """Places (PLACES,) [m] at which the cost is profiled; the last is the tip."""
+        return np.arange(1, PLACES + 1) / PLACES * self.tip
+
+    @property
+    def step(self) -> float:
+        """Step [N] of a difference."""
+        return DIFFERENCE_STEP * self._typical
+
+    def prior(self, place: Floats | float) -> Floats:
+        """Return the prior 1 sd [N] of each component at places (...) [m]."""
+        return np.asarray(PRIOR * self._typical * self.tip / place)
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """One measurement."""
+
+    inputs: Floats  # (1, m) [N]
+    measured: Floats  # (3 J,) of markers or (m,) of wire pulls [m]
+    markers: bool
+    frames: int
+
+    @property
+    def rows(self) -> npt.NDArray[np.bool_]:
+        """Valid coordinates."""
+        return np.isfinite(self.measured)
+
+
+@dataclass(frozen=True)
+class _Solution:
+    """The likeliest force at a place."""
+
+    place: float  # [m]
+    force: Floats  # (3,) [N]
+    expected: Floats  # (3 J,) or (m,) [m] prediction
+    white: Floats  # (r,) whitened residual
+    chi2: float  # of the residual
+    columns: Floats  # (r, 3) [1/N] whitened Jacobian
+    normal: Floats  # (3, 3) [1/N²] information of measurement and prior
+
+
+class _Fit:
+    """Fit of force and place to one measurement."""
+
+    def __init__(self, observer: ContactObserver, data: _Measured) -> None:
+        self.observer, self.data, self.rows = observer, data, data.rows
+        self.factor: Floats = np.zeros((0, 0))
+        self.columns: Floats = np.zeros((0, 3))  # (r, 3) [1/N] whitened Jacobian
+        self.lacked: Floats = np.zeros(len(data.measured))  # [m] motion by what is not described
+
+    def solve(self, force: Floats, place: float) -> Contact | None:
+        """Return the contact, None where the model has no equilibrium."""
+        whole, tip = (0.0, self.observer.tip), self.observer.tip
+        best = self._at(force, place)
+        if best is None:
+            return None
+        usual = chi2_isf(SIGNIFICANCE, max(len(best.white) - 3, 1)) * self.observer.arm.widening
+        if best.chi2 > usual or self._acts(best, RARE):
+            best, interval = self._searched(best)
+            if interval != whole and self._acts(best, ODD_PROBABILITY):
+                return self._told(best, interval)
+        if best.place != tip:
+            best = self._at(np.zeros(3), tip)
+        return None if best is None else self._told(best, whole)
+
+    def _wider(self, solution: _Solution) -> float:
+        """Return the factor on the variances by the residual, and by the references."""
+        if not self.data.markers:
+            return 1.0
+        freedom = max(len(solution.white) - 3, 1)
+        return max(solution.chi2 / freedom, self.observer.arm.widening)
+
+    def _acts(self, solution: _Solution, level: float) -> bool:
+        """Whether a force is significant at a level."""
+        gained = solution.force @ solution.normal @ solution.force / self._wider(solution)
+        return bool(gained > chi2_isf(level, 3))
+
+    def _searched(self, best: _Solution) -> tuple[_Solution, tuple[float, float]]:
+        """Return the solution at the likeliest place, and the interval of the place [m]."""
+        places, interval = self.observer.places, (0.0, self.observer.tip)
+        # within a cell a force is only statically the same as in the arm, which bows along it
+        half = 0.5 * float(self.observer.arm.robot.cell_lengths.max())
+        for _ in range(ROUNDS):
+            # three coordinates, such as those of the tip, tell a force and no place
+            profile = self._profile(best) if self.data.markers and len(best.white) > 3 else None
+            if profile is None:
+                break
+            costs, forces = profile
+            lowest = int(np.argmin(costs))
+            alike = costs < costs[lowest] + self._wider(best) * chi2_isf(SIGNIFICANCE, 1)
+            first, last = places[np.flatnonzero(alike)[[0, -1]]] + half * np.array([-1.0, 1.0])
+            interval = max(float(first), 0.0), min(float(last), self.observer.tip)
+            present = int(np.argmin(np.abs(places - best.place)))
+            if costs[present] < costs[lowest] + TIE_SCORE:
+                break
+            other = self._at(forces[lowest], float(places[lowest]))
+            if other is None or self._cost(other) >= self._cost(best):
+                break
+            best = other
+        return best, interval
+
+    def _profile(self, solution: _Solution) -> tuple[Floats, Floats] | None:
+        """Return the cost (PLACES,) and the likeliest force (PLACES, 3) [N] at every place."""
+        slopes = self.observer.along(solution.force, solution.place, self.data.inputs)
+        if slopes is None:
+            return None
+        columns = self.factor @ slopes[:, self.rows]
+        here = int(np.argmin(np.abs(self.observer.places - solution.place)))
+        target = solution.white + columns[here] @ solution.force
+        prior = self.observer.prior(self.observer.places)[:, None, None] ** -2 * np.eye(3)
+        normal = columns.swapaxes(1, 2) @ columns + prior
+        gradient = columns.swapaxes(1, 2) @ target
+        forces = np.linalg.solve(normal, gradient[..., None])[..., 0]
+        return target @ target - (gradient * forces).sum(axis=1), forces
+
+    def _cost(self, solution: _Solution) -> float:
+        """Return the cost of a solution with the present covariance."""
+        white = self._whitened(solution.expected)
+        inside = solution.force / self.observer.prior(solution.place)
+        return float(white @ white + inside @ inside)
+
+    def _at(self, start: Floats, place: float) -> _Solution | None:
+        """Return the likeliest force at a place, None where the model has no equilibrium."""
+        expected = self._predicted(start, place)
+        factor = None if expected is None else self._whitening(start, place, expected)
+        if factor is None:
+            return None
+        self.factor, prior = factor, self.observer.prior(place) ** -2 * np.eye(3)
+
+        def whitened(force: Floats) -> tuple[Floats, float] | None:
+            white = self._white(force, place)
+            return None if white is None else (white, float(white @ white))
+
+        def linearised(force: Floats, white: Floats) -> tuple[Floats, Floats] | None:
+            return self._linearised(force, place, white)
+
+        fit = gauss_newton(start, prior, whitened, linearised)
+        if fit is None or (expected := self._predicted(fit[0], place)) is None:
+            return None
+        force, white, chi2, information = fit
+        normal = information + prior
+        return _Solution(place, force, expected, white, chi2, self.columns, normal)
+
+    def _told(self, best: _Solution, interval: tuple[float, float]) -> Contact:
+        """Return a solution with its doubt."""
+        if self.data.markers:
+            self.observer.slopes = np.zeros((len(self.rows), 3))
+            self.observer.slopes[self.rows] = np.linalg.solve(self.factor, best.columns)
+        freedom, wider = max(int(self.rows.sum()) - 3, 1), self._wider(best)
+        self._predicted(best.force, best.place)  # the last one may be another's
+        point = self.observer.point_at(best.place)
+        mean, covariance = self._spread(best, wider)
+        off = float(np.nanmax(np.abs(self.data.measured - best.expected - self.lacked)))
+        return Contact(mean, covariance, best.chi2, freedom, best.place, interval, point, off)
+
+    def _spread(self, solution: _Solution, wider: float) -> tuple[Floats, Floats]:
+        """
+        Return mean [N] and covariance [N²] of the force.
+
+        Along the least certain axis the model is not linear: the posterior is integrated along it,
+        with the other two axes at their linear optimum.
+        """
+        force, columns = solution.force, solution.columns
+        values, axes = np.linalg.eigh(wider * np.linalg.inv(solution.normal))
+        known, worst, sd = axes[:, :2], axes[:, 2], float(np.sqrt(values[2]))
+        prior = self.observer.prior(solution.place)
+        if sd < LINEAR * prior:
+            return force, np.asarray(axes * values @ axes.T)
+        best = np.linalg.pinv(columns @ known)
+        for _ in range(2):  # a second time around the first mean
+            places, logs = [], []
+            for offset in SPREAD:
+                place = force + offset * sd * worst
+                white = self._white(place, solution.place)
+                if white is None:
+                    continue
+                aside = best @ white
+                residual = white - columns @ (known @ aside)
+                place = place + known @ aside
+                places.append(place)
+                logs.append(-0.5 * (residual @ residual / wider + place @ place / prior**2))
+            if not places:
+                return force, np.asarray(axes * values @ axes.T)
+            weights = np.exp(np.array(logs) - max(logs))
+            weights /= weights.sum()
+            before, force = force, weights @ np.array(places)
+            if abs(worst @ (force - before)) < SHIFTED_SD * sd:
+                break
+        off = np.array(places) - force
+        around = off.T @ (weights[:, None] * off)
+        step = sd * (SPREAD[1] - SPREAD[0]) * worst  # each place stands for all within a step
+        return force, around + np.outer(step, step) / 12.0 + (known * values[:2]) @ known.T
+
+    def _predicted(self, force: Floats, place: float) -> Floats | None:
+        """Return the prediction under a force at a place."""
+        data = self.data
+        return self.observer.predicted(force, data.inputs, data.markers, place)
+
+    def _white(self, force: Floats, place: float) -> Floats | None:
+        """Return the whitened residual under a force at a place."""
+        expected = self._predicted(force, place)
+        return None if expected is None else self._whitened(expected)
+
+    def _whitened(self, expected: Floats) -> Floats:
+        """Return the whitened residual of a prediction."""
+        return np.asarray(self.factor @ (self.data.measured - expected - self.lacked)[self.rows])
+
+    def _linearised(
+        self, force: Floats, place: float, white: Floats
+    ) -> tuple[Floats, Floats] | None:
+        """Update the whitened Jacobian; return information (3, 3) and gradient (3,)."""
+        step, columns = self.observer.step, []
+        for axis in np.eye(3):
+            for side in (step, -step):
+                moved = self._white(force + side * axis, place)
+                if moved is not None:
+                    columns.append((white - moved) / side)
+                    break
+            else:
+                return None
+        self.columns = slopes = np.array(columns).T
+        return slopes.T @ slopes, slopes.T @ white
+
+    def _whitening(self, force: Floats, place: float, expected: Floats) -> Floats | None:
+        """Return the inverse root of the covariance, the last one where the arm hardly moved."""
+        observer, data = self.observer, self.data
+        if not data.markers:
+            sd = np.sqrt(observer.pull_noise**2 + (PULL_ERROR * expected) ** 2 + PULL_ERROR_M**2)
+            return np.asarray(np.diag(1.0 / sd[self.rows]))
+        arm, kept = observer.arm, observer.kept
+        if kept is None or not kept.serves(arm, data, expected):
+            columns = arm.columns(data.inputs, observer.point(force, place))
+            if columns is None:
+                return None
+            free, moved = observer.predicted(np.zeros(3), data.inputs, True), 0.0
+            if free is not None:  # motion by the load at the marker that moves most
+                off = data.measured - free - arm.lacked(columns)
+                off = np.linalg.norm(off.reshape(-1, 3), axis=1)
+                moved = float(np.nanmax(off))
+            kept = _KeptWhitening(columns, arm.covariance, data, expected, moved)
+        if not len(kept.factor) or data.frames != kept.data.frames:
+            kept = replace(kept, data=data, factor=kept.inverse_root(arm, data))
+        observer.kept, self.lacked = kept, arm.lacked(kept.columns)
+        return kept.factor
+
+
+@dataclass(frozen=True)
+class _KeptWhitening:
+    """The whitening factor, with the state for which it is valid."""
+
+    columns: Floats  # (3 J, q) [m] motion by imperfections
+    known: Floats  # covariance of the imperfections
+    data: _Measured
+    expected: Floats  # (3 J,) [m]
+    moved: float  # [m] motion of the arm by the load
+    factor: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def inverse_root(self, arm: BuiltArm, data: _Measured) -> Floats:
+        """Return the inverse root of the covariance of the valid coordinates."""
+        covariance = arm.spread(data.rows, self.columns, data.frames)
+        loaded = max(arm.response, LOADED_ERROR if arm.level > 0.0 else 0.0) * self.moved
+        covariance += loaded**2 * arm.rest(data.rows)
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+
+    def serves(self, arm: BuiltArm, data: _Measured, expected: Floats) -> bool:
+        """Whether the columns are still valid."""
+        return (
+            arm.covariance is self.known
+            and np.array_equal(data.rows, self.data.rows)
+            and bool(np.abs(expected - self.expected).max() < SAME_LENGTH * arm.robot.length)
+        )
