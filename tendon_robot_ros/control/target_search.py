@@ -191,8 +191,8 @@ class SearchRequest:
 
     Attributes
     ----------
-    target, as_sent : Target
-        Target for the model, without the bias of its tip there, and the commanded target.
+    target : Target
+        Target for the model, without the bias of its tip there.
     guess, last : Shape or None
         Start of the search, and the last shape, with the memory of friction.
     acting : (m,) [N]
@@ -207,7 +207,6 @@ class SearchRequest:
     model: Model
     settings: Settings
     target: Target
-    as_sent: Target
     guess: Shape | None
     last: Shape | None
     acting: Floats
@@ -233,7 +232,6 @@ class SearchRequest:
             model=model,
             settings=core.settings,
             target=core.without_bias(target),
-            as_sent=target,
             guess=guess,
             last=last,
             acting=core.acting_tensions(),
@@ -288,18 +286,18 @@ class SearchRequest:
         if settings.pull_mode:  # the same lengths are hardly another shape, whatever the tensions
             with suppress(NoEquilibriumError, InputError):
                 guess = model.follow_pulls(past, guess.pulls)
-        corrects = reference is not None and settings.tip_gain > 0.0
         try:
             solution = self._solve_from(past, guess, give_up, report, reference)
         except NoEquilibriumError:
-            if reference is None or not corrects:
+            if reference is None or settings.tip_gain == 0.0:
                 raise
             return reference
-        if reference is None or not corrects:
-            return solution
-        low, high = model.limits.T
-        most = (reference.tensions + JUMP_MAX * (high - low)).max()
-        return solution if solution.tensions.max() <= most else reference
+        if reference is not None and reference.status == 'reached' and settings.tip_gain > 0.0:
+            low, high = model.limits.T
+            used, enough = ((one.tensions - low) / (high - low) for one in (solution, reference))
+            if used.max() > enough.max() + JUMP_MAX:
+                return reference
+        return solution
 
     @property
     def _local(self) -> bool:
