@@ -25,7 +25,8 @@ from ..inference.imperfections import pushes
 from ..inference.intervals import QUANTILE
 from ..inference.predict import FreeParameter, Point, Predictor, free_parameters
 from ..inference.search import DIFFERENCE_STEP
-from ..inference.session import NEAR_SCORE, Session
+from ..inference.session import Session
+from .verdict import APART_FROM_SCORE
 
 Start = Mapping[str, float]  # parameter -> SI
 DIRECTIONS = 200  # [1] of a wall or a string, because neighbours of so many are 15° apart
@@ -178,6 +179,7 @@ def fit_placed(session: Session, base: Fit) -> list[Ranked]:
     A string also starts from the load that explains most: it is one from far away.
     """
     screen, fitted = Screen.of(session.fitters[0], base), dict[str, Ranked]()
+    line = base.deviance - APART_FROM_SCORE  # what gains less is never named
     if screen is None:
         return []
     names = ['point_load', 'tether', 'contact']
@@ -187,10 +189,11 @@ def fit_placed(session: Session, base: Fit) -> list[Ranked]:
         if name not in session.catalogue or name in session.robot.effects:
             continue
         starts = screen.starts(session.catalogue[name], fitted.get('point_load'))
-        best = _fitted(session, name, starts, base.deviance)
-        if name == 'tether' and 'point_load' in fitted:
+        best = _fitted(session, name, starts, line)
+        gains = best is not None and best.fit.deviance < line
+        if name == 'tether' and gains and 'point_load' in fitted:
             springs = screen.strings_like(fitted['point_load'], are_springs=True)
-            both = best, _fitted(session, name, springs, base.deviance)
+            both = best, _fitted(session, name, springs, line)
             best = min(filter(None, both), key=lambda one: one.score, default=None)
         if best is not None:
             fitted[name] = best
@@ -213,7 +216,7 @@ def _fitted(session: Session, name: str, starts: Iterable[Start], line: float) -
             rows.append((float(search.r @ search.r), len(rows), frees))
     for _, _, frees in sorted(rows)[:BEST_FEW]:
         candidate = Candidate((name,), tuple(frees), present=False)
-        hopeless = line + NEAR_SCORE if best is None else best.fit.deviance
+        hopeless = line if best is None else min(line, best.fit.deviance)
         with suppress(*FAILURES):
             fit = fitter.fit(candidate.frees, frees, hopeless=hopeless)
             if best is None or fit.deviance < best.fit.deviance:
