@@ -191,8 +191,8 @@ class SearchRequest:
 
     Attributes
     ----------
-    target : Target
-        Target for the model, without the bias of its tip there.
+    target, as_sent : Target
+        Target for the model, without the bias of its tip there, and the commanded target.
     guess, last : Shape or None
         Start of the search, and the last shape, with the memory of friction.
     acting : (m,) [N]
@@ -207,6 +207,7 @@ class SearchRequest:
     model: Model
     settings: Settings
     target: Target
+    as_sent: Target
     guess: Shape | None
     last: Shape | None
     acting: Floats
@@ -232,6 +233,7 @@ class SearchRequest:
             model=model,
             settings=core.settings,
             target=core.without_bias(target),
+            as_sent=target,
             guess=guess,
             last=last,
             acting=core.acting_tensions(),
@@ -260,7 +262,10 @@ class SearchRequest:
                 past = model.follow(past, tensions)
         except NoEquilibriumError:  # then in a straight line
             past, via = start, ()
-        if model.remembers:
+        closed = settings.tip_gain > 0.0 and not (via or settings.keep_out or settings.pull_mode)
+        if closed and model.remembers and not self._local:
+            path = Approach(self._for_closed_loop(start, give_up, report))
+        elif model.remembers:
             path = Approach(self._solve_with_memory(past, give_up, report), via)
         else:
             path = Approach(self._solve_from(None, guess, give_up, report), via)
@@ -273,9 +278,6 @@ class SearchRequest:
         The search begins at the solution for an arm without a past, because it does not depend on
         where the arm comes from: of several solutions every approach then ends in the same, and
         the model's errors are the same, too. Targets near the last one begin at the present shape.
-
-        An inaccurate model may ask for high co-contraction, where its error is largest. In closed
-        loop the solution without a past then counts, and the loop corrects the rest.
         """
         model, settings, reference = self.model, self.settings, None
         smooth = settings.preferences is not None and settings.preferences.smooth > 0.0
@@ -286,18 +288,36 @@ class SearchRequest:
         if settings.pull_mode:  # the same lengths are hardly another shape, whatever the tensions
             with suppress(NoEquilibriumError, InputError):
                 guess = model.follow_pulls(past, guess.pulls)
-        try:
-            solution = self._solve_from(past, guess, give_up, report, reference)
-        except NoEquilibriumError:
-            if reference is None or settings.tip_gain == 0.0:
-                raise
-            return reference
-        if reference is not None and reference.status == 'reached' and settings.tip_gain > 0.0:
-            low, high = model.limits.T
-            used, enough = ((one.tensions - low) / (high - low) for one in (solution, reference))
-            if used.max() > enough.max() + JUMP_MAX:
-                return reference
-        return solution
+        return self._solve_from(past, guess, give_up, report, reference)
+
+    def _for_closed_loop(self, start: Shape, give_up: GiveUp, report: Report | None) -> Reach:
+        """
+        Return tensions from which the closed loop brings the tip to the target.
+
+        From the present state of friction, an inaccurate model may require high co-contraction,
+        where its error is largest. Solutions without the friction memory, and without the tip's
+        bias, are therefore candidates, too: the first one whose highest tension is close to the
+        lowest of all candidates is returned, and the loop corrects the rest.
+        """
+        without_bias = replace(self, target=self.as_sent)
+        solutions: list[Reach] = []
+        for request, past, on_report in (
+            (self, None, report),
+            (without_bias, None, None),
+            (self, start, None),
+        ):
+            try:
+                if not (solutions and give_up()):
+                    solution = request._solve_from(past, self.guess or past, give_up, on_report)
+                    solutions.insert(len(solutions) if past is None else 0, solution)
+            except NoEquilibriumError:
+                if not solutions and past is not None:  # the last request
+                    raise
+        candidates = [one for one in solutions if one.status == 'reached'] or solutions
+        low, high = self.model.limits.T
+        highest = [float(((one.tensions - low) / (high - low)).max()) for one in candidates]
+        enough = min(highest) + JUMP_MAX
+        return next(one for one, size in zip(candidates, highest, strict=True) if size <= enough)
 
     @property
     def _local(self) -> bool:
