@@ -439,7 +439,8 @@ class Stepwise:
         ]
         fitter = Fitter(self.predictor, whitener, priors)
         search = fitter.search((), start, near=near)
-        search.gain_min = DEVIANCE_CONVERGED
+        if len(self.held):  # its errors count, its values are not told
+            search.gain_min = DEVIANCE_CONVERGED
         search.run(steps)
         fit = replace(fitter.freeze(search), frees=frees, nuisances=(), described=0.0)
         low = np.array([free.parameter.low for free in frees])
