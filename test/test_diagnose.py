@@ -59,8 +59,8 @@ def test_a_cause_outside_the_catalogue_is_called_so():
 
 def test_a_cable_that_holds_the_arm_at_a_disk_is_a_string_or_a_force_at_a_place():
     found = diagnose(load_dataset(blind('g') / 'fit'))
-    assert (found.verdict, names(found)) == ('ambiguous', ['point_load'])
-    assert found.cannot_tell_apart == ('point_load', 'tether')
+    assert found.verdict == 'ambiguous'
+    assert set(found.cannot_tell_apart) == {'point_load', 'tether'}
     assert found.error_after < 0.2 * found.error_before
 
 

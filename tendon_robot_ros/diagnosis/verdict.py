@@ -313,8 +313,9 @@ def _places(evidence: Evidence, score: float) -> list[Hypothesis]:
     """Return the adequate effects whose place had to be found, up to a score, best first."""
     every = [one.placed for one in evidence.rivals or () if one.placed is not None]
     near = [one for one in every if one.score <= score and one.probability > P_SINGLE_MIN]
-    near.sort(key=lambda one: one.score)
-    return [one for one in near if differs(evidence, one)]
+    near = [one for one in near if differs(evidence, one)]
+    best = first_of_best(near) if near else None
+    return sorted(near, key=lambda one: (one is not best, one.score))
 
 
 def _without_places(evidence: Evidence) -> Concluded:

@@ -62,8 +62,9 @@ EFFECT = Effect(
         # hundredth of its length
         Parameter('stiffness', 'N/m', 0.0, 1e6, 0.0, typical=100.0, of='tip_stiffness'),
         Parameter('distance', 'm', -10.0, 10.0, 0.0, typical=0.1, of='length'),
-        Parameter('azimuth', 'rad', -2.0 * math.pi, 2.0 * math.pi, 0.0, typical=math.pi),
-        Parameter('elevation', 'rad', -math.pi, math.pi, 0.0, typical=0.1),
+        # round bounds beyond a turn, because values are written with few digits
+        Parameter('azimuth', 'rad', -7.0, 7.0, 0.0, typical=math.pi),
+        Parameter('elevation', 'rad', -3.2, 3.2, 0.0, typical=0.1),
         Parameter(
             'curvature', '1/m', -100.0, 100.0, 0.0, 1.0, of='curvature', only_described=True
         ),
