@@ -186,6 +186,7 @@ class Reaction:
     def __init__(self, node: Node, parameters: Parameters) -> None:
         """Create the publishers."""
         self._node, self._parameters, self.done = node, parameters, ''
+        self._exceeded = False  # by the last estimate: a single one may be wrong
         self._stop = node.create_publisher(*interface.topic('stop'))
         held = interface.topic('controller/tendon_trajectory', parameters['controller'])
         self._hold = node.create_publisher(*held)
@@ -193,7 +194,8 @@ class Reaction:
     def to(self, contact: Contact) -> None:
         """React once when a contact exceeds the threshold, and take a stop back when it ends."""
         action = self._parameters['contact_action']
-        acts = action != 'none' and contact.exceeds(self._parameters['contact_threshold'])
+        exceeds = contact.exceeds(self._parameters['contact_threshold'])
+        acts, self._exceeded = action != 'none' and exceeds and self._exceeded, exceeds
         before, self.done = self.done, action if acts else ''
         if self.done == before:
             return
