@@ -214,7 +214,7 @@ def test_of_an_arm_without_a_hidden_effect_it_says_that_the_model_is_adequate():
 def test_adequate_is_not_said_while_an_effect_may_move_the_tip_unseen():
     """Kinks of one sign hide among kinks at random: four miss nothing, six may name it."""
     # at the edge: a smaller one is named by six postures of fewer arms, or of none
-    subject = arm({'pre_curvature': {'angle_x': 0.0045}}, seed=102)
+    subject = arm({'pre_curvature': {'angle_x': 0.004}}, seed=102)
     said = []
     goal = Goal(postures=6, checks=0)
     made = Investigation(subject, goal, report=lambda news: said.append(news.text)).run()

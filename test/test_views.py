@@ -63,6 +63,7 @@ def running(tmp_path_factory):
         start('driver', SPACE, logs, **patient[0]),
         start('controller', SPACE, logs, **patient[1]),
         ForkedNode('robot-model', {}, SPACE),
+        ForkedNode('monitor', {'folder': str(logs), 'force_rate': 5.0}, SPACE),
     ):
         station = Station(SPACE)
         station.described = station.hear(String, 'robot_description', LATCHED)

@@ -18,7 +18,7 @@ from ..inference.fit import Fit
 from ..inference.fitter import BEST_FEW, FAILURES, REVERSAL_GAIN_MIN, ROUNDS_MAX
 from ..inference.search import DIFFERENCE_STEP, LADDER
 from ..inference.session import NEAR_SCORE, Session, better
-from ..inference.statistics import chi2_sf, first_of_best
+from ..inference.statistics import first_of_best
 from .patterns import Pattern, patterns_of
 from .placed import fit_placed
 from .verdict import (
@@ -173,7 +173,7 @@ class Fits:
             Rival(p.name, p.score, p.everywhere, p.gain_p_value(base.deviance)) for p in patterns
         ]
         for r in self.placed:
-            by_chance = places * chi2_sf(base.deviance - r.fit.deviance, r.fit.rank)
+            by_chance = places * gain_p_value(session, base, r)
             rivals.append(Rival(r.names[0], r.score, True, by_chance, _numbers(r)))
         return tuple(rivals)
 

@@ -546,11 +546,11 @@ class Predictor:
         """Return the columns of the sections or tendons that a free parameter belongs to."""
         return slice(None) if free.column is None else slice(free.column, free.column + 1)
 
-    def unsettled(self) -> tuple[str, ...]:
-        """Name the postures without an equilibrium as described, each loaded from straight."""
+    def unsettled(self, point: Point | None = None) -> tuple[str, ...]:
+        """Name the postures without an equilibrium (as described), each loaded from straight."""
         names = []
         for part in self.parts:
-            self.set_parameters({}, part)
+            self.set_parameters(point or {}, part)
             names += [
                 self.dataset.postures[row]
                 for row in part.rows.tolist()

@@ -213,6 +213,8 @@ def choose(
     """
     design = LinearDesign(question, measured, catalogue)
     offered, where = design.offered(pool)
+    if not offered:
+        return []
     precision = np.eye(design.size)
     for rows in design.rows(measured) if len(measured.postures) else ():
         precision += rows.T @ rows
@@ -243,7 +245,7 @@ class LinearDesign:
         if predictor.markers(self.question.point) is None:
             if shown != slice(None):
                 return [], []
-            bad = {int(name) for name in predictor.unsettled()}
+            bad = {int(name) for name in predictor.unsettled(self.question.point)}
             keep = [i for i in range(len(pool)) if i not in bad]
             if len(keep) in (0, len(pool)):
                 return [], []
