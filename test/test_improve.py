@@ -186,7 +186,7 @@ def test_where_a_fit_has_no_equilibrium_the_search_goes_on(arm, monkeypatch):
 
     search = Stepwise(arm[0], ROBOT, CATALOGUE)
     state = next(search.path())
-    monkeypatch.setattr(Stepwise, 'state', fails)
+    monkeypatch.setattr('tendon_robot_ros.diagnosis.stepwise.Fitter.freeze', fails)
     assert search.step(state, {}) is None
 
 

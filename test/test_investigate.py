@@ -15,6 +15,7 @@ from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.diagnosis.verdict import Verdict
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.inference.noise import Noise
+from tendon_robot_ros.inference.predict import frees_of
 from tendon_robot_ros.investigation.choice import (
     LinearDesign,
     OpenQuestion,
@@ -38,11 +39,13 @@ from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.robot.estimates import natural_sizes
 from tendon_robot_ros.robot.keep_out import KeepOut, Region, Sphere
 from tendon_robot_ros.simulation.hidden import Workmanship
+from tendon_robot_ros.simulation.measurements import simulate
 from tendon_robot_ros.simulation.plant import make_plant
 from tendon_robot_ros.studies.rehearse import SimulatedArm
 
 KATO = ROOT / 'config' / 'robots' / 'kato_10_1.yaml'
 COARSE = coarse('kato_10_1')
+NOISE = Noise(1e-4, 0.0, 0.0, np.inf, 'declared')
 
 
 def arm(hidden, seed=3, robot=COARSE, **options):
@@ -75,25 +78,39 @@ def test_a_load_and_a_curvature_are_told_apart_where_they_differ_not_where_they_
     robot = replace(load_robot(KATO), effects={}, tolerances={}, exact=True)
     plant = make_plant(robot, {}, scatter=0.0)
     empty = empty_dataset(SimulatedArm(plant), 'none', 1)
-    noise = Noise(1e-4, 0.0, 0.0, np.inf, 'declared')
     low = robot.tension_limits[0]
     rows = np.array([[low] * 4, [low, 0.8, low, 0.8], [0.8, low, 0.8, low]])
     catalogue = load_catalogue()
-    first = choose(OpenQuestion(('tip_load',), {}, noise), empty, rows, catalogue, 3)
+    first = choose(OpenQuestion(('tip_load',), {}, NOISE), empty, rows, catalogue, 3)
     assert [c.gain for c in first] == sorted((c.gain for c in first), reverse=True)
-    both = OpenQuestion(('tip_load', 'pre_curvature'), {}, noise)
+    both = OpenQuestion(('tip_load', 'pre_curvature'), {}, NOISE)
     chosen = choose(both, empty, rows, catalogue, 2)
     same = choose(both, empty, np.repeat(rows[:1], 2, axis=0), catalogue, 2)
     assert sum(c.gain for c in chosen) > sum(c.gain for c in same) + 1.0
+
+
+def test_postures_in_which_the_present_estimate_has_no_equilibrium_are_not_chosen():
+    """An arm that is believed to be soft against twist buckles where two wires pull hard."""
+    robot = replace(load_robot(KATO), effects={}, tolerances={}, exact=True)
+    low, catalogue = robot.tension_limits[0], load_catalogue()
+    gentle, other = np.array([[low, 0.8, low, 0.8], [0.8, low, 0.8, low]])
+    hard = np.array([5.0, 0.0, 5.0, 0.0])
+    measured = simulate(make_plant(robot, {}, scatter=0.0), gentle[None], seed=1)
+    measured = replace(measured, robot=robot)
+    twist = frees_of(('torsion',), catalogue.sized(natural_sizes(robot)), robot)
+    believed = OpenQuestion(('torsion',), dict.fromkeys(twist, 1.0), NOISE)
+    chosen = choose(believed, measured, np.array([other, hard]), catalogue, 2)
+    assert [one.inputs.tolist() for one in chosen] == [other.tolist()]
+    assert choose(believed, measured, hard[None], catalogue) == []
 
 
 def test_once_only_an_interval_is_too_wide_the_posture_that_narrows_it_is_chosen():
     """The second posture tells more in all, of a parameter that is known well already."""
     robot = replace(load_robot(KATO), effects={}, tolerances={}, exact=True)
     empty = empty_dataset(SimulatedArm(make_plant(robot, {}, scatter=0.0)), 'none', 1)
-    noise, low = Noise(1e-4, 0.0, 0.0, np.inf, 'declared'), robot.tension_limits[0]
+    low = robot.tension_limits[0]
     rows = np.array([[low] * 4, [low, 0.8, low, 0.8], [0.8, low, 0.8, low], [0.8, low, low, 0.8]])
-    question, catalogue = OpenQuestion(('tip_load',), {}, noise), load_catalogue()
+    question, catalogue = OpenQuestion(('tip_load',), {}, NOISE), load_catalogue()
     narrows = replace(question, narrows=True)
 
     def widest(choice):

@@ -185,9 +185,8 @@ class Parser(argparse.ArgumentParser):
     def format_help(self, whole: bool = False) -> str:
         """Return the help: the first paragraph and a line per option, or all of both."""
         shown = [action for action in self._actions if action.help != argparse.SUPPRESS]
-        for named in range(
-            len(shown) + 1
-        ):  # the last options, where a screen has no line for each
+        # the last options are only named where a screen has no line for each
+        for named in range(len(shown) + 1):
             text = self._help(shown, shown[len(shown) - named :], whole)
             if whole or text.count('\n') <= SCREEN_LINES:
                 break

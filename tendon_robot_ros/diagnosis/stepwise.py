@@ -301,7 +301,8 @@ class Stepwise:
         """Yield the states of a search; the first has no blocks."""
         # [m²] that a block was to gain when it was last judged, by its label; see `promising`
         gains = dict[str, float]()
-        state = self.state((), {}, None, self.weights(self.predict({})))
+        state = self.fitted((), {}, None, self.weights(self.predict({})))
+        assert state is not None  # `predict` has its equilibria
         for _ in range(STEPS_MAX):
             yield state
             if self.chance(state) > P_SINGLE_MIN:
@@ -421,36 +422,6 @@ class Stepwise:
         residual = residual + jacobian[:, own] @ back[own]
         return promised(residual, jacobian[:, ~own], state.whitener, self.dataset.groups)
 
-    def state(
-        self,
-        blocks: tuple[Candidate, ...],
-        start: Point,
-        near: SettledShapes | None,
-        whitener: Whitener,
-        joined: str = '',
-        steps: int = ITERATIONS_MAX,
-    ) -> State:
-        """Fit blocks together, with their priors, from a start with equilibria near it."""
-        frees = tuple(free for block in blocks for free in block.frees)
-        centres = [self.predictor.start(free) for free in frees]
-        priors = [
-            Nuisance(free.effect, free, centre, PRIOR_TYPICALS * free.parameter.typical)
-            for free, centre in zip(frees, centres, strict=True)
-        ]
-        fitter = Fitter(self.predictor, whitener, priors)
-        search = fitter.search((), start, near=near)
-        if len(self.held):  # its errors count, its values are not told
-            search.gain_min = DEVIANCE_CONVERGED
-        search.run(steps)
-        fit = replace(fitter.freeze(search), frees=frees, nuisances=(), described=0.0)
-        low = np.array([free.parameter.low for free in frees])
-        high = np.array([free.parameter.high for free in frees])
-        slope = fit.jacobian.T @ fit.residual
-        pressed = (fit.values <= low) & (slope > 0.0) | (fit.values >= high) & (slope < 0.0)
-        free = fit.jacobian[:, ~pressed]
-        errors = left_out_errors(fit.residual, free, whitener, self.dataset.groups)
-        return State(blocks, fit, whitener, errors, joined)
-
     def fitted(
         self,
         blocks: tuple[Candidate, ...],
@@ -460,17 +431,43 @@ class Stepwise:
         joined: str = '',
         steps: int = ITERATIONS_MAX,
     ) -> State | None:
-        """Return the `state` of blocks; None where the arm has no equilibrium."""
+        """
+        Fit blocks together, with their priors, from a start with equilibria near it.
+
+        Without some postures a fit begins at the one of all postures, where that is known. None
+        where the arm has no equilibrium.
+        """
         names = frozenset(block.label for block in blocks)
         if len(self.held) and names in self.fits:
             start, near = self.fits[names].point, self.fits[names].settled
+        frees = tuple(free for block in blocks for free in block.frees)
+        priors = [
+            Nuisance(
+                free.effect,
+                free,
+                self.predictor.start(free),
+                PRIOR_TYPICALS * free.parameter.typical,
+            )
+            for free in frees
+        ]
+        fitter = Fitter(self.predictor, whitener, priors)
+        low = np.array([free.parameter.low for free in frees])
+        high = np.array([free.parameter.high for free in frees])
         try:
-            state = self.state(blocks, start, near, whitener, joined, steps)
+            search = fitter.search((), start, near=near)
+            if len(self.held):  # its errors count, its values are not told
+                search.gain_min = DEVIANCE_CONVERGED
+            search.run(steps)
+            fit = replace(fitter.freeze(search), frees=frees, nuisances=(), described=0.0)
+            slope = fit.jacobian.T @ fit.residual
+            pressed = (fit.values <= low) & (slope > 0.0) | (fit.values >= high) & (slope < 0.0)
+            free = fit.jacobian[:, ~pressed]
+            errors = left_out_errors(fit.residual, free, whitener, self.dataset.groups)
         except FAILURES:
             return None
         if not len(self.held):
-            self.fits[names] = state.fit
-        return state
+            self.fits[names] = fit
+        return State(blocks, fit, whitener, errors, joined)
 
     def weights(self, markers: Floats) -> Whitener:
         """Return weights that include the error of a prediction, of estimated size."""
