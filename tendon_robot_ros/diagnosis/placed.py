@@ -26,7 +26,6 @@ from ..inference.intervals import QUANTILE
 from ..inference.predict import FreeParameter, Point, Predictor, free_parameters
 from ..inference.search import DIFFERENCE_STEP
 from ..inference.session import Session
-from .verdict import APART_FROM_SCORE
 
 Start = Mapping[str, float]  # parameter -> SI
 DIRECTIONS = 200  # [1] of a wall or a string, because neighbours of so many are 15° apart
@@ -172,14 +171,14 @@ def _vector(stem: str, values: Floats) -> dict[str, float]:
     return {f'{stem}_{axis}': value for axis, value in zip('xyz', values.tolist(), strict=True)}
 
 
-def fit_placed(session: Session, base: Fit) -> list[Ranked]:
+def fit_placed(session: Session, base: Fit, line: float) -> list[Ranked]:
     """
     Fit every effect whose place is unknown from its best starts; without equilibrium none.
 
-    A string also starts from the load that explains most: it is one from far away.
+    Those whose score is not expected to fall below a `line` stop early. A string also starts from
+    the load that explains most: it is one from far away.
     """
     screen, fitted = Screen.of(session.fitters[0], base), dict[str, Ranked]()
-    line = base.deviance - APART_FROM_SCORE  # what gains less is never named
     if screen is None:
         return []
     names = ['point_load', 'tether', 'contact']
@@ -190,7 +189,7 @@ def fit_placed(session: Session, base: Fit) -> list[Ranked]:
             continue
         starts = screen.starts(session.catalogue[name], fitted.get('point_load'))
         best = _fitted(session, name, starts, line)
-        gains = best is not None and best.fit.deviance < line
+        gains = best is not None and best.score < base.deviance
         if name == 'tether' and gains and 'point_load' in fitted:
             springs = screen.strings_like(fitted['point_load'], are_springs=True)
             both = best, _fitted(session, name, springs, line)
@@ -216,9 +215,9 @@ def _fitted(session: Session, name: str, starts: Iterable[Start], line: float) -
             rows.append((float(search.r @ search.r), len(rows), frees))
     for _, _, frees in sorted(rows)[:BEST_FEW]:
         candidate = Candidate((name,), tuple(frees), present=False)
-        hopeless = line if best is None else min(line, best.fit.deviance)
+        hopeless = line if best is None else min(line, best.score)
         with suppress(*FAILURES):
-            fit = fitter.fit(candidate.frees, frees, hopeless=hopeless)
+            fit = fitter.fit(candidate.frees, frees, hopeless=hopeless - 2.0 * len(frees))
             if best is None or fit.deviance < best.fit.deviance:
                 best = session.rank(candidate, fit)
     return best

@@ -57,6 +57,7 @@ class Fits:
     rivals: list[Pattern] = field(default_factory=list)  # that compete with the best effects
     alone: list[Pattern] = field(default_factory=list)  # beside the base
     placed: list[Ranked] | None = None  # effects at places that had to be found
+    placed_line: float = -np.inf  # score above which those fits stopped early
     _reported: dict[str, Fit] = field(default_factory=dict)
 
     @property
@@ -142,7 +143,9 @@ class Fits:
                 found['patterns'] = self._numbers(self.patterns)
             case 'rivals':
                 self.rivals = self._rivals(missing.score)
-                found['rivals'] = () if self.remembers else self._numbers(self.rivals)
+                found['rivals'] = (
+                    () if self.remembers else self._numbers(self.rivals, missing.score)
+                )
             case 'helpful':
                 memories = session.catalogue.needing('history')
                 own = [one for one in known.singles if memories & set(one.names)]
@@ -163,11 +166,16 @@ class Fits:
                 found['combined'] = tuple(map(_numbers, self.joint))
         return found
 
-    def _numbers(self, patterns: Sequence[Pattern]) -> tuple[Rival, ...]:
-        """Return the numbers of patterns, and of the effects at places that had to be found."""
+    def _numbers(self, patterns: Sequence[Pattern], score: float = np.inf) -> tuple[Rival, ...]:
+        """
+        Return the numbers of patterns, and of the effects at places that had to be found.
+
+        These need not be fitted to the end above a score, or where they gain too little.
+        """
         session, base = self.session, self.base
-        if self.placed is None:
-            self.placed = fit_placed(session, base)
+        line = min(base.deviance - APART_FROM_SCORE, score)
+        if self.placed is None or self.placed_line < line:
+            self.placed, self.placed_line = fit_placed(session, base, line), line
         places = session.predictor.model.arrays.chain.n
         rivals = [
             Rival(p.name, p.score, p.everywhere, p.gain_p_value(base.deviance)) for p in patterns
