@@ -85,12 +85,7 @@ class Contact:
     interval: tuple[float, float]  # [m] of the place, 95 %
     point: Floats  # (3,) [m] of the arm at the place, as the tracker sees it
     off: float  # [m] largest residual of a coordinate
-
-    @property
-    def acts(self) -> bool:
-        """Whether the force is significant: by chance once in a million estimates."""
-        squared = float(self.force @ np.linalg.solve(self.covariance, self.force))
-        return squared > chi2_isf(ODD_PROBABILITY, 3)
+    acts: bool  # whether the force is significant: by chance once in a million estimates
 
     def exceeds(self, threshold: float) -> bool:
         """Whether the force acts and its size is above a threshold [N] in 97.5 of 100 cases."""
@@ -128,7 +123,7 @@ class ContactObserver:
         self._described = np.array([arm.whole.value(free) for free in self._frees])
         self._typical = self._frees[0].parameter.typical
         self._last = np.zeros(3), self.tip
-        self._shapes: ShapeBatch | None = None  # the last one, start of the next equilibrium
+        self.shapes: ShapeBatch | None = None  # the last one, start of the next equilibrium
         self.kept: _KeptWhitening | None = None  # of the last covariance
         self.slopes: Floats | None = None  # (3 J, 3) [m/N] last Jacobian of the markers
 
@@ -188,12 +183,12 @@ class ContactObserver:
     ) -> Floats | None:
         """Return markers (3 J,) or wire pulls (m,) [m] under a force (3,) [N] (at the tip)."""
         point = self.point(force, self.tip if place is None else place)
-        last = self._shapes
+        last = self.shapes
         near = None if last is None else SettledShapes(last.inputs, last.state)
         shapes = self.arm.shapes(inputs, point, near)
         if shapes is None:
             return None
-        self._shapes = shapes
+        self.shapes = shapes
         return self.arm.split.see(shapes).ravel() if markers else np.array(shapes.pulls[0])
 
     def along(self, force: Floats, place: float, inputs: Floats) -> Floats | None:
@@ -227,8 +222,8 @@ class ContactObserver:
 
     def point_at(self, place: float) -> Floats:
         """Return the point (3,) [m] of the last predicted arm at an arc length."""
-        assert self._shapes is not None
-        there = self._shapes.markers(np.array([place]), np.zeros((1, 3)))
+        assert self.shapes is not None
+        there = self.shapes.markers(np.array([place]), np.zeros((1, 3)))
         return np.asarray(self.arm.split.model.measured(there)[0, 0])
 
     @property
@@ -292,11 +287,11 @@ class _Fit:
         usual = chi2_isf(SIGNIFICANCE, max(len(best.white) - 3, 1)) * self.observer.arm.widening
         if best.chi2 > usual or self._acts(best, RARE):
             best, interval = self._searched(best)
-            if interval != whole and self._acts(best, ODD_PROBABILITY):
-                return self._told(best, interval)
+            if interval != whole and self._is_needed(best):
+                return self._told(best, interval, acts=True)
         if best.place != tip:
             best = self._at(np.zeros(3), tip)
-        return None if best is None else self._told(best, whole)
+        return None if best is None else self._told(best, whole, self._is_needed(best))
 
     def _wider(self, solution: _Solution) -> float:
         """Return the factor on the variances by the residual, and by the references."""
@@ -306,9 +301,23 @@ class _Fit:
         return max(solution.chi2 / freedom, self.observer.arm.widening)
 
     def _acts(self, solution: _Solution, level: float) -> bool:
-        """Whether a force is significant at a level."""
+        """Whether a force is significant at a level, to first order."""
         gained = solution.force @ solution.normal @ solution.force / self._wider(solution)
         return bool(gained > chi2_isf(level, 3))
+
+    def _is_needed(self, solution: _Solution) -> bool:
+        """
+        Whether no force explains the measurement that much worse.
+
+        A straight arm bends far by a force along it and little by a half of that: to first order
+        the force would be certain.
+        """
+        if not self._acts(solution, ODD_PROBABILITY):
+            return False
+        pushed, free = self.observer.shapes, self._white(np.zeros(3), solution.place)
+        self.observer.shapes, cost = pushed, self._cost(solution)
+        least = self._wider(solution) * chi2_isf(ODD_PROBABILITY, 3)
+        return free is None or bool(free @ free - cost > least)
 
     def _searched(self, best: _Solution) -> tuple[_Solution, tuple[float, float]]:
         """Return the solution at the likeliest place, and the interval of the place [m]."""
@@ -376,7 +385,7 @@ class _Fit:
         normal = information + prior
         return _Solution(place, force, expected, white, chi2, self.columns, normal)
 
-    def _told(self, best: _Solution, interval: tuple[float, float]) -> Contact:
+    def _told(self, best: _Solution, interval: tuple[float, float], acts: bool) -> Contact:
         """Return a solution with its doubt."""
         if self.data.markers:
             self.observer.slopes = np.zeros((len(self.rows), 3))
@@ -386,7 +395,8 @@ class _Fit:
         point = self.observer.point_at(best.place)
         mean, covariance = self._spread(best, wider)
         off = float(np.nanmax(np.abs(self.data.measured - best.expected - self.lacked)))
-        return Contact(mean, covariance, best.chi2, freedom, best.place, interval, point, off)
+        chi2, place = best.chi2, best.place
+        return Contact(mean, covariance, chi2, freedom, place, interval, point, off, acts)
 
     def _spread(self, solution: _Solution, wider: float) -> tuple[Floats, Floats]:
         """
