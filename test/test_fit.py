@@ -129,6 +129,29 @@ def test_two_effects_are_fitted_together():
     assert (spread > np.sqrt(np.diag(fit.covariance)[:2])).all(), 'imperfections may have done it'
 
 
+def test_a_fit_that_begins_with_the_derivatives_of_another_ends_where_it_would_without_them():
+    """Also far from that, where they are no use, and with the parameters in another order."""
+    dataset = measured(
+        EXACT, {'hinge_friction': {'lever': 2e-4}, 'tension_offset': {'offset': 0.03}}
+    )
+    session = Session(dataset, EXACT, CATALOGUE, workers=1)
+    session.weigh({})
+    frees = [
+        free
+        for name in ('hinge_friction', 'tension_offset')
+        for free in free_parameters(session.catalogue[name], EXACT)
+    ]
+    fitter, ends = session.fitters[0], []
+    far = fitter.fit(frees[::-1], {free: 2.0 * free.parameter.typical for free in frees}, steps=1)
+    for start in (far, replace(far, tangent=None), far.point):
+        ends.append(fitter.fit(frees, start))
+    for end in ends[:2]:
+        assert end.values == pytest.approx(ends[2].values, rel=1e-3)
+        assert end.chi2 == pytest.approx(ends[2].chi2, abs=0.01)
+    assert far.tangent.of(frees[:1]).markers.shape == (1, *dataset.mean.shape)
+    assert replace(far.tangent, at={}).of(frees) is None
+
+
 def test_values_stay_within_their_bounds():
     _, fit = settled(measured(ROBOT, {'backbone_stiffness': {'relative_change': -0.1}}),
                      ['hinge_friction'])  # fmt: skip
