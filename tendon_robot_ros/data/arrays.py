@@ -331,8 +331,8 @@ def corners(path: Floats, kept: Ints) -> Ints:
     return np.array(sorted(rows))
 
 
-# [1] times through its range, after which nothing is left of what an input did before: any path as
-# long has passed what a play or a bend that lags can remember, upwards and downwards
+# [1] times through its range that what an input did before is remembered, because plays and bends
+# that lag have then followed it once up and once down
 RANGES_REMEMBERED = 2.0
 
 

@@ -371,9 +371,8 @@ def hint(session: Session, current: Ranked, larger: Candidate) -> Hint:
     """
     Estimate what further parameters may gain, which is much cheaper than a fit.
 
-    By one linearised step of each; of an effect that is always on, or whose memory is a limit that
-    small sizes reach at once, by the best of several sizes, with the other parameters adjusted
-    linearly, so that its deviance may even rise a bit.
+    By one linearised step of each; of an effect that is always on by the best of several sizes,
+    with the other parameters adjusted linearly, so that its deviance may even rise a bit.
     """
     fitter, point = session.fitters[0], current.fit.point
     fitter.resume(current.fit)
@@ -381,17 +380,16 @@ def hint(session: Session, current: Ranked, larger: Candidate) -> Hint:
     value, near = session.predictor.value, fitter.predictor.settled
     markers, columns = fitter.predictor.markers(point, near=near), list[Floats]()
     near = fitter.predictor.settled
-    effects = [session.catalogue[free.effect] for free in more]
-    by_size = any(one.always_on or 'history' in one.needs.split() for one in effects)
+    always_on = any(session.catalogue[free.effect].always_on for free in more)
     moves = []
-    for factor in LADDER if by_size else ():
+    for factor in LADDER if always_on else ():
         sizes = {}
         for free in more:
             own = free.parameter
             size = value(free) if own.has_default else factor * own.typical
             sizes[free] = float(np.clip(size, own.low, own.high))
         moves.append((sizes, 1.0))
-    for free in () if by_size else more:
+    for free in () if always_on else more:
         step = DIFFERENCE_STEP * free.parameter.typical
         if value(free) + step > free.parameter.high:
             step = -step
@@ -401,11 +399,11 @@ def hint(session: Session, current: Ranked, larger: Candidate) -> Hint:
         moved = fitter.predictor.markers({**point, **sizes}, near=near)
         if moved is not None and markers is not None:
             columns.append(session.whitener.white(markers - moved) / unit)
-            if by_size:
+            if always_on:
                 gains.append(_gain(session, current, moved) + NEAR_SCORE)
-        elif not by_size:
+        elif not always_on:
             return Hint(np.inf, [])
-    if not by_size and markers is not None:
+    if not always_on and markers is not None:
         gains.append(_gain(session, current, markers, columns) - 0.5 * APART_FROM_SCORE)
     return Hint(max(gains), columns)
 
