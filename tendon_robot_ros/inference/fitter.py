@@ -151,8 +151,8 @@ class Fitter:
             point = start.point if isinstance(start, Fit) else start
             start_of = self.predictor.start
             search.begin([np.array([point.get(f, start_of(f)) for f in search.all])])
-            known = start.tangent if isinstance(start, Fit) else None
-            search.take(known and known.of(search.all))
+            if isinstance(start, Fit) and not self.random.kinds:  # else others move the arm, too
+                search.take(start.tangent and start.tangent.of(search.all))
         else:
             search.begin(search.starts())
         return search
