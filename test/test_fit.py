@@ -1,6 +1,7 @@
 """Fits find the parameters that made the data, and say how well they know them."""
 
-from dataclasses import astuple, replace
+from dataclasses import replace
+from operator import attrgetter
 
 import numpy as np
 import pytest
@@ -102,7 +103,7 @@ def test_tangents_of_all_effects_together_are_those_of_each_alone(name, kind):
     for q, free in enumerate(frees):
         alone = predictor.tangent({}, [free], predictor.settled)
         under_tension = acting.tangent({}, [free], predictor.settled)  # before pulls are held
-        shares = map(astuple, (alone, together, under_tension))
+        shares = map(attrgetter('markers', 'states', 'tensions'), (alone, together, under_tension))
         for one, all_of_them, before in zip(*shares, strict=True):
             # pulls that are held take nearly all of what moves away: rounding of differences is
             # left, times the condition of the tensions that hold them (some 1e3 here)
