@@ -323,7 +323,11 @@ class Stepwise:
         yield state
 
     def step(self, state: State, gains: dict[str, float]) -> State | None:
-        """Return the state with the best further block, without idle ones; None if none helps."""
+        """
+        Return the state with the best further block, without idle ones; None if none helps.
+
+        A block that promises less than another one has reached is not fitted.
+        """
         attempts = list[State]()
         for error, joining in self.promising(state, gains):
             if any(one.score < error for one in attempts):
@@ -438,7 +442,7 @@ class Stepwise:
         steps: int = ITERATIONS_MAX,
     ) -> State | None:
         """
-        Fit blocks together, with their priors, from a start, or a neighbouring fit.
+        Fit blocks together, with their priors, from a point, or from a fit and its derivatives.
 
         Without some postures a fit begins at the one of all postures, where that is known. None
         where the arm has no equilibrium.
