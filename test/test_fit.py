@@ -1,6 +1,7 @@
 """Fits find the parameters that made the data, and say how well they know them."""
 
-from dataclasses import astuple, replace
+from dataclasses import replace
+from operator import attrgetter
 
 import numpy as np
 import pytest
@@ -102,7 +103,7 @@ def test_tangents_of_all_effects_together_are_those_of_each_alone(name, kind):
     for q, free in enumerate(frees):
         alone = predictor.tangent({}, [free], predictor.settled)
         under_tension = acting.tangent({}, [free], predictor.settled)  # before pulls are held
-        shares = map(astuple, (alone, together, under_tension))
+        shares = map(attrgetter('markers', 'states', 'tensions'), (alone, together, under_tension))
         for one, all_of_them, before in zip(*shares, strict=True):
             # pulls that are held take nearly all of what moves away: rounding of differences is
             # left, times the condition of the tensions that hold them (some 1e3 here)
@@ -127,6 +128,29 @@ def test_two_effects_are_fitted_together():
     spread = np.sqrt(np.diag(loose.covariance)[:2])
     assert (np.abs(loose.values[:2] - [2e-4, 0.01]) < 3.0 * spread).all()
     assert (spread > np.sqrt(np.diag(fit.covariance)[:2])).all(), 'imperfections may have done it'
+
+
+def test_a_fit_that_begins_with_the_derivatives_of_another_ends_where_it_would_without_them():
+    """Also far from that, where they are no use, and with the parameters in another order."""
+    dataset = measured(
+        EXACT, {'hinge_friction': {'lever': 2e-4}, 'tension_offset': {'offset': 0.03}}
+    )
+    session = Session(dataset, EXACT, CATALOGUE, workers=1)
+    session.weigh({})
+    frees = [
+        free
+        for name in ('hinge_friction', 'tension_offset')
+        for free in free_parameters(session.catalogue[name], EXACT)
+    ]
+    fitter, ends = session.fitters[0], []
+    far = fitter.fit(frees[::-1], {free: 2.0 * free.parameter.typical for free in frees}, steps=1)
+    for start in (far, replace(far, tangent=None), far.point):
+        ends.append(fitter.fit(frees, start))
+    for end in ends[:2]:
+        assert end.values == pytest.approx(ends[2].values, rel=1e-3)
+        assert end.chi2 == pytest.approx(ends[2].chi2, abs=0.01)
+    assert far.tangent.of(frees[:1]).markers.shape == (1, *dataset.mean.shape)
+    assert replace(far.tangent, at={}).of(frees) is None
 
 
 def test_values_stay_within_their_bounds():

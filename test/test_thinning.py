@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tendon_robot_ros.data import DataSet
-from tendon_robot_ros.data.arrays import corners
+from tendon_robot_ros.data.arrays import corners, remembered
 from tendon_robot_ros.data.dataset import BLOCKS_MAX
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.improve import improve
@@ -57,9 +57,17 @@ def pulls(count):
     return np.concatenate(rows)[:count]
 
 
-def recording(count=COUNT, path='sequence', **hidden):
+def restless(count):
+    """Return pulls (count, 6) [m]: both sections bend anew in every posture, to any side."""
+    bends = np.random.default_rng(2).uniform(-4e-3, 4e-3, (count, 2, 2))
+    angles = np.radians([[0.0, 120.0, 240.0], [60.0, 180.0, 300.0]])
+    towards = np.stack([np.cos(angles), np.sin(angles)])  # (2, 2, 3) axis, section, wire
+    return np.einsum('bsa,asw->bsw', bends, towards).reshape(count, 6)
+
+
+def recording(count=COUNT, path='sequence', inputs=None, **hidden):
     """Return the tip positions of an arm with hidden effects, described without them."""
-    inputs, described = pulls(count), arm()
+    inputs, described = pulls(count) if inputs is None else inputs, arm()
     blank = DataSet.from_arrays(
         described,
         inputs,
@@ -88,6 +96,19 @@ def test_a_path_is_straight_between_its_corners(path, kept, found):
     assert corners(np.array(path, dtype=float)[:, None], np.array(kept)).tolist() == found
 
 
+@pytest.mark.parametrize(
+    ('path', 'kept', 'found'),
+    [
+        ([[0], [1], [0], [1], [0], [1]], [5], [4, 5]),
+        ([[0], [1], [0], [1], [0], [1]], [3, 5], [2, 3, 4, 5]),
+        ([[0, 3], [1, 3], [0, 3], [1, 3], [0, 3]], [4], [3, 4]),  # one that never moves
+        ([[0, 0], [0, 1], [1, 1], [0, 1], [1, 1]], [4], [0, 1, 2, 3, 4]),  # one that rests since
+    ],
+)
+def test_a_path_is_remembered_until_every_input_has_gone_up_and_down(path, kept, found):
+    assert remembered(np.array(path, dtype=float), np.array(kept)).tolist() == found
+
+
 def test_few_postures_are_all_used_and_of_many_some_evenly_spread():
     data = recording(40)
     assert data.thinned(40) is data
@@ -109,14 +130,22 @@ def test_neighbours_of_a_sequence_are_left_out_together(count, blocks):
     assert np.bincount(groups).max() == count // blocks
 
 
+HYSTERESIS = {'bending_hysteresis': {'lag': 0.02, 'presliding': 0.1}}
+
+
 @pytest.mark.parametrize(
-    'hidden',
-    [{}, {'bending_hysteresis': {'lag': 0.02, 'presliding': 0.1}}],
+    ('inputs', 'used', 'hidden'),
+    [
+        (pulls(120), 20, {}),
+        (pulls(120), 20, HYSTERESIS),
+        (restless(120), 6, HYSTERESIS),
+        (restless(120), 6, {'backlash': {'width': 2e-3}}),
+    ],
 )
-def test_a_thinned_sequence_is_predicted_as_the_whole_one(hidden):
+def test_a_thinned_sequence_is_predicted_as_the_whole_one(inputs, used, hidden):
     """Also where bends remember: their law has the same end however a straight way is divided."""
-    data = recording(120)
-    thin = data.thinned(20)
+    data = recording(120, inputs=inputs)
+    thin = data.thinned(used)
     every, few = (Predictor(one, arm(**hidden), load_catalogue()) for one in (data, thin))
     whole, part = every.markers({}), few.markers({})
     rows = [data.postures.index(name) for name in thin.postures]

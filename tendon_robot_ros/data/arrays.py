@@ -331,6 +331,24 @@ def corners(path: Floats, kept: Ints) -> Ints:
     return np.array(sorted(rows))
 
 
+# [1] times through its range that what an input did before is remembered, because plays and bends
+# that lag have then followed it once up and once down
+RANGES_REMEMBERED = 2.0
+
+
+def remembered(path: Floats, kept: Ints) -> Ints:
+    """
+    Return the rows of a path (P, m) that an arm may remember at the rows in `kept`.
+
+    It has forgotten a row after which every input has travelled `RANGES_REMEMBERED` before the
+    next kept one.
+    """
+    travel = np.abs(np.diff(path, axis=0, prepend=path[:1])).cumsum(axis=0)
+    ahead = kept[np.searchsorted(kept, np.arange(len(path)))]
+    far = travel[ahead] - travel >= RANGES_REMEMBERED * np.ptp(path, axis=0)
+    return np.flatnonzero(~far.all(axis=1) | (ahead == np.arange(len(path))))
+
+
 def join_visits(parts: Sequence[Visits]) -> Visits:
     """Return the visits of several data sets whose postures follow each other."""
     begins = np.cumsum([0, *(len(part.commands) for part in parts)])

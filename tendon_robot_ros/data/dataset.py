@@ -27,6 +27,7 @@ from .arrays import (
     corners,
     place_markers,
     read_frame,
+    remembered,
     too_tense,
 )
 
@@ -482,8 +483,8 @@ class DataSet(TextResult):
         """
         Return the data set with so many of its measured postures, evenly spread over their order.
 
-        A sequence keeps also the postures at which its path turns, without their measurements,
-        because the arm may remember them, and visits keep all.
+        A sequence keeps also the postures at which its path turns, without their measurements, as
+        far back as the arm may remember them, and visits keep all.
         """
         measured = np.flatnonzero(self.trials > 0)
         if len(measured) <= count:
@@ -491,7 +492,9 @@ class DataSet(TextResult):
         kept = measured[np.linspace(0, len(measured) - 1, count).round().astype(int)]
         chosen = self.select(self.postures[i] for i in kept)
         if self.path == 'sequence':
-            chosen = chosen._rows(corners(np.nan_to_num(chosen.inputs), kept))
+            path = np.nan_to_num(chosen.inputs)
+            rows = corners(path, kept)
+            chosen = chosen._rows(rows[remembered(path[rows], np.searchsorted(rows, kept))])
         return replace(chosen, thinned_from=len(measured))
 
     def changed(self, change: Callable[[Any], Any], *names: str, **values: Any) -> DataSet:

@@ -35,7 +35,7 @@ from ..inference.fitter import DEVIANCE_CONVERGED, FAILURES, Fitter
 from ..inference.marginal import NEGLIGIBLE
 from ..inference.marginal import STEPS_MAX as ITERATIONS_MAX
 from ..inference.noise import Whitener, input_slopes, likely
-from ..inference.predict import FreeParameter, Point, Predictor, SettledShapes
+from ..inference.predict import FreeParameter, Point, Predictor
 from ..inference.search import DIFFERENCE_STEP, LADDER
 from ..inference.session import Session
 from ..inference.statistics import chi2_sf, f_sf, rms
@@ -199,6 +199,13 @@ class State:
         """Names of the effects of the catalogue among them."""
         return {name for block in self.blocks for name in block.names} - set(OF_THE_ARM)
 
+    def beside(self, joining: Joining) -> Fit:
+        """Return what a fit with a further block begins with: both, and their derivatives."""
+        fit, start = self.fit, joining.start
+        tangent = fit.tangent and fit.tangent.beside(joining.moves, start)
+        values = np.append(fit.values, list(start.values()))
+        return replace(fit, frees=(*fit.frees, *start), values=values, tangent=tangent)
+
     @property
     def score(self) -> float:
         """Mean squared error [m²] of postures left out one at a time."""
@@ -301,7 +308,7 @@ class Stepwise:
         """Yield the states of a search; the first has no blocks."""
         # [m²] that a block was to gain when it was last judged, by its label; see `promising`
         gains = dict[str, float]()
-        state = self.fitted((), {}, None, self.weights(self.predict({})))
+        state = self.fitted((), {}, self.weights(self.predict({})))
         assert state is not None  # `predict` has its equilibria
         for _ in range(STEPS_MAX):
             yield state
@@ -310,18 +317,24 @@ class Stepwise:
             better = self.step(state, gains)
             if better is None:
                 return
-            whitener, fit = self.weights(better.fit.markers), better.fit
-            fitted = self.fitted(better.blocks, fit.point, fit.settled, whitener, better.joined)
+            whitener = self.weights(better.fit.markers)
+            fitted = self.fitted(better.blocks, better.fit, whitener, better.joined)
             state = replace(fitted or better, removed=better.removed)
         yield state
 
     def step(self, state: State, gains: dict[str, float]) -> State | None:
-        """Return the state with the best further block, without idle ones; None if none helps."""
-        attempts, near = [], state.fit.settled
-        for joining in self.promising(state, gains):
-            blocks, start = (*state.blocks, joining.block), {**state.fit.point, **joining.start}
+        """
+        Return the state with the best further block, without idle ones; None if none helps.
+
+        A block that promises less than another one has reached is not fitted.
+        """
+        attempts = list[State]()
+        for error, joining in self.promising(state, gains):
+            if any(one.score < error for one in attempts):
+                break
+            blocks, start = (*state.blocks, joining.block), state.beside(joining)
             label = joining.block.label
-            fitted = self.fitted(blocks, start, near, state.whitener, label, STEPS_TRIED)
+            fitted = self.fitted(blocks, start, state.whitener, label, STEPS_TRIED)
             attempts += [] if fitted is None else [fitted]
         if not attempts:
             return None
@@ -336,8 +349,7 @@ class Stepwise:
             if self.acted_on(block, state) or self.promise_without(block, state) > state.score:
                 continue
             rest = tuple(one for one in state.blocks if one is not block)
-            point = {f: value for f, value in state.fit.point.items() if f not in block.frees}
-            fewer = self.fitted(rest, point, state.fit.settled, state.whitener, state.joined)
+            fewer = self.fitted(rest, state.fit, state.whitener, state.joined)
             if fewer is not None and fewer.score <= state.score:
                 state = replace(fewer, removed=(*state.removed, block.label))
         return state
@@ -347,9 +359,9 @@ class Stepwise:
         shaped = {self.catalogue[name].acts_on for name in state.effects_in}
         return bool(shaped & set(block.names))
 
-    def promising(self, state: State, gains: dict[str, float]) -> list[Joining]:
+    def promising(self, state: State, gains: dict[str, float]) -> list[tuple[float, Joining]]:
         """
-        Return the blocks with the smallest linearised left-out errors.
+        Return the blocks with the smallest linearised left-out errors, and these [m²].
 
         Those that only solutions judge come last, and only where they may beat the others: what a
         block gains falls as others join, so that its gain in an earlier step, `gains` [m²] by its
@@ -373,8 +385,7 @@ class Stepwise:
                 if error < state.score:
                     best[block.label] = (error, joining)
             gains[block.label] = state.score - error
-        order = sorted(best.values(), key=lambda pair: pair[0])
-        return [joining for _, joining in order[:TRIED_MAX]]
+        return sorted(best.values(), key=lambda pair: pair[0])[:TRIED_MAX]
 
     def joining(self, state: State, blocks: Sequence[Candidate]) -> list[Joining]:
         """Return what blocks do beside a state; by the fit of all postures, where it is known."""
@@ -425,21 +436,19 @@ class Stepwise:
     def fitted(
         self,
         blocks: tuple[Candidate, ...],
-        start: Point,
-        near: SettledShapes | None,
+        start: Fit | Point,
         whitener: Whitener,
         joined: str = '',
         steps: int = ITERATIONS_MAX,
     ) -> State | None:
         """
-        Fit blocks together, with their priors, from a start with equilibria near it.
+        Fit blocks together, with their priors, from a point, or from a fit and its derivatives.
 
         Without some postures a fit begins at the one of all postures, where that is known. None
         where the arm has no equilibrium.
         """
-        names = frozenset(block.label for block in blocks)
-        if len(self.held) and names in self.fits:
-            start, near = self.fits[names].point, self.fits[names].settled
+        names, all_count = frozenset(block.label for block in blocks), not len(self.held)
+        start = start if all_count else self.fits.get(names, start)
         frees = tuple(free for block in blocks for free in block.frees)
         priors = [
             Nuisance(
@@ -454,18 +463,19 @@ class Stepwise:
         low = np.array([free.parameter.low for free in frees])
         high = np.array([free.parameter.high for free in frees])
         try:
-            search = fitter.search((), start, near=near)
-            if len(self.held):  # its errors count, its values are not told
+            search = fitter.search((), start)
+            if not all_count:  # its errors count, its values are not told
                 search.gain_min = DEVIANCE_CONVERGED
             search.run(steps)
-            fit = replace(fitter.freeze(search), frees=frees, nuisances=(), described=0.0)
+            fit = fitter.freeze(search, not all_count or steps < ITERATIONS_MAX)
+            fit = replace(fit, frees=frees, nuisances=(), described=0.0)
             slope = fit.jacobian.T @ fit.residual
             pressed = (fit.values <= low) & (slope > 0.0) | (fit.values >= high) & (slope < 0.0)
             free = fit.jacobian[:, ~pressed]
             errors = left_out_errors(fit.residual, free, whitener, self.dataset.groups)
         except FAILURES:
             return None
-        if not len(self.held):
+        if all_count:
             self.fits[names] = fit
         return State(blocks, fit, whitener, errors, joined)
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from ..common.arrays import Floats
 from .imperfections import Kind, Members
 from .marginal import Prior, RandomEffects, Sizes, root_inverse
-from .predict import FreeParameter, SettledShapes
+from .predict import FreeParameter, SettledShapes, Tangent
 from .statistics import SIGNIFICANCE, chi2_sf, f_sf, half_width_sd
 
 LEVERAGE_MAX = 0.999  # [1] of a value on its own prediction, else rounding would predict it
@@ -72,6 +72,7 @@ class Fit:
     response: float = 0.0  # relative 1 sd of the model's response, where its error is known
     described: Floats | float = 0.0  # (k,) SI, of the freed parameters
     settled: SettledShapes | None = None  # its equilibria, from which those near it start
+    tangent: Tangent | None = None  # their derivatives, or those of neighbours
 
     @property
     def as_built(self) -> bool:

@@ -151,6 +151,8 @@ class Fitter:
             point = start.point if isinstance(start, Fit) else start
             start_of = self.predictor.start
             search.begin([np.array([point.get(f, start_of(f)) for f in search.all])])
+            if isinstance(start, Fit) and not self.random.kinds:  # else others move the arm, too
+                search.take(start.tangent and start.tangent.of(search.all))
         else:
             search.begin(search.starts())
         return search
@@ -248,9 +250,13 @@ class Fitter:
                     return FitPlace(moved, around, own, deviance)
         return None
 
-    def freeze(self, search: Search) -> Fit:
-        """Return the fit of a search; its markers are those of the model without imperfections."""
-        plain = search.result()
+    def freeze(self, search: Search, near: bool = False) -> Fit:
+        """
+        Return the fit of a search; its markers are those of the model without imperfections.
+
+        Where derivatives of a neighbour suffice, `near` spares those at the fit.
+        """
+        plain = search.result(near)
         if self.around:
             with self.predictor.as_described():
                 described = self.predictor.markers(search.point, near=search.settled)

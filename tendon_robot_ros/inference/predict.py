@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -78,6 +78,23 @@ class Tangent:
     markers: Floats  # (q, P, J, 3) [m per unit]
     states: Floats  # (q, P, 3n) [rad per unit]
     tensions: Floats  # (q, P, m) [N per unit]
+    # values of the q parameters where they were taken
+    at: Point = field(default_factory=dict, kw_only=True)
+
+    def of(self, frees: Sequence[FreeParameter]) -> Tangent | None:
+        """Return the derivatives by some parameters in their order; None where one is unknown."""
+        order = {free: i for i, free in enumerate(self.at)}
+        if not order.keys() >= set(frees):
+            return None
+        rows, at = [order[free] for free in frees], {free: self.at[free] for free in frees}
+        return Tangent(self.markers[rows], self.states[rows], self.tensions[rows], at=at)
+
+    def beside(self, markers: Floats, at: Point) -> Tangent:
+        """Add the derivatives of the markers by further parameters; those of states count as 0."""
+        rates = []
+        for one in (self.states, self.tensions):
+            rates.append(np.concatenate([one, np.zeros((len(markers), *one.shape[1:]))]))
+        return Tangent(np.concatenate([self.markers, markers]), *rates, at={**self.at, **at})
 
 
 class Freed:

@@ -10,9 +10,8 @@ import numpy as np
 from ..common.arrays import Floats
 from .fit import Fit, Nuisance
 from .noise import Whitener
-from .predict import FreeParameter, Point, Predictor, SettledShapes
+from .predict import FreeParameter, Point, Predictor, SettledShapes, Tangent
 
-Rates = tuple[Floats, ...]  # states (q, P, 3n) and tensions (q, P, m), per unit
 GAIN_MIN = 1e-3  # [1] of chi²: a smaller gain ends a search, because no decision rests on it
 GAIN_RATIO_MIN = 1e-5  # [1] of chi², else a search far from any fit would not end
 LADDER = (0.03, 0.1, 0.3, 1.0, 3.0)  # [1] typical sizes to start at, because chi² has local minima
@@ -57,7 +56,7 @@ class Search:
         self.damping = 1e-3
         self.gain_min = GAIN_MIN
         self.slopes: Floats | None = None  # Jacobian at the values `taken`
-        self.rates: Rates | None = None  # derivatives of states and tensions there
+        self.tangent: Tangent | None = None  # derivatives of the equilibria there
         self.fresh = False  # whether `slopes` belong to the best point
         self.raw: Floats  # whitened residual with prior rows at the best point
         self.r: Floats  # the same without what imperfections explain
@@ -146,31 +145,42 @@ class Search:
     def derivative(self, near: bool = False) -> Floats:
         """Jacobian (N + nuisances, q) of the residual; `near`: that of a neighbour suffices."""
         if self.slopes is None or not (near or self.fresh):
-            self.slopes, self.rates = self._slopes()
+            self.slopes, self.tangent = self._slopes()
             self.linearised_at, self.fresh = self.values.copy(), True
         return self.slopes
 
-    def _slopes(self) -> tuple[Floats, Rates | None]:
-        """Return the Jacobian, and derivatives of states and tensions where they are known."""
-        slopes, unknown = np.zeros((len(self.raw), len(self.scale))), self.low < self.high
+    def take(self, tangent: Tangent | None) -> None:
+        """Begin with the derivatives of a neighbour of the start, where they are known."""
+        if tangent is None:
+            return
+        self.tangent, self.slopes = tangent, self._whitened(tangent)
+        self.linearised_at = np.array(list(tangent.at.values()))
+        self._age()
+
+    def _slopes(self) -> tuple[Floats, Tangent | None]:
+        """Return the Jacobian, and the derivatives of the equilibria where they are known."""
+        unknown = self.low < self.high
         frees, moved = [f for f, own in zip(self.all, unknown, strict=True) if own], None
         if frees and self.settled is not None:
             moved = self.fitter.predictor.tangent(self.point, frees, self.settled)
         if moved is None or not np.isfinite(moved.markers).all():
+            slopes = np.zeros((len(self.raw), len(self.scale)))
             for i in np.flatnonzero(unknown).tolist():
                 slopes[:, i] = self._difference(i)
             return slopes, None
-        columns, followed = (
-            self.fitter.whitener.white(moved.markers).T,
-            (moved.states, moved.tensions),
-        )
-        rates = tuple(np.zeros((len(unknown), *one.shape[1:])) for one in followed)
-        for rate, one in zip(rates, followed, strict=True):
-            rate[unknown] = one
-        n, nuisances = len(columns), np.arange(len(self.spread))
-        slopes[:n, unknown] = -columns
-        slopes[n + nuisances, self.count + nuisances] = 1.0 / self.spread
-        return slopes, rates
+        rates = []
+        for one in (moved.markers, moved.states, moved.tensions):
+            rates.append(np.zeros((len(unknown), *one.shape[1:])))
+            rates[-1][unknown] = one
+        tangent = Tangent(*rates, at=self.point)
+        return self._whitened(tangent), tangent
+
+    def _whitened(self, tangent: Tangent) -> Floats:
+        """Return the Jacobian (N + nuisances, q) by derivatives of the equilibria."""
+        columns = self.fitter.whitener.white(tangent.markers).T
+        priors = np.zeros((len(self.spread), len(self.scale)))
+        priors[:, self.count :] = np.diag(1.0 / self.spread)
+        return np.concatenate([-columns, priors])
 
     def _difference(self, i: int) -> Floats:
         """Column of the Jacobian by a finite difference of the settled model."""
@@ -229,10 +239,11 @@ class Search:
 
     def _ahead(self, values: Floats) -> SettledShapes | None:
         """Return the predicted equilibria at other values, to first order."""
-        if self.settled is None or self.rates is None:
+        if self.settled is None or self.tangent is None:
             return self.settled
         move = values - self.values
-        states, tensions = (np.tensordot(move, rate, 1) for rate in self.rates)
+        rates = self.tangent.states, self.tangent.tensions
+        states, tensions = (np.tensordot(move, rate, 1) for rate in rates)
         return SettledShapes(
             np.maximum(self.settled.tensions + tensions, 0.0),
             self.settled.state + states,
@@ -246,8 +257,8 @@ class Search:
         if far.any():
             self.slopes = None
 
-    def result(self) -> Fit:
-        """Return the fit at the best point."""
-        raw, slopes = self.raw, self.derivative()
+    def result(self, near: bool = False) -> Fit:
+        """Return the fit at the best point; `near`: see `derivative`."""
+        raw, slopes = self.raw, self.derivative(near)
         found = Fit(self.frees, self.nuisances, self.values, raw, slopes, self.markers)
-        return replace(found, settled=self.settled)
+        return replace(found, settled=self.settled, tangent=self.tangent)
