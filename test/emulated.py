@@ -11,6 +11,7 @@ from forked import Forked
 
 from tendon_robot_ros.drivers import make_driver
 from tendon_robot_ros.drivers.dynamixel.control_table import MODELS
+from tendon_robot_ros.drivers.interface import CYCLE_S
 from tendon_robot_ros.drivers.serial_board.link import BoardLink
 from tendon_robot_ros.emulator.bus import EmulatedBus
 from tendon_robot_ros.emulator.port import EmulatorProcess
@@ -70,6 +71,7 @@ def line(
     arm=None,
     ids=(1, 2, 3, 4),
     radius=RADIUS,
+    kind=None,
 ):
     """Four servos that wind four springs, every second one the other way round."""
     servos = [Servo(MODELS[model], i, firmware=firmware) for i in ids]
@@ -78,7 +80,7 @@ def line(
         servo.refresh()
     wires = [Wire(i, radius, 1 if k % 2 == 0 else -1) for k, i in enumerate(ids)]
     many = np.ones(len(ids))
-    return started(Rig(servos, wires, arm or SpringArm(stiffness * many, slack * many)))
+    return started(Rig(servos, wires, arm or SpringArm(stiffness * many, slack * many)), kind)
 
 
 def antagonists(slack):
@@ -116,9 +118,41 @@ class Line(OwnTime, EmulatedBus):
     """Emulated servos."""
 
 
-def started(rig):
+class SteppedLine(Line):
+    """Servos for which time passes only while a motion of the driver sleeps: nobody is late."""
+
+    now = 0.0  # [s]
+
+    def __enter__(self):
+        self.keep_time(self)
+        return super().__enter__()
+
+    def __exit__(self, *_):
+        super().__exit__()
+        self.keep_time(time)
+
+    @staticmethod
+    def keep_time(clock):
+        from tendon_robot_ros.drivers.dynamixel import motions
+
+        motions.time = clock
+
+    def monotonic(self):
+        return self.now
+
+    def sleep(self, seconds):
+        with self._lock:
+            for _ in range(steps := max(1, round(seconds / CYCLE_S))):
+                super().advance(seconds / steps)
+        self.now += seconds
+
+    def advance(self, passed):
+        """Let no time pass while the bus is served."""
+
+
+def started(rig, kind=None):
     """Line with the servos; it remembers where they were at the start."""
-    made = Line(rig)
+    made = (kind or Line)(rig)
     made.start_ticks = [servo.motion.ticks for servo in rig.servos.values()]
     return made
 

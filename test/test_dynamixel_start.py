@@ -28,6 +28,10 @@ def driver_for(line, mode='tension', **changes):
     return make_driver('dynamixel', emulated.robot(), config, mode=mode, source='arm.yaml')
 
 
+def stepped(**arm):
+    return emulated.line(**arm, kind=emulated.SteppedLine)
+
+
 def refused_open(driver):
     with pytest.raises(DriverError) as caught:
         driver.open()
@@ -182,7 +186,7 @@ def test_the_watchdog_is_short_in_real_time_and_what_is_configured_always_counts
 def test_slack_is_wound_up_and_the_pull_is_zero_where_the_wires_begin_to_pull():
     slack = np.array([0.001, 0.004, 0.0, 0.008])
     arm = SpringArm(np.full(4, emulated.STIFFNESS), slack)
-    with emulated.line(arm=arm) as line, driver_for(line, 'pull') as driver:
+    with stepped(arm=arm) as line, driver_for(line, 'pull') as driver:
         assert np.isnan(driver.read().pulls).all()
         driver.enable()
         wires = [motor.wires[0] for motor in driver.motors.values()]
@@ -208,14 +212,14 @@ def test_slack_is_wound_up_and_the_pull_is_zero_where_the_wires_begin_to_pull():
 
 
 def test_a_wire_that_never_pulls_is_refused_and_the_torque_is_off():
-    with emulated.line(slack=0.5) as line, driver_for(line, 'pull', home_travel=0.01) as driver:
+    with stepped(slack=0.5) as line, driver_for(line, 'pull', home_travel=0.01) as driver:
         with pytest.raises(DriverError, match=r'no resistance within home_travel = 0\.01 m'):
             driver.enable()
         assert not any(servo.torque for servo in line.rig.servos.values())
 
 
 def test_a_motor_that_does_not_turn_is_refused_and_the_torque_is_off():
-    with emulated.line() as line, driver_for(line, 'pull', home_tension=0.3) as driver:
+    with stepped() as line, driver_for(line, 'pull', home_tension=0.3) as driver:
         motion = line.servo(3).motion  # its gear does not move below 0.5 A
         motion.model = replace(motion.model, stall_current=0.5 / FRICTION_CURRENT)
         with pytest.raises(DriverError, match=r'west \(id 3\): does not turn with 0\.1\d\d A'):
@@ -227,7 +231,7 @@ def test_a_motor_that_winds_too_slowly_is_named(monkeypatch):
     monkeypatch.setattr(motions, 'TURNING_TIMEOUT_S', 0.25)
     arm = SpringArm(np.full(4, emulated.STIFFNESS), np.array([0.004, 0.004, 0.5, 0.004]))
     changes = {'home_speed': 0.1, 'home_travel': 0.1}
-    with emulated.line(arm=arm) as line, driver_for(line, 'pull', **changes) as driver:
+    with stepped(arm=arm) as line, driver_for(line, 'pull', **changes) as driver:
         driver.cancelled = lambda: line.servo(3).put('profile_velocity', 24)  # 11 mm/s
         with pytest.raises(DriverError, match=r': west \(id 3\): looking for slack took too long'):
             driver.enable()

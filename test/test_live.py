@@ -30,7 +30,7 @@ def told(*arguments, timeout=500.0):
 def test_the_story_of_a_hidden_effect_comes_true(tmp_path):
     """Of an arm of fewer cells: each has a stiffness of its own, which a diagnosis fits."""
     described = tmp_path / 'coarse.yaml'
-    described.write_text(dump_robot(coarse('kato_10_1', 5)), encoding='utf-8')
+    described.write_text(dump_robot(coarse('kato_10_1', 3)), encoding='utf-8')
     arguments = ('--hidden', 'tip_load', '--seed', '1', '--postures', '6', '--reveal')
     code, text = told(*arguments, '--robot', str(described))
     assert code == 0, text

@@ -106,7 +106,7 @@ def test_a_path_is_followed_reported_and_retreated(station, tmp_path):
 
 
 def test_out_of_reach_nothing_moves(station, tmp_path):
-    (tmp_path / 'far.csv').write_text('x,y,z\n0,0,0.2\n0.2,0,0.2\n')
+    (tmp_path / 'far.csv').write_text('x,y,z\n0.03,0,0.2\n0.08,0,0.2\n')
     before = commanded(station)
     done = command(station, tmp_path, 'follow', 'far.csv')
     assert done.returncode == 1
