@@ -85,6 +85,21 @@ TABLE = {
         evidence(POOR, combined=(BOTH,), departures=NONE), 'outside_catalogue', None),
     'a load at a place explains more': (
         evidence(HINGE, rivals=at_places(PUSH)), 'missing_effect', PUSH),
+    'a load at a place alone raises the alarm': (
+        evidence(replace(HINGE, gain_p=1.0), built=True, probability=0.5,
+                 patterns=at_places(PUSH), rivals=at_places(PUSH)), 'missing_effect', PUSH),
+    'a load at the tip explains nearly as much': (
+        evidence(replace(LOAD, gain_p=1.0), built=True, probability=0.5,
+                 patterns=at_places(replace(PUSH, score=NEAR - 3.0)),
+                 rivals=at_places(replace(PUSH, score=NEAR - 3.0))), 'ambiguous',
+        replace(PUSH, score=NEAR - 3.0)),
+    'a load at a place alone differs from the description': (
+        replace(evidence(replace(HINGE, gain_p=1.0), built=True, probability=0.5,
+                         patterns=at_places(PUSH), rivals=at_places(PUSH)),
+                departures={HINGE.names: NONE, PUSH.names: CLEAR}), 'missing_effect', PUSH),
+    'but none that single postures determine': (
+        evidence(replace(HINGE, gain_p=1.0), built=True, probability=0.5,
+                 patterns=at_places(replace(PUSH, trust=0.5 * P_SINGLE_MIN))), 'adequate', None),
     'a string at a place explains as much as that load': (
         evidence(HINGE, rivals=at_places(PUSH, STRING)), 'ambiguous', PUSH),
     'a string far behind that load': (
