@@ -125,16 +125,12 @@ class Screen:
     def springs(self, load: Ranked) -> Iterator[Start]:
         """Yield springs half as long at rest that pull as a load does in the mean."""
         place, *force = load.fit.values[:4].tolist()
-        size = float(np.linalg.norm(force))
+        size, at = float(np.linalg.norm(force)), self.measured.mean(axis=1).T
+        mean = np.array([np.interp(place, self.arc_lengths, own) for own in at])
         for distance in self.length * np.array(DISTANCES) if size > 0.0 else ():
-            point = self.mean(place) + distance * np.array(force) / size
+            point = mean + distance * np.array(force) / size
             pull = {'slack_length': 0.5 * distance, 'stiffness': 2.0 * size / distance}
             yield {'arc_length': place, **_vector('point', point), **pull}
-
-    def mean(self, arc_length: float) -> Floats:
-        """Return where a place is in the mean of the postures, (3,) [m]."""
-        at = self.measured.mean(axis=1).T
-        return np.array([np.interp(arc_length, self.arc_lengths, own) for own in at])
 
     def walls(self) -> Iterator[Start]:
         """
