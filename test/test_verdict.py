@@ -68,6 +68,8 @@ TABLE = {
     'a cause from outside is better': (
         evidence(HINGE, rivals=(CELL,)), 'outside_catalogue', HINGE),
     'it is not better by enough': (evidence(HINGE, rivals=(BEATEN,)), 'missing_effect', HINGE),
+    'what is better by chance does not count': (
+        evidence(HINGE, rivals=(replace(CELL, gain_p=0.1),)), 'missing_effect', HINGE),
     'what raised the alarm beats what does not': (
         evidence(replace(HINGE, gain_p=1.0), built=True, patterns=(BEATEN,)),
         'outside_catalogue', HINGE),

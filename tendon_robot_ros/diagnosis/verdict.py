@@ -397,10 +397,11 @@ def indistinct(evidence: Evidence) -> list[Hypothesis]:
 
 
 def _competing(evidence: Evidence, score: float) -> Rival | None:
-    """Return the pattern whose score is significantly better than a given one, if any."""
+    """Return the pattern beyond chance whose score is much better than a given one, if any."""
     if evidence.rivals is None:
         raise Missing('rivals', score=score)
-    top = min(evidence.rivals, key=lambda one: one.score, default=None)
+    likely = [one for one in evidence.rivals if one.gain_p < ALARM_LEVEL]
+    top = min(likely, key=lambda one: one.score, default=None)
     return top if top is not None and top.score < score - APART_FROM_SCORE else None
 
 
