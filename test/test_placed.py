@@ -12,9 +12,10 @@ from measurements import blind
 from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.diagnosis.add import add_effect
 from tendon_robot_ros.diagnosis.diagnose import diagnose
-from tendon_robot_ros.diagnosis.placed import acting, directions
+from tendon_robot_ros.diagnosis.placed import Screen, acting, directions
 from tendon_robot_ros.diagnosis.verdict import Verdict
 from tendon_robot_ros.inference.predict import Predictor
+from tendon_robot_ros.inference.session import Session
 from tendon_robot_ros.report.comparison import Push
 from tendon_robot_ros.report.diagnosis_text import verdict
 from tendon_robot_ros.report.sentences import pushed
@@ -101,6 +102,19 @@ def test_a_constant_force_within_the_arm_is_named_with_its_place(arm, built):
     assert told['arc_length'].value == pytest.approx(place, abs=0.003)
     for key, value in force.items():
         assert told[key].value == pytest.approx(value, rel=0.1), key
+
+
+@pytest.mark.parametrize('arm', ARMS)
+def test_the_search_for_a_load_starts_beside_what_imperfections_explain(arm):
+    """A force that is screened as if the arm were exact would be many times too small."""
+    force = {'force_x': 0.2 * ARMS[arm][3], 'force_z': -0.2 * ARMS[arm][3]}
+    dataset = measured(arm, {'point_load': middle(arm) | force})
+    session = Session(dataset, dataset.robot, simulated.CATALOGUE, workers=1)
+    session.prepare()
+    screen = Screen.of(session.fitters[0], session.base_fit())
+    start = next(screen.loads())
+    assert abs(start['arc_length'] - middle(arm)['arc_length']) < 0.2 * screen.length
+    assert start['force_x'] == pytest.approx(force['force_x'], rel=0.5)
 
 
 @pytest.mark.parametrize(('arm', 'built'), CASES)

@@ -68,6 +68,8 @@ TABLE = {
     'a cause from outside is better': (
         evidence(HINGE, rivals=(CELL,)), 'outside_catalogue', HINGE),
     'it is not better by enough': (evidence(HINGE, rivals=(BEATEN,)), 'missing_effect', HINGE),
+    'what is better by chance does not count': (
+        evidence(HINGE, rivals=(replace(CELL, gain_p=0.1),)), 'missing_effect', HINGE),
     'what raised the alarm beats what does not': (
         evidence(replace(HINGE, gain_p=1.0), built=True, patterns=(BEATEN,)),
         'outside_catalogue', HINGE),
@@ -85,6 +87,21 @@ TABLE = {
         evidence(POOR, combined=(BOTH,), departures=NONE), 'outside_catalogue', None),
     'a load at a place explains more': (
         evidence(HINGE, rivals=at_places(PUSH)), 'missing_effect', PUSH),
+    'a load at a place alone raises the alarm': (
+        evidence(replace(HINGE, gain_p=1.0), built=True, probability=0.5,
+                 patterns=at_places(PUSH), rivals=at_places(PUSH)), 'missing_effect', PUSH),
+    'a load at the tip explains nearly as much': (
+        evidence(replace(LOAD, gain_p=1.0), built=True, probability=0.5,
+                 patterns=at_places(replace(PUSH, score=NEAR - 3.0)),
+                 rivals=at_places(replace(PUSH, score=NEAR - 3.0))), 'ambiguous',
+        replace(PUSH, score=NEAR - 3.0)),
+    'a load at a place alone differs from the description': (
+        replace(evidence(replace(HINGE, gain_p=1.0), built=True, probability=0.5,
+                         patterns=at_places(PUSH), rivals=at_places(PUSH)),
+                departures={HINGE.names: NONE, PUSH.names: CLEAR}), 'missing_effect', PUSH),
+    'but none that single postures determine': (
+        evidence(replace(HINGE, gain_p=1.0), built=True, probability=0.5,
+                 patterns=at_places(replace(PUSH, trust=0.5 * P_SINGLE_MIN))), 'adequate', None),
     'a string at a place explains as much as that load': (
         evidence(HINGE, rivals=at_places(PUSH, STRING)), 'ambiguous', PUSH),
     'a string far behind that load': (

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any
 
@@ -41,7 +41,7 @@ class Screen:
 
     arc_lengths: Floats  # (n,) [m]
     gain: Floats  # (n, P, 3) [1/N] half the fall of chi² by a force
-    weight: Floats  # (n, P, 3, 3) [1/N²] the rise of chi² by its square
+    weight: Floats  # (n, P, 3, P, 3) [1/N²] the rise of chi² by products of two of them
     free: Floats  # (n, P, 3) [m] the places as predicted without it
     measured: Floats  # (n, P, 3) [m] and as measured
     length: float  # [m] of the arm
@@ -70,26 +70,26 @@ class Screen:
         off = np.nan_to_num(dataset.mean - markers)[:, order].transpose(0, 2, 1)
         off = np.concatenate([np.zeros((*off.shape[:2], 1)), off], axis=2)
         moved = np.array([[np.interp(arc_lengths, arcs, row) for row in one] for one in off])
-        alone = fitter.lift(fitter.lift(fitter.residual(markers)))  # counts what nothing explains
-        white, owners = fitter.whitener.white(slopes), fitter.whitener.owners
+        left, white = fitter.lift(fitter.residual(markers)), fitter.whitener.white(slopes)
         shown = np.flatnonzero(dataset.trials > 0)
-        own = [(white[:, :, owners == p], alone[owners == p]) for p in shown]
+        alone = (fitter.whitener.owners == shown[:, None])[:, None]  # in one posture each
+        columns = (fitter.lift((alone * one).reshape(-1, len(left)).T) for one in white)
+        gains, weights = zip(*((own.T @ left, own.T @ own) for own in columns), strict=True)
+        forces = len(shown), 3
         return cls(
             arc_lengths,
-            np.stack([columns @ left for columns, left in own], axis=1),
-            np.stack([columns @ columns.swapaxes(1, 2) for columns, _ in own], axis=1),
+            np.reshape(gains, (-1, *forces)),
+            np.reshape(weights, (-1, *forces, *forces)),
             free[:, shown],
             (free + moved.transpose(2, 0, 1))[:, shown],
             predictor.robot.length,
         )
 
-    def starts(self, effect: Effect, load: Ranked | None) -> Iterator[Start]:
+    def starts(self, effect: Effect) -> Iterator[Start]:
         """Yield starts of an effect, those that gain most first."""
         if effect.name == 'point_load':
             yield from self.loads()
         elif effect.name == 'tether':
-            if load is not None:
-                yield from self.strings_like(load)
             yield from self.strings()
         else:
             hard = effect.parameters[0].typical
@@ -97,7 +97,7 @@ class Screen:
 
     def loads(self) -> Iterator[Start]:
         """Yield loads, those that gain most first."""
-        gain, weight = self.gain.sum(axis=1), self.weight.sum(axis=1)
+        gain, weight = self.gain.sum(axis=1), self.weight.sum(axis=(1, 3))
         forces = np.array([np.linalg.lstsq(w, g)[0] for w, g in zip(weight, gain, strict=True)])
         for i in np.argsort(-(forces * gain).sum(axis=1)).tolist():
             yield {'arc_length': self.arc_lengths[i], **_vector('force', forces[i])}
@@ -111,8 +111,9 @@ class Screen:
             points = at.mean(axis=0) + far
             way = points[:, None] - at
             way = way / np.maximum(np.linalg.norm(way, axis=2, keepdims=True), 1e-9)
-            gain = np.einsum('mpi,pi->m', way, self.gain[i])
-            weight = np.einsum('mpi,pij,mpj->m', way, self.weight[i], way)
+            flat = way.reshape(len(way), -1)
+            gain = flat @ self.gain[i].ravel()
+            weight = ((flat @ self.weight[i].reshape(2 * flat.shape[1:])) * flat).sum(axis=1)
             pull = np.maximum(gain, 0.0) / np.maximum(weight, 1e-300)
             m = int(np.argmax(gain * pull))
             place = {'arc_length': arc_length, **_vector('point', points[m])}
@@ -120,21 +121,15 @@ class Screen:
         for _, start in sorted(rows, key=lambda row: -row[0]):
             yield start
 
-    def strings_like(self, load: Ranked, are_springs: bool = False) -> Iterator[Start]:
-        """Yield strings, or springs half as long at rest, that pull as a load does in the mean."""
+    def springs(self, load: Ranked) -> Iterator[Start]:
+        """Yield springs half as long at rest that pull as a load does in the mean."""
         place, *force = load.fit.values[:4].tolist()
-        size = float(np.linalg.norm(force))
+        size, at = float(np.linalg.norm(force)), self.measured.mean(axis=1).T
+        mean = np.array([np.interp(place, self.arc_lengths, own) for own in at])
         for distance in self.length * np.array(DISTANCES) if size > 0.0 else ():
-            point = self.mean(place) + distance * np.array(force) / size
-            pull = {'tension': size}
-            if are_springs:
-                pull = {'slack_length': 0.5 * distance, 'stiffness': 2.0 * size / distance}
+            point = mean + distance * np.array(force) / size
+            pull = {'slack_length': 0.5 * distance, 'stiffness': 2.0 * size / distance}
             yield {'arc_length': place, **_vector('point', point), **pull}
-
-    def mean(self, arc_length: float) -> Floats:
-        """Return where a place is in the mean of the postures, (3,) [m]."""
-        at = self.measured.mean(axis=1).T
-        return np.array([np.interp(arc_length, self.arc_lengths, own) for own in at])
 
     def walls(self) -> Iterator[Start]:
         """
@@ -148,7 +143,7 @@ class Screen:
             nearest = np.argmin(self.measured @ normal, axis=0)
             behind = -(self.free[nearest, every] @ normal) > distance
             gain = np.maximum(self.gain[nearest, every] @ normal, 0.0) * behind
-            weight = np.einsum('pij,i,j->p', self.weight[nearest, every], normal, normal)
+            weight = self.weight[nearest, every, :, every] @ normal @ normal
             flat = {
                 'distance': distance,
                 'azimuth': float(np.arctan2(normal[1], normal[0])),
@@ -175,8 +170,7 @@ def fit_placed(session: Session, base: Fit, line: float) -> list[Ranked]:
     """
     Fit every effect whose place is unknown from its best starts; without equilibrium none.
 
-    Those whose score is not expected to fall below a `line` stop early. A string also starts from
-    the load that explains most: it is one from far away.
+    Those whose score is not expected to fall below a `line` stop early.
     """
     screen, fitted = Screen.of(session.fitters[0], base), dict[str, Ranked]()
     if screen is None:
@@ -187,11 +181,11 @@ def fit_placed(session: Session, base: Fit, line: float) -> list[Ranked]:
     for name in names:
         if name not in session.catalogue or name in session.robot.effects:
             continue
-        starts = screen.starts(session.catalogue[name], fitted.get('point_load'))
+        starts = screen.starts(session.catalogue[name])
         best = _fitted(session, name, starts, line)
         gains = best is not None and best.score < base.deviance
         if name == 'tether' and gains and 'point_load' in fitted:
-            springs = screen.strings_like(fitted['point_load'], are_springs=True)
+            springs = screen.springs(fitted['point_load'])
             both = best, _fitted(session, name, springs, line)
             best = min(filter(None, both), key=lambda one: one.score, default=None)
         if best is not None:
@@ -203,7 +197,8 @@ def _fitted(session: Session, name: str, starts: Iterable[Start], line: float) -
     """Return the best fit of an effect from the first starts, those with the least error first."""
     fitter, best = session.fitters[0], None
     rows = list[tuple[float, int, dict[FreeParameter, float]]]()
-    every = free_parameters(session.catalogue[name], session.robot)
+    reach = DISTANCES[-1] * session.robot.length  # a string from farther away is as good as a load
+    every = [within(f, reach) for f in free_parameters(session.catalogue[name], session.robot)]
     for start in islice(starts, STARTS):
         frees = {
             free: float(np.clip(start[free.key], free.parameter.low, free.parameter.high))
@@ -221,6 +216,13 @@ def _fitted(session: Session, name: str, starts: Iterable[Start], line: float) -
             if best is None or fit.deviance < best.fit.deviance:
                 best = session.rank(candidate, fit)
     return best
+
+
+def within(free: FreeParameter, reach: float) -> FreeParameter:
+    """Return a free parameter whose bounds, where it is a length, are within a reach [m]."""
+    own = free.parameter
+    low, high = max(own.low, -reach), min(own.high, reach)
+    return replace(free, parameter=replace(own, low=low, high=high)) if own.unit == 'm' else free
 
 
 def acting(predictor: Predictor, point: Point, name: str) -> Floats:

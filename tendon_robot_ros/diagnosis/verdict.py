@@ -281,10 +281,15 @@ def differs(evidence: Evidence, one: Hypothesis, scale: float = 1.0) -> bool:
 
 
 def outside_by_itself(evidence: Evidence) -> Rival | None:
-    """Return the best pattern whose gain over no effect is significant, if any."""
+    """
+    Return the best pattern whose gain over no effect is significant, if any.
+
+    An effect whose place had to be found is none where single postures determine it.
+    """
     if evidence.patterns is None:
         raise Missing('patterns')
-    likely = [one for one in evidence.patterns if one.everywhere and one.gain_p < ALARM_LEVEL]
+    everywhere = [one for one in evidence.patterns if one.everywhere and one.gain_p < ALARM_LEVEL]
+    likely = [one for one in everywhere if not one.placed or one.placed.trust > P_SINGLE_MIN]
     return min(likely, key=lambda one: one.score, default=None)
 
 
@@ -292,8 +297,8 @@ def decide(evidence: Evidence) -> Concluded:
     """
     Conclude what explains the error: nothing, one effect, a class, several, or no effect at all.
 
-    An effect whose place had to be found is named where it beats all others, with the others of
-    its kind that explain as much; where it is not adequate, it may be a part of the cause.
+    An effect whose place had to be found is named where it beats all others, or alone raises the
+    alarm, with all that explain as much; where it is not adequate, it may be a part of the cause.
 
     Raises
     ------
@@ -305,13 +310,19 @@ def decide(evidence: Evidence) -> Concluded:
     best = None if said.rival is None else said.rival.placed
     if best is None:
         return said
-    near = _places(evidence, best.score + APART_FROM_SCORE)
-    return _named(evidence, near) if near else _outside(evidence, best, None)
+    limit = best.score + APART_FROM_SCORE
+    near = _places(evidence, limit)
+    if not near:
+        return _outside(evidence, best, None)
+    alike = [one for one in indistinct(evidence) if one.score <= limit and differs(evidence, one)]
+    return _named(evidence, [*near, *alike])
 
 
 def _places(evidence: Evidence, score: float) -> list[Hypothesis]:
     """Return the adequate effects whose place had to be found, up to a score, best first."""
-    every = [one.placed for one in evidence.rivals or () if one.placed is not None]
+    if evidence.rivals is None:
+        raise Missing('rivals', score=score)
+    every = [one.placed for one in evidence.rivals if one.placed is not None]
     near = [one for one in every if one.score <= score and one.probability > P_SINGLE_MIN]
     near = [one for one in near if differs(evidence, one)]
     best = first_of_best(near) if near else None
@@ -324,16 +335,18 @@ def _without_places(evidence: Evidence) -> Concluded:
         return _of_several(evidence, evidence.combined)
     if not is_alarming(evidence):
         return Conclusion(Verdict.ADEQUATE)
-    group = [one for one in indistinct(evidence) if differs(evidence, one)]
-    if not group:
-        raise Missing('combined')
-    best = group[0]
-    rival = _competing(evidence, best.score)
-    if rival is None and evidence.as_built and not gains(best.gain_p, len(evidence.singles)):
+    near, trials = indistinct(evidence), len(evidence.singles)
+    group = [one for one in near if differs(evidence, one)]
+    best = group[0] if group else None
+    rival = best and _competing(evidence, best.score)
+    if near and not rival and evidence.as_built and not (best and gains(best.gain_p, trials)):
         alone = outside_by_itself(evidence)  # what raised the alarm, the effect would not have
-        rival = alone if alone is not None and alone.score < best.score else None
-    if rival is not None:
+        if alone is not None and (alone.score < best.score if best else alone.placed):
+            rival = alone
+    if rival:
         return _outside(evidence, best, rival)
+    if best is None:
+        raise Missing('combined')
     if evidence.as_built:
         if evidence.further is None:
             raise Missing('further', best.names)
@@ -384,10 +397,11 @@ def indistinct(evidence: Evidence) -> list[Hypothesis]:
 
 
 def _competing(evidence: Evidence, score: float) -> Rival | None:
-    """Return the pattern whose score is significantly better than a given one, if any."""
+    """Return the pattern beyond chance whose score is much better than a given one, if any."""
     if evidence.rivals is None:
         raise Missing('rivals', score=score)
-    top = min(evidence.rivals, key=lambda one: one.score, default=None)
+    likely = [one for one in evidence.rivals if one.gain_p < ALARM_LEVEL]
+    top = min(likely, key=lambda one: one.score, default=None)
     return top if top is not None and top.score < score - APART_FROM_SCORE else None
 
 

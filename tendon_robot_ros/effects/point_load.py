@@ -62,4 +62,6 @@ EFFECT = Effect(
     ),
     divisible=True,
     placed=True,
+    # farther than a diagnosis looks for a string: `diagnosis.placed.DISTANCES`
+    finding='a force at {place}, or a string tied farther than four arm lengths away',
 )
