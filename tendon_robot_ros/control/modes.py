@@ -75,8 +75,7 @@ class FollowTarget(Mode):
         if self.via and _same(state.command, self.via[0]):
             measured, settled = state.driver.tensions, True
             if measured is not None and state.command is not None and not state.settings.pull_mode:
-                low, high = state.limits.T
-                settled = self._settling.settled(state.time, state.command, measured, high - low)
+                settled = self._settling.settled(state.time, state.command, measured, state.limits)
             if settled:
                 self.via.pop(0)
         elif self._unsure(state) and _same(state.command, self.reach.tensions):
@@ -101,7 +100,7 @@ class FollowTarget(Mode):
         Searches go on while each brings the tip nearer by more than it is worth.
         """
         here, target, most = state.track.last, self.target, WORTHWHILE_MAX * self._missed
-        settled = self._settling.settled(state.time, command, command, np.ones_like(command))
+        settled = self._settling.settled(state.time, command, command, state.limits)
         if state.solver.busy('again') or not settled:
             return
         task = tip_task(state.model, state.settings, target)

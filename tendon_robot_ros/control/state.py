@@ -162,6 +162,11 @@ class ActingTensions:
         return np.asarray(np.maximum(command + offset, 0.0))
 
 
+def is_near(tensions: Floats, goal: Floats, limits: Floats, tolerance: float) -> bool:
+    """Whether tensions (m,) [N] are at a goal, within a tolerance [1] of their ranges."""
+    return bool(np.all(np.abs(tensions - goal) < tolerance * np.ptp(limits, axis=1)))
+
+
 @dataclass
 class Settling:
     """
@@ -176,11 +181,11 @@ class Settling:
     _since: float = -np.inf  # [s] when it was commanded
     _near: float = -np.inf  # [s] since when they are within tolerance
 
-    def settled(self, now: float, command: Floats, measured: Floats, width: Floats) -> bool:
-        """Whether measured tensions (m,) [N] have settled; `width` (m,) [N] are their ranges."""
+    def settled(self, now: float, command: Floats, measured: Floats, limits: Floats) -> bool:
+        """Whether measured tensions (m,) [N] with limits (m, 2) [N] have settled."""
         if self._command is None or not np.array_equal(command, self._command):
             self._command, self._since, self._near = command.copy(), now, now
-        if np.any(np.abs(measured - command) >= 2.0 * RANGE_TOLERANCE * width):
+        if not is_near(measured, command, limits, 2.0 * RANGE_TOLERANCE):
             self._near = now
         return now - self._near >= SETTLED_S or now - self._since > 5.0 * SETTLED_S
 

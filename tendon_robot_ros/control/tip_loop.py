@@ -23,7 +23,7 @@ from ..common.local_stop import SILENCE_S
 from ..model.program import RANGE_TOLERANCE, bounded_least_squares
 from ..robot.estimates import MODEL_ERROR_MAX, TRACKER_NOISE_M
 from .inputs import interpolated
-from .state import ControllerState, TipCorrection, TrackedTip
+from .state import ControllerState, TipCorrection, TrackedTip, is_near
 from .tip_estimator import (
     HOLD_GAIN,
     MODEL_SLOPE_SD,
@@ -212,9 +212,9 @@ class TipLoop(TipCorrection):
         gain = core.settings.tip_gain
         if gain == 0.0 or self._silent(core.time) or self.abandoned or core.streaming:
             return longest
-        if _at_goal(core, goal, 0.1 * RANGE_TOLERANCE):
-            return longest  # arrived
         assert core.command is not None
+        if is_near(core.command, goal, core.limits, 0.1 * RANGE_TOLERANCE):
+            return longest  # arrived
         remaining = float(np.abs(goal - core.command).max())
         return min(longest, remaining * (1.0 - float(np.exp(-PACE * gain * passed))))
 
@@ -291,7 +291,9 @@ class TipLoop(TipCorrection):
         then, before = self._then(sample_time), self._compared
         oldest = self._history[0][0] if self._history else np.inf
         known_then = sample_time == now or sample_time >= oldest
-        arrived = _at_goal(core, goal, RANGE_TOLERANCE) and not core.streaming
+        assert core.command is not None
+        near = is_near(core.command, goal, limits, RANGE_TOLERANCE)
+        arrived = near and not core.streaming
 
         def work(give_up: GiveUp) -> _Compared:
             shape = model.follow(last, acting)
@@ -355,10 +357,3 @@ class _Compared(NamedTuple):
     compared: Floats  # (3,) [m] of the model, at the exposure
     motion: NullSpaceMotion | None
     remainder: Remainder
-
-
-def _at_goal(core: ControllerState, goal: Floats, tolerance: float) -> bool:
-    """Whether the command is at its goal (m,) [N], within a tolerance [1] of the ranges."""
-    assert core.command is not None
-    low, high = core.limits.T
-    return bool(np.all(np.abs(goal - core.command) < tolerance * (high - low)))

@@ -145,6 +145,8 @@ class _Search:
         task, sticks, remembers = self.task, self.model.sticks, self.model.remembers
         best: TriedTensions | None = None
         lowest_worth = cost_at_guess = np.inf
+        low, high = self.model.limits.T
+        present = low if task.guess is None else task.guess.inputs
         if self.report is not None and task.guess is not None:
             worth = task.worth(task.cost(task.guess), task.guess.inputs)
             cost_at_guess = (1.0 - TRACKING_GAIN_MIN) * worth
@@ -166,7 +168,9 @@ class _Search:
             # `worth`, since a target beyond reach is no reason to move to the limits of tension
             nearer = task.worth(best.cost, best.inputs) < last_reported
             if self.report is not None and nearer and (sticks or not converged):
-                early = best if converged or not self._is_tense(best) else self._priced(best, best)
+                more = (best.inputs - present).sum()  # than the present tensions
+                tense = more > JUMP_MAX * (high - low).sum()
+                early = self._priced(best, best) if tense and not converged else best
                 self.report(judged(task, early.inputs.copy(), early.state, in_time=False))
                 last_reported = WORTHWHILE_MAX * task.worth(early.cost, early.inputs)
             good_enough = (sticks and count >= FEW_STARTS and best.cost < self.kink_cost) or (
@@ -249,12 +253,6 @@ class _Search:
         """Tell whether tensions (m,) [N] are far from those before."""
         low, high = self.model.limits.T
         return bool(np.any(np.abs(inputs - before) > JUMP_MAX * (high - low)))
-
-    def _is_tense(self, one: TriedTensions) -> bool:
-        """Tell whether the sum of the tensions is far above that of the present ones."""
-        low, high = self.model.limits.T
-        present = low if self.task.guess is None else self.task.guess.inputs
-        return bool((one.inputs - present).sum() > JUMP_MAX * (high - low).sum())
 
     def _priced(self, best: TriedTensions, start: TriedTensions) -> TriedTensions:
         """

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 # [1] frames of the tracker in each half of a window, else their mean would hardly reduce noise
 FRAMES_PER_HALF_MIN = 4
-FALSE_CHANGE_PROBABILITY = RARE  # of a motion, for an arm at rest
 # [s] over which constant inputs are averaged; over less, noise would appear as a motion
 INPUT_AVERAGE_S = 0.1
 # [1] of the highest tension: change between the halves of a window beyond which the arm moves,
@@ -241,7 +240,7 @@ class FrameMean:
         parts = [off]
         if slopes is not None and len(off) > slopes.shape[1]:
             parts.append(np.linalg.qr(slopes[visible])[0].T @ off)
-        return any(p @ p > chi2_isf(FALSE_CHANGE_PROBABILITY, len(p)) for p in parts if len(p))
+        return any(p @ p > chi2_isf(RARE, len(p)) for p in parts if len(p))
 
 
 def _joined(batches: deque[_Batch]) -> tuple[Floats, int]:

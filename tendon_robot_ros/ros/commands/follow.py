@@ -24,6 +24,7 @@ from ...control.target_search import keep_out_refusal
 from ...data.bag_reader import is_bag, opened
 from ...data.csv_file import first_line
 from ...data.path_files import NO_PATH, TendonRows, TipRows, read_moves, read_path
+from ...drivers.safety import CYCLE_MAX_S
 from ...model.model import Model
 from ...model.shape import Shape
 from ...paths.path import (
@@ -40,7 +41,7 @@ from ...paths.path import (
 from ...report.pictures import draw_run, path_lines, place
 from ...robot.keep_out import load_keep_out, text_of
 from ..controller.topics import POINTS_MAX
-from ..shared.robot_client import MOVE_MIN_S, Pilot, add_controller
+from ..shared.robot_client import Pilot, add_controller
 from ..shared.runtime import ros
 from ..shared.timing import MOVE_TIMEOUT_S, NEWS_PERIOD_S
 
@@ -240,8 +241,9 @@ def _tendons(
         times, values = times[-1] - times[::-1], values[::-1]
     print(f'{len(times)} rows of {"wire pulls" if pilot.pull else "tensions"}, {times[-1]:.1f} s')
     rate, current = pace.pull if pilot.pull else pace.tension, pilot.commands()[1][-1]
-    # the move to the first row, then the rows, slower where they would exceed the rate
-    times = max(float(np.abs(values[0] - current).max()) / rate, MOVE_MIN_S) + stretched(
+    # the move to the first row, which does not jump, then the rows, slower where they would exceed
+    # the rate
+    times = max(float(np.abs(values[0] - current).max()) / rate, CYCLE_MAX_S) + stretched(
         times, values, rate
     )
     if options.keep_out:

@@ -36,6 +36,7 @@ from ...control.inputs import Refusal, Trajectory
 from ...data import default_markers
 from ...data.dataset import LOADINGS
 from ...data.folder import read_markers
+from ...drivers.safety import CYCLE_MAX_S
 from ...investigation.goal import add_goal, goal_of
 from ...investigation.loop import Findings, Investigation, write_results
 from ...investigation.measuring import BETTER, BrokenMeasurementError, News, PostureMeasured
@@ -52,7 +53,7 @@ from ..shared.lifecycle import OK, WARN, Status
 from ..shared.messages import offer_trigger, points_of, seconds, tensions_and_pulls, time_now
 from ..shared.parameters import parsed
 from ..shared.quality import STATE
-from ..shared.robot_client import MESSAGES_MAX, MOVE_MIN_S, WORKING_CODES, Pilot, add_controller
+from ..shared.robot_client import MESSAGES_MAX, WORKING_CODES, Pilot, add_controller
 from ..shared.runtime import SPIN_S, Ending, repeat, ros
 from ..shared.timing import REACTION_TIMEOUT_S, SILENCE_S, STATUS_PERIOD_S
 
@@ -281,7 +282,8 @@ class RunningArm(Pilot):
         current = self._commands[-1][1]
         largest = self._own.limits[:, 1] if not self.pull else 0.1 * self.robot.length
         fraction = float(np.max(np.abs(target - current) / largest))
-        return Trajectory(np.array([max(fraction / self.speed, MOVE_MIN_S)]), target[None])
+        # no shorter, so that no command jumps
+        return Trajectory(np.array([max(fraction / self.speed, CYCLE_MAX_S)]), target[None])
 
     def _go(self, target: Floats) -> None:
         """Play the path to a command and wait for its end."""

@@ -24,7 +24,6 @@ from ...common.rotations import towards
 from ...control.inputs import Trajectory
 from ...control.inputs import direction as looks
 from ...control.loading import load
-from ...drivers.safety import CYCLE_MAX_S
 from ...effects import load_catalogue
 from ...model.model import Model
 from ...robot import load_robot
@@ -51,7 +50,6 @@ WORKING_CODES = ('holding', 'searching', 'moving', 'playing', 'played', 'jogging
 # [s] over which a tip at rest is averaged: ten frames at 30 Hz, so that the noise of a tracker
 # falls to a third
 TIP_AVERAGE_S = 0.3
-MOVE_MIN_S = CYCLE_MAX_S  # [s] of the shortest move, so that no command jumps
 # [1] messages kept of a topic: two seconds at 1 kHz, so that a busy machine loses none, and memory
 # does not grow
 MESSAGES_MAX = 2000
