@@ -315,18 +315,22 @@ def decide(evidence: Evidence) -> Concluded:
     if not near:
         return _outside(evidence, best, None)
     alike = [one for one in indistinct(evidence) if one.score <= limit and differs(evidence, one)]
-    return _named(evidence, [*near, *alike])
+    return _named(evidence, _best_first([*alike, *near]))
+
+
+def _best_first(group: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Put the best first; among ties it is the first of the catalogue."""
+    best = first_of_best(group) if group else None
+    return sorted(group, key=lambda one: one is not best)
 
 
 def _places(evidence: Evidence, score: float) -> list[Hypothesis]:
-    """Return the adequate effects whose place had to be found, up to a score, best first."""
+    """Return the adequate effects whose place had to be found, up to a score."""
     if evidence.rivals is None:
         raise Missing('rivals', score=score)
     every = [one.placed for one in evidence.rivals if one.placed is not None]
     near = [one for one in every if one.score <= score and one.probability > P_SINGLE_MIN]
-    near = [one for one in near if differs(evidence, one)]
-    best = first_of_best(near) if near else None
-    return sorted(near, key=lambda one: (one is not best, one.score))
+    return [one for one in near if differs(evidence, one)]
 
 
 def _without_places(evidence: Evidence) -> Concluded:
@@ -391,9 +395,7 @@ def indistinct(evidence: Evidence) -> list[Hypothesis]:
     near = contenders(evidence.singles)
     if evidence.wider is None:
         raise Missing('wider')
-    kept = [one for one in near if one.names not in evidence.wider]
-    best = first_of_best(kept) if kept else None
-    return sorted(kept, key=lambda one: one is not best)
+    return _best_first([one for one in near if one.names not in evidence.wider])
 
 
 def _competing(evidence: Evidence, score: float) -> Rival | None:
