@@ -176,11 +176,12 @@ class Fits:
         line = min(base.deviance - APART_FROM_SCORE, score)
         if self.placed is None or self.placed_line < line:
             self.placed, self.placed_line = fit_placed(session, base, line), line
+        places = session.predictor.model.arrays.chain.n
         rivals = [
             Rival(p.name, p.score, p.everywhere, p.gain_p_value(base.deviance)) for p in patterns
         ]
         for r in self.placed:
-            by_chance = len(self.placed) * session.gain_p_value(base, r)
+            by_chance = places * gain_p_value(session, base, r)
             rivals.append(Rival(r.names[0], r.score, True, by_chance, _numbers(r)))
         return tuple(rivals)
 
