@@ -106,26 +106,16 @@ class Balance:
         slopes, state_slopes = tip_and_state_slopes(self.task.model, shape, past)
         return self.weights[:, None] * slopes * self.range, state_slopes
 
-    def cost(self, shape: Shape, error: Floats, stiffness: bool = True) -> float:
+    def cost(self, shape: Shape, error: Floats) -> float:
         """Return the cost [1] of a posture: error, preferences and penetration of regions."""
-        preferences, u = self.preferences, (shape.inputs - self.low) / self.range
-        cost = 0.5 * self.tip_weight * float(error @ error)
-        cost += 0.5 * preferences.low_tension * float(u @ u)
-        margin = preferences.margin
-        near, far = np.maximum(margin - u, 0.0), np.maximum(u - 1.0 + margin, 0.0)
-        cost += (
-            0.5
-            * (preferences.slack * float(near @ near) + preferences.limit * float(far @ far))
-            / (margin**2)
-        )
-        if self.present is not None:
-            moved = (shape.inputs - self.present) / self.range
-            cost += 0.5 * preferences.smooth * float(moved @ moved)
+        weights, distances = self._squares(shape.inputs)
+        cost = self.tip_weight * float(error @ error) + float(weights @ (distances**2).sum(axis=1))
         if self.keep_out:
             inside = np.minimum(self.keep_out.distances(shape.positions), 0.0)
-            cost += 0.5 * KEEP_OUT_RATIO * self.tip_weight * float((inside * inside).sum())
-        if stiffness and preferences.stiffness > 0.0:
-            cost -= preferences.stiffness * self.log_stiffness(shape)
+            cost += KEEP_OUT_RATIO * self.tip_weight * float((inside * inside).sum())
+        cost *= 0.5
+        if self.preferences.stiffness > 0.0:
+            cost -= self.preferences.stiffness * self.log_stiffness(shape)
         return cost
 
     def log_stiffness(self, shape: Shape) -> float:
@@ -166,21 +156,27 @@ class Balance:
 
     def _preferred(self, at: Linearised) -> tuple[Floats, Floats]:
         """Return diagonal (m,) and slope (m,) of the preferences, in fractions of the range."""
-        preferences, u = self.preferences, (at.shape.inputs - self.low) / self.range
-        diagonal = np.full(len(u), STEP_MIN + preferences.low_tension + preferences.smooth)
-        slope = preferences.low_tension * u
-        if self.present is not None:
-            slope = slope + preferences.smooth * (at.shape.inputs - self.present) / self.range
-        for weight, over in (
-            (preferences.slack, np.minimum(u - preferences.margin, 0.0)),
-            (preferences.limit, np.maximum(u - 1.0 + preferences.margin, 0.0)),
-        ):
-            if weight > 0.0:
-                slope = slope + weight / preferences.margin**2 * over
-                diagonal = diagonal + weight / preferences.margin**2 * (over != 0.0)
+        preferences, (weights, distances) = self.preferences, self._squares(at.shape.inputs)
+        counts = distances != 0.0
+        counts[:2] = True  # low tension and little change count everywhere
+        diagonal, slope = STEP_MIN + weights @ counts, weights @ distances
         if preferences.stiffness > 0.0:
             slope = slope - preferences.stiffness * self.stiffness_slope(at.shape)
         return diagonal, slope
+
+    def _squares(self, inputs: Floats) -> tuple[Floats, Floats]:
+        """
+        Return weights (4,) and distances (4, m) [1] of the range from what is preferred.
+
+        Each of low tension, little change, slack and limit costs half its weight times the square
+        of its distances.
+        """
+        wants, u = self.preferences, (inputs - self.low) / self.range
+        moved = np.zeros(len(u)) if self.present is None else (inputs - self.present) / self.range
+        under, over = np.minimum(u - wants.margin, 0.0), np.maximum(u - 1.0 + wants.margin, 0.0)
+        within_margin = np.array([wants.slack, wants.limit]) / wants.margin**2
+        weights = np.array([wants.low_tension, wants.smooth, *within_margin])
+        return weights, np.array([u, moved, under, over])
 
     def step(self, at: Linearised, trust: float) -> Floats:
         """
