@@ -47,7 +47,9 @@ def python(tmp_path_factory):
     shutil.rmtree(source)
     venv.create(folder / 'venv', with_pip=False)
     path = folder / 'venv/bin/python'
-    install = ['-m', 'pip', '--python', path, 'install', '--no-index', '--no-deps', wheel]
+    # also where a source tree with a build of it is on PYTHONPATH
+    options = '--no-index', '--no-deps', '--ignore-installed'
+    install = ['-m', 'pip', '--python', path, 'install', *options, wheel]
     result = processes.run([sys.executable, *install])
     assert result.returncode == 0, result.stderr
     site = folder / 'venv' / SITE
