@@ -321,7 +321,7 @@ def details_of(fits: Fits, decision: Concluded) -> dict[str, Any]:
         if effect.name in named
     }
     details['pushes'] = {
-        name: pushes_by(session, ranked.fit, name, decision.scale)
+        name: pushes_by(session, fit if ranked is chosen else ranked.fit, name, decision.scale)
         for ranked in dict.fromkeys(filter(None, (chosen, *decision.alike)))
         for name in ranked.names
         if session.catalogue[name].placed
