@@ -91,7 +91,7 @@ def test_a_turned_cell_keeps_lengths_and_moves_only_what_lies_beyond():
 def test_limp_tendons_cost_nothing_and_a_softer_backbone_cancels_stiff_ones():
     robot = kato('1_1')
     found = find_workspace(Model(robot), [np.pi], 0.5, 0.1, tolerance=0.2)
-    cost = paper_motion.stiffening(robot, found.families[0])
+    cost = paper_motion.Stiffening(robot, found.families[0])
     assert cost.tendons == (6, 3)
     assert cost.bending[0] > cost.bending[1] > 0.0
     assert cost.evened < 1e-12
@@ -129,7 +129,7 @@ def test_at_90_degrees_the_models_differ_as_published_at_equal_tension():
 def test_names_of_bars_stand_above_them_also_on_a_phone():
     """Beside or below the bars they ran into one another at 400 px."""
     names = ['three at one place, arm 0.65 mm, 5 N each', 'one wire, <b>5 N']
-    made = [Arrangement(name, 0.05, 0.048, 0.053, 0.06) for name in names]
+    made = [Arrangement(name, 0.05, 0.048, 0.053) for name in names]
     figure = arrangements(SimpleNamespace(arrangements=made), 0.05)
     bars = figure.data[0]
     assert bars['orientation'] == 'h' and bars['x'] == [50.0, 50.0]

@@ -13,7 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from html import escape
 from pathlib import Path
@@ -23,7 +23,7 @@ import numpy as np
 
 from ..cli.options import declare, emit, progress
 from ..common.colours import INK, MEASURED, line_style
-from ..common.errors import InputError, Progress, listener
+from ..common.errors import InputError, Progress
 from ..common.files import new_folder
 from ..common.words import capital, columns, digits, listed, mm
 from ..comparison.result import Comparison
@@ -47,17 +47,14 @@ from ..report.page import (
 )
 from ..report.sentences import interval_name
 from ..report.workspace_page import FAMILY_COLUMNS, rows, view_figures
-from ..robot import load_robot
+from ..robot import Robot, load_robot
 from .friction import SlipFriction, slip_friction
-from .paper_motion import Assumed, MotionExperiment, Published, Robots, motion
+from .paper_motion import Assumed, MotionExperiment, Published
 from .paper_postures import (
     HEIGHT_NAMES,
     DisplacementExperiment,
     SmallExperiment,
     TensionExperiment,
-    displacement_experiment,
-    small_experiment,
-    tension_experiment,
 )
 
 HELP = "the paper's experiments, published numbers beside ours, on one page"
@@ -85,9 +82,8 @@ def run(args: argparse.Namespace) -> int:
     if folder.exists() and any(folder.iterdir()) and not args.overwrite:
         raise InputError(f'{folder}: is not empty; use --overwrite or another --output')
     own = [Path(args.robots, f'{name}.yaml') for name in PAPER_ROBOTS] if args.robots else None
-    robots = Robots(*map(load_robot, own or PAPER_ROBOTS))
     with progress() as show:
-        paper = reproduce(robots, show)
+        paper = Paper([*map(load_robot, own or PAPER_ROBOTS)], show)
     page = paper_page(paper)
     with new_folder(folder, PAPER_FILES) as draft:
         page.write(draft / PAPER_FILES[0])
@@ -134,48 +130,30 @@ class Number:
         return 'in range' if self.low <= self.published <= self.high else 'not met'
 
 
-@dataclass(frozen=True, eq=False)
 class Paper:
-    """Section IV, reproduced."""
+    """Section IV, reproduced with robots as `PAPER_ROBOTS`; every published number in its rows."""
 
-    robots: Robots
-    friction: dict[str, SlipFriction]
-    motion: MotionExperiment
-    displacement: DisplacementExperiment
-    tension: TensionExperiment
-    small: SmallExperiment
-
-    @property
-    def rows(self) -> list[Number]:
-        """Every published number, in the order of the paper."""
-        return [
-            *friction_numbers(self.friction),
-            *motion_numbers(self.motion),
-            *displacement_numbers(self.displacement),
-            *tension_numbers(self.tension),
-            *small_numbers(self.small),
-        ]
+    def __init__(self, robots: Sequence[Robot], show: Progress) -> None:
+        target, prototype, single, small = robots
+        show('friction', 0, 5)
+        self.rows = [*friction_numbers(rehearsals())]
+        show('motion', 1, 5)
+        self.motion = MotionExperiment(target)
+        self.rows += motion_numbers(self.motion)
+        show('displacement', 2, 5)
+        self.displacement = DisplacementExperiment(prototype)
+        self.rows += displacement_numbers(self.displacement)
+        show('tension', 3, 5)
+        self.tension = TensionExperiment(single)
+        self.rows += tension_numbers(self.tension)
+        show('small', 4, 5)
+        self.small = SmallExperiment(small)
+        self.rows += small_numbers(self.small)
 
     def to_json(self) -> dict[str, Any]:
         """Return the table as plain data."""
         rows = [asdict(row) | {'difference': row.difference, 'met': row.met} for row in self.rows]
         return {'rows': rows}
-
-
-def reproduce(robots: Robots, progress: Progress | None = None) -> Paper:
-    """Run all experiments; `progress` is called with (what, done, total)."""
-    steps: dict[str, Callable[[], Any]] = {
-        'friction': rehearsals,
-        'motion': lambda: motion(robots.target),
-        'displacement': lambda: displacement_experiment(robots.prototype),
-        'tension': lambda: tension_experiment(robots.single),
-        'small': lambda: small_experiment(robots.small),
-    }
-    show, results = listener(progress), {}
-    for index, (name, run) in enumerate(steps.items()):
-        show(name, index, len(steps))
-        results[name] = run()
-    return Paper(robots=robots, **results)
 
 
 def friction_numbers(frictions: dict[str, SlipFriction]) -> Iterator[Number]:
@@ -377,7 +355,7 @@ def paper_page(paper: Paper) -> Page:
     add_motion(page, paper.motion)
     add_displacement(page, paper.displacement)
     add_tension(page, paper.tension)
-    add_small(page, paper)
+    add_small(page, paper.small)
     return page
 
 
@@ -497,11 +475,10 @@ def diagnosis_lines(diagnosis: Diagnosis) -> list[str]:
     return [*lines, *filter(None, [diagnosis_text.next_measurement(diagnosis)])]
 
 
-def add_small(page: Page, paper: Paper) -> None:
+def add_small(page: Page, small: SmallExperiment) -> None:
     """Add section IV.E."""
-    small, robot = paper.small, paper.robots.small
     page.heading('IV.E The 2:1 prototype at 90°')
-    one, low, high = small.as_assumed, small.low, small.high
+    robot, one, low, high = small.robot, small.as_assumed, small.low, small.high
     page.text(
         f'One section of {mm(robot.length, 2)} in {robot.cells} cells, arm '
         f'{mm(abs(robot.tendons[0].base[0]), 2)}: {digits(small.tension, 3)} N bend the FKM to '

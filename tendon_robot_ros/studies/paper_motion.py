@@ -16,7 +16,6 @@ from ..workspace.view_angle import (
     POSTURES_PER_SIDE,
     Family,
     Pair,
-    Workspace,
     bisect,
     find_workspace,
 )
@@ -88,16 +87,6 @@ class Assumed:
     SMALL_ARMS_M = (1.0e-3, 1.15e-3, 1.3e-3, 1.45e-3, 1.6e-3)
     CELL_COUNTS = (15, 30, 60)  # around the 30 that are published of another prototype
     FRICTION_COEFFICIENTS = (0.28, 0.31, 0.34)  # 0.31 is published
-
-
-@dataclass(frozen=True)
-class Robots:
-    """The four descriptions that the experiments need."""
-
-    target: Robot  # 1:1, section IV.B
-    prototype: Robot  # 10:1, two sections, IV.C
-    single: Robot  # 10:1, one section, IV.D
-    small: Robot  # 2:1, one section, IV.E
 
 
 def pcca(robot: Robot) -> Robot:
@@ -177,51 +166,24 @@ class Arrangement:
     across: float  # [m] of the tips at the 180° view; 0: not reached
     low: float  # [m] over the tolerances of the view angle
     high: float
-    largest: float  # [rad] tip angle
 
 
-@dataclass(frozen=True)
-class Stiffening:
-    """The effect of tendons that are stiff: relative changes [1], tip shifts [m]."""
-
-    per_tendon: float  # [N·m/rad]
-    tendons: tuple[int, ...]  # in every section
-    bending: tuple[float, ...]  # change of the bends of every section, rms over rms
-    shift: float  # mean tip shift over the postures
-    relative: float  # the same over the mean distance of the tip from straight
-    softer: float  # change of the proximal backbone that evens the sections out
-    evened: float  # tip shift with it at equally higher tensions
-
-
-@dataclass(frozen=True, eq=False)
 class MotionExperiment:
-    """Section IV.B on one robot."""
+    """Section IV.B: a robot of two sections with grouped tendons, swept."""
 
-    workspace: Workspace
-    arrangements: tuple[Arrangement, ...]
-    stiffening: Stiffening  # by the tendons that are pulled
-    every_tendon: Stiffening  # by all that run there
-
-
-def motion(robot: Robot) -> MotionExperiment:
-    """Sweep a robot of two sections with grouped tendons as section IV.B does."""
-    workspace = find_workspace(
-        Model(robot), Published.VIEW_ANGLES_RAD, Published.TENSION_STEP_N, Published.PRETENSION_N
-    )
-    family = workspace.of(Published.VIEW_ANGLES_RAD[0])[0]
-    low, high = robot.tension_limits
-    variants = {f'three wires at one place, {high:g} N each': robot}
-    for angle in Assumed.GROUP_SPREADS_DEG:
-        name = f'three wires spread by ±{angle:g}°, {high:g} N each'
-        variants[name] = spread(robot, angle)
-    shared = (min(low, high / 3.0), high / 3.0)
-    variants[f'three wires at one place, {high:g} N in all'] = replace(
-        robot, tension_limits=shared
-    )
-    arrangements = tuple(arrangement(name, one, family.pair) for name, one in variants.items())
-    return MotionExperiment(
-        workspace, arrangements, stiffening(robot, family), stiffening(robot, family, every=True)
-    )
+    def __init__(self, robot: Robot) -> None:
+        view, step = Published.VIEW_ANGLES_RAD, Published.TENSION_STEP_N
+        self.workspace = find_workspace(Model(robot), view, step, Published.PRETENSION_N)
+        family = self.workspace.of(view[0])[0]
+        low, high = robot.tension_limits
+        variants = {f'three wires at one place, {high:g} N each': robot}
+        for angle in Assumed.GROUP_SPREADS_DEG:
+            variants[f'three wires spread by ±{angle:g}°, {high:g} N each'] = spread(robot, angle)
+        shared = replace(robot, tension_limits=(min(low, high / 3.0), high / 3.0))
+        variants[f'three wires at one place, {high:g} N in all'] = shared
+        self.arrangements = [arrangement(name, r, family.pair) for name, r in variants.items()]
+        self.stiffening = Stiffening(robot, family)  # by the tendons that are pulled
+        self.every_tendon = Stiffening(robot, family, every=True)  # by all that run there
 
 
 def spread(robot: Robot, degrees: float) -> Robot:
@@ -234,50 +196,49 @@ def spread(robot: Robot, degrees: float) -> Robot:
     return replace(robot, tendons=tuple(tendons))
 
 
-def stiffening(robot: Robot, family: Family, every: bool = False) -> Stiffening:
+class Stiffening:
     """
-    Let the tendons stiffen the robot, then soften the proximal backbone.
+    The tendons stiffen the robot; then the proximal backbone is softened.
 
     Six tendons make a tenth of a cell's stiffness. Counted are those that are pulled (six
     proximal, three distal), or every one that runs there.
     """
-    bare = robot
-    if not every:
-        kept = [k for j in family.pair.indices for k in robot.input_tendons[j]]
-        bare = replace(robot, tendons=tuple(robot.tendons[k] for k in kept))
-    count = np.array(bare.tendon_cells)
-    cells = np.cumsum([section.cells for section in bare.sections])
-    present = tuple(int((count >= end).sum()) for end in cells)
-    stiffness = bare.sections[0].bending_stiffness[0]
-    per_tendon = Assumed.STIFFNESS_FRACTION * stiffness / Assumed.TENDONS
-    stiff = bare.with_effect('tendon_stiffness', {'per_tendon': per_tendon})
-    softer = -(present[0] - present[-1]) * per_tendon / stiffness
-    even = stiff.with_effect('section_stiffness', {'relative_change': (softer, 0.0)})
-    tensions = family.tensions if every else family.tensions[:, list(family.pair.indices)]
-    rise = 1.0 + present[-1] * per_tendon / stiffness
-    limp, with_them = Model(bare).shapes(tensions), Model(stiff).shapes(tensions)
-    evened = Model(even).shapes(rise * tensions)
 
-    def shift(tips: Floats) -> float:
-        return float(np.linalg.norm(tips - limp.tip_position, axis=1).mean())
+    def __init__(self, robot: Robot, family: Family, every: bool = False) -> None:
+        pulled = list(family.pair.indices)
+        bare, tensions = robot, family.tensions
+        if not every:
+            kept = [robot.tendons[k] for j in pulled for k in robot.input_tendons[j]]
+            bare, tensions = replace(robot, tendons=tuple(kept)), tensions[:, pulled]
+        cells = np.cumsum([section.cells for section in bare.sections])
+        counts = (np.array(bare.tendon_cells)[:, None] >= cells).sum(axis=0)
+        self.tendons: tuple[int, ...] = tuple(counts.tolist())  # in every section
+        stiffness = bare.sections[0].bending_stiffness[0]
+        self.per_tendon = Assumed.STIFFNESS_FRACTION * stiffness / Assumed.TENDONS  # [N·m/rad]
+        proximal, distal = (counts[[0, -1]] * self.per_tendon / stiffness).tolist()
+        self.softer = distal - proximal  # [1] of the proximal backbone: evens the sections out
+        stiff = bare.with_effect('tendon_stiffness', {'per_tendon': self.per_tendon})
+        even = stiff.with_effect('section_stiffness', {'relative_change': (self.softer, 0.0)})
+        limp, with_them = Model(bare).shapes(tensions), Model(stiff).shapes(tensions)
+        evened = Model(even).shapes((1.0 + distal) * tensions)
 
-    sections = np.split(np.arange(bare.cells), cells[:-1])
-    change = with_them.bend - limp.bend
-    bending = tuple(
-        float(np.linalg.norm(change[:, part]) / np.linalg.norm(limp.bend[:, part]))
-        for part in sections
-    )
-    moved = limp.tip_position - [0.0, 0.0, bare.length]
-    relative = shift(with_them.tip_position) / float(np.linalg.norm(moved, axis=1).mean())
-    return Stiffening(
-        per_tendon=per_tendon,
-        tendons=present,
-        bending=bending,
-        shift=shift(with_them.tip_position),
-        relative=relative,
-        softer=softer,
-        evened=shift(evened.tip_position),
-    )
+        def mean_distance(tips: Floats, others: Floats) -> float:
+            return float(np.linalg.norm(tips - others, axis=1).mean())
+
+        # [1] change of the bends of every section, rms over rms
+        self.bending = [
+            float(np.linalg.norm(change) / np.linalg.norm(bend))
+            for change, bend in zip(
+                np.split(with_them.bend - limp.bend, cells[:-1], axis=1),
+                np.split(limp.bend, cells[:-1], axis=1),
+                strict=True,
+            )
+        ]
+        straight = np.array([0.0, 0.0, bare.length])
+        self.shift = mean_distance(with_them.tip_position, limp.tip_position)  # [m] of the tip
+        self.relative = self.shift / mean_distance(limp.tip_position, straight)  # [1]
+        # [m] of the tip with the softer backbone, at equally higher tensions
+        self.evened = mean_distance(evened.tip_position, limp.tip_position)
 
 
 def arrangement(name: str, robot: Robot, pair: Pair) -> Arrangement:
@@ -294,4 +255,4 @@ def arrangement(name: str, robot: Robot, pair: Pair) -> Arrangement:
             near = family.tips[deviations <= np.radians(tolerance), 0]
         spans.append(float(np.ptp(near)) if len(near) else 0.0)
     middle = spans[Assumed.VIEW_TOLERANCES_DEG.index(2.5)]
-    return Arrangement(name, middle, min(spans), max(spans), workspace.largest)
+    return Arrangement(name, middle, min(spans), max(spans))

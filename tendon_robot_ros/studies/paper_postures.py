@@ -8,8 +8,9 @@ pair, and what they can tell. Section IV.E: a bend of 90°.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -57,57 +58,36 @@ class Spread:
     sd_range: tuple[float, float]
 
 
-@dataclass(frozen=True, eq=False)
 class DisplacementExperiment:
-    """Section IV.C."""
+    """Section IV.C, simulated on a planar robot of two sections as its owner describes it."""
 
-    heights: Heights  # opposite sides
-    others: tuple[Heights, ...]  # other arrangements and arms
-    data: DataSet  # of one simulated prototype
-    comparison: Comparison
-    hinge_shift: float  # [m] largest tip shift that the hinge friction makes at these pulls
-    errors: dict[tuple[str, str], Spread]  # height, model: over many prototypes
-    scatter: float  # [rad] of the mean angles of the cells about the FKM, in the comparison
-
-
-def displacement_experiment(robot: Robot) -> DisplacementExperiment:
-    """
-    Simulate section IV.C on a robot of two sections.
-
-    Parameters
-    ----------
-    robot : Robot
-        As its owner describes it (the FKM), planar.
-
-    """
-    pairs = {pair.kind: pair for pair in reversed(pairs_of(robot))}
-    heights = find_heights(robot, pairs['opposite sides'])
-    if heights is None:
-        raise InputError(
-            f'{robot.source}: no posture at the 180° view with wires on opposite sides; '
-            'raise the tension limits'
-        )
-    others = [
-        find_heights(with_arm(robot, arm), pair)
-        for pair in pairs.values()
-        for arm in Assumed.MOMENT_ARMS_M
-    ]
-    plant = prototype(robot, 0)
-    settled = plant.shapes(heights.pulls, displacement=True).tip_position
-    data = trials(plant, heights)
-    models = [('FKM', robot), ('PCCA', pcca(robot))]
-    comparison = compare(data, models, leave_out=False)  # as published
-    bands, fkm = comparison.angle_bands(), comparison.models[0].angles
-    assert bands is not None and fkm is not None
-    return DisplacementExperiment(
-        heights=heights,
-        data=data,
-        others=tuple(one for one in others if one is not None),
-        comparison=comparison,
-        hinge_shift=float(np.linalg.norm(settled - heights.tips, axis=1).max()),
-        errors=many_prototypes(plant, heights, comparison),
-        scatter=float(np.sqrt(np.mean((bands[0] - fkm) ** 2))),
-    )
+    def __init__(self, robot: Robot) -> None:
+        pairs = {pair.kind: pair for pair in reversed(pairs_of(robot))}
+        heights = find_heights(robot, pairs['opposite sides'])
+        if heights is None:
+            raise InputError(
+                f'{robot.source}: no posture at the 180° view with wires on opposite sides; '
+                'raise the tension limits'
+            )
+        self.heights = heights
+        others = [
+            find_heights(with_arm(robot, arm), pair)
+            for pair, arm in product(pairs.values(), Assumed.MOMENT_ARMS_M)
+        ]
+        self.others = [one for one in others if one is not None]  # arrangements and arms
+        plant = prototype(robot, 0)
+        settled = plant.shapes(heights.pulls, displacement=True).tip_position
+        # [m] largest tip shift that the hinge friction makes at these pulls
+        self.hinge_shift = float(np.linalg.norm(settled - heights.tips, axis=1).max())
+        self.data = trials(plant, heights)  # of one simulated prototype
+        models = [('FKM', robot), ('PCCA', pcca(robot))]
+        self.comparison = compare(self.data, models, leave_out=False)  # as published
+        # by height and model, over many prototypes
+        self.errors = many_prototypes(plant, heights, self.comparison)
+        bands, fkm = self.comparison.angle_bands(), self.comparison.models[0].angles
+        assert bands is not None and fkm is not None
+        # [rad] of the mean angles of the cells about the FKM
+        self.scatter = float(np.sqrt(np.mean((bands[0] - fkm) ** 2)))
 
 
 def find_heights(robot: Robot, pair: Pair) -> Heights | None:
@@ -244,59 +224,35 @@ def turned(positions: Floats, play: Floats) -> Floats:
     return moved
 
 
-@dataclass(frozen=True, eq=False)
 class TensionExperiment:
-    """Simulated trials under tension against the models, and their diagnoses."""
-
-    data: DataSet
-    comparison: Comparison  # FKM, PCCA, FKM + hinge friction; the two postures
-    largest: dict[tuple[str, str], float]  # posture, model: largest error [m]
-    low: dict[tuple[str, str], float]  # the same over levers from 0.35 to 0.45 mm
-    high: dict[tuple[str, str], float]
-    same: float  # [m] between PCCA's shapes for 0.51 N alone and for 0.51 N more on one side
-    alone: Diagnosis  # of the two postures
-    more: tuple[Diagnosis, ...]  # with the posture that the diagnosis before proposes, and so on
-    redrawn: tuple[Diagnosis, ...]  # where that ends with other noise
-
-
-def tension_experiment(robot: Robot) -> TensionExperiment:
     """
-    Simulate section IV.D on a robot of one section with inputs left and right.
+    Section IV.D, simulated on a robot of one section with inputs left and right.
 
-    Parameters
-    ----------
-    robot : Robot
-        As its owner describes it (the FKM).
-
+    Trials under tension against the models, and their diagnoses.
     """
-    robot = replace(robot, tolerances=Assumed.TOLERANCES)
-    data = measured(robot, Published.POSTURES_N, 0)
-    models = models_of(robot, Assumed.HINGE_LEVER_M)
-    comparison = compare(data, models, error='sem', leave_out=False)  # as published
-    largest = {
-        (posture, model.name): float(np.nanmax(model.distance[p]))
-        for p, posture in enumerate(Published.POSTURES_N)
-        for model in comparison.models
-    }
-    levers = [
-        errors_of_lever(robot, factor * Assumed.HINGE_LEVER_M) for factor in Assumed.LEVER_FACTORS
-    ]
-    low, high = ({k: ends(one[k] for one in levers) for k in levers[0]} for ends in (min, max))
-    (_, alone), (first, second) = Published.POSTURES_N.values()
-    tips = Model(pcca(robot)).shapes([[0.0, alone], [first, second]]).tip_position
-    diagnoses = diagnose_and_measure(robot, 0)
-    redrawn = [diagnose_and_measure(robot, seed)[-1] for seed in range(1, 1 + Assumed.NOISE_DRAWS)]
-    return TensionExperiment(
-        data=data,
-        comparison=comparison,
-        largest=largest,
-        low=low,
-        high=high,
-        same=float(np.linalg.norm(tips[0] - tips[1])),
-        alone=diagnoses[0],
-        more=diagnoses[1:],
-        redrawn=tuple(redrawn),
-    )
+
+    def __init__(self, robot: Robot) -> None:
+        robot, lever = replace(robot, tolerances=Assumed.TOLERANCES), Assumed.HINGE_LEVER_M
+        self.data = measured(robot, Published.POSTURES_N, 0)
+        # FKM, PCCA, FKM + hinge friction; the two postures, as published
+        self.comparison = compare(self.data, models_of(robot, lever), error='sem', leave_out=False)
+        self.largest = {  # [m] error, by posture and model
+            (posture, model.name): float(np.nanmax(model.distance[p]))
+            for p, posture in enumerate(Published.POSTURES_N)
+            for model in self.comparison.models
+        }
+        levers = [errors_of_lever(robot, factor * lever) for factor in Assumed.LEVER_FACTORS]
+        self.low, self.high = (  # [m] the same, over levers
+            {key: ends(one[key] for one in levers) for key in levers[0]} for ends in (min, max)
+        )
+        one, two = Model(pcca(robot)).shapes([*Published.POSTURES_N.values()]).tip_position
+        self.same = float(np.linalg.norm(one - two))  # [m] between PCCA's tips
+        # of the two postures; then with the posture that the diagnosis before proposes
+        self.alone, *self.more = diagnose_and_measure(robot, 0)
+        # where that ends with other noise
+        self.redrawn = [
+            diagnose_and_measure(robot, seed)[-1] for seed in range(1, 1 + Assumed.NOISE_DRAWS)
+        ]
 
 
 def measured(robot: Robot, postures: Mapping[str, tuple[float, ...]], seed: int) -> DataSet:
@@ -338,22 +294,19 @@ def errors_of_lever(robot: Robot, lever: float) -> dict[tuple[str, str], float]:
     }
 
 
-def diagnose_and_measure(robot: Robot, seed: int) -> tuple[Diagnosis, ...]:
+def diagnose_and_measure(robot: Robot, seed: int) -> list[Diagnosis]:
     """Diagnose the published postures, and again with those that the diagnoses propose."""
     postures: dict[str, tuple[float, ...]] = dict(Published.POSTURES_N)
     diagnoses = [diagnose(measured(robot, postures, seed))]
-    while len(diagnoses) <= Assumed.DIAGNOSIS_ROUNDS:
-        following = diagnoses[-1].next_measurement
-        if following is None:
-            break
-        inputs = tuple(following.input[name] for name in robot.inputs)
+    while len(diagnoses) <= Assumed.DIAGNOSIS_ROUNDS and diagnoses[-1].next_measurement:
+        following = diagnoses[-1].next_measurement.input
+        inputs = tuple(following[name] for name in robot.inputs)
         postures[f'asked for {len(diagnoses)}'] = inputs
         diagnoses.append(diagnose(measured(robot, postures, seed)))
-    return tuple(diagnoses)
+    return diagnoses
 
 
-@dataclass(frozen=True)
-class Gap:
+class Gap(NamedTuple):
     """Distances [m] between tips at 90°."""
 
     tension: float  # FKM to PCCA at equal tension
@@ -361,28 +314,21 @@ class Gap:
     hinge: float  # FKM to FKM with scaled hinge friction, at equal tension
 
 
-@dataclass(frozen=True)
 class SmallExperiment:
-    """Section IV.E."""
+    """Section IV.E: the models of a robot of one section with inputs left and right."""
 
-    as_assumed: Gap
-    low: Gap  # over arms, cells and friction that the paper leaves open
-    high: Gap
-    lever: float  # [m] of the hinges, scaled with the arm
-    tension: float  # [N] at which the FKM predicts 90°
-
-
-def small_experiment(robot: Robot) -> SmallExperiment:
-    """Compare the models of a robot of one section with inputs left and right."""
-    gaps = []
-    for arm, cells, friction in product(
-        Assumed.SMALL_ARMS_M, Assumed.CELL_COUNTS, Assumed.FRICTION_COEFFICIENTS
-    ):
-        one = with_cells(with_arm(robot, arm), cells)
-        gaps.append(gap(one.with_effect('tendon_friction', {'friction_coefficient': friction}))[0])
-    assumed, tension = gap(robot)
-    low, high = (Gap(*map(ends, zip(*map(astuple, gaps), strict=True))) for ends in (min, max))
-    return SmallExperiment(assumed, low, high, scaled_lever(robot), tension)
+    def __init__(self, robot: Robot) -> None:
+        gaps = []
+        for arm, cells, friction in product(
+            Assumed.SMALL_ARMS_M, Assumed.CELL_COUNTS, Assumed.FRICTION_COEFFICIENTS
+        ):
+            one = with_cells(with_arm(robot, arm), cells)
+            one = one.with_effect('tendon_friction', {'friction_coefficient': friction})
+            gaps.append(gap(one)[0])
+        self.robot, self.lever = robot, scaled_lever(robot)
+        self.as_assumed, self.tension = gap(robot)  # [N] at which the FKM predicts 90°
+        # over arms, cells and friction that the paper leaves open
+        self.low, self.high = (Gap(*map(ends, zip(*gaps, strict=True))) for ends in (min, max))
 
 
 def gap(robot: Robot) -> tuple[Gap, float]:
