@@ -20,7 +20,7 @@ from tendon_robot_ros.common.workers import Workers
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.versions import Preparation
 from tendon_robot_ros.robot import load_robot
-from tendon_robot_ros.workspace.volume import Sampling, find_volume
+from tendon_robot_ros.workspace.volume import Sampling, Volume
 
 ROBOTS = Path(__file__).parent.parent / 'config' / 'robots'
 
@@ -35,7 +35,7 @@ def measured(model: Model, postures: int, count: int) -> dict[str, float]:
     """Sample a workspace; what it took."""
     start, begun = spent(), time.monotonic()
     with Workers(count, prepare=Preparation.of_this_process()) as workers, progress(True) as show:
-        volume = find_volume(Sampling.of(model, postures), show, workers)
+        volume = Volume(Sampling.of(model, postures), show, workers)
     memory = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     solved = postures * (2 if volume.frictionless else 1)
     return {
@@ -58,7 +58,7 @@ def main() -> int:
     parser.add_argument('--json', type=Path)
     options = parser.parse_args()
     model = Model(load_robot(ROBOTS / f'{options.robot}.yaml'))
-    find_volume(Sampling.of(model, 4_000))  # compiles
+    Volume(Sampling.of(model, 4_000))  # compiles
     figures = {f'{n:,}': measured(model, n, options.workers) for n in options.postures}
     tell({'machine': machine(), options.robot: figures}, options.json)
     return 0

@@ -13,7 +13,7 @@ from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.studies import paper_motion, paper_postures
 from tendon_robot_ros.studies.paper import Number, arrangements
 from tendon_robot_ros.studies.paper_motion import Arrangement, at_view, pcca, with_cells
-from tendon_robot_ros.workspace.view_angle import find_workspace, pairs_of
+from tendon_robot_ros.workspace.view_angle import Workspace, pairs_of
 
 
 def kato(name):
@@ -90,7 +90,7 @@ def test_a_turned_cell_keeps_lengths_and_moves_only_what_lies_beyond():
 
 def test_limp_tendons_cost_nothing_and_a_softer_backbone_cancels_stiff_ones():
     robot = kato('1_1')
-    found = find_workspace(Model(robot), [np.pi], 0.5, 0.1, tolerance=0.2)
+    found = Workspace(Model(robot), [np.pi], 0.5, 0.1, tolerance=0.2)
     cost = paper_motion.Stiffening(robot, found.families[0])
     assert cost.tendons == (6, 3)
     assert cost.bending[0] > cost.bending[1] > 0.0

@@ -14,8 +14,8 @@ from tendon_robot_ros.common.workers import Workers
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import dump_robot
 from tendon_robot_ros.workspace.cubes import SPHERE_PART_COUNT, Cubes, folds
-from tendon_robot_ros.workspace.view_angle import find_workspace, pairs_of
-from tendon_robot_ros.workspace.volume import Sampling, find_volume
+from tendon_robot_ros.workspace.view_angle import Workspace, pairs_of
+from tendon_robot_ros.workspace.volume import Sampling, Volume
 
 FRICTION = {'tendon_friction': {'friction_coefficient': 0.3}}
 
@@ -38,7 +38,7 @@ def test_one_section_has_the_pair_of_its_own_inputs():
 
 def test_without_friction_the_postures_are_those_of_the_closed_form():
     robot = planar(cells=6)
-    found = find_workspace(Model(robot), [np.radians(45.0)], step=0.1, tolerance=np.radians(3.0))
+    found = Workspace(Model(robot), [np.radians(45.0)], step=0.1, tolerance=np.radians(3.0))
     cells, arm, stiffness = 6, 0.0055, 0.027
     levels = np.round(np.arange(51) * 0.1, 9)
     angle = cells * arm / stiffness * (levels[None, :] - levels[:, None])  # right minus left
@@ -50,12 +50,10 @@ def test_without_friction_the_postures_are_those_of_the_closed_form():
 
 def test_chunks_do_not_change_what_is_found(monkeypatch):
     model = Model(two_sections(effects=FRICTION))
-    whole = find_workspace(model, [1.0], step=0.5, tolerance=0.1)
+    whole = Workspace(model, [1.0], step=0.5, tolerance=0.1)
     calls = []
     monkeypatch.setattr('tendon_robot_ros.workspace.view_angle.ROWS_AT_ONCE', 50)
-    parts = find_workspace(
-        model, [1.0], step=0.5, tolerance=0.1, progress=lambda *a: calls.append(a)
-    )
+    parts = Workspace(model, [1.0], step=0.5, tolerance=0.1, progress=lambda *a: calls.append(a))
     assert [len(family) for family in parts.families] == [len(f) for f in whole.families]
     np.testing.assert_array_equal(parts.families[0].positions, whole.families[0].positions)
     assert calls[-1][1] == calls[-1][2] == whole.postures
@@ -64,16 +62,14 @@ def test_chunks_do_not_change_what_is_found(monkeypatch):
 
 def test_a_spatial_arm_is_judged_by_its_tip_direction():
     robot = spatial(effects=FRICTION)
-    found = find_workspace(Model(robot), [np.radians(60.0)], step=1.0, tolerance=np.radians(10.0))
+    found = Workspace(Model(robot), [np.radians(60.0)], step=1.0, tolerance=np.radians(10.0))
     assert found.families
     for family in found.families:
         assert np.abs(np.abs(family.angle) - np.radians(60.0)).max() <= np.radians(10.0)
 
 
 def test_highest_median_and_lowest_tip_are_in_that_order():
-    found = find_workspace(
-        Model(two_sections(cells=8, effects=FRICTION)), [1.0], 0.25, tolerance=0.1
-    )
+    found = Workspace(Model(two_sections(cells=8, effects=FRICTION)), [1.0], 0.25, tolerance=0.1)
     family = found.families[0]
     heights = family.tips[list(family.salient), 2]
     assert heights[0] == family.tips[:, 2].max()
@@ -91,13 +87,13 @@ def test_highest_median_and_lowest_tip_are_in_that_order():
 )
 def test_sweeps_that_make_no_sense_are_refused(options, message):
     with pytest.raises(InputError, match=message):
-        find_workspace(Model(planar()), [1.0], **options)
+        Workspace(Model(planar()), [1.0], **options)
 
 
 def test_a_robot_with_one_input_has_no_pair():
     robot = planar()
     with pytest.raises(InputError, match='one input only'):
-        find_workspace(Model(replace(robot, tendons=robot.tendons[:1])), [1.0])
+        Workspace(Model(replace(robot, tendons=robot.tendons[:1])), [1.0])
 
 
 def test_the_command_writes_table_arrays_and_page(tmp_path, capsys):
@@ -131,7 +127,7 @@ def single(effects=None, cells=8):
 
 def test_without_friction_the_tips_of_one_section_lie_on_the_arcs_of_all_bends():
     robot = single()
-    volume = find_volume(Sampling.of(Model(robot), 4000, seed=1))
+    volume = Volume(Sampling.of(Model(robot), 4000, seed=1))
     reached, cells, length = volume.reached, robot.cells, robot.sections[0].cell_length
     assert volume.frictionless is None
     assert len(reached) > 200
@@ -149,7 +145,7 @@ def test_without_friction_the_tips_of_one_section_lie_on_the_arcs_of_all_bends()
 def test_a_volume_is_the_same_bit_for_bit_from_processes_and_after_an_interruption(tmp_path):
     robot = two_sections(effects=FRICTION)
     sampling = Sampling.of(Model(robot), 9000, [1.0])
-    whole = find_volume(sampling)
+    whole = Volume(sampling)
 
     def stop(what, done, total):
         if done > 5000:
@@ -158,12 +154,12 @@ def test_a_volume_is_the_same_bit_for_bit_from_processes_and_after_an_interrupti
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr('tendon_robot_ros.workspace.volume.UPKEEP_S', 0.0)
         with pytest.raises(KeyboardInterrupt):
-            find_volume(sampling, stop, kept=tmp_path)
+            Volume(sampling, stop, kept=tmp_path)
     with pytest.raises(InputError, match='is of another robot or other options; delete it'):
-        find_volume(Sampling.of(Model(robot), 9001, [1.0]), kept=tmp_path)
+        Volume(Sampling.of(Model(robot), 9001, [1.0]), kept=tmp_path)
     seen = []
     with Workers(2) as workers:
-        spread = find_volume(sampling, lambda *told: seen.append(told), workers, tmp_path)
+        spread = Volume(sampling, lambda *told: seen.append(told), workers, tmp_path)
     assert seen[0][1] > 5000
     assert_array_equal(spread.reached.tensions, whole.reached.tensions)
     assert_array_equal(spread.views[1.0].looks, whole.views[1.0].looks)
@@ -187,7 +183,7 @@ def test_arms_that_hardly_turn_are_not_looked_at_for_folds_and_none_of_them_fold
 
 
 def test_tips_on_a_curve_have_a_hull_and_no_area():
-    reached = find_volume(Sampling.of(Model(planar()), 5000)).reached
+    reached = Volume(Sampling.of(Model(planar()), 5000)).reached
     assert reached.is_flat
     assert reached.size < 0.1 * reached.hull[2]
 
@@ -233,7 +229,7 @@ def test_an_arm_that_closes_a_ring_runs_into_itself():
 
 
 def test_friction_takes_places_and_adds_others():
-    volume = find_volume(Sampling.of(Model(single(effects=FRICTION, cells=12)), 6000, views=[1.0]))
+    volume = Volume(Sampling.of(Model(single(effects=FRICTION, cells=12)), 6000, views=[1.0]))
     assert volume.frictionless is not None
     assert volume.given > 0.0
     # bent near the base and straight farther out, it reaches farther to the side
@@ -264,7 +260,7 @@ def test_volumes_that_make_no_sense_are_refused(options, message):
 def test_cubes_are_as_small_as_the_shell_of_one_section_lets_them():
     """Ten postures come to each: tips of one section lie on a sheet, of two in a space."""
     one, two = single(cells=4), spatial(cells=4)
-    found = find_volume(Sampling.of(Model(one), postures=4000))
+    found = Volume(Sampling.of(Model(one), postures=4000))
     assert found.reached.edge == pytest.approx(one.length / np.sqrt(4000 / 10 / 4.0))
     assert 4000 / len(found.reached) == pytest.approx(10.0, rel=0.7)
     assert Sampling.of(Model(two), postures=6000).edge == pytest.approx(two.length / 8.0)

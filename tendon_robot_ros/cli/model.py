@@ -305,10 +305,10 @@ class WorkspaceCommand:
 
 def sweep_pairs(args: argparse.Namespace, model: Model) -> Result:
     """Sweep pairs of inputs at view angles."""
-    from ..workspace.view_angle import find_workspace, save_workspace
+    from ..workspace.view_angle import Workspace, save_workspace
 
     with progress() as show:
-        workspace = find_workspace(
+        workspace = Workspace(
             model,
             [math.radians(view) for view in args.view],
             step=0.1 if args.step is None else args.step,
@@ -349,7 +349,7 @@ def sample_all(args: argparse.Namespace, model: Model) -> Result:
     from ..common.workers import Workers
     from ..model.versions import Preparation, UserEffect
     from ..report.workspace_page import summary, volume_page
-    from ..workspace.volume import KEPT, Sampling, find_volume, save_volume
+    from ..workspace.volume import KEPT, Sampling, Volume, save_volume
 
     low, high = model.robot.tension_limits
     kept = Path(args.output) if args.output else None
@@ -368,7 +368,7 @@ def sample_all(args: argparse.Namespace, model: Model) -> Result:
             ),
             edge=None if args.cubes is None else options.length('--cubes', args.cubes, args.unit),
         )
-        volume = find_volume(sampling, show, workers, kept)
+        volume = Volume(sampling, show, workers, kept)
 
     def write(folder: Path) -> None:
         page = volume_page(volume)

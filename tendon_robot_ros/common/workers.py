@@ -116,19 +116,15 @@ class Workers:
         else:
             yield from self._spread(self.engine, work, enumerate(chunks), until)
 
-    def in_chunks[T](
-        self, work: Work, items: Sequence[T], pack: Callable[[tuple[T, ...]], Any]
-    ) -> Iterator[tuple[tuple[T, ...], Any]]:
+    def in_chunks[T](self, work: Work, items: Sequence[T]) -> Iterator[tuple[tuple[T, ...], Any]]:
         """
         Yield (items, result) of chunks as they get ready: some seconds of work, less at the end.
 
         Parameters
         ----------
         work : callable
-            As for `run`.
+            As for `run`; takes the items of a chunk.
         items : sequence
-        pack : callable
-            Returns what the work takes, of the items of a chunk.
 
         """
         handed: list[tuple[T, ...]] = []
@@ -142,7 +138,7 @@ class Workers:
                 desired = max(int(CHUNK_S / per_item), 1) if per_item else 1
                 handed.append(tuple(items[begin : begin + min(desired, fair)]))
                 begin += len(handed[-1])
-                yield work, pack(handed[-1])
+                yield work, handed[-1]
 
         for index, result in self.run(_timed, chunks()):
             if not isinstance(result, LostWork):

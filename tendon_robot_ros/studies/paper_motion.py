@@ -16,8 +16,8 @@ from ..workspace.view_angle import (
     POSTURES_PER_SIDE,
     Family,
     Pair,
+    Workspace,
     bisect,
-    find_workspace,
 )
 
 
@@ -173,7 +173,7 @@ class MotionExperiment:
 
     def __init__(self, robot: Robot) -> None:
         view, step = Published.VIEW_ANGLES_RAD, Published.TENSION_STEP_N
-        self.workspace = find_workspace(Model(robot), view, step, Published.PRETENSION_N)
+        self.workspace = Workspace(Model(robot), view, step, Published.PRETENSION_N)
         family = self.workspace.of(view[0])[0]
         low, high = robot.tension_limits
         variants = {f'three wires at one place, {high:g} N each': robot}
@@ -246,7 +246,7 @@ def arrangement(name: str, robot: Robot, pair: Pair) -> Arrangement:
     step, low = Published.TENSION_STEP_N, Published.PRETENSION_N
     wide = np.radians(max(Assumed.VIEW_TOLERANCES_DEG))
     views = Published.VIEW_ANGLES_RAD[:1]
-    workspace = find_workspace(Model(robot), views, step, low, wide, [pair])
+    workspace = Workspace(Model(robot), views, step, low, wide, [pair])
     spans = []  # [m] along x, of the postures near enough to the view
     for tolerance in Assumed.VIEW_TOLERANCES_DEG:
         near = np.zeros(0)

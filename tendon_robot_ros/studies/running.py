@@ -75,18 +75,10 @@ class Study[C: Keyed, R: Row](Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class Chunk[C: Keyed, R: Row]:
-    """Cases that a worker judges one after the other."""
-
-    study: Study[C, R]
-    cases: tuple[C, ...]
-
-
-def judge_chunk[C: Keyed, R: Row](chunk: Chunk[C, R]) -> list[R]:
-    """Judge cases, in a worker."""
-    with compiled_once(chunk.study.question, chunk.study.effects):
-        return [chunk.study.judge(case) for case in chunk.cases]
+def judge_chunk[C: Keyed, R: Row](study: Study[C, R], cases: Sequence[C]) -> list[R]:
+    """Judge cases one after the other, in a worker."""
+    with compiled_once(study.question, study.effects):
+        return [study.judge(case) for case in cases]
 
 
 def judge_all[C: Keyed, R: Row](
@@ -125,7 +117,7 @@ def judge_all[C: Keyed, R: Row](
     buffer: list[R] = []
     done, written = 0, time.monotonic()
     try:
-        for chunk, result in workers.in_chunks(judge_chunk, missing, partial(Chunk, study)):
+        for chunk, result in workers.in_chunks(partial(judge_chunk, study), missing):
             lost = isinstance(result, LostWork)
             buffer += [study.lost(case, result.workers) for case in chunk] if lost else result
             done += len(chunk)

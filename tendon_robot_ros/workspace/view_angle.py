@@ -1,7 +1,7 @@
 """
 Postures at a view angle, the angle between the tip's direction and the base's.
 
-`find_workspace` goes through a grid of tensions and keeps the postures near the angle; `view` and
+`Workspace` goes through a grid of tensions and keeps the postures near the angle; `view` and
 `look_around` find those that have it exactly (Kato et al. 2015, section IV.B).
 """
 
@@ -115,59 +115,9 @@ class Family:
         return int(order[-1]), int(order[len(order) // 2]), int(order[0])
 
 
-@dataclass(frozen=True, eq=False)
 class Workspace:
-    """A grid of tensions over all pairs of inputs: what was kept, of how many postures."""
-
-    robot: Robot
-    step: float  # [N]
-    pretension: float  # [N]
-    limit: float  # [N] the largest tension
-    tolerance: float  # [rad] a view angle may be missed by
-    views: tuple[float, ...]  # [rad]
-    pairs: tuple[Pair, ...]
-    families: tuple[Family, ...]  # those with postures, the largest of a view first
-    postures: int  # all that were computed
-    unsolved: int  # of them without equilibrium
-    largest: float  # [rad] tip angle of all
-
-    def of(self, view: float) -> tuple[Family, ...]:
-        """Families of a view angle [rad], the largest first."""
-        return tuple(f for f in self.families if f.view == view)
-
-    def to_json(self) -> dict[str, Any]:
-        """Return plain data: the families with their salient postures, in m, N and rad."""
-        first = ('step', 'pretension', 'limit', 'tolerance', 'postures', 'unsolved', 'largest')
-        content = {name: getattr(self, name) for name in first}
-        content['tolerance'] = float(self.tolerance)
-        families = [
-            {
-                'view': family.view,
-                'pair': list(family.pair.inputs),
-                'kind': family.pair.kind,
-                'side': family.side,
-                'postures': len(family),
-                'span': family.span.tolist(),
-                'tensions': family.tensions[list(family.salient)].tolist(),
-                'tips': family.tips[list(family.salient)].tolist(),
-            }
-            for family in self.families
-        ]
-        return {**content, 'families': families}
-
-
-def find_workspace(
-    model: Model,
-    views: Sequence[float],
-    step: float = 0.1,
-    pretension: float | None = None,
-    tolerance: float = np.radians(2.5),
-    pairs: Sequence[Pair] | None = None,
-    limit: float | None = None,
-    progress: Progress | None = None,
-) -> Workspace:
     """
-    Compute all combinations of tensions of all pairs; keep the postures at the view angles.
+    The postures at view angles, of all combinations of tensions of all pairs of inputs.
 
     Parameters
     ----------
@@ -193,61 +143,91 @@ def find_workspace(
         Step, pretension or views make no sense, or the postures are too many.
 
     """
-    show = listener(progress)
-    chosen = tuple(pairs_of(model.robot) if pairs is None else pairs)
-    low = model.robot.tension_limits[0] if pretension is None else pretension
-    high = model.robot.tension_limits[1] if limit is None else limit
-    if not (step > 0.0 and 0.0 <= low < high):
-        raise InputError(
-            'workspace: expected a step above 0 and a pretension from 0 to below the limit, '
-            f'got step {step:g} N, pretension {low:g} N, limit {high:g} N'
-        )
-    if not chosen:
-        raise InputError('workspace: the robot has one input only; there is no pair to sweep')
-    if not len(views) or min(views) < 0.0 or not tolerance > 0.0:
-        raise InputError('workspace: expected view angles of 0° or more and a tolerance above 0')
-    levels = np.round(low + step * np.arange(int((high - low) / step + 1e-6) + 1), 9)
-    total = len(levels) ** 2 * len(chosen)
-    if total > POSTURES_MAX:
-        raise InputError(
-            f'workspace: {total:,} postures are more than {POSTURES_MAX:,}; make the step larger'
-        )
-    parts: dict[tuple[int, int, int], list[tuple[Floats, ...]]] = {}
-    count, unsolved, largest = len(levels) ** 2, 0, 0.0
-    for which, pair in enumerate(chosen):
-        for start in range(0, count, ROWS_AT_ONCE):
-            own = np.arange(start, min(start + ROWS_AT_ONCE, count))
-            tensions = np.full((len(own), len(model.inputs)), low)
-            tensions[:, pair.indices] = levels[np.stack(np.divmod(own, len(levels)), axis=1)]
-            batch, changes = model.solve(tensions)
-            good, angle = changes < TOLERANCE, tip_angles(batch.bend, batch.tip_direction)
-            unsolved += int((~good).sum())
-            largest = max(largest, float(np.abs(angle[good]).max(initial=0.0)))
-            arrays = (batch.inputs, batch.bend, batch.positions, angle)
-            for (v, view), side in product(enumerate(views), (1, -1)):
-                rows = good & (np.abs(side * angle - view) <= tolerance)
-                if rows.any():
-                    part = tuple(array[rows] for array in arrays)
-                    parts.setdefault((v, which, side), []).append(part)
-            show('postures', which * count + start + len(own), total)
-    families = [
-        Family(chosen[which], float(views[v]), side, *map(np.concatenate, zip(*rows, strict=True)))
-        for (v, which, side), rows in parts.items()
-    ]
-    order = [float(view) for view in views]
-    return Workspace(
-        robot=model.robot,
-        step=step,
-        pretension=low,
-        limit=high,
-        tolerance=tolerance,
-        views=tuple(order),
-        pairs=chosen,
-        families=tuple(sorted(families, key=lambda one: (order.index(one.view), -len(one)))),
-        postures=total,
-        unsolved=unsolved,
-        largest=largest,
-    )
+
+    def __init__(
+        self,
+        model: Model,
+        views: Sequence[float],
+        step: float = 0.1,
+        pretension: float | None = None,
+        tolerance: float = np.radians(2.5),
+        pairs: Sequence[Pair] | None = None,
+        limit: float | None = None,
+        progress: Progress | None = None,
+    ) -> None:
+        self.robot, self.step, self.tolerance = model.robot, step, float(tolerance)
+        self.views = [float(view) for view in views]
+        self.pairs = tuple(pairs_of(model.robot) if pairs is None else pairs)
+        low, high = model.robot.tension_limits
+        self.pretension = low = low if pretension is None else pretension
+        self.limit = high = high if limit is None else limit
+        if not (step > 0.0 and 0.0 <= low < high):
+            raise InputError(
+                'workspace: expected a step above 0 and a pretension from 0 to below the limit, '
+                f'got step {step:g} N, pretension {low:g} N, limit {high:g} N'
+            )
+        if not self.pairs:
+            raise InputError('workspace: the robot has one input only; there is no pair to sweep')
+        if not len(views) or min(views) < 0.0 or not tolerance > 0.0:
+            problem = 'expected view angles of 0° or more and a tolerance above 0'
+            raise InputError(f'workspace: {problem}')
+        levels = np.round(low + step * np.arange(int((high - low) / step + 1e-6) + 1), 9)
+        count = len(levels) ** 2
+        self.postures = total = count * len(self.pairs)  # all that are computed
+        if total > POSTURES_MAX:
+            raise InputError(
+                f'workspace: {total:,} postures are more than {POSTURES_MAX:,}; make the step '
+                'larger'
+            )
+        self.unsolved, self.largest = 0, 0.0  # postures without equilibrium; [rad] tip angle
+        parts: dict[tuple[int, int, int], list[tuple[Floats, ...]]] = {}
+        for which, pair in enumerate(self.pairs):
+            for start in range(0, count, ROWS_AT_ONCE):
+                own = np.arange(start, min(start + ROWS_AT_ONCE, count))
+                tensions = np.full((len(own), len(model.inputs)), low)
+                tensions[:, pair.indices] = levels[np.stack(np.divmod(own, len(levels)), axis=1)]
+                batch, changes = model.solve(tensions)
+                good, angle = changes < TOLERANCE, tip_angles(batch.bend, batch.tip_direction)
+                self.unsolved += int((~good).sum())
+                self.largest = max(self.largest, float(np.abs(angle[good]).max(initial=0.0)))
+                arrays = (batch.inputs, batch.bend, batch.positions, angle)
+                for (v, view), side in product(enumerate(self.views), (1, -1)):
+                    rows = good & (np.abs(side * angle - view) <= tolerance)
+                    if rows.any():
+                        part = tuple(array[rows] for array in arrays)
+                        parts.setdefault((v, which, side), []).append(part)
+                listener(progress)('postures', which * count + start + len(own), total)
+        families = [
+            Family(
+                *(self.pairs[which], self.views[v], side),
+                *map(np.concatenate, zip(*rows, strict=True)),
+            )
+            for (v, which, side), rows in parts.items()
+        ]
+        # those with postures, the largest of a view first
+        self.families = sorted(families, key=lambda f: (self.views.index(f.view), -len(f)))
+
+    def of(self, view: float) -> tuple[Family, ...]:
+        """Families of a view angle [rad], the largest first."""
+        return tuple(f for f in self.families if f.view == view)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain data: the families with their salient postures, in m, N and rad."""
+        first = ('step', 'pretension', 'limit', 'tolerance', 'postures', 'unsolved', 'largest')
+        families = [
+            {
+                'view': family.view,
+                'pair': list(family.pair.inputs),
+                'kind': family.pair.kind,
+                'side': family.side,
+                'postures': len(family),
+                'span': family.span.tolist(),
+                'tensions': family.tensions[list(family.salient)].tolist(),
+                'tips': family.tips[list(family.salient)].tolist(),
+            }
+            for family in self.families
+        ]
+        return {**{name: getattr(self, name) for name in first}, 'families': families}
 
 
 def tip_angles(bend: Floats, direction: Floats) -> Floats:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,7 @@ from ..model.model import Model
 from ..model.shape import ShapeBatch
 from ..robot import Robot, dump_robot
 from ..robot.description import tendon_offsets
-from .cubes import SPHERE_PART_COUNT, Cubes, Reached, beyond, folds, sphere_part
+from .cubes import SPHERE_PART_COUNT, Cubes, beyond, folds, sphere_part
 from .view_angle import POSTURES_MAX
 
 # [1] postures wanted for every cube: with fewer some stay empty by chance
@@ -144,16 +144,6 @@ def bends_as_one(robot: Robot) -> bool:
     return len({tendon.section for tendon in robot.tendons}) == 1
 
 
-@dataclass(frozen=True)
-class Batches:
-    """A chunk: some batches of a round."""
-
-    sampling: Sampling
-    round: int
-    start: Floats = field(repr=False)  # (e, m) [N] at the edge of what is known; none: random
-    sizes: tuple[tuple[int, int], ...]  # (number of the batch, its postures)
-
-
 class SortedTips:
     """Sorted postures: cubes of tips, and counts, of bounded memory."""
 
@@ -205,15 +195,15 @@ class SortedTips:
             cubes.add(inputs[rows], tips[rows], along[rows])
 
 
-def sort_batches(chunk: Batches) -> Packed:
-    """Solve and sort the batches of a chunk, in a worker."""
-    sampling = chunk.sampling
+def sort_batches(
+    sampling: Sampling, round: int, start: Floats, batches: Sequence[tuple[int, int]]
+) -> Packed:
+    """Solve and sort the batches (number, postures) of a round, in a worker."""
     model, tally = _model_of(sampling), SortedTips(sampling)
-    for number, count in chunk.sizes:
-        entropy = np.random.SeedSequence(sampling.seed, spawn_key=(chunk.round, number))
+    for number, count in batches:
+        entropy = np.random.SeedSequence(sampling.seed, spawn_key=(round, number))
         random = np.random.default_rng(entropy)
-        tensions = (near_edge if len(chunk.start) else spread)(random, count, chunk)
-        tally.add(*model.solve(tensions))
+        tally.add(*model.solve(drawn(random, count, sampling, start)))
     return tally.packed()
 
 
@@ -229,44 +219,37 @@ def _model_of(sampling: Sampling) -> Model:
     return _MODELS[key]
 
 
-def spread(random: np.random.Generator, count: int, chunk: Batches) -> Floats:
-    """Return random tensions (count, m) [N]: many tendons at the lowest, some at the highest."""
-    low, high = chunk.sampling.limits
-    shape = (count, len(chunk.sampling.robot.inputs))
+def drawn(random: np.random.Generator, count: int, sampling: Sampling, start: Floats) -> Floats:
+    """
+    Return random tensions (count, m) [N], a step away from those of a start (e, m), if any.
+
+    Without a start many tendons are at the lowest tension, and some at the highest.
+    """
+    low, high = sampling.limits
+    if len(start):
+        rows = start[random.integers(len(start), size=count)]
+        size = STEP_SD * (high - low) * random.random((count, 1))
+        step = size * random.normal(size=rows.shape)
+        step[random.random(rows.shape) < EXTREMES[0]] = 0.0
+        return np.asarray(np.clip(rows + step, low, high))
+    shape = (count, len(sampling.robot.inputs))
     fraction, kind = random.random(shape), random.random(shape)
     fraction[kind < EXTREMES[0]] = 0.0
     fraction[kind > 1.0 - EXTREMES[1]] = 1.0
     return low + (high - low) * fraction
 
 
-def near_edge(random: np.random.Generator, count: int, chunk: Batches) -> Floats:
-    """Return tensions (count, m) [N] a random step away from those of postures at the edge."""
-    low, high = chunk.sampling.limits
-    rows = chunk.start[random.integers(len(chunk.start), size=count)]
-    size = STEP_SD * (high - low) * random.random((count, 1))
-    step = size * random.normal(size=rows.shape)
-    step[random.random(rows.shape) < EXTREMES[0]] = 0.0
-    return np.asarray(np.clip(rows + step, low, high))
-
-
-@dataclass
 class Stream:
-    """A sampling under way."""
+    """A sampling under way; it goes on from what is kept."""
 
-    sampling: Sampling
-    kept: Path | None = None  # where it is written
-    tally: SortedTips = field(init=False)
-    finished: set[tuple[int, int]] = field(default_factory=set)  # (round, batch)
-    start: Floats = field(init=False)  # (e, m) [N] that the round starts from
-    late: int = 0  # cubes when the last tenth of the postures began
-    saved: float = field(default_factory=time.monotonic)
-
-    def __post_init__(self) -> None:
-        """Go on from what is kept."""
-        self.tally = SortedTips(self.sampling)
-        self.start = np.zeros((0, len(self.sampling.robot.inputs)))
-        if self.kept is not None and self.kept.is_file():
-            self.load(self.kept)
+    def __init__(self, sampling: Sampling, kept: Path | None) -> None:
+        self.sampling, self.kept, self.tally = sampling, kept, SortedTips(sampling)
+        self.finished = set[tuple[int, int]]()  # (round, batch)
+        self.start = np.zeros((0, len(sampling.robot.inputs)))  # (e, m) [N] of the round
+        self.late = 0  # cubes when the last tenth of the postures began
+        self.saved = time.monotonic()
+        if kept is not None and kept.is_file():
+            self.load(kept)
 
     @property
     def key(self) -> str:
@@ -292,8 +275,8 @@ class Stream:
                 edge = self.tally.all.reached().edge_tensions
                 # thinned, because the start goes to every worker with every chunk
                 self.start = edge[:: max(len(edge) // (10 * ROWS_AT_ONCE), 1)]
-            pack = partial(Batches, self.sampling, number, self.start)
-            for chunk, result in workers.in_chunks(sort_batches, batches, pack):
+            work = partial(sort_batches, self.sampling, number, self.start)
+            for chunk, result in workers.in_chunks(work, batches):
                 if isinstance(result, LostWork):
                     raise InputError(
                         f'{self.sampling.robot.name}: {result.workers} processes died over the '
@@ -330,21 +313,72 @@ class Stream:
         self.start, self.late = content['start'], int(content['late'])
 
 
-@dataclass(frozen=True, eq=False)
 class Volume:
-    """The workspace of the tip over all combinations of tensions."""
+    """
+    The workspace of the tip over all combinations of tensions, sampled and collected in cubes.
 
-    robot: Robot
-    limits: tuple[float, float]  # [N]
-    postures: int  # that were computed
-    unsolved: int  # of them without equilibrium
-    folded: int  # of them in which the arm collides with itself
-    reached: Reached
-    late: float  # fraction of the cubes that only the last tenth of the postures found
-    largest: float  # [rad] angle between the tip's direction and the base's
-    sphere: float  # fraction of all directions that the tip looks into
-    views: dict[float, Reached]  # [rad] -> the tips that look at this angle
-    frictionless: Reached | None  # the same without friction; None where the model has none
+    Half of the postures have random tensions; the others start from those whose tips lie at the
+    edge. Memory does not grow with their number. Postures in which the arm would run into itself
+    do not count.
+
+    Parameters
+    ----------
+    sampling : Sampling
+    progress : callable, optional
+        Called with what is done, how many, of how many.
+    workers : Workers, optional
+        Processes, here or on a cluster; the result does not depend on them.
+    kept : Path, optional
+        Folder in which what is known is written every few seconds, and from which it goes on.
+
+    Raises
+    ------
+    InputError
+        No posture is left.
+
+    """
+
+    def __init__(
+        self,
+        sampling: Sampling,
+        progress: Progress | None = None,
+        workers: Workers | None = None,
+        kept: Path | None = None,
+    ) -> None:
+        self.robot, self.limits, self.postures = sampling.robot, sampling.limits, sampling.postures
+        samplings = [sampling]
+        catalogue = load_catalogue(sampling.files)
+        if friction := {name for name in self.robot.effects if catalogue[name].takes_force}:
+            without = {
+                name: values
+                for name, values in self.robot.effects.items()
+                if not {name, catalogue[name].acts_on} & friction
+            }
+            samplings.append(replace(sampling, robot=replace(self.robot, effects=without)))
+        streams = [
+            Stream(each, None if kept is None else kept / name)
+            for each, name in zip(samplings, KEPT, strict=False)
+        ]
+        workers, show = workers or Workers(), listener(progress)
+        for i, stream in enumerate(streams):
+            stream.run(workers, show, i * self.postures, len(streams) * self.postures)
+        tally = streams[0].tally
+        self.reached = tally.all.reached()
+        if not len(self.reached):
+            raise InputError(
+                f'{self.robot.name}: no posture of {self.postures:,} is one that the arm can have'
+            )
+        _, self.unsolved, self.folded = tally.counts.tolist()  # without equilibrium, colliding
+        # [1] of the cubes that only the last tenth of the postures found
+        self.late = (len(self.reached) - streams[0].late) / len(self.reached)
+        self.largest = float(tally.largest[0])  # [rad] between the tip's direction and the base's
+        self.sphere = float(tally.sphere.mean())  # [1] of all directions that the tip looks into
+        # [rad] -> the tips that look at this angle
+        self.views = {
+            v: cubes.reached() for v, cubes in zip(sampling.views, tally.views, strict=True)
+        }
+        # the same without friction; None where the model has none
+        self.frictionless = streams[1].tally.all.reached() if len(streams) > 1 else None
 
     @property
     def taken(self) -> float | None:
@@ -368,72 +402,6 @@ class Volume:
             'frictionless': self.frictionless.to_json() if self.frictionless else None,
             'views': [{'view': view, **part.to_json()} for view, part in self.views.items()],
         }
-
-
-def find_volume(
-    sampling: Sampling,
-    progress: Progress | None = None,
-    workers: Workers | None = None,
-    kept: Path | None = None,
-) -> Volume:
-    """
-    Sample postures over all tendons and collect the tips in cubes.
-
-    Half of the postures have random tensions; the others start from those whose tips lie at the
-    edge. Memory does not grow with their number. Postures in which the arm would run into itself
-    do not count.
-
-    Parameters
-    ----------
-    sampling : Sampling
-    progress : callable, optional
-        Called with what is done, how many, of how many.
-    workers : Workers, optional
-        Processes, here or on a cluster; the result does not depend on them.
-    kept : Path, optional
-        Folder in which what is known is written every few seconds, and from which it goes on.
-
-    Raises
-    ------
-    InputError
-        No posture is left.
-
-    """
-    robot, catalogue = sampling.robot, load_catalogue(sampling.files)
-    samplings = [sampling]
-    if friction := {name for name in robot.effects if catalogue[name].takes_force}:
-        without = {
-            name: values
-            for name, values in robot.effects.items()
-            if not {name, catalogue[name].acts_on} & friction
-        }
-        samplings.append(replace(sampling, robot=replace(robot, effects=without)))
-    streams = [
-        Stream(each, None if kept is None else kept / name)
-        for each, name in zip(samplings, KEPT, strict=False)
-    ]
-    own_workers, total = workers or Workers(), len(streams) * sampling.postures
-    for i, stream in enumerate(streams):
-        stream.run(own_workers, listener(progress), i * sampling.postures, total)
-    tally = streams[0].tally
-    reached = tally.all.reached()
-    if not len(reached):
-        raise InputError(
-            f'{robot.name}: no posture of {sampling.postures:,} is one that the arm can have'
-        )
-    return Volume(
-        robot=robot,
-        limits=sampling.limits,
-        postures=sampling.postures,
-        unsolved=int(tally.counts[1]),
-        folded=int(tally.counts[2]),
-        reached=reached,
-        late=(len(reached) - streams[0].late) / len(reached),
-        largest=float(tally.largest[0]),
-        sphere=float(tally.sphere.mean()),
-        views={v: cubes.reached() for v, cubes in zip(sampling.views, tally.views, strict=True)},
-        frictionless=streams[1].tally.all.reached() if len(streams) > 1 else None,
-    )
 
 
 def save_volume(volume: Volume, folder: Path, names: tuple[str, str]) -> None:
