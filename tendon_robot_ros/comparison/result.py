@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from itertools import combinations
 from pathlib import Path
@@ -291,82 +291,62 @@ FORMAT = 'tendon_robot_ros/comparison@1'
 
 def to_json(comparison: Comparison) -> dict[str, Any]:
     """Return plain data: what to read first, then everything that a report draws."""
-    measured, error = comparison.measured, comparison.error
+    measured = comparison.measured
+    markers = zip(measured.markers, measured.arc_lengths.tolist(), strict=True)
+    inputs = [dict(zip(measured.input_names, row, strict=True)) for row in _plain(measured.inputs)]
     return {
         'format': FORMAT,
         'data': measured.data,
-        'noise_floor': _number(measured.noise_floor),
-        'noise_floor_per_marker': _numbers(measured.floor_per_marker),
-        'position_noise': _number(measured.position_noise),
-        'error': error,
+        'noise_floor': _plain(measured.noise_floor),
+        'noise_floor_per_marker': _plain(measured.floor_per_marker),
+        'position_noise': _plain(measured.position_noise),
+        'error': comparison.error,
         'models': [_model_to_json(comparison, model) for model in comparison.models],
         'paired_t': [
-            {
-                'models': list(test.models),
-                'posture': test.posture,
-                'difference': test.difference,
-                'low': test.low,
-                'high': test.high,
-                't': _number(test.t),
-                'p': test.p,
-                'n': test.n,
-            }
+            {**asdict(test), 'models': list(test.models), 't': _plain(test.t)}
             for test in comparison.paired_t
         ],
-        'markers': [
-            {'name': name, 'arc_length': float(s)}
-            for name, s in zip(measured.markers, measured.arc_lengths, strict=True)
-        ],
+        'markers': [{'name': name, 'arc_length': s} for name, s in markers],
         'per_cell': measured.per_cell,
         'input': measured.input,
         'left_out': [dict(row) for row in measured.left_out],
         'path': measured.path,
-        'measured': [
-            {
-                'posture': posture,
-                'input': dict(
-                    zip(measured.input_names, _numbers(measured.inputs[p]) or (), strict=True)
-                ),
-                'trials': int(measured.trials[p]),
-                'shape': _numbers(measured.mean[p]),
-                'tips': _numbers(measured.tips[p]),
-                'angles': None if measured.angles is None else _numbers(measured.angles[:, p]),
-                'floor': None if measured.floor is None else _numbers(np.sqrt(measured.floor[p])),
-            }
-            for p, posture in enumerate(measured.postures)
-        ],
+        'measured': _rows(
+            posture=measured.postures,
+            input=inputs,
+            trials=measured.trials.tolist(),
+            shape=measured.mean,
+            tips=measured.tips,
+            angles=None if measured.angles is None else measured.angles.swapaxes(0, 1),
+            floor=None if measured.floor is None else np.sqrt(measured.floor),
+        ),
     }
 
 
 def _model_to_json(comparison: Comparison, model: ModelErrors) -> dict[str, Any]:
     measured, error = comparison.measured, comparison.error
     first = comparison.grows_from(model)
-
-    def of_posture(p: int, posture: str) -> dict[str, Any]:
-        distance = model.distance[p]
-        known = np.isfinite(distance).any()
-        return {
-            'posture': posture,
-            'rms': _number(model.per_posture_rms[p]),
-            'max': _number(np.nanmax(distance)) if known else None,
-            'tip_error': _estimate(model.tip_error_of(p, error)),
-            'tip_errors': _numbers(model.tip_errors[p]),
-            'error': _numbers(distance),
-            'angles': None if model.angles is None else _numbers(model.angles[p]),
-            'shape': _numbers(model.markers[p]),
-            'centreline': None if model.centreline is None else _numbers(model.centreline[p]),
-        }
-
+    postures = range(len(measured.postures))
     return {
         'name': model.name,
         'effects': list(model.effects),
         'rms': model.rms,
         'max': model.max,
         'tip_error': _estimate(model.tip_error(error)),
-        'per_marker_rms': _numbers(model.per_marker_rms),
+        'per_marker_rms': _plain(model.per_marker_rms),
         'grows_from': None if first is None else measured.markers[first],
         'worst_posture': measured.postures[comparison.worst_posture(model)],
-        'per_posture': [of_posture(p, name) for p, name in enumerate(measured.postures)],
+        'per_posture': _rows(
+            posture=measured.postures,
+            rms=model.per_posture_rms,
+            max=np.nan_to_num(model.distance, nan=-np.inf).max(axis=1),
+            tip_error=[_estimate(model.tip_error_of(p, error)) for p in postures],
+            tip_errors=model.tip_errors,
+            error=model.distance,
+            angles=model.angles,
+            shape=model.markers,
+            centreline=model.centreline,
+        ),
     }
 
 
@@ -396,64 +376,58 @@ def from_json(content: dict[str, Any]) -> Comparison:
     if content['format'] != FORMAT:
         raise ValueError(f'format {content["format"]!r}')
     rows = content['measured']
-    angles = None if rows[0]['angles'] is None else _array(r['angles'] for r in rows)
-    floor = None if rows[0]['floor'] is None else _array(r['floor'] for r in rows) ** 2
+    held = _columns(rows, 'trials', 'shape', 'tips', 'angles', 'floor')
     measured = Measured(
         data=content['data'],
         input=content['input'],
         input_names=tuple(rows[0]['input']),
-        inputs=_array(list(row['input'].values()) for row in rows),
+        inputs=np.array([list(row['input'].values()) for row in rows], dtype=float),
         postures=tuple(row['posture'] for row in rows),
-        trials=np.array([row['trials'] for row in rows]),
+        trials=held['trials'].astype(int),
         markers=tuple(marker['name'] for marker in content['markers']),
-        arc_lengths=_array(marker['arc_length'] for marker in content['markers']),
+        arc_lengths=_columns(content['markers'], 'arc_length')['arc_length'],
         per_cell=content['per_cell'],
-        mean=_array(row['shape'] for row in rows),
-        tips=_array(row['tips'] for row in rows),
-        angles=None if angles is None else angles.swapaxes(0, 1),
+        mean=held['shape'],
+        tips=held['tips'],
+        angles=None if held['angles'] is None else held['angles'].swapaxes(0, 1),
         position_noise=content['position_noise'],
-        floor=floor,
+        floor=None if held['floor'] is None else held['floor'] ** 2,
         left_out=tuple(content.get('left_out', ())),  # files of older versions have none
         path=content.get('path', 'from_straight'),
     )
     models = []
     for model in content['models']:
         each = model['per_posture']
-        bent, line = each[0]['angles'] is not None, each[0]['centreline'] is not None
-        models.append(
-            ModelErrors(
-                name=model['name'],
-                effects=tuple(model['effects']),
-                markers=_array(row['shape'] for row in each),
-                angles=_array(row['angles'] for row in each) if bent else None,
-                distance=_array(row['error'] for row in each),
-                tip_errors=_array(row['tip_errors'] for row in each),
-                centreline=_array(row['centreline'] for row in each) if line else None,
-            )
-        )
+        held = _columns(each, 'shape', 'angles', 'error', 'tip_errors', 'centreline')
+        models.append(ModelErrors(model['name'], tuple(model['effects']), *held.values()))
     return Comparison(measured, tuple(models), content['error'])
 
 
 def _estimate(value: Estimate) -> dict[str, Any]:
-    return {
-        'mean': _number(value.mean),
-        'low': _number(value.low),
-        'high': _number(value.high),
-        'n': value.n,
-    }
+    numbers = {key: _plain(getattr(value, key)) for key in ('mean', 'low', 'high')}
+    return {**numbers, 'n': value.n}
 
 
-def _number(value: float | np.floating[Any] | None) -> float | None:
-    return float(value) if value is not None and np.isfinite(value) else None
-
-
-def _numbers(values: Floats | None) -> list[Any] | None:
-    """Nested lists with null for what is missing."""
-    if values is None:
+def _plain(value: Any) -> Any:
+    """Return a number, or an array as nested lists, with null for what is missing."""
+    if value is None:
         return None
-    array = np.asarray(values, dtype=float)
-    return list(np.where(np.isfinite(array), array, np.array(None, dtype=object)).tolist())
+    array = np.asarray(value, dtype=float)
+    return np.where(np.isfinite(array), array, np.array(None, dtype=object)).tolist()
 
 
-def _array(rows: Any) -> Floats:
-    return np.array(list(rows), dtype=float)
+def _rows(**columns: Any) -> list[dict[str, Any]]:
+    """Return a row per posture of columns (P, ...); of one that is None, null in each."""
+    return [
+        {
+            key: _plain(column[p]) if isinstance(column, np.ndarray) else column and column[p]
+            for key, column in columns.items()
+        }
+        for p in range(len(columns['posture']))
+    ]
+
+
+def _columns(rows: list[dict[str, Any]], *keys: str) -> dict[str, Any]:
+    """Return columns (P, ...) of rows; None where the first row has null."""
+    known = {key: None if rows[0][key] is None else [row[key] for row in rows] for key in keys}
+    return {key: None if one is None else np.array(one, dtype=float) for key, one in known.items()}
