@@ -15,8 +15,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ..common.errors import InputError
 from ..common.files import TABLE_ENDINGS, YAML_ENDINGS, refuse_ending
 from ..common.words import PROGRAM, read_unit
@@ -26,9 +24,8 @@ from ..data.bag_writer import STORAGES, Timing, export_bag
 from ..data.dataset import PATHS
 from ..data.folder import read_text, refuse_dataset_in
 from ..data.loading import Imported, draw_segments, import_bag, summary
-from ..data.path_files import Moves, Places, read_moves
+from ..data.path_files import read_moves
 from ..data.still_segments import Rule
-from ..paths.path import PathRun
 from ..report.pictures import draw_run
 from ..robot import load_robot
 from ..tables import import_table
@@ -484,53 +481,18 @@ class Plot:
         refuse_ending('--output', output)
         with progress() as show:
             show(f'reading {bag}', 0, 0)
-            moves = read_moves(bag)
-        if not len(moves.tips):
+            path_run, targets = read_moves(bag)
+        tips = path_run.tips
+        if not len(tips):
             raise InputError(f'{bag}: no measured_tip and no predicted_tip in it: nothing to draw')
-        path_run = as_run(moves)
-        seconds = float(path_run.tip_times[-1])
-        counts = {key: len(getattr(moves, key)) for key in ('targets', 'tips', 'commands')}
+        seconds = float(tips.times[-1])
+        counts = {'targets': len(targets), 'tips': len(tips), 'commands': len(path_run.commands)}
         text = (
-            f'{seconds:.1f} s, {len(moves.targets)} targets, {len(moves.tips)} tips'
-            f'{"" if moves.measured else " as the model sees them"}, '
-            f'{len(moves.commands)} commands'
+            f'{seconds:.1f} s, {len(targets)} targets, {len(tips)} tips'
+            f'{"" if path_run.measured else " as the model sees them"}, '
+            f'{len(path_run.commands)} commands'
         )
         picture = draw_run(path_run, output, f'{bag.name}, {seconds:.1f} s')
-        content = {'seconds': seconds, **counts, 'measured': moves.measured}
+        content = {'seconds': seconds, **counts, 'measured': path_run.measured}
         emit(args, content | {'picture': str(picture)}, f'{text}\npicture: {picture}')
         return 0
-
-
-def as_run(moves: Moves) -> PathRun:
-    """Return a recording as a run; a target stands until the next one."""
-    targets = standing_targets(moves, float(moves.tips.times[-1]))
-    return PathRun(
-        inputs=moves.inputs,
-        target_times=targets.times,
-        targets=targets.positions,
-        target_directions=targets.directions,
-        row_times=moves.targets.times,
-        tip_times=moves.tips.times,
-        tips=moves.tips.positions,
-        tip_directions=moves.tips.directions,
-        measured=moves.measured,
-        command_times=moves.command_times,
-        commands=moves.commands,
-        pull=moves.pull,
-    )
-
-
-def standing_targets(moves: Moves, end: float) -> Places:
-    """Return targets as a curve: each from its time to its end, then NaN until the next one."""
-    targets = moves.targets
-    if not len(targets):
-        return targets
-    until = np.append(targets.times[1:], max(end, targets.times[-1]))
-    for i, time in enumerate(targets.times):
-        over = moves.trajectory_times[moves.trajectory_times > time]
-        until[i] = min([until[i], *over[:1]])
-    times = np.column_stack([targets.times, until - 2e-6, until - 1e-6]).reshape(-1)
-    positions = np.repeat(targets.positions, 3, axis=0)
-    ended = until < np.append(targets.times[1:], np.inf)
-    positions[2::3][ended] = np.nan
-    return Places(times, positions, np.repeat(targets.directions, 3, axis=0))

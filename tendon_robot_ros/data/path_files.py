@@ -1,7 +1,8 @@
-"""Paths to follow: tip targets or inputs over time, from a CSV file or a recording."""
+"""Paths to follow, from a CSV file or a recording, and runs along them against their targets."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 
 from ..common.arrays import Floats
 from ..common.errors import DataSetError
-from ..common.rotations import from_quaternion
+from ..common.rotations import angle_between, from_quaternion
 from .bag_reader import opened, stored, topic_of
 from .bag_writer import JOINT_STATE, POSE_STAMPED, joints_of
 from .csv_file import CsvFile, first_line
@@ -125,27 +126,115 @@ class Places:
     positions: Floats
     directions: Floats
 
+    @classmethod
+    def of(cls, samples: Sequence[tuple[float, Floats, Floats]], start: float = 0.0) -> Places:
+        """Return samples (time, position, direction), with times since a start [s]."""
+        return cls(
+            np.array([time - start for time, _, _ in samples]),
+            np.array([place for _, place, _ in samples]).reshape(-1, 3),
+            np.array([view for _, _, view in samples]).reshape(-1, 3),
+        )
+
+    def at(self, times: Floats) -> tuple[Floats, Floats]:
+        """Return positions (n, 3) [m] and directions (n, 3) at times (n,) [s]."""
+        places = _interpolated(times, self.times, self.positions)
+        return places, _interpolated(times, self.times, self.directions)
+
     def __len__(self) -> int:
         return len(self.times)
 
 
 @dataclass(frozen=True)
-class Moves:
-    """A recording of motion; times [s] since its first message."""
-
-    targets: Places
-    trajectory_times: Floats  # when a trajectory of the tendons took over
-    tips: Places
-    measured: bool  # whether a tracker measured the tip; else it is the model's
-    inputs: tuple[str, ...]
-    command_times: Floats  # (C,)
-    commands: Floats  # (C, m) [N], or [m] if pull
-    pull: bool
-
-
-def read_moves(path: str | Path) -> Moves:
+class PathRun:
     """
-    Read targets, commands and tips.
+    A path that was followed; all times [s] since it began.
+
+    Attributes
+    ----------
+    inputs : tuple of str, length m
+    targets : Places
+        Of the tip as they were sent. Empty for trajectories of the tendons.
+    row_times : ndarray, shape (n,)
+        When every given row was due.
+    tips : Places
+        The tip, measured or as the model predicts it.
+    measured : bool
+        Whether a tracker measured it.
+    command_times, commands : ndarray, shapes (C,), (C, m) [N], or [m] in pull mode
+        Commands as they were sent.
+    pull : bool
+        Whether the commands are wire pulls.
+    target_values : ndarray, shape (n, m), optional
+        Targets of the tendons, for trajectories of the tendons.
+
+    """
+
+    inputs: tuple[str, ...]
+    targets: Places
+    row_times: Floats
+    tips: Places
+    measured: bool
+    command_times: Floats
+    commands: Floats
+    pull: bool
+    target_values: Floats | None = None
+
+    def tip_at(self, times: Floats) -> tuple[Floats, Floats]:
+        """Return positions (n, 3) [m] and directions (n, 3) of the tip at times (n,) [s]."""
+        places, along = self.tips.at(times)
+        sizes = np.linalg.norm(along, axis=1, keepdims=True)
+        return places, along / np.where(sizes > 0.0, sizes, np.nan)
+
+    def commanded_at(self, times: Floats) -> Floats:
+        """Return commands (n, m) at times (n,) [s]."""
+        return _interpolated(times, self.command_times, self.commands)
+
+    def errors(self, times: Floats) -> tuple[Floats, Floats]:
+        """Return distances (n,) [m] and angles (n,) [rad] between tip and target at times."""
+        targets, views = self.targets.at(times)
+        places, along = self.tip_at(times)
+        views = views / np.linalg.norm(views, axis=1, keepdims=True)
+        return np.linalg.norm(places - targets, axis=1), angle_between(views, along)
+
+    def across(self) -> Floats:
+        """Return distances (T,) [m] of the tip from the nearest point of the path."""
+        tips, targets = self.tips.positions, self.targets.positions
+        if not len(targets):
+            return np.full(len(tips), np.nan)
+        if len(targets) == 1:
+            return np.asarray(np.linalg.norm(tips - targets[0], axis=1))
+        start, step = targets[:-1], np.diff(targets, axis=0)
+        length = (step**2).sum(axis=1)
+        distances = []
+        for tip in tips:  # nearest point of every straight piece
+            fraction = ((tip - start) * step).sum(axis=1) / np.where(length > 0.0, length, 1.0)
+            nearest = start + np.clip(fraction, 0.0, 1.0)[:, None] * step
+            distances.append(np.nanmin(np.linalg.norm(nearest - tip, axis=1)))
+        return np.array(distances)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain data for JSON: the tip at every row [m], and its distances from targets."""
+        tips = self.tip_at(self.row_times)[0].tolist()
+        content = {'times': self.row_times.tolist(), 'tips': tips, 'measured': self.measured}
+        if self.target_values is None:
+            content |= zip(('rms', 'largest', 'from_path'), self.distances(), strict=True)
+        return content
+
+    def distances(self) -> tuple[float, float, float]:
+        """Return rms and maximum distance [m] from the present target, maximum from the path."""
+        errors, _ = self.errors(self.tips.times)
+        return float(np.sqrt(np.mean(errors**2))), float(errors.max()), float(self.across().max())
+
+
+def _interpolated(times: Floats, known: Floats, values: Floats) -> Floats:
+    if not len(known):
+        return np.full((len(times), values.shape[1]), np.nan)
+    return np.column_stack([np.interp(times, known, column) for column in values.T])
+
+
+def read_moves(path: str | Path) -> tuple[PathRun, Places]:
+    """
+    Read targets, commands and tips: as a run whose targets stand until the next, and as rows.
 
     Raises
     ------
@@ -156,8 +245,8 @@ def read_moves(path: str | Path) -> Moves:
     received: dict[str, list[tuple[float, Any]]] = {}
     with opened(path) as reader:
         types = {c.topic: c.msgtype for c in reader.connections}
-        tips = [(name, POSE_STAMPED) for name in TIPS]
-        kinds = [*TARGETS, TRAJECTORY, *tips, (COMMAND, JOINT_STATE)]
+        poses = [(name, POSE_STAMPED) for name in TIPS]
+        kinds = [*TARGETS, TRAJECTORY, *poses, (COMMAND, JOINT_STATE)]
         topics = ((topic_of(types, name, kind), name) for name, kind in kinds)
         roles = {topic: name for topic, name in topics if topic is not None}
         for connection, time, data in stored(reader, roles):
@@ -167,24 +256,52 @@ def read_moves(path: str | Path) -> Moves:
     if not any(received.get(name) for name in ('target_pose', 'target_point', COMMAND)):
         problem = 'holds neither target_pose, target_point nor tendon_command'
         raise DataSetError(str(path), problem, 'record them: python -m tendon_robot_ros record')
-    targets = [_place(m) for name, _ in TARGETS for m in received.get(name, [])]
+    targets = _places([m for name, _ in TARGETS for m in received.get(name, [])], start)
     tip = next((name for name in TIPS if received.get(name)), TIPS[-1])
+    tips = _places(received.get(tip, []), start)
+    trajectories = np.array([time - start for time, _ in received.get(TRAJECTORY[0], [])])
     sent = received.get(COMMAND, [])
     names = tuple(sent[0][1].name) if sent else ()
     pull = bool(sent) and len(sent[0][1].effort) == 0
     values = np.array([joints_of(message, names)[0 if pull else 1] for _, message in sent])
     values = values.reshape(len(sent), len(names))
     good = np.isfinite(values).all(axis=1)
-    return Moves(
-        _places(targets, start),
-        np.array([time - start for time, _ in received.get(TRAJECTORY[0], [])]),
-        _places([_place(m) for m in received.get(tip, [])], start),
-        tip == TIPS[0],
-        names,
-        np.array([time - start for time, _ in sent])[good],
-        values[good],
-        pull,
+    run = PathRun(
+        inputs=names,
+        targets=_standing(targets, trajectories, float(tips.times.max(initial=0.0))),
+        row_times=targets.times,
+        tips=tips,
+        measured=tip == TIPS[0],
+        command_times=np.array([time - start for time, _ in sent])[good],
+        commands=values[good],
+        pull=pull,
     )
+    return run, targets
+
+
+def _standing(targets: Places, trajectories: Floats, end: float) -> Places:
+    """
+    Return targets as a curve: each from its time to its end, then NaN until the next one.
+
+    It ends with the next target, when a trajectory of the tendons takes over (t,) [s], or at the
+    end [s].
+    """
+    if not len(targets):
+        return targets
+    until = np.append(targets.times[1:], max(end, targets.times[-1]))
+    for i, time in enumerate(targets.times):
+        until[i] = min([until[i], *trajectories[trajectories > time][:1]])
+    times = np.column_stack([targets.times, until - 2e-6, until - 1e-6]).reshape(-1)
+    positions = np.repeat(targets.positions, 3, axis=0)
+    ended = until < np.append(targets.times[1:], np.inf)
+    positions[2::3][ended] = np.nan
+    return Places(times, positions, np.repeat(targets.directions, 3, axis=0))
+
+
+def _places(stamped: list[tuple[float, Any]], start: float) -> Places:
+    """Return the places of poses and points with their times [s], in the order of time."""
+    samples = sorted(map(_place, stamped), key=lambda sample: sample[0])
+    return Places.of([sample for sample in samples if np.isfinite(sample[1]).all()], start)
 
 
 def _place(stamped: tuple[float, Any]) -> tuple[float, Floats, Floats]:
@@ -195,13 +312,3 @@ def _place(stamped: tuple[float, Any]) -> tuple[float, Floats, Floats]:
         return time, np.array([p.x, p.y, p.z]), np.full(3, np.nan)
     p, q = message.pose.position, message.pose.orientation
     return time, np.array([p.x, p.y, p.z]), from_quaternion((q.x, q.y, q.z, q.w))[:, 2]
-
-
-def _places(samples: list[tuple[float, Floats, Floats]], start: float) -> Places:
-    samples = sorted(samples, key=lambda sample: sample[0])
-    samples = [s for s in samples if np.isfinite(s[1]).all()]
-    return Places(
-        np.array([time - start for time, _, _ in samples]),
-        np.array([place for _, place, _ in samples]).reshape(-1, 3),
-        np.array([view for _, _, view in samples]).reshape(-1, 3),
-    )

@@ -1,14 +1,13 @@
 """
-Paths of the tip through given rows, stretched in time to keep limits, and runs along them.
+Paths of the tip through given rows, stretched in time to keep limits.
 
-`tip_path` samples a path, `plan` finds the tensions along it and the times of its samples,
-`PathRun` compares the tip with its targets.
+`tip_path` samples a path, `plan` finds the tensions along it and the times of its samples.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, pchip_interpolate
@@ -367,101 +366,3 @@ def thinned(times: Floats, values: Floats) -> Ints:
             kept.add(middle)
             open_pieces += [(first, middle), (middle, last)]
     return np.array(sorted(kept))
-
-
-@dataclass(frozen=True)
-class PathRun:
-    """
-    A path that was followed; all times [s] since it began.
-
-    Attributes
-    ----------
-    inputs : tuple of str, length m
-    target_times, targets, target_directions : ndarray, shapes (A,), (A, 3) [m], (A, 3)
-        Targets of the tip as they were sent; directions nan where none was requested. Empty for
-        trajectories of the tendons.
-    row_times : ndarray, shape (n,)
-        When every given row was due.
-    tip_times, tips, tip_directions : ndarray, shapes (T,), (T, 3) [m], (T, 3)
-        The tip, measured or as the model predicts it.
-    measured : bool
-        Whether a tracker measured it.
-    command_times, commands : ndarray, shapes (C,), (C, m) [N], or [m] in pull mode
-        Commands as they were sent.
-    pull : bool
-        Whether the commands are wire pulls.
-    target_values : ndarray, shape (n, m), optional
-        Targets of the tendons, for trajectories of the tendons.
-
-    """
-
-    inputs: tuple[str, ...]
-    target_times: Floats
-    targets: Floats
-    target_directions: Floats
-    row_times: Floats
-    tip_times: Floats
-    tips: Floats
-    tip_directions: Floats
-    measured: bool
-    command_times: Floats
-    commands: Floats
-    pull: bool
-    target_values: Floats | None = None
-
-    def tip_at(self, times: Floats) -> tuple[Floats, Floats]:
-        """Return positions (n, 3) [m] and directions (n, 3) of the tip at times (n,) [s]."""
-        places = _interpolated(times, self.tip_times, self.tips)
-        along = _interpolated(times, self.tip_times, self.tip_directions)
-        sizes = np.linalg.norm(along, axis=1, keepdims=True)
-        return places, along / np.where(sizes > 0.0, sizes, np.nan)
-
-    def commanded_at(self, times: Floats) -> Floats:
-        """Return commands (n, m) at times (n,) [s]."""
-        return _interpolated(times, self.command_times, self.commands)
-
-    def targets_at(self, times: Floats) -> tuple[Floats, Floats]:
-        """Return the targets (n, 3) [m] and their directions (n, 3) at times (n,) [s]."""
-        places = _interpolated(times, self.target_times, self.targets)
-        return places, _interpolated(times, self.target_times, self.target_directions)
-
-    def errors(self, times: Floats) -> tuple[Floats, Floats]:
-        """Return distances (n,) [m] and angles (n,) [rad] between tip and target at times."""
-        targets, views = self.targets_at(times)
-        places, along = self.tip_at(times)
-        views = views / np.linalg.norm(views, axis=1, keepdims=True)
-        return np.linalg.norm(places - targets, axis=1), angle_between(views, along)
-
-    def across(self) -> Floats:
-        """Return distances (T,) [m] of the tip from the nearest point of the path."""
-        if not len(self.targets):
-            return np.full(len(self.tips), np.nan)
-        if len(self.targets) == 1:
-            return np.asarray(np.linalg.norm(self.tips - self.targets[0], axis=1))
-        start, step = self.targets[:-1], np.diff(self.targets, axis=0)
-        length = (step**2).sum(axis=1)
-        distances = []
-        for tip in self.tips:  # nearest point of every straight piece
-            fraction = ((tip - start) * step).sum(axis=1) / np.where(length > 0.0, length, 1.0)
-            nearest = start + np.clip(fraction, 0.0, 1.0)[:, None] * step
-            distances.append(np.nanmin(np.linalg.norm(nearest - tip, axis=1)))
-        return np.array(distances)
-
-    def to_json(self) -> dict[str, Any]:
-        """Return plain data for JSON: the tip at every row [m], and its distances from targets."""
-        tips = self.tip_at(self.row_times)[0].tolist()
-        content = {'times': self.row_times.tolist(), 'tips': tips, 'measured': self.measured}
-        if self.target_values is None:
-            content |= zip(('rms', 'largest', 'from_path'), self.distances(), strict=True)
-        return content
-
-    def distances(self) -> tuple[float, float, float]:
-        """Return rms and maximum distance [m] from the present target, maximum from the path."""
-        errors, _ = self.errors(self.tip_times)
-        return float(np.sqrt(np.mean(errors**2))), float(errors.max()), float(self.across().max())
-
-
-def _interpolated(times: Floats, known: Floats, values: Floats) -> Floats:
-    if not len(known):
-        return np.full((len(times), values.shape[1]), np.nan)
-    return np.column_stack([np.interp(times, known, column) for column in values.T])

@@ -17,8 +17,8 @@ from ..common.colours import COLOURS, ERROR, FLOOR, INK, MEASURED, PREDICTED
 from ..common.errors import NoEquilibriumError
 from ..common.files import new_file
 from ..common.words import columns
+from ..data.path_files import PathRun
 from ..model.shape import plot_arms
-from ..paths.path import PathRun
 from ..robot.estimates import bend_rates
 from .page import Shown
 
@@ -165,7 +165,7 @@ def _chosen(count: int, maximum: int) -> np.ndarray:
 def tip_rows(run: PathRun) -> list[list[str]]:
     """Return the rows of a path of the tip: what was requested and what was reached."""
     errors, rotations = run.errors(run.row_times)
-    goals, views = run.targets_at(run.row_times)
+    goals, views = run.targets.at(run.row_times)
     reached, _ = run.tip_at(run.row_times)
     rows = [['row', 'time [s]', 'asked x, y, z [mm]', 'reached [mm]', 'error', 'turned by']]
     for i, time in enumerate(run.row_times):
@@ -218,7 +218,7 @@ def draw_run(run: PathRun, path: str | Path, title: str) -> Path:
 
     size, dots, _ = STYLES['path']
     figure = Figure(figsize=size, layout='constrained')
-    spans = np.ptp(run.tips, axis=0)
+    spans = np.ptp(run.tips.positions, axis=0)
     # of a path in the x-z plane the other side shows nothing
     left = ['xz'] if spans[1] < Shown.FLAT_FRACTION * spans.max() else ['xz', 'yz']
     widths = [*[2.0 / len(left)] * len(left), 1.5]
@@ -240,8 +240,10 @@ def draw_side(axes: Any, run: PathRun, axis: int) -> None:
     """Draw the requested and the reached path, with arrows where a row requests a direction."""
     reached, _ = run.tip_at(run.row_times)
     if len(run.targets):
-        goals, views = run.targets_at(run.row_times)
-        axes.plot(*_flat(run.targets, axis), '--', color=FLOOR, linewidth=1.2, label='asked')
+        goals, views = run.targets.at(run.row_times)
+        axes.plot(
+            *_flat(run.targets.positions, axis), '--', color=FLOOR, linewidth=1.2, label='asked'
+        )
         if len(goals) <= Shown.MARKED_ROWS:
             axes.plot(*_flat(goals, axis), 'o', color=FLOOR, markersize=5, fillstyle='none')
         shown = _chosen(len(goals), Shown.ARROWS)
@@ -252,7 +254,7 @@ def draw_side(axes: Any, run: PathRun, axis: int) -> None:
                 axes.annotate('', (x + tip[0], z + tip[1]), (x, z), arrowprops=arrow)
     label = 'measured' if run.measured else 'as the model sees it'
     colour = _tip_colour(run)
-    axes.plot(*_flat(run.tips, axis), '-', color=colour, linewidth=1.0, label=label)
+    axes.plot(*_flat(run.tips.positions, axis), '-', color=colour, linewidth=1.0, label=label)
     if len(reached) <= Shown.MARKED_ROWS:
         axes.plot(*_flat(reached, axis), 'x', color=colour, markersize=5)
     axes.set(xlabel=f'{"xy"[axis]} [mm]', ylabel='z [mm]')
@@ -272,15 +274,15 @@ def _flat(places: Any, axis: int) -> tuple[Any, Any]:
 def draw_errors(axes: Any, run: PathRun) -> None:
     """Draw the distance from the target over time; the tip itself where no target is known."""
     if not len(run.targets):
-        axes.plot(run.tip_times, 1e3 * run.tips, linewidth=1.0, label=['x', 'y', 'z'])
+        axes.plot(run.tips.times, 1e3 * run.tips.positions, linewidth=1.0, label=['x', 'y', 'z'])
         axes.set_ylabel('tip [mm]')
         axes.legend(fontsize='small', ncols=3, loc='upper right')
         return
-    errors, _ = run.errors(run.tip_times)
+    errors, _ = run.errors(run.tips.times)
     axes.plot(
-        run.tip_times, 1e3 * errors, color=_tip_colour(run), label='from the target of the moment'
+        run.tips.times, 1e3 * errors, color=_tip_colour(run), label='from the target of the moment'
     )
-    axes.plot(run.tip_times, 1e3 * run.across(), ':', color=INK, label='from the path')
+    axes.plot(run.tips.times, 1e3 * run.across(), ':', color=INK, label='from the path')
     at, _ = run.errors(run.row_times)
     if len(at) <= Shown.MARKED_ROWS:
         axes.plot(run.row_times, 1e3 * at, 'x', color=COLOURS[2], label='at the rows')

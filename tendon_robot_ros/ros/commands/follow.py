@@ -23,13 +23,20 @@ from ...control.inputs import Refusal, Trajectory
 from ...control.target_search import keep_out_refusal
 from ...data.bag_reader import is_bag, opened
 from ...data.csv_file import first_line
-from ...data.path_files import NO_PATH, TendonRows, TipRows, read_moves, read_path
+from ...data.path_files import (
+    NO_PATH,
+    PathRun,
+    Places,
+    TendonRows,
+    TipRows,
+    read_moves,
+    read_path,
+)
 from ...drivers.safety import CYCLE_MAX_S
 from ...model.model import Model
 from ...model.shape import Shape
 from ...paths.path import (
     Pace,
-    PathRun,
     Plan,
     plan,
     retreat,
@@ -270,9 +277,8 @@ def _read(options: argparse.Namespace, pilot: Pilot) -> TipRows | TendonRows:
     """Read the file, or the targets of a recording, else its commands."""
     if not is_bag(options.path):
         return read_path(options.path, pilot.inputs)
-    moves = read_moves(options.path)
-    if len(moves.targets) and not options.commands:
-        targets = moves.targets
+    moves, targets = read_moves(options.path)
+    if len(targets) and not options.commands:
         times = targets.times - targets.times[0]
         return TipRows(times, targets.positions, targets.directions, held=True)
     if moves.inputs and set(moves.inputs) == set(pilot.inputs) and moves.pull == pilot.pull:
@@ -353,13 +359,9 @@ def _path_run(
     during, commanded = tip_times >= began, command_times >= began
     return PathRun(
         inputs=pilot.inputs,
-        target_times=np.array([at for at, _, _ in sent]),
-        targets=np.array([place for _, place, _ in sent]).reshape(-1, 3),
-        target_directions=np.array([view for _, _, view in sent]).reshape(-1, 3),
+        targets=Places.of(sent),
         row_times=rows,
-        tip_times=tip_times[during] - began,
-        tips=tips[during],
-        tip_directions=views[during],
+        tips=Places(tip_times[during] - began, tips[during], views[during]),
         measured=measured,
         command_times=command_times[commanded] - began,
         commands=commands[commanded],
