@@ -146,12 +146,12 @@ def placed(imported: Imported, method: str | None, up: str | None) -> tuple[Data
     """Return the data set in the base frame, and lines about its registration."""
     from ..effects import load_catalogue
     from ..tables.imported import frame_lines, labelled_lines
-    from ..tables.registration import place
+    from ..tables.registration import Placed
 
     known = is_base(imported.frame)
     choice = FrameChoice(method or ('base' if known else None))
     try:
-        placing = place(imported.dataset, Recipe(up=up, frame=choice), load_catalogue(()))
+        placing = Placed(imported.dataset, Recipe(up=up, frame=choice), load_catalogue(()))
     except InputError as error:
         if not known or method is not None:
             raise

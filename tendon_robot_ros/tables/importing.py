@@ -23,7 +23,7 @@ from ..robot.estimates import TRACKER_NOISE_M
 from .columns import RawTable, from_frame, marker_label
 from .imported import ImportedTable
 from .markers import AS_GIVEN, MarkerOrder, flag_columns, order_markers, places_contradicted
-from .measuring import FROM_STRAIGHT, SEQUENCE, VISITS, StillMeasurements, measure
+from .measuring import FROM_STRAIGHT, SEQUENCE, VISITS, StillMeasurements
 from .reading import read_tables, widened
 from .recipe import (
     FrameChoice,
@@ -34,7 +34,7 @@ from .recipe import (
     as_recipe,
     choose_columns,
 )
-from .registration import TrackerFrame, place, rotation_vector, side_offset, up_that_fits
+from .registration import Placed, TrackerFrame, rotation_vector, side_offset, up_that_fits
 from .traces import follow_renumbered, make_traces
 
 STEPS = (
@@ -100,7 +100,7 @@ def import_table(
     used = [t for t in tables if not t.part or columns & set(t.names)]
     show(STEPS[1], 1, len(STEPS))
     chosen = follow_renumbered(used, chosen, robot.length)
-    measured = measure(make_traces(used, chosen, robot.length), chosen, robot)
+    measured = StillMeasurements(make_traces(used, chosen, robot.length), chosen, robot)
     name = tables[0].name
     places = [marker.arc_length for marker in chosen.recipe.markers or ()]
     if None in places or not places:
@@ -117,7 +117,7 @@ def import_table(
         predictor = Predictor(raw, robot, catalogue)
         up, up_assumed = up_that_fits(raw, predictor, chosen.recipe.frame, recipe.up)
         chosen = replace(chosen, recipe=replace(chosen.recipe, up=up))
-    placed = place(raw, chosen.recipe, catalogue)
+    placed = Placed(raw, chosen.recipe, catalogue)
     final, frame, excluded = placed.dataset, placed.frame, placed.left_out
     show(STEPS[3], 3, len(STEPS))
     predicted = Predictor(final, final.robot, catalogue).markers({})

@@ -60,19 +60,6 @@ IN_ORDER = {
 }
 
 
-def history_assumed(path: str, rest: float, timed: bool, let_go: bool) -> str:
-    """
-    Describe the assumed history of the postures, and the option to contradict it.
-
-    The arm was `let_go` where the inputs were released before most postures, however briefly.
-    """
-    if path != FROM_STRAIGHT:
-        return IN_ORDER[path]
-    if not timed:
-        return ROWS
-    return RESTED if rest or let_go else NO_REST
-
-
 def _size(segment: Segment) -> float:
     """Return the largest input [N] or [m]."""
     return float(np.nan_to_num(segment.inputs).max())
@@ -112,17 +99,6 @@ def let_go_between(pieces: Sequence[Piece], same: float) -> tuple[int, int, floa
     return count, of, level
 
 
-def history_contradicted(path: str, count: int, of: int, level: float, unit: str) -> list[str]:
-    """Return a line if the inputs were released between postures although `path` denies it."""
-    if path == FROM_STRAIGHT or count <= 0.5 * of:
-        return []
-    return [
-        f'before {count} of {of} loaded postures all inputs were let go (below '
-        f'{digits(level)} {unit}): the arm was loaded from straight every time; leave out '
-        f'--path {path}'
-    ]
-
-
 @dataclass(frozen=True)
 class Piece:
     """One recording: its content, the motion of the arm, and its still segments."""
@@ -135,31 +111,11 @@ class Piece:
     cut: Floats  # (K, 5) of the markers, as of `Traces`
 
 
-@dataclass(frozen=True)
 class StillMeasurements:
-    """The measurements of all recordings in the tracker's frame, and the excluded readings."""
-
-    pieces: tuple[Piece, ...]
-    segments: tuple[Segment, ...]
-    rule: Rule
-    same: float  # [N] or [m] inputs that differ by less are those of one posture
-    rest: float  # [N] or [m] below, the arm rests; 0: it never does
-    delays: tuple[float, ...]  # [s] that the tracker's file begins later, by recording; () of one
-    drifts: tuple[float, ...]  # [s/s] that its clock loses
-    dropped: tuple[str, ...]
-    assumed: tuple[str, ...]
-    warnings: tuple[str, ...] = ()  # exchanged markers, contradictions of the assumed history
-
-    @property
-    def begins(self) -> list[int]:
-        """Which segments are the first of a recording."""
-        counts = [len(piece.segments) for piece in self.pieces]
-        return np.cumsum([0, *counts[:-1]]).tolist()
-
-
-def measure(traces: Sequence[Traces], chosen: Selection, robot: Robot) -> StillMeasurements:
     """
-    Find the still segments of all recordings, and name them by posture and trial.
+    The measurements of all recordings in the tracker's frame, and the excluded readings.
+
+    Still segments are found, and named by posture and trial.
 
     Raises
     ------
@@ -167,84 +123,95 @@ def measure(traces: Sequence[Traces], chosen: Selection, robot: Robot) -> StillM
         The arm never stands still, or an input is in another unit.
 
     """
-    recipe, kind = chosen.recipe, chosen.kind
-    unit = 'N' if kind == 'tension' else 'm'
-    still = recipe.still
-    rule = Rule(still.speed or Rule.speed, still.duration or Rule.duration, still.change)
-    rule = rule.fill(robot, kind)
-    motions: list[ArmMotion | None] = [None] * len(traces)
-    unseen: dict[str, Ints] = {}  # readings (J,) that are none, by why
-    for one in traces:
-        for why, count in one.unseen.items():
-            unseen[why] = unseen.get(why, np.zeros_like(count)) + count
-    labels = [marker_label(marker.columns) for marker in recipe.markers or ()]
-    dropped = unseen_lines(unseen, labels)
-    assumed = [one.clocks for one in traces if one.clocks]
-    rows = sum(len(one.recording.tracks[0].times) for one in traces)
-    sparse = _too_far_apart(traces, rule) if recipe.time else ''
-    if recipe.time:
-        traces = [replace(one, recording=_denser(one.recording, rule)) for one in traces]
-        motions = [_without_peaks(motion(one.recording, one.inputs, rule)) for one in traces]
-        rule = _still_rule([m for m in motions if m is not None], traces, rule, recipe)
-    pieces = [_piece(one, moved, rule) for one, moved in zip(traces, motions, strict=True)]
-    for i, piece in enumerate(pieces):
-        if recipe.zero and piece.segments:  # inputs count from those of the first segment
-            zero = piece.segments[0].inputs
-            moved = tuple(replace(s, inputs=(s.inputs - zero).round(9)) for s in piece.segments)
-            pieces[i] = piece = replace(piece, inputs=piece.inputs - zero, segments=moved)
-        if piece.segments:
-            own = list(piece.segments)
-            checked = plausible_inputs(piece.recording.name, own, robot, kind, rule)
-            pieces[i] = replace(piece, segments=tuple(checked))
-    segments = [one for piece in pieces for one in piece.segments]
-    if not segments and sparse:
-        raise DataSetError(traces[0].recording.name, sparse, SETTLED_ROWS)
-    if not segments:
-        known = [motion for motion in motions if motion is not None]
-        times = [one.recording.tracks[0].times for one in traces]
-        raise never_still(traces[0].recording.name, known, times, rule)
-    same = _guess_same(segments) if recipe.same is None else recipe.same
-    rest = recipe.rest
-    if rest is None:
-        rest = _guess_rest(segments, same) if recipe.path == FROM_STRAIGHT else 0.0
-        if rest:
-            assumed.append(f'where all inputs are below {digits(rest, 3)} {unit} the arm rests')
-    pieces = [_without_rest(piece, rest, first=index == 0) for index, piece in enumerate(pieces)]
-    dropped += _dropped_lines(pieces, labels)
-    kept = [one for piece in pieces for one in piece.segments]
-    timed = [piece for piece in pieces if piece.motion is not None]
-    let_go = let_go_between(timed, same)  # before how many postures, and of how many
-    assumed.append(
-        history_assumed(recipe.path, rest, bool(recipe.time), let_go[0] > 0.5 * let_go[1])
-    )
-    if recipe.path == SEQUENCE and kept:  # rounds through it are trials; the last may end early
-        values = np.nan_to_num([one.inputs for one in kept])
-        back = (np.abs(values[2 : len(kept) // 2 + 1] - values[0]) < same).all(axis=1)
-        periods = (np.flatnonzero(back) + 2).tolist()
-        alike = (p for p in periods if (np.abs(values[p:] - values[:-p]) < same).all())
-        period = next(alike, len(kept))
-        named = [
-            replace(one, posture=str(i % period), trial=str(i // period))
-            for i, one in enumerate(kept)
-        ]
-    else:
-        named = name_segments(kept, replace(rule, change=same), sequence=False)
-    return StillMeasurements(
-        tuple(pieces),
-        tuple(named),
-        rule,
-        same,
-        rest,
-        tuple(one.delay for one in traces if one.delay is not None),
-        tuple(one.drift for one in traces if one.delay is not None),
-        tuple(dropped),
-        tuple(assumed),
-        (
-            *(f'{one.recording.name}: {line}' for one in traces for line in one.exchanged),
-            *history_contradicted(recipe.path, *let_go, unit),
-            *([f'{sparse}: {SETTLED_ROWS}'] if sparse and len(segments) < rows / 4 else []),
-        ),
-    )
+
+    def __init__(self, traces: Sequence[Traces], chosen: Selection, robot: Robot) -> None:
+        recipe, kind, name = chosen.recipe, chosen.kind, traces[0].recording.name
+        unit = 'N' if kind == 'tension' else 'm'
+        still = recipe.still
+        rule = Rule(still.speed or Rule.speed, still.duration or Rule.duration, still.change)
+        rule = rule.fill(robot, kind)
+        # [s] that the tracker's file begins later, by recording; [s/s] that its clock loses
+        self.delays = tuple(one.delay for one in traces if one.delay is not None)
+        self.drifts = tuple(one.drift for one in traces if one.delay is not None)
+        labels = [marker_label(marker.columns) for marker in recipe.markers or ()]
+        unseen: dict[str, Ints] = {}  # readings (J,) that are none, by why
+        for one in traces:
+            for why, count in one.unseen.items():
+                unseen[why] = unseen.get(why, np.zeros_like(count)) + count
+        self.dropped = unseen_lines(unseen, labels)
+        self.assumed = [one.clocks for one in traces if one.clocks]
+        self.warnings = [f'{t.recording.name}: {line}' for t in traces for line in t.exchanged]
+        rows = sum(len(one.recording.tracks[0].times) for one in traces)
+        motions: list[ArmMotion | None] = [None] * len(traces)
+        sparse = _too_far_apart(traces, rule) if recipe.time else ''
+        if recipe.time:
+            traces = [replace(one, recording=_denser(one.recording, rule)) for one in traces]
+            motions = [_without_peaks(motion(t.recording, t.inputs, rule)) for t in traces]
+            rule = _still_rule([m for m in motions if m is not None], traces, rule, recipe)
+        self.rule = rule
+        pairs = zip(traces, motions, strict=True)
+        pieces = [_piece(one, moved, rule, chosen, robot) for one, moved in pairs]
+        segments = [one for piece in pieces for one in piece.segments]
+        if not segments and sparse:
+            raise DataSetError(name, sparse, SETTLED_ROWS)
+        if not segments:
+            known = [motion for motion in motions if motion is not None]
+            times = [one.recording.tracks[0].times for one in traces]
+            raise never_still(name, known, times, rule)
+        # [N] or [m] inputs that differ by less are those of one posture
+        self.same = _guess_same(segments) if recipe.same is None else recipe.same
+        rest = recipe.rest
+        if rest is None:
+            rest = _guess_rest(segments, self.same) if recipe.path == FROM_STRAIGHT else 0.0
+            if rest:
+                self.assumed.append(
+                    f'where all inputs are below {digits(rest, 3)} {unit} the arm rests'
+                )
+        self.rest = rest  # [N] or [m] below, the arm rests; 0: it never does
+        self.pieces = [_without_rest(piece, rest, i == 0) for i, piece in enumerate(pieces)]
+        self.dropped += _dropped_lines(self.pieces, labels)
+        kept = [one for piece in self.pieces for one in piece.segments]
+        self.segments = _named(kept, recipe.path, replace(rule, change=self.same))
+        self._judge_history(recipe, unit)
+        if sparse and len(segments) < rows / 4:
+            self.warnings.append(f'{sparse}: {SETTLED_ROWS}')
+
+    @property
+    def begins(self) -> list[int]:
+        """Which segments are the first of a recording."""
+        counts = [len(piece.segments) for piece in self.pieces]
+        return np.cumsum([0, *counts[:-1]]).tolist()
+
+    def _judge_history(self, recipe: Recipe, unit: str) -> None:
+        """Say which history of the postures is assumed, and whether the inputs contradict it."""
+        timed = [piece for piece in self.pieces if piece.motion is not None]
+        count, of, level = let_go_between(timed, self.same)
+        let_go = count > 0.5 * of  # however briefly
+        if recipe.path == FROM_STRAIGHT:
+            rested = RESTED if self.rest or let_go else NO_REST
+            self.assumed.append(rested if recipe.time else ROWS)
+            return
+        self.assumed.append(IN_ORDER[recipe.path])
+        if let_go:
+            self.warnings.append(
+                f'before {count} of {of} loaded postures all inputs were let go (below '
+                f'{digits(level)} {unit}): the arm was loaded from straight every time; leave out '
+                f'--path {recipe.path}'
+            )
+
+
+def _named(kept: list[Segment], path: str, rule: Rule) -> list[Segment]:
+    """Name segments by posture and trial: rounds through a sequence are trials."""
+    if path != SEQUENCE or not kept:
+        return name_segments(kept, rule, sequence=False)
+    same, values = rule.change or 0.0, np.nan_to_num([one.inputs for one in kept])
+    back = (np.abs(values[2 : len(kept) // 2 + 1] - values[0]) < same).all(axis=1)
+    periods = (np.flatnonzero(back) + 2).tolist()  # the last round may end early
+    alike = (p for p in periods if (np.abs(values[p:] - values[:-p]) < same).all())
+    period = next(alike, len(kept))
+    return [
+        replace(one, posture=str(i % period), trial=str(i // period)) for i, one in enumerate(kept)
+    ]
 
 
 def _too_far_apart(traces: Sequence[Traces], rule: Rule) -> str:
@@ -316,21 +283,29 @@ def _still_rule(
     return rule
 
 
-def _piece(traces: Traces, moved: ArmMotion | None, rule: Rule) -> Piece:
+def _piece(
+    traces: Traces, moved: ArmMotion | None, rule: Rule, chosen: Selection, robot: Robot
+) -> Piece:
+    """Return a recording with its still segments, or a segment for every row."""
     recording, inputs = traces.recording, traces.inputs
     if moved is None:
         positions = recording.tracks[0].positions
         turned = np.full((positions.shape[1], 4), np.nan)
-        rows = tuple(
-            Segment(float(i), float(i), inputs[i].round(9), positions[i].round(9), turned, np.nan)
-            for i in range(len(positions))
-            if np.isfinite(positions[i]).any()
-        )
-        return Piece(recording, inputs, None, rows, (), traces.cut)
-    cleaned = _without_gaps(recording, still_stretches(moved, rule))
-    segments, _ = find_segments(cleaned, inputs, moved, rule, sequence=True)
-    visible = [one for one in segments if np.isfinite(one.positions).any()]
-    return Piece(recording, inputs, moved, tuple(visible), (), traces.cut)
+        segments = [
+            Segment(float(i), float(i), inputs[i].round(9), place.round(9), turned, np.nan)
+            for i, place in enumerate(positions)
+        ]
+    else:
+        cleaned = _without_gaps(recording, still_stretches(moved, rule))
+        segments, _ = find_segments(cleaned, inputs, moved, rule, sequence=True)
+    segments = [one for one in segments if np.isfinite(one.positions).any()]
+    if segments and chosen.recipe.zero:  # inputs count from those of the first segment
+        zero = segments[0].inputs
+        inputs = inputs - zero
+        segments = [replace(one, inputs=(one.inputs - zero).round(9)) for one in segments]
+    if segments:
+        segments = plausible_inputs(recording.name, segments, robot, chosen.kind, rule)
+    return Piece(recording, inputs, moved, tuple(segments), (), traces.cut)
 
 
 def _without_gaps(recording: Recording, stretches: Sequence[tuple[float, float]]) -> Recording:

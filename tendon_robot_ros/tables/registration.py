@@ -312,24 +312,55 @@ def rotation_vector(rotation: Floats) -> Vector:
     return x, y, z
 
 
-@dataclass(frozen=True)
 class Placed:
-    """A data set in the base frame, and its registration."""
+    """
+    A data set in the base frame: registered, without trials that the other trials contradict.
 
-    dataset: DataSet
-    frame: TrackerFrame
-    left_out: tuple[tuple[str, str], ...]  # (posture, trial) contradicted by the other trials
-    gravity_warnings: tuple[str, ...]  # contradictions about gravity
+    Parameters
+    ----------
+    raw : DataSet
+        In the tracker's frame.
+    recipe : Recipe
+        With `up`, `frame` and `leave_out`, as far as they are known.
+    catalogue : Catalogue
+
+    Raises
+    ------
+    DataSetError, InputError
+        The model has no equilibrium, or the method needs what is not there.
+
+    """
+
+    def __init__(self, raw: DataSet, recipe: Recipe, catalogue: Catalogue) -> None:
+        robot, choice, pairs = raw.robot, recipe.frame, recipe.leave_out
+
+        def placed(dataset: DataSet) -> tuple[DataSet, TrackerFrame]:
+            frame = find_frame(dataset, Predictor(dataset, robot, catalogue), choice, recipe.up)
+            positions = dataset.positions @ frame.rotation.T + frame.shift
+            return replace(dataset, positions=positions.round(9)), frame
+
+        dataset, self.frame = placed(raw if pairs is None else _without(raw, pairs))
+        if pairs is None:
+            outliers = find_outliers(Predictor(dataset, robot, catalogue), {})
+            which = np.argwhere(outliers.trials).tolist()
+            pairs = tuple((raw.postures[p], raw.trial_names[q]) for p, q in which)
+            if pairs:
+                dataset, self.frame = placed(_without(raw, pairs))
+        self.left_out = pairs  # (posture, trial)
+        gravity, self.gravity_warnings = _gravity(dataset, self.frame, recipe)
+        known = self.frame.tolerances(robot.length)  # so that a diagnosis may move it
+        if choice.rotation is not None:  # a frame that is given comes with its tolerances
+            known |= {key: robot.tolerances[key] for key in known if key in robot.tolerances}
+        robot = replace(dataset.robot, tolerances={**dataset.robot.tolerances, **known})
+        self.dataset = replace(dataset, gravity=gravity, robot=robot)
 
     @property
     def frame_warnings(self) -> list[str]:
         """Contradictions of the frame, a line each."""
         frame, length, lines = self.frame, self.dataset.robot.length, []
         known = frame.tolerances(length)
-        if (
-            known
-            and max(known['position'], known['rotation'] * length) > 2.0 * MODEL_ERROR_MAX * length
-        ):
+        off = max(known['position'], known['rotation'] * length) if known else 0.0
+        if off > 2.0 * MODEL_ERROR_MAX * length:
             lines.append(
                 f'the frame is known to {mm(known["position"], 2)} and '
                 f'{np.degrees(known["rotation"]):.2g}° only, more than a tenth of the arm at its '
@@ -365,50 +396,6 @@ class Placed:
         return [f'{shown}: the other trials contradict (a slipped tendon?)']
 
 
-def place(raw: DataSet, recipe: Recipe, catalogue: Catalogue) -> Placed:
-    """
-    Register the tracker's frame, and exclude trials that the other trials contradict.
-
-    Parameters
-    ----------
-    raw : DataSet
-        In the tracker's frame.
-    recipe : Recipe
-        With `up`, `frame` and `leave_out`, as far as they are known.
-    catalogue : Catalogue
-
-    Raises
-    ------
-    DataSetError, InputError
-        The model has no equilibrium, or the method needs what is not there.
-
-    """
-    robot, choice = raw.robot, recipe.frame
-
-    def placed(dataset: DataSet) -> tuple[DataSet, TrackerFrame]:
-        frame = find_frame(dataset, Predictor(dataset, robot, catalogue), choice, recipe.up)
-        positions = dataset.positions @ frame.rotation.T + frame.shift
-        return replace(dataset, positions=positions.round(9)), frame
-
-    if recipe.leave_out is not None:
-        pairs = recipe.leave_out
-        dataset, frame = placed(_without(raw, pairs))
-    else:
-        dataset, frame = placed(raw)
-        outliers = find_outliers(Predictor(dataset, robot, catalogue), {})
-        pairs = tuple(
-            (raw.postures[p], raw.trial_names[q]) for p, q in np.argwhere(outliers.trials).tolist()
-        )
-        if pairs:
-            dataset, frame = placed(_without(raw, pairs))
-    gravity, warnings = _gravity(dataset, frame, recipe)
-    known = frame.tolerances(robot.length)  # so that a diagnosis may move it
-    if choice.rotation is not None:  # a frame that is given comes with its tolerances
-        known |= {key: robot.tolerances[key] for key in known if key in robot.tolerances}
-    robot = replace(dataset.robot, tolerances={**dataset.robot.tolerances, **known})
-    return Placed(replace(dataset, gravity=gravity, robot=robot), frame, pairs, warnings)
-
-
 def _without(dataset: DataSet, pairs: Sequence[tuple[str, str]]) -> DataSet:
     out = np.zeros(dataset.trial_mask.shape, dtype=bool)
     for posture, trial in pairs:
@@ -422,29 +409,26 @@ def _without(dataset: DataSet, pairs: Sequence[tuple[str, str]]) -> DataSet:
 
 def _gravity(
     dataset: DataSet, frame: TrackerFrame, recipe: Recipe
-) -> tuple[tuple[float, float, float] | None, tuple[str, ...]]:
+) -> tuple[Vector | None, tuple[str, ...]]:
     """Return gravity from the tracker if the robot has none, and contradictions between both."""
-    known = dataset.robot.gravity
-    if recipe.up is None:
-        missing = 'where down is: say --up (y for OptiTrack, z for most others)'
-        return None, (f'nothing says {missing}',) if known is None else ()
-    x, y, z = (-STANDARD_GRAVITY * (frame.rotation @ up_axis(recipe.up))).round(6).tolist()
-    by_up = x, y, z
-    if known is None or not np.linalg.norm(known):
-        at = ', '.join(f'{g:.2g}' for g in by_up)
-        return (by_up if known is None else None), (
-            f'up is told ({recipe.up}), but the description '
-            + (
-                'has no gravity: the tracker is not levelled by it, and gravity is taken as '
-                f'[{at}] m/s² from the frame as found; say where the arm points (gravity in the '
-                'description, `robot new` asks for it)'
-                if known is None
-                else 'says that gravity is zero: up is not used, and no weight is looked for'
-            ),
+    known, up = dataset.robot.gravity, recipe.up
+    if up is None:
+        missing = 'nothing says where down is: say --up (y for OptiTrack, z for most others)'
+        return None, (missing,) if known is None else ()
+    x, y, z = (-STANDARD_GRAVITY * (frame.rotation @ up_axis(up))).round(6).tolist()
+    told = f'up is told ({up}), but the description '
+    if known is None:
+        at = ', '.join(f'{g:.2g}' for g in (x, y, z))
+        return (x, y, z), (
+            f'{told}has no gravity: the tracker is not levelled by it, and gravity is taken as '
+            f'[{at}] m/s² from the frame as found; say where the arm points (gravity in the '
+            'description, `robot new` asks for it)',
         )
-    apart = float(
-        angle_between(np.divide(known, np.linalg.norm(known)), np.divide(by_up, STANDARD_GRAVITY))
-    )
+    size = np.linalg.norm(known)
+    if not size:
+        zero = 'says that gravity is zero: up is not used, and no weight is looked for'
+        return None, (told + zero,)
+    apart = float(angle_between(np.divide(known, size), np.divide((x, y, z), STANDARD_GRAVITY)))
     if apart < NOISE_FACTOR * BY_EYE_RAD:
         return None, ()
     return None, (
