@@ -13,7 +13,7 @@ from laboratory_tables import ARM, CALM, PLACES, calm_recording, noisy_recording
 from tendon_robot_ros.common.errors import DataSetError, InputError
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.tables import import_table
-from tendon_robot_ros.tables.recipe import read_recipe
+from tendon_robot_ros.tables.recipe import as_recipe
 
 
 @pytest.fixture(scope='module')
@@ -162,12 +162,12 @@ def in_grams(frame):
 def test_a_unit_given_by_hand_that_the_table_contradicts_is_said(calm):
     grams = in_grams(calm)
     assert not import_table(grams, ARM, {'up': 'y'}).look
-    wrong = import_table(grams, ARM, replace(read_recipe({'up': 'y'}), input_unit='mN'))
+    wrong = import_table(grams, ARM, replace(as_recipe({'up': 'y'}), input_unit='mN'))
     assert wrong.look[0] == (
         'the table says gf of T1 [gf], T2 [gf], T3 [gf], and mN was taken, 9.81 times as little: '
         'if the table is right, leave out --unit inputs=mN (or take the unit out of import.yaml)'
     )
-    right = import_table(calm, ARM, replace(read_recipe({'up': 'y'}), input_unit='N'))
+    right = import_table(calm, ARM, replace(as_recipe({'up': 'y'}), input_unit='N'))
     assert not right.look
     columns = [name for name in calm.columns if '[mm]' in name]
     metres = calm.rename(columns=lambda name: name.replace('[mm]', '[m]'))

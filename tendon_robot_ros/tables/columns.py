@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import takewhile
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -58,11 +59,6 @@ class RawTable:
     def __len__(self) -> int:
         """Count the rows."""
         return len(next(iter(self.columns.values())))
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of all columns."""
-        return tuple(self.columns)
 
     def holds(self, *columns: str) -> bool:
         """Return whether the table has all of these columns."""
@@ -118,18 +114,17 @@ def is_number(text: str) -> bool:
     return True
 
 
-def from_frame(frame: Any, name: str = 'DataFrame') -> RawTable:
-    """Return the table of a pandas DataFrame."""
-    return table_of(name, frame, {}, None, ())
-
-
 def table_of(
-    name: str, frame: Any, units: dict[str, str], first: int | None, notes: tuple[str, ...]
+    name: str,
+    frame: Any,
+    units: Mapping[str, str] = MappingProxyType({}),
+    first: int | None = None,
+    notes: tuple[str, ...] = (),
 ) -> RawTable:
     """Sort the columns of a frame into numbers and texts."""
     if not len(frame):
         raise DataSetError(name, 'has no row below its header', 'export it again')
-    columns = {}
+    columns, units = {}, dict(units)
     for column in frame.columns:
         values = frame[column]
         if values.dtype.kind in 'fiub':
@@ -143,23 +138,19 @@ def table_of(
     return RawTable(name, columns, units, first, notes=notes)
 
 
-def word_set(text: str) -> set[str]:
-    """Return the words of a text."""
-    return set(text.split())
-
-
 WORDS = re.compile(r'[^\W\d_]+|\d+')
 HUMP = re.compile(r'(?<=[a-zß-öø-ÿ])(?=[A-Z])')  # in tagRvecX
 AXIS = re.compile(r'([tprqvawgfm]?)([xyz])')
 AXES = ('x', 'y', 'z')
 UPS = (*AXES, '-x', '-y', '-z')  # axes of a tracker that point up
 TIMES = {'time', 'timestamp', 'seconds', 'sec', 'zeit', 'stamp'}
-FILLERS = word_set(
-    'pos position coord coordinate marker markers m point p tvec translation trans tag t'
-)
+FILLERS = {
+    *('pos', 'position', 'coord', 'coordinate', 'marker', 'markers', 'm', 'point', 'p', 'tvec'),
+    *('translation', 'trans', 'tag', 't'),
+}
 # quantities with x, y and z other than measured positions, and the words that identify them
 QUANTITIES = {
-    what: word_set(words)
+    what: set(words.split())
     for what, words in {
         'rotations': 'rvec rot rotation rotvec orientation orient ori euler rpy roll pitch yaw '
         'quat quaternion q angle angles attitude rodrigues',
@@ -185,7 +176,10 @@ OF_UNITS = {
     **{'counts': 'counts', 'time': 'times'},
 }
 BRACKETED = re.compile(r'^(?P<name>.+?)\s*[\[(]\s*(?P<unit>[^\])]+?)\s*[\])]$')
-COMMANDED = word_set('cmd command commanded set setpoint ref target des desired goal soll')
+COMMANDED = {
+    *('cmd', 'command', 'commanded', 'set', 'setpoint', 'ref', 'target', 'des', 'desired', 'goal'),
+    'soll',
+}
 # kinds of inputs in order of preference: tension acts on the arm, the others only determine it;
 # then the words by which a column without a unit is one
 KINDS: dict[str, set[str]] = {
@@ -263,7 +257,7 @@ def words_of(name: str) -> tuple[str, ...]:
 def names_of(table: RawTable) -> list[ColumnName]:
     """Split the names of all columns; a unit given in the file has precedence over the name."""
     parsed = []
-    for column in table.names:
+    for column in table.columns:
         name, unit = split_name(column)
         text = table.units.get(column, '')
         if unit is None and (marked := BRACKETED.match(column)) and marked['unit'] in OTHER_UNITS:
@@ -277,15 +271,12 @@ def names_of(table: RawTable) -> list[ColumnName]:
 
 def guess_time(names: Sequence[ColumnName]) -> ColumnUse | None:
     """Return the column of times, None where there is none."""
-    for exact in (True, False):
-        for name in names:
-            if name.unit is not None and name.unit.kind != 'time':
-                continue
-            timed = name.words in (('t',), *((word,) for word in TIMES))
-            timed = timed or (not exact and bool(TIMES & set(name.words)))
-            timed = timed or (not exact and name.unit is not None and name.words[:1] == ('t',))
-            if timed:
-                return ColumnUse(name.column, '' if name.unit is None else name.unit.text)
+    known = [name for name in names if name.unit is None or name.unit.kind == 'time']
+    exact = [name for name in known if name.words in (('t',), *((word,) for word in TIMES))]
+    for name in (*exact, *known):
+        begins = name.unit is not None and name.words[:1] == ('t',)
+        if name in exact or begins or TIMES & set(name.words):
+            return ColumnUse(name.column, '' if name.unit is None else name.unit.text)
     return None
 
 
@@ -334,17 +325,12 @@ def marker_label(columns: Sequence[str]) -> str:
     return ' '.join(words[0] for words in alike) or columns[0]
 
 
-@dataclass(frozen=True)
-class InputGuess:
-    """The columns of the inputs, and the reason for this assignment."""
-
-    columns: dict[str, ColumnUse]  # input -> column
-    reason: str
+InputGuess = tuple[dict[str, ColumnUse], str]  # input -> column, and why
 
 
 def guess_inputs(names: Sequence[ColumnName], inputs: Sequence[str]) -> InputGuess | None:
     """
-    Return the column of every input of a robot; None if one of them is missing.
+    Return the column of every input of a robot, and why; None if one of them is missing.
 
     Tensions are preferred to wire pulls, these to angles and currents of motors, and measured
     values to commanded ones.
@@ -355,16 +341,18 @@ def guess_inputs(names: Sequence[ColumnName], inputs: Sequence[str]) -> InputGue
             if name.axis == '' and name.kind == kind:
                 groups.setdefault(tuple(sorted(COMMANDED & set(name.words))), []).append(name)
         for group in sorted(groups):  # without such a word first: measured
-            for find in (_by_name, _by_number, _by_order):
-                if (guess := find(groups[group], inputs)) is not None:
-                    return guess
+            own = groups[group]
+            if (guess := _by_name(own, inputs) or _by_number(own, inputs)) is not None:
+                return guess
+            if len(own) == len(inputs):
+                return _guess(own, inputs, "its place, in the order of the robot's inputs")
     named = [name for name in names if name.unit is None and not name.axis]
     return _by_name(named, inputs)
 
 
 def _guess(columns: Sequence[ColumnName], inputs: Sequence[str], reason: str) -> InputGuess:
     uses = [ColumnUse(n.column, '' if n.unit is None else n.unit.text) for n in columns]
-    return InputGuess(dict(zip(inputs, uses, strict=True)), reason)
+    return dict(zip(inputs, uses, strict=True)), reason
 
 
 def _by_name(names: Sequence[ColumnName], inputs: Sequence[str]) -> InputGuess | None:
@@ -393,24 +381,8 @@ def _by_number(names: Sequence[ColumnName], inputs: Sequence[str]) -> InputGuess
     return None
 
 
-def _by_order(names: Sequence[ColumnName], inputs: Sequence[str]) -> InputGuess | None:
-    if len(names) != len(inputs):
-        return None
-    return _guess(names, inputs, "its place, in the order of the robot's inputs")
-
-
-def need_column(tables: Sequence[RawTable], column: str, option: str) -> RawTable:
-    """
-    Return the first table that has a column.
-
-    Raises
-    ------
-    DataSetError
-        None has it; with the names that the first one has.
-
-    """
-    for table in tables:
-        if table.holds(column):
-            return table
-    problem = f'no column {column!r} ({option})'
-    raise DataSetError(tables[0].name, problem, f'use one of {listing(tables[0].names)}')
+def need_column(tables: Sequence[RawTable], column: str, option: str) -> None:
+    """Raise DataSetError where no table has a column; with the names that the first one has."""
+    if not any(table.holds(column) for table in tables):
+        problem = f'no column {column!r} ({option})'
+        raise DataSetError(tables[0].name, problem, f'use one of {listing(tables[0].columns)}')

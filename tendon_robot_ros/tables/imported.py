@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-RECIPE, PICTURE = 'import.yaml', 'import.png'
-
 
 @dataclass(frozen=True)
 class ImportedTable(TextResult):
@@ -90,10 +88,10 @@ class ImportedTable(TextResult):
             The folder is not empty or cannot be written.
 
         """
-        recipe = dump_recipe(self.recipe, Path(folder)).encode()
-        return save_dataset(
-            self.dataset, folder, overwrite, {RECIPE: recipe, PICTURE: picture_file(self.plot())}
-        )
+        recipe, picture = dump_recipe(self.recipe, Path(folder)).encode(), io.BytesIO()
+        self.plot().savefig(picture, format='png')
+        beside = {'import.yaml': recipe, 'import.png': picture.getvalue()}
+        return save_dataset(self.dataset, folder, overwrite, beside)
 
     def plot(self) -> Figure:
         """
@@ -122,16 +120,12 @@ class ImportedTable(TextResult):
             drawn = slice(None, None, max(len(self.dataset.postures) // POSTURES_MAX, 1))
             for axis, name in enumerate('xy'):  # postures from two sides
                 axes = figure.add_subplot(heights[2, axis])
-                styles: Any = (
-                    (self.predicted, {'color': PREDICTED, 'linewidth': 1.8}),
-                    (
-                        self.dataset.mean,
-                        {'color': MEASURED, 'linewidth': 0.6, 'marker': 'o', 'ms': 4.5},
-                    ),
+                predicted, measured = (
+                    1e3 * np.insert(places[drawn], 0, 0.0, axis=1).T[[axis, 2]]
+                    for places in (self.predicted, self.dataset.mean)
                 )
-                for places, line in styles:
-                    from_base = 1e3 * np.insert(places[drawn], 0, 0.0, axis=1)
-                    axes.plot(from_base[..., axis].T, from_base[..., 2].T, **line)
+                axes.plot(*predicted, color=PREDICTED, linewidth=1.8)
+                axes.plot(*measured, 'o-', color=MEASURED, linewidth=0.6, markersize=4.5)
                 axes.plot(0.0, 0.0, 's', color='black', markersize=7.0)
                 axes.set_aspect('equal', adjustable='datalim')
                 axes.set_xlabel(f'{name} [mm]')
@@ -179,14 +173,9 @@ class ImportedTable(TextResult):
         for begin, piece in self._pieces():
             for group, colour in ((piece.resting, REST), (piece.segments, GOOD)):
                 spans = [(begin + one.begin, one.end - one.begin) for one in group]
-                axes.broken_barh(
-                    spans,
-                    (0.0, 1.0),
-                    transform=axes.get_xaxis_transform(),
-                    color=colour,
-                    alpha=0.3,
-                    linewidth=0,
-                )
+                across = axes.get_xaxis_transform()
+                style: Any = {'color': colour, 'alpha': 0.3, 'linewidth': 0}
+                axes.broken_barh(spans, (0.0, 1.0), transform=across, **style)
 
     def _draw_inputs(self, axes: Axes) -> None:
         unit, scale = (
@@ -316,13 +305,6 @@ def frame_lines(frame: TrackerFrame, robot: Robot) -> list[str]:
 # to see on white
 TIP_SHADE = 0.62
 EXCLUDED_STYLE: Any = {'facecolor': 'none', 'edgecolor': LEFT_OUT, 'hatch': '////'}
-
-
-def picture_file(figure: Figure) -> bytes:
-    """Return a figure as a PNG file."""
-    content = io.BytesIO()
-    figure.savefig(content, format='png')
-    return content.getvalue()
 
 
 def _thinned(axes: Axes, times: Floats) -> slice:

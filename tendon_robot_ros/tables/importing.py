@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from ..inference.noise import input_effect, input_slopes
 from ..inference.predict import Predictor
 from ..robot import Robot, RobotLike, load_robot
 from ..robot.estimates import TRACKER_NOISE_M
-from .columns import RawTable, from_frame, marker_label
+from .columns import RawTable, marker_label, table_of
 from .imported import ImportedTable
 from .markers import AS_GIVEN, MarkerOrder, flag_columns, order_markers, places_contradicted
 from .measuring import FROM_STRAIGHT, SEQUENCE, VISITS, StillMeasurements
@@ -36,13 +37,6 @@ from .recipe import (
 )
 from .registration import Placed, TrackerFrame, rotation_vector, side_offset, up_that_fits
 from .traces import follow_renumbered, make_traces
-
-STEPS = (
-    'reading the tables',
-    'looking where the arm stood still',
-    'laying the frame of the tracker',
-    'comparing with the model',
-)
 
 
 def import_table(
@@ -87,7 +81,7 @@ def import_table(
             'describe the arm with `robot new`, then say --robot arm.yaml',
         )
     robot = load_robot(named)
-    show(STEPS[0], 0, len(STEPS))
+    show('reading the tables', 0, 4)
     tables = _tables(source, recipe)
     is_up_given = recipe.up is not None
     ups = {table.up for table in tables} - {None}  # of the files, where their format has one
@@ -97,8 +91,8 @@ def import_table(
     columns = {use.column for use in (chosen.recipe.inputs or {}).values()}
     columns |= {c for marker in chosen.recipe.markers or () for c in marker.columns}
     # parts of a file without any column in use are excluded
-    used = [t for t in tables if not t.part or columns & set(t.names)]
-    show(STEPS[1], 1, len(STEPS))
+    used = [t for t in tables if not t.part or columns & t.columns.keys()]
+    show('looking where the arm stood still', 1, 4)
     chosen = follow_renumbered(used, chosen, robot.length)
     measured = StillMeasurements(make_traces(used, chosen, robot.length), chosen, robot)
     name = tables[0].name
@@ -110,7 +104,7 @@ def import_table(
         arc_lengths = tuple(place for place in places if place is not None)
         order = MarkerOrder(tuple(range(len(places))), arc_lengths, AS_GIVEN)
     raw, markers = _in_tracker_frame(measured, chosen, order, robot, name)
-    show(STEPS[2], 2, len(STEPS))
+    show('laying the frame of the tracker', 2, 4)
     catalogue = load_catalogue(catalogue)
     up_assumed: list[str] = []
     if not is_up_given:
@@ -118,18 +112,20 @@ def import_table(
         up, up_assumed = up_that_fits(raw, predictor, chosen.recipe.frame, recipe.up)
         chosen = replace(chosen, recipe=replace(chosen.recipe, up=up))
     placed = Placed(raw, chosen.recipe, catalogue)
-    final, frame, excluded = placed.dataset, placed.frame, placed.left_out
-    show(STEPS[3], 3, len(STEPS))
+    final, frame = placed.dataset, placed.frame
+    show('comparing with the model', 3, 4)
     predicted = Predictor(final, final.robot, catalogue).markers({})
     assert predicted is not None  # this robot had equilibria in these postures above
     return ImportedTable(
         dataset=final,
-        recipe=_written_out(chosen.recipe, tables, markers, measured, frame, excluded),
+        recipe=_written_out(chosen.recipe, tables, markers, measured, placed),
         taken=chosen,
         measured=measured,
         order=order,
         frame=frame,
-        source=', '.join(f'{t.name} ({len(t):,} rows of {len(t.names)} columns)' for t in tables),
+        source=', '.join(
+            f'{t.name} ({len(t):,} rows of {len(t.columns)} columns)' for t in tables
+        ),
         predicted=predicted,
         dropped=(*_columns_dropped(chosen, tables), *measured.dropped, *placed.dropped),
         assumed=(
@@ -153,12 +149,11 @@ def _written_out(
     tables: Sequence[RawTable],
     markers: tuple[MarkerColumns, ...],
     measured: StillMeasurements,
-    frame: TrackerFrame,
-    excluded: tuple[tuple[str, str], ...],
+    placed: Placed,
 ) -> Recipe:
     """Return the recipe with every choice, so that it reproduces this import without guesses."""
+    frame, rule = placed.frame, measured.rule
     x, y, z = frame.shift.tolist()
-    rule = measured.rule
     return replace(
         recipe,
         sources=tuple(t.name for t in tables),
@@ -172,7 +167,7 @@ def _written_out(
         delay=measured.delays or None,
         drift=measured.drifts if any(measured.drifts) else None,
         frame=FrameChoice(frame.method, rotation_vector(frame.rotation), (x, y, z)),
-        leave_out=excluded,
+        leave_out=placed.left_out,
     )
 
 
@@ -184,8 +179,11 @@ def _tables(source: Any, recipe: Recipe) -> list[RawTable]:
     sources = list(source) or list(recipe.sources)
     if not sources:
         raise DataSetError('tables', 'none is named', 'name a .csv, .parquet or .c3d file')
-    read = [read_tables(s) if isinstance(s, str | Path) else [from_frame(s)] for s in sources]
-    return [widened(table) for tables in read for table in tables]
+    tables: list[RawTable] = []
+    for one in sources:
+        read = read_tables(one) if isinstance(one, str | Path) else [table_of('DataFrame', one)]
+        tables += map(widened, read)
+    return tables
 
 
 def _is_table(source: object) -> bool:
@@ -236,15 +234,12 @@ def _columns_dropped(chosen: Selection, tables: Sequence[RawTable]) -> list[str]
 def _markers_assumed(order: MarkerOrder, chosen: Selection) -> list[str]:
     lines = [] if order.reason == AS_GIVEN else [order.reason]
     labels = [marker_label(marker.columns) for marker in chosen.recipe.markers or ()]
-    if order.off_arm:
-        names = listed(labels[j] for j in order.off_arm)
-        lines.append(f'{names}: below the base, not on the arm')
-    if order.twice:
-        names = listed(labels[j] for j in order.twice)
-        lines.append(f'{names}: at the place of another marker, left out')
-    if order.unseen:
-        names = listed(labels[j] for j in order.unseen)
-        lines.append(f'{names}: not seen while the arm stood still, left out')
+    for members, why in (
+        (order.off_arm, 'below the base, not on the arm'),
+        (order.twice, 'at the place of another marker, left out'),
+        (order.unseen, 'not seen while the arm stood still, left out'),
+    ):
+        lines += [f'{listed(labels[j] for j in members)}: {why}'] if members else []
     return lines
 
 
@@ -257,7 +252,15 @@ def _history_warnings(
     catalogue: Catalogue,
 ) -> list[str]:
     """Return contradictions of the assumed history, that is the posture before each posture."""
-    lines = [*measured.warnings, *frames_only(dataset)]
+    lines = [*measured.warnings]
+    # no history has two trials: only the noise between frames is known
+    alone = dataset.position_noise is not None and dataset.trials.max(initial=0) <= 1
+    if alone and dataset.path != FROM_STRAIGHT:
+        lines.append(
+            'no posture was repeated the same way: the noise, '
+            f"{mm(dataset.position_noise, 2)}, is that of the tracker's frames alone, and trials "
+            'differ by more; say position_noise in dataset.yaml, or measure rounds'
+        )
     if recipe.path != FROM_STRAIGHT or measured.rest or not recipe.time:
         return lines
     segments = measured.segments
@@ -329,12 +332,11 @@ def path_dependence(
     origins = ['', *(one.posture for one in segments[:-1])]
     known = [i for i in range(len(segments)) if i not in begins]
     apart: dict[bool, list[float]] = {True: [], False: []}
-    for count, i in enumerate(known):
-        for j in known[:count]:
-            if segments[i].posture == segments[j].posture:
-                squares = np.sum((places[i] - places[j]) ** 2, axis=1)
-                if np.isfinite(squares).any():
-                    apart[origins[i] == origins[j]].append(float(np.nanmax(squares)))
+    for j, i in combinations(known, 2):
+        if segments[i].posture == segments[j].posture:
+            squares = np.sum((places[i] - places[j]) ** 2, axis=1)
+            if np.isfinite(squares).any():
+                apart[origins[i] == origins[j]].append(float(np.nanmax(squares)))
     if not apart[False]:
         return []
     other = float(np.sqrt(np.median(apart[False])))
@@ -374,15 +376,3 @@ def as_visits(dataset: DataSet, segments: Sequence[Segment], begins: Sequence[in
     if dataset.position_noise is None and divided.trials.max(initial=0) < 2:
         return replace(divided, position_noise=frame_noise(segments))
     return divided
-
-
-def frames_only(dataset: DataSet) -> list[str]:
-    """Return a line if only the noise between frames is known: no history has two trials."""
-    known = dataset.position_noise is None or dataset.trials.max(initial=0) > 1
-    if known or dataset.path == FROM_STRAIGHT:
-        return []
-    return [
-        f'no posture was repeated the same way: the noise, {mm(dataset.position_noise, 2)}, is '
-        "that of the tracker's frames alone, and trials differ by more; say position_noise in "
-        'dataset.yaml, or measure rounds'
-    ]

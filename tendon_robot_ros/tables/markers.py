@@ -69,11 +69,11 @@ class Points:
 
     """
 
-    columns: tuple[tuple[str, ...], ...]
-    note: str
-    aside: tuple[str, ...]
-    unused_fraction: float
-    nameless: tuple[tuple[str, str, str], ...]
+    columns: tuple[tuple[str, ...], ...] = ()
+    note: str = ''
+    aside: tuple[str, ...] = ()
+    unused_fraction: float = 0.0
+    nameless: tuple[tuple[str, str, str], ...] = ()
 
 
 def choose_points(tables: Sequence[RawTable], choice: str | None) -> Points:

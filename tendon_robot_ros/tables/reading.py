@@ -30,7 +30,6 @@ from .columns import (
     names_of,
     table_of,
     triples_of,
-    word_set,
 )
 from .headers import Head, first_row_of_data, maker_of, read_head, unnamed
 from .markers import kind_of_flag
@@ -89,7 +88,7 @@ def read_tables(path: str | Path) -> list[RawTable]:
         except Exception as error:  # a damaged file can fail anywhere in the parser
             problem = f'is no Parquet file ({reason_of(error)})'
             raise DataSetError(shown, problem, 'export it again') from None
-        return [table_of(shown, frame, {}, None, ())]
+        return [table_of(shown, frame)]
     if ending == '.c3d':
         return [read_c3d(shown, path)]
     for endings, (maker, remedy) in MAKERS_OWN.items():
@@ -224,7 +223,7 @@ def _read_part(
     if full:
         raise _bad_row(shown, delimiter, len(head.names) - len(blank), part.line + 1, part.width)
     frame = frame.drop(columns=blank)
-    table = table_of(shown, frame, dict(head.units), part.line + 1, notes)
+    table = table_of(shown, frame, head.units, part.line + 1, notes)
     return _with_times(replace(table, kinds=head.kinds, part=head.title), head)
 
 
@@ -391,10 +390,10 @@ def _apart(labels: Sequence[str]) -> list[str]:
     return apart
 
 
-WHOSE = word_set(
-    'id ids name tag marker label body object tool sensor point target landmark tracker child '
-    'rigidbody idx index'
-)
+WHOSE = {
+    *('id', 'ids', 'name', 'tag', 'marker', 'label', 'body', 'object', 'tool', 'sensor', 'point'),
+    *('target', 'landmark', 'tracker', 'child', 'rigidbody', 'idx', 'index'),
+}
 ROUND = 'round of markers'
 
 

@@ -280,12 +280,7 @@ def as_recipe(given: Recipe | Mapping[str, Any] | str | Path | None) -> Recipe:
         return load_recipe(given)
     if not isinstance(given, Mapping):
         raise refusal('recipe', 'a dict, or the path of an import.yaml', given)
-    return read_recipe(dict(given))
-
-
-def read_recipe(content: Any) -> Recipe:
-    """Check the content of an import.yaml."""
-    return _checked(RecipeFields('recipe', '', content))
+    return _checked(RecipeFields('recipe', '', dict(given)))
 
 
 def _checked(top: RecipeFields) -> Recipe:
@@ -390,18 +385,12 @@ def choose_columns(tables: Sequence[RawTable], robot: Robot, recipe: Recipe) -> 
     taken = set(reasons) | {
         c for table in tables for triple in triples_of(table) for c in triple.columns
     }
-    unused = [c for c in dict.fromkeys(c for t in tables for c in t.names) if c not in taken]
+    unused = dict.fromkeys(c for t in tables for c in t.columns if c not in taken)
     chosen = Selection(
-        recipe,
-        reasons,
-        tuple(unused),
-        tuple(assumed),
-        kind,
-        tuple(warnings),
-        points.aside if points else (),
-        points.nameless if points else (),
+        *(recipe, reasons, tuple(unused), tuple(assumed), kind, tuple(warnings)),
+        *(points.aside, points.nameless),
     )
-    if points is None or points.unused_fraction <= 0.5:
+    if points.unused_fraction <= 0.5:
         return chosen
     question = (  # about most of them
         f'{100 * points.unused_fraction:.0f} % of all x, y, z are left out, '
@@ -460,9 +449,8 @@ def _choose_times(
     for column in times:
         need_column(tables, column, 'time')
     for table in tables:
-        mine = [column for column in times if table.holds(column)]
-        if mine:
-            reasons[mine[0]] = 'as given'
+        if (mine := time_column(table, times)) is not None:
+            reasons[mine] = 'as given'
             continue
         if (use := guess_time(names_of(table))) is None:
             continue
@@ -475,11 +463,10 @@ def _choose_times(
             unit, note = _time_unit(table, use.column)
             assumed += [f'{table.name}: {note}'] if note else []
         times[use.column] = unit
-    if times and not all(time_column(table, times) for table in tables):
-        lacking = next(table for table in tables if not time_column(table, times))
-        raise DataSetError(lacking.name, 'has no column of times', 'say --column time=COLUMN')
-    if not times and recipe.time_unit is not None:  # a unit was given, so a column must exist
-        raise DataSetError(tables[0].name, 'has no column of times', 'say --column time=COLUMN')
+    lacking = [table for table in tables if time_column(table, times) is None]
+    # a unit was given, so a column must exist
+    if lacking and (times or recipe.time_unit is not None):
+        raise DataSetError(lacking[0].name, 'has no column of times', 'say --column time=COLUMN')
     if not times:
         assumed.append(
             'no column of times: every row is a measurement of the arm at rest '
@@ -517,17 +504,17 @@ def _choose_inputs(
         reasons[use.column] = 'as given'
     missing = [name for name in robot.inputs if name not in inputs]
     if missing:
-        guesses = ((t, guess_inputs(names_of(t), missing)) for t in tables)
-        _, guess = next(((t, g) for t, g in guesses if g is not None), (None, None))
-        if guess is None:
+        guesses = (guess_inputs(names_of(t), missing) for t in tables)
+        if (guess := next(filter(None, guesses), None)) is None:
             raise DataSetError(
                 tables[0].name,
                 f'no columns for the inputs {listing(missing)} are recognised among '
                 f'{listing(n.column for t in tables for n in names_of(t) if not n.axis)}',
                 'name each by --column INPUT=COLUMN',
             )
-        inputs |= guess.columns
-        reasons |= {use.column: guess.reason for use in guess.columns.values()}
+        guessed, reason = guess
+        inputs |= guessed
+        reasons |= {use.column: reason for use in guessed.values()}
     written = written_units(tables)
     for name, use in inputs.items():  # the unit of an option, of the recipe, or of the file
         own = written[use.column].text if use.column in written else ''
@@ -545,14 +532,14 @@ def _choose_inputs(
 
 def _choose_markers(
     tables: Sequence[RawTable], recipe: Recipe, reasons: dict[str, str], assumed: list[str]
-) -> tuple[Recipe, Points | None]:
-    """Return the recipe, and the selected points if it names no markers."""
+) -> tuple[Recipe, Points]:
+    """Return the recipe, and the selected points; none where it names the markers."""
     if recipe.markers is not None:
         for marker in recipe.markers:
             for column in marker.columns:
                 need_column(tables, column, 'markers')
                 reasons[column] = 'as given'
-        return recipe, None
+        return recipe, Points()
     points = choose_points(tables, recipe.points)
     for columns in points.columns:
         reasons |= dict.fromkeys(columns, 'its name')
