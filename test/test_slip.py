@@ -7,7 +7,7 @@ from source_tree import ROOT
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import DataSetError, InputError
 from tendon_robot_ros.robot import load_robot
-from tendon_robot_ros.studies.friction import read_slip_angles, slip_friction, with_friction
+from tendon_robot_ros.studies.friction import SlipFriction, read_slip_angles, with_friction
 
 ROBOT = ROOT / 'config/robots/kato_10_1.yaml'
 
@@ -20,7 +20,7 @@ def angles_file(folder, *angles):
 
 
 def test_the_coefficient_is_the_mean_tangent():
-    found = slip_friction(('a', 'b', 'c'), np.arctan([0.3, 0.32, 0.34]))
+    found = SlipFriction(('a', 'b', 'c'), np.arctan([0.3, 0.32, 0.34]))
     assert found.mean == pytest.approx(0.32)
     assert found.sd == pytest.approx(0.02)
     # 95 % t quantile for two degrees of freedom: 4.3027
@@ -30,7 +30,7 @@ def test_the_coefficient_is_the_mean_tangent():
 
 def test_an_outlier_is_named_and_stays():
     tangents = [0.30, 0.31, 0.32, 0.33, 0.34, 0.6]
-    found = slip_friction(tuple('abcdef'), np.arctan(tangents))
+    found = SlipFriction(tuple('abcdef'), np.arctan(tangents))
     assert found.outliers == ('f',)
     assert found.mean == pytest.approx(np.mean(tangents))
     assert found.mean_without == pytest.approx(0.32)
@@ -38,7 +38,7 @@ def test_an_outlier_is_named_and_stays():
 
 def test_fewer_than_three_measurements_are_refused():
     with pytest.raises(InputError, match='expected at least 3, got 2; measure more'):
-        slip_friction(('a', 'b'), [0.3, 0.3])
+        SlipFriction(('a', 'b'), [0.3, 0.3])
 
 
 @pytest.mark.parametrize(
@@ -54,7 +54,7 @@ def test_what_is_no_slip_angle_in_degrees_is_refused(tmp_path, angles, message):
 
 
 def test_the_description_gets_coefficient_origin_and_tolerance():
-    found = slip_friction(tuple('abc'), np.arctan([0.3, 0.32, 0.34]))
+    found = SlipFriction(tuple('abc'), np.arctan([0.3, 0.32, 0.34]))
     robot = with_friction(load_robot(ROBOT), found, 'angles.csv', '2020-02-29')
     assert robot.effects['tendon_friction'] == {'friction_coefficient': 0.32}
     assert robot.fitted['tendon_friction']['data'] == 'angles.csv'

@@ -25,7 +25,7 @@ from ..common.words import PROGRAM, UNITS
 from ..data import DataSet, Marker, even_markers, save_dataset
 from ..data.dataset import INPUTS, PATHS
 from ..data.folder import refuse_dataset_in
-from ..data.measurement_files import read_inputs
+from ..data.measurement_files import Commands
 from ..effects import load_catalogue
 from ..robot import Robot, load_robot
 from ..simulation.hidden import Workmanship
@@ -163,7 +163,7 @@ def _measured(args: argparse.Namespace, plant: Plant, which: int) -> DataSet:
     """Measure the postures (0), or those of the check (1)."""
     robot, names = plant.robot, tuple[str, ...]()
     if args.postures and not is_number(args.postures) and which == 0:
-        commands = read_inputs(
+        commands = Commands(
             Path(args.postures), robot, args.input, remedy='name a CSV file like inputs.csv'
         )
         inputs, names = commands.by_posture(), commands.postures

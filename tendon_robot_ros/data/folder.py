@@ -30,7 +30,7 @@ from .arrays import (
     split_by_origin,
 )
 from .dataset import INPUTS, PATHS, DataSet, HasDataSet, Known, as_dataset
-from .measurement_files import KEYS, ORIGIN, VISIT, Commands, read_inputs, read_shapes
+from .measurement_files import KEYS, ORIGIN, VISIT, Commands, Shapes
 
 DESCRIPTION_KEYS = (
     *('robot', 'input', 'path', 'gravity', 'position_noise', 'tension_noise', 'accuracy'),
@@ -249,7 +249,7 @@ def read_folder(folder: Path, robot: Robot | None = None) -> DataSet:
     names = tuple(marker.name for marker in markers)
     visits = description.path == 'visits'
     try:
-        commands = read_inputs(folder / 'inputs.csv', robot, description.input, visits)
+        commands = Commands(folder / 'inputs.csv', robot, description.input, visits)
     except DataSetError:
         try:
             own = find_robot(fields, folder)
@@ -264,7 +264,7 @@ def read_folder(folder: Path, robot: Robot | None = None) -> DataSet:
             ) from None
         raise
     between = description.path != 'from_straight'
-    shapes = read_shapes(folder / 'shapes.csv', robot, names, commands, between)
+    shapes = Shapes(folder / 'shapes.csv', robot, names, commands, between)
     visible = np.isfinite(shapes.positions[..., 0]).any(axis=(0, 1))
     if description.markers and not visible.all():
         problem = f'{names[int(visible.argmin())]!r} was never seen in shapes.csv'
@@ -312,8 +312,8 @@ def described_robot(folder: str | Path) -> Robot:
 
 def _by_history(dataset: DataSet, commands: Commands) -> DataSet:
     """Split the trials of each posture by the command before."""
-    code, known = commands.file.codes['posture'], commands.trials is not None
-    trial = commands.file.translate('trial', dataset.trial_names) if known else None
+    code, known = commands.codes['posture'], commands.trials is not None
+    trial = commands.translate('trial', dataset.trial_names) if known else None
     trial_mask = dataset.trial_mask
     measured = trial_mask.any(axis=1)[code] if trial is None else trial_mask[code, trial]
     if commands.origin is not None:

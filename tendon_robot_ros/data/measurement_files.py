@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,73 +16,9 @@ from .csv_file import NEEDED, CsvFile
 VISIT, ORIGIN = HISTORY = ('visit', 'previous')  # columns of the history of a posture
 
 
-@dataclass(frozen=True)
-class Commands:
-    """The R rows of inputs.csv."""
-
-    file: CsvFile
-    values: Floats  # (R, m) [N] or [m], NaN = slack
-    visit: Ints | None  # (R,) order of the visits; None: not in the file
-    origin: Ints | None  # (R,) index of the posture before, `STRAIGHT` for none
-
-    @property
-    def postures(self) -> tuple[str, ...]:
-        """Names of the postures (P,), in the order of the file."""
-        return self.file.labels['posture']
-
-    @property
-    def trials(self) -> tuple[str, ...] | None:
-        """Names of the trials, None where the values hold for all trials of a posture."""
-        return self.file.labels.get('trial')
-
-    def by_posture(self) -> Floats:
-        """
-        Return the values of every posture, the mean over its trials, (P, m) [N] or [m].
-
-        Raises
-        ------
-        DataSetError
-            A tendon is slack in some trials of a posture and pulled in others.
-
-        """
-        posture = self.file.codes['posture']
-        slack = np.isnan(self.values)
-        total, pulled = np.zeros((2, len(self.postures), self.values.shape[1]))
-        np.add.at(total, posture, np.where(slack, 0.0, self.values))
-        np.add.at(pulled, posture, ~slack)
-        mixed = (pulled > 0) & (pulled < np.bincount(posture)[:, None])
-        where = (slack & mixed[posture]).any(axis=1)
-        self.file.refuse(
-            where,
-            'a tendon is slack here and pulled in other trials of '
-            f'posture {self.file.label(int(where.argmax()), "posture")!r}',
-            'give postures of different inputs different names',
-        )
-        return np.where(pulled > 0, total / np.maximum(pulled, 1), np.nan)
-
-    def by_trial(self, trials: tuple[str, ...]) -> Floats | None:
-        """
-        Return the values of every trial, (P, Q, m), None where the file has none.
-
-        Visits need a row per trial; equal rows of a posture are commands and no measurements.
-        """
-        if self.trials is None:
-            return None
-        posture = self.file.codes['posture']
-        if self.visit is not None or self.origin is not None:
-            first = self.values[np.unique(posture, return_index=True)[1]]
-            if np.array_equal(first[posture], self.values, equal_nan=True):
-                return None
-        values = np.full((len(self.postures), len(trials), self.values.shape[1]), np.nan)
-        values[posture, self.file.translate('trial', trials)] = self.values
-        return values
-
-
-def read_inputs(
-    path: Path, robot: Robot, kind: str, visits: bool = False, remedy: str = NEEDED
-) -> Commands:
+class Commands(CsvFile):
     """
-    Read and check inputs.csv.
+    The R rows of inputs.csv, checked.
 
     Parameters
     ----------
@@ -104,19 +39,69 @@ def read_inputs(
         With row and remedy.
 
     """
-    wires = {wire for wound in robot.drums.values() for wire in wound}
-    required = ('posture', *(name for name in robot.inputs if name not in wires))
-    drums = tuple(robot.drums) if kind == 'displacement' else ()
-    known = ('posture', 'trial', *robot.inputs, *drums, *HISTORY)
-    file = CsvFile(path, required, known, 'write the value that was set', remedy)
-    check_history(file, visits)
-    check_drums(file, robot)
-    names = ('posture', 'trial') if 'trial' in file.header else ('posture',)
-    numbers = [name for name in (*robot.inputs, *drums, VISIT) if name in file.header]
-    file.read(names, numbers, [ORIGIN] if ORIGIN in file.header else [])
-    values = wound(file, robot)
-    _check(file, values, robot, kind)
-    return Commands(file, values, visits_of(file), origins(file))
+
+    def __init__(
+        self, path: Path, robot: Robot, kind: str, visits: bool = False, remedy: str = NEEDED
+    ) -> None:
+        wires = {wire for wound in robot.drums.values() for wire in wound}
+        required = ('posture', *(name for name in robot.inputs if name not in wires))
+        drums = tuple(robot.drums) if kind == 'displacement' else ()
+        known = ('posture', 'trial', *robot.inputs, *drums, *HISTORY)
+        super().__init__(path, required, known, 'write the value that was set', remedy)
+        check_history(self, visits)
+        check_drums(self, robot)
+        names = ('posture', 'trial') if 'trial' in self.header else ('posture',)
+        numbers = [name for name in (*robot.inputs, *drums, VISIT) if name in self.header]
+        self.read(names, numbers, [ORIGIN] if ORIGIN in self.header else [])
+        self.values = wound(self, robot)  # (R, m) [N] or [m], NaN = slack
+        _check(self, self.values, robot, kind)
+        self.visit = visits_of(self)  # (R,) order of the visits; None: not in the file
+        self.origin = origins(self)  # (R,) index of the posture before, `STRAIGHT` for none
+        self.postures = self.labels['posture']  # (P,) in the order of the file
+        # None where the values hold for all trials of a posture
+        self.trials = self.labels.get('trial')
+
+    def by_posture(self) -> Floats:
+        """
+        Return the values of every posture, the mean over its trials, (P, m) [N] or [m].
+
+        Raises
+        ------
+        DataSetError
+            A tendon is slack in some trials of a posture and pulled in others.
+
+        """
+        posture = self.codes['posture']
+        slack = np.isnan(self.values)
+        total, pulled = np.zeros((2, len(self.postures), self.values.shape[1]))
+        np.add.at(total, posture, np.where(slack, 0.0, self.values))
+        np.add.at(pulled, posture, ~slack)
+        mixed = (pulled > 0) & (pulled < np.bincount(posture)[:, None])
+        where = (slack & mixed[posture]).any(axis=1)
+        self.refuse(
+            where,
+            'a tendon is slack here and pulled in other trials of '
+            f'posture {self.label(int(where.argmax()), "posture")!r}',
+            'give postures of different inputs different names',
+        )
+        return np.where(pulled > 0, total / np.maximum(pulled, 1), np.nan)
+
+    def by_trial(self, trials: tuple[str, ...]) -> Floats | None:
+        """
+        Return the values of every trial, (P, Q, m), None where the file has none.
+
+        Visits need a row per trial; equal rows of a posture are commands and no measurements.
+        """
+        if self.trials is None:
+            return None
+        posture = self.codes['posture']
+        if self.visit is not None or self.origin is not None:
+            first = self.values[np.unique(posture, return_index=True)[1]]
+            if np.array_equal(first[posture], self.values, equal_nan=True):
+                return None
+        values = np.full((len(self.postures), len(trials), self.values.shape[1]), np.nan)
+        values[posture, self.translate('trial', trials)] = self.values
+        return values
 
 
 def check_drums(file: CsvFile, robot: Robot) -> None:
@@ -216,20 +201,11 @@ KEYS = ('posture', 'trial', 'marker')
 Places = tuple[Ints, Ints, Bools, tuple[str, ...]]
 
 
-@dataclass(frozen=True)
 class Shapes:
-    """Arrays in the order of the postures of inputs.csv; NaN where nothing was seen."""
-
-    trials: tuple[str, ...]  # (Q,)
-    positions: Floats  # (P, Q, J, 3) [m]
-    orientations: Floats | None  # (P, Q, J, 4), unit quaternions
-
-
-def read_shapes(
-    path: Path, robot: Robot, markers: tuple[str, ...], commands: Commands, sequence: bool
-) -> Shapes:
     """
-    Read and check shapes.csv.
+    The arrays of shapes.csv, checked, in the order of the postures of inputs.csv.
+
+    NaN where nothing was seen.
 
     Parameters
     ----------
@@ -250,33 +226,43 @@ def read_shapes(
         With row and remedy.
 
     """
-    required = (*KEYS, *POSITION)
-    missing = 'leave the cell empty where the marker was not seen'
-    file = CsvFile(path, required, (*required, *QUATERNION), missing)
-    turned = tuple(name for name in QUATERNION if name in file.header)
-    if turned and turned != QUATERNION:
-        problem = f'{", ".join(turned)} alone are no quaternion'
-        raise file.error(1, problem, f'write {", ".join(QUATERNION)}, or none of them')
-    file.read(KEYS, (*POSITION, *turned))
-    xyz = file.columns(POSITION)
-    _check_positions(file, xyz, robot)
-    trials = sort_trials((*file.labels['trial'], *(commands.trials or ())))
-    posture = _known(file, 'posture', commands.postures, 'inputs.csv has no such posture')
-    marker = _known(file, 'marker', markers, 'dataset.yaml has no such marker')
-    trial = file.translate('trial', trials)
-    sizes = len(commands.postures), len(trials), len(markers)
-    if np.prod(sizes, dtype=float) > VALUES_MAX:
-        problem = '{} postures x {} trials x {} markers are too many'.format(*sizes)
-        raise DataSetError(str(path), problem, 'count the trials of every posture from 0')
-    visible = ~np.isnan(xyz[:, 0])
-    _check_trials(file, commands, (posture, trial, visible, trials), sequence)
-    positions = np.full((*sizes, 3), np.nan)
-    positions[posture, trial, marker] = xyz
-    orientations = None
-    if turned:
-        orientations = np.full((*sizes, 4), np.nan)
-        orientations[posture, trial, marker] = _quaternions(file, visible)
-    return Shapes(trials, positions, orientations)
+
+    def __init__(
+        self,
+        path: Path,
+        robot: Robot,
+        markers: tuple[str, ...],
+        commands: Commands,
+        sequence: bool,
+    ) -> None:
+        required = (*KEYS, *POSITION)
+        missing = 'leave the cell empty where the marker was not seen'
+        file = CsvFile(path, required, (*required, *QUATERNION), missing)
+        turned = tuple(name for name in QUATERNION if name in file.header)
+        if turned and turned != QUATERNION:
+            problem = f'{", ".join(turned)} alone are no quaternion'
+            raise file.error(1, problem, f'write {", ".join(QUATERNION)}, or none of them')
+        file.read(KEYS, (*POSITION, *turned))
+        xyz = file.columns(POSITION)
+        _check_positions(file, xyz, robot)
+        self.trials = trials = sort_trials(
+            (*file.labels['trial'], *(commands.trials or ()))
+        )  # (Q,)
+        posture = _known(file, 'posture', commands.postures, 'inputs.csv has no such posture')
+        marker = _known(file, 'marker', markers, 'dataset.yaml has no such marker')
+        trial = file.translate('trial', trials)
+        sizes = len(commands.postures), len(trials), len(markers)
+        if np.prod(sizes, dtype=float) > VALUES_MAX:
+            problem = '{} postures x {} trials x {} markers are too many'.format(*sizes)
+            raise DataSetError(str(path), problem, 'count the trials of every posture from 0')
+        visible = ~np.isnan(xyz[:, 0])
+        _check_trials(file, commands, (posture, trial, visible, trials), sequence)
+        self.positions = np.full((*sizes, 3), np.nan)  # (P, Q, J, 3) [m]
+        self.positions[posture, trial, marker] = xyz
+        self.orientations = None  # (P, Q, J, 4), unit quaternions
+        if turned:
+            self.orientations = np.full((*sizes, 4), np.nan)
+            self.orientations[posture, trial, marker] = _quaternions(file, visible)
 
 
 def _known(file: CsvFile, key: str, known: tuple[str, ...], problem: str) -> Ints:
@@ -320,11 +306,11 @@ def _check_trials(file: CsvFile, commands: Commands, places: Places, sequence: b
         file.refuse(where, f'{file.name(int(where.argmax()), *KEYS[:2])}: {problem}', remedy)
 
     refuse(~measured[posture, trial], 'no marker was seen in this trial', 'remove its rows')
-    rows = commands.file.codes['posture']
+    rows = commands.codes['posture']
     if commands.trials is None:
         is_measured = measured.any(axis=1)[rows]
     else:
-        trial_rows = commands.file.translate('trial', trials)
+        trial_rows = commands.translate('trial', trials)
         commanded = np.zeros_like(measured)
         commanded[rows, trial_rows] = True
         refuse(
@@ -335,9 +321,9 @@ def _check_trials(file: CsvFile, commands: Commands, places: Places, sequence: b
         is_measured = measured[rows, trial_rows]
     if not sequence:
         row = int(is_measured.argmin())
-        commands.file.refuse(
+        commands.refuse(
             ~is_measured,
-            f'{commands.file.name(row)}: {file.path.name} has no such measurement',
+            f'{commands.name(row)}: {file.path.name} has no such measurement',
             'add it there or remove this row',
         )
 

@@ -13,7 +13,7 @@ example: python -m tendon_robot_ros study friction data/slip_angles/scale_10_1.c
 from __future__ import annotations
 
 import argparse
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from statistics import NormalDist
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     if (args.robot is None) != (args.output is None):
         raise InputError('friction: --robot and --output go together; give both or neither')
     options.refuse_existing('--output', args.output, args.overwrite)
-    friction = slip_friction(*read_slip_angles(args.angles))
+    friction = SlipFriction(*read_slip_angles(args.angles))
     text = lines(friction)
     if args.output:
         date = datetime.now(UTC).date().isoformat()
@@ -81,21 +81,45 @@ def lines(friction: SlipFriction) -> list[str]:
     ]
 
 
-@dataclass(frozen=True)
 class SlipFriction:
-    """A friction coefficient [1]: the tangent of the angle at which a wire slips."""
+    """
+    A friction coefficient [1]: mean and spread of the tangent of slip angles.
 
-    mean: float
-    sd: float  # of one measurement
-    low: float  # 95 % t-interval of the mean
-    high: float
-    n: int  # outliers included
-    outliers: tuple[str, ...]  # names of the measurements
-    mean_without: float  # without the outliers
+    An outlier lies farther from the median than 3.5 robust standard deviations (1.4826 times the
+    median deviation). It is named, not removed.
+
+    Parameters
+    ----------
+    names : (n,)
+        Of the measurements.
+    angles : (n,) [rad]
+        At which the wire slips.
+
+    Raises
+    ------
+    InputError
+        There are fewer than three.
+
+    """
+
+    def __init__(self, names: tuple[str, ...], angles: npt.ArrayLike) -> None:
+        tangents = np.tan(np.asarray(angles, dtype=float))
+        self.n = len(tangents)  # outliers included
+        if self.n < TRIALS_MIN:
+            expected = f'expected at least {TRIALS_MIN}, got {self.n}'
+            raise InputError(f'slip angles: {expected}; measure more')
+        mean = estimate(tangents)
+        off = np.abs(tangents - np.median(tangents))
+        spread = float(np.median(off)) / NormalDist().inv_cdf(0.75)  # 1 sd if they are normal
+        far = off > OUTLIER_FROM_SD * spread if spread > 0.0 else np.zeros(self.n, dtype=bool)
+        self.mean, self.low, self.high = mean.mean, mean.low, mean.high  # 95 % t-interval
+        self.sd = float(tangents.std(ddof=1))  # of one measurement
+        self.outliers: tuple[str, ...] = tuple(np.array(names)[far].tolist())
+        self.mean_without = float(tangents[~far].mean())  # without the outliers
 
     def to_json(self) -> dict[str, Any]:
         """Return plain data."""
-        return asdict(self)
+        return dict(vars(self))
 
 
 def read_slip_angles(path: str | Path) -> tuple[tuple[str, ...], Floats]:
@@ -123,38 +147,6 @@ def read_slip_angles(path: str | Path) -> tuple[tuple[str, ...], Floats]:
         raise DataSetError(str(path), problem, 'write degrees, not radians')
     labels = file.labels['measurement']
     return tuple(labels[code] for code in file.codes['measurement']), np.radians(degrees)
-
-
-def slip_friction(names: tuple[str, ...], angles: npt.ArrayLike) -> SlipFriction:
-    """
-    Return mean and spread of the tangent of slip angles (n,) [rad].
-
-    An outlier lies farther from the median than 3.5 robust standard deviations (1.4826 times the
-    median deviation). It is named, not removed.
-
-    Raises
-    ------
-    InputError
-        There are fewer than three.
-
-    """
-    tangents = np.tan(np.asarray(angles, dtype=float))
-    if len(tangents) < TRIALS_MIN:
-        expected = f'expected at least {TRIALS_MIN}, got {len(tangents)}'
-        raise InputError(f'slip angles: {expected}; measure more')
-    mean = estimate(tangents)
-    off = np.abs(tangents - np.median(tangents))
-    spread = float(np.median(off)) / NormalDist().inv_cdf(0.75)  # 1 sd if they are normal
-    far = off > OUTLIER_FROM_SD * spread if spread > 0.0 else np.zeros(len(off), dtype=bool)
-    return SlipFriction(
-        mean=mean.mean,
-        sd=float(tangents.std(ddof=1)),
-        low=mean.low,
-        high=mean.high,
-        n=len(tangents),
-        outliers=tuple(np.array(names)[far].tolist()),
-        mean_without=float(tangents[~far].mean()),
-    )
 
 
 def with_friction(robot: Robot, friction: SlipFriction, data: str, date: str) -> Robot:

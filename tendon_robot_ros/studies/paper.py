@@ -48,7 +48,7 @@ from ..report.page import (
 from ..report.sentences import interval_name
 from ..report.workspace_page import FAMILY_COLUMNS, rows, view_figures
 from ..robot import Robot, load_robot
-from .friction import SlipFriction, slip_friction
+from .friction import SlipFriction
 from .paper_motion import Assumed, MotionExperiment, Published
 from .paper_postures import (
     HEIGHT_NAMES,
@@ -235,7 +235,7 @@ def rehearsals(seed: int = 0) -> dict[str, SlipFriction]:
         random, reading = np.random.default_rng([seed, n]), Assumed.ANGLE_READING_DEG
         degrees = np.degrees(np.arctan(coefficient + Assumed.TANGENT_SD * random.normal(size=n)))
         angles = np.radians(np.round(degrees / reading) * reading)
-        frictions[scale] = slip_friction(tuple(map(str, range(1, n + 1))), angles)
+        frictions[scale] = SlipFriction(tuple(map(str, range(1, n + 1))), angles)
     return frictions
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -37,10 +37,28 @@ STRAIGHT_TOLERANCE = 0.02
 OFFSET_GAIN = 0.93
 
 
-@dataclass(frozen=True)
+def up_axis(up: str) -> Floats:
+    """Return the unit vector (3,) of an axis such as `y` or `-z`."""
+    axis: Floats = np.eye(3)['xyz'.index(up[-1])]
+    return -axis if up.startswith('-') else axis
+
+
 class TrackerFrame:
     """
-    The tracker's frame: position in the base frame = rotation @ measured + shift.
+    The pose of the tracker's frame: position in the base frame = rotation @ measured + shift.
+
+    It is estimated from postures in that frame.
+
+    Parameters
+    ----------
+    dataset : DataSet
+        Positions in the tracker's frame.
+    predictor : Predictor
+        Of the robot as described.
+    choice : FrameChoice
+        The method, or the result.
+    up : str or None
+        Axis of the tracker that points up.
 
     Attributes
     ----------
@@ -60,16 +78,54 @@ class TrackerFrame:
     mirrored : float [m]
         Residual of a left-handed frame.
 
+    Raises
+    ------
+    InputError
+        The model has no equilibrium for a posture, or data for the method are missing.
+
     """
 
-    rotation: Floats
-    shift: Floats
-    method: str
-    residual: float
-    at_base: float
-    straight: float | None
-    free: float
-    mirrored: float
+    def __init__(
+        self, dataset: DataSet, predictor: Predictor, choice: FrameChoice, up: str | None
+    ) -> None:
+        markers = predictor.markers({})
+        if markers is None:
+            raise InputError(
+                'the model finds no equilibrium for these inputs: check their unit, and the '
+                'stiffness in the robot description'
+            )
+        measured = dataset.mean
+        visible = np.isfinite(measured).all(axis=2)
+        gravity = np.array(predictor.robot.gravity or (0.0, 0.0, 0.0))
+        has_verticals = up is not None and np.linalg.norm(gravity) > 0.0
+        self.method = choice.method or ('level' if has_verticals else 'model')
+        if choice.rotation is not None and choice.shift is not None:
+            self.method = choice.method or 'given'
+            rotation, shift = from_rotation_vector(choice.rotation), np.array(choice.shift)
+        elif self.method == 'base':
+            rotation, shift = np.eye(3), np.zeros(3)
+        elif self.method == 'straight':
+            rotation, shift = _straight(measured, markers, dataset, visible)
+        else:
+            above = None  # where up is in the base frame, (3,)
+            if self.method == 'level':
+                if not has_verticals:
+                    raise InputError(
+                        "--frame level needs the tracker's --up and the robot's gravity (where "
+                        'the arm points)'
+                    )
+                above = -gravity / np.linalg.norm(gravity)
+            rotation, shift = _weighted(measured, markers, dataset.arc_lengths, up, above)
+        # as a file gives it back
+        self.rotation = from_rotation_vector(rotation_vector(rotation))
+        self.shift = shift.round(DIGITS)
+        off = measured @ self.rotation.T + self.shift - markers
+        straight = _straight_postures(markers, dataset)
+        seen, model = measured[visible], markers[visible]
+        self.residual, self.at_base = rms(off), rms(off[:, :2])
+        self.straight = rms(off[straight]) if visible[straight].any() else None
+        self.free = _free_residual(seen, model)
+        self.mirrored = _free_residual(seen * [1.0, 1.0, -1.0], model)
 
     @property
     def is_mirrored(self) -> bool:
@@ -98,79 +154,6 @@ class TrackerFrame:
         }
 
 
-def up_axis(up: str) -> Floats:
-    """Return the unit vector (3,) of an axis such as `y` or `-z`."""
-    axis: Floats = np.eye(3)['xyz'.index(up[-1])]
-    return -axis if up.startswith('-') else axis
-
-
-def find_frame(
-    dataset: DataSet, predictor: Predictor, choice: FrameChoice, up: str | None
-) -> TrackerFrame:
-    """
-    Estimate the pose of the tracker's frame from postures in that frame.
-
-    Parameters
-    ----------
-    dataset : DataSet
-        Positions in the tracker's frame.
-    predictor : Predictor
-        Of the robot as described.
-    choice : FrameChoice
-        The method, or the result.
-    up : str or None
-        Axis of the tracker that points up.
-
-    Raises
-    ------
-    InputError
-        The model has no equilibrium for a posture, or data for the method are missing.
-
-    """
-    markers = predictor.markers({})
-    if markers is None:
-        raise InputError(
-            'the model finds no equilibrium for these inputs: check their unit, and the '
-            'stiffness in the robot description'
-        )
-    measured = dataset.mean
-    visible = np.isfinite(measured).all(axis=2)
-    gravity = np.array(predictor.robot.gravity or (0.0, 0.0, 0.0))
-    has_verticals = up is not None and np.linalg.norm(gravity) > 0.0
-    method = choice.method or ('level' if has_verticals else 'model')
-    if choice.rotation is not None and choice.shift is not None:
-        method = 'given' if choice.method is None else choice.method
-        rotation, shift = from_rotation_vector(choice.rotation), np.array(choice.shift)
-    elif method == 'base':
-        rotation, shift = np.eye(3), np.zeros(3)
-    elif method == 'straight':
-        rotation, shift = _straight(measured, markers, dataset, visible)
-    else:
-        above = None  # where up is in the base frame, (3,)
-        if method == 'level':
-            if not has_verticals:
-                raise InputError(
-                    "--frame level needs the tracker's --up and the robot's gravity (where the "
-                    'arm points)'
-                )
-            above = -gravity / np.linalg.norm(gravity)
-        rotation, shift = _weighted(measured, markers, dataset.arc_lengths, up, above)
-    rotation = from_rotation_vector(rotation_vector(rotation))  # as a file gives it back
-    shift = shift.round(DIGITS)
-    off = measured @ rotation.T + shift - markers
-    straight = _straight_postures(markers, dataset)
-    return TrackerFrame(
-        rotation,
-        shift,
-        method,
-        rms(off),
-        rms(off[:, :2]),
-        rms(off[straight]) if visible[straight].any() else None,
-        _free_residual(measured[visible], markers[visible]),
-        _free_residual(measured[visible] * [1.0, 1.0, -1.0], markers[visible]),
-    )
-
-
 def up_that_fits(
     dataset: DataSet, predictor: Predictor, choice: FrameChoice, usual: str | None
 ) -> tuple[str | None, list[str]]:
@@ -183,10 +166,10 @@ def up_that_fits(
     gravity = predictor.robot.gravity
     if usual is None or gravity is None or not any(gravity) or choice.method or choice.rotation:
         return usual, []
-    frame = find_frame(dataset, predictor, choice, usual)
+    frame = TrackerFrame(dataset, predictor, choice, usual)
     if not frame.is_contradicted:
         return usual, []
-    others = {up: find_frame(dataset, predictor, choice, up) for up in UPS if up != usual}
+    others = {up: TrackerFrame(dataset, predictor, choice, up) for up in UPS if up != usual}
     best = min(others, key=lambda up: others[up].residual)
     if others[best].is_contradicted:
         return usual, []
@@ -335,7 +318,7 @@ class Placed:
         robot, choice, pairs = raw.robot, recipe.frame, recipe.leave_out
 
         def placed(dataset: DataSet) -> tuple[DataSet, TrackerFrame]:
-            frame = find_frame(dataset, Predictor(dataset, robot, catalogue), choice, recipe.up)
+            frame = TrackerFrame(dataset, Predictor(dataset, robot, catalogue), choice, recipe.up)
             positions = dataset.positions @ frame.rotation.T + frame.shift
             return replace(dataset, positions=positions.round(9)), frame
 
