@@ -8,7 +8,7 @@ from tendon_robot_ros.common.errors import InputError
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.paths.path import (
     Pace,
-    plan,
+    Plan,
     retreat,
     set_points,
     stretched,
@@ -86,10 +86,10 @@ def test_set_points_stand_until_the_next_one_and_a_stream_is_a_path():
 def test_a_plan_keeps_every_limit_and_the_given_times_where_it_can():
     path = tip_path(np.array([0.0, 2.0, 3.0]), PLACES, NONE)
     start = model().shape(np.full(4, 0.1))
-    free = plan(model(), path, WIDE, start)
+    free = Plan(model(), path, WIDE, start)
     assert free.duration == pytest.approx(3.0)
     pace = Pace(speed=0.02, turning=1e3, tension=0.5)
-    slow = plan(model(), path, pace, start)
+    slow = Plan(model(), path, pace, start)
     gaps = np.diff(slow.path.times)
     assert (np.linalg.norm(np.diff(path.positions, axis=0), axis=1) <= 0.02 * gaps + 1e-12).all()
     assert (np.abs(np.diff(slow.tensions, axis=0)).max(axis=1) <= 0.5 * gaps + 1e-12).all()
@@ -102,9 +102,9 @@ def test_a_plan_keeps_every_limit_and_the_given_times_where_it_can():
 def test_what_is_out_of_reach_is_named_by_row():
     far = np.vstack([PLACES, [0.0, 0.0, 0.4]])
     path = tip_path(None, far, np.full((4, 3), np.nan))
-    found = plan(model(), path, WIDE, model().shape(np.full(4, 0.1)))
+    found = Plan(model(), path, WIDE, model().shape(np.full(4, 0.1)))
     assert 'on the way to row 4 are out of reach, by up to 19' in found.out_of_reach()
-    good = plan(model(), tip_path(None, PLACES, NONE), WIDE, model().shape(np.full(4, 0.1)))
+    good = Plan(model(), tip_path(None, PLACES, NONE), WIDE, model().shape(np.full(4, 0.1)))
     assert good.out_of_reach() == ''
 
 

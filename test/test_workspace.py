@@ -13,7 +13,7 @@ from tendon_robot_ros.common.errors import InputError
 from tendon_robot_ros.common.workers import Workers
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import dump_robot
-from tendon_robot_ros.workspace.cubes import SPHERE_PART_COUNT, Cubes, folds
+from tendon_robot_ros.workspace.cubes import SPHERE_PART_COUNT, Cubes, Reached, folds
 from tendon_robot_ros.workspace.view_angle import Workspace, pairs_of
 from tendon_robot_ros.workspace.volume import Sampling, Volume
 
@@ -195,7 +195,7 @@ def test_cubes_hold_the_volume_of_a_ball():
     inside = nearest[np.linalg.norm(nearest, axis=1) < radius]
     cubes = Cubes(planar(), edge)
     cubes.add(np.ones((len(inside), 2)), inside, inside)
-    reached, volume = cubes.reached(), 4 / 3 * np.pi * radius**3
+    reached, volume = Reached(cubes), 4 / 3 * np.pi * radius**3
     assert reached.size == pytest.approx(volume, rel=0.02)
     assert len(reached) * edge**3 > 1.2 * volume  # cubes alone hold more
     assert 0.9 * volume < reached.hull[2] < volume  # of points inside
@@ -208,7 +208,7 @@ def test_a_cube_keeps_the_posture_of_least_tension_and_all_directions():
     cubes = Cubes(planar(), 0.01)
     for rows in np.array_split(np.arange(5000), 7):
         cubes.add(tensions[rows], tips[rows], directions[rows])
-    reached = cubes.reached()
+    reached = Reached(cubes)
     assert (len(reached), reached.postures) == (4**3, 5000)
     for row, cell in enumerate(reached.cells):
         inside = (np.floor(tips / 0.01) == cell).all(axis=1)

@@ -1,7 +1,7 @@
 """
 Paths of the tip through given rows, stretched in time to keep limits.
 
-`tip_path` samples a path, `plan` finds the tensions along it and the times of its samples.
+`tip_path` samples a path, `Plan` finds the tensions along it and the times of its samples.
 """
 
 from __future__ import annotations
@@ -188,10 +188,20 @@ class Pace:
     pull: float = 0.01  # [m/s] of every wire pull
 
 
-@dataclass(frozen=True)
 class Plan:
     """
     A path with the times that keep the pace, and the model's solutions along it.
+
+    Parameters
+    ----------
+    model : Model
+        The one of the controller.
+    path : TipPath
+    pace : Pace
+    start : Shape
+        The present shape of the arm, with its friction memory.
+    keep_out : KeepOut, optional
+        Regions that no part of the arm may enter.
 
     Attributes
     ----------
@@ -210,13 +220,47 @@ class Plan:
 
     """
 
-    path: TipPath
-    tensions: Floats
-    position_errors: Floats
-    direction_errors: Floats
-    detours: Floats
-    requested_duration: float
-    regions: tuple[str, ...] = ()
+    def __init__(
+        self,
+        model: Model,
+        path: TipPath,
+        pace: Pace,
+        start: Shape,
+        keep_out: KeepOut | None = None,
+    ) -> None:
+        found, shape = [], start
+        for position, direction in zip(path.positions, path.directions, strict=True):
+            view = None if np.isnan(direction).any() else direction
+            memory = shape.memory if model.remembers else None
+            task = TipTask.at(model, position, view, memory=memory)
+            found.append(reach(replace(task, guess=shape, keep_out=keep_out or KeepOut())))
+            shape = found[-1].shape
+        self.tensions = tensions = np.array([one.tensions for one in found])
+        self.position_errors = np.array([one.position_error for one in found])
+        self.direction_errors = np.array([one.direction_error for one in found])
+        self.regions = tuple(dict.fromkeys(one.region for one in found if one.region))
+        self.requested_duration = float(path.times[-1])
+        gaps = np.diff(path.times)
+        for changes, largest in (
+            (np.linalg.norm(np.diff(path.positions, axis=0), axis=1), pace.speed),
+            (
+                np.nan_to_num(angle_between(path.directions[:-1], path.directions[1:])),
+                pace.turning,
+            ),
+            (np.abs(np.diff(tensions, axis=0)).max(axis=1, initial=0.0), pace.tension),
+        ):
+            gaps = np.maximum(gaps, changes / largest)
+        self.path = replace(path, times=np.concatenate([[0.0], np.cumsum(gaps)]))
+        halfway = 0.5 * (tensions[:-1] + tensions[1:])
+        if not len(halfway):
+            between = np.zeros((0, 3))
+        elif model.remembers:  # each from the sample before it, not from straight
+            both = np.stack([tensions[:-1], halfway], axis=1).reshape(-1, tensions.shape[1])
+            between = model.sequence(both).tip_position[1::2]
+        else:
+            between = model.shapes(halfway).tip_position
+        middle = 0.5 * (path.positions[:-1] + path.positions[1:])
+        self.detours = np.asarray(np.linalg.norm(between - middle, axis=1))
 
     @property
     def duration(self) -> float:
@@ -264,60 +308,6 @@ class Plan:
             f'by up to {1e3 * miss:.1f} mm and {np.degrees(angle):.1f}°'
             + (f'; kept out of {", ".join(self.regions)}' if self.regions else '')
         )
-
-
-def plan(
-    model: Model, path: TipPath, pace: Pace, start: Shape, keep_out: KeepOut | None = None
-) -> Plan:
-    """
-    Find the tensions along a path, from where the arm is, and stretch its times.
-
-    Parameters
-    ----------
-    model : Model
-        The one of the controller.
-    path : TipPath
-    pace : Pace
-    start : Shape
-        The present shape of the arm, with its friction memory.
-    keep_out : KeepOut, optional
-        Regions that no part of the arm may enter.
-
-    """
-    shapes, shape = [], start
-    for position, direction in zip(path.positions, path.directions, strict=True):
-        view = None if np.isnan(direction).any() else direction
-        task = TipTask.at(model, position, view, memory=shape.memory if model.remembers else None)
-        solution = reach(replace(task, guess=shape, keep_out=keep_out or KeepOut()))
-        shapes.append(solution)
-        shape = solution.shape
-    tensions = np.array([one.tensions for one in shapes])
-    gaps = np.diff(path.times)
-    for changes, largest in (
-        (np.linalg.norm(np.diff(path.positions, axis=0), axis=1), pace.speed),
-        (np.nan_to_num(angle_between(path.directions[:-1], path.directions[1:])), pace.turning),
-        (np.abs(np.diff(tensions, axis=0)).max(axis=1, initial=0.0), pace.tension),
-    ):
-        gaps = np.maximum(gaps, changes / largest)
-    times = np.concatenate([[0.0], np.cumsum(gaps)])
-    halfway = 0.5 * (tensions[:-1] + tensions[1:])
-    if not len(halfway):
-        between = np.zeros((0, 3))
-    elif model.remembers:  # each from the sample before it, not from straight
-        both = np.stack([tensions[:-1], halfway], axis=1).reshape(-1, tensions.shape[1])
-        between = model.sequence(both).tip_position[1::2]
-    else:
-        between = model.shapes(halfway).tip_position
-    middle = 0.5 * (path.positions[:-1] + path.positions[1:])
-    return Plan(
-        TipPath(times, path.positions, path.directions, path.rows),
-        tensions,
-        np.array([one.position_error for one in shapes]),
-        np.array([one.direction_error for one in shapes]),
-        np.asarray(np.linalg.norm(between - middle, axis=1)),
-        float(path.times[-1]),
-        tuple(dict.fromkeys(one.region for one in shapes if one.region)),
-    )
 
 
 def stretched(times: Floats, values: Floats, rate: float) -> Floats:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -72,19 +72,6 @@ MAKERS = (
 )
 
 
-@dataclass(frozen=True)
-class Head:
-    """The content of the header of a table."""
-
-    names: tuple[str, ...]
-    units: dict[str, str] = field(default_factory=dict)
-    kinds: dict[str, str] = field(default_factory=dict)  # column -> what its point is
-    maker: Maker | None = None
-    title: str = ''  # of a part of the file
-    rate: float | None = None  # [Hz]
-    frames: int | None = None  # number of frames stated in the file
-
-
 def is_value(cell: str) -> bool:
     """Return whether a cell holds a number, with a decimal point or comma, or a time."""
     return is_number(cell) or is_number(cell.replace(',', '.')) or bool(STAMP.fullmatch(cell))
@@ -127,9 +114,9 @@ def first_row_of_data(rows: Sequence[Row]) -> int | None:
     return first
 
 
-def read_head(shown: str, first: int, rows: Sequence[Row], width: int) -> Head:
+class Head:
     """
-    Read what stands above the data.
+    What stands above the data of a table.
 
     Parameters
     ----------
@@ -142,52 +129,68 @@ def read_head(shown: str, first: int, rows: Sequence[Row], width: int) -> Head:
     width : int
         Columns of the data.
 
+    Attributes
+    ----------
+    names : list of str
+        Of the columns.
+    units, kinds : dict of str
+        By column: its unit, and what its point is.
+    maker : Maker or None
+    title : str
+        Of a part of the file.
+    rate : float or None [Hz]
+    frames : int or None
+        Number of frames stated in the file.
+
     Raises
     ------
     DataSetError
         There are no names for the columns.
 
     """
-    rows = [row for row in rows if any(row)]
-    maker = maker_of(rows)
-    marked = [row for row in rows if row[0][:1] in ('#', '%')]
-    labels = [row for row in rows if row not in marked and row[0].lower() not in NO_NAMES]
-    if not labels:  # as numpy writes it
-        bare = [[row[0].lstrip('#% '), *row[1:]] for row in marked]
-        labels = [row for row in bare[-1:] if len(row) == width]
-    values_by_word = _values_by_word(rows)
-    title = ''
-    if maker is not None and maker.name == 'Vicon':
-        title = next(row[0] for row in rows if row[0].lower() in VICON)
-    if maker is not None and maker.name == 'Qualisys':
-        keys = {row[0]: row[1:] for row in labels if re.fullmatch(r'[A-Z][A-Z_]+', row[0])}
-        labels = [row for row in labels if row[0] not in keys]
-        labels = labels or [_qualisys_names(shown, keys, width)]
-        title = 'objects' if 'BODY_NAMES' in keys and 'MARKER_NAMES' not in keys else ''
-    # the last row of labels holds units if all of its cells do
-    cells = [cell for cell in labels[-1] if cell] if len(labels) > 1 else ['']
-    has_units = all(find_unit(cell) or cell in OTHER_UNITS for cell in cells)
-    units_row: Row = labels.pop() if has_units else []
-    if not labels:
-        raise unnamed(shown, max(first, 1), maker)
-    names, kinds = _names(shown, first - bool(has_units), labels, width, maker, title)
-    units = {n: u for n, u in zip(names, _padded(units_row, width), strict=True) if u}
-    length = _first(values_by_word, LENGTHS, find_unit) or ('' if maker is None else maker.unit)
-    if length and (unit := find_unit(length)) and unit.kind == 'length' and not units_row:
-        units |= {n: unit.text for n in names if n in kinds and kinds[n] != DERIVED}
-    rate = _first(values_by_word, RATES, is_value)
-    if maker is not None and maker.name == 'Vicon':
-        rate = next((row[0] for row in rows if len(_filled(row)) == 1 and is_value(row[0])), '')
-    frames = _first(values_by_word, ('no_of_frames',), str.isdigit)
-    return Head(
-        tuple(names),
-        units,
-        kinds,
-        maker,
-        title,
-        float(rate.replace(',', '.')) or None if rate else None,
-        int(frames) if frames else None,
-    )
+
+    def __init__(self, shown: str, first: int, rows: Sequence[Row], width: int) -> None:
+        rows = [row for row in rows if any(row)]
+        self.maker = maker = maker_of(rows)
+        system = '' if maker is None else maker.name
+        marked = [row for row in rows if row[0][:1] in ('#', '%')]
+        labels = [row for row in rows if row not in marked and row[0].lower() not in NO_NAMES]
+        if not labels:  # as numpy writes it
+            bare = [[row[0].lstrip('#% '), *row[1:]] for row in marked]
+            labels = [row for row in bare[-1:] if len(row) == width]
+        values_by_word = _values_by_word(rows)
+        self.title = ''
+        if system == 'Vicon':
+            self.title = next(row[0] for row in rows if row[0].lower() in VICON)
+        if system == 'Qualisys':
+            keys = {row[0]: row[1:] for row in labels if re.fullmatch(r'[A-Z][A-Z_]+', row[0])}
+            labels = [row for row in labels if row[0] not in keys]
+            labels = labels or [_qualisys_names(shown, keys, width)]
+            bodies = 'BODY_NAMES' in keys and 'MARKER_NAMES' not in keys
+            self.title = 'objects' if bodies else ''
+        # the last row of labels holds units if all of its cells do
+        cells = [cell for cell in labels[-1] if cell] if len(labels) > 1 else ['']
+        has_units = all(find_unit(cell) or cell in OTHER_UNITS for cell in cells)
+        units_row: Row = labels.pop() if has_units else []
+        if not labels:
+            raise unnamed(shown, max(first, 1), maker)
+        row = first - bool(has_units)
+        self.names, self.kinds = _names(shown, row, labels, width, maker, self.title)
+        padded = zip(self.names, _padded(units_row, width), strict=True)
+        self.units = {name: unit for name, unit in padded if unit}
+        length = _first(values_by_word, LENGTHS, find_unit) or (
+            '' if maker is None else maker.unit
+        )
+        if length and (unit := find_unit(length)) and unit.kind == 'length' and not units_row:
+            places = [n for n in self.names if self.kinds.get(n, DERIVED) != DERIVED]
+            self.units |= dict.fromkeys(places, unit.text)
+        rate = _first(values_by_word, RATES, is_value)
+        if system == 'Vicon':
+            alone = (row[0] for row in rows if len(_filled(row)) == 1 and is_value(row[0]))
+            rate = next(alone, '')
+        self.rate = float(rate.replace(',', '.')) or None if rate else None
+        frames = _first(values_by_word, ('no_of_frames',), str.isdigit)
+        self.frames = int(frames) if frames else None
 
 
 def maker_of(rows: Sequence[Row]) -> Maker | None:

@@ -31,7 +31,7 @@ from .columns import (
     table_of,
     triples_of,
 )
-from .headers import Head, first_row_of_data, maker_of, read_head, unnamed
+from .headers import Head, first_row_of_data, maker_of, unnamed
 from .markers import kind_of_flag
 
 # endings -> system that writes them, and the format to export instead
@@ -189,7 +189,7 @@ def _read_part(
 ) -> RawTable:
     """Parse the rows below a head."""
     last = part.head[-1][0] + 1 if part.head else 0
-    head = read_head(shown, last, [row for _, row in part.head], part.width)
+    head = Head(shown, last, [row for _, row in part.head], part.width)
     decimal = '.'
     if delimiter != ',' and any(
         ',' in cell and is_number(cell.replace(',', '.')) for row in part.sample for cell in row

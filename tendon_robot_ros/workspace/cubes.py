@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -20,20 +19,23 @@ SPHERE_PARTS = (6, 8)
 SPHERE_PART_COUNT = math.prod(SPHERE_PARTS)
 
 
-@dataclass(frozen=True, eq=False)
 class Reached:
     """The cubes of space that hold a tip, with the posture of least tension in each."""
 
-    robot: Robot
-    edge: float  # [m] of a cube
-    cells: Ints  # (c, 3) cube i spans i to i + 1 edges along x, y, z
-    tensions: Floats  # (c, m) [N] of the posture with the lowest highest tension
-    tips: Floats  # (c, 3) [m] of that posture
-    directions: Floats  # (c, 3) its approach direction
-    looks: Ints  # (c,) how many equal parts of the sphere hold approach directions
-    lows: Floats  # (3,) [m] the least coordinate of all tips
-    highs: Floats  # (3,) [m] the greatest
-    postures: int  # that were added
+    def __init__(self, cubes: Cubes) -> None:
+        rows, m = cubes.sorted(), len(cubes.robot.inputs)
+        self.robot, self.postures = cubes.robot, cubes.postures  # that were added
+        self.edge = cubes.edge  # [m] of a cube
+        # (c, 3) cube i spans i to i + 1 edges along x, y, z
+        cells = np.unravel_index(rows.where, (cubes.side,) * 3)
+        self.cells = np.stack(cells, axis=1) - cubes.half
+        # (c, m) [N] of the posture with the lowest highest tension, (c, 3) [m] and its direction
+        self.tensions, self.tips, self.directions = np.split(rows.best, [m, m + 3], axis=1)
+        # (c,) how many equal parts of the sphere hold approach directions
+        self.looks = np.bitwise_count(rows.seen).astype(np.int64)
+        empty = not len(rows.where)
+        self.lows = np.zeros(3) if empty else cubes.lows  # (3,) [m] of the coordinates of all tips
+        self.highs = np.zeros(3) if empty else cubes.highs  # (3,) [m]
 
     def __len__(self) -> int:
         """Count the cubes."""
@@ -136,9 +138,9 @@ class Cubes:
         """Keep rows; sort them in when they are as many as what is known."""
         self._coming.append(rows)
         if sum(len(one.where) for one in self._coming) > len(self._known.where):
-            self._sort_in()
+            self.sorted()
 
-    def _sort_in(self) -> Rows:
+    def sorted(self) -> Rows:
         """Return the row of every cube, in the order of the cubes."""
         if self._coming:
             parts = zip(self._known, *self._coming, strict=True)
@@ -149,7 +151,7 @@ class Cubes:
     def packed(self) -> dict[str, npt.NDArray[Any]]:
         """Return the content as arrays."""
         span = np.array([self.lows, self.highs])
-        return {**self._sort_in()._asdict(), 'span': span, 'postures': np.array(self.postures)}
+        return {**self.sorted()._asdict(), 'span': span, 'postures': np.array(self.postures)}
 
     def merge(self, other: Mapping[str, npt.NDArray[Any]]) -> None:
         """Add what other cubes have packed; the order of several does not matter."""
@@ -160,25 +162,7 @@ class Cubes:
 
     def __len__(self) -> int:
         """Count the cubes that hold a tip."""
-        return len(self._sort_in().where)
-
-    def reached(self) -> Reached:
-        """Return what is known."""
-        rows, m = self._sort_in(), len(self.robot.inputs)
-        empty = not len(rows.where)
-        cells = np.stack(np.unravel_index(rows.where, (self.side,) * 3), axis=1) - self.half
-        return Reached(
-            robot=self.robot,
-            edge=self.edge,
-            cells=cells,
-            tensions=rows.best[:, :m],
-            tips=rows.best[:, m : m + 3],
-            directions=rows.best[:, m + 3 :],
-            looks=np.bitwise_count(rows.seen).astype(np.int64),
-            lows=np.zeros(3) if empty else self.lows,
-            highs=np.zeros(3) if empty else self.highs,
-            postures=self.postures,
-        )
+        return len(self.sorted().where)
 
 
 class Rows(NamedTuple):

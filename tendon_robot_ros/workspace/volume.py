@@ -34,7 +34,7 @@ from ..model.model import Model
 from ..model.shape import ShapeBatch
 from ..robot import Robot, dump_robot
 from ..robot.description import tendon_offsets
-from .cubes import SPHERE_PART_COUNT, Cubes, beyond, folds, sphere_part
+from .cubes import SPHERE_PART_COUNT, Cubes, Reached, beyond, folds, sphere_part
 from .view_angle import POSTURES_MAX
 
 # [1] postures wanted for every cube: with fewer some stay empty by chance
@@ -272,7 +272,7 @@ class Stream:
             ]
             begins = not any(round_done == number for round_done, _ in self.finished)
             if number and batches and begins and len(self.tally.all):
-                edge = self.tally.all.reached().edge_tensions
+                edge = Reached(self.tally.all).edge_tensions
                 # thinned, because the start goes to every worker with every chunk
                 self.start = edge[:: max(len(edge) // (10 * ROWS_AT_ONCE), 1)]
             work = partial(sort_batches, self.sampling, number, self.start)
@@ -363,7 +363,7 @@ class Volume:
         for i, stream in enumerate(streams):
             stream.run(workers, show, i * self.postures, len(streams) * self.postures)
         tally = streams[0].tally
-        self.reached = tally.all.reached()
+        self.reached = Reached(tally.all)
         if not len(self.reached):
             raise InputError(
                 f'{self.robot.name}: no posture of {self.postures:,} is one that the arm can have'
@@ -375,10 +375,10 @@ class Volume:
         self.sphere = float(tally.sphere.mean())  # [1] of all directions that the tip looks into
         # [rad] -> the tips that look at this angle
         self.views = {
-            v: cubes.reached() for v, cubes in zip(sampling.views, tally.views, strict=True)
+            v: Reached(cubes) for v, cubes in zip(sampling.views, tally.views, strict=True)
         }
         # the same without friction; None where the model has none
-        self.frictionless = streams[1].tally.all.reached() if len(streams) > 1 else None
+        self.frictionless = Reached(streams[1].tally.all) if len(streams) > 1 else None
 
     @property
     def taken(self) -> float | None:

@@ -38,7 +38,6 @@ from ...model.shape import Shape
 from ...paths.path import (
     Pace,
     Plan,
-    plan,
     retreat,
     set_points,
     stretched,
@@ -212,7 +211,7 @@ def _tips(pilot: Pilot, rows: TipRows, options: argparse.Namespace, pace: Pace) 
     # start of the search; in pull mode the tensions are unknown
     start = model.shape(model.limits[:, 0] if pilot.pull else pilot.commands()[1][-1])
     regions = load_keep_out(options.keep_out) if options.keep_out else None
-    planned = plan(model, path, pace, start, regions)
+    planned = Plan(model, path, pace, start, regions)
     length = np.linalg.norm(np.diff(path.positions, axis=0), axis=1).sum()
     requested = planned.requested_duration
     timed = rows.times is not None and planned.duration > requested + 0.01
