@@ -14,7 +14,7 @@ from laboratory_tables import ARM, calm_recording
 
 from tendon_robot_ros.common.errors import DataSetError
 from tendon_robot_ros.tables import import_table
-from tendon_robot_ros.tables.columns import from_frame, triples_of
+from tendon_robot_ros.tables.columns import table_of, triples_of
 from tendon_robot_ros.tables.markers import choose_points, circle_centres
 from tendon_robot_ros.tables.reading import read_tables, widened
 from tendon_robot_ros.tables.recipe import Recipe, choose_columns
@@ -154,7 +154,7 @@ def test_markers_that_move_against_each_other_or_lie_in_a_row_are_no_rim():
 
 def wide(points):
     columns = {f'{n}_{a} [mm]': p[:, i] for n, p in points.items() for i, a in enumerate('xyz')}
-    return from_frame(pandas.DataFrame({'time_s': write.times(len(PLACES)), **columns}))
+    return table_of('DataFrame', pandas.DataFrame({'time_s': write.times(len(PLACES)), **columns}))
 
 
 def test_the_centre_of_a_circle_is_that_of_any_markers_on_it():
@@ -227,12 +227,12 @@ def test_a_file_of_qualisys_that_was_cut_or_thinned_is_noticed(tmp_path):
 def test_triples_of_other_quantities_are_left_aside_as_what_they_are(columns, quantity):
     names = columns.split(',' if ',' in columns else None)
     frame = pandas.DataFrame({name: [1.0, 2.0] for name in ('t [s]', *names)})
-    (triple,) = triples_of(from_frame(frame))
+    (triple,) = triples_of(table_of('DataFrame', frame))
     assert triple.quantity == quantity
     with pytest.raises(DataSetError, match=rf'{quantity} .* no measured places; name them alike'):
-        choose_points([from_frame(frame)], None)
+        choose_points([table_of('DataFrame', frame)], None)
     frame[['tip_x', 'tip_y', 'tip_z']] = 1.0
-    points = choose_points([from_frame(frame)], None)
+    points = choose_points([table_of('DataFrame', frame)], None)
     assert points.columns == (('tip_x', 'tip_y', 'tip_z'),)
     assert points.aside[0].startswith(f'{quantity} (')
 
@@ -244,7 +244,7 @@ def test_triples_of_other_quantities_are_left_aside_as_what_they_are(columns, qu
 def test_places_are_told_however_they_are_called(columns):
     names = columns.split()
     frame = pandas.DataFrame({name: [1.0, 2.0] for name in names})
-    assert choose_points([from_frame(frame)], None).columns == (tuple(names),)
+    assert choose_points([table_of('DataFrame', frame)], None).columns == (tuple(names),)
 
 
 # -----------------------------------------------------------------------------
@@ -311,7 +311,7 @@ def test_a_table_with_a_row_for_each_time_stays(calm, what):
         case 'one of two markers':
             one[[f'm2_{axis}' for axis in 'xyz']] = places[:, 1]
             one['label'] = np.arange(len(calm)) % 2
-    table = from_frame(one)
+    table = table_of('DataFrame', one)
     assert widened(table) is table
 
 
@@ -348,7 +348,7 @@ def test_no_unit_is_guessed_that_the_data_do_not_show(calm, scale, advice):
     places, rest = markers_of(calm)
     columns = {f'm{j}_{a}': scale * places[:, j, i] for j in range(4) for i, a in enumerate('xyz')}
     with pytest.raises(DataSetError, match=f'neither m nor mm fits: .*; {advice}'):
-        choose_columns([from_frame(rest.assign(**columns))], ARM, Recipe())
+        choose_columns([table_of('DataFrame', rest.assign(**columns))], ARM, Recipe())
 
 
 def test_triples_that_are_mostly_left_out_and_a_frame_that_stays_unknown_ask_for_a_look(calm):
