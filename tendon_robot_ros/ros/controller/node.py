@@ -141,29 +141,25 @@ class ControllerNode(StoppableNode):
         if self._actions is None:
             self._actions = Actions(self)
 
-        target = partial(partial, self._take, 'target')
-        pose = target(lambda core, new, message: core.aim(new.pose(message)))
-        point = target(lambda core, new, message: core.aim(new.point(message)))
-        now = time.monotonic
-        twist = target(lambda core, new, message: core.twist(now(), new.twist(message)))
-        play = target(lambda core, new, message: core.play(now(), new.trajectory(message)))
+        now, take = time.monotonic, partial(partial, self._take, 'target')
+        twist = take(lambda core, new, message: core.twist(now(), new.twist(message)))
+        takers = {
+            'target_pose': take(lambda core, new, message: core.aim(new.pose(message))),
+            'target_point': take(lambda core, new, message: core.aim(new.point(message))),
+            'tendon_trajectory': take(
+                lambda core, new, message: core.play(now(), new.trajectory(message))
+            ),
+        }
 
         def too_long(problem: str) -> None:
             if self.core is not None:
                 self.core.refusals['target'] = Refusal('length', problem)
 
-        self._targets = [
-            passing_subscription(
-                self, *interface.topic('controller/delta_twist')[:2], twist, LISTEN
-            )
-        ]
-        takers = {
-            'controller/target_pose': pose,
-            'controller/target_point': point,
-            'controller/tendon_trajectory': play,
-        }
-        for name, take in takers.items():
-            self._targets += subscribe_any_qos(self, *interface.topic(name)[:2], take, too_long)
+        kind, topic, _ = interface.topic('controller/delta_twist')
+        self._targets = [passing_subscription(self, kind, topic, twist, LISTEN)]
+        for name, taker in takers.items():
+            kind, topic, _ = interface.topic(f'controller/{name}')
+            self._targets += subscribe_any_qos(self, kind, topic, taker, too_long)
 
     def deactivate(self) -> None:
         """Have the arm released, and send no more commands."""
@@ -337,7 +333,7 @@ class ControllerNode(StoppableNode):
             if error is not None:
                 refuse(error)
             elif self._incoming is not None and self._prediction is not None:
-                if another_robot(model.robot, self._incoming.robot):
+                if another_robot(model.robot, self._incoming.model.robot):
                     self.get_logger().warning('another robot: the target is void, the arm holds')
                 self._incoming.use(model)
                 self._prediction.use(self._incoming.base, model)

@@ -26,7 +26,6 @@ from ...control.inputs import Trajectory, by_name, check_frame, direction, finit
 from ...data.tracker_faults import is_missing
 from ...model.model import Model
 from ...model.shape import Shape
-from ...robot import Robot
 from ..shared import interface
 from ..shared.messages import (
     Frames,
@@ -66,18 +65,8 @@ class Incoming:
         parameters, robot = self._parameters, model.robot
         self.base = base_frame(parameters, robot.name)
         self.tip = parameters['frame_prefix'] + (parameters['tip_frame'] or f'{robot.name}_tip')
-        self._frames.base, self._model = self.base, model
+        self._frames.base, self.model = self.base, model
         self._farthest = 1.5 * robot.length  # [m]
-
-    @property
-    def robot(self) -> Robot:
-        """The robot of the frames."""
-        return self._model.robot
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """The names of the tendons."""
-        return self._model.inputs
 
     @property
     def pull(self) -> bool:
@@ -127,7 +116,7 @@ class Incoming:
     def states(self, message: JointState) -> tuple[Floats, Floats]:
         """Return tensions (m,) [N] and wire pulls (m,) [m]; nan where not observable."""
         self._fresh(message.header, 'tendon_states')
-        tensions, pulls = tensions_and_pulls(message, self._model.inputs)
+        tensions, pulls = tensions_and_pulls(message, self.model.inputs)
         for quantity, values in (('effort', message.effort), ('position', message.position)):
             if any(map(math.isinf, values)):
                 raise Refusal('not_finite', f'tendon_states: {quantity} is infinite')
@@ -148,7 +137,7 @@ class Incoming:
             raise Refusal(
                 'mode', f'{what}: the controller is in {mode} mode: expected {quantity}, got none'
             )
-        inputs = self._model.inputs
+        inputs = self.model.inputs
         if len(rows) > POINTS_MAX or len(set(map(len, rows))) > 1:
             raise Refusal(
                 'length',
@@ -160,7 +149,7 @@ class Incoming:
         order = [message.joint_names.index(name) for name in inputs]
         values = np.array(rows)[:, order]
         times = np.array([seconds(point.time_from_start) for point in message.points])
-        limits = None if pull else self._model.limits
+        limits = None if pull else self.model.limits
         stamp = stamp_text(message.header.stamp)
         return replace(Trajectory.checked(times, values, limits, inputs), stamp=stamp)
 
@@ -190,9 +179,10 @@ class Prediction:
         """Create the publishers."""
         self._node = node
         self.use(frame, model)
-        self._shape = passing_publisher(node, *interface.topic('controller/predicted_shape'))
-        self._tip = passing_publisher(node, *interface.topic('controller/predicted_tip'))
-        self._markers = passing_publisher(node, *interface.topic('controller/markers'))
+        self._publishers = [
+            passing_publisher(node, *interface.topic(f'controller/{name}'))
+            for name in ('predicted_shape', 'predicted_tip', 'markers')
+        ]
 
     def use(self, frame: str, model: Model) -> None:
         """Use the robot of a model and the name of its base frame."""
@@ -202,19 +192,19 @@ class Prediction:
 
     def publish(self, shape: Shape) -> None:
         """Publish a shape; poses are the distal ends of the cells."""
-        header = header_now(self._node, self._frame)
-        if self._shape.get_subscription_count():
-            self._shape.publish(pose_array(header, shape.positions, shape.frames))
-        if self._tip.get_subscription_count():
-            self._tip.publish(pose_stamped(header, shape.tip_position, shape.frames[-1]))
-        if self._markers.get_subscription_count():
-            self._markers.publish(
-                arm_markers(header, shape.positions, self._thickness, PREDICTED, 'predicted')
-            )
+        header, positions = header_now(self._node, self._frame), shape.positions
+        messages = (
+            lambda: pose_array(header, positions, shape.frames),
+            lambda: pose_stamped(header, shape.tip_position, shape.frames[-1]),
+            lambda: arm_markers(header, positions, self._thickness, PREDICTED, 'predicted'),
+        )
+        for publisher, message in zip(self._publishers, messages, strict=True):
+            if publisher.get_subscription_count():
+                publisher.publish(message())
 
     def close(self) -> None:
         """Destroy the publishers."""
-        for publisher in (self._shape, self._tip, self._markers):
+        for publisher in self._publishers:
             self._node.destroy_publisher(publisher)
 
 

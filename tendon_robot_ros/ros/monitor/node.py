@@ -34,7 +34,6 @@ from ...data.folder import read_markers
 from ...data.tracker_faults import is_missing
 from ...monitoring import Monitor, MonitorSettings
 from ...monitoring.job import Work
-from ...monitoring.monitor import Compared
 from ...monitoring.watch import ArmWatch
 from ...robot import load_robot
 from ..shared import interface
@@ -80,12 +79,13 @@ class MonitorNode(Runnable, Node):
         self._measured: MarkerInput | None = None
         self._last_error = self._frame_at = float('nan')
         self._remote = RemoteParameter(self, self.parameters['controller'], 'model')
-        publish = self.create_publisher
-        self._output = MonitorOutput(self)
+        topics = 'error', 'rolling_error', 'marker_errors', 'measured', 'predicted'
+        self._publish = {
+            name: self.create_publisher(*interface.topic(f'monitor/{name}')).publish
+            for name in (*topics, 'progress', 'verdict')
+        }
         self.watching: Watching | None = None
         self.adapting: Adapting | None = None
-        self._progress = publish(*interface.topic('monitor/progress'))
-        self._verdict = publish(*interface.topic('monitor/verdict'))
         interface.subscribe(self, 'tendon_states', self._states)
         services: dict[str, Callable[[], str]] = {
             'record': self.record,
@@ -181,7 +181,17 @@ class MonitorNode(Runnable, Node):
             self._frame_at = time.monotonic()
             if np.isfinite(compared.rolling):
                 self._last_error = compared.rolling
-            self._output.publish(self._base, compared)
+            header, errors = header_now(self, self._base), compared.errors
+            sizes = np.linalg.norm(errors, axis=1).tolist()  # nan where a marker is not seen
+            messages = {
+                'error': Vector3Stamped(header=header, vector=vector(errors[-1])),
+                'rolling_error': Float64(data=compared.rolling),
+                'marker_errors': Float64MultiArray(data=sizes),
+                'measured': pose_array(header, compared.measured),
+                'predicted': pose_array(header, compared.predicted),
+            }
+            for name, message in messages.items():
+                self._publish[name](message)
             still = self.monitor.new_posture()
             if still is not None and self.adapting is not None:
                 self.adapting.put(still)
@@ -196,7 +206,7 @@ class MonitorNode(Runnable, Node):
             self.watching.blind(self._base)
         for news in self.work.news():
             if news['kind'] == 'verdict':
-                self._verdict.publish(String(data=json.dumps(news['content'])))
+                self._publish['verdict'](String(data=json.dumps(news['content'])))
             if news['kind'] == 'add':
                 self._remote.put(
                     news['file'],
@@ -242,7 +252,7 @@ class MonitorNode(Runnable, Node):
         }
 
     def _publish_progress(self, text: str) -> None:
-        self._progress.publish(String(data=text))
+        self._publish['progress'](String(data=text))
 
     def undo(self) -> str:
         """Undo the last change of the controller's model; return a text."""
@@ -369,17 +379,16 @@ class MarkerInput:
 
     def _marker(self, index: int, message: PoseStamped) -> None:
         """Merge markers on topics of their own into frames."""
-        at = self._time(message.header)
-        points = self._in_base(message.header, self._only(index, message), 'measured_markers')
-        if points is None:
+        new = self._in_base(message.header, self._only(index, message), 'measured_markers')
+        if new is None:
             return
-        if self._frame is not None and abs(at - self._frame[0]) > FRAME_SPAN_S:
+        if self._frame is not None and abs(new[0] - self._frame[0]) > FRAME_SPAN_S:
             self._take(*self._frame)
             self._frame = None
         if self._frame is None:
-            self._frame = at, points
+            self._frame = new
         else:
-            self._frame[1][index] = points[index]
+            self._frame[1][index] = new[1][index]
 
     def _only(self, index: int, message: PoseStamped) -> Floats:
         """Return positions (J, 3) [m], nan for all markers but one."""
@@ -388,24 +397,21 @@ class MarkerInput:
         return points
 
     def _give(self, header: Header, points: Floats, what: str) -> None:
-        placed = self._in_base(header, points, what)
-        if placed is not None:
-            self._take(self._time(header), placed)
+        if (frame := self._in_base(header, points, what)) is not None:
+            self._take(*frame)
 
-    def _in_base(self, header: Header, points: Floats, what: str) -> Floats | None:
+    def _in_base(self, header: Header, points: Floats, what: str) -> tuple[float, Floats] | None:
+        """Return time [s] and positions (J, 3) [m] in the base frame; None: they are refused."""
         try:
             tolerance = self._parameters['stamp_tolerance']
-            check_age(self._node, header, what, tolerance)
+            now = check_age(self._node, header, what, tolerance)
             rotation, translation = self._fixed or self._frames.of(header, what, tolerance)
         except Refusal as refusal:
             self.problem = str(refusal)
             return None
         self.problem = ''
         points = np.where(is_missing(points)[:, None], np.nan, points)
-        return points @ rotation.T + translation
-
-    def _time(self, header: Header) -> float:
-        return seconds(header.stamp) or time_now(self._node)
+        return seconds(header.stamp) or now, points @ rotation.T + translation
 
 
 def _transform(text: str) -> tuple[Floats, Floats] | None:
@@ -424,28 +430,6 @@ def _transform(text: str) -> tuple[Floats, Floats] | None:
             f'got {text!r}'
         )
     return matrix(rotation), np.array([x, y, z])
-
-
-class MonitorOutput:
-    """Publishes errors, and both shapes at the markers."""
-
-    def __init__(self, node: Node) -> None:
-        """Create the publishers."""
-        self._node, publish = node, node.create_publisher
-        self._error = publish(*interface.topic('monitor/error'))
-        self._rolling = publish(*interface.topic('monitor/rolling_error'))
-        self._per_marker = publish(*interface.topic('monitor/marker_errors'))
-        self._measured = publish(*interface.topic('monitor/measured'))
-        self._predicted = publish(*interface.topic('monitor/predicted'))
-
-    def publish(self, frame: str, compared: Compared) -> None:
-        """Publish a compared frame; markers that are not visible are nan."""
-        header, errors = header_now(self._node, frame), compared.errors
-        self._error.publish(Vector3Stamped(header=header, vector=vector(errors[-1])))
-        self._rolling.publish(Float64(data=compared.rolling))
-        self._per_marker.publish(Float64MultiArray(data=np.linalg.norm(errors, axis=1).tolist()))
-        self._measured.publish(pose_array(header, compared.measured))
-        self._predicted.publish(pose_array(header, compared.predicted))
 
 
 def main(arguments: Sequence[str]) -> int:

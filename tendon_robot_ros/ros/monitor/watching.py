@@ -49,21 +49,18 @@ class Watching:
         self._drift = parameters['reference_postures'] > 0.0
         rate = parameters['force_rate']
         self._period = 1.0 / rate if rate > 0.0 else np.inf
-        self._due, self.contact = 0.0, None
+        self._due = 0.0
+        self.contact: Contact | None = None
         self._reaction = Reaction(node, parameters)
         high = monitor.model.robot.tension_limits[1]
         self._frames = FrameMean(
             parameters['tracker_noise'], TENSION_STILL * high, parameters['force_time']
         )
-        publish = node.create_publisher
-        self._wrench = publish(*interface.topic('monitor/tip_force'))
-        self._covariance = publish(*interface.topic('monitor/tip_force_covariance'))
-        self._contact = publish(*interface.topic('monitor/contact'))
-        self._markers = publish(*interface.topic('monitor/markers'))
-        self._state = publish(*interface.topic('monitor/drift'))
+        self._send = {
+            name: node.create_publisher(*interface.topic(f'monitor/{name}')).publish
+            for name in ('tip_force', 'tip_force_covariance', 'contact', 'markers', 'drift')
+        }
         self._published = ''
-
-    contact: Contact | None
 
     def set_model(self, model: Model) -> None:
         """Restart the learning with another description."""
@@ -148,8 +145,9 @@ class Watching:
         self._reaction.to(contact)
         header, robot = header_now(self._node, base), self.watch.model.robot
         wrench, arrow = Wrench(force=vector(contact.force)), contact.arrow(robot.length)
-        self._wrench.publish(WrenchStamped(header=header, wrench=wrench))
-        self._covariance.publish(Float64MultiArray(data=contact.covariance.ravel().tolist()))
+        self._send['tip_force'](WrenchStamped(header=header, wrench=wrench))
+        covariance = Float64MultiArray(data=contact.covariance.ravel().tolist())
+        self._send['tip_force_covariance'](covariance)
         content = {
             'text': self._said(contact),
             'acts': contact.acts,
@@ -160,10 +158,10 @@ class Watching:
             'arrow': arrow.tolist(),
             'reaction': self._reaction.done,
         }
-        self._contact.publish(String(data=json.dumps(content)))
+        self._send['contact'](String(data=json.dumps(content)))
         thickness = ARROW_THICKNESS * robot.length
         ends = arrow if contact.acts else None
-        self._markers.publish(arrow_marker(header, ends, thickness, BAD))
+        self._send['markers'](arrow_marker(header, ends, thickness, BAD))
 
     def _publish_state(self) -> None:
         """Publish the state of the alarm when it has changed."""
@@ -177,7 +175,7 @@ class Watching:
         text = json.dumps(content)
         if text != self._published:
             self._published = text
-            self._state.publish(String(data=text))
+            self._send['drift'](String(data=text))
 
 
 class Reaction:
