@@ -36,22 +36,8 @@ from ...monitoring import Monitor, MonitorSettings
 from ...monitoring.job import Work
 from ...monitoring.watch import ArmWatch
 from ...robot import load_robot
-from ..shared import interface
+from ..shared import interface, messages
 from ..shared.lifecycle import ERROR, OK, WARN, Status
-from ..shared.messages import (
-    Frames,
-    check_age,
-    header_now,
-    matrix,
-    offer_trigger,
-    points_of,
-    pose_array,
-    seconds,
-    tensions_and_pulls,
-    time_now,
-    vector,
-    xyz,
-)
 from ..shared.parameters import Parameters, RemoteParameter, base_frame, parsed
 from ..shared.quality import LISTEN
 from ..shared.runtime import Runnable, repeat, run
@@ -95,9 +81,9 @@ class MonitorNode(Runnable, Node):
             'undo': self.undo,
         }
         for name, act in services.items():
-            offer_trigger(self, f'~/{name}', act, self._publish_progress)
+            messages.offer_trigger(self, f'~/{name}', act, self._publish_progress)
         # its response is a file for `investigate`, not for users
-        offer_trigger(self, '~/change', lambda: self._watched().change())
+        messages.offer_trigger(self, '~/change', lambda: self._watched().change())
         repeat(self, VALUES_PERIOD_S, self._cycle)
         if not self.parameters['model']:
             repeat(self, STATUS_PERIOD_S, lambda: self._remote.ask(self._load))
@@ -161,11 +147,12 @@ class MonitorNode(Runnable, Node):
         if self.monitor is None:
             return
         try:
-            measured = tensions_and_pulls(message, self.monitor.model.inputs)
+            measured = messages.tensions_and_pulls(message, self.monitor.model.inputs)
         except Refusal as refusal:
             self._problem = str(refusal)
             return
-        self.monitor.put_states(seconds(message.header.stamp) or time_now(self), *measured)
+        at = messages.seconds(message.header.stamp) or messages.time_now(self)
+        self.monitor.put_states(at, *measured)
         if self._measured is not None:
             self._measured.hand_over()
 
@@ -181,16 +168,16 @@ class MonitorNode(Runnable, Node):
             self._frame_at = time.monotonic()
             if np.isfinite(compared.rolling):
                 self._last_error = compared.rolling
-            header, errors = header_now(self, self._base), compared.errors
+            header, errors = messages.header_now(self, self._base), compared.errors
             sizes = np.linalg.norm(errors, axis=1).tolist()  # nan where a marker is not seen
-            messages = {
-                'error': Vector3Stamped(header=header, vector=vector(errors[-1])),
+            content = {
+                'error': Vector3Stamped(header=header, vector=messages.vector(errors[-1])),
                 'rolling_error': Float64(data=compared.rolling),
                 'marker_errors': Float64MultiArray(data=sizes),
-                'measured': pose_array(header, compared.measured),
-                'predicted': pose_array(header, compared.predicted),
+                'measured': messages.pose_array(header, compared.measured),
+                'predicted': messages.pose_array(header, compared.predicted),
             }
-            for name, message in messages.items():
+            for name, message in content.items():
                 self._publish[name](message)
             still = self.monitor.new_posture()
             if still is not None and self.adapting is not None:
@@ -331,7 +318,7 @@ class MarkerInput:
         self._node, self._parameters, self._taker = node, parameters, take
         self._monitor, self.markers, self.problem = monitor, monitor.markers, ''
         self._waiting: tuple[float, Floats] | None = None
-        self._frames = Frames(node, base)
+        self._frames = messages.Frames(node, base)
         self._fixed = _transform(parameters['tracker_transform'])
         topics = parsed(parameters['measured_markers'], 'measured_markers', dict)
         self._frame: tuple[float, Floats] | None = None
@@ -362,18 +349,19 @@ class MarkerInput:
         self.hand_over()
 
     def _shape(self, message: PoseArray) -> None:
-        points = points_of(message)
+        points = messages.points_of(message)
         if len(points) != len(self.markers):
             self.problem = (
                 f'measured_shape: expected {len(self.markers)} poses, one for each of the markers '
                 f'(nan where it was not seen), got {len(points)}'
             )
             return
-        self._shape_at = time_now(self._node)
+        self._shape_at = messages.time_now(self._node)
         self._give(message.header, points, 'measured_shape')
 
     def _tip(self, message: PoseStamped) -> None:
-        if time_now(self._node) - self._shape_at >= SILENCE_S:  # else the shape has more markers
+        # a shape has more markers
+        if messages.time_now(self._node) - self._shape_at >= SILENCE_S:
             points = self._only(len(self.markers) - 1, message)
             self._give(message.header, points, 'measured_tip')
 
@@ -393,7 +381,7 @@ class MarkerInput:
     def _only(self, index: int, message: PoseStamped) -> Floats:
         """Return positions (J, 3) [m], nan for all markers but one."""
         points = np.full((len(self.markers), 3), np.nan)
-        points[index] = xyz(message.pose.position)
+        points[index] = messages.xyz(message.pose.position)
         return points
 
     def _give(self, header: Header, points: Floats, what: str) -> None:
@@ -404,14 +392,14 @@ class MarkerInput:
         """Return time [s] and positions (J, 3) [m] in the base frame; None: they are refused."""
         try:
             tolerance = self._parameters['stamp_tolerance']
-            now = check_age(self._node, header, what, tolerance)
+            now = messages.check_age(self._node, header, what, tolerance)
             rotation, translation = self._fixed or self._frames.of(header, what, tolerance)
         except Refusal as refusal:
             self.problem = str(refusal)
             return None
         self.problem = ''
         points = np.where(is_missing(points)[:, None], np.nan, points)
-        return seconds(header.stamp) or now, points @ rotation.T + translation
+        return messages.seconds(header.stamp) or now, points @ rotation.T + translation
 
 
 def _transform(text: str) -> tuple[Floats, Floats] | None:
@@ -429,7 +417,7 @@ def _transform(text: str) -> tuple[Floats, Floats] | None:
             'tracker_transform: expected x y z qx qy qz qw with a quaternion of norm 1, '
             f'got {text!r}'
         )
-    return matrix(rotation), np.array([x, y, z])
+    return messages.matrix(rotation), np.array([x, y, z])
 
 
 def main(arguments: Sequence[str]) -> int:

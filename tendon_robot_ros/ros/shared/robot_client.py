@@ -28,18 +28,7 @@ from ...effects import load_catalogue
 from ...model.model import Model
 from ...robot import load_robot
 from ...robot.keep_out import joined, text_of
-from . import interface
-from .messages import (
-    Request,
-    duration,
-    header_now,
-    point,
-    pose_stamped,
-    stamp_text,
-    status_values,
-    xyz,
-    xyzw,
-)
+from . import interface, messages
 from .parameters import RemoteParameter, declared
 from .quality import COMMAND
 from .runtime import SPIN_S, Ending
@@ -106,7 +95,7 @@ class Pilot(Node):
         )
 
         def receive(node: str, message: DiagnosticStatus) -> None:
-            self.statuses[node] = {**status_values(message), 'message': message.message}
+            self.statuses[node] = {**messages.status_values(message), 'message': message.message}
             if node == controller:
                 self._status_at = time.monotonic()
 
@@ -116,8 +105,8 @@ class Pilot(Node):
             elif message.header.frame_id != self.base:
                 return
             with suppress(InputError):  # an orientation that is none
-                view = looks(xyzw(message.pose.orientation), which)
-                place = np.array(xyz(message.pose.position))
+                view = looks(messages.xyzw(message.pose.orientation), which)
+                place = np.array(messages.xyz(message.pose.position))
                 self._tips[which].append((time.monotonic(), place, view))
 
         def command(message: JointState) -> None:
@@ -159,12 +148,12 @@ class Pilot(Node):
 
     def send(self, position: Floats, direction: Floats | None) -> str:
         """Send a target, (3,) [m] and (3,) or None; return its stamp as the status reports it."""
-        header = header_now(self, self.base)
+        header = messages.header_now(self, self.base)
         if direction is None:
-            self._points.publish(PointStamped(header=header, point=point(position)))
+            self._points.publish(PointStamped(header=header, point=messages.point(position)))
         else:
-            self._poses.publish(pose_stamped(header, position, towards(direction)))
-        return stamp_text(header.stamp)
+            self._poses.publish(messages.pose_stamped(header, position, towards(direction)))
+        return messages.stamp_text(header.stamp)
 
     def settled(self, stamp: str, codes: Sequence[str] = SETTLED_CODES) -> bool:
         """Return whether the status has one of `codes` for the target with this stamp."""
@@ -206,7 +195,7 @@ class Pilot(Node):
 
     def triggered(self, name: str) -> str:
         """Call a Trigger service; return its message, raise TendonRobotError if it refuses."""
-        request, answers = Request(self, Trigger, name), list[Trigger.Response]()
+        request, answers = messages.Request(self, Trigger, name), list[Trigger.Response]()
         self.wait(lambda: request.ready, REACTION_TIMEOUT_S, f'the service {name}')
         request.ask(Trigger.Request(), answers.append)
         self.wait(lambda: answers, REACTION_TIMEOUT_S, f'an answer of {name}')
@@ -306,13 +295,13 @@ class Pilot(Node):
 
     def play(self, trajectory: Trajectory) -> str:
         """Send a trajectory of the tendons; return its stamp."""
-        message = JointTrajectory(header=header_now(self), joint_names=list(self.inputs))
+        message = JointTrajectory(header=messages.header_now(self), joint_names=list(self.inputs))
         field = 'positions' if self.pull else 'effort'
         for at, values in zip(trajectory.times, trajectory.values, strict=True):
-            row = {'time_from_start': duration(at), field: values.tolist()}
+            row = {'time_from_start': messages.duration(at), field: values.tolist()}
             message.points.append(JointTrajectoryPoint(**row))
         self._trajectories.publish(message)
-        return stamp_text(message.header.stamp)
+        return messages.stamp_text(message.header.stamp)
 
     def settle(self, stamp: str, timeout: float, what: str) -> None:
         """Wait until the status reports the result of a target or a trajectory."""
