@@ -65,7 +65,6 @@ from .measuring import (
     Record,
     Report,
     empty_dataset,
-    no_effect,
     separate_changes,
     with_posture,
 )
@@ -183,7 +182,7 @@ class Investigation:
             self.record.changed = [vars(suspect) for suspect in suspects]
             self.record.save()
             self._suspected = [suspect.name for suspect in suspects if suspect.is_effect]
-            if no_effect(suspects):
+            if suspects and not self._suspected:  # a cell, a gain, the tracker
                 return InvestigationEnd.CHANGED
         while True:
             have = len(self.record.dataset.postures)

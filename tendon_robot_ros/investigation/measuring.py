@@ -389,11 +389,6 @@ def likely(suspects: Sequence[Suspect]) -> list[Suspect]:
     return list(suspects[: int(np.searchsorted(sums, APART_PROBABILITY)) + 1])
 
 
-def no_effect(suspects: Sequence[Suspect]) -> bool:
-    """Return whether all suspects are no effects: a cell, a gain, the tracker."""
-    return bool(suspects) and not any(suspect.is_effect for suspect in suspects)
-
-
 def sizes(suspects: Sequence[Suspect]) -> str:
     """Describe up to three alternative changes with their sizes."""
     texts = [f'{suspect.name} ({suspect.size})' for suspect in suspects[:3]]

@@ -315,13 +315,11 @@ class BuiltArm:
     ) -> list[_Linear | None]:
         """Fit sizes and imperfections to the references that count; return all, linearised."""
         for _ in range(2):  # at the last estimate: errors of linearisation look like noise
-            pairs = [
-                (self.expected(t), p.ravel()) for t, p in zip(tensions, positions, strict=True)
-            ]
-            base = [
-                None if e is None else (replace(e, markers=e.markers - self.moves(e.columns)), y)
-                for e, y in pairs
-            ]
+            base = list[_Linear | None]()
+            for inputs, measured in zip(tensions, positions, strict=True):
+                if (e := self.expected(inputs)) is not None:
+                    e = replace(e, markers=e.markers - self.moves(e.columns))
+                base.append(None if e is None else (e, measured.ravel()))
             counted = [one for one, c in zip(base, counts, strict=True) if c and one is not None]
             self._vary(counted, frames)
             self.forget()

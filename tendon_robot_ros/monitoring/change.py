@@ -20,7 +20,7 @@ uncertainty.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -29,7 +29,6 @@ import numpy.typing as npt
 from ..common.arrays import Floats
 from ..common.estimation import gauss_newton
 from ..common.words import digits, mm, spoken, with_unit
-from ..data import DataSet
 from ..inference.imperfections import GAIN, Kind, SplitPredictor
 from ..inference.intervals import load_of, vector_rows
 from ..inference.marginal import RandomEffects
@@ -204,35 +203,28 @@ class ChangeFit:
     information: Floats  # (k, k) of the values, their prior included
     chi2: float = 0.0  # of the residuals
 
-    def suspect(self, probability: float) -> Suspect:
-        """Return the change with a probability."""
-        return self.change.suspect(probability, self.values)
-
 
 class ChangeWork:
     """Fits of changes to one set of postures."""
 
     def __init__(self, arm: BuiltArm, postures: MeasuredPostures) -> None:
         self.arm, self.postures = arm, postures
-        whole, P = self.arm.split.dataset, len(postures.tensions)
-        dataset = DataSet(
-            'since',
-            self.arm.robot,
-            whole.markers,
-            tuple(map(str, range(P))),
-            postures.tensions,
-            np.full((P, 1, len(whole.markers), 3), np.nan),
-            gravity=self.arm.robot.gravity,
+        P, J = len(postures.tensions), len(arm.split.dataset.markers)
+        dataset = replace(
+            arm.split.dataset,
+            postures=tuple(map(str, range(P))),
+            inputs=postures.tensions,
+            positions=np.full((P, 1, J, 3), np.nan),
         )
-        self.split = SplitPredictor(Predictor(dataset, self.arm.robot, self.arm.catalogue))
-        self.split.around, self.lacked = self.arm.members, np.zeros((P, 3 * len(whole.markers)))
+        self.split = SplitPredictor(Predictor(dataset, arm.robot, arm.catalogue))
+        self.split.around, self.lacked = arm.members, np.zeros((P, 3 * J))
         expected = self._markers({})
-        columns = self.arm.moved(self.split, {}) if expected is not None else None
+        columns = arm.moved(self.split, {}) if expected is not None else None
         self.ready = columns is not None
         if expected is not None and columns is not None:
             self.lacked = arm.lacked(columns)
             self.expected, self.columns = expected + self.lacked, columns
-            self.weights = _Weights(self.arm, postures, columns)
+            self.weights = _Weights(arm, postures, columns)
 
     def fit(self, change: PossibleChange) -> ChangeFit | None:
         """Fit one change, with the imperfections linearised without a change."""
@@ -289,11 +281,8 @@ class ChangeWork:
 
     def _member(self, change: PossibleChange) -> ChangeFit:
         """Fit changed imperfections (linear)."""
-        weights, moved = self.weights, self._slopes_of_members(change)
-        white, columns = (
-            weights.white(self.postures.positions - self.expected),
-            weights.white(moved),
-        )
+        white = self.weights.white(self.postures.positions - self.expected)
+        columns = self.weights.white(self._slopes_of_members(change))
         information = columns.T @ columns
         prior = np.diag((SCALES[-1] * change.spread) ** -2.0)
         values = np.linalg.solve(information + prior, columns.T @ white)
@@ -327,13 +316,8 @@ class ChangeWork:
         if fit is None:
             return None
         values, _, chi2, information = fit
-        return ChangeFit(
-            change,
-            values,
-            self._evidence(change, values, chi2, information),
-            information + prior,
-            chi2,
-        )
+        log = self._evidence(change, values, chi2, information)
+        return ChangeFit(change, values, log, information + prior, chi2)
 
     def _evidence(
         self, change: PossibleChange, values: Floats, chi2: float, information: Floats
@@ -400,10 +384,8 @@ class ChangeFinder:
         refitted = {fit.change.name: work.fit_around(fit) for fit in near}
         fits = [refitted.get(fit.change.name) or fit for fit in fits]
         self.fits = sorted(fits, key=lambda fit: -fit.log)
-        probabilities = self._probabilities()
-        return tuple(
-            fit.suspect(float(p)) for fit, p in zip(self.fits, probabilities, strict=True)
-        )
+        likely = zip(self.fits, self._probabilities().tolist(), strict=True)
+        return tuple(fit.change.suspect(p, fit.values) for fit, p in likely)
 
     def most_informative(self, offered: Floats) -> int | None:
         """

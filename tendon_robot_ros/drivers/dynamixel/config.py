@@ -27,7 +27,6 @@ from .control_table import (
     WITHOUT_CURRENT,
     Counts,
     ServoModel,
-    plain_model,
 )
 
 # [counts] of current from no tension to the limit; else one count would be more than 5 % of it
@@ -291,7 +290,8 @@ def read_wires(top: ConfigFields, robot: Robot, mode: str) -> tuple[MotorWire, .
 
 def read_model(fields: ConfigFields) -> ServoModel:
     """Return a motor by the name on its label; the error lists the known ones."""
-    name = plain_model(str(fields.content.get('model', '')))
+    label = str(fields.content.get('model', '')).strip().upper()
+    name = label.removesuffix('-T').removesuffix('-R')
     if name in WITHOUT_CURRENT.values():
         raise fields.error('model', INSTEAD, name)
     return MODELS[name] if name in MODELS else MODELS[fields.choice('model', tuple(MODELS))]
