@@ -393,12 +393,10 @@ class BuiltArm:
     def moved(self, split: SplitPredictor, point: Point) -> Floats | None:
         """Return the motion of the markers (P, 3 J, q + n) [m] by states of plausible size."""
         responses = imperfections(split, point, self.members, changed=True)
-        steps = (
-            None
-            if responses is None
-            else differences(split, point, self.frees, (DIFFERENCE, 0.5, 1.0))
-        )
-        if responses is None or steps is None:
+        if responses is None:
+            return None
+        steps = differences(split, point, self.frees, (DIFFERENCE, 0.5, 1.0))
+        if steps is None:
             return None
         slope, half, whole = steps
         built = responses.moves[: self.built].reshape(self.built, *slope.shape[1:])

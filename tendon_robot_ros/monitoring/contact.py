@@ -376,7 +376,18 @@ class _Fit:
             return None if white is None else (white, float(white @ white))
 
         def linearised(force: Floats, white: Floats) -> tuple[Floats, Floats] | None:
-            return self._linearised(force, place, white)
+            """Return information (3, 3) and gradient (3,) by the whitened Jacobian here."""
+            step, columns = self.observer.step, []
+            for axis in np.eye(3):
+                for side in (step, -step):
+                    moved = self._white(force + side * axis, place)
+                    if moved is not None:
+                        columns.append((white - moved) / side)
+                        break
+                else:
+                    return None
+            self.columns = slopes = np.array(columns).T
+            return slopes.T @ slopes, slopes.T @ white
 
         fit = gauss_newton(start, prior, whitened, linearised)
         if fit is None or (expected := self._predicted(fit[0], place)) is None:
@@ -450,22 +461,6 @@ class _Fit:
         """Return the whitened residual of a prediction."""
         return np.asarray(self.factor @ (self.data.measured - expected - self.lacked)[self.rows])
 
-    def _linearised(
-        self, force: Floats, place: float, white: Floats
-    ) -> tuple[Floats, Floats] | None:
-        """Update the whitened Jacobian; return information (3, 3) and gradient (3,)."""
-        step, columns = self.observer.step, []
-        for axis in np.eye(3):
-            for side in (step, -step):
-                moved = self._white(force + side * axis, place)
-                if moved is not None:
-                    columns.append((white - moved) / side)
-                    break
-            else:
-                return None
-        self.columns = slopes = np.array(columns).T
-        return slopes.T @ slopes, slopes.T @ white
-
     def _whitening(self, force: Floats, place: float, expected: Floats) -> Floats | None:
         """Return the inverse root of the covariance, the last one where the arm hardly moved."""
         observer, data = self.observer, self.data
@@ -473,7 +468,12 @@ class _Fit:
             sd = np.sqrt(observer.pull_noise**2 + (PULL_ERROR * expected) ** 2 + PULL_ERROR_M**2)
             return np.asarray(np.diag(1.0 / sd[self.rows]))
         arm, kept = observer.arm, observer.kept
-        if kept is None or not kept.serves(arm, data, expected):
+        if (
+            kept is None
+            or kept.known is not arm.covariance
+            or not np.array_equal(data.rows, kept.data.rows)
+            or np.abs(expected - kept.expected).max() >= SAME_LENGTH * arm.robot.length
+        ):
             columns = arm.columns(data.inputs, observer.point(force, place))
             if columns is None:
                 return None
@@ -484,7 +484,11 @@ class _Fit:
                 moved = float(np.nanmax(off))
             kept = _KeptWhitening(columns, arm.covariance, data, expected, moved)
         if not len(kept.factor) or data.frames != kept.data.frames:
-            kept = replace(kept, data=data, factor=kept.inverse_root(arm, data))
+            covariance = arm.spread(data.rows, kept.columns, data.frames)
+            loaded = max(arm.response, LOADED_ERROR if arm.level > 0.0 else 0.0) * kept.moved
+            covariance += loaded**2 * arm.rest(data.rows)
+            factor = np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+            kept = replace(kept, data=data, factor=factor)
         observer.kept, self.lacked = kept, arm.lacked(kept.columns)
         return kept.factor
 
@@ -498,19 +502,5 @@ class _KeptWhitening:
     data: _Measured
     expected: Floats  # (3 J,) [m]
     moved: float  # [m] motion of the arm by the load
+    # (r, r) [1/m] inverse root of the covariance of the visible coordinates
     factor: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-
-    def inverse_root(self, arm: BuiltArm, data: _Measured) -> Floats:
-        """Return the inverse root of the covariance of the valid coordinates."""
-        covariance = arm.spread(data.rows, self.columns, data.frames)
-        loaded = max(arm.response, LOADED_ERROR if arm.level > 0.0 else 0.0) * self.moved
-        covariance += loaded**2 * arm.rest(data.rows)
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
-
-    def serves(self, arm: BuiltArm, data: _Measured, expected: Floats) -> bool:
-        """Whether the columns are still valid."""
-        return (
-            arm.covariance is self.known
-            and np.array_equal(data.rows, self.data.rows)
-            and bool(np.abs(expected - self.expected).max() < SAME_LENGTH * arm.robot.length)
-        )

@@ -81,11 +81,6 @@ class _ChangePoint:
         self.score = np.zeros(changes)
         self.parts = list[tuple[Floats, Floats]]()  # information and score by posture
 
-    @property
-    def postures(self) -> int:
-        """Number of postures since."""
-        return len(self.parts)
-
     def take(self, information: Floats, score: Floats) -> None:
         """Add the information (c, c) and score (c,) of a posture."""
         self.information, self.score = self.information + information, self.score + score
@@ -102,8 +97,8 @@ class _ChangePoint:
         """Remove the evidence of the posture of a number."""
         if 0 <= at - self.at < len(self.parts):
             self.information, self.score = self.without(at)
-            information, score = self.parts[at - self.at]
-            self.parts[at - self.at] = 0.0 * information, 0.0 * score
+            nothing = np.zeros_like(self.information), np.zeros_like(self.score)
+            self.parts[at - self.at] = nothing
 
 
 @dataclass(frozen=True)
@@ -250,13 +245,13 @@ class DriftAlarm:
         place, change = np.unravel_index(int(np.argmax(logs)), logs.shape)
         point = self._change_points[int(place)]
         # the alarm requires evidence beyond the strongest posture
-        without = [point.without(point.at + k) for k in range(point.postures)]
+        without = [point.without(point.at + k) for k in range(len(point.parts))]
         left = self._log_ratios(without, self._places[int(change)])
         strongest = point.at + int(np.argmin(left))
         enough = evidence >= self.threshold and _sum(self._logs(strongest)) >= CONFIRMED
         alarm = self.state.alarm or enough
         suspects = self._suspects(point, posture) if alarm else ()
-        return DriftState(alarm, evidence, point.postures, suspects)
+        return DriftState(alarm, evidence, len(point.parts), suspects)
 
     def _logs(self, without: int = -1) -> Floats:
         """Return the log likelihood ratios (change points, changes), without a given posture."""
