@@ -38,7 +38,7 @@ from ..report.diagnosis_text import addition_warnings, lines, never_used
 from ..robot import Robot, dump_robot
 from ..robot.estimates import MODEL_ERROR_MAX, natural_sizes
 from ..robot.keep_out import KeepOut
-from .choice import Choice, OpenQuestion, Room, choose, fresh, pool
+from .choice import OpenQuestion, Room, choose, fresh, pool
 from .goal import (
     IN_QUESTION_MAX,
     SENTENCES,
@@ -196,11 +196,11 @@ class Investigation:
             if self.arm.path == 'sequence':  # the next one depends on where this one was
                 count = 1
             offered, count = self.offered(), min(count, self.goal.postures - have)
-            choices = list[Choice]()
+            choices = list[tuple[Floats, float]]()
             if len(offered):
                 question, dataset = self.question(), self.record.dataset
                 choices = choose(question, dataset, offered, self.catalogue, count)
-            gain = choices[0].gain if choices else 0.0
+            gain = choices[0][1] if choices else 0.0
             many = have >= NARROWING_FROM
             if adequate_twice(self.record.rounds) and gain < (NARROWING_MIN if many else GAIN_MIN):
                 return InvestigationEnd.ADEQUATE
@@ -209,9 +209,9 @@ class Investigation:
             sought = self.sought
             names = listed(sought, 'or') if len(sought) <= 3 else f'{len(sought)} effects'
             what = f'the widest interval of {names}' if self._only_wide else names
-            for choice in choices:
-                why = f'tells {digits(choice.gain)} nat of {what}'
-                self.measurer.next(choice.inputs, why, {'gain': choice.gain, 'asked': sought})
+            for inputs, gain in choices:
+                why = f'tells {digits(gain)} nat of {what}'
+                self.measurer.next(inputs, why, {'gain': gain, 'asked': sought})
 
     def offered(self) -> Floats:
         """Return the postures (b, m) [N] or [m] that may be chosen now."""

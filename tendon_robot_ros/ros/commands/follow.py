@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 import time
 from collections.abc import Sequence
@@ -56,10 +55,10 @@ FLAGS = {
 }
 # option -> field of `Pace`, size of its unit in SI, meaning
 PACES = {
-    'speed': ('speed', 1e-3, 'mm/s of the tip'),
-    'turning': ('turning', math.radians(1.0), '°/s of its direction'),
-    'tension-rate': ('tension', 1.0, 'N/s of every tension'),
-    'pull-rate': ('pull', 1e-3, 'mm/s of every wire, in pull mode'),
+    'speed': ('speed', UNITS['length']['mm'], 'mm/s of the tip'),
+    'turning': ('turning', UNITS['angle']['deg'], '°/s of its direction'),
+    'tension-rate': ('tension', UNITS['force']['N'], 'N/s of every tension'),
+    'pull-rate': ('pull', UNITS['length']['mm'], 'mm/s of every wire, in pull mode'),
 }
 NEAR_M = UNITS['length']['mm']  # no tip is within a millimetre of its base
 DISTANCE_MAX_M = 20.0  # [m] because the largest continuum arms have a few metres

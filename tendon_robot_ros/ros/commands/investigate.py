@@ -33,7 +33,7 @@ from ...common.arrays import Floats
 from ...common.errors import InputError, NoEquilibriumError, TendonRobotError
 from ...common.results import emit, narrate
 from ...control.inputs import Refusal, Trajectory
-from ...data import default_markers
+from ...data import Marker, default_markers
 from ...data.dataset import LOADINGS
 from ...data.folder import read_markers
 from ...drivers.safety import CYCLE_MAX_S
@@ -101,6 +101,9 @@ class RunningArm(Pilot):
     """
 
     _own: Model  # of the controller
+    robot: Robot  # its description
+    markers: Sequence[Marker]
+    input_noise = MonitorSettings().setting_noise, 0.0  # relative and absolute 1 sd of an input
 
     def __init__(
         self,
@@ -149,6 +152,7 @@ class RunningArm(Pilot):
         """
         self.connect()
         self._own = self.model()
+        self.robot = self._own.robot
         rows = parsed(self.parameter('markers', self._monitor), 'markers', list)
         self.markers = read_markers(rows, self.robot) or default_markers(self.robot)
         self._frames.clear()
@@ -169,19 +173,9 @@ class RunningArm(Pilot):
         return load_change(self.triggered(f'{self._monitor}/change'), self._own.catalogue)
 
     @property
-    def robot(self) -> Robot:
-        """The description that the controller uses."""
-        return self._own.robot
-
-    @property
     def position_noise(self) -> float | None:
         """Standard deviation [m] of a coordinate of a trial, from the frames so far."""
         return max(float(np.sqrt(np.mean(self._variances))), 1e-6) if self._variances else None
-
-    @property
-    def input_noise(self) -> tuple[float, float]:
-        """Standard deviation of an input: relative [1] and absolute."""
-        return MonitorSettings().setting_noise, 0.0
 
     def _trial(self, inputs: Floats) -> StillMeasurement:
         """Go to a posture and record it; BrokenMeasurementError: in vain, it goes on."""

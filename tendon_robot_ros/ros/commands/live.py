@@ -38,7 +38,6 @@ from ...simulation.hidden import STIFFNESS_SCATTER
 from ...simulation.rehearsal import (
     Hidden,
     Story,
-    TourPosture,
     add_story,
     cast,
     reveal,
@@ -103,7 +102,7 @@ def play(
         while True:  # the postures for ever, while the page has the tour switched on
             for stop in tour(model, options.postures, 0):
                 director.wait(lambda: director.touring, float('inf'), 'the tour')
-                director.go(stop)
+                director.go(*stop)
     if options.investigate:
         investigate(director, story, folder)
     else:
@@ -205,9 +204,9 @@ class Director(Pilot):
 
         self.wait(up, WORK_TIMEOUT_S, 'controller, driver and monitor to start')
 
-    def go(self, stop: TourPosture) -> bool:
+    def go(self, position: Floats, direction: Floats | None) -> bool:
         """
-        Send a target and wait until the arm was measured at rest there.
+        Send a target (3,) [m], (3,) and wait until the arm was measured at rest there.
 
         Returns
         -------
@@ -215,7 +214,7 @@ class Director(Pilot):
             Whether it was; `tip`, `error` and `tensions` are then of this posture.
 
         """
-        self._standing_since, stamp = np.inf, self.send(stop.position, stop.direction)
+        self._standing_since, stamp = np.inf, self.send(position, direction)
 
         def standing() -> bool:
             soon = time_now(self) + TIP_AVERAGE_S
@@ -226,13 +225,11 @@ class Director(Pilot):
         at_rest = self.wait(standing, REACTION_TIMEOUT_S, 'the arm to stand', strict=False)
         return at_rest and self.touring
 
-    def record(self, stop: TourPosture) -> bool:
+    def record(self, position: Floats, direction: Floats | None) -> bool:
         """Go to a posture and wait until the monitor has recorded it; return whether it did."""
-        before = self.recorded
-        if not self.go(stop):
-            return False
-        return self.wait(
-            lambda: self.recorded > before, REACTION_TIMEOUT_S, 'a recording', strict=False
+        before, what = self.recorded, 'a recording'
+        return self.go(position, direction) and self.wait(
+            lambda: self.recorded > before, REACTION_TIMEOUT_S, what, strict=False
         )
 
     @property
@@ -277,7 +274,7 @@ def play_as_text(director: Director, model: Model, story: Story, postures: int) 
     print(director.triggered('monitor/record'))
     errors = []
     for stop in tour(model, postures, 0):
-        if director.record(stop):
+        if director.record(*stop):
             errors.append(director.error())
     shown = f'{mm(_rms(errors))} rms, {mm(max(errors))} at worst' if errors else 'unknown'
     print(f'{director.recorded} postures recorded   tip error {shown}')
@@ -297,7 +294,7 @@ def play_as_text(director: Director, model: Model, story: Story, postures: int) 
     print(f'{director.progress}\ncontroller: {director.status.get("model")}')
     before, after = [], []
     for stop in tour(model, postures // 2, 1):
-        if not director.go(stop):
+        if not director.go(*stop):
             continue
         try:  # where the description before the addition has the tip
             old = model.shape(np.maximum(director.mean('tensions'), 0.0)).tip_position
