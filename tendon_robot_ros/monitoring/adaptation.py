@@ -75,11 +75,10 @@ class _Filter:
 
     def forget(self) -> None:
         """Exchange part of the information on the parameters for the prior."""
-        if self.memory == 1.0:
-            return
-        known = self.covariance[: self.p, : self.p]
-        information = self.memory * np.linalg.inv(known) + (1.0 - self.memory) * np.eye(self.p)
-        self.covariance[: self.p, : self.p] = np.linalg.inv(information)
+        if self.memory < 1.0:
+            known, p = self.covariance[: self.p, : self.p], self.p
+            kept = self.memory * np.linalg.inv(known) + (1.0 - self.memory) * np.eye(p)
+            self.covariance[:p, :p] = np.linalg.inv(kept)
 
     def keep_within(self, low: Floats, high: Floats) -> None:
         """Project parameters onto their bounds; correlated states follow."""

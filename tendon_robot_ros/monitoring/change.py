@@ -21,12 +21,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
-from ..common.arrays import Floats
+from ..common.arrays import Bools, Floats
 from ..common.estimation import gauss_newton
 from ..common.words import digits, mm, spoken, with_unit
 from ..inference.imperfections import GAIN, Kind, SplitPredictor
@@ -151,28 +149,16 @@ def described(suspects: Sequence[Suspect]) -> str:
     return ', '.join(named) or 'nothing of the catalogue'
 
 
-@dataclass(frozen=True)
-class MeasuredPostures:
-    """Measured postures."""
-
-    tensions: Floats  # (P, m) [N]
-    positions: Floats  # (P, 3 J) [m]
-    frames: tuple[int, ...]
-
-    @cached_property
-    def rows(self) -> npt.NDArray[np.bool_]:
-        """Visible coordinates (P, 3 J)."""
-        return np.isfinite(self.positions)
-
-
 class _Weights:
     """Covariance V of the visible coordinates: of each posture, and by imperfections of all."""
 
-    def __init__(self, arm: BuiltArm, postures: MeasuredPostures, columns: Floats) -> None:
-        """Take the columns (P, 3 J, q + n) [m per sd], as of `Expected`."""
-        self.rows, self._roots, self.log_determinant = postures.rows, list[Floats](), 0.0
-        for rows, own, frames in zip(postures.rows, columns, postures.frames, strict=True):
-            root = np.linalg.cholesky(arm.widening * arm.scatter(rows, own, frames))
+    def __init__(
+        self, arm: BuiltArm, visible: Bools, frames: Sequence[int], columns: Floats
+    ) -> None:
+        """Take visible coordinates (P, 3 J), columns (P, 3 J, q + n) [m per sd] of `Expected`."""
+        self.rows, self._roots, self.log_determinant = visible, list[Floats](), 0.0
+        for rows, own, count in zip(visible, columns, frames, strict=True):
+            root = np.linalg.cholesky(arm.widening * arm.scatter(rows, own, count))
             self.log_determinant += 2.0 * float(np.log(np.diag(root)).sum())
             self._roots.append(np.linalg.inv(root))
         q = len(arm.covariance)
@@ -205,15 +191,18 @@ class ChangeFit:
 
 
 class ChangeWork:
-    """Fits of changes to one set of postures."""
+    """Fits of changes to postures: tensions (P, m) [N], markers (P, 3 J) [m], (P,) frames."""
 
-    def __init__(self, arm: BuiltArm, postures: MeasuredPostures) -> None:
-        self.arm, self.postures = arm, postures
-        P, J = len(postures.tensions), len(arm.split.dataset.markers)
+    def __init__(
+        self, arm: BuiltArm, tensions: Floats, positions: Floats, frames: Sequence[int]
+    ) -> None:
+        self.arm, self.positions, self.frames = arm, positions, frames
+        self.rows = np.isfinite(positions)
+        P, J = len(tensions), len(arm.split.dataset.markers)
         dataset = replace(
             arm.split.dataset,
             postures=tuple(map(str, range(P))),
-            inputs=postures.tensions,
+            inputs=tensions,
             positions=np.full((P, 1, J, 3), np.nan),
         )
         self.split = SplitPredictor(Predictor(dataset, arm.robot, arm.catalogue))
@@ -224,7 +213,7 @@ class ChangeWork:
         if expected is not None and columns is not None:
             self.lacked = arm.lacked(columns)
             self.expected, self.columns = expected + self.lacked, columns
-            self.weights = _Weights(arm, postures, columns)
+            self.weights = _Weights(arm, self.rows, frames, columns)
 
     def fit(self, change: PossibleChange) -> ChangeFit | None:
         """Fit one change, with the imperfections linearised without a change."""
@@ -235,7 +224,8 @@ class ChangeWork:
         columns = self.arm.moved(self.split, self._point(fit.change, fit.values))
         if columns is None:
             return None
-        usual, self.weights = self.weights, _Weights(self.arm, self.postures, columns)
+        usual = self.weights
+        self.weights = _Weights(self.arm, self.rows, self.frames, columns)
         try:
             return self._effect(fit.change, fit.values)
         finally:
@@ -243,7 +233,7 @@ class ChangeWork:
 
     def explains(self, fit: ChangeFit) -> bool:
         """Whether the residuals of a change may be chance."""
-        return chi2_sf(fit.chi2, int(self.postures.rows.sum())) > ODD_PROBABILITY
+        return chi2_sf(fit.chi2, int(self.rows.sum())) > ODD_PROBABILITY
 
     def fit_from_afar(self, fit: ChangeFit) -> ChangeFit:
         """
@@ -269,8 +259,8 @@ class ChangeWork:
         self, one: tuple[Floats, Floats], other: tuple[Floats, Floats], information: Floats
     ) -> Floats:
         """Return the separation (P,) [sd²] of two changes, with the second one free to adapt."""
-        off, far = one[0] - other[0], np.zeros(len(self.postures.tensions))
-        for p, frames in enumerate(self.postures.frames):
+        off, far = one[0] - other[0], np.zeros(len(self.frames))
+        for p, frames in enumerate(self.frames):
             rows = np.ones(off.shape[1], dtype=bool)
             spread = self.arm.widening * self.arm.spread(rows, self.columns[p], frames)
             solved = np.linalg.solve(spread, np.column_stack([off[p], other[1][p]]))
@@ -281,7 +271,7 @@ class ChangeWork:
 
     def _member(self, change: PossibleChange) -> ChangeFit:
         """Fit changed imperfections (linear)."""
-        white = self.weights.white(self.postures.positions - self.expected)
+        white = self.weights.white(self.positions - self.expected)
         columns = self.weights.white(self._slopes_of_members(change))
         information = columns.T @ columns
         prior = np.diag((SCALES[-1] * change.spread) ** -2.0)
@@ -308,7 +298,7 @@ class ChangeWork:
             markers = self._markers(self._point(change, values))
             if markers is None:
                 return None
-            white = weights.white(self.postures.positions - markers)
+            white = weights.white(self.positions - markers)
             return white, float(white @ white)
 
         start = np.zeros(len(frees)) if start is None else start
@@ -372,8 +362,7 @@ class ChangeFinder:
         if not self.postures:
             return ()
         tensions, positions, frames = zip(*self.postures, strict=True)
-        postures = MeasuredPostures(np.array(tensions), np.array(positions), frames)
-        work = ChangeWork(self.arm, postures)
+        work = ChangeWork(self.arm, np.array(tensions), np.array(positions), frames)
         if not work.ready:
             return ()
         fits = [fit for change in self.changes if (fit := work.fit(change)) is not None]
@@ -400,7 +389,7 @@ class ChangeFinder:
         blank = np.zeros((len(offered), self.arm.split.dataset.positions.shape[2] * 3))
         usual = self.postures[-1][2] if self.postures else 1
         frames = (usual,) * len(offered)
-        work = ChangeWork(self.arm, MeasuredPostures(np.maximum(offered, 0.0), blank, frames))
+        work = ChangeWork(self.arm, np.maximum(offered, 0.0), blank, frames)
         if not work.ready:
             return None
         predicted = [work.predicted(self.fits[i]) for i in likely]

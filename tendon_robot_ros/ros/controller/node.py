@@ -60,6 +60,11 @@ STARTING_WORDS = {
 class ControllerNode(StoppableNode):
     """ROS interface of the controller core: one thread, and one that receives stops."""
 
+    # of the core, while there is one
+    _incoming: Incoming
+    _prediction: Prediction
+    _solver: Worker
+
     def __init__(self) -> None:
         """Declare parameters and start to load the model; nothing is commanded yet."""
         super().__init__('controller', drives=False)
@@ -74,10 +79,7 @@ class ControllerNode(StoppableNode):
             'prefer_stiffness_along': parameters.direction_of,
         }
         self.parameters.watch(checks, self._retune)
-        self._incoming: Incoming | None = None
-        self._prediction: Prediction | None = None
         self._latency = self._status_at = self._target_at = 0.0  # [s]
-        self._solver: Worker | None = None
         self._targets: list[Subscription] = []
         self._actions: Actions | None = None
         self._drivers = Senders(self, 'tendon_states')
@@ -95,7 +97,7 @@ class ControllerNode(StoppableNode):
                 self.core.driver_reports(*values)
 
         def predict() -> None:
-            if self.core is not None and self._prediction is not None:
+            if self.core is not None:
                 self.core.predict(time.monotonic(), self._prediction.publish)
 
         self._driver = DriverLink(self, topic, gid, driver_status)
@@ -126,11 +128,12 @@ class ControllerNode(StoppableNode):
         self._solver = Worker(self._wake)
         self._fence(self.parameters['keep_out'])
         settings = parameters.settings(self.parameters, self._keep_out)
-        self.core = ControllerCore(model, settings, self._solver)
-        self.core.driver_reports(*self._driver.last)
-        self.latch_early_stops()
+        core = ControllerCore(model, settings, self._solver)
+        core.driver_reports(*self._driver.last)
         self._incoming = Incoming(self, self.parameters, model)
         self._prediction = Prediction(self, self._incoming.base, model)
+        self.core = core
+        self.latch_early_stops()
         if has_priority():
             go_realtime(Realtime.CONTROLLER, but=[SOLVER])
             if in_realtime():  # this thread limits the time of the solver
@@ -169,11 +172,10 @@ class ControllerNode(StoppableNode):
 
     def cleanup(self) -> None:
         """Drop the model; the next `configure` loads it again."""
-        if self._prediction is not None:
+        if self.core is not None:
             self._prediction.close()
-        if self._solver is not None:
             self._solver.close()
-        self.core = self._incoming = self._prediction = self._solver = None
+        self.core = None
         self._loading.forget()
 
     def end(self) -> None:
@@ -209,7 +211,7 @@ class ControllerNode(StoppableNode):
     ) -> None:
         """Apply an action to a message, or keep its refusal for the status."""
         core = self.core
-        if core is None or self._incoming is None:
+        if core is None:
             return
         began = time.monotonic()
         try:
@@ -248,9 +250,9 @@ class ControllerNode(StoppableNode):
     def _cycle(self) -> None:
         """Receive stops and states, publish a command."""
         self.stop_topic.poll()
-        if self._solver is not None:
-            self._solver.limit_realtime()
         core = self.core
+        if core is not None:
+            self._solver.limit_realtime()
         for received in self._measured.take():
             self._take('states', self._states, received)
         now = time.monotonic()
@@ -260,7 +262,7 @@ class ControllerNode(StoppableNode):
             self._idle(now)
             return
         self._reload(core)
-        if self._actions is not None and self._incoming is not None:
+        if self._actions is not None:
             self._actions.serve(now, core, self._incoming)
         self._driver.poll()
         if core.needs_driver and self._driver.may_ask:
@@ -332,15 +334,15 @@ class ControllerNode(StoppableNode):
             """Accept the model if it has an equilibrium at the present tensions."""
             if error is not None:
                 refuse(error)
-            elif self._incoming is not None and self._prediction is not None:
-                if another_robot(model.robot, self._incoming.model.robot):
-                    self.get_logger().warning('another robot: the target is void, the arm holds')
-                self._incoming.use(model)
-                self._prediction.use(self._incoming.base, model)
-                self._loading.accept(model)
-                self.status.arm = model.robot.name
-                core.refusals.pop('model', None)
-                self.get_logger().info(f'model loaded: {self._loading.note}')
+                return
+            if another_robot(model.robot, self._incoming.model.robot):
+                self.get_logger().warning('another robot: the target is void, the arm holds')
+            self._incoming.use(model)
+            self._prediction.use(self._incoming.base, model)
+            self._loading.accept(model)
+            self.status.arm = model.robot.name
+            core.refusals.pop('model', None)
+            self.get_logger().info(f'model loaded: {self._loading.note}')
 
         try:
             model = self._loading.result()

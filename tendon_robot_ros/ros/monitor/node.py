@@ -53,6 +53,10 @@ FRAME_SPAN_S = 0.02
 class MonitorNode(Runnable, Node):
     """ROS interface of the monitor; a diagnosis runs in a child process."""
 
+    # of the monitor, since there is one
+    _measured: MarkerInput
+    adapting: Adapting
+
     def __init__(self) -> None:
         """Create topics and services; the model comes when the controller answers."""
         super().__init__('monitor')
@@ -62,7 +66,6 @@ class MonitorNode(Runnable, Node):
         self.work = Work()
         self._loader: Loader | None = None
         self._in_use = self._loading = self._base = self._problem = ''
-        self._measured: MarkerInput | None = None
         self._last_error = self._frame_at = float('nan')
         self._remote = RemoteParameter(self, self.parameters['controller'], 'model')
         topics = 'error', 'rolling_error', 'marker_errors', 'measured', 'predicted'
@@ -71,7 +74,6 @@ class MonitorNode(Runnable, Node):
             for name in (*topics, 'progress', 'verdict')
         }
         self.watching: Watching | None = None
-        self.adapting: Adapting | None = None
         interface.subscribe(self, 'tendon_states', self._states)
         services: dict[str, Callable[[], str]] = {
             'record': self.record,
@@ -121,20 +123,20 @@ class MonitorNode(Runnable, Node):
                 robot = model.robot
                 markers = parsed(self.parameters['markers'], 'markers', list)
                 settings = self.parameters.fill(MonitorSettings)
-                self.monitor = Monitor(model, read_markers(markers, robot), settings)
+                monitor = Monitor(model, read_markers(markers, robot), settings)
                 self._base = base_frame(self.parameters, robot.name)
                 self._measured = MarkerInput(
-                    self, self.parameters, self._base, self.monitor, self._frame
+                    self, self.parameters, self._base, monitor, self._frame
                 )
                 if self.parameters['force_rate'] or self.parameters['reference_postures']:
-                    self.watching = Watching(self, self.parameters, self.monitor)
-                self.adapting = Adapting(
-                    self, self.parameters, self.monitor, self._loading, self._remote.put
-                )
+                    self.watching = Watching(self, self.parameters, monitor)
+                send = self._remote.put
+                self.adapting = Adapting(self, self.parameters, monitor, self._loading, send)
+                self.monitor = monitor
             else:
                 self.monitor.set_model(model)
                 # an adapted description does not restart the detection of drift
-                anew = self.adapting is None or self.adapting.set_model(model, self._loading)
+                anew = self.adapting.set_model(model, self._loading)
                 if anew and self.watching is not None:
                     self.watching.set_model(model)
         except TendonRobotError as error:
@@ -153,8 +155,7 @@ class MonitorNode(Runnable, Node):
             return
         at = messages.seconds(message.header.stamp) or messages.time_now(self)
         self.monitor.put_states(at, *measured)
-        if self._measured is not None:
-            self._measured.hand_over()
+        self._measured.hand_over()
 
     def _frame(self, at: float, positions: Floats) -> None:
         """Compare a frame of the tracker with the model and publish the errors."""
@@ -180,7 +181,7 @@ class MonitorNode(Runnable, Node):
             for name, message in content.items():
                 self._publish[name](message)
             still = self.monitor.new_posture()
-            if still is not None and self.adapting is not None:
+            if still is not None:
                 self.adapting.put(still)
             if self.watching is not None:
                 self.watching.frame(at, compared.measured, self._base, still)
@@ -210,7 +211,7 @@ class MonitorNode(Runnable, Node):
             return ERROR, 'problem', self._problem
         if self.monitor is None:
             return WARN, 'waiting', 'waiting for the model of the controller'
-        if self._measured is not None and self._measured.problem:
+        if self._measured.problem:
             return WARN, 'refused', self._measured.problem
         if self.monitor.problem:
             return WARN, 'not_compared', self.monitor.problem
@@ -235,7 +236,7 @@ class MonitorNode(Runnable, Node):
             'model': '' if monitor is None else ', '.join(monitor.model.robot.effects),
             'error (m)': f'{self._last_error:.4g}',
             **({} if self.watching is None else self.watching.values()),
-            **({} if self.adapting is None else self.adapting.values()),
+            **({} if monitor is None else self.adapting.values()),
         }
 
     def _publish_progress(self, text: str) -> None:
@@ -244,7 +245,6 @@ class MonitorNode(Runnable, Node):
     def undo(self) -> str:
         """Undo the last change of the controller's model; return a text."""
         self._require_monitor()
-        assert self.adapting is not None
         return self.adapting.undo()
 
     def learn(self) -> str:
