@@ -43,13 +43,7 @@ from ..inference.imperfections import (
     remainders,
 )
 from ..inference.noise import relative_error
-from ..inference.predict import (
-    FreeParameter,
-    Point,
-    Predictor,
-    SettledShapes,
-    free_parameters,
-)
+from ..inference.predict import FreeParameter, Point, Predictor, SettledShapes, free_parameters
 from ..model.shape import ShapeBatch
 from ..robot import Robot
 from ..robot.estimates import bend_rates, end_sections, natural_sizes

@@ -20,14 +20,7 @@ from ...common.errors import DriverError, InputError
 from ...common.yaml_reading import ConfigFields
 from ...robot import Robot
 from .. import hardware
-from .control_table import (
-    BAUD_RATES,
-    INSTEAD,
-    MODELS,
-    WITHOUT_CURRENT,
-    Counts,
-    ServoModel,
-)
+from .control_table import BAUD_RATES, INSTEAD, MODELS, WITHOUT_CURRENT, Counts, ServoModel
 
 # [counts] of current from no tension to the limit; else one count would be more than 5 % of it
 CURRENT_COUNTS_MIN = 20

@@ -35,14 +35,7 @@ from ...model.model import Model
 from ...robot import Robot, dump_robot
 from ...robot.keep_out import KeepOut
 from ...simulation.hidden import STIFFNESS_SCATTER
-from ...simulation.rehearsal import (
-    Hidden,
-    Story,
-    add_story,
-    cast,
-    reveal,
-    tour,
-)
+from ...simulation.rehearsal import Hidden, Story, add_story, cast, reveal, tour
 from ..shared import interface
 from ..shared.messages import seconds, time_now, xyz
 from ..shared.quality import STATE
