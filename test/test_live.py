@@ -57,7 +57,7 @@ def test_beside_the_page_the_terminal_says_every_posture(capsys):
 
     space, lines = f'/live_{os.getpid()}', []
     with ros([]) as ending:
-        director = Director(space, 'base', ending)
+        director = Director(space, ending)
         director.print_investigation()
         told = director.create_publisher(String, 'investigate/progress', LATCHED_BY_MANY)
         for text in ('posture 1: one 0.2 N', 'one name is left'):
@@ -77,7 +77,7 @@ def test_a_node_that_ends_while_all_others_start_is_named_at_once():
     from tendon_robot_ros.ros.shared.runtime import ros
 
     with ros([]) as ending:
-        director = Director(f'/live_{os.getpid()}', 'base', ending)
+        director = Director(f'/live_{os.getpid()}', ending)
         ended = SimpleNamespace(name='monitor', process=SimpleNamespace(poll=lambda: 1))
         director.nodes = [ended]
         with pytest.raises(TendonRobotError, match='the monitor has ended with code 1'):

@@ -12,8 +12,7 @@ from tendon_robot_ros.common.errors import DriverError, MovedError
 
 pytest.importorskip('dynamixel_sdk')
 
-from tendon_robot_ros.drivers.dynamixel import driver as module
-from tendon_robot_ros.drivers.dynamixel import motions
+from tendon_robot_ros.drivers.dynamixel import servos
 from tendon_robot_ros.drivers.dynamixel.control_table import Counts
 
 TRAVEL = 0.01  # [m]
@@ -100,13 +99,13 @@ def test_a_motor_that_its_watchdog_stopped_while_it_pays_out_is_not_one_that_doe
 ):
     def on_and_tripped(bus, motors, mode, watchdog):
         torque_on(bus, motors, mode, watchdog)
-        monkeypatch.setattr(motions, 'torque_on', torque_on)
+        monkeypatch.setattr(servos, 'torque_on', torque_on)
         for motor in motors:
             line.servo(motor.identity).put('bus_watchdog', Counts.WATCHDOG_TRIPPED)
 
-    torque_on = motions.torque_on
+    torque_on = servos.torque_on
     with emulated.line() as line, emulated.driver_for(line, 'pull') as driver:
-        monkeypatch.setattr(motions, 'torque_on', on_and_tripped)
+        monkeypatch.setattr(servos, 'torque_on', on_and_tripped)
         driver.enable()
         assert all(motor.zero is not None for motor in driver.motors.values())
 
@@ -160,12 +159,12 @@ def test_a_refusal_that_moved_nothing_may_be_tried_again():
 
 def test_torque_that_fails_after_a_search_is_not_tried_again_either(monkeypatch):
     with emulated.line() as line, emulated.driver_for(line, 'pull') as driver:
-        torque_on = module.torque_on
+        find_slack = driver._find_slack
 
-        def broken(*arguments):
+        def then_broken():
+            find_slack()
             line.servo(2).fail(0x20)
-            torque_on(*arguments)
 
-        monkeypatch.setattr(module, 'torque_on', broken)
+        monkeypatch.setattr(driver, '_find_slack', then_broken)
         with pytest.raises(MovedError, match='then reboot it'):
             driver.enable()

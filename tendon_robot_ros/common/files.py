@@ -194,12 +194,9 @@ def shared_file(name: str) -> Path | None:
 @cache
 def cache_folder() -> Path:
     """Folder for compiled code: NUMBA_CACHE_DIR, XDG_CACHE_HOME, home, else temporary."""
-    candidates = [os.environ.get('NUMBA_CACHE_DIR')]
-    if os.environ.get('XDG_CACHE_HOME'):
-        candidates.append(os.path.join(os.environ['XDG_CACHE_HOME'], 'tendon_robot_ros'))
-    elif os.path.expanduser('~') != '~':
-        candidates.append(os.path.join(os.path.expanduser('~'), '.cache', 'tendon_robot_ros'))
-    for candidate in candidates:
+    home = os.path.expanduser('~')
+    own = os.environ.get('XDG_CACHE_HOME') or (home != '~' and os.path.join(home, '.cache'))
+    for candidate in (os.environ.get('NUMBA_CACHE_DIR'), own and os.path.join(own, PACKAGE)):
         if not candidate:
             continue
         try:

@@ -112,13 +112,14 @@ def stop_local(domain: int, below: str, timeout: float) -> dict[Stoppable, bool]
     """
     end, below = time.monotonic() + timeout, below.rstrip('/') + '/'
     requests: list[tuple[Stoppable, socket.socket]] = []
-    for name, who in _listening(domain):
-        person = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        if not who.node.startswith(below):
+    for name in _listening():
+        if int(name['domain']) != domain or not name['node'].startswith(below):
             continue
+        person = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        who = Stoppable(name['node'], name['kind'] == 'driver')
         try:
             person.settimeout(timeout)
-            person.connect(name)
+            person.connect('\0' + name[0][1:])
             person.sendall(STOP)
         except OSError:  # it has ended meanwhile
             person.close()
@@ -133,15 +134,11 @@ def stop_local(domain: int, below: str, timeout: float) -> dict[Stoppable, bool]
     return confirmed
 
 
-def _listening(domain: int) -> list[tuple[str, Stoppable]]:
-    """List the sockets of a domain."""
+def _listening() -> list[re.Match[str]]:
+    """Return the names of all listeners of this computer, each once, in their order."""
     try:
         lines = SOCKETS.read_text().splitlines()
     except OSError:
         return []
     matches = {name[0]: name for line in lines if (name := NAME.search(line)) is not None}
-    return [
-        ('\0' + text[1:], Stoppable(name['node'], name['kind'] == 'driver'))
-        for text, name in sorted(matches.items())
-        if int(name['domain']) == domain
-    ]
+    return [matches[text] for text in sorted(matches)]

@@ -104,15 +104,13 @@ class Reader:
             if key not in known:
                 raise self.error(str(key), 'one of ' + ', '.join(known), str(key))
 
-    def child(self, key: str, optional: bool = False) -> Self:
-        """Open the mapping below a key."""
-        if optional and not self.has(key):
-            return type(self)(self.source, self._where(key), {})
+    def child(self, key: str) -> Self:
+        """Open the mapping below a key, empty when absent."""
         return type(self)(self.source, self._where(key), self.content.get(key))
 
     def mapping(self, key: str) -> dict[str, Any]:
         """Return the mapping below a key, empty when absent."""
-        return self.child(key, optional=True).content
+        return self.child(key).content
 
     def items(self, key: str) -> Iterator[Self]:
         """Open each entry of a list."""
@@ -229,10 +227,8 @@ class Reader:
     def _number(self, key: str, value: Any, low: float, high: float, unit: str) -> float:
         bounds = '' if low == -math.inf else f' from {low:g} to {high:g}'
         if isinstance(value, str):
-            try:  # YAML 1.1 reads 2e-4 as text
+            with suppress(ValueError):  # YAML 1.1 reads 2e-4 as text
                 value = float(value)
-            except ValueError:
-                pass
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise self.error(key, f'a number{bounds} [{unit}]', value)
         if not (math.isfinite(value) and low <= value <= high):

@@ -15,6 +15,7 @@ from .inputs import Output, Refusal, Target, Trajectory, Twist, another_robot
 from .modes import FollowTarget, FollowTwist, NullSpace, PlayTrajectory, PullPath
 from .state import ControllerState, Mode, ShapeTracker
 from .target_search import (
+    FIRST_ANSWER_S,
     Approach,
     SearchResult,
     TargetSearch,
@@ -29,12 +30,6 @@ if TYPE_CHECKING:
     from ..model.model import Model
     from ..model.shape import Reach, Shape
     from .solver import GiveUp
-
-
-def raise_error(error: TendonRobotError | None) -> None:
-    """Raise an error, if there is one."""
-    if error is not None:
-        raise error
 
 
 @dataclass
@@ -161,7 +156,7 @@ class ControllerCore(ControllerState):
         self.driver.lost = True
 
     def set_model(
-        self, model: Model, on_done: Callable[[TendonRobotError | None], None] = raise_error
+        self, model: Model, on_done: Callable[[TendonRobotError | None], None] | None = None
     ) -> None:
         """
         Change the model; tensions then move to its solution at `rate_limit`.
@@ -180,7 +175,10 @@ class ControllerCore(ControllerState):
         ) -> None:
             if solved is not None:
                 self._use(model, target, *solved)
-            on_done(error)
+            if on_done is not None:
+                on_done(error)
+            elif error is not None:
+                raise error
 
         self.solver.post('model', model_work(self, model), done)
 
@@ -218,7 +216,8 @@ class ControllerCore(ControllerState):
         last = self.target if self.search is None else self.search.target
         self.search = TargetSearch.begin(self, self._last_search, last, target)
         self._last_search, self.streaming = self.search, self.search.streamed
-        self._search(self.search, self.search.first_budget)
+        # after the first budget the arm follows the first solution, while the search continues
+        self._search(self.search, min(self.search.budget, FIRST_ANSWER_S))
 
     def _search(self, search: TargetSearch, budget: float) -> None:
         """Post a search with a budget [s]; the arm follows its first good solution meanwhile."""
@@ -244,16 +243,13 @@ class ControllerCore(ControllerState):
                 self._follow(search, path, False)
             self._search(search, remaining)
             return
-        if newest is search:
-            self.search = None
-        elif path is None:
-            return  # of a stream: the search for the next target runs
+        self.search = None if newest is search else newest
         if path is not None:  # in a stream an older target is on the path, too
             self._follow(search, path, result.in_time)
-            return
-        code = 'no_equilibrium' if result.in_time else 'no_time'
-        late = '' if result.in_time else f' (the search ended after {search.budget:.3g} s)'
-        self.refusals['target'] = Refusal(code, f'target refused: {result.problem}{late}')
+        elif newest is search:  # else the search for the next target of the stream runs
+            code = 'no_equilibrium' if result.in_time else 'no_time'
+            late = '' if result.in_time else f' (the search ended after {search.budget:.3g} s)'
+            self.refusals['target'] = Refusal(code, f'target refused: {result.problem}{late}')
 
     def _follow(self, search: TargetSearch, path: Approach, in_time: bool) -> None:
         position = search.extrapolated(self).position
@@ -285,17 +281,20 @@ class ControllerCore(ControllerState):
             The other sender that the driver follows; '' for none.
 
         """
-        if self.driver.outdated_release(releases):
-            stopped = ''
-        stopped, before = stopped or other, self.driver.stopped
-        if stopped and not before:
+        driver = self.driver
+        before, driver.stopped = driver.stopped, stopped or other
+        if releases == driver.over:
+            driver.stopped = other  # the report is older than the last resume
+        if driver.stopped and not before:
             self._drop()
-        if before and not stopped:
+        if before and not driver.stopped:
             self._forget_refusal('driver_stopped')
-        new_release, finished = self.driver.report(stopped, released, releases)
-        if new_release:
-            self._lose()
-        if finished:
+        if releases != driver.releases:
+            first, driver.releases = driver.releases is None, releases
+            driver.released = released
+            if not first:
+                self._lose()
+        elif driver.released and not released:
             self.resumed()
 
     @property

@@ -303,7 +303,8 @@ class NullSpace:
     """Moves the tensions of an arm at rest to preferred ones; reports the stiffness of the tip."""
 
     stiffness: TipStiffness | None = None
-    _valid_for: tuple[Target, Preferences, Model] | None = None  # for which the next fields hold
+    # for which the next fields hold
+    _valid_for: tuple[Target | None, Preferences | None, Model | None] = (None, None, None)
     _tensions: Floats | None = None  # (m,) [N] preferred
     _enough: float = np.inf  # [N/m] in the preferred direction, at which the motion ends
     _over: bool = False
@@ -320,12 +321,8 @@ class NullSpace:
             return  # given wire lengths leave no null space
         if state.solver.busy('balance'):
             return
-        last = self._valid_for
-        if (
-            last is None
-            or not (last[0] is target and last[2] is state.model)
-            or last[1] != preferences
-        ):  # restart
+        known, wanted, model = self._valid_for
+        if not (known is target and wanted == preferences and model is state.model):  # restart
             self._valid_for, self._tensions = (target, preferences, state.model), None
             self._over, state.loop.motion = False, None
         if not self._over:

@@ -227,8 +227,8 @@ class DriverSide:
     waiting: Callable[[], None] | None = None
     stamp: str = ''
     acting: ActingTensions = field(default_factory=ActingTensions)
-    _releases: int | None = None  # number of releases, None before the first report
-    _over: int | None = None  # number of releases that are over
+    releases: int | None = None  # so far, None before the first report
+    over: int | None = None  # so far when the last one was over
     _twisted: float = -np.inf  # [s] of the last twist other than zero
 
     def measured(self, now: float, tensions: Floats, pulls: Floats) -> None:
@@ -255,23 +255,10 @@ class DriverSide:
         state = self.state
         return np.maximum(state.tensions, 0.0) if state is not None and state.observed else None
 
-    def report(self, stopped: str, released: str, releases: int) -> tuple[bool, bool]:
-        """Take a report; return whether it has a new release, and whether the last one is over."""
-        self.stopped = stopped
-        new, over = releases != self._releases, bool(self.released) and not released
-        first = self._releases is None
-        if new:
-            self._releases, self.released = releases, released
-        return new and not first, over and not new
-
-    def outdated_release(self, releases: int) -> bool:
-        """Whether a report with a number of releases is older than the last resume."""
-        return releases == self._over
-
     def resumed(self) -> None:
         """Record that the driver follows again, from the measured state."""
         self.stopped = self.released = ''
-        self.lost, self._over = True, self._releases or None
+        self.lost, self.over = True, self.releases or None
 
     def wait(self, repeat: Callable[[], None], request: Target | Trajectory) -> bool:
         """

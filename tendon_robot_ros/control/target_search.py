@@ -126,11 +126,6 @@ class TargetSearch:
                 return False
         return True
 
-    @property
-    def first_budget(self) -> float:
-        """Time [s] after which the arm follows the first solution, while the search continues."""
-        return min(self.budget, FIRST_ANSWER_S)
-
     def extrapolated(self, core: ControllerState) -> Target:
         """Return the target of a stream, extrapolated by the `look_ahead` of the settings."""
         target, horizon = self.target, core.settings.look_ahead

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -295,7 +295,7 @@ class TipLoop(TipCorrection):
         near = is_near(core.command, goal, limits, RANGE_TOLERANCE)
         arrived = near and not core.streaming
 
-        def work(give_up: GiveUp) -> _Compared:
+        def work(give_up: GiveUp) -> Compared:
             shape = model.follow(last, acting)
             step = TipStep(model, shape, desired, offset, limits, arrived)
             at, tip = (acting, shape.tip_position) if then is None else then
@@ -323,20 +323,20 @@ class TipLoop(TipCorrection):
                 new.rest,
                 region,
             )
-            return _Compared(new, next_goal, shape.tip_position, tip, moved, remainder)
+            return new, next_goal, shape.tip_position, tip, moved, remainder
 
-        def done(result: _Compared | None, error: TendonRobotError | None) -> None:
+        def done(result: Compared | None, error: TendonRobotError | None) -> None:
             if result is None or core.model is not model or core.target is None:
                 return
-            self.estimate, self._compared = result.estimate, result.compared
-            self._history.append((now, acting, result.tip))
+            self.estimate, next_goal, tip, self._compared, moved, remainder = result
+            self._history.append((now, acting, tip))
             while len(self._history) > 1 and self._history[1][0] <= sample_time:
                 self._history.popleft()
             if core.solution is solution:
-                self.tensions, self.solution = result.goal, solution
-                self.progress.take(now, target, result.remainder)
+                self.tensions, self.solution = next_goal, solution
+                self.progress.take(now, target, remainder)
                 if self.motion is motion:
-                    self.motion = result.motion
+                    self.motion = moved
 
         core.solver.post('loop', work, done)
 
@@ -348,12 +348,6 @@ class TipLoop(TipCorrection):
         return interpolated(time, times, tensions), interpolated(time, times, tips)
 
 
-class _Compared(NamedTuple):
-    """Result of one comparison of the measured tip with the model's."""
-
-    estimate: TipEstimate
-    goal: Floats  # (m,) [N]
-    tip: Floats  # (3,) [m] of the model, now
-    compared: Floats  # (3,) [m] of the model, at the exposure
-    motion: NullSpaceMotion | None
-    remainder: Remainder
+# of the measured tip with the model's: the estimate, the next goal (m,) [N], the model's tip (3,)
+# [m] now and at the exposure, the null-space motion after it, and what is left
+Compared = tuple[TipEstimate, Floats, Floats, Floats, NullSpaceMotion | None, Remainder]

@@ -146,7 +146,7 @@ def describe(fields: DatasetFields, robot: Robot) -> Description:
         A value is missing, of the wrong kind, or cannot be in the unit it should be in.
 
     """
-    noise = fields.child('tension_noise', optional=True)
+    noise = fields.child('tension_noise')
     noise.only('setting', 'trial')
     known: dict[str, dict[str, float]] = {}  # checked later, against the catalogue
     for name in fields.mapping('known'):

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -24,23 +24,6 @@ FAULTS = {
     'overheating': ('{who}: overheating; let it cool, then reset', True, False),
     'overload': ('{who}: overload; relieve the tendon, then reset', True, False),
 }
-
-
-class PlantState(Protocol):
-    """State of a plant's arm: a `Shape`, or anything with the same fields."""
-
-    inputs: Floats  # (m,) [N]
-    pulls: Floats  # (m,) [m]
-
-
-class MockPlant(Protocol):
-    """An arm to be moved; the driver does not know how it works."""
-
-    def respond(self, tensions: Floats) -> PlantState:
-        """Return the arm under these tensions, (m,) [N]."""
-
-    def respond_to_pulls(self, pulls: Floats) -> PlantState:
-        """Return the arm under these wire pulls, (m,) [m], nan = slack."""
 
 
 @dataclass(frozen=True)
@@ -70,12 +53,17 @@ class MockConfig:
 
 
 class MockDriver(HardwareDriver):
-    """Moves a plant instead of motors."""
+    """
+    Moves a plant instead of motors.
+
+    The plant is any object with `respond(tensions)` and `respond_to_pulls(pulls)`, (m,) [N] or
+    [m], nan = slack. Both return a state with `inputs` (m,) [N] and `pulls` (m,) [m], as `Shape`.
+    """
 
     def __init__(
         self,
         robot: Robot,
-        plant: MockPlant,
+        plant: Any,
         config: MockConfig | None = None,
         mode: str = 'tension',
         clock: Callable[[], float] = time.monotonic,
@@ -90,20 +78,20 @@ class MockDriver(HardwareDriver):
         self._on, self._actual = np.zeros(m, dtype=bool), np.zeros(m)
         self._updated = clock()
         self._injected: dict[str, Fault] = {}
-        self._state: PlantState | None = None
+        self._state: Any = None
         self._given: Floats | None = None  # what the plant last responded to
         self._problem = ''
 
     @classmethod
     def from_config(
-        cls, robot: Robot, config: Mapping[str, Any], *, mode: str, source: str, plant: MockPlant
+        cls, robot: Robot, config: Mapping[str, Any], *, mode: str, source: str, plant: Any
     ) -> Self:
         """Make the driver from its configuration."""
         return cls(robot, plant, MockConfig.checked(config, source), mode)
 
     @property
-    def truth(self) -> PlantState | None:
-        """The arm as it is, for a mock tracker and for tests."""
+    def truth(self) -> Any:
+        """The arm as it is, for a mock tracker and for tests; None before it was moved."""
         return self._state
 
     def open(self) -> None:

@@ -19,14 +19,7 @@ from ..common.arrays import Floats
 from ..common.errors import DriverError
 from ..common.yaml_reading import ConfigFields
 from ..robot import Robot
-from .hardware import (
-    HardwareDriver,
-    fields_of_inputs,
-    nearest,
-    read_direction,
-    read_pull_limits,
-    read_spool_radius,
-)
+from . import hardware
 from .interface import Fault, Reading
 
 PULL_DEFAULT_M = 0.05  # [m] either way without `pull_limits`, else nothing would bound a pull
@@ -62,14 +55,14 @@ class Ros2ControlConfig:
         top = ConfigFields(source, '', dict(content))
         top.only(*(field.name for field in fields(cls)), 'spool_radius')
         tendons = []
-        for item in fields_of_inputs(top, 'tendons', 'a joint', robot).values():
+        for item in hardware.fields_of_inputs(top, 'tendons', 'a joint', robot).values():
             item.only(*(field.name for field in fields(Joint)))
-            rolled = nearest(item, top, 'spool_radius').has('spool_radius')
+            rolled = hardware.nearest(item, top, 'spool_radius').has('spool_radius')
             tendons.append(
                 Joint(
                     item.name('joint'),
-                    read_spool_radius(item, top) if rolled else 1.0,
-                    read_direction(item, 'growing positions wind'),
+                    hardware.read_spool_radius(item, top) if rolled else 1.0,
+                    hardware.read_direction(item, 'growing positions wind'),
                     item.value('zero', 0.0, -1e6, 1e6, 'rad or m'),
                 )
             )
@@ -87,12 +80,12 @@ class Ros2ControlConfig:
             top.choice('tension_source', ('load_cell', 'current'), 'current'),
             top.value('tension_rate', 20.0, 0.01, 1000.0, 'N/s'),
             top.value('pull_rate', 0.05, 1e-5, 10.0, 'm/s'),
-            read_pull_limits(top, 10.0) if limited else (-PULL_DEFAULT_M, PULL_DEFAULT_M),
+            hardware.read_pull_limits(top, 10.0) if limited else (-PULL_DEFAULT_M, PULL_DEFAULT_M),
             tuple(tendons),
         )
 
 
-class Ros2ControlDriver(HardwareDriver):
+class Ros2ControlDriver(hardware.HardwareDriver):
     """
     Tension mode: efforts to an effort group controller; pull mode: positions to a position one.
 

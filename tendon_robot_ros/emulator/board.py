@@ -117,12 +117,8 @@ class Firmware:
         with tempfile.TemporaryDirectory(prefix='tendon_robot_ros_') as folder:
             compile_firmware(own := Path(folder, 'board.so'), channels)
             self._library = ctypes.CDLL(str(own))
-        self._library.host_step.argtypes = (
-            ctypes.c_void_p,
-            ctypes.c_uint32,
-            ctypes.c_void_p,
-            ctypes.c_void_p,
-        )
+        pointer = ctypes.c_void_p
+        self._library.host_step.argtypes = pointer, ctypes.c_uint32, pointer, pointer
         self._duties = (ctypes.c_float * channels)()
         self._enabled = ctypes.c_uint8()
         self._outbox = ctypes.create_string_buffer(OUTBOX_BYTES)
@@ -272,8 +268,7 @@ class BoardRig:
             'tension_gain': 0.03,
             'calibration': {
                 name: {
-                    'zero': cell.zero,
-                    'newtons_per_count': cell.newtons_per_count,
+                    **{key: getattr(cell, key) for key in ('zero', 'newtons_per_count')},
                     'scatter': self.motor.cell_noise,
                 }
                 for name, cell in zip(inputs, self.cells, strict=True)

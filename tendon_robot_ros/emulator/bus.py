@@ -160,20 +160,17 @@ class InstructionReceiver:
             if len(self._buffer) < 7:
                 return instructions
             size = int.from_bytes(self._buffer[5:7], 'little') + 7
-            if not 10 <= size <= PACKET_BYTES_MAX:
-                self.broken += 1
-                self._buffer = self._buffer[4:]
-                continue
-            if len(self._buffer) < size:
+            possible = 10 <= size <= PACKET_BYTES_MAX
+            if possible and len(self._buffer) < size:
                 return instructions
-            whole, rest = self._buffer[:size], self._buffer[size:]
-            if crc(whole[:-2]) != int.from_bytes(whole[-2:], 'little'):
+            whole = self._buffer[:size]
+            if possible and crc(whole[:-2]) == int.from_bytes(whole[-2:], 'little'):
+                body = unstuff(whole[7:-2])
+                instructions.append(Instruction(whole[4], body[0], body[1:]))
+                self._buffer = self._buffer[size:]
+            else:
                 self.broken += 1
                 self._buffer = self._buffer[4:]
-                continue
-            self._buffer = rest
-            body = unstuff(whole[7:-2])
-            instructions.append(Instruction(whole[4], body[0], body[1:]))
 
 
 class Responder:
@@ -358,7 +355,9 @@ class EmulatedBus(Plug):
             },
             'silent': of_each(lambda servo: silent.add(servo.identity)),
             'hear': of_each(lambda servo: silent.discard(servo.identity)),
-            'hot': self.heat,
+            'hot': lambda values: setattr(
+                self.servo(int(values[0])), 'temperature', float(values[1])
+            ),
             'volts': self.supply,
             'restart': of_each(lambda servo: self.restart(servo.identity)),
             'trip': of_each(lambda servo: servo.put('bus_watchdog', Counts.WATCHDOG_TRIPPED)),
@@ -375,10 +374,6 @@ class EmulatedBus(Plug):
         """Let a servo lose its power for a moment."""
         with self._lock:
             self.rig.rebooted(identity)
-
-    def heat(self, values: list[str]) -> None:
-        """Set the temperature of a motor, by its id [°C]."""
-        self.servo(int(values[0])).temperature = float(values[1])
 
     def supply(self, values: list[str]) -> None:
         """Set the supply of all motors [V]."""
@@ -444,7 +439,4 @@ class EmulatedBus(Plug):
             code = termios.tcgetattr(self._master)[5]
         except termios.error:
             return None
-        for baud in BAUD_RATES.values():
-            if getattr(termios, f'B{baud}') == code:
-                return baud
-        return None
+        return next((b for b in BAUD_RATES.values() if getattr(termios, f'B{b}') == code), None)

@@ -348,7 +348,9 @@ class Rig:
                 if all(abs(pull - expected[i]) < SAME_TENSION_N for i, pull in pulls.items()):
                     continue
                 angle, balanced = servo.motion.angle, False
-                load = Load([self._wire_at(i, lever[i], angle - start) for i in wires])
+                # before it turned: lever [m/rad], pull [N] and stiffness [N/m] of its wires
+                parts = [(lever[i], *self.arm.resistance(i)) for i in wires]
+                load = Load([(r, pull - k * r * (angle - start), k) for r, pull, k in parts])
                 servo.motion.angle = start
                 servo.step(step, load)
                 expected |= zip(wires, load.pulls(servo.motion.angle - start), strict=True)
@@ -357,8 +359,3 @@ class Rig:
                     self.tensions = self.arm.tensions(wound, 0.0)
             if balanced:
                 return
-
-    def _wire_at(self, wire: int, lever: float, turned: float) -> tuple[float, float, float]:
-        """Return lever [m/rad], pull [N] and stiffness [N/m] of a wire before a motor turned."""
-        pull, stiffness = self.arm.resistance(wire)
-        return lever, pull - stiffness * lever * turned, stiffness

@@ -178,17 +178,9 @@ class OpenQuestion:
     narrows: bool = False  # only their widest interval is still too wide
 
 
-@dataclass(frozen=True)
-class Choice:
-    """A posture worth measuring."""
-
-    inputs: Floats  # (m,) [N] or [m]
-    gain: float  # [nat] information about what is in question that it adds
-
-
 def choose(
     question: OpenQuestion, measured: DataSet, pool: Floats, catalogue: Catalogue, count: int = 1
-) -> list[Choice]:
+) -> list[tuple[Floats, float]]:
     """
     Choose the most informative postures, one after the other.
 
@@ -205,6 +197,11 @@ def choose(
         How many; of a sequence one at a time is exact, the later ones are taken as coming after
         the same posture.
 
+    Returns
+    -------
+    list
+        Inputs (m,) [N] or [m], and the information [nat] that they add about what is in question.
+
     Raises
     ------
     NoEquilibriumError
@@ -218,12 +215,12 @@ def choose(
     precision = np.eye(design.size)
     for rows in design.rows(measured) if len(measured.postures) else ():
         precision += rows.T @ rows
-    choices = list[Choice]()
+    choices = list[tuple[Floats, float]]()
     remaining = list(range(len(offered)))
     for _ in range(min(count, len(remaining))):
         gains = [design.gain(precision, offered[i]) for i in remaining]
         best = remaining.pop(int(np.argmax(gains)))
-        choices.append(Choice(pool[where[best]], float(max(gains))))
+        choices.append((pool[where[best]], float(max(gains))))
         precision += offered[best].T @ offered[best]
     return choices
 

@@ -38,7 +38,8 @@ from ..report.diagnosis_text import addition_warnings, lines, never_used
 from ..robot import Robot, dump_robot
 from ..robot.estimates import MODEL_ERROR_MAX, natural_sizes
 from ..robot.keep_out import KeepOut
-from .choice import Choice, OpenQuestion, Room, choose, fresh, pool
+from . import measuring
+from .choice import OpenQuestion, Room, choose, fresh, pool
 from .goal import (
     IN_QUESTION_MAX,
     SENTENCES,
@@ -54,20 +55,6 @@ from .goal import (
     settled,
     short,
     widest,
-)
-from .measuring import (
-    BETTER,
-    CHECK,
-    DATA,
-    MeasurableArm,
-    Measurer,
-    News,
-    Record,
-    Report,
-    empty_dataset,
-    no_effect,
-    separate_changes,
-    with_posture,
 )
 
 RECORDING, RESULT, REPORT = 'recording.mcap', 'diagnosis.json', 'report.html'
@@ -87,7 +74,7 @@ class Findings:
     outcome: InvestigationEnd
     diagnosis: Diagnosis | None
     dataset: DataSet
-    record: Record
+    record: measuring.Record
     addition: Addition | None = None  # fitted effects, and their error on fresh postures
     check: DataSet | None = None
 
@@ -114,11 +101,11 @@ class Investigation:
 
     def __init__(
         self,
-        arm: MeasurableArm,
+        arm: measuring.MeasurableArm,
         goal: Goal,
         folder: Path | None = None,
         regions: KeepOut | None = None,
-        report: Report = lambda news: None,
+        report: measuring.Report = lambda news: None,
         resume: bool = False,
         change: ChangeFinder | None = None,
     ) -> None:
@@ -149,12 +136,14 @@ class Investigation:
             natural_sizes(arm.robot)
         )
         trials = goal.trials if arm.path == 'from_straight' else 1
-        begin = Record.resume if resume and folder is not None else Record.begin
+        begin = (
+            measuring.Record.resume if resume and folder is not None else measuring.Record.begin
+        )
         self.record = begin(arm, folder, trials)  # type: ignore[arg-type]
         self.diagnosis: Diagnosis | None = None
         self._suspected: list[str] = []  # effects that have appeared since an alarm
         room = Room(regions or KeepOut(), MODEL_ERROR_MAX * arm.robot.length)
-        self.measurer = Measurer(arm, self.record, room, trials, goal, report)
+        self.measurer = measuring.Measurer(arm, self.record, room, trials, goal, report)
         self._deadline = time.monotonic() + 60.0 * goal.minutes
 
     def run(self) -> Findings:
@@ -179,11 +168,11 @@ class Investigation:
     def ask(self) -> InvestigationEnd:
         """Measure and diagnose until the goal is reached or the budget spent."""
         if self.change is not None:
-            suspects = separate_changes(self.change, self.measurer, self.offered)
+            suspects = measuring.separate_changes(self.change, self.measurer, self.offered)
             self.record.changed = [vars(suspect) for suspect in suspects]
             self.record.save()
             self._suspected = [suspect.name for suspect in suspects if suspect.is_effect]
-            if no_effect(suspects):
+            if suspects and not self._suspected:  # a cell, a gain, the tracker
                 return InvestigationEnd.CHANGED
         while True:
             have = len(self.record.dataset.postures)
@@ -197,11 +186,11 @@ class Investigation:
             if self.arm.path == 'sequence':  # the next one depends on where this one was
                 count = 1
             offered, count = self.offered(), min(count, self.goal.postures - have)
-            choices = list[Choice]()
+            choices = list[tuple[Floats, float]]()
             if len(offered):
                 question, dataset = self.question(), self.record.dataset
                 choices = choose(question, dataset, offered, self.catalogue, count)
-            gain = choices[0].gain if choices else 0.0
+            gain = choices[0][1] if choices else 0.0
             many = have >= NARROWING_FROM
             if adequate_twice(self.record.rounds) and gain < (NARROWING_MIN if many else GAIN_MIN):
                 return InvestigationEnd.ADEQUATE
@@ -210,9 +199,9 @@ class Investigation:
             sought = self.sought
             names = listed(sought, 'or') if len(sought) <= 3 else f'{len(sought)} effects'
             what = f'the widest interval of {names}' if self._only_wide else names
-            for choice in choices:
-                why = f'tells {digits(choice.gain)} nat of {what}'
-                self.measurer.next(choice.inputs, why, {'gain': choice.gain, 'asked': sought})
+            for inputs, gain in choices:
+                why = f'tells {digits(gain)} nat of {what}'
+                self.measurer.next(inputs, why, {'gain': gain, 'asked': sought})
 
     def offered(self) -> Floats:
         """Return the postures (b, m) [N] or [m] that may be chosen now."""
@@ -306,7 +295,9 @@ class Investigation:
         outcome = settled(diagnosis, self.record.rounds, self.goal, now.postures)
         width = '' if now.widest is None else f', to {100.0 * now.widest:.0f} %'
         text = f'  {now.postures} postures: {now.text}{width}{may_act(now)}'
-        self.report(News('diagnosis', text, {**vars(now), 'enough': outcome is not None}))
+        self.report(
+            measuring.News('diagnosis', text, {**vars(now), 'enough': outcome is not None})
+        )
         return outcome
 
     def report_end(self, outcome: InvestigationEnd) -> None:
@@ -321,7 +312,7 @@ class Investigation:
             sentence += may_act(record.rounds[-1])
         if record.skipped:
             sentence += f'; {len(record.skipped)} could not be measured'
-        self.report(News('end', sentence, record.outcome))
+        self.report(measuring.News('end', sentence, record.outcome))
 
     def verified(self, outcome: InvestigationEnd) -> Findings:
         """Fit the named effects, and compute their error on fresh postures."""
@@ -334,7 +325,7 @@ class Investigation:
         names = [effect.name for effect in diagnosis.effects]
         addition = add_effects(dataset, names, None, self.catalogue, check, diagnosis.effects)
         self.report(
-            News(
+            measuring.News(
                 'added',
                 f'{listed(names)}: error on {"fresh" if check else "left-out"} postures '
                 f'{1e3 * addition.check.before:.2f} -> {1e3 * addition.check.after:.2f} mm',
@@ -348,14 +339,16 @@ class Investigation:
         self.arm.release()
         model = Model(self.guess, self.catalogue)
         rows = fresh(self.arm.robot, self.goal, self.arm.input, model, self.measurer.room)
-        check = empty_dataset(self.arm, CHECK, self.measurer.trials)
+        check = measuring.empty_dataset(self.arm, measuring.CHECK, self.measurer.trials)
         for row in rows:
             if len(check.postures) == self.goal.checks:
                 break
             measured = self.measurer.attempted(row)
             if measured is not None:
-                check = with_posture(check, row, measured, self.arm.position_noise)
-                self.report(News('check', f'  fresh posture {len(check.postures)} measured'))
+                check = measuring.with_posture(check, row, measured, self.arm.position_noise)
+                self.report(
+                    measuring.News('check', f'  fresh posture {len(check.postures)} measured')
+                )
         return check if len(check.postures) else None
 
 
@@ -375,10 +368,10 @@ def write_results(findings: Findings, folder: Path, catalogue: Catalogue, add: b
 
     """
     diagnosis, added = findings.diagnosis, findings.addition
-    written = [DATA] if len(findings.dataset.postures) else []
+    written = [measuring.DATA] if len(findings.dataset.postures) else []
     if findings.check is not None:
-        save_dataset(findings.check, folder / CHECK, True)
-        written.append(CHECK)
+        save_dataset(findings.check, folder / measuring.CHECK, True)
+        written.append(measuring.CHECK)
     if written and importlib.util.find_spec('rosbags') is not None:
         (folder / RECORDING).unlink(missing_ok=True)
         export_bag(findings.dataset, folder / RECORDING)
@@ -396,7 +389,7 @@ def write_results(findings: Findings, folder: Path, catalogue: Catalogue, add: b
     if added is not None:
         text += [never_used(added), *addition_warnings(added)]
         if added.helps and (findings.may_add or add):
-            write_text(folder / BETTER, dump_robot(added.robot))
-            written.append(BETTER)
-            text.append(f'controller parameter model := {folder / BETTER}')
+            write_text(folder / measuring.BETTER, dump_robot(added.robot))
+            written.append(measuring.BETTER)
+            text.append(f'controller parameter model := {folder / measuring.BETTER}')
     return [*text, f'written: {folder}: {", ".join(written)}']

@@ -45,29 +45,16 @@ class PostureMeasured:
 class MeasurableArm(Protocol):
     """An arm that goes to postures and is measured; it keeps its own limits, stop and watchdog."""
 
-    @property
-    def robot(self) -> Robot:
-        """The description that is to be judged."""
-
-    @property
-    def markers(self) -> Sequence[Marker]:
-        """The markers of the tracker."""
-
-    @property
-    def input(self) -> str:
-        """'tension' or 'displacement': what the motors set."""
-
-    @property
-    def path(self) -> str:
-        """'from_straight' (it lets go before every posture) or 'sequence'."""
+    robot: Robot  # the description that is to be judged
+    markers: Sequence[Marker]  # of the tracker
+    input: str  # 'tension' or 'displacement': what the motors set
+    path: str  # 'from_straight' (it lets go before every posture) or 'sequence'
+    # relative 1 sd of an input: shared by the trials of a posture, and per trial [1]
+    input_noise: tuple[float, float]
 
     @property
     def position_noise(self) -> float | None:
         """Standard deviation [m] of a coordinate of one trial, if it is known."""
-
-    @property
-    def input_noise(self) -> tuple[float, float]:
-        """Relative 1 sd of an input: shared by the trials of a posture, and per trial."""
 
     def measure(self, inputs: Floats, trials: int) -> PostureMeasured:
         """
@@ -387,11 +374,6 @@ def likely(suspects: Sequence[Suspect]) -> list[Suspect]:
     """Return the fewest likeliest changes whose total probability is large enough."""
     sums = np.cumsum([suspect.probability for suspect in suspects])
     return list(suspects[: int(np.searchsorted(sums, APART_PROBABILITY)) + 1])
-
-
-def no_effect(suspects: Sequence[Suspect]) -> bool:
-    """Return whether all suspects are no effects: a cell, a gain, the tracker."""
-    return bool(suspects) and not any(suspect.is_effect for suspect in suspects)
 
 
 def sizes(suspects: Sequence[Suspect]) -> str:

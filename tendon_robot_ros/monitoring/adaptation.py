@@ -75,11 +75,10 @@ class _Filter:
 
     def forget(self) -> None:
         """Exchange part of the information on the parameters for the prior."""
-        if self.memory == 1.0:
-            return
-        known = self.covariance[: self.p, : self.p]
-        information = self.memory * np.linalg.inv(known) + (1.0 - self.memory) * np.eye(self.p)
-        self.covariance[: self.p, : self.p] = np.linalg.inv(information)
+        if self.memory < 1.0:
+            known, p = self.covariance[: self.p, : self.p], self.p
+            kept = self.memory * np.linalg.inv(known) + (1.0 - self.memory) * np.eye(p)
+            self.covariance[:p, :p] = np.linalg.inv(kept)
 
     def keep_within(self, low: Floats, high: Floats) -> None:
         """Project parameters onto their bounds; correlated states follow."""
@@ -249,6 +248,12 @@ class _Adaptable:
         return (value - self.centre) / self.spread
 
 
+def described_value(robot: Robot, free: FreeParameter) -> float:
+    """Return the value that a description gives a parameter of one of its effects."""
+    value = robot.effects[free.effect].get(free.parameter.name, free.parameter.neutral)
+    return float(value[free.column or 0] if isinstance(value, tuple) else value)
+
+
 def adaptable(robot: Robot, frees: Sequence[FreeParameter]) -> tuple[list[_Adaptable], list[str]]:
     """Return the parameters with an interval in a description, and reasons for the others."""
     parameters, without = [], []
@@ -260,8 +265,7 @@ def adaptable(robot: Robot, frees: Sequence[FreeParameter]) -> tuple[list[_Adapt
             without.append(f'{name} has no interval')
             continue
         low, high = max(low, free.parameter.low), min(high, free.parameter.high)
-        described = robot.effects[free.effect].get(free.parameter.name, free.parameter.neutral)
-        value = described[free.column or 0] if isinstance(described, tuple) else described
+        value = described_value(robot, free)
         if not low <= value <= high:
             without.append(f'{name} is outside its interval')
             continue
@@ -411,7 +415,8 @@ class Adaptation:
         """Change the description in use towards the estimate where that is significant."""
         assert self._estimate is not None
         p = len(self._adaptable)
-        in_use = np.array([one.units(self._in_use(one)) for one in self._adaptable])
+        before = {one.free: described_value(self.robot, one.free) for one in self._adaptable}
+        in_use = np.array([one.units(before[one.free]) for one in self._adaptable])
         off = self._estimate.mean[:p] - in_use
         information = np.linalg.inv(self._estimate.covariance[:p, :p])
         if off @ information @ off < chi2_isf(CHANCE_PROBABILITY, p):
@@ -422,32 +427,18 @@ class Adaptation:
             one.free: float(np.clip(one.centre + one.spread * z, one.low, one.high))
             for one, z in zip(self._adaptable, moved.tolist(), strict=True)
         }
-        before = {one.free: self._in_use(one) for one in self._adaptable}
         errors = self._error(before), self._error(after)
         if not errors[1] < errors[0]:
             return None
-        parameters = tuple(
-            ParameterChange(
-                one.free.effect,
-                one.free.key,
-                before[one.free],
-                after[one.free],
-                one.low,
-                one.high,
-                one.free.parameter.unit,
-            )
-            for one in self._adaptable
-        )
-        change = ModelChange(self.postures, parameters, *errors, self.robot)
+        changes = []
+        for one in self._adaptable:
+            free, values = one.free, (before[one.free], after[one.free], one.low, one.high)
+            changes.append(ParameterChange(free.effect, free.key, *values, free.parameter.unit))
+        change = ModelChange(self.postures, tuple(changes), *errors, self.robot)
         self.robot = with_values(self.robot, self._catalogue, after.items())
         self.changes.append(change)
         self._changed_at = self.postures
         return change
-
-    def _in_use(self, one: _Adaptable) -> float:
-        values = self.robot.effects[one.free.effect]
-        value = values.get(one.free.parameter.name, one.free.parameter.neutral)
-        return float(value[one.free.column or 0] if isinstance(value, tuple) else value)
 
     def _error(self, point: dict[FreeParameter, float]) -> float:
         """Return the rms error [m] of the markers over the last postures; inf: no equilibrium."""

@@ -34,22 +34,9 @@ from ..common.arrays import Floats
 from ..common.estimation import kalman_update
 from ..data import DataSet, Marker
 from ..effects import Catalogue, Effect
-from ..inference.imperfections import (
-    GAIN,
-    KINK,
-    PLAUSIBLE_SIZES,
-    SplitPredictor,
-    imperfections,
-    remainders,
-)
+from ..inference import imperfections
 from ..inference.noise import relative_error
-from ..inference.predict import (
-    FreeParameter,
-    Point,
-    Predictor,
-    SettledShapes,
-    free_parameters,
-)
+from ..inference.predict import FreeParameter, Point, Predictor, SettledShapes, free_parameters
 from ..model.shape import ShapeBatch
 from ..robot import Robot
 from ..robot.estimates import bend_rates, end_sections, natural_sizes
@@ -125,8 +112,8 @@ class BuiltArm:
             return Predictor(dataset, robot, self.catalogue)
 
         self.whole = predictor(np.full((1, 1, J, 3), np.nan))
-        self.split = SplitPredictor(self.whole)
-        rest = remainders(predictor(np.zeros((1, 1, J, 3)))).reshape(-1, 3 * J)
+        self.split = imperfections.SplitPredictor(self.whole)
+        rest = imperfections.remainders(predictor(np.zeros((1, 1, J, 3)))).reshape(-1, 3 * J)
         self._rest = rest.T @ rest  # (3 J, 3 J) of a remainder of 1 m sd at the tip
         known = float((robot.model_error or 0.0) / np.sqrt(3.0))  # [m] of a coordinate
         sizes = {known, *(part * robot.length for part in REMAINDERS)}
@@ -141,7 +128,9 @@ class BuiltArm:
         self.plausible = scale * np.repeat([k.plausible for k in self.kinds], counts)  # (q,) 1 sd
         self.built = len(self.plausible)  # states that are imperfections, the first ones
         self.frees: list[FreeParameter] = []  # the other states: of effects that may be lacking
-        self._gains = np.flatnonzero(np.repeat([k.name == GAIN for k in self.kinds], counts))
+        self._gains = np.flatnonzero(
+            np.repeat([k.name == imperfections.GAIN for k in self.kinds], counts)
+        )
         self._kinked = usual_kinks(robot, self.level)
         # covariance (q, q) of the states [sd²]; an exact arm is known to have no imperfections
         self.prior = float(self.level > 0.0) * np.eye(self.built)
@@ -315,13 +304,11 @@ class BuiltArm:
     ) -> list[_Linear | None]:
         """Fit sizes and imperfections to the references that count; return all, linearised."""
         for _ in range(2):  # at the last estimate: errors of linearisation look like noise
-            pairs = [
-                (self.expected(t), p.ravel()) for t, p in zip(tensions, positions, strict=True)
-            ]
-            base = [
-                None if e is None else (replace(e, markers=e.markers - self.moves(e.columns)), y)
-                for e, y in pairs
-            ]
+            base = list[_Linear | None]()
+            for inputs, measured in zip(tensions, positions, strict=True):
+                if (e := self.expected(inputs)) is not None:
+                    e = replace(e, markers=e.markers - self.moves(e.columns))
+                base.append(None if e is None else (e, measured.ravel()))
             counted = [one for one, c in zip(base, counts, strict=True) if c and one is not None]
             self._vary(counted, frames)
             self.forget()
@@ -392,15 +379,13 @@ class BuiltArm:
         moved = self.moved(self.split, point)
         return None if moved is None else moved[0]
 
-    def moved(self, split: SplitPredictor, point: Point) -> Floats | None:
+    def moved(self, split: imperfections.SplitPredictor, point: Point) -> Floats | None:
         """Return the motion of the markers (P, 3 J, q + n) [m] by states of plausible size."""
-        responses = imperfections(split, point, self.members, changed=True)
-        steps = (
-            None
-            if responses is None
-            else differences(split, point, self.frees, (DIFFERENCE, 0.5, 1.0))
-        )
-        if responses is None or steps is None:
+        responses = imperfections.imperfections(split, point, self.members, changed=True)
+        if responses is None:
+            return None
+        steps = differences(split, point, self.frees, (DIFFERENCE, 0.5, 1.0))
+        if steps is None:
             return None
         slope, half, whole = steps
         built = responses.moves[: self.built].reshape(self.built, *slope.shape[1:])
@@ -461,5 +446,5 @@ def moving_effects(robot: Robot, catalogue: Catalogue) -> list[Effect]:
 def usual_kinks(robot: Robot, level: float) -> Floats:
     """Return the change of each input (m,) [N] that bends a cell as a usual kink does."""
     cells = np.array([section.cells for section in robot.sections])[end_sections(robot)]
-    kink = level * PLAUSIBLE_SIZES[KINK][1]
+    kink = level * imperfections.PLAUSIBLE_SIZES[imperfections.KINK][1]
     return np.asarray(kink * cells / np.linalg.norm(bend_rates(robot), axis=1))

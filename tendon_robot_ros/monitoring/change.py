@@ -20,16 +20,13 @@ uncertainty.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from ..common.arrays import Floats
+from ..common.arrays import Bools, Floats
 from ..common.estimation import gauss_newton
 from ..common.words import digits, mm, spoken, with_unit
-from ..data import DataSet
 from ..inference.imperfections import GAIN, Kind, SplitPredictor
 from ..inference.intervals import load_of, vector_rows
 from ..inference.marginal import RandomEffects
@@ -152,28 +149,16 @@ def described(suspects: Sequence[Suspect]) -> str:
     return ', '.join(named) or 'nothing of the catalogue'
 
 
-@dataclass(frozen=True)
-class MeasuredPostures:
-    """Measured postures."""
-
-    tensions: Floats  # (P, m) [N]
-    positions: Floats  # (P, 3 J) [m]
-    frames: tuple[int, ...]
-
-    @cached_property
-    def rows(self) -> npt.NDArray[np.bool_]:
-        """Visible coordinates (P, 3 J)."""
-        return np.isfinite(self.positions)
-
-
 class _Weights:
     """Covariance V of the visible coordinates: of each posture, and by imperfections of all."""
 
-    def __init__(self, arm: BuiltArm, postures: MeasuredPostures, columns: Floats) -> None:
-        """Take the columns (P, 3 J, q + n) [m per sd], as of `Expected`."""
-        self.rows, self._roots, self.log_determinant = postures.rows, list[Floats](), 0.0
-        for rows, own, frames in zip(postures.rows, columns, postures.frames, strict=True):
-            root = np.linalg.cholesky(arm.widening * arm.scatter(rows, own, frames))
+    def __init__(
+        self, arm: BuiltArm, visible: Bools, frames: Sequence[int], columns: Floats
+    ) -> None:
+        """Take visible coordinates (P, 3 J), columns (P, 3 J, q + n) [m per sd] of `Expected`."""
+        self.rows, self._roots, self.log_determinant = visible, list[Floats](), 0.0
+        for rows, own, count in zip(visible, columns, frames, strict=True):
+            root = np.linalg.cholesky(arm.widening * arm.scatter(rows, own, count))
             self.log_determinant += 2.0 * float(np.log(np.diag(root)).sum())
             self._roots.append(np.linalg.inv(root))
         q = len(arm.covariance)
@@ -204,35 +189,31 @@ class ChangeFit:
     information: Floats  # (k, k) of the values, their prior included
     chi2: float = 0.0  # of the residuals
 
-    def suspect(self, probability: float) -> Suspect:
-        """Return the change with a probability."""
-        return self.change.suspect(probability, self.values)
-
 
 class ChangeWork:
-    """Fits of changes to one set of postures."""
+    """Fits of changes to postures: tensions (P, m) [N], markers (P, 3 J) [m], (P,) frames."""
 
-    def __init__(self, arm: BuiltArm, postures: MeasuredPostures) -> None:
-        self.arm, self.postures = arm, postures
-        whole, P = self.arm.split.dataset, len(postures.tensions)
-        dataset = DataSet(
-            'since',
-            self.arm.robot,
-            whole.markers,
-            tuple(map(str, range(P))),
-            postures.tensions,
-            np.full((P, 1, len(whole.markers), 3), np.nan),
-            gravity=self.arm.robot.gravity,
+    def __init__(
+        self, arm: BuiltArm, tensions: Floats, positions: Floats, frames: Sequence[int]
+    ) -> None:
+        self.arm, self.positions, self.frames = arm, positions, frames
+        self.rows = np.isfinite(positions)
+        P, J = len(tensions), len(arm.split.dataset.markers)
+        dataset = replace(
+            arm.split.dataset,
+            postures=tuple(map(str, range(P))),
+            inputs=tensions,
+            positions=np.full((P, 1, J, 3), np.nan),
         )
-        self.split = SplitPredictor(Predictor(dataset, self.arm.robot, self.arm.catalogue))
-        self.split.around, self.lacked = self.arm.members, np.zeros((P, 3 * len(whole.markers)))
+        self.split = SplitPredictor(Predictor(dataset, arm.robot, arm.catalogue))
+        self.split.around, self.lacked = arm.members, np.zeros((P, 3 * J))
         expected = self._markers({})
-        columns = self.arm.moved(self.split, {}) if expected is not None else None
+        columns = arm.moved(self.split, {}) if expected is not None else None
         self.ready = columns is not None
         if expected is not None and columns is not None:
             self.lacked = arm.lacked(columns)
             self.expected, self.columns = expected + self.lacked, columns
-            self.weights = _Weights(self.arm, postures, columns)
+            self.weights = _Weights(arm, self.rows, frames, columns)
 
     def fit(self, change: PossibleChange) -> ChangeFit | None:
         """Fit one change, with the imperfections linearised without a change."""
@@ -243,7 +224,8 @@ class ChangeWork:
         columns = self.arm.moved(self.split, self._point(fit.change, fit.values))
         if columns is None:
             return None
-        usual, self.weights = self.weights, _Weights(self.arm, self.postures, columns)
+        usual = self.weights
+        self.weights = _Weights(self.arm, self.rows, self.frames, columns)
         try:
             return self._effect(fit.change, fit.values)
         finally:
@@ -251,7 +233,7 @@ class ChangeWork:
 
     def explains(self, fit: ChangeFit) -> bool:
         """Whether the residuals of a change may be chance."""
-        return chi2_sf(fit.chi2, int(self.postures.rows.sum())) > ODD_PROBABILITY
+        return chi2_sf(fit.chi2, int(self.rows.sum())) > ODD_PROBABILITY
 
     def fit_from_afar(self, fit: ChangeFit) -> ChangeFit:
         """
@@ -277,8 +259,8 @@ class ChangeWork:
         self, one: tuple[Floats, Floats], other: tuple[Floats, Floats], information: Floats
     ) -> Floats:
         """Return the separation (P,) [sd²] of two changes, with the second one free to adapt."""
-        off, far = one[0] - other[0], np.zeros(len(self.postures.tensions))
-        for p, frames in enumerate(self.postures.frames):
+        off, far = one[0] - other[0], np.zeros(len(self.frames))
+        for p, frames in enumerate(self.frames):
             rows = np.ones(off.shape[1], dtype=bool)
             spread = self.arm.widening * self.arm.spread(rows, self.columns[p], frames)
             solved = np.linalg.solve(spread, np.column_stack([off[p], other[1][p]]))
@@ -289,11 +271,8 @@ class ChangeWork:
 
     def _member(self, change: PossibleChange) -> ChangeFit:
         """Fit changed imperfections (linear)."""
-        weights, moved = self.weights, self._slopes_of_members(change)
-        white, columns = (
-            weights.white(self.postures.positions - self.expected),
-            weights.white(moved),
-        )
+        white = self.weights.white(self.positions - self.expected)
+        columns = self.weights.white(self._slopes_of_members(change))
         information = columns.T @ columns
         prior = np.diag((SCALES[-1] * change.spread) ** -2.0)
         values = np.linalg.solve(information + prior, columns.T @ white)
@@ -319,7 +298,7 @@ class ChangeWork:
             markers = self._markers(self._point(change, values))
             if markers is None:
                 return None
-            white = weights.white(self.postures.positions - markers)
+            white = weights.white(self.positions - markers)
             return white, float(white @ white)
 
         start = np.zeros(len(frees)) if start is None else start
@@ -327,13 +306,8 @@ class ChangeWork:
         if fit is None:
             return None
         values, _, chi2, information = fit
-        return ChangeFit(
-            change,
-            values,
-            self._evidence(change, values, chi2, information),
-            information + prior,
-            chi2,
-        )
+        log = self._evidence(change, values, chi2, information)
+        return ChangeFit(change, values, log, information + prior, chi2)
 
     def _evidence(
         self, change: PossibleChange, values: Floats, chi2: float, information: Floats
@@ -388,8 +362,7 @@ class ChangeFinder:
         if not self.postures:
             return ()
         tensions, positions, frames = zip(*self.postures, strict=True)
-        postures = MeasuredPostures(np.array(tensions), np.array(positions), frames)
-        work = ChangeWork(self.arm, postures)
+        work = ChangeWork(self.arm, np.array(tensions), np.array(positions), frames)
         if not work.ready:
             return ()
         fits = [fit for change in self.changes if (fit := work.fit(change)) is not None]
@@ -400,10 +373,8 @@ class ChangeFinder:
         refitted = {fit.change.name: work.fit_around(fit) for fit in near}
         fits = [refitted.get(fit.change.name) or fit for fit in fits]
         self.fits = sorted(fits, key=lambda fit: -fit.log)
-        probabilities = self._probabilities()
-        return tuple(
-            fit.suspect(float(p)) for fit, p in zip(self.fits, probabilities, strict=True)
-        )
+        likely = zip(self.fits, self._probabilities().tolist(), strict=True)
+        return tuple(fit.change.suspect(p, fit.values) for fit, p in likely)
 
     def most_informative(self, offered: Floats) -> int | None:
         """
@@ -418,7 +389,7 @@ class ChangeFinder:
         blank = np.zeros((len(offered), self.arm.split.dataset.positions.shape[2] * 3))
         usual = self.postures[-1][2] if self.postures else 1
         frames = (usual,) * len(offered)
-        work = ChangeWork(self.arm, MeasuredPostures(np.maximum(offered, 0.0), blank, frames))
+        work = ChangeWork(self.arm, np.maximum(offered, 0.0), blank, frames)
         if not work.ready:
             return None
         predicted = [work.predicted(self.fits[i]) for i in likely]

@@ -159,11 +159,10 @@ class ContactObserver:
         measured = positions if markers else pulls
         if measured is None or not np.isfinite(measured).any():
             return None
-        data = _Measured(inputs, measured.ravel(), markers, frames)
         best, none = None, np.zeros(3)
         # a local minimum leaves a marker elsewhere, as an arm does that was pushed far at once
         for start in (self._last, (none, self.tip), (none, 0.5 * self.tip)):
-            contact = _Fit(self, data).solve(*start)
+            contact = _Fit(self, inputs, measured.ravel(), markers, frames).solve(*start)
             if contact is not None and (best is None or contact.off < best.off):
                 best = contact
             if best is not None and (best.off < SAME_LENGTH * self.tip or not markers):
@@ -242,21 +241,6 @@ class ContactObserver:
 
 
 @dataclass(frozen=True)
-class _Measured:
-    """One measurement."""
-
-    inputs: Floats  # (1, m) [N]
-    measured: Floats  # (3 J,) of markers or (m,) of wire pulls [m]
-    markers: bool
-    frames: int
-
-    @property
-    def rows(self) -> npt.NDArray[np.bool_]:
-        """Valid coordinates."""
-        return np.isfinite(self.measured)
-
-
-@dataclass(frozen=True)
 class _Solution:
     """The likeliest force at a place."""
 
@@ -270,13 +254,25 @@ class _Solution:
 
 
 class _Fit:
-    """Fit of force and place to one measurement."""
+    """
+    Fit of force and place to one measurement.
 
-    def __init__(self, observer: ContactObserver, data: _Measured) -> None:
-        self.observer, self.data, self.rows = observer, data, data.rows
+    It is (3 J,) of markers or (m,) of wire pulls [m], under inputs (1, m) [N].
+    """
+
+    def __init__(
+        self,
+        observer: ContactObserver,
+        inputs: Floats,
+        measured: Floats,
+        markers: bool,
+        frames: int,
+    ) -> None:
+        self.observer, self.inputs, self.measured = observer, inputs, measured
+        self.markers, self.frames, self.rows = markers, frames, np.isfinite(measured)
         self.factor: Floats = np.zeros((0, 0))
         self.columns: Floats = np.zeros((0, 3))  # (r, 3) [1/N] whitened Jacobian
-        self.lacked: Floats = np.zeros(len(data.measured))  # [m] motion by what is not described
+        self.lacked: Floats = np.zeros(len(measured))  # [m] motion by what is not described
 
     def solve(self, force: Floats, place: float) -> Contact | None:
         """Return the contact, None where the model has no equilibrium."""
@@ -295,7 +291,7 @@ class _Fit:
 
     def _wider(self, solution: _Solution) -> float:
         """Return the factor on the variances by the residual, and by the references."""
-        if not self.data.markers:
+        if not self.markers:
             return 1.0
         freedom = max(len(solution.white) - 3, 1)
         return max(solution.chi2 / freedom, self.observer.arm.widening)
@@ -326,7 +322,7 @@ class _Fit:
         half = 0.5 * float(self.observer.arm.robot.cell_lengths.max())
         for _ in range(ROUNDS):
             # three coordinates, such as those of the tip, tell a force and no place
-            profile = self._profile(best) if self.data.markers and len(best.white) > 3 else None
+            profile = self._profile(best) if self.markers and len(best.white) > 3 else None
             if profile is None:
                 break
             costs, forces = profile
@@ -345,7 +341,7 @@ class _Fit:
 
     def _profile(self, solution: _Solution) -> tuple[Floats, Floats] | None:
         """Return the cost (PLACES,) and the likeliest force (PLACES, 3) [N] at every place."""
-        slopes = self.observer.along(solution.force, solution.place, self.data.inputs)
+        slopes = self.observer.along(solution.force, solution.place, self.inputs)
         if slopes is None:
             return None
         columns = self.factor @ slopes[:, self.rows]
@@ -376,7 +372,18 @@ class _Fit:
             return None if white is None else (white, float(white @ white))
 
         def linearised(force: Floats, white: Floats) -> tuple[Floats, Floats] | None:
-            return self._linearised(force, place, white)
+            """Return information (3, 3) and gradient (3,) by the whitened Jacobian here."""
+            step, columns = self.observer.step, []
+            for axis in np.eye(3):
+                for side in (step, -step):
+                    moved = self._white(force + side * axis, place)
+                    if moved is not None:
+                        columns.append((white - moved) / side)
+                        break
+                else:
+                    return None
+            self.columns = slopes = np.array(columns).T
+            return slopes.T @ slopes, slopes.T @ white
 
         fit = gauss_newton(start, prior, whitened, linearised)
         if fit is None or (expected := self._predicted(fit[0], place)) is None:
@@ -387,14 +394,14 @@ class _Fit:
 
     def _told(self, best: _Solution, interval: tuple[float, float], acts: bool) -> Contact:
         """Return a solution with its doubt."""
-        if self.data.markers:
+        if self.markers:
             self.observer.slopes = np.zeros((len(self.rows), 3))
             self.observer.slopes[self.rows] = np.linalg.solve(self.factor, best.columns)
         freedom, wider = max(int(self.rows.sum()) - 3, 1), self._wider(best)
         self._predicted(best.force, best.place)  # the last one may be another's
         point = self.observer.point_at(best.place)
         mean, covariance = self._spread(best, wider)
-        off = float(np.nanmax(np.abs(self.data.measured - best.expected - self.lacked)))
+        off = float(np.nanmax(np.abs(self.measured - best.expected - self.lacked)))
         chi2, place = best.chi2, best.place
         return Contact(mean, covariance, chi2, freedom, place, interval, point, off, acts)
 
@@ -438,8 +445,7 @@ class _Fit:
 
     def _predicted(self, force: Floats, place: float) -> Floats | None:
         """Return the prediction under a force at a place."""
-        data = self.data
-        return self.observer.predicted(force, data.inputs, data.markers, place)
+        return self.observer.predicted(force, self.inputs, self.markers, place)
 
     def _white(self, force: Floats, place: float) -> Floats | None:
         """Return the whitened residual under a force at a place."""
@@ -448,43 +454,36 @@ class _Fit:
 
     def _whitened(self, expected: Floats) -> Floats:
         """Return the whitened residual of a prediction."""
-        return np.asarray(self.factor @ (self.data.measured - expected - self.lacked)[self.rows])
-
-    def _linearised(
-        self, force: Floats, place: float, white: Floats
-    ) -> tuple[Floats, Floats] | None:
-        """Update the whitened Jacobian; return information (3, 3) and gradient (3,)."""
-        step, columns = self.observer.step, []
-        for axis in np.eye(3):
-            for side in (step, -step):
-                moved = self._white(force + side * axis, place)
-                if moved is not None:
-                    columns.append((white - moved) / side)
-                    break
-            else:
-                return None
-        self.columns = slopes = np.array(columns).T
-        return slopes.T @ slopes, slopes.T @ white
+        return np.asarray(self.factor @ (self.measured - expected - self.lacked)[self.rows])
 
     def _whitening(self, force: Floats, place: float, expected: Floats) -> Floats | None:
         """Return the inverse root of the covariance, the last one where the arm hardly moved."""
-        observer, data = self.observer, self.data
-        if not data.markers:
+        observer, rows = self.observer, self.rows
+        if not self.markers:
             sd = np.sqrt(observer.pull_noise**2 + (PULL_ERROR * expected) ** 2 + PULL_ERROR_M**2)
-            return np.asarray(np.diag(1.0 / sd[self.rows]))
+            return np.asarray(np.diag(1.0 / sd[rows]))
         arm, kept = observer.arm, observer.kept
-        if kept is None or not kept.serves(arm, data, expected):
-            columns = arm.columns(data.inputs, observer.point(force, place))
+        if (
+            kept is None
+            or kept.known is not arm.covariance
+            or not np.array_equal(rows, kept.rows)
+            or np.abs(expected - kept.expected).max() >= SAME_LENGTH * arm.robot.length
+        ):
+            columns = arm.columns(self.inputs, observer.point(force, place))
             if columns is None:
                 return None
-            free, moved = observer.predicted(np.zeros(3), data.inputs, True), 0.0
+            free, moved = observer.predicted(np.zeros(3), self.inputs, True), 0.0
             if free is not None:  # motion by the load at the marker that moves most
-                off = data.measured - free - arm.lacked(columns)
+                off = self.measured - free - arm.lacked(columns)
                 off = np.linalg.norm(off.reshape(-1, 3), axis=1)
                 moved = float(np.nanmax(off))
-            kept = _KeptWhitening(columns, arm.covariance, data, expected, moved)
-        if not len(kept.factor) or data.frames != kept.data.frames:
-            kept = replace(kept, data=data, factor=kept.inverse_root(arm, data))
+            kept = _KeptWhitening(columns, arm.covariance, rows, expected, moved)
+        if self.frames != kept.frames:
+            covariance = arm.spread(rows, kept.columns, self.frames)
+            loaded = max(arm.response, LOADED_ERROR if arm.level > 0.0 else 0.0) * kept.moved
+            covariance += loaded**2 * arm.rest(rows)
+            factor = np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+            kept = replace(kept, frames=self.frames, factor=factor)
         observer.kept, self.lacked = kept, arm.lacked(kept.columns)
         return kept.factor
 
@@ -495,22 +494,9 @@ class _KeptWhitening:
 
     columns: Floats  # (3 J, q) [m] motion by imperfections
     known: Floats  # covariance of the imperfections
-    data: _Measured
+    rows: npt.NDArray[np.bool_]  # (3 J,) of visible coordinates
     expected: Floats  # (3 J,) [m]
     moved: float  # [m] motion of the arm by the load
+    frames: int = 0  # for which the factor is, 0: there is none
+    # (r, r) [1/m] inverse root of the covariance of the visible coordinates
     factor: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-
-    def inverse_root(self, arm: BuiltArm, data: _Measured) -> Floats:
-        """Return the inverse root of the covariance of the valid coordinates."""
-        covariance = arm.spread(data.rows, self.columns, data.frames)
-        loaded = max(arm.response, LOADED_ERROR if arm.level > 0.0 else 0.0) * self.moved
-        covariance += loaded**2 * arm.rest(data.rows)
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
-
-    def serves(self, arm: BuiltArm, data: _Measured, expected: Floats) -> bool:
-        """Whether the columns are still valid."""
-        return (
-            arm.covariance is self.known
-            and np.array_equal(data.rows, self.data.rows)
-            and bool(np.abs(expected - self.expected).max() < SAME_LENGTH * arm.robot.length)
-        )

@@ -37,52 +37,6 @@ RESULT, REPORT, BETTER = 'diagnosis.json', 'diagnosis.html', 'better.yaml'
 IMPROVED = 'improved.yaml'
 
 
-class DiagnosisJob:
-    """A running diagnosis; `news` returns its messages since the last call."""
-
-    def __init__(self, folder: Path, effects: Sequence[str] = ()) -> None:
-        """Start the diagnosis of a data set; it writes into the folder of the data."""
-        self._lines: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
-        self._child = subprocess.Popen(
-            [sys.executable, '-m', __name__, str(folder), *effects],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
-        self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
-
-    @property
-    def running(self) -> bool:
-        """Whether more messages may arrive."""
-        return self._reader.is_alive() or not self._lines.empty()
-
-    def news(self) -> list[dict[str, Any]]:
-        """Return the new messages: dictionaries with the key `kind`."""
-        news = []
-        while not self._lines.empty():
-            news.append(self._lines.get())
-        return news
-
-    def cancel(self) -> None:
-        """Kill the child process."""
-        if self._child.poll() is None:
-            self._child.kill()
-        self._child.wait()
-        self._reader.join(timeout=2.0)
-
-    def _read(self) -> None:
-        assert self._child.stdout is not None and self._child.stderr is not None
-        for line in self._child.stdout:
-            self._lines.put(json.loads(line))
-        complaint = self._child.stderr.read().strip().splitlines()
-        if self._child.wait():
-            why = complaint[-1] if complaint else f'ended with code {self._child.returncode}'
-            self._lines.put({'kind': 'failed', 'text': why})
-
-
 def send(kind: str, **values: Any) -> None:
     """Send a line to the parent."""
     print(json.dumps({'kind': kind, **values}), flush=True)
@@ -180,7 +134,9 @@ class Work:
 
     def __init__(self) -> None:
         """Begin without a diagnosis."""
-        self._job: DiagnosisJob | None = None
+        self._child: subprocess.Popen[str] | None = None
+        self._reader = threading.Thread()
+        self._lines: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
         self._verdict: Verdict | None = None
         self._addition: dict[str, Any] | None = None
         self._requested: bool | None = None  # `partial` of a requested addition
@@ -188,8 +144,8 @@ class Work:
 
     @property
     def running(self) -> bool:
-        """Whether a diagnosis runs."""
-        return self._job is not None and self._job.running
+        """Whether a diagnosis runs, or more of its messages are to come."""
+        return self._reader.is_alive() or not self._lines.empty()
 
     @property
     def addition_ready(self) -> str:
@@ -197,10 +153,31 @@ class Work:
         return '' if self._addition is None else ', '.join(self._addition['effects'])
 
     def diagnose(self, folder: Path, effects: Sequence[str]) -> None:
-        """Start a diagnosis."""
+        """Start the diagnosis of a data set; it writes into the folder of the data."""
         self.cancel()
         self._verdict, self._addition, self._requested = None, None, None
-        self._job = DiagnosisJob(folder, [effect for effect in effects if effect])
+        lines: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
+        child = subprocess.Popen(
+            [sys.executable, '-m', __name__, str(folder), *filter(None, effects)],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+
+        def read() -> None:
+            assert child.stdout is not None and child.stderr is not None
+            for line in child.stdout:
+                lines.put(json.loads(line))
+            complaint = child.stderr.read().strip().splitlines()
+            if child.wait():
+                why = complaint[-1] if complaint else f'ended with code {child.returncode}'
+                lines.put({'kind': 'failed', 'text': why})
+
+        self._child, self._lines = child, lines
+        self._reader = threading.Thread(target=read, daemon=True)
+        self._reader.start()
 
     def add(self, partial: bool) -> str:
         """
@@ -230,8 +207,9 @@ class Work:
 
         Kind 'verdict' has the `content` to publish, kind 'add' the `file` for the controller.
         """
-        news = [] if self._job is None else self._job.news()
-        for item in news:
+        news = []
+        while not self._lines.empty():
+            news.append(item := self._lines.get())
             item.setdefault('text', '')
             if item['kind'] == 'verdict':
                 self._verdict = Verdict(item['content']['verdict'])
@@ -265,10 +243,14 @@ class Work:
         return f'added {listed(addition["effects"])}: {errors} on postures left out in turn'
 
     def cancel(self) -> None:
-        """End the running diagnosis."""
-        if self._job is not None:
-            self._job.cancel()
-        self._job = None
+        """Kill the running diagnosis."""
+        if self._child is None:
+            return
+        if self._child.poll() is None:
+            self._child.kill()
+        self._child.wait()
+        self._reader.join(timeout=2.0)
+        self._child, self._lines = None, queue.SimpleQueue()
 
 
 if __name__ == '__main__':

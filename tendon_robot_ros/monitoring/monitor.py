@@ -307,7 +307,6 @@ class Monitor:
             kind: StillWindow(self.settings.still_time, self.settings.still_speed, change)
             for kind, change in changes.items()
         }
-        self._changes = changes
 
     def set_model(self, model: Model) -> None:
         """Compare with another model from now on."""
@@ -352,12 +351,9 @@ class Monitor:
         settled = self._windows['tension'].settled()
         if settled is None or not np.isfinite(settled.inputs).all():
             return None
-        last, change_min = self._last_posture, 2.0 * self._changes['tension']
-        if last is not None and np.abs(settled.inputs - last.inputs).max() < change_min:
+        if self._same(settled, self._last_posture, 'tension'):
             return None
-        mean = self.states.mean(settled.begin, settled.end)
-        inputs = settled.inputs if mean is None else np.split(mean, 2)[0]
-        self._last_posture = replace(settled, inputs=inputs)
+        self._last_posture = self._averaged(settled, 'tension')
         return self._last_posture
 
     def start_recording(self) -> None:
@@ -431,19 +427,24 @@ class Monitor:
         if not self.recording:
             return
         settled = window.settled()
-        if settled is None or self._same(settled, kind):
+        last = self.recorded[-1] if self.recorded and kind == self._last_kind else None
+        if settled is None or self._same(settled, last, kind):
             return
         if kind != self._last_kind:
             self.recorded.clear()
         self._last_kind = kind
-        mean = self.states.mean(settled.begin, settled.end)  # more samples than frames
-        if mean is not None:
-            settled = replace(settled, inputs=np.split(mean, 2)[kind != 'tension'])
-        self.recorded.append(settled)
+        self.recorded.append(self._averaged(settled, kind))
 
-    def _same(self, settled: StillMeasurement, kind: str) -> bool:
-        """Whether the arm is still at the last recorded posture."""
-        if not self.recorded or kind != self._last_kind:
+    def _same(self, settled: StillMeasurement, last: StillMeasurement | None, kind: str) -> bool:
+        """Whether the arm is still at the last posture."""
+        if last is None:
             return False
-        moved = np.abs(settled.inputs - self.recorded[-1].inputs).max()
-        return bool(moved < 2.0 * self._changes[kind])
+        moved = np.abs(settled.inputs - last.inputs).max()
+        return bool(moved < 2.0 * self._windows[kind].change)
+
+    def _averaged(self, settled: StillMeasurement, kind: str) -> StillMeasurement:
+        """Return a measurement with the mean of all states in its window, not of its frames."""
+        mean = self.states.mean(settled.begin, settled.end)
+        if mean is None:
+            return settled
+        return replace(settled, inputs=np.split(mean, 2)[kind != 'tension'])

@@ -42,7 +42,7 @@ from ..effects import Catalogue
 from ..inference.statistics import chi2_sf
 from ..model.model import Model
 from ..robot import dump_robot, parse_robot
-from .built_arm import ODD_PROBABILITY, BuiltArm, Expected, differences
+from .built_arm import ODD_PROBABILITY, BuiltArm, differences
 from .change import LIKELY_MAX, ChangeFinder, Suspect, changes_of, described
 from .contact import Contact, ContactObserver
 
@@ -81,11 +81,6 @@ class _ChangePoint:
         self.score = np.zeros(changes)
         self.parts = list[tuple[Floats, Floats]]()  # information and score by posture
 
-    @property
-    def postures(self) -> int:
-        """Number of postures since."""
-        return len(self.parts)
-
     def take(self, information: Floats, score: Floats) -> None:
         """Add the information (c, c) and score (c,) of a posture."""
         self.information, self.score = self.information + information, self.score + score
@@ -102,26 +97,8 @@ class _ChangePoint:
         """Remove the evidence of the posture of a number."""
         if 0 <= at - self.at < len(self.parts):
             self.information, self.score = self.without(at)
-            information, score = self.parts[at - self.at]
-            self.parts[at - self.at] = 0.0 * information, 0.0 * score
-
-
-@dataclass(frozen=True)
-class _Innovation:
-    """A measured posture, its prediction and its innovation."""
-
-    expected: Expected
-    measured: Floats  # (3 J,) [m]
-    frames: int
-    columns: Floats  # (r, q) [m per sd] of the imperfections, for visible coordinates
-    slopes: Floats  # (r, c) [m per unit] of the changes
-    innovation: Floats  # (r,) [m]
-    inverse: Floats  # (r, r) [1/m²] of its covariance, widened
-    gain: Floats  # (q, r) [sd per m] of the filter
-
-    def signature(self, point: _ChangePoint) -> Floats:
-        """Return the signatures of changes in the innovation (r, c) [m per unit]."""
-        return np.asarray(self.slopes - self.columns @ point.followed)
+            nothing = np.zeros_like(self.information), np.zeros_like(self.score)
+            self.parts[at - self.at] = nothing
 
 
 @dataclass(frozen=True)
@@ -185,26 +162,33 @@ class DriftAlarm:
             Number of frames whose mean the positions are.
 
         """
-        compared = self._compare(tensions, positions, frames)
-        if compared is None:
+        arm, measured = self.arm, positions.ravel()
+        expected, rows = arm.expected(tensions), np.isfinite(measured)
+        if expected is None or not rows.any():
             return self.state
-        chi2 = float(compared.innovation @ compared.inverse @ compared.innovation)
-        odd = chi2_sf(chi2, len(compared.innovation)) < ODD_PROBABILITY
+        slopes = self._signatures(tensions, expected.columns)
+        if slopes is None:
+            return self.state
+        innovation, columns, scatter = arm.observation(expected, measured, frames)
+        inverse = np.linalg.inv(columns @ arm.covariance @ columns.T + scatter)
+        gain, inverse = arm.covariance @ columns.T @ inverse, inverse / arm.widening
+        chi2 = float(innovation @ inverse @ innovation)
+        odd = chi2_sf(chi2, len(innovation)) < ODD_PROBABILITY
         if self._count % BEGIN_EVERY == 0:
-            known = self.arm.mean.copy(), self.arm.covariance.copy()
+            known = arm.mean.copy(), arm.covariance.copy()
             self._change_points.append(_ChangePoint(len(self._spread), *known, self._count))
             del self._change_points[:-CHANGE_POINTS_MAX]
         posture = _Posture(self._count, tensions, positions, frames, odd)
         self._recent.append(posture)
         self._count += 1
-        for point in self._change_points:
-            signature = compared.signature(point)
-            weighted = compared.inverse @ signature
-            point.take(signature.T @ weighted, weighted.T @ compared.innovation)
-        if not odd:  # update the filter and its response to every change
-            for point in self._change_points:
-                point.followed += compared.gain @ compared.signature(point)
-            self.arm.learn(compared.expected, compared.measured, compared.frames)
+        for point in self._change_points:  # the signatures of changes in the innovation
+            signature = slopes[rows] - columns @ point.followed
+            weighted = inverse @ signature
+            point.take(signature.T @ weighted, weighted.T @ innovation)
+            if not odd:  # the response of the filter to every change
+                point.followed += gain @ signature
+        if not odd:
+            arm.learn(expected, measured, frames)
         self._exclude_single(posture)
         self.state = self._assess(posture)
         return self.state
@@ -220,29 +204,6 @@ class DriftAlarm:
             others = [one for one in self._recent if one.at != single]
             self._recent, self._single = deque(others, self._recent.maxlen), None
 
-    def _compare(self, tensions: Floats, positions: Floats, frames: int) -> _Innovation | None:
-        """Return the innovation of a posture, None without a prediction or visible markers."""
-        arm, measured = self.arm, positions.ravel()
-        expected = arm.expected(tensions)
-        rows = np.isfinite(measured)
-        if expected is None or not rows.any():
-            return None
-        slopes = self._signatures(tensions, expected.columns)
-        if slopes is None:
-            return None
-        innovation, columns, scatter = arm.observation(expected, measured, frames)
-        inverse = np.linalg.inv(columns @ arm.covariance @ columns.T + scatter)
-        return _Innovation(
-            expected,
-            measured,
-            frames,
-            columns,
-            slopes[rows],
-            innovation,
-            inverse / arm.widening,
-            arm.covariance @ columns.T @ inverse,
-        )
-
     def _assess(self, posture: _Posture) -> DriftState:
         """Return the state after the last posture."""
         logs = self._logs()
@@ -250,13 +211,13 @@ class DriftAlarm:
         place, change = np.unravel_index(int(np.argmax(logs)), logs.shape)
         point = self._change_points[int(place)]
         # the alarm requires evidence beyond the strongest posture
-        without = [point.without(point.at + k) for k in range(point.postures)]
+        without = [point.without(point.at + k) for k in range(len(point.parts))]
         left = self._log_ratios(without, self._places[int(change)])
         strongest = point.at + int(np.argmin(left))
         enough = evidence >= self.threshold and _sum(self._logs(strongest)) >= CONFIRMED
         alarm = self.state.alarm or enough
         suspects = self._suspects(point, posture) if alarm else ()
-        return DriftState(alarm, evidence, point.postures, suspects)
+        return DriftState(alarm, evidence, len(point.parts), suspects)
 
     def _logs(self, without: int = -1) -> Floats:
         """Return the log likelihood ratios (change points, changes), without a given posture."""

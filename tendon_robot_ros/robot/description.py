@@ -229,7 +229,7 @@ def check_robot(top: Reader) -> Robot:
     for name in top.mapping('effects'):
         effect = top.child('effects').child(str(name))
         effects[str(name)] = {str(key): effect.numbers(str(key)) for key in effect.content}
-    tolerances = top.child('tolerances', optional=True)
+    tolerances = top.child('tolerances')
     tolerances.only(*TOLERANCES)
     return Robot(
         name=top.name('name'),

@@ -82,19 +82,12 @@ def posture_rotation(damage: Damage, values: CauseValues) -> None:
     damage.rotation = values.get('size', 0.03)
 
 
-@dataclass(frozen=True)
-class Cause:
-    """A cause outside the catalogue and its parameters with their units."""
-
-    parameters: dict[str, str]
-    act: Callable[[Damage, CauseValues], None]
-
-
-CAUSES = {
-    'soft_cell': Cause({'cell': '1', 'factor': '1'}, soft_cell),
-    'stiffness_gradient': Cause({'relative_change': '1'}, stiffness_gradient),
-    'posture_gain': Cause({'size': '1'}, posture_gain),
-    'posture_rotation': Cause({'size': 'rad'}, posture_rotation),
+# causes outside the catalogue: the names of their parameters, and the damage that they do
+CAUSES: dict[str, tuple[tuple[str, ...], Callable[[Damage, CauseValues], None]]] = {
+    'soft_cell': (('cell', 'factor'), soft_cell),
+    'stiffness_gradient': (('relative_change',), stiffness_gradient),
+    'posture_gain': (('size',), posture_gain),
+    'posture_rotation': (('size',), posture_rotation),
 }
 
 
@@ -122,14 +115,15 @@ def hide(
         if not isinstance(values, Mapping):
             raise refusal(f'hidden: {name}', 'its parameters as a dict', values)
         if name in CAUSES:
-            _refuse_unknown(name, values, CAUSES[name].parameters)
-            CAUSES[name].act(damage, {key: _one(name, key, v) for key, v in values.items()})
+            known, act = CAUSES[name]
+            _refuse_unknown(name, values, known)
+            act(damage, {key: _one(name, key, v) for key, v in values.items()})
         elif name in catalogue:
             effects[name] = chosen(catalogue[name], values, robot)
         else:
-            known = (*catalogue.names, *CAUSES)
+            near = suggestion(name, (*catalogue.names, *CAUSES))
             raise EffectError(
-                f'unknown hidden effect {name!r}; {suggestion(name, known)}in the catalogue: '
+                f'unknown hidden effect {name!r}; {near}in the catalogue: '
                 f'{", ".join(catalogue.names)}; outside it: {", ".join(CAUSES)}'
             )
     return effects

@@ -45,11 +45,8 @@ class SimulatedNoise:
             A value is negative, or so large that it must be in another unit.
 
         """
-        for key, high, unit in (
-            ('position', 0.1, 'm'),
-            ('setting', 0.5, '1'),
-            ('trial', 0.5, '1'),
-        ):
+        bounds = {'position': (0.1, 'm'), 'setting': (0.5, '1'), 'trial': (0.5, '1')}
+        for key, (high, unit) in bounds.items():
             number(f'noise: {key}', getattr(self, key), 0.0, high, unit)
 
     def factors(self, setting: Floats, trial: Floats) -> Floats:

@@ -49,14 +49,6 @@ class Hidden:
         return {} if self.name == NOTHING_HIDDEN else {self.name: self.values}
 
 
-@dataclass(frozen=True)
-class TourPosture:
-    """A posture of the tour: where to go, with or without a direction."""
-
-    position: Floats  # (3,) [m]
-    direction: Floats | None  # (3,)
-
-
 def refined(robot: Robot) -> Robot:
     """
     Return the paper's model refined for the mock's hardware.
@@ -71,18 +63,16 @@ def refined(robot: Robot) -> Robot:
 
 def add_story(parser: argparse.ArgumentParser) -> None:
     """Declare what is hidden in which robot, and how the story is told."""
-    add = parser.add_argument
+    add, flag = parser.add_argument, dict[str, Any](action='store_true')
     what = 'hide this: an effect, a cause outside the catalogue, or none (default: drawn)'
     add('--hidden', default='', metavar='NAME', help=what)
     what = 'draws what is hidden, how large it is, and the noise (default: from the clock)'
     add('--seed', type=int, metavar='N', help=what)
-    add('--reveal', action='store_true', help='say at the end what was hidden')
-    what = 'no page: the same story as text; exits with 0 only if it came true'
-    add('--headless', action='store_true', help=what)
-    what = 'of the tour that is recorded (default: 14)'
-    add('--postures', type=int, default=14, metavar='N', help=what)
+    add('--reveal', **flag, help='say at the end what was hidden')
+    add('--headless', **flag, help='no page: the story as text; exits with 0 only if it came true')
+    add('--postures', type=int, default=14, metavar='N', help='of the tour (default: 14)')
     what = 'the arm chooses its postures by itself, until it knows (docs/investigate.md)'
-    add('--investigate', action='store_true', help=what)
+    add('--investigate', **flag, help=what)
     add('--port', type=int, default=8080, metavar='N', help='of the page (default: 8080)')
     what = 'in config/robots (default: kato_10_1)'
     add('--robot', default='kato_10_1', metavar='NAME', help=what)
@@ -147,12 +137,12 @@ def draw(robot: Robot, catalogue: Catalogue, name: str, seed: int) -> Hidden:
             return hidden
 
 
-def tour(model: Model, count: int, seed: int) -> list[TourPosture]:
-    """Return postures that exercise the robot; every other one leaves the direction free."""
-    stops = []
+def tour(model: Model, count: int, seed: int) -> list[tuple[Floats, Floats | None]]:
+    """Return tips (3,) [m] that exercise the robot, and for every other one its direction (3,)."""
+    stops = list[tuple[Floats, Floats | None]]()
     for index, tensions in enumerate(default_postures(model.robot, count, seed)):
         shape = model.shape(np.clip(tensions, *model.robot.tension_limits))
-        stops.append(TourPosture(shape.tip_position, shape.tip_direction if index % 2 else None))
+        stops.append((shape.tip_position, shape.tip_direction if index % 2 else None))
     return stops
 
 

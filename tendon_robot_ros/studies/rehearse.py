@@ -110,26 +110,18 @@ class SimulatedArm:
         """Stand straight."""
         self.plant, self.noise, self.lost = plant, noise or SimulatedNoise(), lost
         self.input, self.path = input, path
+        self.robot: Robot = plant.robot  # the owner's description
         self.markers: Sequence[Marker] = default_markers(plant.robot)
+        self.input_noise = self.noise.setting, self.noise.trial
         self.visited: list[Floats] = []  # inputs (m,) of all measurements, broken ones included
         self.released = 0
         self._random = np.random.default_rng(seed)
-
-    @property
-    def robot(self) -> Robot:
-        """The owner's description."""
-        return self.plant.robot
 
     @property
     def position_noise(self) -> float | None:
         """Standard deviation [m] of a coordinate of a trial."""
         once = self.path == 'sequence'  # a posture has as many readings as others have trials
         return float(self.noise.position / np.sqrt(TRIALS_ADVISED if once else 1))
-
-    @property
-    def input_noise(self) -> tuple[float, float]:
-        """Relative 1 sd of an input."""
-        return self.noise.setting, self.noise.trial
 
     def measure(self, inputs: Floats, trials: int) -> PostureMeasured:
         """Measure a posture."""

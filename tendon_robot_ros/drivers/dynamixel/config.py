@@ -19,30 +19,8 @@ import numpy as np
 from ...common.errors import DriverError, InputError
 from ...common.yaml_reading import ConfigFields
 from ...robot import Robot
-from ..hardware import (
-    WEIGHTS_MIN,
-    LineFit,
-    PortConfig,
-    Spool,
-    WireConfig,
-    fields_of_inputs,
-    fit_line,
-    nearest,
-    read_calibrations,
-    read_direction,
-    read_port_config,
-    read_spool_radius,
-    read_wire_limits,
-)
-from .control_table import (
-    BAUD_RATES,
-    INSTEAD,
-    MODELS,
-    WITHOUT_CURRENT,
-    Counts,
-    ServoModel,
-    plain_model,
-)
+from .. import hardware
+from .control_table import BAUD_RATES, INSTEAD, MODELS, WITHOUT_CURRENT, Counts, ServoModel
 
 # [counts] of current from no tension to the limit; else one count would be more than 5 % of it
 CURRENT_COUNTS_MIN = 20
@@ -50,7 +28,7 @@ CURRENT_COUNTS_MIN = 20
 FRICTION_BAND_MAX = 0.20
 
 
-class CurrentLine(LineFit):
+class CurrentLine(hardware.LineFit):
     """Current over tension: intercept [A] and slope [A/N], with their standard errors."""
 
     def current(self, tension: float) -> float:
@@ -179,14 +157,15 @@ def fit_current(points: Sequence[CurrentPoint]) -> Calibration:
     """
     tensions = np.array([point.tension for point in points])
     different = len(np.unique(tensions))
-    if different < WEIGHTS_MIN:
+    if different < hardware.WEIGHTS_MIN:
         raise InputError(
-            f'calibration: expected at least {WEIGHTS_MIN} different weights, got {different}'
+            f'calibration: expected at least {hardware.WEIGHTS_MIN} different weights, '
+            f'got {different}'
         )
     lines: dict[str, CurrentLine] = {}
     for name in ('wind', 'pay_out'):
         lines[name] = line = CurrentLine(
-            *fit_line(tensions, np.array([getattr(p, name) for p in points]))
+            *hardware.fit_line(tensions, np.array([getattr(p, name) for p in points]))
         )
         if line.slope <= 0.0:
             raise InputError(
@@ -231,7 +210,7 @@ MOTOR_KEYS = ('id', 'direction', 'share', 'tension_limit', *COMMON_KEYS)
 
 
 @dataclass(frozen=True)
-class MotorWire(WireConfig):
+class MotorWire(hardware.WireConfig):
     """
     One input and its motor.
 
@@ -261,15 +240,15 @@ class MotorWire(WireConfig):
 
 def read_wires(top: ConfigFields, robot: Robot, mode: str) -> tuple[MotorWire, ...]:
     """Read the motor of every input of the robot."""
-    items = fields_of_inputs(top, 'motors', 'a motor', robot)
-    lines = read_calibrations(top, required=True)
+    items = hardware.fields_of_inputs(top, 'motors', 'a motor', robot)
+    lines = hardware.read_calibrations(top, required=True)
     shared = [item.content.get('id') for item in items.values()]
     wires = []
     for name, item in items.items():
         item.only(*MOTOR_KEYS)
         identity = item.whole('id', 0, 252)
-        model = read_model(nearest(item, top, 'model'))
-        radius = read_spool_radius(item, top)
+        model = read_model(hardware.nearest(item, top, 'model'))
+        radius = hardware.read_spool_radius(item, top)
         calibration = from_data_sheet(model, radius)
         if lines.has(name) or item.has('calibration'):
             source = lines.child(name) if lines.has(name) else item.child('calibration')
@@ -279,15 +258,17 @@ def read_wires(top: ConfigFields, robot: Robot, mode: str) -> tuple[MotorWire, .
             default = 2.0 * robot.tension_limits[1]
             key, low, high, unit = ('tension_rate', 1e-6, 1e4, 'N/s')
         largest = model.current_limit * model.current_unit
-        limited = nearest(item, top, 'current_limit')
+        limited = hardware.nearest(item, top, 'current_limit')
         wires.append(
             MotorWire(
                 name,
-                Spool(
-                    radius, read_direction(item, 'counter-clockwise winds'), Counts.TICKS_PER_TURN
+                hardware.Spool(
+                    radius,
+                    hardware.read_direction(item, 'counter-clockwise winds'),
+                    Counts.TICKS_PER_TURN,
                 ),
-                **read_wire_limits(item, top, robot, mode),
-                rate=nearest(item, top, key).value(key, default, low, high, unit),
+                **hardware.read_wire_limits(item, top, robot, mode),
+                rate=hardware.nearest(item, top, key).value(key, default, low, high, unit),
                 motor=identity,
                 model=model,
                 share=item.value('share', 1.0 / shared.count(identity), 0.0, 1.0, '1'),
@@ -302,7 +283,8 @@ def read_wires(top: ConfigFields, robot: Robot, mode: str) -> tuple[MotorWire, .
 
 def read_model(fields: ConfigFields) -> ServoModel:
     """Return a motor by the name on its label; the error lists the known ones."""
-    name = plain_model(str(fields.content.get('model', '')))
+    label = str(fields.content.get('model', '')).strip().upper()
+    name = label.removesuffix('-T').removesuffix('-R')
     if name in WITHOUT_CURRENT.values():
         raise fields.error('model', INSTEAD, name)
     return MODELS[name] if name in MODELS else MODELS[fields.choice('model', tuple(MODELS))]
@@ -325,7 +307,7 @@ def read_calibration(item: ConfigFields, model: ServoModel, radius: float) -> Ca
 
 
 @dataclass(frozen=True)
-class DynamixelConfig(PortConfig):
+class DynamixelConfig(hardware.PortConfig):
     """Checked configuration of the driver, by the keys of its file; SI units."""
 
     watchdog: float | None  # [s], 0 = off, None = by the scheduling of the caller
@@ -362,7 +344,7 @@ def read_config(
     top = ConfigFields(source, '', dict(content))
     top.only(*KEYS)
     config = DynamixelConfig(
-        **read_port_config(top, robot, mode, tuple(BAUD_RATES.values()), slack=0.02),
+        **hardware.read_port_config(top, robot, mode, tuple(BAUD_RATES.values()), slack=0.02),
         watchdog=top.value('watchdog', 0.0, 0.0, 2.54, 's') if top.has('watchdog') else None,
         answer_time=top.value('answer_time', 0.012, 0.001, 0.1, 's'),
         pull_operation=top.choice(

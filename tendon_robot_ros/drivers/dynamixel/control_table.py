@@ -230,11 +230,6 @@ INSTEAD = (
 )
 
 
-def plain_model(name: str) -> str:
-    """Return the name of a model as it stands here: the label of a motor ends in -T or -R."""
-    return name.strip().upper().removesuffix('-T').removesuffix('-R')
-
-
 def decode(register: Register, data: bytes) -> int:
     """Read the value of a register from its little-endian bytes."""
     return int.from_bytes(data, 'little', signed=register.signed)

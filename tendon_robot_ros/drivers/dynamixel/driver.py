@@ -13,23 +13,12 @@ from ...common.errors import DriverError
 from ...robot import Robot
 from ..interface import Fault
 from ..serial_port import RESTART_TIMEOUT_S, PortDriver, PortLostError
+from . import servos
 from .bus import Bus, check_latency
 from .config import DynamixelConfig, read_config
 from .control_table import OperatingMode
 from .motions import find_slack
 from .motor import Motor, make_motors
-from .servos import (
-    Watch,
-    come_back,
-    naming_second_talker,
-    operating_mode,
-    read_state,
-    shake_hands,
-    torque_off,
-    torque_on,
-    watchdog_counts,
-    watchdog_time,
-)
 
 # [1] times that an increased current limit is sent, because nobody acknowledges a goal
 LIMIT_REPEATED = 20
@@ -48,8 +37,8 @@ class DynamixelDriver(PortDriver):
         self.bus = Bus(config.port, config.baudrate, config.answer_time)
         super().__init__(robot, mode, config, self.bus, config.motors)
         self.motors = make_motors(config, mode)
-        self._operating = operating_mode(config, mode)
-        self._watch = Watch(self.bus, self._operating)
+        self._operating = servos.operating_mode(config, mode)
+        self._watch = servos.Watch(self.bus, self._operating)
         self._silence, self._silent_after = 'set when torque comes on', float('nan')  # [s]
         self._latency: int | None = None
         self._lost: list[Motor] = []
@@ -76,31 +65,33 @@ class DynamixelDriver(PortDriver):
         super().enable()
 
     def _shake_hands(self) -> None:
-        shake_hands(self.bus, self.config, self.motors)
-        read_state(self.bus, self.motors.values())
+        servos.shake_hands(self.bus, self.config, self.motors)
+        servos.read_state(self.bus, self.motors.values())
         self._zero_in_place()
 
     def _slack_unknown(self) -> bool:
         return any(motor.zero is None for motor in self.motors.values())
 
     def _find_slack(self) -> None:
-        with naming_second_talker(self.bus):
+        with servos.naming_second_talker(self.bus):
             find_slack(self.bus, self.config, list(self.motors.values()), self.refuse_cancelled)
 
     def _torque_on(self) -> None:
-        seconds, why = watchdog_time(self.config)
-        self._watch.watchdog = watchdog_counts(seconds)
+        seconds, why = servos.watchdog_time(self.config)
+        self._watch.watchdog = servos.watchdog_counts(seconds)
         self._silence = f'{seconds:g} s ({why})' if seconds else f'off ({why})'
         self._silent_after = seconds
-        with naming_second_talker(self.bus):
-            torque_on(self.bus, list(self.motors.values()), self._operating, self._watch.watchdog)
+        with servos.naming_second_talker(self.bus):
+            servos.torque_on(
+                self.bus, list(self.motors.values()), self._operating, self._watch.watchdog
+            )
         self._zero_in_place()
 
     def disable(self, inputs: Sequence[str] = ()) -> None:
         """Torque off at once; a motor that two inputs share goes off with either."""
         chosen = self._motors_of(inputs)
         try:
-            torque_off(self.bus, chosen)
+            servos.torque_off(self.bus, chosen)
         except PortLostError:
             for motor in chosen:  # and off when the port comes back
                 motor.torque_requested = motor.restarted = motor.tripped = False
@@ -110,7 +101,7 @@ class DynamixelDriver(PortDriver):
         self._require_open('reboot')
         chosen = self._motors_of(inputs)
         try:
-            torque_off(self.bus, chosen)
+            servos.torque_off(self.bus, chosen)
             for motor in chosen:
                 self.bus.reboot(motor.identity)
                 motor.zero = None
@@ -120,7 +111,7 @@ class DynamixelDriver(PortDriver):
                 waiting = [m for m in waiting if self.bus.ping(m.identity) is None]
             for motor in chosen:
                 motor.errors = self.bus.read(motor.identity, 'hardware_error_status') or 0
-            read_state(self.bus, chosen)
+            servos.read_state(self.bus, chosen)
             self._zero_in_place()
         except PortLostError as error:
             raise DriverError(f'{error}: lost while rebooting') from None
@@ -247,7 +238,7 @@ class DynamixelDriver(PortDriver):
     def _converse(self, now: float) -> None:
         """Read the state of the motors that answer, poll them, and ping one that is lost."""
         responding = [motor for motor in self.motors.values() if motor.answers]
-        read_state(self.bus, responding)
+        servos.read_state(self.bus, responding)
         self._watch.poll([motor for motor in responding if motor.answers], now)
         self._resume_from_measured(self._watch.tripped)
         before, self._lost = self._lost, [m for m in self.motors.values() if not m.answers]
@@ -257,7 +248,7 @@ class DynamixelDriver(PortDriver):
             self._next_ping += 1  # a different first servo every time, until one is silent
             start = self._next_ping % len(self._lost)
             for motor in self._lost[start:] + self._lost[:start]:
-                if not come_back(self.bus, motor, self._operating, self._watch.watchdog):
+                if not servos.come_back(self.bus, motor, self._operating, self._watch.watchdog):
                     return
                 self._resume_from_measured([motor])
 

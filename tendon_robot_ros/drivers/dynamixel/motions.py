@@ -24,21 +24,14 @@ from ...common.processes import ends_between
 from ..hardware import READINGS_MIN
 from ..interface import CYCLE_S, travelled
 from ..serial_port import PortLostError
+from . import servos
 from .bus import Bus
 from .config import CurrentPoint, DynamixelConfig
 from .control_table import RADIANS_PER_TICK, REGISTERS, Counts, OperatingMode
 from .motor import Motor
-from .servos import (
-    WATCHDOG_S,
-    read_state,
-    recover_watchdog,
-    torque_off,
-    torque_on,
-    watchdog_counts,
-)
 
 MODE = OperatingMode.CURRENT_BASED_POSITION
-WATCHDOG_COUNTS = watchdog_counts(WATCHDOG_S)
+WATCHDOG_COUNTS = servos.watchdog_counts(servos.WATCHDOG_S)
 # [1] answers that a motor misses in a row, or trips of its watchdog, so that a hiccup ends no
 # motion; a bus or computer that is late more often is too late
 HICCUPS_MAX = 5
@@ -168,7 +161,7 @@ class SlackSearch:
                 f'{self.bus.path}: {motor}: its bus watchdog stopped it {self.trips} times while '
                 'it looked for slack: this computer is late again and again; torque is off'
             )
-        recover_watchdog(self.bus, motor, MODE, WATCHDOG_COUNTS, tripped=True)
+        servos.recover_watchdog(self.bus, motor, MODE, WATCHDOG_COUNTS, tripped=True)
         self.goal, self.still, self.checked = float(motor.ticks or 0), 0.0, 0.0
         return True
 
@@ -215,10 +208,10 @@ def find_slack(
         The torque does not come on: nothing has moved.
 
     """
-    read_state(bus, motors)
+    servos.read_state(bus, motors)
     searches = [SlackSearch.begin(bus, config, motor) for motor in motors]
     try:
-        torque_on(bus, motors, MODE, WATCHDOG_COUNTS)
+        servos.torque_on(bus, motors, MODE, WATCHDOG_COUNTS)
         try:
             wind_until_taut(bus, config, searches, refuse_cancelled)
         except (DriverError, PortLostError) as error:
@@ -251,7 +244,7 @@ def wind_until_taut(
             raise DriverError(
                 f'{bus.path}: {late}: looking for slack took too long; torque is off'
             )
-        read_state(bus, [search.motor for search in searches])
+        servos.read_state(bus, [search.motor for search in searches])
         for search in searches:
             search.cycle(passed)
         goals = {s.motor.identity: round(s.goal) for s in searches}
@@ -266,8 +259,8 @@ def end_search(bus: Bus, searches: list[SlackSearch]) -> None:
     """Torque off; record the distances of motors whose zero is still unknown."""
     motors = [search.motor for search in searches]
     try:
-        torque_off(bus, motors)
-        read_state(bus, motors)
+        servos.torque_off(bus, motors)
+        servos.read_state(bus, motors)
     except PortLostError:  # their watchdogs stop them, at their goals at the latest
         for motor in motors:
             motor.torque_requested = motor.answers = False
@@ -304,7 +297,7 @@ def wind_weight(
 
     """
     wire = motor.wires[0]
-    read_state(bus, [motor])
+    servos.read_state(bus, [motor])
     if motor.ticks is None or not motor.answers:
         raise DriverError(f'{bus.path}: {motor}: no answer; check the cable')
     start = motor.ticks
@@ -314,11 +307,11 @@ def wind_weight(
     try:
         with ends_between() as check:
             try:
-                torque_on(bus, [motor], MODE, WATCHDOG_COUNTS)
+                servos.torque_on(bus, [motor], MODE, WATCHDOG_COUNTS)
                 up = turn_steadily(bus, motor, end, travel / speed, check)
                 down = turn_steadily(bus, motor, start, travel / speed, check)
             finally:
-                torque_off(bus, [motor])
+                servos.torque_off(bus, [motor])
     except PortLostError as error:
         raise DriverError(f'{error}: lost while calibrating; the bus watchdog stops it') from None
     finally:
@@ -333,7 +326,7 @@ def turn_to(bus: Bus, motor: Motor, ticks: int) -> None:
     )
     time.sleep(CYCLE_S)
     for _ in range(HICCUPS_MAX):
-        read_state(bus, [motor])
+        servos.read_state(bus, [motor])
         if motor.answers:
             return
     raise DriverError(f'{bus.path}: {motor}: no answer while calibrating; torque is off')

@@ -20,20 +20,7 @@ from ...common.arrays import Floats, Ints
 from ...common.errors import InputError
 from ...common.yaml_reading import ConfigFields
 from ...robot import Robot
-from ..hardware import (
-    WEIGHTS_MIN,
-    PortConfig,
-    Spool,
-    WireConfig,
-    fields_of_inputs,
-    fit_line,
-    nearest,
-    read_calibrations,
-    read_direction,
-    read_port_config,
-    read_spool_radius,
-    read_wire_limits,
-)
+from .. import hardware
 from .messages import RELEASES, Protocol
 
 
@@ -90,13 +77,13 @@ def fit_counts(points: Sequence[CountsPoint]) -> Cell:
     tensions = np.array([point.tension for point in points])
     counts = np.array([point.mean for point in points])
     different = len(np.unique(tensions))
-    if different < WEIGHTS_MIN:
+    if different < hardware.WEIGHTS_MIN:
         raise InputError(
-            f'calibration: expected at least {WEIGHTS_MIN - 1} different weights besides '
+            f'calibration: expected at least {hardware.WEIGHTS_MIN - 1} different weights besides '
             f'none, got {different - 1}'
         )
     noise = math.sqrt(float(np.mean([point.spread**2 for point in points])))
-    line = fit_line(tensions, counts, noise)
+    line = hardware.fit_line(tensions, counts, noise)
     if abs(line.slope) * float(np.ptp(tensions)) < 5.0 * line.scatter or line.slope == 0.0:
         raise InputError(
             f'calibration: the counts do not follow the weight ({line.slope:.3g} counts/N, '
@@ -132,7 +119,7 @@ TENDON_KEYS = ('channel', 'direction', 'tension_limit', *COMMON_KEYS)
 
 
 @dataclass(frozen=True)
-class ChannelWire(WireConfig):
+class ChannelWire(hardware.WireConfig):
     """One input, its channel and load cell."""
 
     channel: int
@@ -147,16 +134,16 @@ def read_wires(
     top: ConfigFields, robot: Robot, mode: str, rate: float, calibrated: bool
 ) -> tuple[ChannelWire, ...]:
     """Read the channel of every input; `calibrated`: load cells must be calibrated."""
-    cells = read_calibrations(top, required=False)
+    cells = hardware.read_calibrations(top, required=False)
     wires = []
-    for name, item in fields_of_inputs(top, 'tendons', 'a channel', robot).items():
+    for name, item in hardware.fields_of_inputs(top, 'tendons', 'a channel', robot).items():
         item.only(*TENDON_KEYS)
         channel = item.whole('channel', 0, Protocol.CHANNELS_MAX - 1)
-        direction = read_direction(item, 'growing encoder ticks wind')
-        radius = read_spool_radius(item, top)
-        counted = nearest(item, top, 'ticks_per_turn')
+        direction = hardware.read_direction(item, 'growing encoder ticks wind')
+        radius = hardware.read_spool_radius(item, top)
+        counted = hardware.nearest(item, top, 'ticks_per_turn')
         ticks_per_turn = counted.number('ticks_per_turn', 1.0, 1e7, 'ticks')
-        limits = read_wire_limits(item, top, robot, mode)
+        limits = hardware.read_wire_limits(item, top, robot, mode)
         if calibrated and not cells.has(name):
             raise top.error(
                 'calibration',
@@ -165,7 +152,7 @@ def read_wires(
                 list(cells.content),
             )
         cell = read_cell(cells.child(name)) if cells.has(name) else None
-        spool = Spool(radius, direction, ticks_per_turn)
+        spool = hardware.Spool(radius, direction, ticks_per_turn)
         wires.append(ChannelWire(name, spool, **limits, rate=rate, channel=channel, cell=cell))
     channels = [wire.channel for wire in wires]
     for wire in wires:
@@ -189,7 +176,7 @@ BAUD_RATES = (115_200, 230_400, 250_000, 500_000, 1_000_000, 2_000_000)
 
 
 @dataclass(frozen=True)
-class BoardConfig(PortConfig):
+class BoardConfig(hardware.PortConfig):
     """Checked configuration of the driver, by the keys of its file; SI units."""
 
     source: str  # the file
@@ -238,7 +225,7 @@ def read_config(
     pull_rate = top.value('pull_rate', 0.05, 1e-5, 1.0, 'm/s')
     rate = tension_rate if mode == 'tension' else pull_rate
     return BoardConfig(
-        **read_port_config(top, robot, mode, BAUD_RATES, slack=0.05),
+        **hardware.read_port_config(top, robot, mode, BAUD_RATES, slack=0.05),
         source=source,
         telemetry_rate=top.value('telemetry_rate', 250.0, 20.0, 1000.0, 'Hz'),
         command_timeout=top.value('command_timeout', 0.2, 0.02, 10.0, 's'),

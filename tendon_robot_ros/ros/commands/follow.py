@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 import time
 from collections.abc import Sequence
@@ -19,7 +18,7 @@ from ...common.files import file_to_write, refuse_ending
 from ...common.results import JSON_OPTION, emit
 from ...common.rotations import angle_between
 from ...common.words import TYPED_LENGTHS, UNITS, other_unit, read_quantity
-from ...control.inputs import Refusal, Trajectory
+from ...control.inputs import Trajectory
 from ...control.target_search import keep_out_refusal
 from ...data.bag_reader import is_bag, opened
 from ...data.csv_file import first_line
@@ -45,7 +44,7 @@ from ...paths.path import (
     tip_path,
 )
 from ...report.pictures import draw_run, path_lines, place
-from ...robot.keep_out import load_keep_out, text_of
+from ...robot.keep_out import KeepOut, load_keep_out, text_of
 from ..controller.topics import POINTS_MAX
 from ..shared.robot_client import Pilot, add_controller
 from ..shared.runtime import ros
@@ -59,6 +58,13 @@ FLAGS = {
     'commands': 'of a recording: play its tendon commands, not its targets',
     'plan': 'say what would be done, move nothing',
     'anyway': 'start although part of the path is out of reach: as near as it can',
+}
+# option -> field of `Pace`, size of its unit in SI, meaning
+PACES = {
+    'speed': ('speed', UNITS['length']['mm'], 'mm/s of the tip'),
+    'turning': ('turning', UNITS['angle']['deg'], '°/s of its direction'),
+    'tension-rate': ('tension', UNITS['force']['N'], 'N/s of every tension'),
+    'pull-rate': ('pull', UNITS['length']['mm'], 'mm/s of every wire, in pull mode'),
 }
 NEAR_M = UNITS['length']['mm']  # no tip is within a millimetre of its base
 DISTANCE_MAX_M = 20.0  # [m] because the largest continuum arms have a few metres
@@ -150,12 +156,8 @@ class Follow:
         add('path', metavar='FILE', help='CSV file, rosbag2 folder, or .mcap or .db3 file')
         for name, text in FLAGS.items():
             add(f'--{name}', action='store_true', help=text)
-        for name, value, text in (
-            ('speed', 1e3 * pace.speed, 'mm/s of the tip'),
-            ('turning', math.degrees(pace.turning), '°/s of its direction'),
-            ('tension-rate', pace.tension, 'N/s of every tension'),
-            ('pull-rate', 1e3 * pace.pull, 'mm/s of every wire, in pull mode'),
-        ):
+        for name, (field, unit, text) in PACES.items():
+            value = getattr(pace, field) / unit
             text = f'at most so many {text} (default: {value:.3g})'
             add(f'--{name}', type=float, default=value, metavar='LIMIT', help=text)
         add('--keep-out', metavar='YAML', help='regions that no part of the arm may enter')
@@ -227,12 +229,11 @@ def _tips(pilot: Pilot, rows: TipRows, options: argparse.Namespace, pace: Pace) 
         current = _commanded_shape(pilot, model)
         change = float(np.abs(planned.tensions[0] - current.inputs).max())
         times = planned.path.times + change / pace.tension  # after the move to its start
-        if refusal := keep_out_refusal(
-            model, current, Trajectory(times, planned.tensions), regions, False
-        ):
+        played = Trajectory(times, planned.tensions)
+        if problem := _entry(model, current, played, regions, False):
             if not options.plan:
-                raise InputError(f'{options.path}: {_without_prefix(refusal)}')
-            print(_without_prefix(refusal))
+                raise InputError(f'{options.path}: {problem}')
+            print(problem)
     if options.plan:
         return None
     with pilot.keeping_out(text_of(options.keep_out)) if regions else nullcontext():
@@ -255,10 +256,8 @@ def _tendons(
     if options.keep_out:
         model, regions = pilot.model(), load_keep_out(options.keep_out)
         shape = _commanded_shape(pilot, model)
-        if refusal := keep_out_refusal(
-            model, shape, Trajectory(times, values), regions, pilot.pull
-        ):
-            raise InputError(f'{options.path}: {_without_prefix(refusal)}')
+        if problem := _entry(model, shape, Trajectory(times, values), regions, pilot.pull):
+            raise InputError(f'{options.path}: {problem}')
     return None if options.plan else run_tendons(pilot, times, values)
 
 
@@ -268,8 +267,10 @@ def _commanded_shape(pilot: Pilot, model: Model) -> Shape:
     return model.pull_shape(now) if pilot.pull else model.shape(now)
 
 
-def _without_prefix(refusal: Refusal) -> str:
-    return str(refusal).removeprefix('tendon_trajectory: ')
+def _entry(model: Model, now: Shape, moves: Trajectory, regions: KeepOut, pull: bool) -> str:
+    """Return why a trajectory enters a region, '' where it keeps out of all."""
+    refusal = keep_out_refusal(model, now, moves, regions, pull)
+    return str(refusal or '').removeprefix('tendon_trajectory: ')
 
 
 def _read(options: argparse.Namespace, pilot: Pilot) -> TipRows | TendonRows:
@@ -293,13 +294,13 @@ def _read(options: argparse.Namespace, pilot: Pilot) -> TipRows | TendonRows:
 
 
 def _pace(options: argparse.Namespace) -> Pace:
-    paces = options.speed, options.turning, options.tension_rate, options.pull_rate
-    names = '--speed', '--turning', '--tension-rate', '--pull-rate'
-    for name, value in zip(names, paces, strict=True):
+    limits = {}
+    for name, (field, unit, _) in PACES.items():
+        value = getattr(options, name.replace('-', '_'))
         if not 0.0 < value < 1e6:
-            raise InputError(f'{name}: expected more than 0, got {value:g}')
-    speed, turning, tension, pull = paces
-    return Pace(1e-3 * speed, math.radians(turning), tension, 1e-3 * pull)
+            raise InputError(f'--{name}: expected more than 0, got {value:g}')
+        limits[field] = unit * value
+    return Pace(**limits)
 
 
 def run_tips(pilot: Pilot, plan: Plan) -> PathRun:

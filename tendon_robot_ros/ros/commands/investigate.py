@@ -33,7 +33,7 @@ from ...common.arrays import Floats
 from ...common.errors import InputError, NoEquilibriumError, TendonRobotError
 from ...common.results import emit, narrate
 from ...control.inputs import Refusal, Trajectory
-from ...data import default_markers
+from ...data import Marker, default_markers
 from ...data.dataset import LOADINGS
 from ...data.folder import read_markers
 from ...drivers.safety import CYCLE_MAX_S
@@ -100,6 +100,11 @@ class RunningArm(Pilot):
 
     """
 
+    _own: Model  # of the controller
+    robot: Robot  # its description
+    markers: Sequence[Marker]
+    input_noise = MonitorSettings().setting_noise, 0.0  # relative and absolute 1 sd of an input
+
     def __init__(
         self,
         controller: str,
@@ -110,8 +115,7 @@ class RunningArm(Pilot):
         speed: float = SPEED,
     ) -> None:
         """Create publishers and subscriptions."""
-        options = {'namespace': namespace, 'watched': (DRIVER, monitor)}
-        super().__init__('investigate', ending, controller, **options)
+        super().__init__('investigate', ending, controller, namespace, (DRIVER, monitor))
         self.path, self.stop_requested = path, False
         self._monitor, self.speed = monitor, speed
         self._frames: list[tuple[float, Floats]] = []
@@ -122,12 +126,10 @@ class RunningArm(Pilot):
             del self._frames[:-MESSAGES_MAX]
 
         def states(message: JointState) -> None:
-            if self._own is None:
-                return
             try:
-                tensions, pulls = tensions_and_pulls(message, self._own.inputs)
+                tensions, pulls = tensions_and_pulls(message, self.inputs)
             except Refusal:
-                return
+                return  # before the first command, or of another robot
             self._kinds.add('tension' if np.isfinite(tensions).all() else 'displacement')
             state = np.concatenate([tensions, pulls])
             if np.isfinite(self._own_half(state)).all():
@@ -135,7 +137,6 @@ class RunningArm(Pilot):
 
         interface.subscribe(self, 'monitor/measured', frame, monitor, STATE)
         interface.subscribe(self, 'tendon_states', states)
-        self._own: Model | None = None
         self.input = 'tension'
         self._variances: list[float] = []  # [m²] of the mean positions so far
 
@@ -151,6 +152,7 @@ class RunningArm(Pilot):
         """
         self.connect()
         self._own = self.model()
+        self.robot = self._own.robot
         rows = parsed(self.parameter('markers', self._monitor), 'markers', list)
         self.markers = read_markers(rows, self.robot) or default_markers(self.robot)
         self._frames.clear()
@@ -168,25 +170,12 @@ class RunningArm(Pilot):
         self.wait(lambda: self.statuses[self._monitor], SILENCE_S, 'its status', strict=False)
         if self.statuses[self._monitor].get('drift') != 'true' or self.input != 'tension':
             return None
-        assert self._own is not None
-        answer = self.triggered(f'{self._monitor}/change')
-        return load_change(answer, self._own.catalogue)
-
-    @property
-    def robot(self) -> Robot:
-        """The description that the controller uses."""
-        assert self._own is not None
-        return self._own.robot
+        return load_change(self.triggered(f'{self._monitor}/change'), self._own.catalogue)
 
     @property
     def position_noise(self) -> float | None:
         """Standard deviation [m] of a coordinate of a trial, from the frames so far."""
         return max(float(np.sqrt(np.mean(self._variances))), 1e-6) if self._variances else None
-
-    @property
-    def input_noise(self) -> tuple[float, float]:
-        """Standard deviation of an input: relative [1] and absolute."""
-        return MonitorSettings().setting_noise, 0.0
 
     def _trial(self, inputs: Floats) -> StillMeasurement:
         """Go to a posture and record it; BrokenMeasurementError: in vain, it goes on."""
@@ -232,8 +221,6 @@ class RunningArm(Pilot):
 
     def release(self) -> None:
         """Release the arm, even after a signal; a stopped controller has released it already."""
-        if self._own is None or not self._commands:
-            return
         stamp = self.play(self._move(self._rest()))
         end = time.monotonic() + REACTION_TIMEOUT_S
         while time.monotonic() < end and not self.settled(stamp, ('played',)):
@@ -249,13 +236,11 @@ class RunningArm(Pilot):
 
     def _rest(self) -> Floats:
         """Return the command (m,) [N] or [m] of the released arm."""
-        assert self._own is not None
         lowest = self._own.limits[:, 0]
         return np.asarray(self._own.shape(lowest).pulls) if self.pull else lowest
 
     def _command(self, inputs: Floats) -> Floats:
         """Return the command (m,) for a posture: tensions [N], or wire pulls [m]."""
-        assert self._own is not None
         low, high = self._own.limits.T
         if self.input == 'tension':
             tensions = np.clip(inputs, low, high)
@@ -278,7 +263,6 @@ class RunningArm(Pilot):
 
     def _move(self, target: Floats) -> Trajectory:
         """Return the straight path from the present command, at the set speed."""
-        assert self._own is not None
         current = self._commands[-1][1]
         largest = self._own.limits[:, 1] if not self.pull else 0.1 * self.robot.length
         fraction = float(np.max(np.abs(target - current) / largest))

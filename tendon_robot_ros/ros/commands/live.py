@@ -18,7 +18,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -36,19 +35,11 @@ from ...model.model import Model
 from ...robot import Robot, dump_robot
 from ...robot.keep_out import KeepOut
 from ...simulation.hidden import STIFFNESS_SCATTER
-from ...simulation.rehearsal import (
-    Hidden,
-    Story,
-    TourPosture,
-    add_story,
-    cast,
-    reveal,
-    tour,
-)
+from ...simulation.rehearsal import Hidden, Story, add_story, cast, reveal, tour
 from ..shared import interface
 from ..shared.messages import seconds, time_now, xyz
 from ..shared.quality import STATE
-from ..shared.robot_client import MESSAGES_MAX, TIP_AVERAGE_S, RobotClient
+from ..shared.robot_client import MESSAGES_MAX, TIP_AVERAGE_S, Pilot
 from ..shared.runtime import Ending, NodeProcess, ros
 from ..shared.timing import MOVE_TIMEOUT_S, REACTION_TIMEOUT_S, WORK_TIMEOUT_S
 from . import investigate as investigation
@@ -62,66 +53,55 @@ MESSAGES_MIN = 15
 STARTING_CODES = (None, 'loading', 'compiling', 'building', 'not_ready')
 
 
-@dataclass
-class Performance:
-    """One run: the described robot, what the mock hides, and the options of the user."""
-
-    options: argparse.Namespace
-    robot: Robot
-    hidden: Hidden
-    seed: int
-    folder: Path  # for all files
-
-    def start(self, stack: ExitStack, director: Director) -> None:
-        """Start the nodes; the stack ends them in reverse order."""
-        folder, headless = self.folder.resolve(), self.options.headless
-        described = folder / 'paper.yaml'
-        described.write_text(dump_robot(self.robot), encoding='utf-8')
-        log = stack.enter_context((folder / LOG).open('w', encoding='utf-8'))
-        config = {
-            'plant': {
-                'hidden': self.hidden.plant,
-                'scatter': STIFFNESS_SCATTER,
-                'seed': self.seed,
-            },
-            'lag': 0.02,
-            'tension_noise': 0.002,
-            'pull_noise': 2e-5,
-            'seed': self.seed,
-            'tracker': {'rate': 30.0, 'noise': 2e-4, 'seed': self.seed + 1},
-        }
-        plain = yaml.safe_dump(json.loads(json.dumps(config)))  # lists in place of tuples
-        # [Hz] so that a busy machine has time for the other nodes
-        rate = {'rate': 100.0} if headless else {}
-        watched = {'path': 'from_straight', 'force_rate': 5.0, 'reference_postures': 20.0}
+def nodes_of(
+    options: argparse.Namespace, robot: Robot, hidden: Hidden, seed: int, folder: Path
+) -> list[tuple[str, dict[str, object], list[str]]]:
+    """Return the commands of the nodes, with their parameters and arguments; files in a folder."""
+    described = folder / 'paper.yaml'
+    described.write_text(dump_robot(robot), encoding='utf-8')
+    config = {
+        'plant': {'hidden': hidden.plant, 'scatter': STIFFNESS_SCATTER, 'seed': seed},
+        'lag': 0.02,
+        'tension_noise': 0.002,
+        'pull_noise': 2e-5,
+        'seed': seed,
+        'tracker': {'rate': 30.0, 'noise': 2e-4, 'seed': seed + 1},
+    }
+    plain = yaml.safe_dump(json.loads(json.dumps(config)))  # lists in place of tuples
+    # [Hz] so that a busy machine has time for the other nodes
+    rate = {'rate': 100.0} if options.headless else {}
+    watched = {'path': 'from_straight', 'force_rate': 5.0, 'reference_postures': 20.0}
+    nodes: list[tuple[str, dict[str, object], list[str]]] = [
+        ('driver', {'robot': str(described), 'config': plain, **rate}, []),
+        ('controller', {'model': str(described), **rate}, []),
+        ('monitor', {'folder': str(folder / 'recordings'), **watched}, []),
+    ]
+    if not options.headless:
         own = ['--wait', *INVESTIGATION, str(folder / 'found')]
-        nodes: list[tuple[str, dict[str, object], list[str]]] = [
-            ('driver', {'robot': str(described), 'config': plain, **rate}, []),
-            ('controller', {'model': str(described), **rate}, []),
-            ('monitor', {'folder': str(folder / 'recordings'), **watched}, []),
-        ]
-        if not headless:
-            nodes += [('viewer', {'port': self.options.port}, []), ('investigate', {}, own)]
-        for name, parameters, arguments in nodes:
-            process = NodeProcess(name, parameters, director.get_namespace(), log, own=arguments)
-            director.nodes.append(stack.enter_context(process))
+        nodes += [('viewer', {'port': options.port}, []), ('investigate', {}, own)]
+    return nodes
 
-    def play(self, director: Director, model: Model, story: Story) -> int:
-        """Serve the page until a signal comes, or run as text; return the exit code."""
-        options = self.options
-        director.wait_until_up()
-        if not options.headless:
-            print(f'open http://127.0.0.1:{options.port}   (Ctrl-C ends)', flush=True)
-            director.print_investigation()
-            if options.investigate:
-                print(director.triggered('investigate/start'), flush=True)
-            tour_forever(director, model, options.postures)
-        elif options.investigate:
-            investigate(director, story, self.folder)
-        else:
-            play_as_text(director, model, story, options.postures)
-        print(story.end())
-        return 1 if story.problem else 0
+
+def play(
+    director: Director, model: Model, story: Story, options: argparse.Namespace, folder: Path
+) -> int:
+    """Serve the page until a signal comes, or run as text; return the exit code."""
+    director.wait_until_up()
+    if not options.headless:
+        print(f'open http://127.0.0.1:{options.port}   (Ctrl-C ends)', flush=True)
+        director.print_investigation()
+        if options.investigate:
+            print(director.triggered('investigate/start'), flush=True)
+        while True:  # the postures for ever, while the page has the tour switched on
+            for stop in tour(model, options.postures, 0):
+                director.wait(lambda: director.touring, float('inf'), 'the tour')
+                director.go(*stop)
+    if options.investigate:
+        investigate(director, story, folder)
+    else:
+        play_as_text(director, model, story, options.postures)
+    print(story.end())
+    return 1 if story.problem else 0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -144,12 +124,13 @@ def run(options: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
         if not options.headless:
             folder = Path('live') / time.strftime('%Y-%m-%d_%H-%M-%S')
         folder.mkdir(parents=True, exist_ok=True)
-        director = Director(f'/live_{os.getpid()}', f'{robot.name}_base', ending)
-        stack.enter_context(director)
-        performance = Performance(options, robot, hidden, seed, folder)
-        performance.start(stack, director)
+        director = stack.enter_context(Director(f'/live_{os.getpid()}', ending))
+        log = stack.enter_context((folder / LOG).open('w', encoding='utf-8'))
+        for name, values, own in nodes_of(options, robot, hidden, seed, folder.resolve()):
+            process = NodeProcess(name, values, director.get_namespace(), log, own)
+            director.nodes.append(stack.enter_context(process))
         try:
-            code = performance.play(director, model, Story(hidden))
+            code = play(director, model, Story(hidden), options, folder)
         except KeyboardInterrupt:
             code = 0
         except TendonRobotError as error:
@@ -162,12 +143,12 @@ def run(options: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
     return code
 
 
-class Director(RobotClient):
+class Director(Pilot):
     """A client of controller, driver and monitor."""
 
-    def __init__(self, namespace: str, base: str, ending: Ending) -> None:
+    def __init__(self, namespace: str, ending: Ending) -> None:
         """Create the subscriptions."""
-        super().__init__('tour', ending, namespace=namespace, base=base, watched=('monitor',))
+        super().__init__('tour', ending, namespace=namespace, watched=('monitor',))
         self.progress, self.verdict = '', dict[str, Any]()
         self.touring = True  # switched by the page
         self._standing_since = np.inf  # [s] by the stamps of messages
@@ -211,13 +192,14 @@ class Director(RobotClient):
                     raise TendonRobotError(f'the {node.name} has ended with code {code}')
             starting = self.status.get('code') in STARTING_CODES
             compares = self.statuses['monitor'].get('code') == 'comparing'
-            return not starting and compares and bool(self._samples['error']) and self.has_listener
+            ready = self.has_listener and self.base and self._samples['error']
+            return not starting and compares and bool(ready)
 
         self.wait(up, WORK_TIMEOUT_S, 'controller, driver and monitor to start')
 
-    def go(self, stop: TourPosture) -> bool:
+    def go(self, position: Floats, direction: Floats | None) -> bool:
         """
-        Send a target and wait until the arm was measured at rest there.
+        Send a target (3,) [m], (3,) and wait until the arm was measured at rest there.
 
         Returns
         -------
@@ -225,7 +207,7 @@ class Director(RobotClient):
             Whether it was; `tip`, `error` and `tensions` are then of this posture.
 
         """
-        self._standing_since, stamp = np.inf, self.send(stop.position, stop.direction)
+        self._standing_since, stamp = np.inf, self.send(position, direction)
 
         def standing() -> bool:
             soon = time_now(self) + TIP_AVERAGE_S
@@ -236,13 +218,11 @@ class Director(RobotClient):
         at_rest = self.wait(standing, REACTION_TIMEOUT_S, 'the arm to stand', strict=False)
         return at_rest and self.touring
 
-    def record(self, stop: TourPosture) -> bool:
+    def record(self, position: Floats, direction: Floats | None) -> bool:
         """Go to a posture and wait until the monitor has recorded it; return whether it did."""
-        before = self.recorded
-        if not self.go(stop):
-            return False
-        return self.wait(
-            lambda: self.recorded > before, REACTION_TIMEOUT_S, 'a recording', strict=False
+        before, what = self.recorded, 'a recording'
+        return self.go(position, direction) and self.wait(
+            lambda: self.recorded > before, REACTION_TIMEOUT_S, what, strict=False
         )
 
     @property
@@ -287,7 +267,7 @@ def play_as_text(director: Director, model: Model, story: Story, postures: int) 
     print(director.triggered('monitor/record'))
     errors = []
     for stop in tour(model, postures, 0):
-        if director.record(stop):
+        if director.record(*stop):
             errors.append(director.error())
     shown = f'{mm(_rms(errors))} rms, {mm(max(errors))} at worst' if errors else 'unknown'
     print(f'{director.recorded} postures recorded   tip error {shown}')
@@ -307,7 +287,7 @@ def play_as_text(director: Director, model: Model, story: Story, postures: int) 
     print(f'{director.progress}\ncontroller: {director.status.get("model")}')
     before, after = [], []
     for stop in tour(model, postures // 2, 1):
-        if not director.go(stop):
+        if not director.go(*stop):
             continue
         try:  # where the description before the addition has the tip
             old = model.shape(np.maximum(director.mean('tensions'), 0.0)).tip_position
@@ -332,14 +312,6 @@ def investigate(director: Director, story: Story, folder: Path) -> None:
     if findings.addition is not None and findings.diagnosis is not None:
         story.added = director.takes([effect.name for effect in findings.diagnosis.effects])
         story.before, story.after = findings.addition.check.before, findings.addition.check.after
-
-
-def tour_forever(director: Director, model: Model, postures: int) -> None:
-    """Repeat the postures for ever, while the page has the tour switched on."""
-    while True:
-        for stop in tour(model, postures, 0):
-            director.wait(lambda: director.touring, float('inf'), 'the tour')
-            director.go(stop)
 
 
 def _rms(values: Sequence[float]) -> float:

@@ -27,15 +27,7 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from ...common.errors import InputError, TendonRobotError
 from ...common.files import write_errors
 from ...common.results import JSON_OPTION, emit
-from ...data.bag_writer import (
-    DESCRIPTION,
-    ROBOT,
-    STORAGES,
-    STRING,
-    BagWriter,
-    Builder,
-    need_rosbags,
-)
+from ...data import bag_writer
 from ...robot import dump_robot, load_robot
 from ..shared.inbox import polled
 from ..shared.parameters import RemoteParameter
@@ -62,7 +54,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--topics', nargs='+', default=[], metavar='TOPIC', help='only these (default: all)'
     )
     parser.add_argument(
-        '--storage', choices=STORAGES, default='mcap', help='of the folder (default: mcap)'
+        '--storage',
+        choices=bag_writer.STORAGES,
+        default='mcap',
+        help='of the folder (default: mcap)',
     )
     add_controller(parser)
     parser.add_argument('--json', **JSON_OPTION)
@@ -70,13 +65,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
     """Record until a signal comes or the duration is over."""
-    need_rosbags()
+    bag_writer.need_rosbags()
     if args.duration is not None and not args.duration > 0.0:
         raise InputError(f'--duration: expected more than 0, got {args.duration:g}')
     with (
         ros(ros_arguments) as ending,
         write_errors(Path(args.output)),
-        BagWriter(args.output, args.storage) as writer,
+        bag_writer.BagWriter(args.output, args.storage) as writer,
     ):
         recorder = Recorder(writer, args.controller, args.topics)
         executor = SingleThreadedExecutor()
@@ -109,7 +104,9 @@ class Recorder(Node):
     busy machine: `drain` takes them, and the time of a message is that of its arrival.
     """
 
-    def __init__(self, writer: BagWriter, controller: str, topics: Sequence[str]) -> None:
+    def __init__(
+        self, writer: bag_writer.BagWriter, controller: str, topics: Sequence[str]
+    ) -> None:
         """Discover topics now and periodically."""
         super().__init__('record')
         self._writer, self.counts = writer, dict[str, int]()
@@ -118,9 +115,9 @@ class Recorder(Node):
         self._sources: list[tuple[str, type, Any]] = []  # topic, type, handle
         self._robot = RemoteParameter(self, controller, 'model')
         self._robot_written = False
-        for topic in (DESCRIPTION, ROBOT):
-            writer.add_topic(topic, STRING, latched=True)
-        self._write_text(DESCRIPTION, DATASET_DEFAULTS)
+        for topic in (bag_writer.DESCRIPTION, bag_writer.ROBOT):
+            writer.add_topic(topic, bag_writer.STRING, latched=True)
+        self._write_text(bag_writer.DESCRIPTION, DATASET_DEFAULTS)
         repeat(self, VALUES_PERIOD_S, self._discover)
         self._discover()
 
@@ -156,7 +153,7 @@ class Recorder(Node):
                 return
             self._robot_written = True
             try:
-                self._write_text(ROBOT, dump_robot(load_robot(text)))
+                self._write_text(bag_writer.ROBOT, dump_robot(load_robot(text)))
             except (TendonRobotError, OSError) as error:
                 print(f'the robot cannot be read: {error}', file=sys.stderr)
 
@@ -188,5 +185,5 @@ class Recorder(Node):
                     self._writer.write(topic, time or self.get_clock().now().nanoseconds, data)
 
     def _write_text(self, topic: str, text: str) -> None:
-        message = Builder(self._writer.types).string(text)
+        message = bag_writer.Builder(self._writer.types).string(text)
         self._writer.write(topic, self.get_clock().now().nanoseconds, message)

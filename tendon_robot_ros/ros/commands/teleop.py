@@ -15,8 +15,7 @@ import sys
 import termios
 import time
 import tty
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -54,8 +53,8 @@ class TeleopNode(Runnable, Node):
         interface.subscribe(self, 'node/status', self._receive, name)
         self._deadman = Deadman(self.parameters['hold'])
         self._factor, self._in_tip, self._quit, self._moved = 1.0, False, False, False
-        self._keyboard = keyboard()
-        self._keyboard.__enter__()
+        self._terminal = termios.tcgetattr(sys.stdin)
+        tty.setcbreak(sys.stdin)
         repeat(self, NEWS_PERIOD_S, self._cycle)
 
     def start(self) -> None:
@@ -69,7 +68,7 @@ class TeleopNode(Runnable, Node):
     def end(self) -> None:
         """Stop the tip and restore the terminal."""
         self._send([0.0] * 6)
-        self._keyboard.__exit__(None, None, None)
+        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, self._terminal)
 
     def _cycle(self) -> None:
         now = time.monotonic()
@@ -170,17 +169,6 @@ class Deadman:
             return None
         speeds = [linear] * 3 + [angular] * 3
         return [part * speed for part, speed in zip(MOVES[self.key], speeds, strict=True)]
-
-
-@contextmanager
-def keyboard() -> Iterator[None]:
-    """Read single keys from the terminal within the context; restore it afterwards."""
-    before = termios.tcgetattr(sys.stdin)
-    tty.setcbreak(sys.stdin)
-    try:
-        yield
-    finally:
-        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
 
 
 def pressed() -> list[str]:

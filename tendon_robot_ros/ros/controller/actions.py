@@ -58,7 +58,7 @@ class TendonTrajectory:
         playing = incoming.trajectory(request.trajectory)
         if playing is None:
             raise Refusal('length', 'trajectory: expected points, got none')
-        inputs, pull = incoming.inputs, incoming.pull
+        inputs, pull = incoming.model.inputs, incoming.pull
         self._inputs, self._pull, tolerance = inputs, pull, None
         tolerances = [*request.path_tolerance, *request.goal_tolerance]
         if not pull and any(one.position > 0.0 for one in tolerances):

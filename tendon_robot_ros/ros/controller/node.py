@@ -60,6 +60,11 @@ STARTING_WORDS = {
 class ControllerNode(StoppableNode):
     """ROS interface of the controller core: one thread, and one that receives stops."""
 
+    # of the core, while there is one
+    _incoming: Incoming
+    _prediction: Prediction
+    _solver: Worker
+
     def __init__(self) -> None:
         """Declare parameters and start to load the model; nothing is commanded yet."""
         super().__init__('controller', drives=False)
@@ -74,10 +79,7 @@ class ControllerNode(StoppableNode):
             'prefer_stiffness_along': parameters.direction_of,
         }
         self.parameters.watch(checks, self._retune)
-        self._incoming: Incoming | None = None
-        self._prediction: Prediction | None = None
         self._latency = self._status_at = self._target_at = 0.0  # [s]
-        self._solver: Worker | None = None
         self._targets: list[Subscription] = []
         self._actions: Actions | None = None
         self._drivers = Senders(self, 'tendon_states')
@@ -95,7 +97,7 @@ class ControllerNode(StoppableNode):
                 self.core.driver_reports(*values)
 
         def predict() -> None:
-            if self.core is not None and self._prediction is not None:
+            if self.core is not None:
                 self.core.predict(time.monotonic(), self._prediction.publish)
 
         self._driver = DriverLink(self, topic, gid, driver_status)
@@ -126,11 +128,12 @@ class ControllerNode(StoppableNode):
         self._solver = Worker(self._wake)
         self._fence(self.parameters['keep_out'])
         settings = parameters.settings(self.parameters, self._keep_out)
-        self.core = ControllerCore(model, settings, self._solver)
-        self.core.driver_reports(*self._driver.last)
-        self.latch_early_stops()
+        core = ControllerCore(model, settings, self._solver)
+        core.driver_reports(*self._driver.last)
         self._incoming = Incoming(self, self.parameters, model)
         self._prediction = Prediction(self, self._incoming.base, model)
+        self.core = core
+        self.latch_early_stops()
         if has_priority():
             go_realtime(Realtime.CONTROLLER, but=[SOLVER])
             if in_realtime():  # this thread limits the time of the solver
@@ -141,29 +144,25 @@ class ControllerNode(StoppableNode):
         if self._actions is None:
             self._actions = Actions(self)
 
-        target = partial(partial, self._take, 'target')
-        pose = target(lambda core, new, message: core.aim(new.pose(message)))
-        point = target(lambda core, new, message: core.aim(new.point(message)))
-        now = time.monotonic
-        twist = target(lambda core, new, message: core.twist(now(), new.twist(message)))
-        play = target(lambda core, new, message: core.play(now(), new.trajectory(message)))
+        now, take = time.monotonic, partial(partial, self._take, 'target')
+        twist = take(lambda core, new, message: core.twist(now(), new.twist(message)))
+        takers = {
+            'target_pose': take(lambda core, new, message: core.aim(new.pose(message))),
+            'target_point': take(lambda core, new, message: core.aim(new.point(message))),
+            'tendon_trajectory': take(
+                lambda core, new, message: core.play(now(), new.trajectory(message))
+            ),
+        }
 
         def too_long(problem: str) -> None:
             if self.core is not None:
                 self.core.refusals['target'] = Refusal('length', problem)
 
-        self._targets = [
-            passing_subscription(
-                self, *interface.topic('controller/delta_twist')[:2], twist, LISTEN
-            )
-        ]
-        takers = {
-            'controller/target_pose': pose,
-            'controller/target_point': point,
-            'controller/tendon_trajectory': play,
-        }
-        for name, take in takers.items():
-            self._targets += subscribe_any_qos(self, *interface.topic(name)[:2], take, too_long)
+        kind, topic, _ = interface.topic('controller/delta_twist')
+        self._targets = [passing_subscription(self, kind, topic, twist, LISTEN)]
+        for name, taker in takers.items():
+            kind, topic, _ = interface.topic(f'controller/{name}')
+            self._targets += subscribe_any_qos(self, kind, topic, taker, too_long)
 
     def deactivate(self) -> None:
         """Have the arm released, and send no more commands."""
@@ -173,11 +172,10 @@ class ControllerNode(StoppableNode):
 
     def cleanup(self) -> None:
         """Drop the model; the next `configure` loads it again."""
-        if self._prediction is not None:
+        if self.core is not None:
             self._prediction.close()
-        if self._solver is not None:
             self._solver.close()
-        self.core = self._incoming = self._prediction = self._solver = None
+        self.core = None
         self._loading.forget()
 
     def end(self) -> None:
@@ -213,7 +211,7 @@ class ControllerNode(StoppableNode):
     ) -> None:
         """Apply an action to a message, or keep its refusal for the status."""
         core = self.core
-        if core is None or self._incoming is None:
+        if core is None:
             return
         began = time.monotonic()
         try:
@@ -252,9 +250,9 @@ class ControllerNode(StoppableNode):
     def _cycle(self) -> None:
         """Receive stops and states, publish a command."""
         self.stop_topic.poll()
-        if self._solver is not None:
-            self._solver.limit_realtime()
         core = self.core
+        if core is not None:
+            self._solver.limit_realtime()
         for received in self._measured.take():
             self._take('states', self._states, received)
         now = time.monotonic()
@@ -264,7 +262,7 @@ class ControllerNode(StoppableNode):
             self._idle(now)
             return
         self._reload(core)
-        if self._actions is not None and self._incoming is not None:
+        if self._actions is not None:
             self._actions.serve(now, core, self._incoming)
         self._driver.poll()
         if core.needs_driver and self._driver.may_ask:
@@ -336,15 +334,15 @@ class ControllerNode(StoppableNode):
             """Accept the model if it has an equilibrium at the present tensions."""
             if error is not None:
                 refuse(error)
-            elif self._incoming is not None and self._prediction is not None:
-                if another_robot(model.robot, self._incoming.robot):
-                    self.get_logger().warning('another robot: the target is void, the arm holds')
-                self._incoming.use(model)
-                self._prediction.use(self._incoming.base, model)
-                self._loading.accept(model)
-                self.status.arm = model.robot.name
-                core.refusals.pop('model', None)
-                self.get_logger().info(f'model loaded: {self._loading.note}')
+                return
+            if another_robot(model.robot, self._incoming.model.robot):
+                self.get_logger().warning('another robot: the target is void, the arm holds')
+            self._incoming.use(model)
+            self._prediction.use(self._incoming.base, model)
+            self._loading.accept(model)
+            self.status.arm = model.robot.name
+            core.refusals.pop('model', None)
+            self.get_logger().info(f'model loaded: {self._loading.note}')
 
         try:
             model = self._loading.result()

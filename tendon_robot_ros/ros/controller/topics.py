@@ -26,24 +26,7 @@ from ...control.inputs import Trajectory, by_name, check_frame, direction, finit
 from ...data.tracker_faults import is_missing
 from ...model.model import Model
 from ...model.shape import Shape
-from ...robot import Robot
-from ..shared import interface
-from ..shared.messages import (
-    Frames,
-    Request,
-    arm_markers,
-    check_age,
-    header_now,
-    passing_publisher,
-    pose_array,
-    pose_stamped,
-    seconds,
-    stamp_text,
-    status_values,
-    tensions_and_pulls,
-    xyz,
-    xyzw,
-)
+from ..shared import interface, messages
 from ..shared.parameters import Parameters, base_frame
 from ..shared.quality import LATCHED
 from ..shared.timing import SILENCE_S, VALUES_PERIOD_S
@@ -58,7 +41,7 @@ class Incoming:
     def __init__(self, node: Node, parameters: Parameters, model: Model) -> None:
         """Create the transforms and use a model."""
         self._node, self._parameters = node, parameters
-        self._frames = Frames(node, '')
+        self._frames = messages.Frames(node, '')
         self.use(model)
 
     def use(self, model: Model) -> None:
@@ -66,18 +49,8 @@ class Incoming:
         parameters, robot = self._parameters, model.robot
         self.base = base_frame(parameters, robot.name)
         self.tip = parameters['frame_prefix'] + (parameters['tip_frame'] or f'{robot.name}_tip')
-        self._frames.base, self._model = self.base, model
+        self._frames.base, self.model = self.base, model
         self._farthest = 1.5 * robot.length  # [m]
-
-    @property
-    def robot(self) -> Robot:
-        """The robot of the frames."""
-        return self._model.robot
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """The names of the tendons."""
-        return self._model.inputs
 
     @property
     def pull(self) -> bool:
@@ -86,20 +59,20 @@ class Incoming:
 
     def pose(self, message: PoseStamped, what: str = 'target_pose') -> Target:
         """Return a target with position and approach direction (+z of the orientation)."""
-        along = direction(xyzw(message.pose.orientation), what)
+        along = direction(messages.xyzw(message.pose.orientation), what)
         place, rotation = self._place(message.header, message.pose.position, what)
-        return Target(place, rotation @ along, stamp_text(message.header.stamp))
+        return Target(place, rotation @ along, messages.stamp_text(message.header.stamp))
 
     def point(self, message: PointStamped, what: str = 'target_point') -> Target:
         """Return a target with a position alone."""
         place, _ = self._place(message.header, message.point, what)
-        return Target(place, stamp=stamp_text(message.header.stamp))
+        return Target(place, stamp=messages.stamp_text(message.header.stamp))
 
     def measured_tip(self, message: PoseStamped) -> Floats:
         """Return a measured tip (3,) [m] in the base frame."""
         what = 'measured_tip'
         place, _ = self._place(message.header, message.pose.position, what)
-        point = np.array(xyz(message.pose.position))
+        point = np.array(messages.xyz(message.pose.position))
         if is_missing(point):  # sent by trackers for a marker that is not visible
             raise Refusal('not_finite', f'{what}: {point.tolist()} says that it is not seen')
         return place
@@ -116,7 +89,8 @@ class Incoming:
                 if refusal.code == 'frame':
                     check_frame(frame, [self.base, self.tip], what)
                 raise
-        values = finite([*xyz(message.twist.linear), *xyz(message.twist.angular)], what)
+        linear, angular = map(messages.xyz, (message.twist.linear, message.twist.angular))
+        values = finite([*linear, *angular], what)
         if np.abs(values[:3]).max() > 1.0 or np.abs(values[3:]).max() > 10.0:
             raise Refusal(
                 'too_fast',
@@ -127,7 +101,7 @@ class Incoming:
     def states(self, message: JointState) -> tuple[Floats, Floats]:
         """Return tensions (m,) [N] and wire pulls (m,) [m]; nan where not observable."""
         self._fresh(message.header, 'tendon_states')
-        tensions, pulls = tensions_and_pulls(message, self._model.inputs)
+        tensions, pulls = messages.tensions_and_pulls(message, self.model.inputs)
         for quantity, values in (('effort', message.effort), ('position', message.position)):
             if any(map(math.isinf, values)):
                 raise Refusal('not_finite', f'tendon_states: {quantity} is infinite')
@@ -148,7 +122,7 @@ class Incoming:
             raise Refusal(
                 'mode', f'{what}: the controller is in {mode} mode: expected {quantity}, got none'
             )
-        inputs = self._model.inputs
+        inputs = self.model.inputs
         if len(rows) > POINTS_MAX or len(set(map(len, rows))) > 1:
             raise Refusal(
                 'length',
@@ -159,9 +133,9 @@ class Incoming:
         by_name(message.joint_names, rows[0], inputs, what, quantity)
         order = [message.joint_names.index(name) for name in inputs]
         values = np.array(rows)[:, order]
-        times = np.array([seconds(point.time_from_start) for point in message.points])
-        limits = None if pull else self._model.limits
-        stamp = stamp_text(message.header.stamp)
+        times = np.array([messages.seconds(point.time_from_start) for point in message.points])
+        limits = None if pull else self.model.limits
+        stamp = messages.stamp_text(message.header.stamp)
         return replace(Trajectory.checked(times, values, limits, inputs), stamp=stamp)
 
     def _place(self, header: Header, point: Point, what: str) -> tuple[Floats, Floats]:
@@ -171,7 +145,7 @@ class Incoming:
         Refusal: it is farther than any tip of this robot.
         """
         rotation, shift = self._to_base(header, what)
-        place = rotation @ finite(xyz(point), what) + shift
+        place = rotation @ finite(messages.xyz(point), what) + shift
         return position(place.tolist(), self._farthest, what), rotation
 
     def _to_base(self, header: Header, what: str) -> tuple[Floats, Floats]:
@@ -180,7 +154,7 @@ class Incoming:
 
     def _fresh(self, header: Header, what: str) -> None:
         """Refuse a stamp that is too old, or in the future."""
-        check_age(self._node, header, what, self._parameters['stamp_tolerance'])
+        messages.check_age(self._node, header, what, self._parameters['stamp_tolerance'])
 
 
 class Prediction:
@@ -190,9 +164,10 @@ class Prediction:
         """Create the publishers."""
         self._node = node
         self.use(frame, model)
-        self._shape = passing_publisher(node, *interface.topic('controller/predicted_shape'))
-        self._tip = passing_publisher(node, *interface.topic('controller/predicted_tip'))
-        self._markers = passing_publisher(node, *interface.topic('controller/markers'))
+        self._publishers = [
+            messages.passing_publisher(node, *interface.topic(f'controller/{name}'))
+            for name in ('predicted_shape', 'predicted_tip', 'markers')
+        ]
 
     def use(self, frame: str, model: Model) -> None:
         """Use the robot of a model and the name of its base frame."""
@@ -202,19 +177,19 @@ class Prediction:
 
     def publish(self, shape: Shape) -> None:
         """Publish a shape; poses are the distal ends of the cells."""
-        header = header_now(self._node, self._frame)
-        if self._shape.get_subscription_count():
-            self._shape.publish(pose_array(header, shape.positions, shape.frames))
-        if self._tip.get_subscription_count():
-            self._tip.publish(pose_stamped(header, shape.tip_position, shape.frames[-1]))
-        if self._markers.get_subscription_count():
-            self._markers.publish(
-                arm_markers(header, shape.positions, self._thickness, PREDICTED, 'predicted')
-            )
+        header, points = messages.header_now(self._node, self._frame), shape.positions
+        makers = (
+            lambda: messages.pose_array(header, points, shape.frames),
+            lambda: messages.pose_stamped(header, shape.tip_position, shape.frames[-1]),
+            lambda: messages.arm_markers(header, points, self._thickness, PREDICTED, 'predicted'),
+        )
+        for publisher, make in zip(self._publishers, makers, strict=True):
+            if publisher.get_subscription_count():
+                publisher.publish(make())
 
     def close(self) -> None:
         """Destroy the publishers."""
-        for publisher in (self._shape, self._tip, self._markers):
+        for publisher in self._publishers:
             self._node.destroy_publisher(publisher)
 
 
@@ -244,12 +219,12 @@ class DriverLink:
         """Create subscription and client."""
         self.last = '', '', 0, ''
         self._own, self._callback = own, callback
-        self._request: Request | None = None
+        self._request: messages.Request | None = None
         self._answers: list[Resumed] = []
         if topic:
             node.create_subscription(DiagnosticStatus, topic, self.receive, LATCHED)
         if topic.endswith(STATUS):
-            self._request = Request(node, Trigger, topic.removesuffix(STATUS) + RESUME)
+            self._request = messages.Request(node, Trigger, topic.removesuffix(STATUS) + RESUME)
 
     @property
     def another(self) -> str:
@@ -288,7 +263,7 @@ class DriverLink:
 
     def receive(self, message: DiagnosticStatus) -> None:
         """Parse the status of the driver and pass it on."""
-        values = status_values(message)
+        values = messages.status_values(message)
         stopped = values.get('reasons', message.message) if values.get('stopped') == 'true' else ''
         follows = values.get('follows_gid', '')
         another = '' not in (follows, self._own) and follows != self._own

@@ -27,14 +27,7 @@ from ...drivers.safety import SafetyRules
 from ...model.model import Model
 from ...model.shape import Shape
 from ...robot import Robot
-from ..shared import interface
-from ..shared.messages import (
-    header_now,
-    passing_publisher,
-    passing_subscription,
-    pose_array,
-    pose_stamped,
-)
+from ..shared import interface, messages
 from ..shared.parameters import Parameters, base_frame, read_config
 from ..shared.quality import COMMAND, JOINTS
 from ..shared.runtime import repeat
@@ -91,8 +84,8 @@ class MockTracker:
         robot = driver.robot
         self._frame = base_frame(parameters, robot.name)
         self._arc_lengths = np.cumsum(robot.cell_lengths)
-        self._tip = passing_publisher(node, *interface.topic('measured_tip'))
-        self._shape = passing_publisher(node, *interface.topic('measured_shape'))
+        self._tip = messages.passing_publisher(node, *interface.topic('measured_tip'))
+        self._shape = messages.passing_publisher(node, *interface.topic('measured_shape'))
         self._timer = repeat(node, 1.0 / self._config.rate, self._publish)
 
     def close(self) -> None:
@@ -111,7 +104,7 @@ class MockTracker:
             or self._random.random() < self._config.lost
         ):
             return
-        header = header_now(self._node, self._frame)
+        header = messages.header_now(self._node, self._frame)
         n = len(self._arc_lengths)
         points = arm.markers(self._arc_lengths, np.zeros((n, 3)))  # in the frame of the tracker
         tip = arm.tip_position
@@ -123,10 +116,10 @@ class MockTracker:
         positions = points + self._random.normal(0.0, self._config.noise, (n, 3))
         positions[self._random.random(n) < self._config.missing] = np.nan
         if shape_subscribed:
-            self._shape.publish(pose_array(header, positions))
+            self._shape.publish(messages.pose_array(header, positions))
         if tip_subscribed and np.isfinite(positions[-1]).all():
             along /= np.linalg.norm(along)
-            self._tip.publish(pose_stamped(header, positions[-1], towards(along)))
+            self._tip.publish(messages.pose_stamped(header, positions[-1], towards(along)))
 
 
 MOCK_KEYS = {'plant', 'tracker', 'lag'}  # keys of the configuration of the mock alone
@@ -212,8 +205,12 @@ class Ros2ControlLink:
     def __init__(self, node: Node, command_topic: str, state_topic: str) -> None:
         """Create publisher and subscription."""
         self._node, self._joints = node, dict[str, State]()
-        self._commands = passing_publisher(node, Float64MultiArray, command_topic, COMMAND)
-        self._states = passing_subscription(node, JointState, state_topic, self._receive, JOINTS)
+        self._commands = messages.passing_publisher(
+            node, Float64MultiArray, command_topic, COMMAND
+        )
+        self._states = messages.passing_subscription(
+            node, JointState, state_topic, self._receive, JOINTS
+        )
 
     def send(self, values: list[float]) -> None:
         """Publish one value per joint, in the order of the controller."""

@@ -34,25 +34,10 @@ from ...data.folder import read_markers
 from ...data.tracker_faults import is_missing
 from ...monitoring import Monitor, MonitorSettings
 from ...monitoring.job import Work
-from ...monitoring.monitor import Compared
 from ...monitoring.watch import ArmWatch
 from ...robot import load_robot
-from ..shared import interface
+from ..shared import interface, messages
 from ..shared.lifecycle import ERROR, OK, WARN, Status
-from ..shared.messages import (
-    Frames,
-    check_age,
-    header_now,
-    matrix,
-    offer_trigger,
-    points_of,
-    pose_array,
-    seconds,
-    tensions_and_pulls,
-    time_now,
-    vector,
-    xyz,
-)
 from ..shared.parameters import Parameters, RemoteParameter, base_frame, parsed
 from ..shared.quality import LISTEN
 from ..shared.runtime import Runnable, repeat, run
@@ -68,6 +53,10 @@ FRAME_SPAN_S = 0.02
 class MonitorNode(Runnable, Node):
     """ROS interface of the monitor; a diagnosis runs in a child process."""
 
+    # of the monitor, since there is one
+    _measured: MarkerInput
+    adapting: Adapting
+
     def __init__(self) -> None:
         """Create topics and services; the model comes when the controller answers."""
         super().__init__('monitor')
@@ -77,15 +66,14 @@ class MonitorNode(Runnable, Node):
         self.work = Work()
         self._loader: Loader | None = None
         self._in_use = self._loading = self._base = self._problem = ''
-        self._measured: MarkerInput | None = None
         self._last_error = self._frame_at = float('nan')
         self._remote = RemoteParameter(self, self.parameters['controller'], 'model')
-        publish = self.create_publisher
-        self._output = MonitorOutput(self)
+        topics = 'error', 'rolling_error', 'marker_errors', 'measured', 'predicted'
+        self._publish = {
+            name: self.create_publisher(*interface.topic(f'monitor/{name}')).publish
+            for name in (*topics, 'progress', 'verdict')
+        }
         self.watching: Watching | None = None
-        self.adapting: Adapting | None = None
-        self._progress = publish(*interface.topic('monitor/progress'))
-        self._verdict = publish(*interface.topic('monitor/verdict'))
         interface.subscribe(self, 'tendon_states', self._states)
         services: dict[str, Callable[[], str]] = {
             'record': self.record,
@@ -95,9 +83,9 @@ class MonitorNode(Runnable, Node):
             'undo': self.undo,
         }
         for name, act in services.items():
-            offer_trigger(self, f'~/{name}', act, self._publish_progress)
+            messages.offer_trigger(self, f'~/{name}', act, self._publish_progress)
         # its response is a file for `investigate`, not for users
-        offer_trigger(self, '~/change', lambda: self._watched().change())
+        messages.offer_trigger(self, '~/change', lambda: self._watched().change())
         repeat(self, VALUES_PERIOD_S, self._cycle)
         if not self.parameters['model']:
             repeat(self, STATUS_PERIOD_S, lambda: self._remote.ask(self._load))
@@ -135,20 +123,20 @@ class MonitorNode(Runnable, Node):
                 robot = model.robot
                 markers = parsed(self.parameters['markers'], 'markers', list)
                 settings = self.parameters.fill(MonitorSettings)
-                self.monitor = Monitor(model, read_markers(markers, robot), settings)
+                monitor = Monitor(model, read_markers(markers, robot), settings)
                 self._base = base_frame(self.parameters, robot.name)
                 self._measured = MarkerInput(
-                    self, self.parameters, self._base, self.monitor, self._frame
+                    self, self.parameters, self._base, monitor, self._frame
                 )
                 if self.parameters['force_rate'] or self.parameters['reference_postures']:
-                    self.watching = Watching(self, self.parameters, self.monitor)
-                self.adapting = Adapting(
-                    self, self.parameters, self.monitor, self._loading, self._remote.put
-                )
+                    self.watching = Watching(self, self.parameters, monitor)
+                send = self._remote.put
+                self.adapting = Adapting(self, self.parameters, monitor, self._loading, send)
+                self.monitor = monitor
             else:
                 self.monitor.set_model(model)
                 # an adapted description does not restart the detection of drift
-                anew = self.adapting is None or self.adapting.set_model(model, self._loading)
+                anew = self.adapting.set_model(model, self._loading)
                 if anew and self.watching is not None:
                     self.watching.set_model(model)
         except TendonRobotError as error:
@@ -161,13 +149,13 @@ class MonitorNode(Runnable, Node):
         if self.monitor is None:
             return
         try:
-            measured = tensions_and_pulls(message, self.monitor.model.inputs)
+            measured = messages.tensions_and_pulls(message, self.monitor.model.inputs)
         except Refusal as refusal:
             self._problem = str(refusal)
             return
-        self.monitor.put_states(seconds(message.header.stamp) or time_now(self), *measured)
-        if self._measured is not None:
-            self._measured.hand_over()
+        at = messages.seconds(message.header.stamp) or messages.time_now(self)
+        self.monitor.put_states(at, *measured)
+        self._measured.hand_over()
 
     def _frame(self, at: float, positions: Floats) -> None:
         """Compare a frame of the tracker with the model and publish the errors."""
@@ -181,9 +169,19 @@ class MonitorNode(Runnable, Node):
             self._frame_at = time.monotonic()
             if np.isfinite(compared.rolling):
                 self._last_error = compared.rolling
-            self._output.publish(self._base, compared)
+            header, errors = messages.header_now(self, self._base), compared.errors
+            sizes = np.linalg.norm(errors, axis=1).tolist()  # nan where a marker is not seen
+            content = {
+                'error': Vector3Stamped(header=header, vector=messages.vector(errors[-1])),
+                'rolling_error': Float64(data=compared.rolling),
+                'marker_errors': Float64MultiArray(data=sizes),
+                'measured': messages.pose_array(header, compared.measured),
+                'predicted': messages.pose_array(header, compared.predicted),
+            }
+            for name, message in content.items():
+                self._publish[name](message)
             still = self.monitor.new_posture()
-            if still is not None and self.adapting is not None:
+            if still is not None:
                 self.adapting.put(still)
             if self.watching is not None:
                 self.watching.frame(at, compared.measured, self._base, still)
@@ -196,7 +194,7 @@ class MonitorNode(Runnable, Node):
             self.watching.blind(self._base)
         for news in self.work.news():
             if news['kind'] == 'verdict':
-                self._verdict.publish(String(data=json.dumps(news['content'])))
+                self._publish['verdict'](String(data=json.dumps(news['content'])))
             if news['kind'] == 'add':
                 self._remote.put(
                     news['file'],
@@ -213,7 +211,7 @@ class MonitorNode(Runnable, Node):
             return ERROR, 'problem', self._problem
         if self.monitor is None:
             return WARN, 'waiting', 'waiting for the model of the controller'
-        if self._measured is not None and self._measured.problem:
+        if self._measured.problem:
             return WARN, 'refused', self._measured.problem
         if self.monitor.problem:
             return WARN, 'not_compared', self.monitor.problem
@@ -238,16 +236,15 @@ class MonitorNode(Runnable, Node):
             'model': '' if monitor is None else ', '.join(monitor.model.robot.effects),
             'error (m)': f'{self._last_error:.4g}',
             **({} if self.watching is None else self.watching.values()),
-            **({} if self.adapting is None else self.adapting.values()),
+            **({} if monitor is None else self.adapting.values()),
         }
 
     def _publish_progress(self, text: str) -> None:
-        self._progress.publish(String(data=text))
+        self._publish['progress'](String(data=text))
 
     def undo(self) -> str:
         """Undo the last change of the controller's model; return a text."""
         self._require_monitor()
-        assert self.adapting is not None
         return self.adapting.undo()
 
     def learn(self) -> str:
@@ -321,7 +318,7 @@ class MarkerInput:
         self._node, self._parameters, self._taker = node, parameters, take
         self._monitor, self.markers, self.problem = monitor, monitor.markers, ''
         self._waiting: tuple[float, Floats] | None = None
-        self._frames = Frames(node, base)
+        self._frames = messages.Frames(node, base)
         self._fixed = _transform(parameters['tracker_transform'])
         topics = parsed(parameters['measured_markers'], 'measured_markers', dict)
         self._frame: tuple[float, Floats] | None = None
@@ -352,60 +349,57 @@ class MarkerInput:
         self.hand_over()
 
     def _shape(self, message: PoseArray) -> None:
-        points = points_of(message)
+        points = messages.points_of(message)
         if len(points) != len(self.markers):
             self.problem = (
                 f'measured_shape: expected {len(self.markers)} poses, one for each of the markers '
                 f'(nan where it was not seen), got {len(points)}'
             )
             return
-        self._shape_at = time_now(self._node)
+        self._shape_at = messages.time_now(self._node)
         self._give(message.header, points, 'measured_shape')
 
     def _tip(self, message: PoseStamped) -> None:
-        if time_now(self._node) - self._shape_at >= SILENCE_S:  # else the shape has more markers
+        # a shape has more markers
+        if messages.time_now(self._node) - self._shape_at >= SILENCE_S:
             points = self._only(len(self.markers) - 1, message)
             self._give(message.header, points, 'measured_tip')
 
     def _marker(self, index: int, message: PoseStamped) -> None:
         """Merge markers on topics of their own into frames."""
-        at = self._time(message.header)
-        points = self._in_base(message.header, self._only(index, message), 'measured_markers')
-        if points is None:
+        new = self._in_base(message.header, self._only(index, message), 'measured_markers')
+        if new is None:
             return
-        if self._frame is not None and abs(at - self._frame[0]) > FRAME_SPAN_S:
+        if self._frame is not None and abs(new[0] - self._frame[0]) > FRAME_SPAN_S:
             self._take(*self._frame)
             self._frame = None
         if self._frame is None:
-            self._frame = at, points
+            self._frame = new
         else:
-            self._frame[1][index] = points[index]
+            self._frame[1][index] = new[1][index]
 
     def _only(self, index: int, message: PoseStamped) -> Floats:
         """Return positions (J, 3) [m], nan for all markers but one."""
         points = np.full((len(self.markers), 3), np.nan)
-        points[index] = xyz(message.pose.position)
+        points[index] = messages.xyz(message.pose.position)
         return points
 
     def _give(self, header: Header, points: Floats, what: str) -> None:
-        placed = self._in_base(header, points, what)
-        if placed is not None:
-            self._take(self._time(header), placed)
+        if (frame := self._in_base(header, points, what)) is not None:
+            self._take(*frame)
 
-    def _in_base(self, header: Header, points: Floats, what: str) -> Floats | None:
+    def _in_base(self, header: Header, points: Floats, what: str) -> tuple[float, Floats] | None:
+        """Return time [s] and positions (J, 3) [m] in the base frame; None: they are refused."""
         try:
             tolerance = self._parameters['stamp_tolerance']
-            check_age(self._node, header, what, tolerance)
+            now = messages.check_age(self._node, header, what, tolerance)
             rotation, translation = self._fixed or self._frames.of(header, what, tolerance)
         except Refusal as refusal:
             self.problem = str(refusal)
             return None
         self.problem = ''
         points = np.where(is_missing(points)[:, None], np.nan, points)
-        return points @ rotation.T + translation
-
-    def _time(self, header: Header) -> float:
-        return seconds(header.stamp) or time_now(self._node)
+        return messages.seconds(header.stamp) or now, points @ rotation.T + translation
 
 
 def _transform(text: str) -> tuple[Floats, Floats] | None:
@@ -423,29 +417,7 @@ def _transform(text: str) -> tuple[Floats, Floats] | None:
             'tracker_transform: expected x y z qx qy qz qw with a quaternion of norm 1, '
             f'got {text!r}'
         )
-    return matrix(rotation), np.array([x, y, z])
-
-
-class MonitorOutput:
-    """Publishes errors, and both shapes at the markers."""
-
-    def __init__(self, node: Node) -> None:
-        """Create the publishers."""
-        self._node, publish = node, node.create_publisher
-        self._error = publish(*interface.topic('monitor/error'))
-        self._rolling = publish(*interface.topic('monitor/rolling_error'))
-        self._per_marker = publish(*interface.topic('monitor/marker_errors'))
-        self._measured = publish(*interface.topic('monitor/measured'))
-        self._predicted = publish(*interface.topic('monitor/predicted'))
-
-    def publish(self, frame: str, compared: Compared) -> None:
-        """Publish a compared frame; markers that are not visible are nan."""
-        header, errors = header_now(self._node, frame), compared.errors
-        self._error.publish(Vector3Stamped(header=header, vector=vector(errors[-1])))
-        self._rolling.publish(Float64(data=compared.rolling))
-        self._per_marker.publish(Float64MultiArray(data=np.linalg.norm(errors, axis=1).tolist()))
-        self._measured.publish(pose_array(header, compared.measured))
-        self._predicted.publish(pose_array(header, compared.predicted))
+    return messages.matrix(rotation), np.array([x, y, z])
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -42,28 +42,31 @@ class Watching:
 
     def __init__(self, node: Node, parameters: Parameters, monitor: Monitor) -> None:
         """Start to learn the arm."""
-        self._node, self._monitor = node, monitor
+        self._node, self._parameters, self._monitor = node, parameters, monitor
         postures = int(parameters['reference_postures']) or WatchSettings.reference_postures
         settings = parameters.fill(WatchSettings, reference_postures=postures)
         self.watch = ArmWatch(monitor.model, monitor.markers, settings)
         self._drift = parameters['reference_postures'] > 0.0
         rate = parameters['force_rate']
         self._period = 1.0 / rate if rate > 0.0 else np.inf
-        self._due, self.contact = 0.0, None
-        self._reaction = Reaction(node, parameters)
+        self._due = 0.0
+        self.contact: Contact | None = None
+        self._reaction = ''  # to the present contact
+        self._exceeded = False  # by the last estimate: a single one may be wrong
         high = monitor.model.robot.tension_limits[1]
         self._frames = FrameMean(
             parameters['tracker_noise'], TENSION_STILL * high, parameters['force_time']
         )
-        publish = node.create_publisher
-        self._wrench = publish(*interface.topic('monitor/tip_force'))
-        self._covariance = publish(*interface.topic('monitor/tip_force_covariance'))
-        self._contact = publish(*interface.topic('monitor/contact'))
-        self._markers = publish(*interface.topic('monitor/markers'))
-        self._state = publish(*interface.topic('monitor/drift'))
+        self._send = {
+            name: node.create_publisher(*interface.topic(f'monitor/{name}')).publish
+            for name in ('tip_force', 'tip_force_covariance', 'contact', 'markers', 'drift')
+        }
+        held = interface.topic('controller/tendon_trajectory', parameters['controller'])
+        self._send |= {
+            'stop': node.create_publisher(*interface.topic('stop')).publish,
+            'hold': node.create_publisher(*held).publish,
+        }
         self._published = ''
-
-    contact: Contact | None
 
     def set_model(self, model: Model) -> None:
         """Restart the learning with another description."""
@@ -90,7 +93,7 @@ class Watching:
             places = contact.place, *contact.interval
             at, low, high = (f'{place:.4g}' if touched else 'nan' for place in places)
             values |= {'touched_at (m)': at, 'touched_from (m)': low, 'touched_to (m)': high}
-            values['reaction'] = self._reaction.done
+            values['reaction'] = self._reaction
         return values
 
     def _said(self, contact: Contact) -> str:
@@ -145,11 +148,12 @@ class Watching:
         self.contact = contact = self.watch.force(tensions, positions, pulls, frames)
         if contact is None:
             return
-        self._reaction.to(contact)
+        self._react(contact)
         header, robot = header_now(self._node, base), self.watch.model.robot
         wrench, arrow = Wrench(force=vector(contact.force)), contact.arrow(robot.length)
-        self._wrench.publish(WrenchStamped(header=header, wrench=wrench))
-        self._covariance.publish(Float64MultiArray(data=contact.covariance.ravel().tolist()))
+        self._send['tip_force'](WrenchStamped(header=header, wrench=wrench))
+        covariance = Float64MultiArray(data=contact.covariance.ravel().tolist())
+        self._send['tip_force_covariance'](covariance)
         content = {
             'text': self._said(contact),
             'acts': contact.acts,
@@ -158,12 +162,12 @@ class Watching:
             'point': contact.point.tolist(),
             'force': contact.force.tolist(),
             'arrow': arrow.tolist(),
-            'reaction': self._reaction.done,
+            'reaction': self._reaction,
         }
-        self._contact.publish(String(data=json.dumps(content)))
+        self._send['contact'](String(data=json.dumps(content)))
         thickness = ARROW_THICKNESS * robot.length
         ends = arrow if contact.acts else None
-        self._markers.publish(arrow_marker(header, ends, thickness, BAD))
+        self._send['markers'](arrow_marker(header, ends, thickness, BAD))
 
     def _publish_state(self) -> None:
         """Publish the state of the alarm when it has changed."""
@@ -177,36 +181,28 @@ class Watching:
         text = json.dumps(content)
         if text != self._published:
             self._published = text
-            self._state.publish(String(data=text))
+            self._send['drift'](String(data=text))
 
+    def _react(self, contact: Contact) -> None:
+        """
+        Stop the arm, or let it yield, once when a contact is harder than the threshold.
 
-class Reaction:
-    """Stops the arm, or lets it yield, when a contact is harder than a threshold."""
-
-    def __init__(self, node: Node, parameters: Parameters) -> None:
-        """Create the publishers."""
-        self._node, self._parameters, self.done = node, parameters, ''
-        self._exceeded = False  # by the last estimate: a single one may be wrong
-        self._stop = node.create_publisher(*interface.topic('stop'))
-        held = interface.topic('controller/tendon_trajectory', parameters['controller'])
-        self._hold = node.create_publisher(*held)
-
-    def to(self, contact: Contact) -> None:
-        """React once when a contact exceeds the threshold, and take a stop back when it ends."""
+        A stop is taken back when the contact ends.
+        """
         action = self._parameters['contact_action']
         exceeds = contact.exceeds(self._parameters['contact_threshold'])
         acts, self._exceeded = action != 'none' and exceeds and self._exceeded, exceeds
-        before, self.done = self.done, action if acts else ''
-        if self.done == before:
+        before, self._reaction = self._reaction, action if acts else ''
+        if self._reaction == before:
             return
-        if 'stop' in (self.done, before):
-            self._stop.publish(Bool(data=self.done == 'stop'))
-        if self.done == 'yield':
-            self._hold.publish(JointTrajectory())  # without points: hold now
-        if self.done:
+        if 'stop' in (self._reaction, before):
+            self._send['stop'](Bool(data=self._reaction == 'stop'))
+        if self._reaction == 'yield':
+            self._send['hold'](JointTrajectory())  # without points: hold now
+        if self._reaction:
             force = float(np.linalg.norm(contact.force))
             self._node.get_logger().warning(
-                f'contact of {force:.3g} N at {1e3 * contact.place:.0f} mm: {self.done}'
+                f'contact of {force:.3g} N at {1e3 * contact.place:.0f} mm: {self._reaction}'
             )
 
 

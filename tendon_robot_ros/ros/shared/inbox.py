@@ -201,35 +201,6 @@ class Service:
         self.handle.destroy_when_not_in_use()
 
 
-class WaitSet:
-    """Blocks until an inbox has a message, a service has a request, or `wake` is called."""
-
-    def __init__(self, node: Node) -> None:
-        """Create the guard condition in the context of a node."""
-        self._context = node.context
-        self._guard = GuardCondition(None, None, node.context)
-
-    def wait(self, inboxes: Sequence[Inbox[Any]], services: Sequence[Service] = ()) -> None:
-        """Block until there is something to do."""
-        waits = _rclpy.WaitSet(len(inboxes), 1, 0, 0, len(services), 0, self._context.handle)
-        with waits:
-            waits.clear_entities()
-            for inbox in inboxes:
-                waits.add_subscription(inbox.handle)
-            for service in services:
-                waits.add_service(service.handle)
-            waits.add_guard_condition(self._guard.handle)
-            waits.wait(-1)
-
-    def wake(self) -> None:
-        """End the present or the next wait."""
-        self._guard.trigger()
-
-    def close(self) -> None:
-        """Destroy the guard condition."""
-        self._guard.destroy()
-
-
 def subscribe_any_qos[M](
     node: Node,
     kind: type[M],
@@ -244,18 +215,17 @@ def subscribe_any_qos[M](
     that are reliable; a message that arrives by both is handled once. A message that is too long
     to be parsed between commands is refused.
     """
-    waiting: tuple[deque[tuple[float, bytes]], deque[tuple[float, bytes]]] = deque(), deque()
+    waiting: deque[tuple[float, int, bytes]] = deque()
 
     def receive(message: bytes, path: int) -> None:
-        now, own, other = time.monotonic(), waiting[path], waiting[1 - path]
-        for queue in waiting:
-            while queue and now - queue[0][0] > SILENCE_S:
-                queue.popleft()
-        same = next((pair for pair in other if pair[1] == message), None)
+        now = time.monotonic()
+        while waiting and now - waiting[0][0] > SILENCE_S:
+            waiting.popleft()
+        same = next((one for one in waiting if one[1:] == (1 - path, message)), None)
         if same is not None:
-            other.remove(same)
+            waiting.remove(same)
             return
-        own.append((now, message))
+        waiting.append((now, path, message))
         problem, read = _read(message, kind)
         if problem:
             refuse(f'{topic.removeprefix("~/")}: {problem}')
@@ -330,7 +300,7 @@ class StopTopic:
         self._queue: deque[Received[Bool]] = deque()
         self._forwarding = node.create_publisher(String, FORWARDED, COMMAND_ALL)
         self._closed = False
-        self._wait_set = WaitSet(node)
+        self._closing = GuardCondition(None, None, node.context)
         self._thread = threading.Thread(target=self._listen, name='stop', daemon=True)
         self._thread.start()
 
@@ -354,9 +324,9 @@ class StopTopic:
     def close(self) -> None:
         """End the thread and destroy the subscriptions."""
         self._closed = True
-        self._wait_set.wake()
+        self._closing.trigger()
         self._thread.join()
-        self._wait_set.close()
+        self._closing.destroy()
 
     def _listen(self) -> None:
         """
@@ -381,11 +351,24 @@ class StopTopic:
             self._queue += filter(None, parsed)
             for service in self._services:
                 service.serve()
-            self._wait_set.wait([*inboxes, forwarded], self._services)
+            self._wait([*inboxes, forwarded])
         for inbox in (*inboxes, forwarded):
             inbox.close()
         for service in self._services:
             service.close()
+
+    def _wait(self, inboxes: Sequence[Inbox[Any]]) -> None:
+        """Block until a message, a request or the end has come."""
+        services, context = self._services, self._node.context.handle
+        waits = _rclpy.WaitSet(len(inboxes), 1, 0, 0, len(services), 0, context)
+        with waits:
+            waits.clear_entities()
+            for inbox in inboxes:
+                waits.add_subscription(inbox.handle)
+            for service in services:
+                waits.add_service(service.handle)
+            waits.add_guard_condition(self._closing.handle)
+            waits.wait(-1)
 
     def _check_publishers(self) -> None:
         """Clear the cause unless an existing publisher has sent true last."""

@@ -135,11 +135,11 @@ class StoppableNode(Runnable, LifecycleNode):
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Deactivate and clean up from any state."""
-        self._tried = float('inf')
         if self.phase == 'active':
-            self._pass(self.deactivate, 'inactive')
+            self.on_deactivate(state)
         if self.phase == 'inactive':
-            self._pass(self.cleanup, 'unconfigured')
+            self.on_cleanup(state)
+        self._tried = float('inf')
         return TransitionCallbackReturn.SUCCESS
 
     def _pass(self, action: Callable[[], None], phase: str) -> TransitionCallbackReturn:

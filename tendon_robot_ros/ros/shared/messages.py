@@ -170,28 +170,29 @@ def arm_markers(
 ) -> MarkerArray:
     """Return a line from the base through positions (n, 3) [m], and a ball at the tip."""
     points = [Point(), *map(point, positions)]
-    red, green, blue = (level / 255.0 for level in rgb(color))
-    both = {'header': header, 'ns': name, 'action': Marker.ADD}
-    both['color'] = ColorRGBA(r=red, g=green, b=blue, a=1.0)
-    line = Marker(id=0, type=Marker.LINE_STRIP, points=points, **both)
-    line.pose.orientation.w = 1.0
+    line = _marker(header, name, color, type=Marker.LINE_STRIP, points=points)
     line.scale.x = thickness
-    tip = Marker(id=1, type=Marker.SPHERE, **both)
-    tip.pose.position, tip.pose.orientation.w = points[-1], 1.0
+    tip = _marker(header, name, color, id=1, type=Marker.SPHERE)
+    tip.pose.position = points[-1]
     tip.scale.x = tip.scale.y = tip.scale.z = 2.0 * thickness
     return MarkerArray(markers=[line, tip])
 
 
 def arrow_marker(header: Header, ends: Floats | None, thickness: float, color: str) -> MarkerArray:
     """Return an arrow from its first end (2, 3) [m] to the second; None: what takes it away."""
-    red, green, blue = (level / 255.0 for level in rgb(color))
-    both = {'header': header, 'ns': 'contact', 'type': Marker.ARROW}
-    both['color'] = ColorRGBA(r=red, g=green, b=blue, a=1.0)
-    arrow = Marker(action=Marker.DELETE if ends is None else Marker.ADD, **both)
+    arrow = _marker(header, 'contact', color, type=Marker.ARROW)
+    arrow.action = Marker.DELETE if ends is None else Marker.ADD
     arrow.points = [] if ends is None else [point(end) for end in ends]
-    arrow.pose.orientation.w = 1.0
     arrow.scale.x, arrow.scale.y = thickness, 2.0 * thickness
     return MarkerArray(markers=[arrow])
+
+
+def _marker(header: Header, name: str, color: str, **fields: Any) -> Marker:
+    red, green, blue = (level / 255.0 for level in rgb(color))
+    shade = ColorRGBA(r=red, g=green, b=blue, a=1.0)
+    marker = Marker(header=header, ns=name, color=shade, **fields)
+    marker.pose.orientation.w = 1.0
+    return marker
 
 
 def check_age(node: Node, header: Header, what: str, tolerance: float) -> float:
@@ -215,34 +216,26 @@ class Frames:
             self._listener = TransformListener(self._buffer, node)
 
     def of(self, header: Header, what: str, tolerance: float) -> tuple[Floats, Floats]:
-        """Return rotation and translation [m] of a message to the base; Refusal: old, or no TF."""
-        now, stamp = check_age(self._node, header, what, tolerance), seconds(header.stamp)
-        return self.to_base(header.frame_id, what, stamp, now, tolerance)
-
-    def to_base(
-        self, frame: str, what: str, stamp: float = 0.0, now: float = 0.0, tolerance: float = 0.5
-    ) -> tuple[Floats, Floats]:
         """
-        Return rotation (3, 3) and translation (3,) [m] from a frame to the base frame.
+        Return rotation (3, 3) and translation (3,) [m] of a message to the base frame.
 
         Parameters
         ----------
-        frame, what : str
-            The frame, and the name of the message.
-        stamp : float
-            Time of the message [s]; 0: now.
-        now : float
-            Time of the clock of the node [s].
+        header : Header
+            Its stamp of 0 means now.
+        what : str
+            Name of the message.
         tolerance : float
-            Largest age of a transform [s]; a static one has no age.
+            Largest age of the message and of a transform [s]; a static one has no age.
 
         Raises
         ------
         Refusal
-            There is no transform between the two frames, or none of that time.
+            The message is old, or there is no transform of its time between the two frames.
 
         """
-        if frame == self.base:
+        now, stamp = check_age(self._node, header, what, tolerance), seconds(header.stamp)
+        if (frame := header.frame_id) == self.base:
             return np.eye(3), np.zeros(3)
         try:
             newest = self._buffer.lookup_transform(self.base, frame, ClockTime())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Any, Self
 
@@ -28,18 +28,7 @@ from ...effects import load_catalogue
 from ...model.model import Model
 from ...robot import load_robot
 from ...robot.keep_out import joined, text_of
-from . import interface
-from .messages import (
-    Request,
-    duration,
-    header_now,
-    point,
-    pose_stamped,
-    stamp_text,
-    status_values,
-    xyz,
-    xyzw,
-)
+from . import interface, messages
 from .parameters import RemoteParameter, declared
 from .quality import COMMAND
 from .runtime import SPIN_S, Ending
@@ -61,9 +50,11 @@ def add_controller(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--controller', default='controller', metavar='NAME', help=text)
 
 
-class RobotClient(Node):
+class Pilot(Node):
     """
-    A node that uses the topics of a running robot: sends targets, reads statuses, waits.
+    A node that sends targets to a running robot, reads statuses, and waits.
+
+    It keeps the tips and commands since `clear`.
 
     Parameters
     ----------
@@ -73,8 +64,6 @@ class RobotClient(Node):
     controller : str
         Name of the controller node.
     namespace : str, optional
-    base : str
-        Frame of the targets.
     watched : sequence of str
         Names of other nodes whose status is read.
 
@@ -86,27 +75,51 @@ class RobotClient(Node):
         ending: Ending,
         controller: str = 'controller',
         namespace: str | None = None,
-        base: str = '',
         watched: Sequence[str] = (),
     ) -> None:
         """Create publishers and subscriptions."""
         super().__init__(name, namespace=namespace)
-        self.ending, self._controller, self.base = ending, controller, base
+        self.ending, self._controller = ending, controller
+        self.base = ''  # frame of the controller, and of the targets
+        self.inputs, self.pull = tuple[str, ...](), False
         self.statuses: dict[str, dict[str, str]] = {node: {} for node in (controller, *watched)}
         self._status_at = 0.0  # [s] when the controller's status came
+        self._since = np.inf  # [s] when `clear` was called
         self._remotes: dict[tuple[str, str], RemoteParameter] = {}  # of (node, name)
-        self._poses = self.create_publisher(*interface.topic('controller/target_pose', controller))
-        self._points = self.create_publisher(
-            *interface.topic('controller/target_point', controller)
+        self._tips: dict[str, list[tuple[float, Floats, Floats]]]
+        self._tips = {'measured': [], 'predicted': []}
+        self._commands: list[tuple[float, Floats]] = []
+        self._poses, self._points, self._trajectories = (
+            self.create_publisher(*interface.topic(f'controller/{name}', controller))
+            for name in ('target_pose', 'target_point', 'tendon_trajectory')
         )
 
         def receive(node: str, message: DiagnosticStatus) -> None:
-            self.statuses[node] = {**status_values(message), 'message': message.message}
+            self.statuses[node] = {**messages.status_values(message), 'message': message.message}
             if node == controller:
                 self._status_at = time.monotonic()
 
+        def tip(which: str, message: PoseStamped) -> None:
+            if which == 'predicted':
+                self.base = message.header.frame_id
+            elif message.header.frame_id != self.base:
+                return
+            with suppress(InputError):  # an orientation that is none
+                view = looks(messages.xyzw(message.pose.orientation), which)
+                place = np.array(messages.xyz(message.pose.position))
+                self._tips[which].append((time.monotonic(), place, view))
+
+        def command(message: JointState) -> None:
+            self.inputs, self.pull = tuple(message.name), not message.effort
+            values = message.position if self.pull else message.effort
+            self._commands.append((time.monotonic(), np.array(values)))
+
         for node in self.statuses:
             interface.subscribe(self, 'node/status', partial(receive, node), node)
+        predicted = partial(tip, 'predicted')
+        interface.subscribe(self, 'controller/predicted_tip', predicted, controller)
+        interface.subscribe(self, 'measured_tip', partial(tip, 'measured'))
+        interface.subscribe(self, 'tendon_command', command, heard=COMMAND)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self)
 
@@ -135,12 +148,12 @@ class RobotClient(Node):
 
     def send(self, position: Floats, direction: Floats | None) -> str:
         """Send a target, (3,) [m] and (3,) or None; return its stamp as the status reports it."""
-        header = header_now(self, self.base)
+        header = messages.header_now(self, self.base)
         if direction is None:
-            self._points.publish(PointStamped(header=header, point=point(position)))
+            self._points.publish(PointStamped(header=header, point=messages.point(position)))
         else:
-            self._poses.publish(pose_stamped(header, position, towards(direction)))
-        return stamp_text(header.stamp)
+            self._poses.publish(messages.pose_stamped(header, position, towards(direction)))
+        return messages.stamp_text(header.stamp)
 
     def settled(self, stamp: str, codes: Sequence[str] = SETTLED_CODES) -> bool:
         """Return whether the status has one of `codes` for the target with this stamp."""
@@ -182,7 +195,7 @@ class RobotClient(Node):
 
     def triggered(self, name: str) -> str:
         """Call a Trigger service; return its message, raise TendonRobotError if it refuses."""
-        request, answers = Request(self, Trigger, name), list[Trigger.Response]()
+        request, answers = messages.Request(self, Trigger, name), list[Trigger.Response]()
         self.wait(lambda: request.ready, REACTION_TIMEOUT_S, f'the service {name}')
         request.ask(Trigger.Request(), answers.append)
         self.wait(lambda: answers, REACTION_TIMEOUT_S, f'an answer of {name}')
@@ -216,44 +229,6 @@ class RobotClient(Node):
         while not answers and time.monotonic() < end:
             self._executor.spin_once(timeout_sec=SPIN_S)  # works after Ctrl-C, too
         return answers[0] if answers else (False, f'{self._controller} does not answer')
-
-
-class Pilot(RobotClient):
-    """A client of a controller that keeps tips and commands since `clear`."""
-
-    def __init__(
-        self, name: str, ending: Ending, controller: str = 'controller', **options: Any
-    ) -> None:
-        """Create publishers and subscriptions; the options are those of a `RobotClient`."""
-        super().__init__(name, ending, controller, **options)
-        self.inputs: tuple[str, ...] = ()
-        self.pull = False
-        self._since = np.inf  # [s] when `clear` was called
-        self._tips: dict[str, list[tuple[float, Floats, Floats]]] = {
-            'measured': [],
-            'predicted': [],
-        }
-        self._commands: list[tuple[float, Floats]] = []
-        self._trajectories = self.create_publisher(
-            *interface.topic('controller/tendon_trajectory', controller)
-        )
-
-        def predicted(message: PoseStamped) -> None:
-            self.base = message.header.frame_id
-            self._keep('predicted', message)
-
-        def measured(message: PoseStamped) -> None:
-            if message.header.frame_id == self.base:
-                self._keep('measured', message)
-
-        def command(message: JointState) -> None:
-            self.inputs, self.pull = tuple(message.name), not message.effort
-            values = message.position if self.pull else message.effort
-            self._commands.append((time.monotonic(), np.array(values)))
-
-        interface.subscribe(self, 'controller/predicted_tip', predicted, controller)
-        interface.subscribe(self, 'measured_tip', measured)
-        interface.subscribe(self, 'tendon_command', command, heard=COMMAND)
 
     def connect(self, timeout: float = REACTION_TIMEOUT_S) -> None:
         """
@@ -320,13 +295,13 @@ class Pilot(RobotClient):
 
     def play(self, trajectory: Trajectory) -> str:
         """Send a trajectory of the tendons; return its stamp."""
-        message = JointTrajectory(header=header_now(self), joint_names=list(self.inputs))
+        message = JointTrajectory(header=messages.header_now(self), joint_names=list(self.inputs))
         field = 'positions' if self.pull else 'effort'
         for at, values in zip(trajectory.times, trajectory.values, strict=True):
-            row = {'time_from_start': duration(at), field: values.tolist()}
+            row = {'time_from_start': messages.duration(at), field: values.tolist()}
             message.points.append(JointTrajectoryPoint(**row))
         self._trajectories.publish(message)
-        return stamp_text(message.header.stamp)
+        return messages.stamp_text(message.header.stamp)
 
     def settle(self, stamp: str, timeout: float, what: str) -> None:
         """Wait until the status reports the result of a target or a trajectory."""
@@ -380,10 +355,3 @@ class Pilot(RobotClient):
         recent = times > times[-1] - TIP_AVERAGE_S
         along = views[recent].mean(axis=0)
         return places[recent].mean(axis=0), along / np.linalg.norm(along)
-
-    def _keep(self, which: str, message: PoseStamped) -> None:
-        try:
-            view = looks(xyzw(message.pose.orientation), which)
-        except InputError:
-            return
-        self._tips[which].append((time.monotonic(), np.array(xyz(message.pose.position)), view))

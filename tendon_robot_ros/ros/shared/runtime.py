@@ -33,16 +33,9 @@ from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from ...common import processes
 from ...common.errors import InputError, TendonRobotError
 from ...common.files import shared_file
-from ...common.processes import (
-    child_environment,
-    end_with_parent,
-    ending_signals,
-    go_first,
-    print_without_waiting,
-    switch_often,
-)
 from .timing import CALL_TIMEOUT_S, SILENCE_S, VALUES_PERIOD_S
 
 given: list[str] = []  # the ROS arguments of this process
@@ -101,7 +94,7 @@ class Ending:
                     if number in signals:
                         self.request(number)
 
-        signals = ending_signals()
+        signals = processes.ending_signals()
         receiver, sender = socket.socketpair()
         sender.setblocking(False)
         thread = threading.Thread(target=listen, name='signals', daemon=True)
@@ -186,7 +179,7 @@ def ros(arguments: Sequence[str], first: bool = False) -> Iterator[Ending]:
 
     """
     ending = Ending(first)
-    end_with_parent()
+    processes.end_with_parent()
     without_shared_memory()
     given[:] = arguments
     try:
@@ -244,9 +237,9 @@ def run(make: Callable[[], Runnable], arguments: Sequence[str], first: bool = Fa
 
     """
     if first:
-        go_first()
-        switch_often()
-        print_without_waiting()
+        processes.go_first()
+        processes.switch_often()
+        processes.print_without_waiting()
     with ros(arguments, first) as ending:
         executor = make_executor()
         runnable = None
@@ -314,7 +307,7 @@ class NodeProcess:
             stdout=output,
             stderr=output,
             text=True,
-            env=child_environment(),
+            env=processes.child_environment(),
             start_new_session=True,
         )
 

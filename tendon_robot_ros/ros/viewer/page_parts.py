@@ -231,13 +231,11 @@ def verdict(diagnosis: Mapping[str, Any], count: int = 6) -> str:
             for key, v in row['parameters'].items()
             if v.get('value') is not None
         )
-        if row.get('load'):
-            load = row['load']
-            size, axis, gravity = (
-                None if load[key] is None else _value_of(load[key])
-                for key in ('size', 'from_axis', 'from_gravity')
+        if load := row.get('load'):
+            axis, gravity = (
+                load[key] and _value_of(load[key]) for key in ('from_axis', 'from_gravity')
             )
-            assert size is not None
+            size = _value_of(load['size'])
             vector = load_words(LoadVector(size, axis, load['around_axis'], gravity))
             values += f'; together {vector}'
         explained = None if row['status'] == NOT_NEEDED else row.get('explained')

@@ -56,10 +56,14 @@ class ViewState:
     _addition: str = ''
     _diagnosing: str = ''
 
+    def node(self, name: str) -> tuple[float, str, str, dict[str, str]]:
+        """Return when the last status of a node came [s], its level, sentence and values."""
+        return self.nodes.get(name, (-np.inf, '', '', {}))
+
     @property
     def monitor(self) -> dict[str, str]:
         """Values of the monitor's status."""
-        return self.nodes.get('monitor', (0.0, '', '', {}))[3]
+        return self.node('monitor')[3]
 
     @property
     def recording(self) -> bool:
@@ -86,10 +90,8 @@ class ViewState:
     @property
     def stopped(self) -> bool:
         """Whether a stop is latched."""
-        values_of_nodes = [values for *_, values in self.nodes.values()]
-        return any(
-            v.get('stopped') == 'true' or v.get('code') == 'stopped' for v in values_of_nodes
-        )
+        values = [values for *_, values in self.nodes.values()]
+        return any(v.get('stopped') == 'true' or v.get('code') == 'stopped' for v in values)
 
     @property
     def can_record(self) -> bool:
@@ -156,8 +158,7 @@ class ViewState:
     @property
     def can_investigate(self) -> bool:
         """Whether the node `investigate` runs and is free."""
-        values = self.nodes.get('investigate', (0.0, '', '', {}))[3]
-        return values.get('code') == 'waiting'
+        return self.node('investigate')[3].get('code') == 'waiting'
 
     def rolling(self, now: float) -> float:
         """Return the median rolling error [m] of the last `STEADY_S`; nan: there is none."""
@@ -193,7 +194,7 @@ class ViewState:
         """Return name -> (level, sentence) of the nodes; old ones have the level silent."""
         texts = {}
         for name in ('controller', 'driver', 'monitor'):
-            at, level, text, _ = self.nodes.get(name, (-np.inf, '', '', {}))
+            at, level, text, _ = self.node(name)
             texts[name] = (level, text) if now - at < ANSWER_TIMEOUT_S else ('silent', 'not heard')
         return texts
 
