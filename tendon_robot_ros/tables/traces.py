@@ -327,7 +327,7 @@ def marker_places(
     return joined(centres, own) * factor, summed
 
 
-def follow_renumbered(tables: Sequence[RawTable], chosen: Selection, length: float) -> Selection:
+def follow_renumbered(tables: Sequence[RawTable], chosen: Selection, length: float) -> None:
     """
     Join the columns of markers that the tracker renumbered, with a line for each.
 
@@ -336,33 +336,27 @@ def follow_renumbered(tables: Sequence[RawTable], chosen: Selection, length: flo
     """
     markers = chosen.recipe.markers or ()
     if len(markers) < 2 or any(marker.arc_length is not None for marker in markers):
-        return chosen
+        return
     columns = [c for marker in markers for c in marker.columns]
     with_markers = [table for table in tables if table.holds(*columns)]
     if not with_markers:
-        return chosen
+        return
     nameless = [c for c in chosen.nameless if all(table.holds(*c) for table in with_markers)]
     every = (*markers, *map(MarkerColumns, nameless))
     recipe = replace(chosen.recipe, markers=every)
     places = np.concatenate([marker_places(t, recipe, length)[0] for t in with_markers])
     chains = [chain for chain in renumbered(places) if chain[0] < len(markers)]
-    lines = [
-        f'{marker_label(every[j].columns)} is {marker_label(markers[chain[0]].columns)}, '
-        'numbered anew: it begins where that one ends'
-        for chain in chains
-        for j in chain[1:]
-    ]
-    followed = tuple(
-        replace(markers[first], later=tuple(every[j].columns for j in later) or None)
-        for first, *later in chains
-    )
-    joined_up = {columns for marker in followed for columns in marker.later or ()}
-    return replace(
-        chosen,
-        recipe=replace(chosen.recipe, markers=followed),
-        assumed=(*chosen.assumed, *lines),
-        nameless=tuple(columns for columns in chosen.nameless if columns not in joined_up),
-    )
+    followed = []
+    for first, *later in chains:
+        known = marker_label(markers[first].columns)
+        more = tuple(every[j].columns for j in later)
+        chosen.assumed += [
+            f'{marker_label(own)} is {known}, numbered anew: it begins where that one ends'
+            for own in more
+        ]
+        chosen.nameless = [own for own in chosen.nameless if own not in more]
+        followed.append(replace(markers[first], later=more or None))
+    chosen.recipe = replace(chosen.recipe, markers=tuple(followed))
 
 
 def _clock(
