@@ -173,7 +173,7 @@ def test_the_page_says_what_the_chance_beside_the_best_means():
 
 def test_found_values_go_into_the_description():
     robot = load_robot(ROOT / 'config' / 'robots' / 'kato_10_1.yaml')
-    changed = with_effects(diagnosis('several', (HINGE, STIFF)), robot)
+    changed = with_effects(diagnosis('several', (HINGE, STIFF)), robot, load_catalogue())
     assert changed.effects['hinge_friction'] == {'lever': 1.58e-4}
     assert changed.effects['section_stiffness'] == {'relative_change': (0.1, -0.05)}
     assert changed.effects['tendon_friction'] == robot.effects['tendon_friction']

@@ -23,7 +23,7 @@ from tendon_robot_ros.tables.columns import (
 )
 from tendon_robot_ros.tables.markers import choose_points
 from tendon_robot_ros.tables.reading import read_c3d, read_tables
-from tendon_robot_ros.tables.recipe import Recipe, choose_columns
+from tendon_robot_ros.tables.recipe import Recipe, Selection
 
 PLAIN = 'time,T1 [N],m_x\n0,1,2\n0.5,1.5,\n'
 MOTIVE = """\
@@ -197,10 +197,10 @@ def test_frames_of_an_unknown_rate_are_no_seconds(tmp_path):
     robot = load_robot(ROOT / 'config/robots/kato_10_1_single.yaml')
     table = read(tmp_path, VICON.replace('100\n', '\n', 1))
     with pytest.raises(DataSetError, match=r'counts frames, .* say --unit time=60Hz, or how many'):
-        choose_columns([table], robot, Recipe())
+        Selection([table], robot, Recipe())
     table = replace(table, columns={**table.columns, 'T1 [N]': np.ones(2), 'T2 [N]': np.ones(2)})
     asked = Recipe(time_unit='60Hz', positions='mm')
-    assert choose_columns([table], robot, asked).recipe.time == {'time': '60Hz'}
+    assert Selection([table], robot, asked).recipe.time == {'time': '60Hz'}
     assert find_unit('60Hz').factor == pytest.approx(1.0 / 60.0)
 
 

@@ -17,7 +17,7 @@ from tendon_robot_ros.tables import import_table
 from tendon_robot_ros.tables.columns import table_of, triples_of
 from tendon_robot_ros.tables.markers import choose_points, circle_centres
 from tendon_robot_ros.tables.reading import read_tables, widened
-from tendon_robot_ros.tables.recipe import Recipe, choose_columns
+from tendon_robot_ros.tables.recipe import Recipe, Selection
 
 PLACES = write.truth()
 RIMS = write.rim(PLACES)
@@ -348,7 +348,7 @@ def test_no_unit_is_guessed_that_the_data_do_not_show(calm, scale, advice):
     places, rest = markers_of(calm)
     columns = {f'm{j}_{a}': scale * places[:, j, i] for j in range(4) for i, a in enumerate('xyz')}
     with pytest.raises(DataSetError, match=f'neither m nor mm fits: .*; {advice}'):
-        choose_columns([table_of('DataFrame', rest.assign(**columns))], ARM, Recipe())
+        Selection([table_of('DataFrame', rest.assign(**columns))], ARM, Recipe())
 
 
 def test_triples_that_are_mostly_left_out_and_a_frame_that_stays_unknown_ask_for_a_look(calm):

@@ -152,11 +152,7 @@ def named_numbers(option: str, text: str, unit: str) -> dict[str, float]:
 
 def named_lengths(option: str, text: str, unit: str) -> dict[str, float]:
     """Read left=6,right=-2mm in metres."""
-
-    def read(number: str) -> float:
-        return length(option, number, unit)
-
-    return named(option, text, f'LENGTH in {unit}', read)
+    return named(option, text, f'LENGTH in {unit}', lambda number: length(option, number, unit))
 
 
 def length(option: str, text: str, unit: str) -> float:
@@ -217,34 +213,29 @@ def vector(option: str, text: str | None) -> list[float] | None:
         It is not three numbers.
 
     """
-    values = None if text is None else list(_floats(text, ','))
-    if values is not None and len(values) != 3:
-        raise InputError(f'{option}: expected three numbers x,y,z, got {text!r}')
-    return values
+    expected = 'three numbers x,y,z'
+    return None if text is None else list(numbers(option, text, ',', expected, 3))
 
 
-def numbers(what: str, text: str, separator: str) -> tuple[float, ...]:
+def numbers(
+    what: str, text: str, separator: str, expected: str = 'numbers', count: int = 0
+) -> tuple[float, ...]:
     """
-    Read numbers with a separator between them.
+    Read numbers with a separator between them; 0: as many as there are.
 
     Raises
     ------
     InputError
-        One is no finite number.
+        One is no finite number, or there are more or fewer.
 
     """
-    values = _floats(text, separator)
-    if not values or not all(map(math.isfinite, values)):
-        raise InputError(f'{what}: expected numbers, got {text!r}')
-    return values
-
-
-def _floats(text: str, separator: str) -> tuple[float, ...]:
-    """Return the numbers of a text; none where one of them is not."""
     try:
-        return tuple(map(float, text.split(separator)))
+        values = tuple(map(float, text.split(separator)))
     except ValueError:
-        return ()
+        values = (math.nan,)
+    if not all(map(math.isfinite, values)) or count not in (0, len(values)):
+        raise InputError(f'{what}: expected {expected}, got {text!r}')
+    return values
 
 
 def pairs(option: str, texts: Sequence[str], what: str = 'VALUE') -> dict[str, str]:

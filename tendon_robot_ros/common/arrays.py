@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,3 +14,33 @@ Bools = NDArray[np.bool_]
 DIGITS = 9  # [1] decimals of metres and newtons, because nothing that measures an arm has more
 RESOLUTION = 10.0**-DIGITS  # [m] or [N], because values are rounded to it
 ROWS_AT_ONCE = 2_000  # [1] rows of a table, or postures, at once, so that they stay in the cache
+
+
+def simplified(
+    kept: Iterable[int], limit: float, beside: Callable[[int, int], Floats]
+) -> list[int]:
+    """
+    Return the rows of a polyline between which straight lines suffice.
+
+    From the piece between two rows that are kept, the row farthest beside its line is kept as
+    well, until none is farther than a limit (Ramer 1972, Douglas and Peucker 1973).
+
+    Parameters
+    ----------
+    kept : iterable of int
+        Rows to keep, the first and the last among them.
+    limit : float
+    beside : callable
+        Of two rows: the distances of those between them from the line, in the unit of the limit.
+
+    """
+    rows = {*kept}
+    pieces = list(pairwise(sorted(rows)))
+    while pieces:
+        first, last = pieces.pop()
+        distances = beside(first, last)
+        if distances.max(initial=0.0) > limit:
+            corner = first + 1 + int(distances.argmax())
+            rows.add(corner)
+            pieces += [(first, corner), (corner, last)]
+    return sorted(rows)

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from ..common.arrays import RESOLUTION, Bools, Floats, Ints
+from ..common.arrays import RESOLUTION, Bools, Floats, Ints, simplified
 from ..common.errors import DataSetError, refusal, short
 from ..common.words import UNITS, listed
 from ..robot import Robot
@@ -316,19 +315,14 @@ def corners(path: Floats, kept: Ints) -> Ints:
     Every other row lies no further beside the straight line than twice `INPUT_TOLERANCE` of the
     largest value (Ramer 1972, Douglas and Peucker 1973).
     """
-    limit, rows = 2.0 * INPUT_TOLERANCE * float(np.abs(path).max()), {0, *kept.tolist()}
-    inner = sorted(rows)
-    stale = list(pairwise(inner))
-    while stale:
-        a, b = stale.pop()
+
+    def beside(a: int, b: int) -> Floats:
         way, between = path[b] - path[a], path[a + 1 : b] - path[a]
         along = np.clip(between @ way / max(float(way @ way), RESOLUTION**2), 0.0, 1.0)
-        beside = np.abs(between - along[:, None] * way).max(axis=1, initial=0.0)
-        if beside.max(initial=0.0) > limit:
-            corner = a + 1 + int(beside.argmax())
-            rows.add(corner)
-            stale += [(a, corner), (corner, b)]
-    return np.array(sorted(rows))
+        return np.asarray(np.abs(between - along[:, None] * way).max(axis=1, initial=0.0))
+
+    limit = 2.0 * INPUT_TOLERANCE * float(np.abs(path).max())
+    return np.array(simplified({0, *kept.tolist()}, limit, beside))
 
 
 # [1] times through its range that what an input did before is remembered, because plays and bends

@@ -159,28 +159,26 @@ def opened(path: str | Path) -> Iterator[Any]:
     from rosbags.typesys import Stores, get_typestore
 
     path = Path(path)
-    if not path.exists():
-        raise DataSetError(str(path), 'is not there', 'name a rosbag2 folder or an .mcap file')
-    if path.suffix == '.bag' and path.is_dir():
-        problem = 'is a folder, and called as a file of ROS 1'
-        raise DataSetError(str(path), problem, 'rename it, without .bag')
-    if path.suffix == '.bag':
-        raise DataSetError(
-            str(path), 'is a ROS 1 bag', f'convert it: rosbags-convert --src {path} --dst NEW'
-        )
-    if path.is_dir() and not (path / 'metadata.yaml').is_file():
-        is_set = (path / 'dataset.yaml').is_file()
-        raise DataSetError(
-            str(path),
-            f'is {"a data set" if is_set else "a folder without metadata.yaml"}, and no recording',
-            f'compare it: {PROGRAM} compare {path}'
-            if is_set
-            else 'name a rosbag2 folder, or an .mcap or .db3 file',
-        )
-    if path.is_file() and path.suffix not in STORED:
-        raise DataSetError(
-            str(path), 'is no recording', f'name a rosbag2 folder, or a file {" or ".join(STORED)}'
-        )
+    convert = f'convert it: rosbags-convert --src {path} --dst NEW'
+    compare = f'compare it: {PROGRAM} compare {path}'
+    name = 'name a rosbag2 folder, or an .mcap or .db3 file'
+    stored = f'name a rosbag2 folder, or a file {" or ".join(STORED)}'
+    bag, no_bag = path.suffix == '.bag', not (path / 'metadata.yaml').is_file()
+    is_set = (path / 'dataset.yaml').is_file()
+    for wrong, problem, remedy in (
+        (not path.exists(), 'is not there', 'name a rosbag2 folder or an .mcap file'),
+        (
+            bag and path.is_dir(),
+            'is a folder, and called as a file of ROS 1',
+            'rename it, without .bag',
+        ),
+        (bag, 'is a ROS 1 bag', convert),
+        (path.is_dir() and no_bag and is_set, 'is a data set, and no recording', compare),
+        (path.is_dir() and no_bag, 'is a folder without metadata.yaml, and no recording', name),
+        (path.is_file() and path.suffix not in STORED, 'is no recording', stored),
+    ):
+        if wrong:
+            raise DataSetError(str(path), problem, remedy)
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
             yield reader
@@ -256,9 +254,8 @@ def _sane(values: Floats) -> Floats:
 
 
 BASES = ('', 'base', 'base_link', 'base_frame')  # and what ends with _base
-STEADY_RAD = (
-    0.01  # [rad] that a fixed frame may turn, because a tracker measures rotations less well
-)
+# [rad] that a fixed frame may turn, because a tracker measures rotations less well
+STEADY_RAD = 0.01
 Pose = tuple[Floats, Floats]  # rotation (3, 3), shift (3,) [m]
 
 

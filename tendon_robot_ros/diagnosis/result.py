@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from textwrap import fill
@@ -16,8 +17,10 @@ from ..common.colours import ERROR, GOOD, HELD_OUT, PREDICTED
 from ..common.files import write_text
 from ..common.results import TextResult, make_frame
 from ..common.words import LISTED_MAX
+from ..effects import Catalogue
 from ..inference.description import PROFILE
 from ..inference.intervals import LoadVector, Value
+from ..inference.predict import FreeParameter, frees_of
 from ..robot import Robot
 from .verdict import Verdict
 
@@ -48,6 +51,17 @@ class EffectFinding:
             for key, v in self.parameters.items()
         )
         return f'{self.name}: {values}'
+
+
+def found_values(
+    effects: Sequence[EffectFinding], catalogue: Catalogue, robot: Robot
+) -> dict[FreeParameter, float]:
+    """Return the values of the effects that were found, by parameter."""
+    known = {(e.name, key): value.value for e in effects for key, value in e.parameters.items()}
+    frees = frees_of([effect.name for effect in effects], catalogue, robot)
+    return {
+        free: known[free.effect, free.key] for free in frees if (free.effect, free.key) in known
+    }
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import importlib.util
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,11 +25,10 @@ from ..data import DataSet, save_dataset
 from ..data.bag_writer import export_bag
 from ..diagnosis.add import Addition, add_effects
 from ..diagnosis.diagnose import diagnose
-from ..diagnosis.result import Diagnosis
+from ..diagnosis.result import Diagnosis, found_values
 from ..diagnosis.verdict import Verdict
 from ..effects import Catalogue, Effect, load_catalogue
 from ..inference.noise import Noise
-from ..inference.predict import frees_of
 from ..model.model import Model
 from ..monitoring.change import ChangeFinder
 from ..report.diagnosis_page import diagnosis_page, pictures_of, with_effects
@@ -215,10 +213,8 @@ class Investigation:
 
     def question(self) -> OpenQuestion:
         """Return the question that the next posture is to answer."""
-        effects: Sequence[Any] = () if self.diagnosis is None else self.diagnosis.effects
-        frees = frees_of([effect.name for effect in effects], self.catalogue, self.arm.robot)
-        best = {(e.name, key): v.value for e in effects for key, v in e.parameters.items()}
-        point = {f: best[f.effect, f.key] for f in frees if (f.effect, f.key) in best}
+        effects = () if self.diagnosis is None else self.diagnosis.effects
+        point = found_values(effects, self.catalogue, self.arm.robot)
         return OpenQuestion(tuple(self.sought), point, self.noise, self._only_wide)
 
     @property
@@ -245,8 +241,8 @@ class Investigation:
     @property
     def guess(self) -> Robot:
         """The description with the effects of the last diagnosis."""
-        robot = self.arm.robot
-        return robot if self.diagnosis is None else with_effects(self.diagnosis, robot)
+        robot, known = self.arm.robot, self.diagnosis
+        return robot if known is None else with_effects(known, robot, self.catalogue)
 
     def shows(self, effect: Effect) -> bool:
         """Return whether an effect has any influence on this arm, if it is not at some place."""
@@ -382,7 +378,8 @@ def write_results(findings: Findings, folder: Path, catalogue: Catalogue, add: b
         written.append(RESULT)
         if importlib.util.find_spec('plotly') is not None:
             data = findings.dataset
-            better = with_effects(diagnosis, data.robot) if added is None else added.robot
+            found = with_effects(diagnosis, data.robot, catalogue)
+            better = found if added is None else added.robot
             pictures = pictures_of(diagnosis, data, catalogue, better)
             diagnosis_page(diagnosis, pictures, added).write(folder / REPORT)
             written.append(REPORT)

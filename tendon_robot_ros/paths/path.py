@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, pchip_interpolate
 
-from ..common.arrays import Floats, Ints
+from ..common.arrays import Floats, Ints, simplified
 from ..common.errors import InputError
 from ..common.rotations import angle_between
 from ..control.inputs import STREAM_PERIOD_S, Trajectory
@@ -343,16 +343,11 @@ def thinned(times: Floats, values: Floats) -> Ints:
 
     As Douglas and Peucker (1973), with `RANGE_TOLERANCE` of the largest change as the distance.
     """
+
+    def beside(first: int, last: int) -> Floats:
+        inside, ends = slice(first + 1, last), [first, last]
+        line = [np.interp(times[inside], times[ends], column[ends]) for column in values.T]
+        return np.asarray(np.abs(values[inside] - np.column_stack(line)).max(axis=1, initial=0.0))
+
     tolerance = RANGE_TOLERANCE * float(np.ptp(values, axis=0).max(initial=0.0))
-    kept, open_pieces = {0, len(times) - 1}, [(0, len(times) - 1)]
-    while open_pieces:
-        first, last = open_pieces.pop()
-        inside = slice(first + 1, last)
-        ends = times[[first, last]]
-        line = [np.interp(times[inside], ends, column[[first, last]]) for column in values.T]
-        distances = np.abs(values[inside] - np.column_stack(line)).max(axis=1, initial=0.0)
-        if distances.max(initial=0.0) > tolerance:
-            middle = first + 1 + int(np.argmax(distances))
-            kept.add(middle)
-            open_pieces += [(first, middle), (middle, last)]
-    return np.array(sorted(kept))
+    return np.array(simplified((0, len(times) - 1), tolerance, beside))

@@ -289,9 +289,8 @@ def shape_figures(
 
     `faults` of the details of a diagnosis are marked where the model is wrong.
     """
-    drawn = [
-        DrawnPosture.of(comparison, p, faults, pushes or {}) for p in chosen_postures(comparison)
-    ]
+    chosen = chosen_postures(comparison)
+    drawn = [DrawnPosture(comparison, p, faults, pushes or {}) for p in chosen]
     if is_planar(comparison):
         return [([flat_figure(one) for one in drawn], 'many')]
     sides = [side_figure(one) for one in drawn]
@@ -365,30 +364,26 @@ class Push:
 Pushes = Mapping[str, Push]  # posture -> what pushes the arm in it
 
 
-@dataclass(frozen=True)
 class DrawnPosture:
     """One posture in space: lines, points and marks, and the words around them."""
 
-    p: int
-    title: str
-    caption: str
-    traces: list[Trace]
-    azimuth: float  # [rad] in which it bends, as measured and as predicted
-
-    @classmethod
-    def of(
-        cls, comparison: Comparison, p: int, faults: Sequence[Fault], pushes: Pushes
-    ) -> DrawnPosture:
+    def __init__(
+        self, comparison: Comparison, p: int, faults: Sequence[Fault], pushes: Pushes
+    ) -> None:
         """Draw a posture; faults are marked, and what pushes the arm is drawn."""
         lines = [comparison.measured.mean[p], *(model.line[p] for model in comparison.models)]
         best, name = comparison.best, comparison.measured.postures[p]
         words = [f'{best.name}: rms {mm(best.per_posture_rms[p])}', *of_inputs(faults, name)]
-        azimuth, traces = bending_azimuth(np.concatenate(lines)), posture_traces(comparison, p)
-        traces += fault_rings(best.line[p], marks(faults, name))
+        self.p, self.title = p, capital(posture_name(comparison, p))
+        self.caption = '; '.join(words)
+        # [rad] in which it bends, as measured and as predicted
+        self.azimuth = bending_azimuth(np.concatenate(lines))
+        self.traces = posture_traces(comparison, p) + fault_rings(
+            best.line[p], marks(faults, name)
+        )
         if name in pushes:
-            across = 0.0 if is_planar(comparison) else azimuth
-            traces += pushes[name].traces(comparison.measured.arc_lengths.max(), across)
-        return cls(p, capital(posture_name(comparison, p)), '; '.join(words), traces, azimuth)
+            across = 0.0 if is_planar(comparison) else self.azimuth
+            self.traces += pushes[name].traces(comparison.measured.arc_lengths.max(), across)
 
 
 def fault_rings(line: Floats, places: Sequence[tuple[float, str]]) -> list[Trace]:

@@ -15,11 +15,11 @@ from ..comparison.result import Comparison
 from ..data import DataSet
 from ..diagnosis.add import Addition
 from ..diagnosis.missing_moment import MissingMoment, missing_moment
-from ..diagnosis.result import NOT_NEEDED, CandidateRow, Diagnosis
+from ..diagnosis.result import NOT_NEEDED, CandidateRow, Diagnosis, found_values
 from ..diagnosis.verdict import P_SINGLE_MIN, Verdict
 from ..effects import Catalogue, load_catalogue
+from ..inference.description import with_values
 from ..robot import Robot
-from ..robot.description import EffectValues
 from . import diagnosis_text
 from .comparison import Push, add_loops, add_shapes
 from .diagnosis_text import next_measurement, trust_lines
@@ -74,7 +74,7 @@ def pictures_of(
     robot = dataset.robot
     models = [(BEFORE, robot)]
     if diagnosis.effects:
-        after = changed or with_effects(diagnosis, robot)
+        after = changed or with_effects(diagnosis, robot, catalogue)
         name = f'with {" and ".join(effect.name for effect in diagnosis.effects)}'
         if diagnosis_text.with_arm(diagnosis):
             name += ' alone' if changed is None else ' and the arm as found'
@@ -90,21 +90,9 @@ def pictures_of(
     return Pictures(comparison, lacks[0], lacks[1] if len(lacks) > 1 else None)
 
 
-def with_effects(diagnosis: Diagnosis, robot: Robot) -> Robot:
+def with_effects(diagnosis: Diagnosis, robot: Robot, catalogue: Catalogue) -> Robot:
     """Return a description with the effects at the values that were found."""
-    for effect in diagnosis.effects:
-        values: EffectValues = dict(robot.effects.get(effect.name, {}))
-        sections = [f'{section.name}]' for section in robot.sections]
-        for key, value in effect.parameters.items():
-            name, _, section = key.partition('[')
-            if not section:
-                values[name] = value.value
-                continue
-            each = np.broadcast_to(values.get(name, 0.0), len(sections)).tolist()
-            each[sections.index(section)] = value.value
-            values[name] = tuple(each)
-        robot = robot.with_effect(effect.name, values)
-    return robot
+    return with_values(robot, catalogue, found_values(diagnosis.effects, catalogue, robot).items())
 
 
 def diagnosis_page(

@@ -17,12 +17,12 @@ import numpy as np
 
 from ..diagnosis.add import add_effects
 from ..diagnosis.diagnose import diagnose
-from ..diagnosis.result import Diagnosis
+from ..diagnosis.result import Diagnosis, found_values
 from ..diagnosis.trust import DETECTION_POWER, wilson
 from ..diagnosis.verdict import SAME_ERROR_RATIO, Verdict
 from ..effects import load_catalogue
 from ..inference.intervals import Value
-from ..inference.predict import Predictor, frees_of
+from ..inference.predict import Predictor
 from ..inference.statistics import rms
 from ..model.model import Model
 from ..model.versions import UserEffect, catalogue_of
@@ -206,13 +206,7 @@ def _beside_truth(case: Case, sim: Simulated, values: Mapping[str, Value]) -> di
 
 def removed_fraction(diagnosis: Diagnosis, sim: Simulated) -> float | None:
     """Return the fraction of (before - floor) that the named effects remove elsewhere."""
-    named = {effect.name: effect.parameters for effect in diagnosis.effects}
-    frees = frees_of([*named], sim.catalogue, sim.robot)
-    point = {
-        free: named[free.effect][free.key].value
-        for free in frees
-        if free.key in named[free.effect]
-    }
+    point = found_values(diagnosis.effects, sim.catalogue, sim.robot)
     errors = []
     for one in ({}, point):
         markers = Predictor(sim.check, sim.robot, sim.catalogue).markers(one)

@@ -33,7 +33,6 @@ from .recipe import (
     Selection,
     Stillness,
     as_recipe,
-    choose_columns,
 )
 from .registration import Placed, TrackerFrame, rotation_vector, side_offset, up_that_fits
 from .traces import follow_renumbered, make_traces
@@ -87,13 +86,13 @@ def import_table(
     ups = {table.up for table in tables} - {None}  # of the files, where their format has one
     if not is_up_given and len(ups) == 1:
         recipe = replace(recipe, up=ups.pop())
-    chosen = choose_columns(tables, robot, recipe)
+    chosen = Selection(tables, robot, recipe)
     columns = {use.column for use in (chosen.recipe.inputs or {}).values()}
     columns |= {c for marker in chosen.recipe.markers or () for c in marker.columns}
     # parts of a file without any column in use are excluded
     used = [t for t in tables if not t.part or columns & t.columns.keys()]
     show('looking where the arm stood still', 1, 4)
-    chosen = follow_renumbered(used, chosen, robot.length)
+    follow_renumbered(used, chosen, robot.length)
     measured = StillMeasurements(make_traces(used, chosen, robot.length), chosen, robot)
     name = tables[0].name
     places = [marker.arc_length for marker in chosen.recipe.markers or ()]
@@ -110,7 +109,7 @@ def import_table(
     if not is_up_given:
         predictor = Predictor(raw, robot, catalogue)
         up, up_assumed = up_that_fits(raw, predictor, chosen.recipe.frame, recipe.up)
-        chosen = replace(chosen, recipe=replace(chosen.recipe, up=up))
+        chosen.recipe = replace(chosen.recipe, up=up)
     placed = Placed(raw, chosen.recipe, catalogue)
     final, frame = placed.dataset, placed.frame
     show('comparing with the model', 3, 4)

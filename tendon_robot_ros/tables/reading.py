@@ -290,24 +290,18 @@ def _count_rows(
     plain = b'"' not in raw and b'\n\n' not in raw and b'\n\r' not in raw
     if plain and raw.count(delimiter.encode()) == (part.width - 1) * lines:
         return None
-    whole = 0
-    bad: tuple[int, int] | None = None
     text = io.TextIOWrapper(io.BytesIO(raw), encoding, 'replace', newline='')
     reader = csv.reader(text, delimiter=delimiter)
-    for cells in reader:
-        if not any(cells):
-            continue
-        if bad is not None:
-            raise _bad_row(shown, delimiter, part.width, *bad)
-        if len(cells) != part.width:
-            bad = part.line + reader.line_num, len(cells)
-            continue
-        whole += 1
-    if bad is None:
-        return None
-    if bad[1] > part.width or not whole:
-        raise _bad_row(shown, delimiter, part.width, *bad)
-    return whole
+    whole, bad = 0, None
+    for cells in filter(any, reader):
+        row = part.line + reader.line_num, len(cells)
+        if bad is not None or len(cells) > part.width or (len(cells) < part.width and not whole):
+            raise _bad_row(shown, delimiter, part.width, *(bad or row))
+        if len(cells) < part.width:
+            bad = row
+        else:
+            whole += 1
+    return None if bad is None else whole
 
 
 def _bad_row(shown: str, delimiter: str, width: int, row: int, cells: int) -> DataSetError:

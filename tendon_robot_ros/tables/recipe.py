@@ -334,29 +334,26 @@ FAR = UNSEEN_M / UNITS['length']['mm']  # in the smallest unit that is tried
 EXTENT = (0.25, 1.3)
 
 
-@dataclass(frozen=True)
 class Selection:
-    """The selected columns, their use, and how they were recognised, in table order."""
-
-    recipe: Recipe
-    reasons: Mapping[str, str]  # column -> how it was recognised
-    unused: tuple[str, ...]
-    assumed: tuple[str, ...]
-    kind: str  # 'tension' or 'displacement'
-    warnings: tuple[str, ...] = ()  # contradictions between a table and the recipe
-    aside: tuple[str, ...] = ()  # excluded triples, by quantity
-    nameless: tuple[tuple[str, str, str], ...] = ()  # columns of markers that have no name
-
-    @property
-    def unused_points(self) -> tuple[str, ...]:
-        """The excluded points by quantity, and the number of points without a name."""
-        count = len(self.nameless)
-        return self.aside + ((f'{count} points without a name (unlabeled)',) if count else ())
-
-
-def choose_columns(tables: Sequence[RawTable], robot: Robot, recipe: Recipe) -> Selection:
     """
-    Fill in the columns and units that a recipe leaves open.
+    The selected columns and units: what a recipe leaves open is filled in.
+
+    Attributes
+    ----------
+    recipe : Recipe
+        With all columns and units.
+    reasons : dict of str
+        How each column was recognised.
+    unused : list of str
+        Columns that are not used.
+    assumed, warnings : list of str
+        Assumptions; contradictions between a table and the recipe.
+    kind : str
+        'tension' or 'displacement'.
+    aside : tuple of str
+        Excluded triples, by quantity.
+    nameless : list of tuple of str
+        Columns of markers that have no name.
 
     Raises
     ------
@@ -364,115 +361,202 @@ def choose_columns(tables: Sequence[RawTable], robot: Robot, recipe: Recipe) -> 
         Columns for the inputs or the markers are missing, or a unit.
 
     """
-    assumed = [f'{t.name}: {note}' for t in tables for note in t.notes]
-    reasons: dict[str, str] = {}
-    recipe = _choose_times(tables, recipe, reasons, assumed)
-    recipe = _choose_inputs(tables, robot, recipe, reasons)
-    recipe, points = _choose_markers(tables, recipe, reasons, assumed)
-    recipe = _choose_position_unit(tables, robot, recipe, assumed)
-    units = {find_unit(use.unit) for use in (recipe.inputs or {}).values()}
-    kinds = {unit.kind for unit in units if unit is not None}
-    kind = 'tension' if kinds <= {'force', 'current'} else 'displacement'
-    if kind == 'displacement' and not kinds <= {'length', 'angle', 'counts'}:
-        problem = 'all are tensions or all are wire pulls; give columns of one kind'
-        raise InputError(f'inputs: {problem}')
-    if recipe.zero is None:
-        turned = bool(kinds & {'angle', 'counts'})
-        recipe = replace(recipe, zero=turned)
-        if turned:
-            assumed.append('motors count from where they are when the arm first stands still')
-    warnings = _units_contradicted(tables, recipe)
-    taken = set(reasons) | {
-        c for table in tables for triple in triples_of(table) for c in triple.columns
-    }
-    unused = dict.fromkeys(c for t in tables for c in t.columns if c not in taken)
-    chosen = Selection(
-        *(recipe, reasons, tuple(unused), tuple(assumed), kind, tuple(warnings)),
-        *(points.aside, points.nameless),
-    )
-    if points.unused_fraction <= 0.5:
-        return chosen
-    question = (  # about most of them
-        f'{100 * points.unused_fraction:.0f} % of all x, y, z are left out, '
-        f'{listing(chosen.unused_points)}: are the markers those that are taken?'
-    )
-    return replace(chosen, warnings=(*warnings, question))
 
+    def __init__(self, tables: Sequence[RawTable], robot: Robot, recipe: Recipe) -> None:
+        self.tables, self.robot, self.recipe = tables, robot, recipe
+        self.assumed = [f'{t.name}: {note}' for t in tables for note in t.notes]
+        self.reasons: dict[str, str] = {}
+        self._choose_times()
+        self._choose_inputs()
+        points = self._choose_markers()
+        self.aside, self.nameless = points.aside, list(points.nameless)
+        self._choose_position_unit()
+        units = {find_unit(use.unit) for use in (self.recipe.inputs or {}).values()}
+        kinds = {unit.kind for unit in units if unit is not None}
+        self.kind = 'tension' if kinds <= {'force', 'current'} else 'displacement'
+        if self.kind == 'displacement' and not kinds <= {'length', 'angle', 'counts'}:
+            problem = 'all are tensions or all are wire pulls; give columns of one kind'
+            raise InputError(f'inputs: {problem}')
+        if recipe.zero is None:
+            turned = bool(kinds & {'angle', 'counts'})
+            self.recipe = replace(self.recipe, zero=turned)
+            if turned:
+                self.assumed.append(
+                    'motors count from where they are when the arm first stands still'
+                )
+        self.warnings = self._units_contradicted()
+        taken = set(self.reasons)
+        taken |= {c for t in tables for triple in triples_of(t) for c in triple.columns}
+        self.unused = [*dict.fromkeys(c for t in tables for c in t.columns if c not in taken)]
+        if points.unused_fraction > 0.5:
+            self.warnings.append(
+                f'{100 * points.unused_fraction:.0f} % of all x, y, z are left out, '
+                f'{listing(self.unused_points)}: are the markers those that are taken?'
+            )
 
-def written_units(tables: Sequence[RawTable]) -> dict[str, Unit]:
-    """Return the unit of every column that has one, by its name or by the file."""
-    names = (name for table in reversed(tables) for name in names_of(table))
-    return {name.column: name.unit for name in names if name.unit is not None}
+    @property
+    def unused_points(self) -> tuple[str, ...]:
+        """The excluded points by quantity, and the number of points without a name."""
+        count = len(self.nameless)
+        return self.aside + ((f'{count} points without a name (unlabeled)',) if count else ())
 
+    @property
+    def written_units(self) -> dict[str, Unit]:
+        """The unit of every column that has one, by its name or by the file."""
+        names = (name for table in reversed(self.tables) for name in names_of(table))
+        return {name.column: name.unit for name in names if name.unit is not None}
 
-def _units_contradicted(tables: Sequence[RawTable], recipe: Recipe) -> list[str]:
-    """
-    Return a line for each unit in a table that contradicts the unit in use.
+    def _units_contradicted(self) -> list[str]:
+        """
+        Return a line for each unit in a table that contradicts the unit in use.
 
-    This is a warning and no error, because the header of a logger may be wrong, and then the unit
-    given by the user must hold.
-    """
-    inputs = (recipe.inputs or {}).values()
-    used_as = {use.column: ('inputs', use.unit) for use in inputs}
-    columns = [column for marker in recipe.markers or () for column in marker.columns]
-    used_as |= dict.fromkeys(columns, ('positions', recipe.positions or ''))
-    used_as |= {column: ('time', unit) for column, unit in (recipe.time or {}).items()}
-    contradictions: dict[tuple[str, Unit, Unit], list[str]] = {}
-    for column, written in written_units(tables).items():
-        what, text = used_as.get(column, ('', ''))
-        unit = find_unit(text)
-        if unit is None or unit.kind == written.kind == 'counts':
-            continue
-        if (written.kind, written.factor) != (unit.kind, unit.factor):
-            contradictions.setdefault((what, written, unit), []).append(column)
-    lines = []
-    for (what, written, unit), own in contradictions.items():
-        size = ', another kind of quantity'
-        if unit.kind == written.kind:
-            ratio = unit.factor / written.factor
-            times = digits(max(ratio, 1.0 / ratio), 3)
-            size = f', {times} times as {"much" if ratio > 1.0 else "little"}'
-        lines.append(
-            f'the table says {written.text} of {listing(own)}, and {unit.text} was taken{size}: '
-            f'if the table is right, leave out --unit {what}={unit.text} (or take the unit out of '
-            'import.yaml)'
+        This is a warning and no error, because the header of a logger may be wrong, and then the
+        unit given by the user must hold.
+        """
+        inputs = (self.recipe.inputs or {}).values()
+        used_as = {use.column: ('inputs', use.unit) for use in inputs}
+        columns = [column for marker in self.recipe.markers or () for column in marker.columns]
+        used_as |= dict.fromkeys(columns, ('positions', self.recipe.positions or ''))
+        used_as |= {column: ('time', unit) for column, unit in (self.recipe.time or {}).items()}
+        contradictions: dict[tuple[str, Unit, Unit], list[str]] = {}
+        for column, written in self.written_units.items():
+            what, text = used_as.get(column, ('', ''))
+            unit = find_unit(text)
+            if unit is None or unit.kind == written.kind == 'counts':
+                continue
+            if (written.kind, written.factor) != (unit.kind, unit.factor):
+                contradictions.setdefault((what, written, unit), []).append(column)
+        lines = []
+        for (what, written, unit), own in contradictions.items():
+            size = ', another kind of quantity'
+            if unit.kind == written.kind:
+                ratio = unit.factor / written.factor
+                times = digits(max(ratio, 1.0 / ratio), 3)
+                size = f', {times} times as {"much" if ratio > 1.0 else "little"}'
+            lines.append(
+                f'the table says {written.text} of {listing(own)}, and {unit.text} was taken'
+                f'{size}: if the table is right, leave out --unit {what}={unit.text} (or take the '
+                'unit out of import.yaml)'
+            )
+        return lines
+
+    def _choose_times(self) -> None:
+        recipe, tables = self.recipe, self.tables
+        if recipe.time == {}:  # as given: every row is a measurement
+            return
+        times = dict(recipe.time or {})
+        for column in times:
+            need_column(tables, column, 'time')
+        for table in tables:
+            if (mine := time_column(table, times)) is not None:
+                self.reasons[mine] = 'as given'
+                continue
+            if (use := guess_time(names_of(table))) is None:
+                continue
+            self.reasons[use.column] = 'its name'
+            unit = recipe.time_unit or use.unit
+            if not unit and table.units.get(use.column) == FRAMES:
+                problem = 'counts frames, and nothing says how many a second'
+                raise DataSetError(table.name, problem, 'say --unit time=60Hz, or how many it has')
+            if not unit:
+                unit, note = _time_unit(table, use.column)
+                self.assumed += [f'{table.name}: {note}'] if note else []
+            times[use.column] = unit
+        lacking = [table for table in tables if time_column(table, times) is None]
+        # a unit was given, so a column must exist
+        if lacking and (times or recipe.time_unit is not None):
+            raise DataSetError(
+                lacking[0].name, 'has no column of times', 'say --column time=COLUMN'
+            )
+        if not times:
+            self.assumed.append(
+                'no column of times: every row is a measurement of the arm at rest '
+                '(a recording? name its column: --column time=COLUMN)'
+            )
+        self.recipe = replace(recipe, time=times or None)
+
+    def _choose_inputs(self) -> None:
+        recipe, tables, robot = self.recipe, self.tables, self.robot
+        inputs = dict(recipe.inputs or {})
+        for name, use in inputs.items():
+            if name not in robot.inputs:
+                raise InputError(f'inputs: expected {", ".join(robot.inputs)}, got {name!r}')
+            need_column(tables, use.column, f'input {name}')
+            self.reasons[use.column] = 'as given'
+        missing = [name for name in robot.inputs if name not in inputs]
+        if missing:
+            guesses = (guess_inputs(names_of(t), missing) for t in tables)
+            if (guess := next(filter(None, guesses), None)) is None:
+                raise DataSetError(
+                    tables[0].name,
+                    f'no columns for the inputs {listing(missing)} are recognised among '
+                    f'{listing(n.column for t in tables for n in names_of(t) if not n.axis)}',
+                    'name each by --column INPUT=COLUMN',
+                )
+            guessed, reason = guess
+            inputs |= guessed
+            self.reasons |= {use.column: reason for use in guessed.values()}
+        written = self.written_units
+        for name, use in inputs.items():  # the unit of an option, of the recipe, or of the file
+            own = written[use.column].text if use.column in written else ''
+            inputs[name] = replace(use, unit=recipe.input_unit or use.unit or own)
+        lacking = [use.column for use in inputs.values() if not use.unit]
+        if lacking:
+            raise DataSetError(
+                tables[0].name,
+                f'nothing says the unit of {listing(lacking)}',
+                'write it into the header, as in "T1 [N]", or say --unit inputs=N (mN, g, kgf, '
+                'lbf, mm, deg, ticks, mA ...)',
+            )
+        self.recipe = replace(recipe, inputs={name: inputs[name] for name in robot.inputs})
+
+    def _choose_markers(self) -> Points:
+        """Return the selected points; none where the recipe names the markers."""
+        recipe, tables = self.recipe, self.tables
+        if recipe.markers is not None:
+            for marker in recipe.markers:
+                for column in marker.columns:
+                    need_column(tables, column, 'markers')
+                    self.reasons[column] = 'as given'
+            return Points()
+        points = choose_points(tables, recipe.points)
+        for columns in points.columns:
+            self.reasons |= dict.fromkeys(columns, 'its name')
+        self.assumed += [points.note] if points.note else []
+        self.recipe = replace(recipe, markers=tuple(map(MarkerColumns, points.columns)))
+        return points
+
+    def _choose_position_unit(self) -> None:
+        recipe, robot, name = self.recipe, self.robot, self.tables[0].name
+        if recipe.positions is not None:
+            return
+        units = self.written_units
+        columns = (column for marker in recipe.markers or () for column in marker.columns)
+        written = {units[c].text if c in units else None for c in columns}
+        if len(written) == 1 and (unit := written.pop()) is not None:
+            self.recipe = replace(recipe, positions=unit)
+            return
+        if len(written - {None}) > 1:
+            problem = f'markers are in several units: {listing(sorted(str(u) for u in written))}'
+            remedy = 'export all in one; where only the header is wrong, say --unit positions=mm'
+            raise DataSetError(name, problem, remedy)
+        apart = _extent(self.tables, recipe)
+        low, high = (fraction * robot.length for fraction in EXTENT)
+        fitting = [u for u in LENGTH_UNITS if low <= apart * UNITS['length'][u] <= high]
+        if not fitting:
+            others = [u for u in TYPED_LENGTHS if low <= apart * UNITS['length'][u] <= high]
+            raise DataSetError(
+                name,
+                f'nothing says the unit of the markers, and neither m nor mm fits: they are '
+                f'{apart:.4g} apart, the arm is {1e3 * robot.length:.4g} mm long',
+                ' or '.join(f'say --unit positions={unit}' for unit in others)
+                or 'correct cell_length and cells of the robot, or say --unit positions=UNIT',
+            )
+        self.assumed.append(
+            f'markers are in {fitting[0]}: they are up to {apart:.4g} apart on an arm of '
+            f'{1e3 * robot.length:.4g} mm'
         )
-    return lines
-
-
-def _choose_times(
-    tables: Sequence[RawTable], recipe: Recipe, reasons: dict[str, str], assumed: list[str]
-) -> Recipe:
-    if recipe.time == {}:  # as given: every row is a measurement
-        return recipe
-    times = dict(recipe.time or {})
-    for column in times:
-        need_column(tables, column, 'time')
-    for table in tables:
-        if (mine := time_column(table, times)) is not None:
-            reasons[mine] = 'as given'
-            continue
-        if (use := guess_time(names_of(table))) is None:
-            continue
-        reasons[use.column] = 'its name'
-        unit = recipe.time_unit or use.unit
-        if not unit and table.units.get(use.column) == FRAMES:
-            problem = 'counts frames, and nothing says how many a second'
-            raise DataSetError(table.name, problem, 'say --unit time=60Hz, or how many it has')
-        if not unit:
-            unit, note = _time_unit(table, use.column)
-            assumed += [f'{table.name}: {note}'] if note else []
-        times[use.column] = unit
-    lacking = [table for table in tables if time_column(table, times) is None]
-    # a unit was given, so a column must exist
-    if lacking and (times or recipe.time_unit is not None):
-        raise DataSetError(lacking[0].name, 'has no column of times', 'say --column time=COLUMN')
-    if not times:
-        assumed.append(
-            'no column of times: every row is a measurement of the arm at rest '
-            '(a recording? name its column: --column time=COLUMN)'
-        )
-    return replace(recipe, time=times or None)
+        self.recipe = replace(recipe, positions=fitting[0])
 
 
 def _time_unit(table: RawTable, column: str) -> tuple[str, str]:
@@ -491,94 +575,6 @@ def time_column(table: RawTable, times: Mapping[str, str] | None) -> str | None:
     """Return the column of times that a table has."""
     known = (c for c in times or {} if table.holds(c))
     return next(known, None)
-
-
-def _choose_inputs(
-    tables: Sequence[RawTable], robot: Robot, recipe: Recipe, reasons: dict[str, str]
-) -> Recipe:
-    inputs = dict(recipe.inputs or {})
-    for name, use in inputs.items():
-        if name not in robot.inputs:
-            raise InputError(f'inputs: expected {", ".join(robot.inputs)}, got {name!r}')
-        need_column(tables, use.column, f'input {name}')
-        reasons[use.column] = 'as given'
-    missing = [name for name in robot.inputs if name not in inputs]
-    if missing:
-        guesses = (guess_inputs(names_of(t), missing) for t in tables)
-        if (guess := next(filter(None, guesses), None)) is None:
-            raise DataSetError(
-                tables[0].name,
-                f'no columns for the inputs {listing(missing)} are recognised among '
-                f'{listing(n.column for t in tables for n in names_of(t) if not n.axis)}',
-                'name each by --column INPUT=COLUMN',
-            )
-        guessed, reason = guess
-        inputs |= guessed
-        reasons |= {use.column: reason for use in guessed.values()}
-    written = written_units(tables)
-    for name, use in inputs.items():  # the unit of an option, of the recipe, or of the file
-        own = written[use.column].text if use.column in written else ''
-        inputs[name] = replace(use, unit=recipe.input_unit or use.unit or own)
-    lacking = [use.column for use in inputs.values() if not use.unit]
-    if lacking:
-        raise DataSetError(
-            tables[0].name,
-            f'nothing says the unit of {listing(lacking)}',
-            'write it into the header, as in "T1 [N]", or say --unit inputs=N (mN, g, kgf, lbf, '
-            'mm, deg, ticks, mA ...)',
-        )
-    return replace(recipe, inputs={name: inputs[name] for name in robot.inputs})
-
-
-def _choose_markers(
-    tables: Sequence[RawTable], recipe: Recipe, reasons: dict[str, str], assumed: list[str]
-) -> tuple[Recipe, Points]:
-    """Return the recipe, and the selected points; none where it names the markers."""
-    if recipe.markers is not None:
-        for marker in recipe.markers:
-            for column in marker.columns:
-                need_column(tables, column, 'markers')
-                reasons[column] = 'as given'
-        return recipe, Points()
-    points = choose_points(tables, recipe.points)
-    for columns in points.columns:
-        reasons |= dict.fromkeys(columns, 'its name')
-    assumed += [points.note] if points.note else []
-    markers = tuple(map(MarkerColumns, points.columns))
-    return replace(recipe, markers=markers), points
-
-
-def _choose_position_unit(
-    tables: Sequence[RawTable], robot: Robot, recipe: Recipe, assumed: list[str]
-) -> Recipe:
-    if recipe.positions is not None:
-        return recipe
-    units = written_units(tables)
-    columns = (column for marker in recipe.markers or () for column in marker.columns)
-    written = {units[c].text if c in units else None for c in columns}
-    if len(written) == 1 and (unit := written.pop()) is not None:
-        return replace(recipe, positions=unit)
-    if len(written - {None}) > 1:
-        problem = f'markers are in several units: {listing(sorted(str(u) for u in written))}'
-        remedy = 'export all in one; where only the header is wrong, say --unit positions=mm'
-        raise DataSetError(tables[0].name, problem, remedy)
-    apart = _extent(tables, recipe)
-    low, high = (fraction * robot.length for fraction in EXTENT)
-    fitting = [u for u in LENGTH_UNITS if low <= apart * UNITS['length'][u] <= high]
-    if not fitting:
-        others = [u for u in TYPED_LENGTHS if low <= apart * UNITS['length'][u] <= high]
-        raise DataSetError(
-            tables[0].name,
-            f'nothing says the unit of the markers, and neither m nor mm fits: they are '
-            f'{apart:.4g} apart, the arm is {1e3 * robot.length:.4g} mm long',
-            ' or '.join(f'say --unit positions={unit}' for unit in others)
-            or 'correct cell_length and cells of the robot, or say --unit positions=UNIT',
-        )
-    assumed.append(
-        f'markers are in {fitting[0]}: they are up to {apart:.4g} apart on an arm of '
-        f'{1e3 * robot.length:.4g} mm'
-    )
-    return replace(recipe, positions=fitting[0])
 
 
 def _extent(tables: Sequence[RawTable], recipe: Recipe) -> float:

@@ -41,29 +41,15 @@ DRIFT_MAX = 0.01
 DRIFT_STEP_S = 1.0
 
 
-@dataclass(frozen=True)
 class ClockFit:
-    """The clock with which the motion of the markers goes with the inputs best."""
-
-    delay: float  # [s] that the markers' first row was taken after that of the inputs
-    drift: float  # [s/s] that the markers' clock loses: inputs' time = delay + (1 + drift) time
-    match: float  # of the markers' motion that the inputs explain there, 0 to 1
-    next_best: float  # the same at the next best delay or drift
-
-    @property
-    def is_clear(self) -> bool:
-        """Whether no other clock comes near."""
-        return self.match >= MATCH_MIN and self.next_best < CLEAR_RATIO * self.match
-
-
-def find_clock(state_times: Floats, inputs: Floats, times: Floats, positions: Floats) -> ClockFit:
     """
-    Find how to delay and stretch the markers' times so that they move when the inputs do.
+    The clock with which the motion of the markers goes with the inputs best.
 
-    The share of the markers' variance that a linear function of the inputs explains, for all
-    delays at once: correlations of whitened inputs with the markers' principal motions, by FFT.
-    Overlap counts: postures that repeat match less, moved by one round. That for a row of speeds
-    of the clock, coarsely, and around the best one finely.
+    The inputs' time is delay + (1 + drift) times that of the markers. A clock is as good as the
+    share of the markers' variance that a linear function of the inputs explains, for all delays at
+    once: correlations of whitened inputs with the markers' principal motions, by FFT. Overlap
+    counts: postures that repeat match less, moved by one round. That for a row of speeds of the
+    clock, coarsely, and around the best one finely.
 
     Parameters
     ----------
@@ -74,44 +60,58 @@ def find_clock(state_times: Floats, inputs: Floats, times: Floats, positions: Fl
         NaN where a marker was not seen.
 
     """
-    span = max(float(times[-1]), 1.0)
-    coordinates = positions.reshape(len(times), -1)
-    longest = max(float(state_times[-1]), float(times[-1]))
-    step = max(STEP_S, longest * coordinates.shape[1] / VALUES_MAX)
-    grids = []  # coarse and fine: orthonormal columns that span the inputs; the largest motions
-    for one in (5.0 * step, step):
-        spanned, sizes = _modes(state_times, inputs, one)
-        moved, moves = _modes(times, coordinates, one)
-        total = max(float(np.linalg.norm(moves)), 1e-30)  # so that all have variance one together
-        known = sizes > 1e-6 * max(float(sizes.max(initial=0.0)), 1e-30)
-        # as many motions as inputs, the largest, because they move the arm in no more ways
-        grids.append((spanned[:, known], (moved * moves / total)[:, : known.sum()]))
-    coarse, fine = grids
-    count = int(DRIFT_MAX * times[-1] / DRIFT_STEP_S)
-    drifts = np.linspace(-DRIFT_MAX, DRIFT_MAX, 2 * count + 1) if count else np.zeros(1)
-    matches = np.array([_matches(*coarse, drift).max() for drift in drifts.tolist()])
-    rough = int(matches.argmax())
-    beside = drifts[rough] + np.array([-1.0, 1.0]) * DRIFT_STEP_S / span
-    drift = float(
-        minimize_scalar(
-            lambda rate: -_matches(*fine, float(rate)).max(),
-            bounds=np.clip(beside, -DRIFT_MAX, DRIFT_MAX),
-            method='bounded',
-            options={'xatol': 0.25 * STEP_S / span},
-        ).x
-    )
-    if abs(drift) * times[-1] < 2.5 * STEP_S:
-        drift = 0.0
-    match = _matches(*fine, drift)
-    best = int(match.argmax())
-    place = float(best)
-    if 0 < best < len(match) - 1:  # the vertex of the parabola through the peak and beside it
-        left, middle, right = match[best - 1 : best + 2].tolist()
-        curved = left - 2.0 * middle + right
-        place += float(np.clip(0.5 * (left - right) / curved, -0.5, 0.5)) if curved < 0.0 else 0.0
-    other = max(_next_best(match, best), _next_best(matches, rough))
-    before = len(match) - len(fine[0])  # steps by which the markers' grid may begin earlier
-    return ClockFit((place - before) * step, drift, float(match[best]), other)
+
+    def __init__(
+        self, state_times: Floats, inputs: Floats, times: Floats, positions: Floats
+    ) -> None:
+        span = max(float(times[-1]), 1.0)
+        coordinates = positions.reshape(len(times), -1)
+        longest = max(float(state_times[-1]), float(times[-1]))
+        step = max(STEP_S, longest * coordinates.shape[1] / VALUES_MAX)
+        # coarse and fine: orthonormal columns that span the inputs; the largest motions
+        grids = []
+        for one in (5.0 * step, step):
+            spanned, sizes = _modes(state_times, inputs, one)
+            moved, moves = _modes(times, coordinates, one)
+            total = max(float(np.linalg.norm(moves)), 1e-30)  # all together have variance one
+            known = sizes > 1e-6 * max(float(sizes.max(initial=0.0)), 1e-30)
+            # as many motions as inputs, the largest, because they move the arm in no more ways
+            grids.append((spanned[:, known], (moved * moves / total)[:, : known.sum()]))
+        coarse, fine = grids
+        count = int(DRIFT_MAX * times[-1] / DRIFT_STEP_S)
+        drifts = np.linspace(-DRIFT_MAX, DRIFT_MAX, 2 * count + 1) if count else np.zeros(1)
+        matches = np.array([_matches(*coarse, drift).max() for drift in drifts.tolist()])
+        rough = int(matches.argmax())
+        beside = drifts[rough] + np.array([-1.0, 1.0]) * DRIFT_STEP_S / span
+        drift = float(
+            minimize_scalar(
+                lambda rate: -_matches(*fine, float(rate)).max(),
+                bounds=np.clip(beside, -DRIFT_MAX, DRIFT_MAX),
+                method='bounded',
+                options={'xatol': 0.25 * STEP_S / span},
+            ).x
+        )
+        if abs(drift) * times[-1] < 2.5 * STEP_S:
+            drift = 0.0
+        self.drift = drift  # [s/s] that the markers' clock loses
+        match = _matches(*fine, drift)
+        best = int(match.argmax())
+        place = float(best)
+        if 0 < best < len(match) - 1:  # the vertex of the parabola through the peak and beside it
+            left, middle, right = match[best - 1 : best + 2].tolist()
+            if (curved := left - 2.0 * middle + right) < 0.0:
+                place += float(np.clip(0.5 * (left - right) / curved, -0.5, 0.5))
+        before = len(match) - len(fine[0])  # steps by which the markers' grid may begin earlier
+        # [s] that the markers' first row was taken after that of the inputs
+        self.delay = (place - before) * step
+        # of the markers' motion that the inputs explain there, 0 to 1; at the next best clock
+        self.match = float(match[best])
+        self.next_best = max(_next_best(match, best), _next_best(matches, rough))
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether no other clock comes near."""
+        return self.match >= MATCH_MIN and self.next_best < CLEAR_RATIO * self.match
 
 
 def _modes(times: Floats, values: Floats, step: float) -> tuple[Floats, Floats]:
@@ -327,7 +327,7 @@ def marker_places(
     return joined(centres, own) * factor, summed
 
 
-def follow_renumbered(tables: Sequence[RawTable], chosen: Selection, length: float) -> Selection:
+def follow_renumbered(tables: Sequence[RawTable], chosen: Selection, length: float) -> None:
     """
     Join the columns of markers that the tracker renumbered, with a line for each.
 
@@ -336,40 +336,34 @@ def follow_renumbered(tables: Sequence[RawTable], chosen: Selection, length: flo
     """
     markers = chosen.recipe.markers or ()
     if len(markers) < 2 or any(marker.arc_length is not None for marker in markers):
-        return chosen
+        return
     columns = [c for marker in markers for c in marker.columns]
     with_markers = [table for table in tables if table.holds(*columns)]
     if not with_markers:
-        return chosen
+        return
     nameless = [c for c in chosen.nameless if all(table.holds(*c) for table in with_markers)]
     every = (*markers, *map(MarkerColumns, nameless))
     recipe = replace(chosen.recipe, markers=every)
     places = np.concatenate([marker_places(t, recipe, length)[0] for t in with_markers])
     chains = [chain for chain in renumbered(places) if chain[0] < len(markers)]
-    lines = [
-        f'{marker_label(every[j].columns)} is {marker_label(markers[chain[0]].columns)}, '
-        'numbered anew: it begins where that one ends'
-        for chain in chains
-        for j in chain[1:]
-    ]
-    followed = tuple(
-        replace(markers[first], later=tuple(every[j].columns for j in later) or None)
-        for first, *later in chains
-    )
-    joined_up = {columns for marker in followed for columns in marker.later or ()}
-    return replace(
-        chosen,
-        recipe=replace(chosen.recipe, markers=followed),
-        assumed=(*chosen.assumed, *lines),
-        nameless=tuple(columns for columns in chosen.nameless if columns not in joined_up),
-    )
+    followed = []
+    for first, *later in chains:
+        known = marker_label(markers[first].columns)
+        more = tuple(every[j].columns for j in later)
+        chosen.assumed += [
+            f'{marker_label(own)} is {known}, numbered anew: it begins where that one ends'
+            for own in more
+        ]
+        chosen.nameless = [own for own in chosen.nameless if own not in more]
+        followed.append(replace(markers[first], later=more or None))
+    chosen.recipe = replace(chosen.recipe, markers=tuple(followed))
 
 
 def _clock(
     state_times: Floats, inputs: Floats, times: Floats, positions: Floats
 ) -> tuple[float, float, str]:
     """Return delay [s] and drift [s/s] of the tracker's clock, and how they are known."""
-    fit = find_clock(state_times, inputs, times, positions)
+    fit = ClockFit(state_times, inputs, times, positions)
     if not fit.is_clear:
         why = (
             'both files begin together: what moves in them does not tell by how much one begins '
