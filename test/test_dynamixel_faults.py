@@ -93,7 +93,7 @@ def test_a_few_broken_answers_are_asked_again_and_change_nothing(tense_arm, what
     driver, line, command = tense_arm
     before = settled(driver, command)
     for _ in range(5):
-        setattr(line.faults, what, 1)
+        setattr(line, what, 1)
         reading = emulated.cycle(driver, command, 0.03)[-1]
         assert not reading.faults
         np.testing.assert_allclose(reading.pulls, before.pulls, atol=1e-3)
@@ -102,9 +102,9 @@ def test_a_few_broken_answers_are_asked_again_and_change_nothing(tense_arm, what
 
 def test_answers_that_stay_broken_are_a_silent_servo(tense_arm):
     driver, line, command = tense_arm
-    line.faults.spoilt = 200
+    line.spoilt = 200
     until(driver, command, lambda r: 'silent' in emulated.codes(r))
-    line.faults.spoilt = 0
+    line.spoilt = 0
     until(driver, command, healthy)
 
 
@@ -208,9 +208,9 @@ def test_a_motor_that_lost_its_power_stays_off_until_it_is_enabled_again(arm):
 
 def test_a_slow_bus_is_reported_and_recovered(tense_arm):
     driver, line, command = tense_arm
-    line.faults.delay = 0.08
+    line.delay = 0.08
     until(driver, command, lambda r: 'silent' in emulated.codes(r))
-    line.faults.delay = 0.0
+    line.delay = 0.0
     until(driver, command, healthy)
 
 
