@@ -274,7 +274,7 @@ def test_a_motor_of_reduced_current_lets_the_arm_have_its_wire_and_is_strong_aga
     held, motor = driver.read().tensions, driver.motors[1]
     driver.limit_current(1.0, 0.5)
     settled(driver, command)
-    counts = round(motor.wires[0].calibration.current(0.5) / motor.model.current_unit)
+    counts = round(motor.wires[0].calibration.mean.current(0.5) / motor.model.current_unit)
     assert [line.servo(i).get('goal_current') for i in (1, 2, 3, 4)] == [counts] * 4
     assert driver.read().tensions.max() < 0.6 < held.max()
     driver.limit_current(0.0, 0.5)
@@ -320,7 +320,7 @@ def test_whatever_a_motor_carried_it_never_holds_more_than_that_while_it_limits_
     for current in lately:
         motor.take(current.to_bytes(2, 'little', signed=True) + bytes(8))
     held = max(map(abs, lately[-RECENT_READINGS:]), default=motor.strongest)
-    end = round(motor.wires[0].calibration.current(least) / motor.model.current_unit)
+    end = round(motor.wires[0].calibration.mean.current(least) / motor.model.current_unit)
     most = (1.0 + CARRIED_MARGIN) * held + CARRIED_MARGIN_COUNTS + 1
     before = motor.strongest
     for share in [*sorted(shares), 1.0]:
