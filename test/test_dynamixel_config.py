@@ -108,8 +108,8 @@ def test_the_mean_line_converts_and_half_the_gap_is_the_uncertainty():
     lines = Calibration(
         CurrentLine(0.10, 0.05), CurrentLine(-0.06, 0.03), measured=True, scatter=0.003
     )
-    assert lines.current(2.0) == pytest.approx(0.02 + 0.04 * 2.0)
-    assert lines.tension(lines.current(2.0)) == pytest.approx(2.0)
+    assert lines.mean.current(2.0) == pytest.approx(0.02 + 0.04 * 2.0)
+    assert lines.mean.tension(lines.mean.current(2.0)) == pytest.approx(2.0)
     half_gap = 0.5 * ((0.10 + 0.05 * 2.0) - (-0.06 + 0.03 * 2.0))
     assert lines.uncertainty(2.0) == pytest.approx(math.hypot(half_gap, 0.003) / 0.04)
 
@@ -152,7 +152,7 @@ def test_no_command_makes_a_goal_outside_the_bounds(command, mode):
         assert low <= goal <= high
         if mode == 'tension':
             amperes = abs(goal) * motor.model.current_unit
-            assert motor.wires[0].calibration.tension(amperes) <= 5.0 + 1e-9
+            assert motor.wires[0].calibration.mean.tension(amperes) <= 5.0 + 1e-9
         else:
             pull = motor.wires[0].spool.pull(goal - motor.zero)
             assert -0.01 - 1e-9 <= pull <= 0.03 + 1e-9

@@ -427,12 +427,12 @@ def test_an_answer_that_comes_too_late_is_taken_for_no_other(bus, fast, again):
             line.servo(identity).put(name, value)
     for block in (False, True):
         for _ in range(again):
-            line.faults.delay = 0.06
+            line.delay = 0.06
             if block:  # where this process was late as well there is an answer: its own
                 assert set(bus.block(98, 1, [1, 2]).values()) <= {b'\x04'}
             else:
                 assert bus.read(1, 'bus_watchdog') in (None, 4)
-        line.faults.delay = 0.0
+        line.delay = 0.0
         read = [bus.read(1, 'hardware_error_status') for _ in range(3)]
         assert set(read) <= {None, 0} and read[-1] == 0
         assert bus.block(70, 1, [1, 2]) == {1: b'\x00', 2: b'\x00'}

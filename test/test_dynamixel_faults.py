@@ -93,7 +93,7 @@ def test_a_few_broken_answers_are_asked_again_and_change_nothing(tense_arm, what
     driver, line, command = tense_arm
     before = settled(driver, command)
     for _ in range(5):
-        setattr(line.faults, what, 1)
+        setattr(line, what, 1)
         reading = emulated.cycle(driver, command, 0.03)[-1]
         assert not reading.faults
         np.testing.assert_allclose(reading.pulls, before.pulls, atol=1e-3)
@@ -102,9 +102,9 @@ def test_a_few_broken_answers_are_asked_again_and_change_nothing(tense_arm, what
 
 def test_answers_that_stay_broken_are_a_silent_servo(tense_arm):
     driver, line, command = tense_arm
-    line.faults.spoilt = 200
+    line.spoilt = 200
     until(driver, command, lambda r: 'silent' in emulated.codes(r))
-    line.faults.spoilt = 0
+    line.spoilt = 0
     until(driver, command, healthy)
 
 
@@ -208,9 +208,9 @@ def test_a_motor_that_lost_its_power_stays_off_until_it_is_enabled_again(arm):
 
 def test_a_slow_bus_is_reported_and_recovered(tense_arm):
     driver, line, command = tense_arm
-    line.faults.delay = 0.08
+    line.delay = 0.08
     until(driver, command, lambda r: 'silent' in emulated.codes(r))
-    line.faults.delay = 0.0
+    line.delay = 0.0
     until(driver, command, healthy)
 
 
@@ -274,7 +274,7 @@ def test_a_motor_of_reduced_current_lets_the_arm_have_its_wire_and_is_strong_aga
     held, motor = driver.read().tensions, driver.motors[1]
     driver.limit_current(1.0, 0.5)
     settled(driver, command)
-    counts = round(motor.wires[0].calibration.current(0.5) / motor.model.current_unit)
+    counts = round(motor.wires[0].calibration.mean.current(0.5) / motor.model.current_unit)
     assert [line.servo(i).get('goal_current') for i in (1, 2, 3, 4)] == [counts] * 4
     assert driver.read().tensions.max() < 0.6 < held.max()
     driver.limit_current(0.0, 0.5)
@@ -320,7 +320,7 @@ def test_whatever_a_motor_carried_it_never_holds_more_than_that_while_it_limits_
     for current in lately:
         motor.take(current.to_bytes(2, 'little', signed=True) + bytes(8))
     held = max(map(abs, lately[-RECENT_READINGS:]), default=motor.strongest)
-    end = round(motor.wires[0].calibration.current(least) / motor.model.current_unit)
+    end = round(motor.wires[0].calibration.mean.current(least) / motor.model.current_unit)
     most = (1.0 + CARRIED_MARGIN) * held + CARRIED_MARGIN_COUNTS + 1
     before = motor.strongest
     for share in [*sorted(shares), 1.0]:

@@ -266,11 +266,11 @@ def test_a_late_answer_is_no_second_talker():
     with emulated.line() as line:
         bus = Bus(line.port, 1_000_000, 0.01)
         bus.open()
-        line.faults.delay = 0.5 * ANSWER_TIMEOUT_S
+        line.delay = 0.5 * ANSWER_TIMEOUT_S
         bus.ping(1)
         bus.read(1, 'led')
         assert bus.second_talker() == ''
-        line.faults.delay = 0.0
+        line.delay = 0.0
         assert bus.ping(1) is not None
         bus.close()
 

@@ -72,7 +72,7 @@ def test_a_silent_board_is_said_it_releases_by_itself_and_goes_on(watched_arm):
 def test_a_few_broken_frames_change_nothing(arm, what):
     driver, line, command = arm
     before = driver.read()
-    setattr(line.faults, what, 3)
+    setattr(line, what, 3)
     for reading in emulated.cycle(driver, command, 0.2):
         assert not reading.faults
         np.testing.assert_allclose(reading.tensions, before.tensions, atol=0.2)
@@ -82,18 +82,18 @@ def test_a_few_broken_frames_change_nothing(arm, what):
 @pytest.mark.slow
 def test_frames_that_stay_broken_are_a_silent_board(arm):
     driver, line, command = arm
-    line.faults.spoilt = 10**9
+    line.spoilt = 10**9
     until(driver, command, lambda r: codes(r) == {'silent'})
-    line.faults.spoilt = 0
+    line.spoilt = 0
     until(driver, command, healthy)
 
 
 @pytest.mark.slow
 def test_a_slow_link_is_recovered_from(arm):
     driver, line, command = arm
-    line.faults.delay = 0.15
+    line.delay = 0.15
     until(driver, command, lambda r: r.faults)
-    line.faults.delay = 0.0
+    line.delay = 0.0
     until(driver, command, healthy)
 
 

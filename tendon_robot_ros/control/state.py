@@ -235,10 +235,6 @@ class DriverSide:
         """Take measured tensions (m,) [N] and wire pulls (m,) [m], nan where not observable."""
         self.state, self.silent = MeasuredState(tensions, pulls, now), False
 
-    def fresh(self, now: float, settings: Settings) -> bool:
-        """Whether the last measurement is recent."""
-        return self.state is not None and now - self.state.time <= settings.state_timeout
-
     def timed_out(self, now: float, settings: Settings) -> bool:
         """Whether the driver is silent for so long that the last command is held no longer."""
         timeout = settings.state_timeout + SILENCE_S
@@ -503,7 +499,8 @@ class ControllerState:
 
     def fresh(self, now: float) -> bool:
         """Whether the last measurement of the driver is recent."""
-        return self.driver.fresh(now, self.settings)
+        state = self.driver.state
+        return state is not None and now - state.time <= self.settings.state_timeout
 
     def follows(self, now: float) -> bool:
         """Whether the driver follows commands and its last measurement is recent."""

@@ -351,7 +351,7 @@ class EmulatedBoard(Plug):
         self.rig.advance(passed)
         answer = self.rig.firmware.take()
         if not self.deaf:
-            self._send(self.faults.apply(answer))
+            self._send(answer)
 
     def receive(self, data: bytes) -> None:
         """Pass received bytes to the board."""

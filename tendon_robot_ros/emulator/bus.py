@@ -425,7 +425,7 @@ class EmulatedBus(Plug):
             self.connected()
         self._received_at = now
         for instruction in self._receiver.feed(data):
-            self._send(self.faults.apply(self.responder.carry_out(instruction, self.baud_rate())))
+            self._send(self.responder.carry_out(instruction, self.baud_rate()))
 
     def connected(self) -> None:
         """Discard an incomplete packet."""

@@ -19,7 +19,6 @@ import threading
 import time
 import tty
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, ClassVar, Self, cast
 
@@ -27,47 +26,6 @@ import yaml
 
 from ..common.errors import DriverError, InputError
 from ..common.processes import Realtime, go_realtime
-
-
-@dataclass
-class Faults:
-    """
-    Present faults of the answers.
-
-    Parameters
-    ----------
-    spoilt, cut, doubled : int
-        Number of next answers that get a wrong CRC, lose their second half, arrive twice.
-    delay : float
-        Before every answer [s].
-    slept : float
-        All delays so far, and the one that has begun [s].
-    """
-
-    spoilt: int = 0
-    cut: int = 0
-    doubled: int = 0
-    delay: float = 0.0
-    slept: float = 0.0
-
-    def apply(self, answer: bytes) -> bytes:
-        """Return the bytes of an answer that arrive."""
-        if not answer:
-            return answer
-        if self.delay:
-            self.slept += self.delay
-            time.sleep(self.delay)
-        if self.spoilt:
-            self.spoilt -= 1
-            answer = answer[:-1] + bytes([answer[-1] ^ 0x5A])
-        if self.cut:
-            self.cut -= 1
-            answer = answer[: len(answer) // 2]
-        if self.doubled:
-            self.doubled -= 1
-            answer += answer
-        return answer
-
 
 Command = Callable[[list[str]], str | None]  # takes the words behind the first, may answer
 COMMON_HELP = """\
@@ -88,8 +46,12 @@ class Plug(abc.ABC):
     ----------
     port : str
         The path to open.
-    faults : Faults
-        Faults of its answers.
+    spoilt, cut, doubled : int
+        Number of next answers that get a wrong CRC, lose their second half, arrive twice.
+    delay : float
+        Before every answer [s].
+    slept : float
+        All delays so far, and the one that has begun [s].
     help : str
         Its commands, for a person.
 
@@ -112,7 +74,9 @@ class Plug(abc.ABC):
             Time between two steps when nothing arrives [s].
 
         """
-        self._idle, self.faults, self._lived = idle, Faults(), 0.0
+        self._idle, self._lived = idle, 0.0
+        self.spoilt = self.cut = self.doubled = 0
+        self.delay = self.slept = 0.0
         if port and os.path.exists(port):
             raise InputError(f'{port}: there is a file of that name already')
         self._folder = Path(tempfile.mkdtemp(prefix='tendon_robot_ros_'))
@@ -127,7 +91,7 @@ class Plug(abc.ABC):
     @property
     def lived(self) -> float:
         """Its own time [s], which does not pass while this process is not scheduled."""
-        return self._lived + self.faults.slept
+        return self._lived + self.slept
 
     @abc.abstractmethod
     def advance(self, passed: float) -> None:
@@ -143,12 +107,11 @@ class Plug(abc.ABC):
 
     def commands(self) -> dict[str, Command]:
         """Return the commands by their first word: faults that a person or a test switches."""
-        faults = self.faults
         return {
-            'spoil': lambda values: setattr(faults, 'spoilt', int(values[0])),
-            'cut': lambda values: setattr(faults, 'cut', int(values[0])),
-            'double': lambda values: setattr(faults, 'doubled', int(values[0])),
-            'slow': lambda values: setattr(faults, 'delay', float(values[0])),
+            'spoil': lambda values: setattr(self, 'spoilt', int(values[0])),
+            'cut': lambda values: setattr(self, 'cut', int(values[0])),
+            'double': lambda values: setattr(self, 'doubled', int(values[0])),
+            'slow': lambda values: setattr(self, 'delay', float(values[0])),
             'unplug': lambda values: self.unplug(float(values[0]) if values else None),
             'plug': lambda values: self.plug(),
             'state': lambda values: json.dumps(self.state()),
@@ -243,7 +206,22 @@ class Plug(abc.ABC):
                 self._lived += min(passed, 2.0 * self._idle)
 
     def _send(self, answer: bytes) -> None:
-        if self._master is not None and answer:
+        """Send an answer with the present faults."""
+        if not answer:
+            return
+        if self.delay:
+            self.slept += self.delay
+            time.sleep(self.delay)
+        if self.spoilt:
+            self.spoilt -= 1
+            answer = answer[:-1] + bytes([answer[-1] ^ 0x5A])
+        if self.cut:
+            self.cut -= 1
+            answer = answer[: len(answer) // 2]
+        if self.doubled:
+            self.doubled -= 1
+            answer += answer
+        if self._master is not None:
             with contextlib.suppress(OSError):
                 os.write(self._master, answer)
 

@@ -134,7 +134,6 @@ class BuiltArm:
         self._kinked = usual_kinks(robot, self.level)
         # covariance (q, q) of the states [sd²]; an exact arm is known to have no imperfections
         self.prior = float(self.level > 0.0) * np.eye(self.built)
-        self._members: dict[str, Floats] | None = None
         self.forget()
 
     def expect_lacking(self) -> None:
@@ -156,12 +155,9 @@ class BuiltArm:
     @property
     def members(self) -> dict[str, Floats]:
         """Estimated imperfections by kind [its unit]."""
-        if self._members is None:
-            ends = np.cumsum([len(kind) for kind in self.kinds])[:-1]
-            own = np.split((self.mean * self.plausible)[: self.built], ends)
-            named = zip(self.kinds, own, strict=True)
-            self._members = {kind.name: values for kind, values in named}
-        return self._members
+        ends = np.cumsum([len(kind) for kind in self.kinds])[:-1]
+        own = np.split((self.mean * self.plausible)[: self.built], ends)
+        return {kind.name: values for kind, values in zip(self.kinds, own, strict=True)}
 
     def expected(self, tensions: Floats, point: Point | None = None) -> Expected | None:
         """Return the prediction under tensions (m,) [N], None without equilibrium."""
@@ -169,8 +165,7 @@ class BuiltArm:
         shapes = self.shapes(inputs, point or {})
         if shapes is None:
             return None
-        beside = self._beside(inputs)
-        columns = self.columns(inputs, point or {})
+        beside, columns = self._beside(inputs), self.columns(inputs, point or {})
         if columns is None:
             return None
         markers = self.split.see(shapes).ravel()
@@ -229,12 +224,11 @@ class BuiltArm:
     def forget(self) -> None:
         """Reset the imperfections to their prior."""
         self.mean, self.covariance = np.zeros(len(self.plausible)), self.prior
-        self._members = None
 
     def as_known(self, mean: Floats, covariance: Floats) -> BuiltArm:
         """Return the arm with the estimate of another time; it shares the model."""
         arm = copy(self)
-        arm.mean, arm.covariance, arm._members = mean, covariance, None
+        arm.mean, arm.covariance = mean, covariance
         return arm
 
     def rest(self, rows: Bools) -> Floats:
@@ -337,7 +331,7 @@ class BuiltArm:
         """Update the imperfections by a measured posture (3 J,) [m]."""
         off, columns, scatter = self.observation(expected, measured, frames)
         after = kalman_update(self.mean, self.covariance, columns, off, scatter)
-        self.mean, self.covariance, self._members = after.mean, after.covariance, None
+        self.mean, self.covariance = after.mean, after.covariance
 
     def observation(
         self, expected: Expected, measured: Floats, frames: int = 1

@@ -20,6 +20,7 @@ uncertainty.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -224,12 +225,9 @@ class ChangeWork:
         columns = self.arm.moved(self.split, self._point(fit.change, fit.values))
         if columns is None:
             return None
-        usual = self.weights
-        self.weights = _Weights(self.arm, self.rows, self.frames, columns)
-        try:
-            return self._effect(fit.change, fit.values)
-        finally:
-            self.weights = usual
+        there = copy(self)
+        there.weights = _Weights(self.arm, self.rows, self.frames, columns)
+        return there._effect(fit.change, fit.values)
 
     def explains(self, fit: ChangeFit) -> bool:
         """Whether the residuals of a change may be chance."""

@@ -25,7 +25,7 @@ covariance are those of the posterior, integrated numerically along that axis.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -124,7 +124,7 @@ class ContactObserver:
         self._typical = self._frees[0].parameter.typical
         self._last = np.zeros(3), self.tip
         self.shapes: ShapeBatch | None = None  # the last one, start of the next equilibrium
-        self.kept: _KeptWhitening | None = None  # of the last covariance
+        self.kept: _Motions | None = None  # of the last covariance
         self.slopes: Floats | None = None  # (3 J, 3) [m/N] last Jacobian of the markers
 
     def update(
@@ -457,7 +457,7 @@ class _Fit:
         return np.asarray(self.factor @ (self.measured - expected - self.lacked)[self.rows])
 
     def _whitening(self, force: Floats, place: float, expected: Floats) -> Floats | None:
-        """Return the inverse root of the covariance, the last one where the arm hardly moved."""
+        """Return the inverse root of the covariance, by the last motions while it hardly moves."""
         observer, rows = self.observer, self.rows
         if not self.markers:
             sd = np.sqrt(observer.pull_noise**2 + (PULL_ERROR * expected) ** 2 + PULL_ERROR_M**2)
@@ -477,26 +477,19 @@ class _Fit:
                 off = self.measured - free - arm.lacked(columns)
                 off = np.linalg.norm(off.reshape(-1, 3), axis=1)
                 moved = float(np.nanmax(off))
-            kept = _KeptWhitening(columns, arm.covariance, rows, expected, moved)
-        if self.frames != kept.frames:
-            covariance = arm.spread(rows, kept.columns, self.frames)
-            loaded = max(arm.response, LOADED_ERROR if arm.level > 0.0 else 0.0) * kept.moved
-            covariance += loaded**2 * arm.rest(rows)
-            factor = np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
-            kept = replace(kept, frames=self.frames, factor=factor)
-        observer.kept, self.lacked = kept, arm.lacked(kept.columns)
-        return kept.factor
+            kept = observer.kept = _Motions(columns, arm.covariance, rows, expected, moved)
+        self.lacked = arm.lacked(kept.columns)
+        loaded = max(arm.response, LOADED_ERROR if arm.level > 0.0 else 0.0) * kept.moved
+        covariance = arm.spread(rows, kept.columns, self.frames) + loaded**2 * arm.rest(rows)
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
 
 
 @dataclass(frozen=True)
-class _KeptWhitening:
-    """The whitening factor, with the state for which it is valid."""
+class _Motions:
+    """Motions of the markers that are no contact, with the state for which they are valid."""
 
     columns: Floats  # (3 J, q) [m] motion by imperfections
     known: Floats  # covariance of the imperfections
     rows: npt.NDArray[np.bool_]  # (3 J,) of visible coordinates
     expected: Floats  # (3 J,) [m]
     moved: float  # [m] motion of the arm by the load
-    frames: int = 0  # for which the factor is, 0: there is none
-    # (r, r) [1/m] inverse root of the covariance of the visible coordinates
-    factor: Floats = field(default_factory=lambda: np.zeros((0, 0)))

@@ -70,35 +70,25 @@ class DriftState:
     suspects: tuple[Suspect, ...] = ()  # most likely first, after an alarm
 
 
+@dataclass
 class _ChangePoint:
     """A possible change point, and the evidence since."""
 
-    def __init__(self, changes: int, mean: Floats, covariance: Floats, at: int = 0) -> None:
-        self.mean, self.covariance = mean, covariance  # of the arm before the change
-        self.at = at  # number of the posture
-        self.followed = np.zeros((len(mean), changes))  # response of the filter to changes
-        self.information = np.zeros((changes, changes))
-        self.score = np.zeros(changes)
-        self.parts = list[tuple[Floats, Floats]]()  # information and score by posture
+    at: int  # number of the posture
+    mean: Floats  # of the arm before the change
+    covariance: Floats
+    followed: Floats  # (q, c) response of the filter to changes
+    # information (c, c) and score (c,) by number of the posture
+    parts: dict[int, tuple[Floats, Floats]] = field(default_factory=dict)
 
-    def take(self, information: Floats, score: Floats) -> None:
-        """Add the information (c, c) and score (c,) of a posture."""
-        self.information, self.score = self.information + information, self.score + score
-        self.parts.append((information, score))
-
-    def without(self, at: int) -> tuple[Floats, Floats]:
-        """Return information and score without the posture of a number."""
-        if not 0 <= at - self.at < len(self.parts):
-            return self.information, self.score
-        information, score = self.parts[at - self.at]
-        return self.information - information, self.score - score
-
-    def forget(self, at: int) -> None:
-        """Remove the evidence of the posture of a number."""
-        if 0 <= at - self.at < len(self.parts):
-            self.information, self.score = self.without(at)
-            nothing = np.zeros_like(self.information), np.zeros_like(self.score)
-            self.parts[at - self.at] = nothing
+    def evidence(self, without: int = -1) -> tuple[Floats, Floats]:
+        """Return information (c, c) and score (c,), without the posture of a number."""
+        changes = self.followed.shape[1]
+        information, score = np.zeros((changes, changes)), np.zeros(changes)
+        for at, part in self.parts.items():
+            if at != without:
+                information, score = information + part[0], score + part[1]
+        return information, score
 
 
 @dataclass(frozen=True)
@@ -175,16 +165,17 @@ class DriftAlarm:
         chi2 = float(innovation @ inverse @ innovation)
         odd = chi2_sf(chi2, len(innovation)) < ODD_PROBABILITY
         if self._count % BEGIN_EVERY == 0:
-            known = arm.mean.copy(), arm.covariance.copy()
-            self._change_points.append(_ChangePoint(len(self._spread), *known, self._count))
-            del self._change_points[:-CHANGE_POINTS_MAX]
+            point = _ChangePoint(
+                self._count, arm.mean, arm.covariance, np.zeros((len(arm.mean), len(self._spread)))
+            )
+            self._change_points = [*self._change_points[1 - CHANGE_POINTS_MAX :], point]
         posture = _Posture(self._count, tensions, positions, frames, odd)
         self._recent.append(posture)
         self._count += 1
         for point in self._change_points:  # the signatures of changes in the innovation
             signature = slopes[rows] - columns @ point.followed
             weighted = inverse @ signature
-            point.take(signature.T @ weighted, weighted.T @ innovation)
+            point.parts[posture.at] = signature.T @ weighted, weighted.T @ innovation
             if not odd:  # the response of the filter to every change
                 point.followed += gain @ signature
         if not odd:
@@ -200,7 +191,7 @@ class DriftAlarm:
             self._single = posture.at if single is None else None
         elif single is not None and posture.at - single >= BEGIN_EVERY:
             for point in self._change_points:
-                point.forget(single)
+                point.parts.pop(single, None)
             others = [one for one in self._recent if one.at != single]
             self._recent, self._single = deque(others, self._recent.maxlen), None
 
@@ -211,17 +202,17 @@ class DriftAlarm:
         place, change = np.unravel_index(int(np.argmax(logs)), logs.shape)
         point = self._change_points[int(place)]
         # the alarm requires evidence beyond the strongest posture
-        without = [point.without(point.at + k) for k in range(len(point.parts))]
+        without = [point.evidence(at) for at in point.parts]
         left = self._log_ratios(without, self._places[int(change)])
-        strongest = point.at + int(np.argmin(left))
+        strongest = list(point.parts)[int(np.argmin(left))]
         enough = evidence >= self.threshold and _sum(self._logs(strongest)) >= CONFIRMED
         alarm = self.state.alarm or enough
         suspects = self._suspects(point, posture) if alarm else ()
-        return DriftState(alarm, evidence, len(point.parts), suspects)
+        return DriftState(alarm, evidence, self._count - point.at, suspects)
 
     def _logs(self, without: int = -1) -> Floats:
         """Return the log likelihood ratios (change points, changes), without a given posture."""
-        evidence = [point.without(without) for point in self._change_points]
+        evidence = [point.evidence(without) for point in self._change_points]
         return np.stack([self._log_ratios(evidence, place) for place in self._places], axis=1)
 
     def _log_ratios(self, evidence: Sequence[tuple[Floats, Floats]], place: slice) -> Floats:

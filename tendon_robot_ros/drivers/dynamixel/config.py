@@ -71,14 +71,6 @@ class Calibration:
             0.5 * (self.wind.slope + self.pay_out.slope),
         )
 
-    def current(self, tension: float) -> float:
-        """Return the mean current [A] of winding and paying out at a tension [N]."""
-        return self.mean.current(tension)
-
-    def tension(self, current: float) -> float:
-        """Return the mean tension [N] of winding and paying out at a current [A]."""
-        return self.mean.tension(current)
-
     def uncertainty(self, tension: float) -> float:
         """Return half the gap between the two lines at a tension, with their scatter [N]."""
         half = 0.5 * abs(self.wind.current(tension) - self.pay_out.current(tension))

@@ -174,7 +174,7 @@ class Motor:
         if not self.answers or self.current is None or len(self.wires) > 1:
             return math.nan
         amperes = wire.spool.direction * self.current * self.model.current_unit
-        return wire.calibration.tension(amperes)
+        return wire.calibration.mean.tension(amperes)
 
     def goal(self, commands: list[float]) -> int:
         """
@@ -184,7 +184,7 @@ class Motor:
         """
         wire, command = self.wires[0], commands[0]
         if self.mode == 'tension':
-            amperes = wire.calibration.current(command)
+            amperes = wire.calibration.mean.current(command)
             return wire.spool.direction * max(0, round(amperes / self.model.current_unit))
         zero = self.ticks or 0 if self.zero is None else self.zero
         distance = sum(
@@ -207,7 +207,7 @@ class Motor:
         if reduction <= 0.0:
             self.reduced_limit = None
             return
-        amperes = min(wire.calibration.current(tension) for wire in self.wires)
+        amperes = min(wire.calibration.mean.current(tension) for wire in self.wires)
         end = min(max(0, round(amperes / self.model.current_unit)), self.strongest)
         if self.reduced_limit is None:
             largest = max(self._recent, default=self.strongest)

@@ -123,19 +123,8 @@ def main(arguments: Sequence[str]) -> int:
     return run(TeleopNode, arguments)
 
 
-# key -> (linear x y z, angular x y z), in units of the speeds
-MOVES = {
-    'd': (1, 0, 0, 0, 0, 0),
-    'a': (-1, 0, 0, 0, 0, 0),
-    'w': (0, 1, 0, 0, 0, 0),
-    's': (0, -1, 0, 0, 0, 0),
-    'r': (0, 0, 1, 0, 0, 0),
-    'f': (0, 0, -1, 0, 0, 0),
-    'i': (0, 0, 0, 1, 0, 0),
-    'k': (0, 0, 0, -1, 0, 0),
-    'l': (0, 0, 0, 0, 1, 0),
-    'j': (0, 0, 0, 0, -1, 0),
-}
+AXES = 'da', 'ws', 'rf', 'ik', 'lj'  # keys along + and - of linear x, y, z, about x, y
+MOVES = {key: (axis, key == pair[0]) for axis, pair in enumerate(AXES) for key in pair}
 ARROWS = {'\x1b[C': 'd', '\x1b[D': 'a', '\x1b[A': 'r', '\x1b[B': 'f'}
 LEGEND = """\
 hold a key to move the tip, let go to stop
@@ -167,8 +156,10 @@ class Deadman:
         """Return the six components [m/s, rad/s], or None when nothing is held."""
         if now >= self.until or self.key not in MOVES:
             return None
-        speeds = [linear] * 3 + [angular] * 3
-        return [part * speed for part, speed in zip(MOVES[self.key], speeds, strict=True)]
+        (axis, forwards), velocity = MOVES[self.key], [0.0] * 6
+        speed = linear if axis < 3 else angular
+        velocity[axis] = speed if forwards else -speed
+        return velocity
 
 
 def pressed() -> list[str]:
