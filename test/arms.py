@@ -33,7 +33,8 @@ OWN_SIZES = {  # where the typical size, or its sign, would show less
     | {'slack_length': 0.02, 'stiffness': 1.0, 'tension': 0.1},
     # a soft pole of 20 mm beside the base, 2 mm inside the straight arm
     'contact': {'stiffness': 10.0, 'distance': -0.002, 'azimuth': 0.4, 'elevation': 0.05}
-    | {'curvature': 50.0, 'is_pole': 1.0, 'axis': 0.5, 'thickness': 0.001},
+    | {'curvature': 50.0, 'is_pole': 1.0, 'axis': 0.5, 'thickness': 0.001}
+    | {'friction_coefficient': 0.3},
     'axial_compression': {'compliance': 3e-3},
     'transmission_loss': {'fraction': 0.1},
     'tension_offset': {'offset': 0.05},

@@ -179,11 +179,11 @@ class Reference:
                     wrench = (over > 0.0) * pull * away / np.linalg.norm(away), np.zeros(3)
                 force[i] += share * turned @ wrench[0]
                 moment[i] += share * turned @ wrench[1]
-            force[i] += self.push_of_pole(point)
+            force[i] += self.push_of_pole(point, point - [0.0, 0.0, self.starts[i + 1]])
         return force, moment
 
-    def push_of_pole(self, point):
-        """Force of a pole on a point (3,) [N]."""
+    def push_of_pole(self, point, moved):
+        """Force of a pole on a point (3,) [N] that has moved (3,) [m] from the straight arm."""
         if not self.get('contact', 'stiffness'):
             return np.zeros(3)
         radius, (up, about) = (
@@ -197,7 +197,10 @@ class Reference:
         off = point + (self.get('contact', 'distance') + radius) * normal
         off = off - (off @ axis[:, 1]) * axis[:, 1]
         depth = radius + self.get('contact', 'thickness') - np.linalg.norm(off)
-        return self.get('contact', 'stiffness') * max(depth, 0.0) * off / np.linalg.norm(off)
+        out, hard = off / np.linalg.norm(off), self.get('contact', 'stiffness')
+        normal, slips = hard * max(depth, 0.0), moved - (moved @ out) * out
+        most = self.get('contact', 'friction_coefficient') * normal
+        return normal * out - min(hard, most / np.linalg.norm(slips)) * slips
 
     def vector(self, effect, stem):
         """Components x, y, z of a parameter (3,)."""

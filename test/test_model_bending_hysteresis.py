@@ -23,6 +23,9 @@ from tendon_robot_ros.workspace.postures import default_postures
 LAG, RATIO, STIFFNESS, ARM = 0.03, 2.0, 0.027, 0.0055
 HELD = {'bending_hysteresis': {'lag': LAG, 'presliding': RATIO}}
 FRICTION = {'tendon_friction': {'friction_coefficient': 0.3}, 'tendon_travel': {'fraction': 1.0}}
+# soft, and so near that all cells touch it in all postures
+WALL = {'contact': {'stiffness': 0.3, 'distance': -0.05, 'azimuth': 3.0}}
+WALL['contact']['friction_coefficient'] = 0.2
 LAW = load_catalogue()['bending_hysteresis'].law
 
 
@@ -80,7 +83,7 @@ def test_a_shape_that_follows_another_is_that_of_the_sequence(robot, friction):
 @pytest.mark.parametrize('by_pulls', [False, True], ids=['tensions', 'pulls'])
 @pytest.mark.parametrize('robot', [two_sections(4), spatial(3)])
 def test_derivatives_along_a_path_are_those_of_differences(robot, by_pulls):
-    effects = HELD | {'wire_spring': {'compliance': 1e-3}, 'tip_load': {'force_x': 0.01}}
+    effects = HELD | {'wire_spring': {'compliance': 1e-3}, 'tip_load': {'force_x': 0.01}, **WALL}
     model = Model(replace(robot, effects=effects))
     tensions = np.random.default_rng(5).uniform(0.1, 1.0, (8, len(robot.inputs)))
     base = model.sequence(tensions)
@@ -95,6 +98,7 @@ def test_derivatives_along_a_path_are_those_of_differences(robot, by_pulls):
     path = PathSlopes.of(model, base.inputs, base.state, by_pulls)
     assert np.allclose(path.shapes(commanded).positions, base.positions, rtol=0, atol=1e-9)
     moved = [('bending_hysteresis', 'lag', 1e-5), ('bending_hysteresis', 'presliding', 1e-3)]
+    moved += [('contact', 'friction_coefficient', 1e-4), ('contact', 'distance', 1e-8)]
     moved += [('backbone_stiffness', 'relative_change', 1e-4), ('tip_load', 'force_y', 1e-6)]
     for effect, parameter, step in moved:
         value, slopes, differences = model.arrays.get(effect, parameter, 0), [], []

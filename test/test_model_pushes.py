@@ -8,6 +8,7 @@ from arms import planar, spatial
 
 from tendon_robot_ros.model.model import Model
 
+WALL = {'stiffness': 500.0, 'distance': 0.01, 'azimuth': math.pi, 'elevation': 0.0}
 SLACK = [0.0, 0.0]
 PULLED = [0.0, 0.9]
 LENGTH = 0.042  # [m] of the planar arm of six cells
@@ -113,12 +114,83 @@ def test_a_pulled_arm_stops_at_what_it_touches(kind, curvature, is_pole, spatial
 
 
 def test_a_large_ball_is_a_wall_and_a_hollow_one_holds_from_all_sides():
-    wall = {'stiffness': 500.0, 'distance': 0.01, 'azimuth': math.pi, 'elevation': 0.0}
-    flat = shape('contact', wall, PULLED).positions
-    near = shape('contact', {**wall, 'curvature': 1e-6}, PULLED).positions
+    flat = shape('contact', WALL, PULLED).positions
+    near = shape('contact', {**WALL, 'curvature': 1e-6}, PULLED).positions
     assert np.allclose(flat, near, rtol=0, atol=1e-7)
     tube = {'stiffness': 3e3, 'distance': 0.004, 'azimuth': 0.0, 'elevation': 0.0}
     tube |= {'curvature': -250.0, 'is_pole': 1.0, 'axis': 0.5 * math.pi}
     for inputs in ([0.0, 0.9], [0.9, 0.0]):
         held = shape('contact', tube, inputs).positions
         assert 0.0039 < np.abs(held[:, 0]).max() < 0.0045
+
+
+def rubbing(spatially, coefficient):
+    """Return an arm of hinges, a wall that its tip reaches, tensions, and the normal (3,)."""
+    robot, inputs = STACKED, np.array(PULLED)
+    if spatially:
+        robot, inputs = spatial(), np.array([1.5, 0.0, 0.0, 1.0, 0.2, 0.0])
+    aside = Model(robot).shape(inputs).tip_position * [0.6, 0.6, 0.0]
+    normal = -aside / np.linalg.norm(aside)
+    wall = {**WALL, 'distance': float(-aside @ normal), 'azimuth': math.atan2(*normal[1::-1])}
+    wall['friction_coefficient'] = coefficient
+    return robot, wall, inputs, normal
+
+
+def pushed_by(wall, normal, tip):
+    """Return the normal force [N] on a tip (3,), and how far the tip is along the wall (3,)."""
+    return wall['stiffness'] * -(tip @ normal + wall['distance']), tip - (tip @ normal) * normal
+
+
+def tip_under(robot, inputs, force):
+    load = dict(zip(('force_x', 'force_y', 'force_z'), force.tolist(), strict=True))
+    return Model(robot.with_effect('tip_load', load)).shape(inputs).tip_position
+
+
+@pytest.mark.parametrize('spatially', [False, True])
+@pytest.mark.parametrize('coefficient', [0.1, 0.4])
+def test_what_slides_along_a_wall_is_held_by_its_share_of_the_normal_force(spatially, coefficient):
+    """Coulomb: from straight the tip comes down along the wall, and friction points against it."""
+    robot, wall, inputs, normal = rubbing(spatially, coefficient)
+    tip = Model(robot.with_effect('contact', wall)).shape(inputs).tip_position
+    push, place = pushed_by(wall, normal, tip)
+    slid = place - [0.0, 0.0, robot.length]
+    assert push > 0.01 and np.linalg.norm(slid) * wall['stiffness'] > coefficient * push
+    force = push * (normal - coefficient * slid / np.linalg.norm(slid))
+    assert np.allclose(tip, tip_under(robot, inputs, force), rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize('spatially', [False, True])
+def test_what_turns_back_on_a_wall_sticks_until_friction_has_turned_round(spatially):
+    """Within the cone it moves by no more than friction over stiffness; beyond, it slides."""
+    robot, wall, inputs, normal = rubbing(spatially, 0.4)
+    arm = Model(robot.with_effect('contact', wall))
+    path = arm.sequence(np.array([1.0, 0.998, 0.7])[:, None] * inputs).tip_position
+    (push, there), (_, stuck), (last, back) = (pushed_by(wall, normal, tip) for tip in path)
+    slid = there - [0.0, 0.0, robot.length]
+    before = -0.4 * push * slid / np.linalg.norm(slid)
+    held = before - wall['stiffness'] * (stuck - there)
+    normal_force = pushed_by(wall, normal, path[1])[0]
+    assert np.linalg.norm(held) < 0.4 * normal_force
+    force = normal_force * normal + held
+    assert np.allclose(path[1], tip_under(robot, 0.998 * inputs, force), rtol=0, atol=1e-9)
+    returned = back - stuck
+    assert returned @ slid < 0.0
+    friction = held - wall['stiffness'] * returned
+    force = last * (normal + 0.4 * friction / np.linalg.norm(friction))
+    assert np.allclose(path[2], tip_under(robot, 0.7 * inputs, force), rtol=0, atol=1e-9)
+    forgets = Model(robot.with_effect('contact', {**wall, 'friction_coefficient': 0.0}))
+    assert np.linalg.norm(path[1] - path[0]) < 0.7 * np.linalg.norm(
+        np.subtract(*(forgets.shape(share * inputs).tip_position for share in (1.0, 0.998)))
+    )
+
+
+@pytest.mark.parametrize('spatially', [False, True])
+def test_a_wall_without_friction_is_one_without_memory(spatially):
+    robot, wall, inputs, _ = rubbing(spatially, 0.0)
+    smooth = Model(robot.with_effect('contact', wall))
+    wall.pop('friction_coefficient')
+    shares = np.array([0.5, 1.0, 0.9])[:, None] * inputs
+    assert not smooth.remembers
+    alone = Model(robot.with_effect('contact', wall)).shapes(shares).positions
+    assert np.array_equal(smooth.shapes(shares).positions, alone)
+    assert np.allclose(smooth.sequence(shares).positions, alone, rtol=0, atol=1e-9)

@@ -237,7 +237,8 @@ def acting(predictor: Predictor, point: Point, name: str) -> Floats:
 
     """
     effect, arrays = predictor.model.catalogue[name], predictor.model.arrays
-    lengths, nothing = arrays.cells[:, 0], (0.0, 0.0, 0.0)
+    lengths, moved = arrays.cells[:, 0], (0.0, 0.0, 0.0)
+    nothing = moved, moved, moved  # force, moment, friction
     ends, behind = np.cumsum(lengths).tolist(), np.append(lengths[1:], np.inf).tolist()
     rows = np.full((len(predictor.inputs), 7), np.nan)
     for part, shapes in predictor.settle(point, predictor.given(predictor.inputs)):
@@ -250,7 +251,7 @@ def acting(predictor: Predictor, point: Point, name: str) -> Floats:
             cells = zip(places, frames.reshape(-1, 9), ends, lengths, behind, strict=True)
             forces = np.array(
                 [
-                    effect.law(nothing, nothing, at.tolist(), frame.tolist(), *along, *values)[0]
+                    effect.law(*nothing, at.tolist(), frame.tolist(), *along, moved, *values)[0]
                     for at, frame, *along in cells
                 ]
             )

@@ -8,11 +8,13 @@ from .effect import Effect, Parameter
 def law(
     force,
     moment,
+    friction,
     place,
     frame,
     along,
     before,
     behind,
+    moved,
     stiffness,
     distance,
     azimuth,
@@ -21,9 +23,10 @@ def law(
     is_pole,
     axis,
     thickness,
+    friction_coefficient,
 ):
     """
-    Add the push on the end of a cell that lies deeper than the surface: Hooke, without friction.
+    Add the push on the end of a cell that lies deeper than the surface: Hooke, and Coulomb.
 
     The surface is a wall (curvature 0), a ball of radius 1 / curvature, or with `is_pole` a pole
     of that radius; with a negative curvature the arm is inside. It is nearest to the base at
@@ -31,6 +34,10 @@ def law(
     (from x and y up). With r from that nearest point (of a pole without the part along its axis,
     which `axis` turns about n from the horizontal) and g = 2 r.n + c r.r, the depth is that of a
     circle, -g / (1 + sqrt(1 + c g)), which is -r.n for a wall; `thickness` is the arm's radius.
+
+    Friction along the surface is that of the posture before, less stiffness times how far the end
+    has `moved` along it since, as stiff as the surface (Mindlin 1949: two thirds of it to all);
+    what exceeds `friction_coefficient` times the normal force slides.
     """
     flat = math.cos(elevation)
     nx, ny, nz = flat * math.cos(azimuth), flat * math.sin(azimuth), math.sin(elevation)
@@ -46,10 +53,21 @@ def law(
     root = math.sqrt(max(1.0 + curvature * gap, 0.0))
     depth = thickness - gap / (1.0 + root)
     if depth <= 0.0 or root <= 0.0:
-        return force, moment
+        return force, moment, (0.0, 0.0, 0.0)
     push = stiffness * depth / root
     x, y, z = nx + curvature * x, ny + curvature * y, nz + curvature * z
-    return (force[0] + push * x, force[1] + push * y, force[2] + push * z), moment
+    tx, ty, tz = (
+        friction[0] - stiffness * moved[0],
+        friction[1] - stiffness * moved[1],
+        friction[2] - stiffness * moved[2],
+    )
+    across = (tx * x + ty * y + tz * z) / (root * root)
+    tx, ty, tz = tx - across * x, ty - across * y, tz - across * z
+    size, most = math.sqrt(tx * tx + ty * ty + tz * tz), friction_coefficient * stiffness * depth
+    held = 1.0 if size <= most else most / size
+    tx, ty, tz = held * tx, held * ty, held * tz
+    force = (force[0] + push * x + tx, force[1] + push * y + ty, force[2] + push * z + tz)
+    return force, moment, (tx, ty, tz)
 
 
 EFFECT = Effect(
@@ -71,6 +89,9 @@ EFFECT = Effect(
         Parameter('is_pole', '1', 0.0, 1.0, 0.0, typical=1.0, only_described=True),
         Parameter('axis', 'rad', -2.0 * math.pi, 2.0 * math.pi, 0.0, 0.2, only_described=True),
         Parameter('thickness', 'm', 0.0, 1.0, 0.0, 0.03, of='length', only_described=True),
+        Parameter(
+            'friction_coefficient', '1', 0.0, 2.0, 0.0, 0.3, only_described=True, remembers=True
+        ),
     ),
     divisible=True,
     placed=True,

@@ -48,6 +48,8 @@ class Parameter:
         effect that is always on; it is then neutral.
     only_described : bool
         Whether a fit leaves it alone where the description gives no value, or the neutral one.
+    remembers : bool
+        Whether the arm depends on the posture before where it is not neutral.
 
     """
 
@@ -64,6 +66,7 @@ class Parameter:
     parts_power: int = 0
     has_default: bool = False
     only_described: bool = False
+    remembers: bool = False
 
     @property
     def per(self) -> str:

@@ -6,11 +6,13 @@ from .effect import Effect, Parameter
 def law(
     force,
     moment,
+    friction,
     place,
     frame,
     along,
     before,
     behind,
+    moved,
     arc_length,
     force_x,
     force_y,
@@ -28,7 +30,7 @@ def law(
     """
     share = min(1.0 - (along - arc_length) / before, 1.0 - (arc_length - along) / behind)
     if share <= 0.0:
-        return force, moment
+        return force, moment, friction
     held, turns = share * (1.0 - follows), share * follows
     xx, xy, xz, yx, yy, yz, zx, zy, zz = frame
     fx, fy, fz, mx, my, mz = force_x, force_y, force_z, moment_x, moment_y, moment_z
@@ -42,7 +44,7 @@ def law(
         moment[1] + held * my + turns * (yx * mx + yy * my + yz * mz),
         moment[2] + held * mz + turns * (zx * mx + zy * my + zz * mz),
     )
-    return force, moment
+    return force, moment, friction
 
 
 EFFECT = Effect(

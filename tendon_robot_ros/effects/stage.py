@@ -95,11 +95,13 @@ tip_load *
 push *
   > force [N] force on the end of a cell (x, y, z), base frame
   > moment [N·m] moment there (x, y, z), base frame
+  > friction [N] part of the force along a surface (x, y, z); before: that of the posture before
   - place [m] where the cell ends (x, y, z), base frame
   - frame [1] its axes as columns (xx, xy, ... zz), base frame
   - along [m] arc length from the base to there, at rest
   - before [m] length of the cell that ends there
   - behind [m] length of the next cell; infinite at the tip
+  - moved [m] how far the end has moved since the posture before (x, y, z)
 moment
   > moment [N·m] size of the bending moment
   - total_tension [N] sum of the tensions in the cell

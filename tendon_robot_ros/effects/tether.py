@@ -8,11 +8,13 @@ from .effect import Effect, Parameter
 def law(
     force,
     moment,
+    friction,
     place,
     frame,
     along,
     before,
     behind,
+    moved,
     arc_length,
     point_x,
     point_y,
@@ -31,9 +33,9 @@ def law(
     x, y, z = point_x - place[0], point_y - place[1], point_z - place[2]
     distance = math.sqrt(x * x + y * y + z * z)
     if share <= 0.0 or distance <= slack_length:
-        return force, moment
+        return force, moment, friction
     pull = share * (tension + stiffness * (distance - slack_length)) / distance
-    return (force[0] + pull * x, force[1] + pull * y, force[2] + pull * z), moment
+    return (force[0] + pull * x, force[1] + pull * y, force[2] + pull * z), moment, friction
 
 
 EFFECT = Effect(

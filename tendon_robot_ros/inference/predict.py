@@ -506,7 +506,8 @@ class Predictor:
                 self.set_parameters(moved, part)
                 tensions, states = path.equilibria(self.given(self.inputs)[part.rows])
                 seen = self._shown[part.rows]
-                placed[part.rows[seen]] = self.see(shown(self.model, tensions[seen], states[seen]))
+                along = shown(self.model, tensions, states, carry=True)
+                placed[part.rows[seen]] = self.see(along.of(seen))
                 then.tensions[part.rows], then.state[part.rows] = tensions, states
             return placed, then
 

@@ -182,7 +182,7 @@ class PathSlopes:
 
     def shapes(self, commanded: Floats) -> ShapeBatch:
         """Return the shapes (b) of the model as it is now, to first order; see `equilibria`."""
-        return shown(self.model, *self.equilibria(commanded))
+        return shown(self.model, *self.equilibria(commanded), carry=True)
 
     def equilibria(self, commanded: Floats) -> tuple[Floats, Floats]:
         """
@@ -362,9 +362,17 @@ def responses(
 
 
 def shown(
-    model: ForwardModel, inputs: Floats, states: Floats, memory: Floats | None = None
+    model: ForwardModel,
+    inputs: Floats,
+    states: Floats,
+    memory: Floats | None = None,
+    carry: bool = False,
 ) -> ShapeBatch:
-    """Return the shapes of inputs (b, m) [N] and states (b, 3n) [rad], without solving."""
+    """
+    Return the shapes of inputs (b, m) [N] and states (b, 3n) [rad], without solving.
+
+    After the memory of one posture, or with `carry` one after the other.
+    """
     b, form = len(inputs), model.form
     block = np.zeros(b * form.size)
     fields = form.views(block, b)
@@ -372,7 +380,7 @@ def shown(
     fields['inputs'][:], fields['state'][:] = inputs, states
     past = model.arrays.fresh_memory() if memory is None else memory
     model.arrays.part('shape').show_postures(
-        model.arrays.address, block, b, past.ctypes.data, model.scratch
+        model.arrays.address, block, b, past.ctypes.data, model.scratch, int(carry)
     )
     return ShapeBatch(**fields, cell_length=form.cell_length, hinge=form.hinge, slopes=None)
 

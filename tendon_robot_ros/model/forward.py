@@ -101,6 +101,12 @@ class ForwardModel:
             for stage in STAGES
         }
 
+    @cached_property
+    def remembering(self) -> list[int]:
+        """Rows in `arrays.values` of parameters by which the arm remembers."""
+        rows = self.arrays.layout.rows
+        return [rows[e.name, p.name] for e in self.catalogue for p in e.parameters if p.remembers]
+
     @property
     def remembers(self) -> bool:
         """Whether the arm remembers the loading history, by its friction or its bends."""
@@ -108,8 +114,9 @@ class ForwardModel:
 
     @property
     def bends_remember(self) -> bool:
-        """Whether the backbone keeps part of its bend."""
-        return self.acts_at('hysteresis')
+        """Whether the backbone keeps part of its bend, or what it touches holds it by friction."""
+        values, rows = self.arrays.values, self.remembering
+        return self.acts_at('hysteresis') or bool(np.any(values[rows]))
 
     @property
     def friction_remembers(self) -> bool:

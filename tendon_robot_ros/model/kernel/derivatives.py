@@ -293,7 +293,7 @@ def path_slopes(robot, inputs, states, past, scratch, answers, by_tension, pulls
         chain.residual(chain, tension, solver.bend, solver.work, solver.past, address(f))
         rows = address(answers) + 8 * size * size * b
         chain.respond(chain, solver.bend, address(unit), size, solver.work, solver.past, rows, 0)
-        remember_bends(chain, tension, solver.bend, solver.past, solver.now)
+        remember_bends(chain, tension, solver.bend, solver.work, solver.past, solver.now)
         copy(solver.now.bend, solver.past.bend, memory_size(chain.n, chain.k, m))
     keep(bends)
     keep(unit)
@@ -344,7 +344,7 @@ def path_steps(robot, inputs, states, pulls, past, scratch, answers, by_tension,
                     inputs[b, j] += held[b, j, r] * (pulls[b, r] - means[r])
                 for q in range(size):
                     states[b, q] += (inputs[b, j] - before[j]) * by_tension[b, j, q]
-        remember_bends(chain, tension, bend, then, now)
+        remember_bends(chain, tension, bend, work, then, now)
         copy(now.bend, then.bend, memory_size(chain.n, k, m))
     keep(f)
     keep(wires)

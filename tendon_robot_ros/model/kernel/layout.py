@@ -88,9 +88,10 @@ LENGTH, STIFFNESS, MASS, HINGE, SECTION, PRESENT, MASS_X, MASS_Y = range(COLUMNS
 # where cells twist; `bend` and `bends` are addresses of states.
 
 # Memory: what the arm remembers of the last posture: its state (3n,) [rad], of friction sign
-# (n, k) and travel (n, k) [m], inputs (m,) [N], moment (n, 2) [N·m] held against the bend, passed
-# (k,) [m], the pulls that passed the transmission; one array, in this order.
-Memory = namedtuple('Memory', 'bend sign travel inputs moment passed')
+# (n, k) and travel (n, k) [m], inputs (m,) [N], moment (n, 2) [N·m] held against the bend, held
+# (n, 6): friction [N] of a surface on the ends of the cells, and how far these are [m] from those
+# of the straight arm, passed (k,) [m], the pulls that passed the transmission; one array.
+Memory = namedtuple('Memory', 'bend sign travel inputs moment held passed')
 
 # Work: scratch of one posture. half (n, 2): half angles, see `cells`; wrench (n, 6): force [N]
 # and torque [N·m] at the cells' ends of the loads beyond; lag (2, n, k): by how much the travel
@@ -98,11 +99,11 @@ Memory = namedtuple('Memory', 'bend sign travel inputs moment passed')
 # settings: SETTINGS below. axial (n, k): moment arms of the tendons about the axis [m]; torque
 # (n,): of the loads [N·m]; compliance (n,): of a cell in bending [rad/(N·m)], from `work_in` on;
 # passed (n,): tension behind an eyelet over that before it. push (n, 6): force [N] and
-# moment [N·m] on the ends of the cells of what acts at a place.
+# moment [N·m] on the ends of the cells of what acts at a place; held (n, 6): that of the memory.
 Work = namedtuple(
     'Work',
     'moment_arms travel beyond load lengths tensions frames origins half wrench lag settings '
-    'axial torque compliance passed push',
+    'axial torque compliance passed push held',
 )
 # Smoothing length of friction [m]; factor on the loads [1]; whether a sweep follows the guess (1)
 # or goes as if no effect needed the shape (0); whether every method for an equilibrium is tried
@@ -209,7 +210,7 @@ def address_of(function):
 @register_jitable
 def memory_size(n, k, m):
     """Floats that the memory of a posture takes."""
-    return 5 * n + 2 * n * k + m + k
+    return 11 * n + 2 * n * k + m + k
 
 
 @register_jitable
@@ -217,7 +218,7 @@ def work_sizes(n, k):
     """Floats that the arrays of Work take, in their order."""
     wires, joints = n * k, n + 1
     before = (2 * wires, wires, wires, 2 * n, n, wires, 9 * joints, 3 * joints, 2 * n)
-    return before + (6 * n, 2 * wires, SETTINGS_SIZE, wires, n, n, n, 6 * n)
+    return before + (6 * n, 2 * wires, SETTINGS_SIZE, wires, n, n, n, 6 * n, 6 * n)
 
 
 @register_jitable
@@ -280,7 +281,8 @@ def memory_in(chain, start):
     travel = sign + 8 * n * k
     inputs = travel + 8 * n * k
     moment = inputs + 8 * chain.m
-    return Memory(start, sign, travel, inputs, moment, moment + 16 * n)
+    held = moment + 16 * n
+    return Memory(start, sign, travel, inputs, moment, held, held + 48 * n)
 
 
 @compiled

@@ -251,10 +251,10 @@ def push_slopes(chain, bend, work, i, tangent):
             by = cross((0.5 * f[2], 0.5 * f[5], 0.5 * f[8]), whole)
         row[SHIFTS + r], row[SHIFTS + 3 + r], row[SHIFTS + 6 + r] = by
         a, b = turned_by(frame, scaled(h, unit)), turned_by(frame, scaled(-h, unit))
-        fill_push(chain, i, place, a, place, b, scale / (2.0 * h), row, r)
+        fill_push(chain, work, i, place, a, place, b, scale / (2.0 * h), row, r)
         step = h * reach
         a, b = plus(place, scaled(step, unit)), plus(place, scaled(-step, unit))
-        fill_push(chain, i, a, frame, b, frame, scale / (2.0 * step), row, 3 + r)
+        fill_push(chain, work, i, a, frame, b, frame, scale / (2.0 * step), row, 3 + r)
 
 
 @compiled
@@ -267,10 +267,10 @@ def turned_by(frame, rotation):
 
 
 @compiled
-def fill_push(chain, i, place_up, frame_up, place_low, frame_low, per_step, row, column):
+def fill_push(chain, work, i, place_up, frame_up, place_low, frame_low, per_step, row, column):
     """Fill a column of both slopes from the push on the end of cell i at two places."""
-    force, moment = push_at(chain, i, place_up, frame_up)
-    less, slack = push_at(chain, i, place_low, frame_low)
+    force, moment, _, _ = push_at(chain, work, i, place_up, frame_up)
+    less, slack, _, _ = push_at(chain, work, i, place_low, frame_low)
     for r in range(3):
         row[PUSH_TORQUE + 6 * r + column] = per_step * (moment[r] - slack[r])
         row[PUSH_FORCE + 6 * r + column] = per_step * (force[r] - less[r])

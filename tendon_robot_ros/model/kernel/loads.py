@@ -21,6 +21,7 @@ from .cells import (
     chain_frames,
     end_of,
     gentle_arc,
+    half_turns,
     halved,
     is_general,
     turned_axes,
@@ -37,6 +38,7 @@ from .layout import (
     cell,
     compiled,
     contracted,
+    copy,
     entry,
     floats,
     fused,
@@ -152,15 +154,40 @@ def at_tip(chain):
 
 
 @compiled
-def push_at(chain, i, place, frame):
-    """Force (3,) [N] and moment (3,) [N·m] on the end of cell i, were it at a place (3,) [m]."""
+def push_at(chain, work, i, place, frame):
+    """
+    Force (3,) [N] and moment (3,) [N·m] on the end of cell i, were it at a place (3,) [m].
+
+    Behind them how much of the force is friction (3,) [N], and how far the place is from that of
+    the straight arm (3,) [m].
+    """
     along, behind = 0.0, math.inf
     for j in range(i + 1):
         along += cell(chain, j, LENGTH)
     if i + 1 < chain.n:
         behind = cell(chain, i + 1, LENGTH)
     before = cell(chain, i, LENGTH)
-    return stages.push(NO_LOAD, NO_LOAD, place, frame, along, before, behind, chain, 0)
+    held, apart = floats(work.held + 48 * i), (place[0], place[1], place[2] - along)
+    friction = (held[0], held[1], held[2])
+    moved = (apart[0] - held[3], apart[1] - held[4], apart[2] - held[5])
+    force, moment, friction = stages.push(
+        NO_LOAD, NO_LOAD, friction, place, frame, along, before, behind, moved, chain, 0
+    )
+    return force, moment, friction, apart
+
+
+@compiled
+def remember_pushes(chain, bend, work, past, now):
+    """Fill what the memory `now` has of surfaces that hold the arm, after the posture `past`."""
+    half_turns(chain, bend, work)
+    chain_frames(chain, bend, work)
+    copy(past.held, work.held, 6 * chain.n)
+    for i in range(chain.n):
+        place, frame = end_at(work, i)
+        _, _, friction, apart = push_at(chain, work, i, place, frame)
+        held = floats(now.held + 48 * i)
+        held[0], held[1], held[2] = friction
+        held[3], held[4], held[5] = apart
 
 
 @compiled
@@ -175,7 +202,7 @@ def pushes(chain, bend, work):
     """Fill work.push (n, 6) at frames and origins of `cells.chain_frames`."""
     for i in range(chain.n):
         place, frame = end_at(work, i)
-        force, moment = push_at(chain, i, place, frame)
+        force, moment, _, _ = push_at(chain, work, i, place, frame)
         push = floats(work.push + 48 * i)
         push[0], push[1], push[2] = force
         push[3], push[4], push[5] = moment

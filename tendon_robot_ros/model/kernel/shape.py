@@ -48,7 +48,7 @@ from .layout import (
     work_from,
     work_size,
 )
-from .loads import force_at_tip, loaded, moment_at_tip, place_cells, weight
+from .loads import force_at_tip, loaded, moment_at_tip, place_cells, remember_pushes, weight
 from .sweep import is_implicit, slip_direction
 
 
@@ -126,17 +126,19 @@ def posture(chain, inputs, work, past, now, bend, before):
     if stages.memory_acts(chain):
         return chain.ramped(chain, inputs, work, past, now, bend, before)
     change = settle(chain, inputs, work, past, bend)
-    remember_bends(chain, inputs, bend, past, now)
+    remember_bends(chain, inputs, bend, work, past, now)
     return change
 
 
 @compiled
-def remember_bends(chain, inputs, bend, past, now):
+def remember_bends(chain, inputs, bend, work, past, now):
     """Fill what the memory `now` has besides friction, after a posture that came after `past`."""
     if stages.hysteresis_acts(chain):
         for i in range(chain.n):
             x, y = moment_held(chain, past, i, floats(bend)[2 * i], floats(bend)[2 * i + 1])
             floats(now.moment)[2 * i], floats(now.moment)[2 * i + 1] = x, y
+    if stages.push_acts(chain):
+        remember_pushes(chain, bend, work, past, now)
     copy(bend, now.bend, unknowns(chain))
     copy(inputs, now.inputs, chain.m)
     copy(past.passed, now.passed, chain.k)
@@ -295,15 +297,19 @@ def postures(robot, block, count, begin, end, past, scratch, carry):
 
 
 @entry()
-def show_postures(robot, block, count, past, scratch):
-    """Fill a block from its inputs and bends as they are, without solving."""
+def show_postures(robot, block, count, past, scratch, carry):
+    """Fill a block from its inputs and bends as they are, without solving; see `postures`."""
     chain = chain_at(robot)
     work, then = work_in(chain, scratch), memory_in(chain, past)
+    now = memory_in(chain, scratch + 8 * work_size(chain.n, chain.k))
     f = np.empty(unknowns(chain))
     for b in range(count):
         row, _, output = results_at(chain, address(block), count, b, work)
         solving = with_results(work, output.tensions, work.frames, work.origins)
         chain.residual(chain, row[0], row[1], solving, then, address(f))
+        if carry != 0:
+            remember_bends(chain, row[0], row[1], solving, then, now)
+            copy(now.bend, then.bend, memory_size(chain.n, chain.k, chain.m))
         show(chain, row, output)
 
 
@@ -330,7 +336,7 @@ def remembered(chain, sign, moved, section):
 @compiled
 def remember(chain, inputs, bend, work, past, now):
     """Fill the memory `now` after a posture that came after `past`, that of friction, too."""
-    remember_bends(chain, inputs, bend, past, now)
+    remember_bends(chain, inputs, bend, work, past, now)
     tendon_travel(chain, bend, stages.offset_scale(1.0, chain, 0), work)
     slides = stages.friction_travel_acts(chain)
     if slides:

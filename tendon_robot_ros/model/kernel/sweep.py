@@ -29,6 +29,7 @@ from .layout import (
     SMOOTHING,
     YES,
     compiled,
+    copy,
     entry,
     floats,
     fused,
@@ -414,6 +415,15 @@ def place_travel(chain, bend, work):
 
 
 @compiled
+def place_loads(chain, bend, work, past):
+    """Fill work with frames and the moments of the loads at a state, after the posture `past`."""
+    chain_frames(chain, bend, work)
+    if stages.push_acts(chain):
+        copy(past.held, work.held, 6 * chain.n)
+    chain.load_moments(chain, bend, work)
+
+
+@compiled
 def place_forces(chain, inputs, bend, work, past):
     """Fill work with tensions, frames and loads at a state; travel and moment arms are known."""
     friction, _, wraps, slides, remembers = active_stages(chain, YES)
@@ -422,8 +432,7 @@ def place_forces(chain, inputs, bend, work, past):
     carry_tensions(chain, inputs, bend, work, past, flags, moment_arms, scale)
     if loaded(chain):
         scale_lengths(chain, work)
-        chain_frames(chain, bend, work)
-        chain.load_moments(chain, bend, work)
+        place_loads(chain, bend, work, past)
 
 
 @compiled
@@ -480,5 +489,4 @@ def prepare(chain, inputs, guess, work, past, out):
         if lies_flat(chain, guess, work):
             chain.flat_moments(chain, guess, work)
         else:
-            chain_frames(chain, guess, work)
-            chain.load_moments(chain, guess, work)
+            place_loads(chain, guess, work, past)
