@@ -2,7 +2,7 @@
 RUN := tools/bootstrap.sh
 ARGS :=
 
-.PHONY: help venv docs paper test test-oldest test-slow test-blind demo bench figures lint format live
+.PHONY: help venv docs paper test test-long test-oldest test-slow test-blind demo bench figures lint format live
 .SILENT:
 # What pytest and its plugins compile is kept, whatever this machine's settings are: each process of
 # tests would else take a second for it, and conftest.py comes too late.
@@ -23,6 +23,9 @@ SPREAD := -n 4 --dist loadfile --no-loadscope-reorder
 
 test: ## the fast tests
 	$(RUN) python -m pytest $(SPREAD) $(ARGS)
+
+test-long: ## tests that take seconds each: diagnoses, whole commands, arms that move (minutes)
+	$(RUN) python -m pytest -m "long and not slow" $(SPREAD) $(ARGS)
 
 test-oldest: ## the same with the oldest numpy, scipy and numba that setup.py allows
 	VENV="$(CURDIR)/.venv-oldest" PIP_CONSTRAINT=tools/oldest.txt \

@@ -130,6 +130,7 @@ def test_postures_that_are_held_have_no_part_in_the_arm_beside_a_search(search, 
     assert error < 0.7 * before
 
 
+@pytest.mark.long
 def test_the_arm_as_found_is_the_last_step_where_left_out_errors_fall():
     dataset, check = (built(ROBOT, HIDDEN, 8, which=which, count=8) for which in (0, 1))
     found = improve(dataset, check=check, workers=1)

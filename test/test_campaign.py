@@ -41,6 +41,7 @@ def rows(tmp_path_factory):
         return run_plan(plan(), tmp_path_factory.mktemp('here') / 'out', workers)
 
 
+@pytest.mark.long
 def test_every_case_of_a_plan_is_judged(rows):
     assert [row.hidden for row in rows] == ['none', 'hinge_friction'] * 2
     assert [row.right for row in rows] == [True] * 4
@@ -49,6 +50,7 @@ def test_every_case_of_a_plan_is_judged(rows):
     assert all(row.truth == (rows[1].truth[0],) for row in rows[1::2])
 
 
+@pytest.mark.long
 def test_processes_say_the_same_bit_for_bit_in_another_order_and_from_where_they_were(
     rows, tmp_path
 ):

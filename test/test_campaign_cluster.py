@@ -18,6 +18,8 @@ from tendon_robot_ros.common.workers import Workers
 from tendon_robot_ros.model.versions import Preparation
 from tendon_robot_ros.studies.plan import run_plan
 
+pytestmark = pytest.mark.long
+
 pytest.importorskip('pyarrow')
 
 

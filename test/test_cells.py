@@ -48,6 +48,7 @@ def test_the_fit_is_that_of_generalised_least_squares():
     assert fit.freedom == len(white)
 
 
+@pytest.mark.long
 def test_scatter_alarms_where_nothing_is_declared_and_is_quiet_where_it_is():
     undeclared = [
         diagnose(scattered(seed), EXACT, CATALOGUE, 1).verdict != 'adequate' for seed in range(4)
@@ -59,6 +60,7 @@ def test_scatter_alarms_where_nothing_is_declared_and_is_quiet_where_it_is():
 
 
 @pytest.mark.parametrize('seed', [1, 2])
+@pytest.mark.long
 def test_an_effect_is_named_alone_in_spite_of_the_scatter(seed):
     found = diagnose(scattered(seed, {'hinge_friction': {'lever': 2e-4}}), ROBOT, CATALOGUE, 1)
     assert found.verdict == 'missing_effect'
@@ -68,6 +70,7 @@ def test_an_effect_is_named_alone_in_spite_of_the_scatter(seed):
 
 
 @pytest.mark.parametrize(('cell', 'factor'), [(3, 0.6), (6, 0.7)])
+@pytest.mark.long
 def test_scatter_is_no_excuse_for_a_soft_cell(cell, factor):
     found = diagnose(scattered(3, **{f'cell_{cell}': factor}), ROBOT, CATALOGUE, 1)
     assert found.verdict == 'outside_catalogue'

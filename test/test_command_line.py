@@ -113,6 +113,7 @@ def test_every_command_that_prints_a_result_prints_it_as_json(name):
 
 
 @pytest.mark.parametrize('name', RUN)
+@pytest.mark.long
 def test_the_example_of_a_help_runs(name, tmp_path):
     """Those of motors and nodes need an arm; test_docs.py runs the like."""
     prepare(tmp_path)

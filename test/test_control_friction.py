@@ -84,6 +84,7 @@ class AsBuilt:
         ('spatial', BENDS | MOTORS, SPRINGS, True, True),
     ],
 )
+@pytest.mark.long
 def test_a_target_is_the_same_place_from_every_side(arm, memory, wires, pull, built):
     robot, top = ARMS[arm]
     robot = replace(robot, effects=robot.effects | wires)

@@ -146,6 +146,7 @@ def test_a_refusal_is_an_answer_and_a_mistake_of_the_code_is_raised(worker):
         served(worker, lambda: False, 'the error')
 
 
+@pytest.mark.long
 def test_a_search_that_runs_does_not_outlive_the_interpreter(tmp_path):
     script = tmp_path / 'ends.py'
     script.write_text(ENDS_WHILE_SEARCHING)

@@ -10,7 +10,7 @@ from forked import Forked
 
 pytest.importorskip('rclpy')
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.long]
 ROOT = Path(__file__).parents[1]
 
 

@@ -32,6 +32,7 @@ def names(found):
     return [effect.name for effect in found.effects]
 
 
+@pytest.mark.long
 def test_a_blind_case_is_consistent_with_what_it_hides():
     found, hidden = diagnose(load_dataset(blind('d') / 'fit')), truth('d')
     assert (found.verdict, names(found)) == ('missing_effect', [hidden['hidden']])
@@ -50,6 +51,7 @@ def test_a_robot_that_hides_nothing_is_adequate():
     assert 1e-6 < found.details['detectable']['hinge_friction']['size'] < 1e-4
 
 
+@pytest.mark.long
 def test_a_cause_outside_the_catalogue_is_called_so():
     found = diagnose(load_dataset(blind('l') / 'fit'))
     assert found.verdict == 'outside_catalogue'
@@ -57,6 +59,7 @@ def test_a_cause_outside_the_catalogue_is_called_so():
     assert not found.adds
 
 
+@pytest.mark.long
 def test_a_cable_that_holds_the_arm_at_a_disk_is_a_string_or_a_force_at_a_place():
     found = diagnose(load_dataset(blind('g') / 'fit'))
     assert found.verdict == 'ambiguous'
@@ -64,6 +67,7 @@ def test_a_cable_that_holds_the_arm_at_a_disk_is_a_string_or_a_force_at_a_place(
     assert found.error_after < 0.2 * found.error_before
 
 
+@pytest.mark.long
 def test_a_value_that_is_off_is_no_missing_effect():
     robot = replace(ROBOT, effects={**ROBOT.effects, 'hinge_friction': {'lever': 1e-4}})
     found = diagnose(measured(robot, {'hinge_friction': {'lever': 3e-4}}, count=12))
@@ -72,6 +76,7 @@ def test_a_value_that_is_off_is_no_missing_effect():
     assert found.details['described'] == {'hinge_friction': {'lever': 1e-4}}
 
 
+@pytest.mark.long
 def test_two_effects_at_once_are_both_found():
     truths = {'hinge_friction': {'lever': 2e-4}, 'pre_curvature': {'angle_x': 0.01}}
     found = diagnose(measured(ROBOT, truths, count=12))
@@ -91,6 +96,7 @@ def test_without_the_true_effect_the_catalogue_has_no_answer(monkeypatch):
 
 
 @pytest.mark.parametrize('setting', [0.01, slow(0.03)])
+@pytest.mark.long
 def test_undeclared_setting_noise_yields_no_name(setting):
     dataset = measured(ROBOT, noise=replace(NOISE, setting=setting), count=12)
     found = diagnose(replace(dataset, setting_noise=0.0))
@@ -98,6 +104,7 @@ def test_undeclared_setting_noise_yields_no_name(setting):
     assert 'declare tension_noise: setting' in found.remainder
 
 
+@pytest.mark.long
 def test_one_tendon_cannot_tell_and_the_proposed_posture_can():
     inputs = np.outer([0.3, 0.5, 0.7, 0.9, 1.1, 1.3], [1.0, 0.0])
     truths = {'hinge_friction': {'lever': 2e-4}}
@@ -126,6 +133,7 @@ def test_wire_pulls_show_a_stretching_tendon():
     assert value.low <= 2e-3 <= value.high
 
 
+@pytest.mark.long
 def test_what_is_good_enough_for_the_user_is_adequate():
     section = EXACT.sections[0]
     soft = np.where(np.arange(section.cells) == 5, 0.75, 1.0) * section.bending_stiffness

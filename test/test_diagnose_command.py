@@ -135,6 +135,7 @@ def test_the_json_has_the_promised_keys(capsys, folder):
     assert written(folder) == []
 
 
+@pytest.mark.long
 def test_json_goes_beside_the_text_when_it_has_a_name(capsys, folder):
     lines = said(capsys, 'diagnose', 'i/fit', '--json', 'why.json')
     content = json.loads((folder / 'why.json').read_text())
@@ -185,6 +186,7 @@ def test_a_cause_outside_is_not_added(capsys, folder):
     assert written(folder) == ['exact.yaml']
 
 
+@pytest.mark.long
 def test_partial_adds_it_and_says_that_more_is_at_work(capsys, folder):
     added = ('--robot', exact(folder), '--add', 'better.yaml', '--partial')
     lines = said(capsys, 'diagnose', 'l/fit', *added)

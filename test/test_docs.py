@@ -50,6 +50,7 @@ def run_at_once(page, folder, slow):
 
 @pytest.mark.timeout(PAGE)
 @pytest.mark.parametrize('page', [page for page in DOCS if page not in LIVE], ids=str)
+@pytest.mark.long
 def test_the_blocks_of_a_page_run(page, tmp_path):
     run_at_once(page, prepare(tmp_path), slow=False)
 

@@ -169,6 +169,7 @@ def test_calibrate_finds_the_friction_and_the_torque_of_the_motor(
     assert not any(servo.torque for servo in line.rig.servos.values())
 
 
+@pytest.mark.long
 def test_calibrations_are_collected_in_one_file_that_the_driver_reads(scales, tmp_path):
     calibrate, _, config = scales
     assert calibrate('east', FEW) == 0

@@ -379,6 +379,7 @@ def test_an_arm_that_goes_over_from_one_wire_at_its_limit_to_another_pulls_no_mo
         command = goal
 
 
+@pytest.mark.long
 def test_on_the_mock_arm_no_wire_pulls_more_than_its_motor_holds_and_all_come_to_rest():
     robot = load_robot(ROBOTS / 'kato_10_1.yaml')
     plant, radius = make_plant(robot), 0.013

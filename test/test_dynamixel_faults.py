@@ -267,6 +267,7 @@ def pulled_arm():
     yield from arm_in('pull')
 
 
+@pytest.mark.long
 def test_a_motor_of_reduced_current_lets_the_arm_have_its_wire_and_is_strong_again(pulled_arm):
     driver, line, command = pulled_arm
     command = 2.0 * command
@@ -284,6 +285,7 @@ def test_a_motor_of_reduced_current_lets_the_arm_have_its_wire_and_is_strong_aga
     np.testing.assert_allclose(driver.read().tensions, held, atol=0.1)
 
 
+@pytest.mark.long
 def test_a_motor_limits_current_from_what_it_carries_and_no_goal_rises(pulled_arm):
     driver, line, command = pulled_arm
     settled(driver, command)

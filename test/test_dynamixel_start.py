@@ -239,6 +239,7 @@ def test_a_motor_that_winds_too_slowly_is_named(monkeypatch):
 
 
 @pytest.mark.parametrize('cycle', [1, 4])
+@pytest.mark.long
 def test_a_computer_that_is_late_while_it_looks_for_slack_goes_on_from_where_the_motors_are(
     cycle, monkeypatch
 ):
@@ -264,6 +265,7 @@ def test_a_computer_that_is_late_while_it_looks_for_slack_goes_on_from_where_the
         np.testing.assert_allclose(turns, np.abs(ticks), atol=30)
 
 
+@pytest.mark.long
 def test_a_computer_that_is_always_late_does_not_find_the_slack(monkeypatch):
     monkeypatch.setattr(motions, 'HICCUPS_MAX', 1)
     with emulated.line(slack=0.02) as line, driver_for(line, 'pull') as driver:

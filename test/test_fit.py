@@ -171,11 +171,13 @@ def coverage(effect, values, seeds=40):
 
 
 @pytest.mark.parametrize(('effect', 'values'), [HIDDEN[0], slow(*HIDDEN[1])])
+@pytest.mark.long
 def test_intervals_hold(effect, values):
     assert coverage(effect, values) >= 0.85  # 40 seeds: 95 % within 2.9 sd
 
 
 @pytest.mark.parametrize('size', [0.0, slow(1.0)])
+@pytest.mark.long
 def test_intervals_hold_at_a_bound(size):
     values = {'lever': 1e-5 * size}
     assert coverage('hinge_friction', values, 20) >= 0.85

@@ -252,6 +252,7 @@ def test_a_table_sorts_postures_and_markers_in_their_order():
     assert isinstance(compare(many).frame().marker.dtype, pandas.CategoricalDtype)
 
 
+@pytest.mark.long
 def test_results_say_themselves_and_show_a_table(tmp_path):
     comparison = compare(DATA, 'spatial_3')
     exact = replace(SHIPPED, exact=True)  # so that the diagnosis takes no time

@@ -153,6 +153,7 @@ def found(tmp_path_factory):
     return subject, made, folder, [news.text for news in said]
 
 
+@pytest.mark.long
 def test_it_names_what_is_hidden_with_half_of_the_twelve_postures(found):
     _, made, _, _ = found
     assert made.outcome is InvestigationEnd.NAMED
@@ -223,12 +224,14 @@ def test_interrupted_it_lets_go_and_goes_on_where_it_was(tmp_path):
         Investigation(stranger, Goal(), folder, resume=True)
 
 
+@pytest.mark.long
 def test_of_an_arm_without_a_hidden_effect_it_says_that_the_model_is_adequate():
     made = Investigation(arm({}, seed=5), Goal(start=7)).run()
     assert made.outcome is InvestigationEnd.ADEQUATE
     assert made.addition is None
 
 
+@pytest.mark.long
 def test_adequate_is_not_said_while_an_effect_may_move_the_tip_unseen():
     """Kinks of one sign hide among kinks at random: four miss nothing, six may name it."""
     # at the edge: a smaller one is named by six postures of fewer arms, or of none

@@ -27,6 +27,7 @@ def told(*arguments, timeout=500.0):
     return run.returncode, run.stdout + run.stderr
 
 
+@pytest.mark.long
 def test_the_story_of_a_hidden_effect_comes_true(tmp_path):
     """Of an arm of fewer cells: each has a stiffness of its own, which a diagnosis fits."""
     described = tmp_path / 'coarse.yaml'

@@ -196,6 +196,7 @@ def test_an_exact_description_is_tested_as_well(slipped):
     assert faults(replace(slipped, robot=robot), robot)[0]['posture'] == '5'
 
 
+@pytest.mark.long
 def test_the_diagnosis_says_and_draws_where_the_model_is_wrong():
     dataset = replace(measured(softened(9, 0.65)), robot=ROBOT)
     diagnosis = diagnose(dataset, catalogue=CATALOGUE, workers=1)

@@ -139,6 +139,7 @@ def test_a_target_is_reached_from_any_side(name, lag):
 
 
 @pytest.mark.parametrize('robot', [two_sections(4), COARSE], ids=['planar', 'spatial'])
+@pytest.mark.long
 def test_it_is_named_where_the_arm_remembers_and_its_loops_are_drawn(robot):
     """A sequence of an arm as built: named alone, with its size."""
     true = {'lag': 0.24 / robot.cells, 'presliding': 1.5}

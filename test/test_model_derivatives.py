@@ -135,6 +135,7 @@ def test_the_model_is_as_before_after_its_derivatives():
 
 
 @pytest.mark.parametrize('name', ['spatial_3', 'spatial_6'])
+@pytest.mark.long
 def test_every_posture_of_a_spatial_arm_has_its_equilibrium(name, request):
     """Tendons pull against each other, and half of the eyelets stick."""
     robot = load_robot(request.config.rootpath / f'config/robots/{name}.yaml')

@@ -68,6 +68,7 @@ def test_a_tendon_decides_the_side_of_an_arm_that_buckles():
         assert sign * bend[0] > 1.0
 
 
+@pytest.mark.long
 def test_ten_times_the_normal_loads_and_tensions():
     random, found = np.random.default_rng(5), []
     effects = {name: TYPICAL[name] for name in TYPICAL if name != 'section_stiffness'}
@@ -106,6 +107,7 @@ def test_solve_marks_the_postures_without_equilibrium_and_keeps_the_others():
 
 
 @pytest.mark.parametrize('bends_as', ['arc', 'hinge'])
+@pytest.mark.long
 def test_a_tendon_that_hardly_slides_is_solved(bends_as):
     """A tendon across the plane of bending is nearly neutral: plain repetition never settles."""
     names = ('tendon_friction', 'tendon_travel', 'eyelet_wrap')

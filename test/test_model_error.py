@@ -94,6 +94,7 @@ def off_by_itself(robot, hidden=None):
 
 @pytest.mark.parametrize('exact', [True, False], ids=['exact', 'as built'])
 @pytest.mark.parametrize('arm', ARMS)
+@pytest.mark.long
 def test_what_is_known_raises_no_alarm_and_what_is_more_does(arm, exact):
     robot = replace(ARMS[arm], exact=exact)
     assert diagnose(off_by_itself(robot)).verdict != 'adequate'
@@ -106,6 +107,7 @@ def test_what_is_known_raises_no_alarm_and_what_is_more_does(arm, exact):
     assert 'is known to be off by' in found.remainder
 
 
+@pytest.mark.long
 def test_an_interval_holds_what_the_model_is_off():
     loaded = of(ROBOT, measured(ROBOT, LOAD))
     sharp, wide = (

@@ -20,6 +20,7 @@ def kato(name):
     return load_robot(ROOT / f'config/robots/kato_{name}.yaml')
 
 
+@pytest.mark.long
 def test_the_page_holds_every_published_number_and_meets_it(tmp_path, capsys):
     pytest.importorskip('plotly')
     assert main(['study', 'paper', '--output', str(tmp_path / 'paper')]) == 0

@@ -24,6 +24,8 @@ from tendon_robot_ros.simulation.measurements import simulate
 from tendon_robot_ros.simulation.plant import make_plant
 from tendon_robot_ros.workspace.postures import default_postures
 
+pytestmark = pytest.mark.long
+
 ARMS = {  # robot, cell, fixed point [m], pull of the straight arm [N]
     'planar': ('kato_10_1_single', 8, (0.12, 0.0, 0.15), 0.06),
     'spatial': ('spatial_3', 8, (0.07, 0.08, 0.1), 0.05),

@@ -75,6 +75,7 @@ def test_deviations_of_near_inputs_cancel_in_part_and_those_of_far_ones_stay():
 
 
 @pytest.mark.parametrize('arm', ARMS)
+@pytest.mark.long
 def test_a_load_that_is_new_is_named_alone_on_an_arm_that_lacks_an_effect(arm):
     robot = ARMS[arm]
     inputs = default_postures(robot, 8)
@@ -91,6 +92,7 @@ def test_a_load_that_is_new_is_named_alone_on_an_arm_that_lacks_an_effect(arm):
 
 
 @pytest.mark.parametrize('arm', ARMS)
+@pytest.mark.long
 def test_nothing_has_changed_between_two_recordings_of_one_arm(arm):
     robot = ARMS[arm]
     inputs = default_postures(robot, 8)

@@ -36,6 +36,7 @@ def test_rods_are_met_with_and_without_a_force_at_the_tip(cells, table, without,
 
 @pytest.mark.parametrize(('disks', 'seed'), [slow(40, 0), (20, 2)])
 @pytest.mark.parametrize('exact', [True, False], ids=['exact', 'as built'])
+@pytest.mark.long
 def test_a_diagnosis_names_the_twist_of_a_rod_with_its_size(exact, disks, seed):
     found = diagnose(rods.measured('twisting', disks, seed=seed, exact=exact), workers=1)
     assert found.verdict == 'missing_effect'

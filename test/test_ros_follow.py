@@ -12,7 +12,7 @@ from plain import plain_numbers
 from ros_station import INPUTS, Station, last, start, values
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.long]
 SPACE = '/follow'
 PATH = """\
 time,x,y,z

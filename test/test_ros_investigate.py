@@ -32,7 +32,7 @@ from tendon_robot_ros.ros.commands.investigate import RunningArm
 from tendon_robot_ros.ros.shared.quality import LISTEN
 from tendon_robot_ros.simulation.plant import make_plant
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.long]
 FORCES = {'kato_10_1': 0.003, 'spatial_3': 0.01}  # [N] across the tip
 COARSE = 'coarse'  # kato_10_1 of fewer cells, which costs less
 NOISE = 2e-4  # [m]

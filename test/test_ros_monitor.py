@@ -20,7 +20,7 @@ from watched_arm import coarse
 
 from tendon_robot_ros.robot import dump_robot, load_robot
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.long]
 LOADED = 120.0  # [s] a busy machine may need to load the model
 TRACKER = 'tracker: {rate: 30.0, noise: 1.0e-4, missing: 0.1, lost: 0.1}'
 ROBOT = load_robot('kato_10_1')

@@ -27,7 +27,7 @@ from tendon_robot_ros.data.loading import import_bag
 from tendon_robot_ros.robot import dump_robot
 from tendon_robot_ros.ros.shared.quality import COMMAND, LATCHED
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.long]
 SPACE = '/recorded'
 STOOD, RATE = 1.5, PATIENT['driver']['rate']  # [s] in which it is seen at one place, [Hz]
 FRAMES = ('', 'kato_10_1_base', 'kato_10_1_tip')

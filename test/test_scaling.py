@@ -100,6 +100,7 @@ def noise_of(length):
         ('wire_spring', {'compliance': 1e-3}, 'displacement'),
     ],
 )
+@pytest.mark.long
 def test_a_scaled_robot_with_scaled_data_gets_the_same_verdict(name, values, kind):
     # exact: a tracker's millimetre does not scale
     robot = replace(planar(5, dict(FRICTION)), gravity=(0.0, 0.0, 0.0), exact=True)

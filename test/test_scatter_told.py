@@ -142,6 +142,7 @@ def told_fit(random, residual, slope):
 
 
 @pytest.mark.parametrize('members', [1, slow(3), 6, slow(20)])
+@pytest.mark.long
 def test_intervals_hold_as_often_as_they_say(members):
     """Exact over arms whose sizes are drawn from the prior, however few members tell the size."""
     draws, inside, plain = np.random.default_rng(members), [], []

@@ -126,6 +126,7 @@ def limp():
     return parse_robot(LIMP)
 
 
+@pytest.mark.long
 def test_a_tip_load_that_a_miscount_could_nearly_do_is_named(limp):
     dataset = measured(limp, {'tip_load': {'force_x': 0.1}}, count=8)
     looked = find_mistake(Predictor(dataset, limp, CATALOGUE), FLOOR, 1e-3)
@@ -138,6 +139,7 @@ def test_a_tip_load_that_a_miscount_could_nearly_do_is_named(limp):
     Stepwise(dataset, limp, CATALOGUE)  # improve does not refuse it either
 
 
+@pytest.mark.long
 def test_a_miscount_that_no_effect_explains_is_said(limp):
     right = measured(limp, count=6)
     arm = limp.sections[0]
@@ -281,6 +283,7 @@ effects: {gravity: {linear_density: 0.06}}
 """
 
 
+@pytest.mark.long
 def test_a_marker_elsewhere_is_tried_though_all_nearer_to_the_base_leave_less():
     arm = parse_robot(LOADED)
     right = measured(arm, {'tip_load': {'force_z': 0.09}}, count=8)
@@ -317,6 +320,7 @@ def test_gravity_may_be_wrong_before_the_frame_was_found_or_be_written_so_after(
     assert min(likely) == pytest.approx(left, rel=0.02)
 
 
+@pytest.mark.long
 def test_half_as_many_cells_on_the_same_length_are_told_beside_a_load():
     """The right number alone leaves more than others: a load makes up for the wrong one."""
     rubs = LOADED.replace('effects: {', 'effects: {tendon_friction: {friction_coefficient: 0.2}, ')
@@ -341,6 +345,7 @@ def test_half_as_many_cells_on_the_same_length_are_told_beside_a_load():
     assert one.explained.residual < session.whitener.floor()
 
 
+@pytest.mark.long
 def test_a_light_arm_may_hang_upside_down_where_a_load_makes_up_for_it():
     light = parse_robot(LIMP.replace('0.1364', '0.03'))
     right = measured(light, {'tip_load': {'force_x': 0.2}}, count=6)

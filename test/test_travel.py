@@ -141,6 +141,7 @@ def test_a_plug_pulled_in_the_middle_gives_no_second_way(free):
         assert free.attempt(driver) < TRAVEL + MORE
 
 
+@pytest.mark.long
 def test_a_search_that_succeeds_counts_for_nothing():
     with emulated.line(slack=0.006) as line:
         for _ in range(3):  # 6 mm each: together more than one may

@@ -90,6 +90,7 @@ def test_what_the_model_is_known_to_be_off_is_no_force(name, exact):
 
 
 @pytest.mark.parametrize('name', ARMS)
+@pytest.mark.long
 def test_of_a_shape_that_no_force_explains_the_covariance_is_one_nevertheless(name):
     robot, random = replace(ARMS[name], exact=True), np.random.default_rng(8)
     tensions = np.linspace(0.4, 0.8, len(robot.inputs))
@@ -102,6 +103,7 @@ def test_of_a_shape_that_no_force_explains_the_covariance_is_one_nevertheless(na
 
 
 @pytest.mark.parametrize('name', ARMS)
+@pytest.mark.long
 def test_the_known_error_counts_until_references_show_its_size(name):
     robot = replace(ARMS[name], model_error=3e-3)
     before = BuiltArm(robot, load_catalogue(), default_markers(robot), NOISE)
@@ -116,6 +118,7 @@ LACKED = 'transmission_loss', 0.05, 4e-3  # effect, its fraction [1], the error 
 
 @pytest.mark.parametrize('exact', [True, False], ids=['exact', 'as built'])
 @pytest.mark.parametrize('name', ARMS)
+@pytest.mark.long
 def test_the_error_of_a_description_comes_back_with_its_postures(name, exact):
     effect, fraction, error = LACKED
     robot, hidden = (
@@ -192,6 +195,7 @@ def known_arm(name, exact):
 @pytest.mark.parametrize('part', [0.4, 0.75, 1.0])
 @pytest.mark.parametrize('exact', [True, False], ids=['exact', 'as built'])
 @pytest.mark.parametrize('name', ARMS)
+@pytest.mark.long
 def test_a_contact_is_told_with_its_place_and_ends(name, exact, part):
     """A force across the arm that moves it by a few hundredths of its length."""
     arm, robot = known_arm(name, exact), FINE[name]
@@ -287,6 +291,7 @@ def test_an_arm_that_stays_as_it_is_raises_no_alarm(learned, watch):
 
 
 @pytest.mark.parametrize('name', ARMS)
+@pytest.mark.long
 def test_an_exact_arm_whose_load_cells_are_noisy_raises_no_alarm_and_a_gain_is_named(name):
     robot, random = replace(ARMS[name], exact=True), np.random.default_rng(2)
     plant = make_plant(robot, {}, seed=4, work=Workmanship().times(0.0))
@@ -320,6 +325,7 @@ def learned_from(robot, wrong=(), hidden=None):
 
 
 @pytest.mark.parametrize('robot', [load_robot('kato_10_1'), ROBOT], ids=['planar', 'spatial'])
+@pytest.mark.long
 def test_misread_references_are_no_part_of_what_is_learned(robot):
     """With one 2 mm off the arm was known five times and more as badly."""
     known, off = learned_from(robot), np.array([1.2e-3, -1.6e-3, 0.0])
@@ -390,6 +396,7 @@ def test_a_large_load_is_told_with_its_size_and_not_taken_for_a_tilted_base():
     assert sum(s.probability for s in suspects) == pytest.approx(1.0)
 
 
+@pytest.mark.long
 def test_a_load_that_the_arm_bends_over_for_is_found_from_another_start(monkeypatch):
     """From no load at all the fit ends in a minimum that is none of it."""
     robot = load_robot(ROOT / 'config' / 'robots' / 'kato_10_1.yaml')

@@ -28,6 +28,7 @@ def references(random, count=30, sizes=1.0):
         yield Reference(off, columns, np.eye(60))
 
 
+@pytest.mark.long
 def test_of_good_references_one_in_a_thousand_arms_loses_one_and_of_misread_ones_all_are_found():
     random, counts = np.random.default_rng(5), np.ones(30, dtype=bool)
     good = [contradicted(list(references(random)), counts).any() for _ in range(400)]
@@ -56,6 +57,7 @@ def well_known():
     return arm, free, random
 
 
+@pytest.mark.long
 def test_noise_is_learned_at_its_size_and_innovations_vary_as_expected(well_known):
     arm, free, random = well_known
     assert arm.setting * arm.plausible[arm._gains[0]] == pytest.approx(0.001)
@@ -71,6 +73,7 @@ def test_noise_is_learned_at_its_size_and_innovations_vary_as_expected(well_know
     assert 0.4 < off @ both[:, 0] / np.trace(both[:, 1:]) < 1.6  # all postures as one batch
 
 
+@pytest.mark.long
 def test_where_an_arm_hardly_bends_and_kinks_turn_its_friction_over_nothing_is_told():
     """Both tendons of a section pull nearly alike: the markers may be 1 mm off the tangent."""
     robot = load_robot(ROOT / 'config' / 'robots' / 'kato_10_1.yaml')

@@ -142,6 +142,7 @@ def test_without_friction_the_tips_of_one_section_lie_on_the_arcs_of_all_bends()
     assert volume.largest == pytest.approx(np.pi, abs=0.1)
 
 
+@pytest.mark.long
 def test_a_volume_is_the_same_bit_for_bit_from_processes_and_after_an_interruption(tmp_path):
     robot = two_sections(effects=FRICTION)
     sampling = Sampling.of(Model(robot), 9000, [1.0])
@@ -266,6 +267,7 @@ def test_cubes_are_as_small_as_the_shell_of_one_section_lets_them():
     assert Sampling.of(Model(two), postures=6000).edge == pytest.approx(two.length / 8.0)
 
 
+@pytest.mark.long
 def test_the_command_shows_all_tendons_of_an_arm_in_space(tmp_path, capsys):
     pytest.importorskip('plotly')
     robot = tmp_path / 'robot.yaml'
