@@ -19,8 +19,9 @@ from ..common.errors import InputError, NoEquilibriumError
 from ..common.local_stop import SILENCE_S
 from ..drivers.interface import SETTLED_S
 from ..drivers.safety import StopLatch, bounded
+from ..model.compile import GAP_ACCEPTED_M
 from ..model.program import RANGE_TOLERANCE, bounded_least_squares
-from ..model.pulls import GAP_ACCEPTED_M, transmitted
+from ..model.pulls import transmitted
 from ..model.shape import Reach, Shape
 from .inputs import Refusal, Settings, Target, Trajectory, Twist
 from .solver import GiveUp, Solver

@@ -36,6 +36,8 @@ BEND_TOLERANCE = 1e-10
 # way too: a longer one would err by as much as low tensions weigh in a search. Measured: with 6e-6
 # N those of a robot a fifth as large are others by up to 10 %
 LEAST_TENSION_N = 1e-6
+# [m] gap of a wire that ends a search, because friction near rest changes sign within 2e-6
+GAP_ACCEPTED_M = 5e-6
 KERNEL = Path(__file__).parent / 'kernel'
 _COMPOSED: dict[str, ModuleType] = {}
 

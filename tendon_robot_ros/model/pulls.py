@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,7 +14,7 @@ from ..common.estimation import ITERATIONS_MAX
 from ..common.words import FAR_M
 from ..robot.estimates import SAME_TENSION_N
 from ..robot.inputs import TensionsLike, input_rows, wire_pulls
-from .compile import LEAST_TENSION_N
+from .compile import GAP_ACCEPTED_M, LEAST_TENSION_N
 from .shape import ShapeBatch, WireSlopes
 
 if TYPE_CHECKING:
@@ -24,14 +23,6 @@ if TYPE_CHECKING:
     from .tip_task import TipTask
 
 Aim = Callable[[Floats, Floats, Floats], tuple[float, Floats]]
-# [m] gap of a wire that ends a search, because friction near rest changes sign within 2e-6
-GAP_ACCEPTED_M = 5e-6
-# [1] stretch of the wires over the arm's compliance: from so soft that each wire finds its tension
-# to so stiff that only 1e-4 of the pulls stretches, each so that the next search begins near
-SPRING_COMPLIANCES = (1e-1, 1e-2, 1e-3, 1e-4)
-# [1] of the limits, of a last search; measured: it solves 4 of 40 postures of spatial_3 with
-# friction memory that no other search does
-PRETENSION = 0.25
 
 
 def pull_shape(
@@ -74,10 +65,9 @@ def pull_shape(
 
 def held_shape(model: ForwardModel, pulls: Floats, guess: Shape | None, past: Floats) -> Shape:
     """Return the shape under pulls (m,) [m] behind the transmission, which follow a memory."""
-    start = None if guess is None else (guess.inputs, guess.state)
-    slopes = unknown_slopes(model, 1)
-    inputs, bend = _tensions(model, pulls, start, past, _compliance(model), slopes, 0)
-    return model.shape(inputs, bend, past)
+    start = None if guess is None else (guess.inputs[None], guess.state[None])
+    inputs, states = _met(model, pulls[None], start, past, unknown_slopes(model, 1), carry=False)
+    return model.shape(inputs[0], states[0], past)
 
 
 def transmitted(model: ForwardModel, pulls: Floats, memory: Floats | None) -> Floats:
@@ -149,21 +139,11 @@ def pull_shapes(
     targets = transmitted(model, commanded, memory)
     memory = memory if model.remembers else None
     first = None if memory is None else memory.copy()
-    inputs, shapes = np.empty((len(targets), len(model.inputs))), list[Floats]()
-    compliance, straight = _compliance(model), model.arrays.fresh_memory()
-    part = model.arrays.part('pulls')
+    start = None if tensions is None or bends is None else (tensions, bends)
     if slopes is None or slopes.states.shape[2] != model.arrays.unknowns:
         slopes = unknown_slopes(model, len(targets))
-    for b, target in enumerate(targets):
-        start = None if tensions is None or bends is None else (tensions[b], bends[b])
-        if start is None and memory is not None and shapes and slopes.sprung:
-            start = inputs[b - 1], shapes[-1]
-        past = straight if memory is None else memory
-        inputs[b], bend = _tensions(model, target, start, past, compliance, slopes, b)
-        shapes.append(bend)
-        if memory is not None:
-            part.keep_memory(model.arrays.address, memory, model.scratch)
-    states = np.array(shapes)
+    past = model.arrays.fresh_memory() if memory is None else memory
+    inputs, states = _met(model, targets, start, past, slopes, carry=memory is not None)
     batch = (
         model.shapes(inputs, states) if first is None else model.sequence(inputs, first, states)
     )
@@ -171,100 +151,55 @@ def pull_shapes(
     return replace(batch, slopes=slopes)
 
 
-def _tensions(
+def _met(
     model: ForwardModel,
-    target: Floats,
+    targets: Floats,
     start: tuple[Floats, Floats] | None,
     past: Floats,
-    compliance: float,
     slopes: WireSlopes,
-    b: int,
+    carry: bool,
 ) -> tuple[Floats, Floats]:
-    """
-    Find tensions (m,) [N] and state (3n,) [rad] that meet wire pulls (m,) [m].
-
-    Wires that stretch come first, from soft to stiff: lengths alone often do not determine how
-    hard two wires pull against each other, springs do. `b`: the place of the posture in `slopes`.
-    """
-    gap, best = np.inf, (np.zeros_like(target), np.zeros(3 * model.arrays.chain.n))
-    for search in searches(model, target, start, slopes.sprung):
-        inputs, bends = np.array(search.tensions), np.array([search.bend, search.bend])
-        known = slopes.near(b, target, search.bend)
-        problem = (model.arrays.address, inputs, target, bends, past, *known, model.scratch)
-        part, stretched = model.arrays.part('pulls'), True
-        for ratio in search.springs:
-            stretch = ratio * compliance
-            error = part.solve_elastic_wires(*problem, stretch, ITERATIONS_MAX)
-            stretched = error < part.STRETCH_ERROR_N * stretch
-            if not stretched:
-                break  # stiffer springs would do no better
-        if not stretched and search.held:
-            continue
-        error = float(part.solve_stiff_wires(*problem, ITERATIONS_MAX))
-        if error < gap:
-            gap, best = error, (inputs, bends[0])
-        if gap < GAP_ACCEPTED_M:
-            return best
-    if not np.isfinite(gap):
-        raise NoEquilibriumError('these wire pulls', model.implicit_effects, gap)
-    if gap > GAP_ACCEPTED_M:
-        named = ', '.join(
-            f'{name} {1e3 * value:g} mm'
-            for name, value in zip(model.inputs, target, strict=True)
-            if np.isfinite(value)
-        )
-        raise InputError(
-            f'pulls: no tensions give {named} together (off by {1e3 * gap:.2g} mm); '
-            'release one of the wires'
-        )
-    return best
+    """Return tensions (b, m) [N] and states (b, 3n) [rad] of wire pulls (b, m) [m]."""
+    part, count = model.arrays.part('pulls'), len(targets)
+    inputs, states = np.empty(targets.shape), np.empty((count, 3 * model.arrays.chain.n))
+    if start is not None:
+        inputs[:], states[:] = start
+    gaps, highs = np.empty(count), np.ascontiguousarray(model.limits[:, 1])
+    met = part.meet_pulls(
+        model.arrays.address,
+        inputs,
+        targets,
+        states,
+        past,
+        slopes.pulls,
+        slopes.states,
+        gaps,
+        model.scratch,
+        highs,
+        _compliance(model),
+        int(start is not None),
+        int(carry),
+        ITERATIONS_MAX,
+    )
+    if met == count:
+        return inputs, states
+    if not np.isfinite(gaps[met]):
+        raise NoEquilibriumError('these wire pulls', model.implicit_effects, gaps[met])
+    named = ', '.join(
+        f'{name} {1e3 * value:g} mm'
+        for name, value in zip(model.inputs, targets[met], strict=True)
+        if np.isfinite(value)
+    )
+    raise InputError(
+        f'pulls: no tensions give {named} together (off by {1e3 * gaps[met]:.2g} mm); '
+        'release one of the wires'
+    )
 
 
 def unknown_slopes(model: ForwardModel, count: int) -> WireSlopes:
     """Return the slopes of so many postures of which nothing is known."""
-    m, arrays = len(model.inputs), model.arrays
-    sprung = bool(arrays.part('pulls').wires_are_springs(arrays.address))
-    return WireSlopes(
-        np.full((count, m, m), np.nan), np.zeros((count, m, arrays.unknowns)), sprung
-    )
-
-
-@dataclass(frozen=True)
-class _PullSearch:
-    """Start of a search, and the springs it goes through."""
-
-    tensions: Floats
-    bend: Floats
-    springs: tuple[float, ...] = SPRING_COMPLIANCES
-    held: bool = True  # stiff wires are tried only where every spring converged
-
-
-def searches(
-    model: ForwardModel,
-    target: Floats,
-    start: tuple[Floats, Floats] | None,
-    sprung: bool = False,
-) -> Iterator[_PullSearch]:
-    """
-    Yield the searches: from the guess, from straight, and for wires that do not stretch.
-
-    Wires that are springs by themselves (`sprung`) need no others near a guess.
-
-    Springs that stretch by less than the travel over which friction changes sign (some µm) may
-    have no solution; wires that do not stretch have one there all the same, if not always the same
-    tensions: they come last. Of 980 postures of six robots without a guess, springs solve 906,
-    wires that do not stretch 35, from more tension 15, both at last 14 and 4; 6 have no solution.
-    """
-    if start is not None:
-        yield _PullSearch(*start, () if sprung else SPRING_COMPLIANCES[-1:])
-    straight = np.zeros(3 * model.arrays.chain.n)
-    pulled, taut = (np.where(on, 0.1, 0.0) for on in (target > 0.0, ~np.isnan(target)))
-    yield _PullSearch(pulled, straight)
-    yield _PullSearch(pulled, straight, ())
-    yield _PullSearch(3.0 * taut, straight, ())
-    last_resort = partial(_PullSearch, bend=straight, held=False)
-    yield last_resort(pulled)
-    yield last_resort(PRETENSION * model.limits[:, 1] * (taut > 0.0), springs=())
+    m = len(model.inputs)
+    return WireSlopes(np.full((count, m, m), np.nan), np.zeros((count, m, model.arrays.unknowns)))
 
 
 def _compliance(model: ForwardModel) -> float:

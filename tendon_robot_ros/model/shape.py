@@ -193,29 +193,15 @@ class WireSlopes:
 
     pulls: Floats  # (b, m, m) [m/N], NaN where they are not known
     states: Floats  # (b, m, u) [rad/N]
-    sprung: bool  # whether the wires are springs
 
     def of(self, rows: npt.NDArray[np.int64] | slice) -> WireSlopes:
         """Return those of some postures."""
-        return WireSlopes(self.pulls[rows], self.states[rows], self.sprung)
+        return WireSlopes(self.pulls[rows], self.states[rows])
 
     def put(self, rows: npt.NDArray[np.int64], others: WireSlopes) -> None:
         """Set those of some postures, if their states have as many entries."""
         if self.states.shape[2] == others.states.shape[2]:
             self.pulls[rows], self.states[rows] = others.pulls, others.states
-
-    def near(self, b: int, target: Floats, bend: Floats) -> tuple[Floats, Floats]:
-        """
-        Return those of pulls (m, m) [m/N] and states (m, u) [rad/N] of a posture, to be changed.
-
-        Unknown ones are those of the posture before; NaN where they are of other wires or far.
-        """
-        pulls, states = self.pulls[b], self.states[b]
-        if b > 0 and np.isnan(pulls[0, 0]):
-            pulls[:], states[:] = self.pulls[b - 1], self.states[b - 1]
-        if not bend.any() or (pulls.any(axis=1) == np.isnan(target)).any():
-            pulls[:] = np.nan
-        return pulls, states
 
 
 @dataclass(frozen=True)

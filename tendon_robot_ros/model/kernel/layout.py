@@ -21,6 +21,7 @@ from numba import njit, types
 from numba.extending import intrinsic, register_jitable
 
 from tendon_robot_ros.model.compile import BEND_TOLERANCE as BEND_TOLERANCE
+from tendon_robot_ros.model.compile import GAP_ACCEPTED_M as GAP_ACCEPTED_M
 from tendon_robot_ros.model.compile import LEAST_TENSION_N as LEAST_TENSION_N
 
 from .linking import EntryCompiler, LawCompiler, PartCompiler, record_type
