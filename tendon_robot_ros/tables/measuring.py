@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -11,6 +12,7 @@ import numpy as np
 from ..common.arrays import Floats, Ints
 from ..common.errors import DataSetError
 from ..common.words import digits
+from ..data.arrays import VALUES_MAX
 from ..data.bag_reader import Recording, Track
 from ..data.loading import plausible_inputs
 from ..data.still_segments import (
@@ -40,8 +42,6 @@ REST_FRACTION = 0.3
 # [1] of the range from the lowest input to the smallest load, below which inputs are let go,
 # because a load cell does not go back to exactly zero
 LET_GO_FRACTION = 0.2
-# [1] segments whose inputs are compared each with each, because 3,000 fill 36 MB
-LINKED_MAX = 3000
 
 RESTED = (
     'every posture was loaded from the straight arm (path: from_straight); if the arm went from '
@@ -325,7 +325,8 @@ def _guess_same(segments: Sequence[Segment]) -> float:
     Trials differ by what motors and load cells scatter, postures by what somebody chose: between
     the two there is a gap.
     """
-    inputs = np.nan_to_num([one.inputs for one in segments[:LINKED_MAX]])
+    compared = segments[: math.isqrt(VALUES_MAX)]  # each with each
+    inputs = np.nan_to_num([one.inputs for one in compared])
     size = float(np.abs(inputs).max()) or 1.0
     usual = float(f'{INPUT_TOLERANCE * size:.3g}')
     if len(segments) < 3:
