@@ -142,7 +142,7 @@ class Fleet:
             bag = is_bag(case.path)
             dataset = import_bag(case.path).dataset if bag else load_dataset(case.path)
             diagnosis = diagnose(dataset, catalogue=catalogue_of(self.effects), workers=1)
-            return case.row(**write_errors(dataset, diagnosis))
+            return case.row(**fields_of(dataset, diagnosis))
         except TendonRobotError as error:
             return case.refused(str(error))
         except Exception as error:  # the other measurements are diagnosed all the same
@@ -153,7 +153,7 @@ class Fleet:
         return case.refused(f'{workers} processes died over it')
 
 
-def write_errors(dataset: DataSet, diagnosis: Diagnosis) -> dict[str, Any]:
+def fields_of(dataset: DataSet, diagnosis: Diagnosis) -> dict[str, Any]:
     """Return what a row holds of a data set and its diagnosis."""
     fitted: dict[str, Value] = {}
     candidates: list[CandidateRow | EffectFinding] = [*diagnosis.candidates, *diagnosis.effects]
