@@ -156,7 +156,7 @@ def part(kind: type) -> Read:
 # fields of the dataclasses below: their type, and how the key of the same name is read
 Text = Annotated[str | None, RecipeFields.text]
 Numbers = Annotated[tuple[float, ...] | None, RecipeFields.list_of_numbers]
-XYZ = Annotated[Vector | None, lambda one, name: one.vector(name, 3)]
+Xyz = Annotated[Vector | None, lambda one, name: one.vector(name, 3)]
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ class MarkerColumns:
     name: Text = None  # of the marker in the data set
     # [m]; None: found by its place along the straight arm
     arc_length: Annotated[float | None, number(0.0, 100.0, 'm')] = None
-    offset: XYZ = None  # [m] in the frame there
+    offset: Xyz = None  # [m] in the frame there
     # columns in which it goes on, numbered anew
     later: Annotated[tuple[tuple[str, ...], ...] | None, RecipeFields.later] = None
 
@@ -206,8 +206,8 @@ class FrameChoice:
     """Where the tracker's frame lies: how it is found, or the result."""
 
     method: Annotated[str | None, word(METHODS)] = None
-    rotation: XYZ = None  # [rad] rotation vector, tracker to base
-    shift: XYZ = None  # [m] of the tracker's origin, in the base frame
+    rotation: Xyz = None  # [rad] rotation vector, tracker to base
+    shift: Xyz = None  # [m] of the tracker's origin, in the base frame
 
 
 @dataclass(frozen=True)
@@ -226,7 +226,7 @@ class Recipe:
     positions: Annotated[str | None, lambda one, name: one.unit(name, 'length')] = None
     points: Annotated[str | None, word(CHOICES)] = None  # where columns are guessed
     markers: Annotated[tuple[MarkerColumns, ...] | None, RecipeFields.markers] = None
-    offset: XYZ = None  # [m] of all markers, where columns are guessed
+    offset: Xyz = None  # [m] of all markers, where columns are guessed
     places: Numbers = None  # [m] arc lengths from base to tip, where columns are guessed
     up: Annotated[str | None, word(UPS)] = None  # axis of the tracker
     delay: Numbers = None  # [s] that the tracker's file begins later, of each recording
