@@ -17,6 +17,7 @@ import numpy as np
 
 from ..common.errors import InputError
 from ..common.files import file_to_write, new_file, new_folder, write_text
+from ..common.results import plain
 from ..common.words import PROGRAM, columns, other_unit
 from ..data.path_files import TendonRows, TipRows, write_path
 from ..drivers.tendon_check import STILL_TOLERANCE_M
@@ -204,7 +205,6 @@ def stiffness_content(model: Model, reach: Reach) -> dict[str, float]:
 
 def reach_content(model: Model, reach: Reach) -> dict[str, Any]:
     """Return what the JSON holds (SI)."""
-    stiffness = stiffness_content(model, reach)
     return {
         'tensions': dict(zip(model.inputs, reach.tensions.tolist(), strict=True)),
         'pulls': dict(zip(model.inputs, reach.pulls.tolist(), strict=True)),
@@ -212,7 +212,7 @@ def reach_content(model: Model, reach: Reach) -> dict[str, Any]:
         'error': {'position': reach.position_error, 'direction': reach.direction_error},
         'status': reach.status,
         'region': reach.region,
-        'tip_stiffness': {k: v if np.isfinite(v) else None for k, v in stiffness.items()},
+        'tip_stiffness': plain(stiffness_content(model, reach)),
     }
 
 

@@ -18,7 +18,7 @@ import yaml
 
 from ..common.errors import InputError
 from ..common.files import new_file, write_text
-from ..common.words import COMPILING, PROGRAM, STANDARD_GRAVITY, columns, mm
+from ..common.words import COMPILING, PROGRAM, STANDARD_GRAVITY, columns, counted, mm
 from ..report.in_words import route, rows
 from ..robot import Robot, dump_robot, load_robot, parse_robot
 from ..robot.estimates import (
@@ -447,8 +447,8 @@ def description(robot: Robot) -> str:
     length = sum(section.cells * section.cell_length for section in own)
     plate = ', on a base plate with holes' if len(own) < len(robot.sections) else ''
     size = (
-        f'{_count(len(own), "section")}, {_count(sum(s.cells for s in own), "cell")}, '
-        f'{_count(len(robot.tendons), "tendon")}, {1e3 * length:g} mm{plate}'
+        f'{counted(len(own), "section")}, {counted(sum(s.cells for s in own), "cell")}, '
+        f'{counted(len(robot.tendons), "tendon")}, {1e3 * length:g} mm{plate}'
     )
     lines = [
         f'robot {robot.name}: {size}',
@@ -486,10 +486,6 @@ def model_name(robot: Robot) -> str:
         return f'FKM (tendon_friction, friction coefficient {friction})'
     base = 'FKM' if 'tendon_friction' in names else 'PCCA'
     return f'{base} + {", ".join(name for name in names if name != "tendon_friction")}'
-
-
-def _count(number: int, what: str) -> str:
-    return f'{number} {what}{"" if number == 1 else "s"}'
 
 
 def section_table(robot: Robot) -> str:

@@ -5,9 +5,13 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
+import math
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
 from typing import Any
+
+import numpy as np
 
 from .errors import MissingExtraError
 from .files import file_to_write, write_text
@@ -68,6 +72,26 @@ def make_frame(
     frame = package.DataFrame({**columns, **names})
     frame.attrs['units'] = {name: units[name] for name in columns if name in units}
     return frame
+
+
+def plain(value: Any) -> Any:
+    """
+    Return a value as JSON holds it; a number that is not finite is null.
+
+    Arrays and tuples are lists; an object gives its `to_json()`, or the fields of a dataclass.
+    """
+    if hasattr(value, 'to_json'):
+        return value.to_json()
+    if is_dataclass(value):
+        value = {one.name: getattr(value, one.name) for one in fields(value)}
+    if isinstance(value, Mapping):
+        return {key: plain(one) for key, one in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        finite = np.isfinite(value) if value.dtype.kind == 'f' else True
+        return np.where(finite, value, np.array(None, dtype=object)).tolist()
+    if isinstance(value, list | tuple):
+        return [plain(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 JSON_OPTION: dict[str, Any] = {

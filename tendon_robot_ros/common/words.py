@@ -96,10 +96,15 @@ def commands(inputs: Mapping[str, float | None], kind: str = 'tension') -> str:
     return ', '.join(parts) or 'nothing pulled'
 
 
+def counted(count: int, what: str) -> str:
+    """Say how many there are: '1 cell', '2 cells'."""
+    return f'{count} {what}{"" if count == 1 else "s"}'
+
+
 def postures(count: int, resting: int = 0) -> str:
     """Describe the number of postures, and how many of them are the arm at rest."""
     rest = f' ({"one" if resting == 1 else resting} at rest)' if resting else ''
-    return f'{count} posture{"" if count == 1 else "s"}{rest}'
+    return f'{counted(count, "posture")}{rest}'
 
 
 def listing(names: Iterable[str]) -> str:

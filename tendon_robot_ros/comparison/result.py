@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
 from pathlib import Path
@@ -20,7 +20,7 @@ import numpy.typing as npt
 from ..common.arrays import Floats
 from ..common.errors import InputError
 from ..common.files import read_text
-from ..common.results import TextResult, make_frame
+from ..common.results import TextResult, make_frame, plain
 from ..inference.statistics import (
     Estimate,
     PairedT,
@@ -293,19 +293,16 @@ def to_json(comparison: Comparison) -> dict[str, Any]:
     """Return plain data: what to read first, then everything that a report draws."""
     measured = comparison.measured
     markers = zip(measured.markers, measured.arc_lengths.tolist(), strict=True)
-    inputs = [dict(zip(measured.input_names, row, strict=True)) for row in _plain(measured.inputs)]
+    inputs = [dict(zip(measured.input_names, row, strict=True)) for row in plain(measured.inputs)]
     return {
         'format': FORMAT,
         'data': measured.data,
-        'noise_floor': _plain(measured.noise_floor),
-        'noise_floor_per_marker': _plain(measured.floor_per_marker),
-        'position_noise': _plain(measured.position_noise),
+        'noise_floor': plain(measured.noise_floor),
+        'noise_floor_per_marker': plain(measured.floor_per_marker),
+        'position_noise': plain(measured.position_noise),
         'error': comparison.error,
         'models': [_model_to_json(comparison, model) for model in comparison.models],
-        'paired_t': [
-            {**asdict(test), 'models': list(test.models), 't': _plain(test.t)}
-            for test in comparison.paired_t
-        ],
+        'paired_t': plain(comparison.paired_t),
         'markers': [{'name': name, 'arc_length': s} for name, s in markers],
         'per_cell': measured.per_cell,
         'input': measured.input,
@@ -333,7 +330,7 @@ def _model_to_json(comparison: Comparison, model: ModelErrors) -> dict[str, Any]
         'rms': model.rms,
         'max': model.max,
         'tip_error': _estimate(model.tip_error(error)),
-        'per_marker_rms': _plain(model.per_marker_rms),
+        'per_marker_rms': plain(model.per_marker_rms),
         'grows_from': None if first is None else measured.markers[first],
         'worst_posture': measured.postures[comparison.worst_posture(model)],
         'per_posture': _rows(
@@ -403,26 +400,14 @@ def from_json(content: dict[str, Any]) -> Comparison:
     return Comparison(measured, tuple(models), content['error'])
 
 
-def _estimate(value: Estimate) -> dict[str, Any]:
-    numbers = {key: _plain(getattr(value, key)) for key in ('mean', 'low', 'high')}
-    return {**numbers, 'n': value.n}
-
-
-def _plain(value: Any) -> Any:
-    """Return a number, or an array as nested lists, with null for what is missing."""
-    if value is None:
-        return None
-    array = np.asarray(value, dtype=float)
-    return np.where(np.isfinite(array), array, np.array(None, dtype=object)).tolist()
+def _estimate(value: Estimate) -> Any:
+    return plain({key: getattr(value, key) for key in ('mean', 'low', 'high', 'n')})
 
 
 def _rows(**columns: Any) -> list[dict[str, Any]]:
     """Return a row per posture of columns (P, ...); of one that is None, null in each."""
     return [
-        {
-            key: _plain(column[p]) if isinstance(column, np.ndarray) else column and column[p]
-            for key, column in columns.items()
-        }
+        {key: None if column is None else plain(column[p]) for key, column in columns.items()}
         for p in range(len(columns['posture']))
     ]
 

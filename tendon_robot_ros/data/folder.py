@@ -197,24 +197,24 @@ def _markers(fields: DatasetFields, robot: Robot) -> tuple[Marker, ...]:
 
 def dump_description(dataset: DataSet) -> str:
     """Write a dataset.yaml beside a robot.yaml; reading it gives the same values."""
-    content: dict[str, Any] = {'robot': 'robot.yaml', 'input': dataset.input, 'path': dataset.path}
-    if dataset.gravity is not None:
-        content['gravity'] = list(dataset.gravity)
-    if dataset.position_noise is not None:
-        content['position_noise'] = dataset.position_noise
     noise = {'setting': dataset.setting_noise, 'trial': dataset.trial_noise}
-    if any(noise.values()):
-        content['tension_noise'] = noise
-    if dataset.accuracy is not None:
-        content['accuracy'] = dataset.accuracy
-    if dataset.known:
-        content['known'] = {name: dict(values) for name, values in dataset.known.items()}
+    content: dict[str, Any] = {
+        'robot': 'robot.yaml',
+        'input': dataset.input,
+        'path': dataset.path,
+        'gravity': None if dataset.gravity is None else list(dataset.gravity),
+        'position_noise': dataset.position_noise,
+        'tension_noise': noise if any(noise.values()) else None,
+        'accuracy': dataset.accuracy,
+        'known': {name: dict(values) for name, values in dataset.known.items()} or None,
+    }
     if dataset.markers != default_markers(dataset.robot):
         content['markers'] = [
             {'name': marker.name, 'arc_length': marker.arc_length}
             | ({'offset': list(marker.offset)} if any(marker.offset) else {})
             for marker in dataset.markers
         ]
+    content = {key: value for key, value in content.items() if value is not None}
     return str(
         yaml.safe_dump(content, sort_keys=False, default_flow_style=None, allow_unicode=True)
     )

@@ -15,7 +15,7 @@ import numpy as np
 from ..common.arrays import Floats
 from ..common.colours import ERROR, GOOD, HELD_OUT, PREDICTED
 from ..common.files import write_text
-from ..common.results import TextResult, make_frame
+from ..common.results import TextResult, make_frame, plain
 from ..common.words import LISTED_MAX
 from ..effects import Catalogue
 from ..inference.description import PROFILE
@@ -135,9 +135,9 @@ class Diagnosis(TextResult):
 
     def to_json(self) -> dict[str, Any]:
         """Return plain data for JSON, NaN and infinity as null."""
-        plain = asdict(self)
-        first = {key: plain.pop(key) for key in ('format', 'verdict', 'effects')}
-        return dict(_plain({**first, **plain}))
+        content = asdict(self)
+        first = {key: content.pop(key) for key in ('format', 'verdict', 'effects')}
+        return dict(plain({**first, **content}))
 
     def frame(self) -> Any:
         """
@@ -211,16 +211,6 @@ class Diagnosis(TextResult):
     def save(self, path: str | Path) -> None:
         """Write the JSON file."""
         write_text(path, json.dumps(self.to_json(), indent=1))
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and not abs(value) < 1e300:
-        return None
-    return value
 
 
 @dataclass(frozen=True)

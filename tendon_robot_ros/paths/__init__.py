@@ -1,6 +1,5 @@
 """
 Paths of the tip.
 
-path.py   sampled through given rows, stretched until speeds and tension rates are kept; what a run
-          along one reached
+path.py   sampled through given rows, stretched until speeds and tension rates are kept
 """

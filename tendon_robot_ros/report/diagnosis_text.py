@@ -12,7 +12,7 @@ from string import Formatter
 
 import numpy as np
 
-from ..common.words import columns, commands, digits, listed, mm, percent, postures
+from ..common.words import columns, commands, counted, digits, listed, mm, percent, postures
 from ..diagnosis.add import Addition
 from ..diagnosis.result import Diagnosis, NextMeasurement
 from ..diagnosis.verdict import P_SINGLE_MIN, SAME_ERROR_RATIO, SEPARABLE_FROM_SD, Verdict
@@ -63,8 +63,7 @@ def size(diagnosis: Diagnosis) -> str:
     details = diagnosis.details
     if 'postures' not in details:
         return 'diagnosis'
-    counts = (details['trials'], 'trial'), (details['markers'], 'marker')
-    parts = [f'{n} {name}{"" if n == 1 else "s"}' for n, name in counts]
+    parts = [counted(details['trials'], 'trial'), counted(details['markers'], 'marker')]
     measured = postures(details['postures'], details.get('at_rest', 0))
     return f'{details["robot"]} on {details["data"]}: {listed([measured, *parts])}'
 
@@ -432,7 +431,7 @@ def error_table(addition: Addition) -> str:
     alone = ['effects alone'] if addition.beside else []
     table = [['error (rms)', 'before', *alone, 'after', 'noise floor', 'gone']]
     for errors in (addition.fitted, addition.check):
-        count = f'{errors.postures} posture{"" if errors.postures == 1 else "s"}'
+        count = counted(errors.postures, 'posture')
         numbers = [mm(errors.before), mm(errors.after), mm(errors.floor)]
         if addition.beside:  # the effects alone; without the arm as found there may be no shape
             known = errors.alone is not None and math.isfinite(errors.alone)
@@ -480,7 +479,7 @@ def _count(changes: Sequence[float], what: str) -> str:
     """Say how many changed, and between which changes."""
     low, high = (f'{100.0 * change:+.2g}' for change in (min(changes), max(changes)))
     size = f'{low} %' if low == high else f'{low} to {high} %'
-    return f'{len(changes)} {what}{"" if len(changes) == 1 else "s"} ({size})'
+    return f'{counted(len(changes), what)} ({size})'
 
 
 def model_error_note(error: float) -> str:

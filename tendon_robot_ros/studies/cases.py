@@ -279,7 +279,8 @@ def is_visible(case: Case, sim: Simulated) -> bool:
     before = Predictor(sim.fit, sim.robot, sim.catalogue)
     slopes = input_slopes(before, {})
     noise = estimate_noise(sim.fit, slopes)
-    real = sim.robot.with_effect(case.hidden, true_values(case, sim))
+    values = chosen(sim.catalogue[case.hidden], sim.values, sim.robot)
+    real = sim.robot.with_effect(case.hidden, values)
     after = Predictor(sim.fit, real, sim.catalogue).markers({})
     markers = before.markers({})
     if after is None or markers is None or noise is None:
@@ -293,17 +294,6 @@ def is_visible(case: Case, sim: Simulated) -> bool:
     sizes = case.level * np.where(np.isfinite(random.plausible), random.plausible, 0.0)
     unexplained = random.lift(random.root(sizes), white)
     return float(unexplained @ unexplained) > VISIBLE_FROM_CHI2
-
-
-def true_values(case: Case, sim: Simulated) -> dict[str, float | tuple[float, ...]]:
-    """Spread the hidden values over sections as the plant does."""
-    sections = len(sim.robot.sections)
-    return {
-        parameter.name: tuple(np.broadcast_to(sim.values[parameter.name], sections).tolist())
-        if parameter.per_section
-        else float(np.asarray(sim.values[parameter.name]))
-        for parameter in sim.catalogue[case.hidden].parameters
-    }
 
 
 def truth_of(case: Case, sim: Simulated, keys: Mapping[str, object]) -> dict[str, float]:

@@ -27,7 +27,7 @@ import numpy as np
 from ..cli.options import add_cluster, declare, emit, progress
 from ..common.colours import BEFORE, FLOOR, PREDICTED
 from ..common.errors import InputError, TendonRobotError
-from ..common.words import columns, digits, listed, mm, scale_of
+from ..common.words import columns, counted, digits, listed, mm, scale_of
 from ..common.workers import Workers
 from ..common.yaml_reading import parse_yaml
 from ..data import DataSet, load_dataset
@@ -142,7 +142,7 @@ class Fleet:
             bag = is_bag(case.path)
             dataset = import_bag(case.path).dataset if bag else load_dataset(case.path)
             diagnosis = diagnose(dataset, catalogue=catalogue_of(self.effects), workers=1)
-            return case.row(**write_errors(dataset, diagnosis))
+            return case.row(**fields_of(dataset, diagnosis))
         except TendonRobotError as error:
             return case.refused(str(error))
         except Exception as error:  # the other measurements are diagnosed all the same
@@ -153,7 +153,7 @@ class Fleet:
         return case.refused(f'{workers} processes died over it')
 
 
-def write_errors(dataset: DataSet, diagnosis: Diagnosis) -> dict[str, Any]:
+def fields_of(dataset: DataSet, diagnosis: Diagnosis) -> dict[str, Any]:
     """Return what a row holds of a data set and its diagnosis."""
     fitted: dict[str, Value] = {}
     candidates: list[CandidateRow | EffectFinding] = [*diagnosis.candidates, *diagnosis.effects]
@@ -332,9 +332,8 @@ def fleet_text(rows: Sequence[FleetRow]) -> list[str]:
 def fleet_page(rows: Sequence[FleetRow], title: str) -> Page:
     """Return the page: what changed, and a history per robot."""
     own = histories(rows)
-    counts = {'recording': sum(map(len, own.values())), 'robot': len(own)}
-    totals = [f'{count} {what}{"" if count == 1 else "s"}' for what, count in counts.items()]
-    page = Page(title, ' of '.join(totals))
+    recordings = counted(sum(map(len, own.values())), 'recording')
+    page = Page(title, f'{recordings} of {counted(len(own), "robot")}')
     page.box(change_lines(rows), 'verdict', 'What changed when')
     if problems(rows):
         page.box(problems(rows), 'warn', 'Left out')

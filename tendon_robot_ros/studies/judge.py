@@ -9,12 +9,13 @@ from __future__ import annotations
 import collections
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, replace
 from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 
+from ..common.results import plain
 from ..diagnosis.add import add_effects
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import Diagnosis, found_values
@@ -132,12 +133,11 @@ class Setup:
 def diagnosis_fields(diagnosis: Diagnosis) -> dict[str, Any]:
     """Return the fields of a row that describe a diagnosis."""
     errors = diagnosis.error_before, diagnosis.error_after, diagnosis.noise_floor
-    known = [float(error) if np.isfinite(error) else None for error in errors]
     return {
         'verdict': str(diagnosis.verdict),
         'effects': tuple(effect.name for effect in diagnosis.effects),
         'group': diagnosis.cannot_tell_apart,
-        **dict(zip(('before', 'after', 'floor'), known, strict=True)),
+        **dict(zip(('before', 'after', 'floor'), plain(errors), strict=True)),
     }
 
 
@@ -256,6 +256,11 @@ class Rate:
     def interval(self) -> tuple[float, float]:
         """Return its 95 % interval."""
         return wilson(self.hits, self.runs)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return its share, its 95 % interval and its counts."""
+        low, high = self.interval
+        return {'share': self.share, 'low': low, 'high': high, **vars(self)}
 
     def __str__(self) -> str:
         if not self.runs:
@@ -417,22 +422,10 @@ def to_json(rows: Sequence[CaseRow]) -> dict[str, Any]:
     """Return all figures as plain data."""
     return {
         'cases': len(rows),
-        'rates': _plain(rates(rows)),
-        'rates_by_robot': _plain(rates_by_robot(rows)),
-        'rates_by_hidden': _plain(rates_by_hidden(rows)),
-        'power': [{**_plain(one), 'smallest': one.smallest} for one in powers(rows)],
-        'coverage': [{'nominal': nominal, **_plain(rate)} for nominal, rate in coverage(rows)],
+        'rates': plain(rates(rows)),
+        'rates_by_robot': plain(rates_by_robot(rows)),
+        'rates_by_hidden': plain(rates_by_hidden(rows)),
+        'power': [{**plain(one), 'smallest': one.smallest} for one in powers(rows)],
+        'coverage': [{'nominal': nominal, **plain(rate)} for nominal, rate in coverage(rows)],
         'seconds': float(np.median([row.seconds for row in rows])) if rows else None,
     }
-
-
-def _plain(value: Any) -> Any:
-    """Return figures as JSON holds them; a rate as its share, 95 % interval and counts."""
-    if isinstance(value, Rate):
-        low, high = value.interval
-        return {'share': value.share, 'low': low, 'high': high, **asdict(value)}
-    if is_dataclass(value):
-        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
-    if isinstance(value, dict):
-        return {key: _plain(one) for key, one in value.items()}
-    return [_plain(one) for one in value] if isinstance(value, (list, tuple)) else value

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -11,6 +12,7 @@ import numpy as np
 from ..common.arrays import Floats, Ints
 from ..common.errors import DataSetError
 from ..common.words import digits
+from ..data.arrays import VALUES_MAX
 from ..data.bag_reader import Recording, Track
 from ..data.loading import plausible_inputs
 from ..data.still_segments import (
@@ -40,8 +42,6 @@ REST_FRACTION = 0.3
 # [1] of the range from the lowest input to the smallest load, below which inputs are let go,
 # because a load cell does not go back to exactly zero
 LET_GO_FRACTION = 0.2
-# [1] segments whose inputs are compared each with each, because 3,000 fill 36 MB
-LINKED_MAX = 3000
 
 RESTED = (
     'every posture was loaded from the straight arm (path: from_straight); if the arm went from '
@@ -117,6 +117,20 @@ class StillMeasurements:
 
     Still segments are found, and named by posture and trial.
 
+    Attributes
+    ----------
+    pieces : list of Piece
+        The recordings.
+    segments : list of Segment
+    rule : Rule
+        When the arm counts as still.
+    same, rest : float [N] or [m]
+        Inputs that differ by less are those of one posture; below, the arm rests (0: never).
+    delays, drifts : tuple of float [s], [s/s]
+        That the tracker's file begins later, and its clock loses, by recording; () of one clock.
+    dropped, assumed, warnings : list of str
+        Excluded readings; assumptions; exchanged markers, contradictions of the assumed history.
+
     Raises
     ------
     DataSetError
@@ -130,7 +144,6 @@ class StillMeasurements:
         still = recipe.still
         rule = Rule(still.speed or Rule.speed, still.duration or Rule.duration, still.change)
         rule = rule.fill(robot, kind)
-        # [s] that the tracker's file begins later, by recording; [s/s] that its clock loses
         self.delays = tuple(one.delay for one in traces if one.delay is not None)
         self.drifts = tuple(one.drift for one in traces if one.delay is not None)
         labels = [marker_label(marker.columns) for marker in recipe.markers or ()]
@@ -158,7 +171,6 @@ class StillMeasurements:
             known = [motion for motion in motions if motion is not None]
             times = [one.recording.tracks[0].times for one in traces]
             raise never_still(name, known, times, rule)
-        # [N] or [m] inputs that differ by less are those of one posture
         self.same = _guess_same(segments) if recipe.same is None else recipe.same
         rest = recipe.rest
         if rest is None:
@@ -167,7 +179,7 @@ class StillMeasurements:
                 self.assumed.append(
                     f'where all inputs are below {digits(rest, 3)} {unit} the arm rests'
                 )
-        self.rest = rest  # [N] or [m] below, the arm rests; 0: it never does
+        self.rest = rest
         self.pieces = [_without_rest(piece, rest, i == 0) for i, piece in enumerate(pieces)]
         self.dropped += _dropped_lines(self.pieces, labels)
         kept = [one for piece in self.pieces for one in piece.segments]
@@ -325,7 +337,8 @@ def _guess_same(segments: Sequence[Segment]) -> float:
     Trials differ by what motors and load cells scatter, postures by what somebody chose: between
     the two there is a gap.
     """
-    inputs = np.nan_to_num([one.inputs for one in segments[:LINKED_MAX]])
+    compared = segments[: math.isqrt(VALUES_MAX)]  # each with each
+    inputs = np.nan_to_num([one.inputs for one in compared])
     size = float(np.abs(inputs).max()) or 1.0
     usual = float(f'{INPUT_TOLERANCE * size:.3g}')
     if len(segments) < 3:

@@ -80,11 +80,6 @@ class RecipeFields(DatasetFields):
         values = self.numbers(name)
         return values if isinstance(values, tuple) else (values,)
 
-    def xyz(self, name: str) -> Vector:
-        """Return three numbers."""
-        x, y, z = self.vector(name, 3)
-        return x, y, z
-
     def unit(self, name: str, *kinds: str) -> str:
         """Return a unit of these kinds."""
         text = self.text(name)
@@ -93,10 +88,6 @@ class RecipeFields(DatasetFields):
             known = ', '.join(unit for kind in kinds for unit in UNITS[kind])
             raise self.error(name, f'one of {known}', text)
         return text
-
-    def length_unit(self, name: str) -> str:
-        """Return a unit of lengths."""
-        return self.unit(name, 'length')
 
     def markers(self, name: str) -> tuple[MarkerColumns, ...]:
         """Return the columns of each marker."""
@@ -165,7 +156,7 @@ def part(kind: type) -> Read:
 # fields of the dataclasses below: their type, and how the key of the same name is read
 Text = Annotated[str | None, RecipeFields.text]
 Numbers = Annotated[tuple[float, ...] | None, RecipeFields.list_of_numbers]
-XYZ = Annotated[Vector | None, RecipeFields.xyz]
+Xyz = Annotated[Vector | None, lambda one, name: one.vector(name, 3)]
 
 
 @dataclass(frozen=True)
@@ -177,7 +168,7 @@ class MarkerColumns:
     name: Text = None  # of the marker in the data set
     # [m]; None: found by its place along the straight arm
     arc_length: Annotated[float | None, number(0.0, 100.0, 'm')] = None
-    offset: XYZ = None  # [m] in the frame there
+    offset: Xyz = None  # [m] in the frame there
     # columns in which it goes on, numbered anew
     later: Annotated[tuple[tuple[str, ...], ...] | None, RecipeFields.later] = None
 
@@ -215,8 +206,8 @@ class FrameChoice:
     """Where the tracker's frame lies: how it is found, or the result."""
 
     method: Annotated[str | None, word(METHODS)] = None
-    rotation: XYZ = None  # [rad] rotation vector, tracker to base
-    shift: XYZ = None  # [m] of the tracker's origin, in the base frame
+    rotation: Xyz = None  # [rad] rotation vector, tracker to base
+    shift: Xyz = None  # [m] of the tracker's origin, in the base frame
 
 
 @dataclass(frozen=True)
@@ -231,10 +222,11 @@ class Recipe:
     # inputs count from their value when the arm first stands still
     zero: Annotated[bool | None, RecipeFields.flag] = None
     spool: Annotated[WireSpool, part(WireSpool)] = WireSpool()
-    positions: Annotated[str | None, RecipeFields.length_unit] = None  # of the markers
+    # of the markers
+    positions: Annotated[str | None, lambda one, name: one.unit(name, 'length')] = None
     points: Annotated[str | None, word(CHOICES)] = None  # where columns are guessed
     markers: Annotated[tuple[MarkerColumns, ...] | None, RecipeFields.markers] = None
-    offset: XYZ = None  # [m] of all markers, where columns are guessed
+    offset: Xyz = None  # [m] of all markers, where columns are guessed
     places: Numbers = None  # [m] arc lengths from base to tip, where columns are guessed
     up: Annotated[str | None, word(UPS)] = None  # axis of the tracker
     delay: Numbers = None  # [s] that the tracker's file begins later, of each recording

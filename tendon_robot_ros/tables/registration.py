@@ -307,6 +307,15 @@ class Placed:
         With `up`, `frame` and `leave_out`, as far as they are known.
     catalogue : Catalogue
 
+    Attributes
+    ----------
+    dataset : DataSet
+    frame : TrackerFrame
+    left_out : tuple of (posture, trial)
+        Contradicted by the other trials.
+    gravity_warnings : tuple of str
+        Contradictions about gravity.
+
     Raises
     ------
     DataSetError, InputError
@@ -329,7 +338,7 @@ class Placed:
             pairs = tuple((raw.postures[p], raw.trial_names[q]) for p, q in which)
             if pairs:
                 dataset, self.frame = placed(_without(raw, pairs))
-        self.left_out = pairs  # (posture, trial)
+        self.left_out = pairs
         gravity, self.gravity_warnings = _gravity(dataset, self.frame, recipe)
         known = self.frame.tolerances(robot.length)  # so that a diagnosis may move it
         if choice.rotation is not None:  # a frame that is given comes with its tolerances

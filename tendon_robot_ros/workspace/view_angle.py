@@ -137,6 +137,17 @@ class Workspace:
     progress : callable, optional
         Called with (what, done, total).
 
+    Attributes
+    ----------
+    robot, step, pretension, limit, tolerance, views, pairs
+        As given, or by default; `limit` is the largest tension [N].
+    families : list of Family
+        Those with postures, the largest of a view first.
+    postures, unsolved : int
+        All that were computed, and those of them without equilibrium.
+    largest : float [rad]
+        Tip angle of all.
+
     Raises
     ------
     InputError

@@ -331,6 +331,24 @@ class Volume:
     kept : Path, optional
         Folder in which what is known is written every few seconds, and from which it goes on.
 
+    Attributes
+    ----------
+    robot, limits, postures
+        As of the sampling.
+    unsolved, folded : int
+        Postures without equilibrium, and those in which the arm collides with itself.
+    reached : Reached
+    frictionless : Reached or None
+        The same without friction; None where the model has none.
+    late : float [1]
+        Fraction of the cubes that only the last tenth of the postures found.
+    largest : float [rad]
+        Angle between the tip's direction and the base's.
+    sphere : float [1]
+        Fraction of all directions that the tip looks into.
+    views : dict of Reached
+        By angle [rad]: the tips that look at it.
+
     Raises
     ------
     InputError
@@ -368,16 +386,11 @@ class Volume:
             raise InputError(
                 f'{self.robot.name}: no posture of {self.postures:,} is one that the arm can have'
             )
-        _, self.unsolved, self.folded = tally.counts.tolist()  # without equilibrium, colliding
-        # [1] of the cubes that only the last tenth of the postures found
+        _, self.unsolved, self.folded = tally.counts.tolist()
         self.late = (len(self.reached) - streams[0].late) / len(self.reached)
-        self.largest = float(tally.largest[0])  # [rad] between the tip's direction and the base's
-        self.sphere = float(tally.sphere.mean())  # [1] of all directions that the tip looks into
-        # [rad] -> the tips that look at this angle
-        self.views = {
-            v: Reached(cubes) for v, cubes in zip(sampling.views, tally.views, strict=True)
-        }
-        # the same without friction; None where the model has none
+        self.largest = float(tally.largest[0])
+        self.sphere = float(tally.sphere.mean())
+        self.views = dict(zip(sampling.views, map(Reached, tally.views), strict=True))
         self.frictionless = Reached(streams[1].tally.all) if len(streams) > 1 else None
 
     @property
