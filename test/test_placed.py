@@ -12,7 +12,7 @@ from measurements import blind
 from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.diagnosis.add import add_effect
 from tendon_robot_ros.diagnosis.diagnose import diagnose
-from tendon_robot_ros.diagnosis.placed import Screen, acting, directions
+from tendon_robot_ros.diagnosis.placed import Screen, acting, directions, ways
 from tendon_robot_ros.diagnosis.select import gather
 from tendon_robot_ros.diagnosis.verdict import Verdict
 from tendon_robot_ros.inference.predict import Predictor
@@ -117,6 +117,11 @@ def test_the_search_for_a_load_starts_beside_what_imperfections_explain(arm):
     start = next(screen.loads())
     assert abs(start['arc_length'] - middle(arm)['arc_length']) < 0.2 * screen.length
     assert start['force_x'] == pytest.approx(force['force_x'], rel=0.5)
+
+
+def test_a_wall_chooses_its_postures_and_a_load_acts_in_all():
+    assert [ways('contact', postures) for postures in (3, 4, 5, 12)] == [8, 16, 30, 464]
+    assert {ways(name, 12) for name in ('point_load', 'tether')} == {1}
 
 
 @pytest.mark.parametrize(('arm', 'built'), CASES)

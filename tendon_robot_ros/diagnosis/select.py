@@ -20,7 +20,7 @@ from ..inference.search import DIFFERENCE_STEP, LADDER
 from ..inference.session import NEAR_SCORE, Session, better
 from ..inference.statistics import first_of_best
 from .patterns import Pattern, patterns_of
-from .placed import fit_placed
+from .placed import fit_placed, ways
 from .verdict import (
     ALARM_LEVEL,
     APART_FROM_SCORE,
@@ -201,12 +201,12 @@ class Fits:
     def _numbers(self, patterns: Sequence[Pattern]) -> tuple[Rival, ...]:
         """Return the numbers of patterns, and of the effects at places that had to be found."""
         session, base = self.session, self.base
-        places = session.predictor.model.arrays.chain.n
+        postures = int((session.dataset.trials > 0).sum())
         rivals = [
             Rival(p.name, p.score, p.everywhere, p.gain_p_value(base.deviance)) for p in patterns
         ]
         for r in self.placed or ():
-            by_chance = places * gain_p_value(session, base, r)
+            by_chance = ways(r.names[0], postures) * gain_p_value(session, base, r)
             rivals.append(Rival(r.names[0], r.score, True, by_chance, _numbers(r)))
         return tuple(rivals)
 
