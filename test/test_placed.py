@@ -12,7 +12,8 @@ from measurements import blind
 from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.diagnosis.add import add_effect
 from tendon_robot_ros.diagnosis.diagnose import diagnose
-from tendon_robot_ros.diagnosis.placed import Screen, acting, directions
+from tendon_robot_ros.diagnosis.placed import Screen, acting, directions, ways
+from tendon_robot_ros.diagnosis.select import gather
 from tendon_robot_ros.diagnosis.verdict import Verdict
 from tendon_robot_ros.inference.predict import Predictor
 from tendon_robot_ros.inference.session import Session
@@ -30,6 +31,7 @@ ARMS = {  # robot, cell, fixed point [m], pull of the straight arm [N]
     'planar': ('kato_10_1_single', 8, (0.12, 0.0, 0.15), 0.06),
     'spatial': ('spatial_3', 8, (0.07, 0.08, 0.1), 0.05),
 }
+FACES = 'stiffness', 'distance', 'azimuth', 'elevation'
 WALLS = {  # stiffness [N/m], distance [m], azimuth [rad], elevation [rad]
     'planar': (15.0, 0.04, math.pi, -0.3),
     'spatial': (15.0, 0.04, -2.2, -0.3),
@@ -119,13 +121,22 @@ def test_the_search_for_a_load_starts_beside_what_imperfections_explain(arm):
     assert start['force_x'] == pytest.approx(force['force_x'], rel=0.5)
 
 
+def test_a_wall_chooses_its_postures_and_a_load_acts_in_all():
+    assert [ways('contact', postures) for postures in (3, 4, 5, 12)] == [8, 16, 30, 464]
+    assert {ways(name, 12) for name in ('point_load', 'tether')} == {1}
+
+
 @pytest.mark.parametrize(('arm', 'built'), CASES)
 def test_a_wall_is_named_with_the_postures_that_touch_it_and_added(arm, built):
-    names = 'stiffness', 'distance', 'azimuth', 'elevation'
-    wall = dict(zip(names, WALLS[arm], strict=True))
+    wall = dict(zip(FACES, WALLS[arm], strict=True))
     dataset = measured(arm, {'contact': wall}, BUILT[built])
     found = diagnose(dataset, workers=1)
     assert [effect.name for effect in found.effects] == ['contact']
+    for key, value in wall.items():
+        told = found.effects[0].parameters[key]
+        turns = 2.0 * np.pi * round((told.value - value) / (2.0 * np.pi)) * (told.unit == 'rad')
+        half = 0.5 * (told.high - told.low)  # 1.96 sd; one of 400 values is off by three
+        assert abs(value + turns - told.value) < 3.0 / 1.96 * half, key
     described = dataset.robot.with_effect('contact', wall)
     true = acting(Predictor(dataset, described, simulated.CATALOGUE), {}, 'contact')
     firm = np.linalg.norm(np.nan_to_num(true[:, 4:]), axis=1) > FIRM
@@ -140,6 +151,24 @@ def test_a_wall_is_named_with_the_postures_that_touch_it_and_added(arm, built):
     assert 'touches in postures' in verdict(found)
     made = add_effect(dataset, 'contact', start=found.effects)
     assert made.check.gone > 0.8
+
+
+def test_imperfections_are_weighed_as_they_move_an_arm_that_is_held():
+    """A free arm answers them in another way, and intervals of the wall would miss it."""
+    wall = dict(
+        zip(('stiffness', 'distance', 'azimuth', 'elevation'), WALLS['planar'], strict=True)
+    )
+    dataset = measured('planar', {'contact': wall})
+    session = Session(dataset, dataset.robot, simulated.CATALOGUE, workers=1)
+    session.prepare()
+    chosen = gather(session).judge().chosen
+    assert chosen.names == ('contact',)
+    weighed = session.imperfections.moves
+    session.weigh(chosen.fit.point, chosen.fit.built.around)
+    held = session.imperfections.moves
+    session.weigh({})
+    free = session.imperfections.moves
+    assert np.abs(weighed - held).max() < 0.1 * np.abs(free - held).max()
 
 
 PUSHES = {  # what pushes, and the expected place [m] and force [N] on a straight arm of 40 mm

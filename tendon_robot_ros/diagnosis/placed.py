@@ -8,6 +8,7 @@ wall that the arm touches follow from few unknowns, which are searched.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -216,6 +217,17 @@ def _fitted(session: Session, name: str, starts: Iterable[Start], line: float) -
             if best is None or fit.deviance < best.fit.deviance:
                 best = session.rank(candidate, fit)
     return best
+
+
+def ways(name: str, postures: int) -> int:
+    """
+    Return in how many ways an effect can choose the postures in which it acts.
+
+    Its p-value counts its parameters, the place among them, but not this choice. Loads and strings
+    act in all; a plane cuts off some of P points in space in 2 sum_k (P - 1 over k) ways, k from 0
+    to 3 (Cover 1965): every subset of four.
+    """
+    return 2 * sum(math.comb(postures - 1, k) for k in range(4)) if name == 'contact' else 1
 
 
 def within(free: FreeParameter, reach: float) -> FreeParameter:

@@ -20,7 +20,7 @@ from ..inference.search import DIFFERENCE_STEP, LADDER
 from ..inference.session import NEAR_SCORE, Session, better
 from ..inference.statistics import first_of_best
 from .patterns import Pattern, patterns_of
-from .placed import fit_placed
+from .placed import fit_placed, ways
 from .verdict import (
     ALARM_LEVEL,
     APART_FROM_SCORE,
@@ -139,13 +139,15 @@ class Fits:
             case 'departures':
                 told = {missing.names: self.departures(self.fit_of(missing.names))}
                 found['departures'] = {**known.departures, **told}
+            case 'patterns' | 'rivals' if not self.remembers and self._places(missing.score):
+                found |= self._refitted()
+                if known.combined is not None:
+                    found['combined'] = tuple(map(_numbers, self.joint))
             case 'patterns':
                 found['patterns'] = self._numbers(self.patterns)
             case 'rivals':
                 self.rivals = self._rivals(missing.score)
-                found['rivals'] = (
-                    () if self.remembers else self._numbers(self.rivals, missing.score)
-                )
+                found['rivals'] = () if self.remembers else self._numbers(self.rivals)
             case 'helpful':
                 memories = session.catalogue.needing('history')
                 own = [one for one in known.singles if memories & set(one.names)]
@@ -156,32 +158,55 @@ class Fits:
             case 'combined':
                 self.joint = several(session, self.singles)
                 if self.joint:
-                    self.base = session.base_fit((self.base,))
-                    self.singles = session.refit(self.singles, self.base)
-                    self.alone.clear()
-                    if self.placed:
-                        self.placed = session.refit(self.placed, self.base)
-                    self._reported.clear()
-                    found |= vars(self.evidence())
+                    found |= self._refitted()
                 found['combined'] = tuple(map(_numbers, self.joint))
         return found
 
-    def _numbers(self, patterns: Sequence[Pattern], score: float = np.inf) -> tuple[Rival, ...]:
-        """
-        Return the numbers of patterns, and of the effects at places that had to be found.
+    def _refitted(self) -> dict[str, Any]:
+        """Refit all with the present weights; return what is known then."""
+        session = self.session
+        self.base = session.base_fit((self.base,))
+        fits = [*self.singles, *self.joint, *(self.placed or ())]
+        again = {r.names: r for r in session.refit(fits, self.base)}
+        self.singles, self.joint = (
+            [again[r.names] for r in own if r.names in again] for own in (self.singles, self.joint)
+        )
+        if self.placed is not None:
+            self.placed = [again[r.names] for r in self.placed if r.names in again]
+        self.alone.clear()
+        self._reported.clear()
+        return vars(self.evidence())
 
-        These need not be fitted to the end above a score, or where they gain too little.
+    def _places(self, score: float) -> bool:
+        """
+        Fit the effects at places that had to be found; return whether weights are now others.
+
+        They need not be fitted to the end above a score, or where they gain too little. Where one
+        is much better than all else, weights are taken at its fit: imperfections move an arm that
+        is held somewhere in another way.
         """
         session, base = self.session, self.base
         line = min(base.deviance - APART_FROM_SCORE, score)
-        if self.placed is None or self.placed_line < line:
-            self.placed, self.placed_line = fit_placed(session, base, line), line
-        places = session.predictor.model.arrays.chain.n
+        if self.placed is not None and self.placed_line >= line:
+            return False
+        self.placed, self.placed_line = fit_placed(session, base, line), line
+        line = min(line, *(r.score - APART_FROM_SCORE for r in self.singles))
+        best = min(self.placed, key=lambda r: r.score, default=None)
+        if best is None or best.score > line:
+            return False
+        self.placed_line = np.inf
+        self.placed = [reweighed(session, best), *(r for r in self.placed if r is not best)]
+        return True
+
+    def _numbers(self, patterns: Sequence[Pattern]) -> tuple[Rival, ...]:
+        """Return the numbers of patterns, and of the effects at places that had to be found."""
+        session, base = self.session, self.base
+        postures = int((session.dataset.trials > 0).sum())
         rivals = [
             Rival(p.name, p.score, p.everywhere, p.gain_p_value(base.deviance)) for p in patterns
         ]
-        for r in self.placed:
-            by_chance = places * gain_p_value(session, base, r)
+        for r in self.placed or ():
+            by_chance = ways(r.names[0], postures) * gain_p_value(session, base, r)
             rivals.append(Rival(r.names[0], r.score, True, by_chance, _numbers(r)))
         return tuple(rivals)
 

@@ -115,8 +115,8 @@ class ForwardModel:
     @property
     def bends_remember(self) -> bool:
         """Whether the backbone keeps part of its bend, or what it touches holds it by friction."""
-        values, rows = self.arrays.values, self.remembering
-        return self.acts_at('hysteresis') or bool(np.any(values[rows]))
+        values = self.arrays.values
+        return self.acts_at('hysteresis') or any(values[row, 0] for row in self.remembering)
 
     @property
     def friction_remembers(self) -> bool:
