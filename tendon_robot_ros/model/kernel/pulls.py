@@ -340,32 +340,30 @@ def elastic_wires(
 # to so stiff that only 1e-4 of the pulls stretches, each so that the next search begins near
 SPRING_COMPLIANCES = (1e-1, 1e-2, 1e-3, 1e-4)
 SPRINGS = len(SPRING_COMPLIANCES)
-# [1] of the limits, of a last search; measured: it solves 4 of 40 postures of spatial_3 with
-# friction memory that no other search does
-PRETENSION = 0.25
-# searches: 0 from a guess, 1 to LAST without; one also goes on where springs find no equilibrium
-WITHOUT_SPRINGS, LAST = 4, 5
+# Searches without a guess: tensions [N] of wires that are pulled and of those held at rest, share
+# of the limits [1], first spring [1], whether stiff wires are tried after springs that have no
+# equilibrium [1]. Springs that stretch by less than the travel over which friction changes sign
+# (some µm) may have none; wires that do not stretch have one there all the same, if not always the
+# same tensions. Measured of 980 postures of six robots: springs solve 906, wires that do not
+# stretch 35, from more tension 15, both at last 14 and 4; 6 have no solution.
+SEARCHES = (
+    (0.1, 0.0, 0.0, 0.0, 0.0),
+    (0.1, 0.0, 0.0, 4.0, 0.0),
+    (0.3, 0.3, 0.0, 4.0, 0.0),
+    (0.1, 0.0, 0.0, 0.0, 1.0),
+    (0.0, 0.0, 0.25, 4.0, 0.0),
+)
 
 
 @compiled
-def begin(attempt, inputs, target, bends, high):
-    """
-    Lay out the start of a search that has no guess; return the first of its springs.
-
-    Springs that stretch by less than the travel over which friction changes sign (some µm) may
-    have no solution; wires that do not stretch have one there all the same, if not always the same
-    tensions: they come last. Of 980 postures of six robots without a guess, springs solve 906,
-    wires that do not stretch 35, from more tension 15, both at last 14 and 4; 6 have no solution.
-    """
+def begin(search, inputs, target, bends, high):
+    """Lay out the straight start (m,) [N] of one of `SEARCHES`."""
+    pulled, rest, share = search[0], search[1], search[2]
     for q in range(bends.shape[1]):
         bends[0, q] = 0.0
     for j in range(inputs.shape[0]):
-        inputs[j] = 0.1 if target[j] > 0.0 else 0.0
-        if attempt == 3 and not math.isnan(target[j]):
-            inputs[j] = 0.3
-        elif attempt == LAST and not math.isnan(target[j]):
-            inputs[j] = PRETENSION * high[j]
-    return ZERO if attempt == 1 or attempt == WITHOUT_SPRINGS else SPRINGS
+        tension = (pulled if target[j] > 0.0 else rest) + share * high[j]
+        inputs[j] = 0.0 if math.isnan(target[j]) else tension
 
 
 @compiled
@@ -435,13 +433,14 @@ def meet_pulls(
         guess = b - 1 if math.isnan(states[b, 0]) else b
         near = guess == b or (carry != 0 and sprung and b > 0)
         gaps[b] = math.inf
-        for attempt in range(0 if near else 1, LAST + 1):
-            if attempt == 0:
+        for attempt in range(-1 if near else 0, len(SEARCHES)):
+            spring, always = SPRINGS if sprung else SPRINGS - 1, False
+            if attempt < 0:
                 assign(trial, inputs[guess])
                 assign(bends[0], states[guess])
-                spring = SPRINGS if sprung else SPRINGS - 1
             else:
-                spring = begin(attempt, trial, target, bends, high)
+                begin(SEARCHES[attempt], trial, target, bends, high)
+                spring, always = int(SEARCHES[attempt][3]), SEARCHES[attempt][4] > 0.0
             if not are_known(own, target, bends):
                 own[0, 0] = math.nan
             stretched = True
@@ -452,7 +451,7 @@ def meet_pulls(
                 )
                 stretched = left < STRETCH_ERROR_N * soft  # stiffer springs do no better
                 spring += 1
-            if stretched or attempt == WITHOUT_SPRINGS:
+            if stretched or always:
                 left = stiff_wires(chain, trial, target, bends, past, own, rate, scratch, steps)
                 gaps[b] = min(gaps[b], left)
             if gaps[b] < GAP_ACCEPTED_M:
