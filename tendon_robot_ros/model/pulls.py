@@ -161,26 +161,13 @@ def _met(
 ) -> tuple[Floats, Floats]:
     """Return tensions (b, m) [N] and states (b, 3n) [rad] of wire pulls (b, m) [m]."""
     part, count = model.arrays.part('pulls'), len(targets)
-    inputs, states = np.empty(targets.shape), np.empty((count, 3 * model.arrays.chain.n))
+    inputs, states = np.empty(targets.shape), np.full((count, 3 * model.arrays.chain.n), np.nan)
     if start is not None:
         inputs[:], states[:] = start
-    gaps, highs = np.empty(count), np.ascontiguousarray(model.limits[:, 1])
-    met = part.meet_pulls(
-        model.arrays.address,
-        inputs,
-        targets,
-        states,
-        past,
-        slopes.pulls,
-        slopes.states,
-        gaps,
-        model.scratch,
-        highs,
-        _compliance(model),
-        int(start is not None),
-        int(carry),
-        ITERATIONS_MAX,
-    )
+    gaps, high = np.empty(count), np.ascontiguousarray(model.limits[:, 1])
+    arrays = inputs, targets, states, past, slopes.pulls, slopes.states, gaps
+    settings = model.scratch, high, _compliance(model), int(carry), ITERATIONS_MAX
+    met = part.meet_pulls(model.arrays.address, *arrays, *settings)
     if met == count:
         return inputs, states
     if not np.isfinite(gaps[met]):

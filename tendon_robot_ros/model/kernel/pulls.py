@@ -340,32 +340,30 @@ def elastic_wires(
 # to so stiff that only 1e-4 of the pulls stretches, each so that the next search begins near
 SPRING_COMPLIANCES = (1e-1, 1e-2, 1e-3, 1e-4)
 SPRINGS = len(SPRING_COMPLIANCES)
-# [1] of the limits, of a last search; measured: it solves 4 of 40 postures of spatial_3 with
-# friction memory that no other search does
-PRETENSION = 0.25
-# searches: 0 from a guess, 1 to LAST without; one also goes on where springs find no equilibrium
-WITHOUT_SPRINGS, LAST = 4, 5
+# Searches without a guess: tensions [N] of wires that are pulled and of those held at rest, share
+# of the limits [1], first spring [1], whether stiff wires are tried after springs that have no
+# equilibrium [1]. Springs that stretch by less than the travel over which friction changes sign
+# (some µm) may have none; wires that do not stretch have one there all the same, if not always the
+# same tensions. Measured of 980 postures of six robots: springs solve 906, wires that do not
+# stretch 35, from more tension 15, both at last 14 and 4; 6 have no solution.
+SEARCHES = (
+    (0.1, 0.0, 0.0, 0.0, 0.0),
+    (0.1, 0.0, 0.0, 4.0, 0.0),
+    (0.3, 0.3, 0.0, 4.0, 0.0),
+    (0.1, 0.0, 0.0, 0.0, 1.0),
+    (0.0, 0.0, 0.25, 4.0, 0.0),
+)
 
 
 @compiled
-def begin(attempt, inputs, target, bends, highs):
-    """
-    Lay out the start of a search that has no guess; return the first of its springs.
-
-    Springs that stretch by less than the travel over which friction changes sign (some µm) may
-    have no solution; wires that do not stretch have one there all the same, if not always the same
-    tensions: they come last. Of 980 postures of six robots without a guess, springs solve 906,
-    wires that do not stretch 35, from more tension 15, both at last 14 and 4; 6 have no solution.
-    """
+def begin(search, inputs, target, bends, high):
+    """Lay out the straight start (m,) [N] of one of `SEARCHES`."""
+    pulled, rest, share = search[0], search[1], search[2]
     for q in range(bends.shape[1]):
         bends[0, q] = 0.0
     for j in range(inputs.shape[0]):
-        inputs[j] = 0.1 if target[j] > 0.0 else 0.0
-        if attempt == 3 and not math.isnan(target[j]):
-            inputs[j] = 0.3
-        elif attempt == LAST and not math.isnan(target[j]):
-            inputs[j] = PRETENSION * highs[j]
-    return ZERO if attempt == 1 or attempt == WITHOUT_SPRINGS else SPRINGS
+        tension = (pulled if target[j] > 0.0 else rest) + share * high[j]
+        inputs[j] = 0.0 if math.isnan(target[j]) else tension
 
 
 @compiled
@@ -385,20 +383,7 @@ def are_known(slopes, target, bends):
 
 @entry()
 def meet_pulls(
-    robot,
-    inputs,
-    targets,
-    states,
-    past,
-    slopes,
-    state_slopes,
-    gaps,
-    scratch,
-    highs,
-    compliance,
-    guessed,
-    carry,
-    steps_max,
+    robot, inputs, targets, states, past, slopes, rates, gaps, scratch, high, stretch, carry, steps
 ):
     """
     Find tensions whose wire pulls are `targets`, row by row; return how many rows are met.
@@ -412,12 +397,13 @@ def meet_pulls(
     robot : int
         Address of a Chain.
     inputs, states : ndarray, shapes (b, m) and (b, 3n)
-        [N], [rad], guesses where `guessed`, and results.
+        [N], [rad], guesses and results; states of NaN are none: of springs that `carry` it is the
+        row before.
     targets : ndarray, shape (b, m)
         Wire pulls [m]; NaN: a slack wire.
     past : ndarray
         Memory of the posture before; moves on where `carry`.
-    slopes, state_slopes : ndarray, shapes (b, m, m) and (b, m, unknowns)
+    slopes, rates : ndarray, shapes (b, m, m) and (b, m, unknowns)
         Derivatives by the tensions of pulls [m/N] and of states [rad/N], as far as they are known
         at the guesses, else NaN; at the results on return. Unknown ones are those of the row
         before.
@@ -425,16 +411,14 @@ def meet_pulls(
         Takes the remaining gap [m] of each row; infinite where the model finds no equilibrium.
     scratch : int
         Address of `KernelArrays.scratch`.
-    highs : ndarray, shape (m,)
+    high : ndarray, shape (m,)
         Upper limits of the tensions [N].
-    compliance : float
+    stretch : float
         Wire pull per tension [m/N] of the arm.
-    guessed : int
-        1: `inputs` and `states` hold guesses; 0: of springs that `carry` the row before is one.
     carry : int
         1: rows follow each other; 0: each comes from `past`.
-    steps_max : int
-        Steps of a search.
+    steps : int
+        Of a search, at most.
 
     """
     chain = chain_at(robot)
@@ -442,34 +426,33 @@ def meet_pulls(
     bends, trial = np.zeros((2, 3 * chain.n)), np.empty(m)
     now = memory_in(chain, scratch + 8 * work_size(chain.n, chain.k))
     for b in range(targets.shape[0]):
-        target, own, rates = targets[b], slopes[b], state_slopes[b]
+        target, own, rate = targets[b], slopes[b], rates[b]
         if b > 0 and math.isnan(own[0, 0]):
             copy(address(slopes[b - 1]), address(own), m * m)
-            copy(address(state_slopes[b - 1]), address(rates), m * unknowns(chain))
-        guess = b if guessed != 0 else b - 1
-        near = guessed != 0 or (carry != 0 and sprung and b > 0)
+            copy(address(rates[b - 1]), address(rate), m * unknowns(chain))
+        guess = b - 1 if math.isnan(states[b, 0]) else b
+        near = guess == b or (carry != 0 and sprung and b > 0)
         gaps[b] = math.inf
-        for attempt in range(0 if near else 1, LAST + 1):
-            if attempt == 0:
+        for attempt in range(-1 if near else 0, len(SEARCHES)):
+            spring, always = SPRINGS if sprung else SPRINGS - 1, False
+            if attempt < 0:
                 assign(trial, inputs[guess])
                 assign(bends[0], states[guess])
-                spring = SPRINGS if sprung else SPRINGS - 1
             else:
-                spring = begin(attempt, trial, target, bends, highs)
+                begin(SEARCHES[attempt], trial, target, bends, high)
+                spring, always = int(SEARCHES[attempt][3]), SEARCHES[attempt][4] > 0.0
             if not are_known(own, target, bends):
                 own[0, 0] = math.nan
             stretched = True
             while stretched and spring < SPRINGS:
-                stretch = SPRING_COMPLIANCES[spring] * compliance
+                soft = SPRING_COMPLIANCES[spring] * stretch
                 left = elastic_wires(
-                    chain, trial, target, bends, past, own, rates, scratch, stretch, steps_max
+                    chain, trial, target, bends, past, own, rate, scratch, soft, steps
                 )
-                stretched = left < STRETCH_ERROR_N * stretch  # stiffer springs do no better
+                stretched = left < STRETCH_ERROR_N * soft  # stiffer springs do no better
                 spring += 1
-            if stretched or attempt == WITHOUT_SPRINGS:
-                left = stiff_wires(
-                    chain, trial, target, bends, past, own, rates, scratch, steps_max
-                )
+            if stretched or always:
+                left = stiff_wires(chain, trial, target, bends, past, own, rate, scratch, steps)
                 gaps[b] = min(gaps[b], left)
             if gaps[b] < GAP_ACCEPTED_M:
                 break
