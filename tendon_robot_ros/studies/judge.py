@@ -9,7 +9,7 @@ from __future__ import annotations
 import collections
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from statistics import NormalDist
 from typing import Any
 
@@ -26,11 +26,11 @@ from ..inference.intervals import Value
 from ..inference.predict import Predictor
 from ..inference.statistics import rms
 from ..model.model import Model
-from ..model.versions import UserEffect, catalogue_of
+from ..model.versions import catalogue_of
 from ..simulation.hidden import CAUSES, Built
 from ..simulation.measurements import SimulatedNoise
 from .cases import NOTHING, Case, Design, PlannedRobot, Simulated, is_visible, simulated, truth_of
-from .running import ERROR, Row
+from .running import ERROR, Row, Study
 
 DIAGNOSIS, INTERVALS = 'diagnosis', 'intervals'
 QUESTIONS = (DIAGNOSIS, INTERVALS)
@@ -79,16 +79,14 @@ class CaseRow(Row):
         return [low <= true <= high for low, true, high in each]
 
 
-@dataclass(frozen=True)
-class Setup:
+@dataclass(frozen=True, kw_only=True)
+class Setup(Study[Case, CaseRow]):
     """What every simulated case needs: a study."""
 
     arms: tuple[PlannedRobot, ...]
     designs: tuple[Design, ...]
     noises: tuple[tuple[str, SimulatedNoise], ...]
     seed: int = 0
-    question: str = DIAGNOSIS
-    effects: tuple[UserEffect, ...] = field(default=(), repr=False)
 
     def arm(self, name: str) -> PlannedRobot:
         """Return a robot by its name."""
