@@ -268,16 +268,17 @@ class Rate:
         return f'{rate:.0f} % ({100 * low:.0f} to {100 * high:.0f}; {self.hits} of {self.runs})'
 
 
-@dataclass(frozen=True)
 class Power:
-    """How often an effect was seen and named, over its size."""
+    """How often an effect was seen and named, over its size, of rows measured in one way."""
 
-    robot: str
-    hidden: str
-    way: str  # design, noise and imperfections
-    sizes: tuple[float, ...]  # times the typical one
-    alarms: tuple[Rate, ...]  # anything said at all
-    right: tuple[Rate, ...]  # it, or the class that it is in
+    def __init__(self, robot: str, hidden: str, way: str, rows: Sequence[CaseRow]) -> None:
+        self.robot, self.hidden = robot, hidden
+        self.way = way  # design, noise and imperfections
+        by_size = dict(sorted(grouped(binned(rows), lambda row: row.size).items()))
+        self.sizes = tuple(by_size)  # times the typical one
+        # anything said at all; it, or the class that it is in
+        self.alarms = tuple(Rate.of(row.alarm for row in own) for own in by_size.values())
+        self.right = tuple(Rate.of(row.right for row in own) for own in by_size.values())
 
     @property
     def smallest(self) -> float | None:
@@ -308,13 +309,8 @@ def powers(rows: Sequence[CaseRow]) -> list[Power]:
     """Count how often every effect was seen, size by size."""
     method_of = methods(rows)
     hidden = [row for row in rows if row.hidden != NOTHING]
-    results = []
-    for key, members in grouped(hidden, lambda r: (r.robot, r.hidden, method_of(r))).items():
-        by_size = dict(sorted(grouped(binned(members), lambda row: row.size).items()))
-        alarms = tuple(Rate.of(row.alarm for row in of_size) for of_size in by_size.values())
-        right = tuple(Rate.of(row.right for row in of_size) for of_size in by_size.values())
-        results.append(Power(*key, tuple(by_size), alarms, right))
-    return results
+    ways = grouped(hidden, lambda row: (row.robot, row.hidden, method_of(row)))
+    return [Power(*key, members) for key, members in ways.items()]
 
 
 def binned(rows: Sequence[CaseRow]) -> list[CaseRow]:
@@ -423,7 +419,7 @@ def to_json(rows: Sequence[CaseRow]) -> dict[str, Any]:
         'rates': plain(rates(rows)),
         'rates_by_robot': plain(rates_by_robot(rows)),
         'rates_by_hidden': plain(rates_by_hidden(rows)),
-        'power': [{**plain(one), 'smallest': one.smallest} for one in powers(rows)],
+        'power': [{**plain(vars(one)), 'smallest': one.smallest} for one in powers(rows)],
         'coverage': [{'nominal': nominal, **plain(rate)} for nominal, rate in coverage(rows)],
         'seconds': float(np.median([row.seconds for row in rows])) if rows else None,
     }
