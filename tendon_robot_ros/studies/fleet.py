@@ -16,7 +16,7 @@ import hashlib
 import itertools
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from datetime import UTC, date, datetime
 from html import escape
 from pathlib import Path
@@ -41,7 +41,7 @@ from ..model.versions import Preparation, UserEffect, catalogue_of
 from ..report.page import Figure, Page, axes, error_bars, mm_list, titled, trace
 from ..robot import dump_robot
 from .judge import diagnosis_fields, fitted_values
-from .running import ERROR, TABLE, GrowingTable, Row, judge_all
+from .running import ERROR, TABLE, GrowingTable, Row, Study, judge_all
 
 HELP = 'diagnose all recordings of many robots, and say what changed when'
 PAGE = 'fleet.html'
@@ -65,11 +65,11 @@ def run(args: argparse.Namespace) -> int:
     folder, output = Path(args.folder), Path(args.output)
     places, inside = datasets_below(folder), output.resolve()
     cases = [FleetCase.of(p, folder) for p in places if inside not in p.resolve().parents]
-    effects = UserEffect.read(args.effect_file)
-    prepare = Preparation.of_this_process(effects)
+    study = Fleet(question='fleet', effects=UserEffect.read(args.effect_file))
+    prepare = Preparation.of_this_process(study.effects)
     with Workers(args.workers, args.cluster, prepare) as workers, progress(True) as show:
         table = GrowingTable(output / TABLE, FleetRow)
-        rows = judge_all(Fleet(effects), cases, table, workers, show, 'recordings')
+        rows = judge_all(study, cases, table, workers, show, 'recordings')
     rows.sort(key=lambda row: (row.robot, row.when, row.place))
     page = fleet_page(rows, f'Fleet: {folder.resolve().name}').write(output / PAGE)
     content = {
@@ -129,12 +129,8 @@ class FleetCase:
         return self.row(robot='not read', verdict=ERROR, problem=' '.join(problem.split()))
 
 
-@dataclass(frozen=True)
-class Fleet:
+class Fleet(Study[FleetCase, FleetRow]):
     """What is needed to diagnose recordings: a study."""
-
-    effects: tuple[UserEffect, ...] = field(default=(), repr=False)
-    question: str = 'fleet'
 
     def judge(self, case: FleetCase) -> FleetRow:
         """Read and diagnose a recording or data set."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import collections
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from statistics import NormalDist
 from typing import Any
 
@@ -26,11 +26,11 @@ from ..inference.intervals import Value
 from ..inference.predict import Predictor
 from ..inference.statistics import rms
 from ..model.model import Model
-from ..model.versions import UserEffect, catalogue_of
+from ..model.versions import catalogue_of
 from ..simulation.hidden import CAUSES, Built
 from ..simulation.measurements import SimulatedNoise
 from .cases import NOTHING, Case, Design, PlannedRobot, Simulated, is_visible, simulated, truth_of
-from .running import ERROR, Row
+from .running import ERROR, Row, Study
 
 DIAGNOSIS, INTERVALS = 'diagnosis', 'intervals'
 QUESTIONS = (DIAGNOSIS, INTERVALS)
@@ -79,16 +79,14 @@ class CaseRow(Row):
         return [low <= true <= high for low, true, high in each]
 
 
-@dataclass(frozen=True)
-class Setup:
+@dataclass(frozen=True, kw_only=True)
+class Setup(Study[Case, CaseRow]):
     """What every simulated case needs: a study."""
 
     arms: tuple[PlannedRobot, ...]
     designs: tuple[Design, ...]
     noises: tuple[tuple[str, SimulatedNoise], ...]
     seed: int = 0
-    question: str = DIAGNOSIS
-    effects: tuple[UserEffect, ...] = field(default=(), repr=False)
 
     def arm(self, name: str) -> PlannedRobot:
         """Return a robot by its name."""
@@ -270,16 +268,17 @@ class Rate:
         return f'{rate:.0f} % ({100 * low:.0f} to {100 * high:.0f}; {self.hits} of {self.runs})'
 
 
-@dataclass(frozen=True)
 class Power:
-    """How often an effect was seen and named, over its size."""
+    """How often an effect was seen and named, over its size, of rows measured in one way."""
 
-    robot: str
-    hidden: str
-    way: str  # design, noise and imperfections
-    sizes: tuple[float, ...]  # times the typical one
-    alarms: tuple[Rate, ...]  # anything said at all
-    right: tuple[Rate, ...]  # it, or the class that it is in
+    def __init__(self, robot: str, hidden: str, way: str, rows: Sequence[CaseRow]) -> None:
+        self.robot, self.hidden = robot, hidden
+        self.way = way  # design, noise and imperfections
+        by_size = dict(sorted(grouped(binned(rows), lambda row: row.size).items()))
+        self.sizes = tuple(by_size)  # times the typical one
+        # anything said at all; it, or the class that it is in
+        self.alarms = tuple(Rate.of(row.alarm for row in own) for own in by_size.values())
+        self.right = tuple(Rate.of(row.right for row in own) for own in by_size.values())
 
     @property
     def smallest(self) -> float | None:
@@ -310,13 +309,8 @@ def powers(rows: Sequence[CaseRow]) -> list[Power]:
     """Count how often every effect was seen, size by size."""
     method_of = methods(rows)
     hidden = [row for row in rows if row.hidden != NOTHING]
-    results = []
-    for key, members in grouped(hidden, lambda r: (r.robot, r.hidden, method_of(r))).items():
-        by_size = dict(sorted(grouped(binned(members), lambda row: row.size).items()))
-        alarms = tuple(Rate.of(row.alarm for row in of_size) for of_size in by_size.values())
-        right = tuple(Rate.of(row.right for row in of_size) for of_size in by_size.values())
-        results.append(Power(*key, tuple(by_size), alarms, right))
-    return results
+    ways = grouped(hidden, lambda row: (row.robot, row.hidden, method_of(row)))
+    return [Power(*key, members) for key, members in ways.items()]
 
 
 def binned(rows: Sequence[CaseRow]) -> list[CaseRow]:
@@ -425,7 +419,7 @@ def to_json(rows: Sequence[CaseRow]) -> dict[str, Any]:
         'rates': plain(rates(rows)),
         'rates_by_robot': plain(rates_by_robot(rows)),
         'rates_by_hidden': plain(rates_by_hidden(rows)),
-        'power': [{**plain(one), 'smallest': one.smallest} for one in powers(rows)],
+        'power': [{**plain(vars(one)), 'smallest': one.smallest} for one in powers(rows)],
         'coverage': [{'nominal': nominal, **plain(rate)} for nominal, rate in coverage(rows)],
         'seconds': float(np.median([row.seconds for row in rows])) if rows else None,
     }

@@ -6,7 +6,7 @@ import os
 import time
 import typing
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from functools import partial
 from pathlib import Path
 from types import UnionType
@@ -53,26 +53,20 @@ class Keyed(Protocol):
         ...
 
 
-class Study[C: Keyed, R: Row](Protocol):
+@dataclass(frozen=True, kw_only=True)
+class Study[C: Keyed, R: Row]:
     """How every case is judged, with all that is needed for it; goes to the workers."""
 
-    @property
-    def question(self) -> str:
-        """Name of the kind of work, which one process of a machine compiles for the others."""
-        ...
-
-    @property
-    def effects(self) -> tuple[UserEffect, ...]:
-        """The user's own."""
-        ...
+    question: str  # name of the kind of work, which one process of a machine compiles for others
+    effects: tuple[UserEffect, ...] = field(default=(), repr=False)  # the user's own
 
     def judge(self, case: C) -> R:
         """Return the result of a case; an error becomes a row as well."""
-        ...
+        raise NotImplementedError
 
     def lost(self, case: C, workers: int) -> R:
         """Return the row of a case over which `workers` workers died."""
-        ...
+        raise NotImplementedError
 
 
 def judge_chunk[C: Keyed, R: Row](study: Study[C, R], cases: Sequence[C]) -> list[R]:
@@ -149,15 +143,15 @@ class GrowingTable[R: Row]:
         types = typing.get_type_hints(self.kind)
         a = self.arrow
         plain = {str: a.string(), float: a.float64(), int: a.int64(), bool: a.bool_()}
-        for field in fields(self.kind):
-            hint = types[field.name]
+        for one in fields(self.kind):
+            hint = types[one.name]
             members = [m for m in typing.get_args(hint) if m not in (type(None), Ellipsis)]
             if isinstance(hint, UnionType):
-                yield a.field(field.name, plain[members[0]])
+                yield a.field(one.name, plain[members[0]])
             elif members:
-                yield a.field(field.name, a.list_(plain[members[0]]))
+                yield a.field(one.name, a.list_(plain[members[0]]))
             else:
-                yield a.field(field.name, plain[hint])
+                yield a.field(one.name, plain[hint])
 
     def files(self) -> list[Path]:
         """List the files, oldest first."""
