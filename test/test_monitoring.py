@@ -181,8 +181,8 @@ def test_what_is_drawn_shows_on_the_arm_that_it_is_drawn_for(name, seeds):
 
 
 def test_the_tour_stays_where_the_tip_can_go(model):
-    for stop in tour(model, 8, 0):
-        found = model.reach(position=stop.position, direction=stop.direction)
+    for position, direction in tour(model, 8, 0):
+        found = model.reach(position=position, direction=direction)
         assert found.status == 'reached'
 
 
