@@ -17,7 +17,7 @@ from ..inference.candidates import Candidate, Ranked
 from ..inference.fit import Fit
 from ..inference.fitter import BEST_FEW, FAILURES, REVERSAL_GAIN_MIN, ROUNDS_MAX
 from ..inference.search import DIFFERENCE_STEP, LADDER
-from ..inference.session import NEAR_SCORE, Session, better
+from ..inference.session import NEAR_SCORE, Question, Session, better
 from ..inference.statistics import first_of_best
 from .patterns import Pattern, patterns_of
 from .placed import fit_placed
@@ -154,8 +154,9 @@ class Fits:
                 self.joint = self._joined(self.fit_of(missing.names))
                 found['further'] = tuple(map(_numbers, self.joint))
             case 'combined':
-                self.joint = several(session, self.singles)
+                self.session, self.joint = several(session, self.singles)
                 if self.joint:
+                    session = self.session
                     self.base = session.base_fit((self.base,))
                     self.singles = session.refit(self.singles, self.base)
                     self.alone.clear()
@@ -224,17 +225,17 @@ class Fits:
 
         Imperfections may explain as much as a second effect: the likelihood compares both.
         """
-        session, current = self.session, best
+        current = best
         while len(current.names) < EFFECTS_MAX:
             more = [
                 r
-                for r in extended(session, current)
-                if gains(gain_p_value(session, current.fit, r), len(session.candidates))
+                for r in extended(self.session, current)
+                if gains(gain_p_value(self.session, current.fit, r), len(self.session.candidates))
                 and r.score < current.score - APART_FROM_SCORE
             ]
             if not more:
                 break
-            current = reweighed(session, min(more, key=lambda r: r.score))
+            self.session, current = reweighed(self.session, min(more, key=lambda r: r.score))
         return [] if current is best else [current]
 
 
@@ -250,13 +251,13 @@ def gain_p_value(session: Session, base: Fit, ranked: Ranked) -> float:
     return session.gain_p_value(base, ranked) if ranked.held_out < held else 1.0
 
 
-def gather(session: Session, brief: bool = False) -> Fits:
+def gather(question: Question, brief: bool = False) -> Fits:
     """
     Fit the base and every candidate; weights are taken at the best candidate's fit.
 
     Twice, and repeated while a fit improves beyond a reversal of friction, where weights differ.
     """
-    session.weigh({})
+    session = question.weigh({})
     base = session.base_fit()
     tested, not_tested = session.split_tested(base.point)
     race = session.race(tested)
@@ -268,7 +269,7 @@ def gather(session: Session, brief: bool = False) -> Fits:
             break
         best = first_of_best(singles)
         far = base.deviance > best.score + NEAR_SCORE
-        session.weigh(best.fit.point, best.fit.built.around)
+        session = session.weigh(best.fit.point, best.fit.built.around)
         if far:  # it cannot win: one start is enough
             try:
                 base = session.fitters[0].fit((), base)
@@ -321,11 +322,12 @@ def over_reversals(session: Session, singles: list[Ranked]) -> list[Ranked]:
     return better(better(singles, refitted), beyond)
 
 
-def several(session: Session, singles: Sequence[Ranked]) -> list[Ranked]:
+def several(session: Session, singles: Sequence[Ranked]) -> tuple[Session, list[Ranked]]:
     """
     Search two or three effects that are adequate together: greedy, then pairs and swaps.
 
-    Returns the best combination, adequate or not; empty when nothing could be combined.
+    Returns the best combination, adequate or not, with weights taken there if it is; empty when
+    nothing could be combined.
     """
     order, best = sorted(singles, key=lambda r: r.score), list[Ranked]()
     current = order[:1]
@@ -338,10 +340,11 @@ def several(session: Session, singles: Sequence[Ranked]) -> list[Ranked]:
             break
         current = best = [min(more, key=lambda r: r.score)]
         if holds_together(_numbers(best[0])):
-            best = [_pruned(session, reweighed(session, best[0]))]
+            session, reached = reweighed(session, best[0])
+            best = [_pruned(session, reached)]
             if holds_together(_numbers(best[0])):
                 break
-    return best
+    return session, best
 
 
 def _pruned(session: Session, ranked: Ranked) -> Ranked:
@@ -359,12 +362,12 @@ def _pruned(session: Session, ranked: Ranked) -> Ranked:
     return ranked
 
 
-def reweighed(session: Session, ranked: Ranked) -> Ranked:
+def reweighed(session: Session, ranked: Ranked) -> tuple[Session, Ranked]:
     """Refit a candidate with noise and weights taken at its own fit."""
     for _ in range(2):
-        session.weigh(ranked.fit.point, ranked.fit.built.around)
+        session = session.weigh(ranked.fit.point, ranked.fit.built.around)
         ranked = session.fit_all([ranked.candidate], {ranked.candidate.label: ranked.fit})[0]
-    return ranked
+    return session, ranked
 
 
 @dataclass(frozen=True)
