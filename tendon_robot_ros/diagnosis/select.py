@@ -16,7 +16,7 @@ from ..common.arrays import Floats
 from ..inference.candidates import Candidate, Ranked
 from ..inference.fit import Fit
 from ..inference.fitter import BEST_FEW, FAILURES, REVERSAL_GAIN_MIN, ROUNDS_MAX
-from ..inference.search import DIFFERENCE_STEP, LADDER
+from ..inference.search import DIFFERENCE_STEP, LADDER, sized
 from ..inference.session import NEAR_SCORE, Question, Session, better
 from ..inference.statistics import first_of_best
 from .patterns import Pattern, patterns_of
@@ -382,8 +382,9 @@ def hint(session: Session, current: Ranked, larger: Candidate) -> Hint:
     """
     Estimate what further parameters may gain, which is much cheaper than a fit.
 
-    By one linearised step of each; of an effect that is always on by the best of several sizes,
-    with the other parameters adjusted linearly, so that its deviance may even rise a bit.
+    By one linearised step of each; of an effect that remembers, which is another function of the
+    path for every size, by the best of several, with the other parameters adjusted linearly, so
+    that its deviance may even rise a bit.
     """
     fitter, point = session.fitters[0], current.fit.point
     fitter.resume(current.fit)
@@ -391,16 +392,11 @@ def hint(session: Session, current: Ranked, larger: Candidate) -> Hint:
     value, near = session.predictor.value, fitter.predictor.settled
     markers, columns = fitter.predictor.markers(point, near=near), list[Floats]()
     near = fitter.predictor.settled
-    always_on = any(session.catalogue[free.effect].always_on for free in more)
+    remembers = bool(session.catalogue.needing('history') & {free.effect for free in more})
     moves = []
-    for factor in LADDER if always_on else ():
-        sizes = {}
-        for free in more:
-            own = free.parameter
-            size = value(free) if own.has_default else factor * own.typical
-            sizes[free] = float(np.clip(size, own.low, own.high))
-        moves.append((sizes, 1.0))
-    for free in () if always_on else more:
+    for factor in LADDER if remembers else ():
+        moves.append(({free: sized(free, factor, session.predictor) for free in more}, 1.0))
+    for free in () if remembers else more:
         step = DIFFERENCE_STEP * free.parameter.typical
         if value(free) + step > free.parameter.high:
             step = -step
@@ -410,11 +406,11 @@ def hint(session: Session, current: Ranked, larger: Candidate) -> Hint:
         moved = fitter.predictor.markers({**point, **sizes}, near=near)
         if moved is not None and markers is not None:
             columns.append(session.whitener.white(markers - moved) / unit)
-            if always_on:
+            if remembers:
                 gains.append(_gain(session, current, moved) + NEAR_SCORE)
-        elif not always_on:
+        elif not remembers:
             return Hint(np.inf, [])
-    if not always_on and markers is not None:
+    if not remembers and markers is not None:
         gains.append(_gain(session, current, markers, columns) - 0.5 * APART_FROM_SCORE)
     return Hint(max(gains), columns)
 
@@ -423,7 +419,8 @@ def is_hopeless(session: Session, current: Ranked, hints: Iterable[Hint]) -> boo
     """
     Return whether even all effects at once leave most of the error of a fit, to first order.
 
-    Most: more than what a fit of the right ones would leave because the effects are not linear.
+    Of the error beyond noise. Most: more than what a fit of the right ones would leave because the
+    effects are not linear.
     """
     fitter, n = session.fitters[0], session.whitener.size
     fitter.resume(current.fit)
@@ -434,7 +431,8 @@ def is_hopeless(session: Session, current: Ranked, hints: Iterable[Hint]) -> boo
     own = current.fit.jacobian[:n, : len(current.fit.all_frees)]
     columns = np.column_stack([own, *(column for hint in hints for column in hint.columns)])
     rest = residual - columns @ np.linalg.lstsq(columns, residual)[0]
-    return float(rest @ rest) > RESIDUAL_RATIO_MAX**2 * float(residual @ residual)
+    left, error = rest @ rest - n + columns.shape[1], residual @ residual - n
+    return bool(left > RESIDUAL_RATIO_MAX**2 * error)
 
 
 def _gain(
