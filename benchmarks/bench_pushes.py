@@ -29,7 +29,7 @@ from tendon_robot_ros.diagnosis.verdict import gains
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.inference.candidates import Candidate
 from tendon_robot_ros.inference.predict import Predictor, free_parameters
-from tendon_robot_ros.inference.session import Session
+from tendon_robot_ros.inference.session import Question
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import Robot, load_robot
 from tendon_robot_ros.robot.estimates import natural_sizes
@@ -123,12 +123,11 @@ def tried(robot: Robot, kind: str, seed: int, input: str = 'tension') -> dict[st
 
 def is_seen(measured: DataSet, robot: Robot, kind: str, true: dict[str, float]) -> bool:
     """Return whether the truth gains more than the best of all kinds does by chance."""
-    session = Session(measured, robot, load_catalogue(), workers=1)
-    session.prepare()
+    session = Question.of(measured, robot, load_catalogue(), workers=1).prepared()
     every = free_parameters(session.catalogue[kind], robot)
     start = {free: true[free.key] for free in every if free.key in true}
     candidate = Candidate((kind,), tuple(start), present=False)
-    fitted = reweighed(session, session.fit_all([candidate], {kind: start})[0])
+    session, fitted = reweighed(session, session.fit_all([candidate], {kind: start})[0])
     return gains(session.gain_p_value(session.base_fit(), fitted), len(KINDS) - 1)
 
 

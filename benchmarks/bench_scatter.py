@@ -22,7 +22,7 @@ from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.inference.intervals import SizeIntervals
 from tendon_robot_ros.inference.marginal import Prior, RandomEffects
 from tendon_robot_ros.inference.outliers import find_outliers
-from tendon_robot_ros.inference.session import Session
+from tendon_robot_ros.inference.session import Question
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.measurements import simulate
@@ -51,8 +51,7 @@ def columns_of(name):
     robot = load_robot(ROBOTS / f'{name}.yaml')
     plant = make_plant(robot, work=USUAL, seed=1)
     dataset = simulate(plant, default_postures(robot, 12), seed=1)
-    session = Session(dataset, robot, load_catalogue(), workers=1)
-    assert session.weigh({}) and session.imperfections is not None
+    session = Question.of(dataset, robot, load_catalogue(), workers=1).weigh({})
     columns = session.whitener.white(session.imperfections.moves).T
     owners, kinds = session.imperfections.owners, session.imperfections.kinds
     return RandomEffects(columns, owners, kinds), columns, owners
@@ -80,13 +79,12 @@ def fitted(name, hidden, number, level, seed):
     case = Case(name, hidden, SIZE, number, level=level)
     design, noise = setup.designs[0], setup.noises[0][1]
     made = simulated(case, setup.arm(name), design, noise, catalogue, seed)
-    session, fit = Session(made.fit, made.robot, catalogue, workers=1), None
-    assert session.weigh({})
-    session.leave_out(find_outliers(session.predictor, {}))
+    session, fit = Question.of(made.fit, made.robot, catalogue, workers=1).weigh({}), None
+    session = session.without(find_outliers(session.predictor, {}))
     frees = [c.frees for c in session.candidates if c.names == (hidden,)]
     for _ in range(3):
         if fit is not None:
-            session.weigh(fit.point, fit.built.around)
+            session = session.weigh(fit.point, fit.built.around)
         fit = session.fitters[0].fit(frees[0] if frees else (), fit)
         fit = session.fitters[0].over_reversals(fit)
     return arm_report(session, session.fitters[0].for_values(fit)), made.built

@@ -17,7 +17,7 @@ import numpy as np
 from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.inference.candidates import Candidate
-from tendon_robot_ros.inference.session import Session
+from tendon_robot_ros.inference.session import Question
 
 DATA = Path(__file__).parent.parent / 'data' / 'tentacle'
 ORDER = (
@@ -39,19 +39,18 @@ def per_marker(difference: np.ndarray) -> np.ndarray:
 def left_out(names: tuple[str, ...], start: dict) -> np.ndarray:
     """Predict every posture from the others: measured minus model (P, J, 3) [m]."""
     dataset, catalogue = load_dataset(DATA), load_catalogue()
-    whole = Session(dataset, dataset.robot, catalogue, 1)
+    whole = Question.of(dataset, dataset.robot, catalogue, 1)
     errors = []
     for i, posture in enumerate(dataset.postures):
         others = dataset.select([name for name in dataset.postures if name != posture])
-        session = Session(others, others.robot, catalogue, 1)
-        session.weigh({})
+        session = Question.of(others, others.robot, catalogue, 1).weigh({})
         frees = combined(session, names).frees
         fit = session.fitters[0].fit(frees, start)
         errors.append(dataset.mean[i] - whole.predictor.markers(fit.point)[i])
     return np.array(errors)
 
 
-def combined(session: Session, names: tuple[str, ...]) -> Candidate:
+def combined(session: Question, names: tuple[str, ...]) -> Candidate:
     """Return several effects as one candidate."""
     known = {candidate.names[0]: candidate for candidate in session.candidates}
     together = known[names[0]]
@@ -67,8 +66,7 @@ def main() -> int:
     parser.add_argument('--json', type=Path)
     options = parser.parse_args()
     dataset = load_dataset(DATA)
-    session = Session(dataset, dataset.robot, load_catalogue(), 1)
-    session.weigh({})
+    session = Question.of(dataset, dataset.robot, load_catalogue(), 1).weigh({})
     prior = per_marker(dataset.mean - session.predictor.markers({}))
     print('rms error [mm] at markers p1 p2 p3 p4       fitted                   left out')
     print(f'{"prior description":38s} {_text(prior)}')

@@ -17,7 +17,7 @@ from tendon_robot_ros.inference.imperfections import SplitPredictor, imperfectio
 from tendon_robot_ros.inference.marginal import Likelihood, Prior, RandomEffects
 from tendon_robot_ros.inference.outliers import find_outliers
 from tendon_robot_ros.inference.predict import Predictor, free_parameters
-from tendon_robot_ros.inference.session import Session
+from tendon_robot_ros.inference.session import Question
 from tendon_robot_ros.report.diagnosis_text import lines
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.robot.estimates import natural_sizes
@@ -150,14 +150,14 @@ def test_under_tensions_a_gain_counts_for_a_hole_off_its_place_too():
 
 def test_the_noise_of_inputs_acts_on_the_arm_as_it_is_built():
     dataset = case('messy_000').select(case('messy_000').postures[:4])
-    session, split = (
-        Session(dataset, dataset.robot, CATALOGUE, 1),
+    question, split = (
+        Question.of(dataset, dataset.robot, CATALOGUE, 1),
         SplitPredictor(Predictor(dataset, dataset.robot, CATALOGUE)),
     )
     n, seen = split.whole.cells, []
     members = {'cell_kink': np.full(n, 0.05), 'channel_gain': np.array([0.2, 0.1])}
     for at in ({}, members):
-        assert session.weigh({}, at)
+        session = question.weigh({}, at)
         split.around, share = at, session.noise.trial**2 / 5.0 + session.noise.setting**2
         variance = np.zeros_like(dataset.mean)
         for j in range(dataset.inputs.shape[1]):
@@ -193,8 +193,7 @@ def test_a_fit_never_rises_where_friction_turns_over(monkeypatch):
     hidden = {'pre_curvature': {'angle_x': 0.004, 'angle_y': 0.0}}
     plant = make_plant(robot, hidden, seed=103, work=Workmanship())
     dataset = simulate(plant, np.array(SLACK_POSTURES), trials=3, seed=103)
-    session = Session(dataset, robot, CATALOGUE.sized(natural_sizes(robot)), 1)
-    assert session.weigh({})
+    session = Question.of(dataset, robot, CATALOGUE.sized(natural_sizes(robot)), 1).weigh({})
     candidate = next(c for c in session.candidates if c.label == 'pre_curvature')
     places, found, start, go = [], [], None, Fitter.go
     monkeypatch.setattr(Fitter, 'go', lambda self, at: places.append(at) or go(self, at))
@@ -212,7 +211,7 @@ def test_a_fit_never_rises_where_friction_turns_over(monkeypatch):
         )
         assert worth == pytest.approx(deviances[-1], rel=1e-6), 'what it is worth is predicted'
         assert fit.deviance < worth + 1e-6, 'no imperfections are more likely than the best'
-        session.weigh(fit.point, fit.built.around)
+        session = session.weigh(fit.point, fit.built.around)
     assert len(places) >= 5, 'some steps were taken'
     np.testing.assert_allclose(found, found[0], atol=3e-4, err_msg='it stays where it was found')
 
@@ -232,9 +231,8 @@ def test_a_soft_cell_is_looked_for_beyond_where_friction_turns_over():
     hides = Case('hinged', 'soft_cell', 0.65, 3)
     noise = setup.noises[0][1]
     made = simulated(hides, setup.arm('hinged'), setup.designs[0], noise, CATALOGUE, 71)
-    session = Session(made.fit, made.robot, CATALOGUE, workers=1)
-    assert session.weigh({})
-    session.leave_out(find_outliers(session.predictor, {}))
+    session = Question.of(made.fit, made.robot, CATALOGUE, workers=1).weigh({})
+    session = session.without(find_outliers(session.predictor, {}))
     base = session.fitters[0].over_reversals(session.base_fit())
     found = Patterns(session.fitters[0], base, reversals=True).soft_cell()
     assert found.deviance < base.deviance - 20.0
@@ -245,13 +243,12 @@ def test_a_soft_cell_is_looked_for_beyond_where_friction_turns_over():
 def test_a_fit_looks_beyond_where_friction_turns_over():
     """One posture lies by a turn of friction: on the near side cells scatter by ten times."""
     made = levels_case('hinged/gravity/0.69461/0/0/0/0.3333/0')
-    session = Session(made.fit, made.robot, CATALOGUE, workers=1)
-    assert session.weigh({})
-    session.leave_out(find_outliers(session.predictor, {}))
+    session = Question.of(made.fit, made.robot, CATALOGUE, workers=1).weigh({})
+    session = session.without(find_outliers(session.predictor, {}))
     frees = next(one.frees for one in session.candidates if one.names == ('gravity',))
     near = session.fitters[0].fit(frees)
     for _ in range(2):
-        session.weigh(near.point, near.built.around)
+        session = session.weigh(near.point, near.built.around)
         near = session.fitters[0].fit(frees, near)
     fitter = session.fitters[0]
     far = fitter.over_reversals(near)
@@ -278,8 +275,7 @@ def test_fits_look_beyond_turns_of_friction_at_the_last_weights_too():
 @pytest.mark.parametrize('name', ['messy_008', 'messy_s0'])
 def test_where_friction_does_not_turn_over_a_fit_stays_as_it_is(name):
     dataset = case(name)
-    session = Session(dataset, dataset.robot, CATALOGUE, workers=1)
-    assert session.weigh({})
+    session = Question.of(dataset, dataset.robot, CATALOGUE, workers=1).weigh({})
     fit = session.base_fit()
     found = session.fitters[0].over_reversals(fit)
     assert found is fit or found.deviance < fit.deviance
@@ -323,8 +319,7 @@ def test_the_sizes_of_imperfections_are_recovered():
 def unexplained(name):
     """Return the random effects of a case, and what the description leaves (N,)."""
     dataset = case(name)
-    session = Session(dataset, dataset.robot, CATALOGUE, workers=1)
-    assert session.weigh({})
+    session = Question.of(dataset, dataset.robot, CATALOGUE, workers=1).weigh({})
     return session.random, session.fitters[0].residual(session.predictor.markers({}))
 
 

@@ -7,7 +7,7 @@ import simulated
 from simulated import CATALOGUE, measured
 
 from tendon_robot_ros.inference.candidates import why_untested
-from tendon_robot_ros.inference.session import Session
+from tendon_robot_ros.inference.session import Question
 
 ROBOT = simulated.robot()
 HARDLY = 'these postures hardly show it'
@@ -16,8 +16,7 @@ HARDLY = 'these postures hardly show it'
 def untested(robot=ROBOT, **options):
     """Return what the default postures of a robot do not show, with the reason."""
     dataset = measured(robot, **options)
-    session = Session(dataset, robot, CATALOGUE, workers=1)
-    session.weigh({})
+    session = Question.of(dataset, robot, CATALOGUE, workers=1).weigh({})
     _, rest = session.split_tested({})
     return {c.names[0]: why_untested(CATALOGUE[c.names[0]], dataset, robot) for c in rest}
 
@@ -56,10 +55,10 @@ def test_elongation_shows_when_wire_pulls_are_commanded():
 
 
 def test_tolerances_become_nuisances_only_where_declared():
-    assert Session(measured(ROBOT), ROBOT, CATALOGUE).nuisances == []
+    assert Question.of(measured(ROBOT), ROBOT, CATALOGUE).nuisances == []
     robot = replace(ROBOT, tolerances={
         'bending_stiffness': 0.02, 'friction_coefficient': 0.05, 'rotation': 2e-3})  # fmt: skip
-    nuisances = Session(measured(robot), robot, CATALOGUE).nuisances
+    nuisances = Question.of(measured(robot), robot, CATALOGUE).nuisances
     assert [(n.quantity, n.free.key, n.spread) for n in nuisances] == [
         ('bending_stiffness', 'relative_change', 0.02),
         ('friction_coefficient', 'friction_coefficient', pytest.approx(0.05 * 0.33)),
@@ -72,7 +71,7 @@ def test_tolerances_become_nuisances_only_where_declared():
 def test_friction_without_friction_is_no_nuisance():
     robot = simulated.robot(lacks=('tendon_friction', *simulated.SHAPING))
     robot = replace(robot, tolerances={'friction_coefficient': 0.05})
-    assert Session(measured(robot), robot, CATALOGUE).nuisances == []
+    assert Question.of(measured(robot), robot, CATALOGUE).nuisances == []
 
 
 def test_luck_is_fair_on_clean_data():
@@ -80,8 +79,9 @@ def test_luck_is_fair_on_clean_data():
     one, two = [], []
     robot = replace(ROBOT, exact=True)  # else imperfections take the gains, which this arm has not
     for seed in range(40):
-        session = Session(measured(robot, seed=seed, count=5), robot, CATALOGUE, workers=1)
-        session.weigh({})
+        session = Question.of(
+            measured(robot, seed=seed, count=5), robot, CATALOGUE, workers=1
+        ).weigh({})
         base = session.base_fit()
         names = {'hinge_friction': one, 'backbone_stiffness': two}
         for ranked in session.fit_all([c for c in session.candidates if c.names[0] in names]):

@@ -8,7 +8,7 @@ import simulated
 from simulated import CATALOGUE, NOISE, measured
 
 from tendon_robot_ros.diagnosis.diagnose import diagnose
-from tendon_robot_ros.inference.session import Session
+from tendon_robot_ros.inference.session import Question
 
 EXACT = simulated.robot(cells=8, exact=True)
 CELLS = EXACT.cells
@@ -29,8 +29,7 @@ def scattered(seed, hidden=None, **cells):
 
 def test_the_fit_is_that_of_generalised_least_squares():
     """Its chi² is that with the covariance of the cells in the noise."""
-    session = Session(scattered(1), ROBOT, CATALOGUE, workers=1)
-    session.weigh({})
+    session = Question.of(scattered(1), ROBOT, CATALOGUE, workers=1).weigh({})
     cells, _ = session.imperfections.kinds
     assert (cells.name, cells.plausible, len(cells)) == ('cell_stiffness', 0.02, CELLS)
     fit = session.base_fit()

@@ -15,7 +15,7 @@ from tendon_robot_ros.inference.fitter import Fitter
 from tendon_robot_ros.inference.intervals import intervals, values_of
 from tendon_robot_ros.inference.noise import Whitener, input_slopes
 from tendon_robot_ros.inference.predict import Predictor, free_parameters
-from tendon_robot_ros.inference.session import Session
+from tendon_robot_ros.inference.session import Question
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.simulation.measurements import simulate
 from tendon_robot_ros.simulation.plant import make_plant
@@ -38,9 +38,8 @@ HIDDEN = [
 
 def settled(dataset, names, robot=None):
     """Return the session and the fit of effects."""
-    session = Session(dataset, robot or dataset.robot, CATALOGUE, workers=1)
-    assert session.weigh({})
-    return session, fit_effects(session, names)
+    session = Question.of(dataset, robot or dataset.robot, CATALOGUE, workers=1).weigh({})
+    return fit_effects(session, names)
 
 
 @pytest.mark.parametrize(('effect', 'values'), HIDDEN)
@@ -135,8 +134,7 @@ def test_a_fit_that_begins_with_the_derivatives_of_another_ends_where_it_would_w
     dataset = measured(
         EXACT, {'hinge_friction': {'lever': 2e-4}, 'tension_offset': {'offset': 0.03}}
     )
-    session = Session(dataset, EXACT, CATALOGUE, workers=1)
-    session.weigh({})
+    session = Question.of(dataset, EXACT, CATALOGUE, workers=1).weigh({})
     frees = [
         free
         for name in ('hinge_friction', 'tension_offset')
@@ -214,8 +212,7 @@ def test_an_interval_goes_on_where_another_parameter_is_at_its_bound(seed):
 
 def test_what_no_posture_shows_has_no_interval():
     dataset = measured(ROBOT)
-    session = Session(dataset, ROBOT, CATALOGUE, workers=1)
-    session.weigh({})
+    session = Question.of(dataset, ROBOT, CATALOGUE, workers=1).weigh({})
     gravity = next(c for c in session.candidates if c.names == ('gravity',))
     fit = session.fitters[0].fit(gravity.frees)
     value = values_of(fit)['gravity']['linear_density']
@@ -227,8 +224,7 @@ def test_what_no_posture_shows_has_no_interval():
 def test_a_declared_tolerance_takes_part_with_its_prior():
     robot = replace(ROBOT, tolerances={'bending_stiffness': 0.05}, exact=True)
     dataset = measured(robot, {'backbone_stiffness': {'relative_change': 0.04}})
-    session = Session(dataset, robot, CATALOGUE, workers=1)
-    session.weigh({})
+    session = Question.of(dataset, robot, CATALOGUE, workers=1).weigh({})
     base = session.base_fit()
     assert base.values[-1] == pytest.approx(0.04, abs=0.01)
     assert base.prior_z['bending_stiffness'] == pytest.approx(0.8, abs=0.2)

@@ -18,7 +18,7 @@ from tendon_robot_ros.diagnosis.local_tests import (
     places_in,
 )
 from tendon_robot_ros.diagnosis.verdict import FALSE_DISCOVERY_RATE
-from tendon_robot_ros.inference.session import Session
+from tendon_robot_ros.inference.session import Question
 from tendon_robot_ros.inference.statistics import false_discovery_control
 from tendon_robot_ros.report.comparison import add_shapes
 from tendon_robot_ros.report.diagnosis_page import pictures_of
@@ -38,8 +38,7 @@ def softened(cell, factor):
 
 def base_of(dataset, robot=ROBOT):
     """Return a session and its fit without any effect."""
-    session = Session(dataset, robot, CATALOGUE, 1)
-    assert session.weigh({})
+    session = Question.of(dataset, robot, CATALOGUE, 1).weigh({})
     return session, session.base_fit()
 
 

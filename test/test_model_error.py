@@ -13,7 +13,7 @@ from tendon_robot_ros.cli.robot import description
 from tendon_robot_ros.common.errors import RobotDescriptionError
 from tendon_robot_ros.comparison.compare import compare
 from tendon_robot_ros.diagnosis.add import add_effects, restore
-from tendon_robot_ros.inference.session import Session
+from tendon_robot_ros.inference.session import Question
 from tendon_robot_ros.report.comparison import verdict
 from tendon_robot_ros.report.diagnosis_text import addition_warnings
 from tendon_robot_ros.robot import dump_robot, load_robot, parse_robot
@@ -118,15 +118,14 @@ def test_an_interval_holds_what_the_model_is_off():
 
 
 def test_a_response_that_is_off_is_off_by_the_same_share_of_every_change():
-    session = Session(measured(ROBOT, LOAD), ROBOT, CATALOGUE, workers=1)
-    assert session.weigh({})
+    session = Question.of(measured(ROBOT, LOAD), ROBOT, CATALOGUE, workers=1).weigh({})
     frees = next(one.frees for one in session.candidates if one.names == ('tip_load',))
     fit = session.fitters[0].fit(frees)
     changed = fit.values - np.array([session.predictor.value(free) for free in frees])
     more = replace(fit, response=0.1).interval_covariance - fit.interval_covariance
     np.testing.assert_allclose(more, 0.01 * np.outer(changed, changed), atol=1e-15)
     assert session.response_error == 0.0
-    known = Session(session.dataset, replace(ROBOT, model_error=3e-3), CATALOGUE, workers=1)
+    known = Question.of(session.dataset, replace(ROBOT, model_error=3e-3), CATALOGUE, workers=1)
     tips = known.dataset.mean[:, -1]
     moved = np.sqrt(((tips - tips.mean(axis=0)) ** 2).sum(axis=1).mean())
     assert known.response_error == pytest.approx(3e-3 / moved)

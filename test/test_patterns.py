@@ -9,7 +9,7 @@ from simulated import CATALOGUE, NOISE, measured
 
 from tendon_robot_ros.diagnosis.patterns import Pattern
 from tendon_robot_ros.diagnosis.patterns import patterns_of as outside
-from tendon_robot_ros.inference.session import Session
+from tendon_robot_ros.inference.session import Question
 
 ROBOT = replace(simulated.robot(), exact=True)  # scatter takes its share of every pattern
 
@@ -23,8 +23,7 @@ def damaged(factors):
 
 def patterns_of(dataset, robot=ROBOT):
     """Fit the patterns to measurements that the description does not explain."""
-    session = Session(replace(dataset, robot=robot), robot, CATALOGUE, workers=1)
-    session.weigh({})
+    session = Question.of(replace(dataset, robot=robot), robot, CATALOGUE, workers=1).weigh({})
     fit = session.base_fit()
     return fit, {pattern.name: pattern for pattern in outside(session.fitters, fit)}
 
@@ -96,8 +95,7 @@ def test_a_cell_that_bends_a_little_more_is_not_said_to_bend_as_it_should(ratio,
 def test_a_line_that_patterns_are_far_above_changes_nothing_below_it():
     dataset = measured(damaged(np.where(np.arange(15) == 3, 0.2, 1.0)), count=6)
     robot = replace(ROBOT, exact=False)
-    session = Session(replace(dataset, robot=robot), robot, CATALOGUE, workers=2)
-    session.weigh({})
+    session = Question.of(replace(dataset, robot=robot), robot, CATALOGUE, workers=2).weigh({})
     fit = session.base_fit()
     whole = {one.name: one for one in outside(session.fitters, fit)}
     line = whole['soft_cell'].score

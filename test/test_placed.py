@@ -16,7 +16,7 @@ from tendon_robot_ros.diagnosis.placed import Screen, acting, directions, ways
 from tendon_robot_ros.diagnosis.select import gather
 from tendon_robot_ros.diagnosis.verdict import Verdict
 from tendon_robot_ros.inference.predict import Predictor
-from tendon_robot_ros.inference.session import Session
+from tendon_robot_ros.inference.session import Question
 from tendon_robot_ros.report.comparison import Push
 from tendon_robot_ros.report.diagnosis_text import verdict
 from tendon_robot_ros.report.sentences import pushed
@@ -122,8 +122,7 @@ def test_the_search_for_a_load_starts_beside_what_imperfections_explain(arm):
     """A force that is screened as if the arm were exact would be many times too small."""
     force = {'force_x': 0.2 * ARMS[arm][3], 'force_z': -0.2 * ARMS[arm][3]}
     dataset = measured(arm, {'point_load': middle(arm) | force})
-    session = Session(dataset, dataset.robot, simulated.CATALOGUE, workers=1)
-    session.prepare()
+    session = Question.of(dataset, dataset.robot, simulated.CATALOGUE, workers=1).prepared()
     screen = Screen.of(session.fitters[0], session.base_fit())
     start = next(screen.loads())
     assert abs(start['arc_length'] - middle(arm)['arc_length']) < 0.2 * screen.length
@@ -164,15 +163,13 @@ def test_imperfections_are_weighed_as_they_move_an_arm_that_is_held():
         zip(('stiffness', 'distance', 'azimuth', 'elevation'), WALLS['planar'], strict=True)
     )
     dataset = measured('planar', {'contact': wall})
-    session = Session(dataset, dataset.robot, simulated.CATALOGUE, workers=1)
-    session.prepare()
-    chosen = gather(session).judge().chosen
+    question = Question.of(dataset, dataset.robot, simulated.CATALOGUE, workers=1)
+    fits = gather(question.prepared())
+    chosen = fits.judge().chosen
     assert chosen.names == ('contact',)
-    weighed = session.imperfections.moves
-    session.weigh(chosen.fit.point, chosen.fit.built.around)
-    held = session.imperfections.moves
-    session.weigh({})
-    free = session.imperfections.moves
+    weighed = fits.session.imperfections.moves
+    held = fits.session.weigh(chosen.fit.point, chosen.fit.built.around).imperfections.moves
+    free = fits.session.weigh({}).imperfections.moves
     assert np.abs(weighed - held).max() < 0.1 * np.abs(free - held).max()
 
 

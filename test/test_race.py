@@ -4,7 +4,7 @@ import pytest
 import simulated
 from simulated import CATALOGUE, measured
 
-from tendon_robot_ros.inference.session import Session, side_by_side
+from tendon_robot_ros.inference.session import Question, side_by_side
 
 ROBOT = simulated.robot()
 HIDDEN = {'tip_load': {'force_x': 5e-3}}
@@ -12,8 +12,7 @@ HIDDEN = {'tip_load': {'force_x': 5e-3}}
 
 @pytest.fixture(scope='module')
 def session():
-    made = Session(measured(ROBOT, HIDDEN, count=6), ROBOT, CATALOGUE, workers=2)
-    made.weigh({})
+    made = Question.of(measured(ROBOT, HIDDEN, count=6), ROBOT, CATALOGUE, workers=2).weigh({})
     return made
 
 

@@ -15,7 +15,7 @@ from tendon_robot_ros.inference.fit import Fit, with_imperfections
 from tendon_robot_ros.inference.imperfections import Kind
 from tendon_robot_ros.inference.intervals import SizeIntervals
 from tendon_robot_ros.inference.marginal import PLAUSIBLE_FACTOR, Prior, RandomEffects
-from tendon_robot_ros.inference.session import Session
+from tendon_robot_ros.inference.session import Question
 from tendon_robot_ros.inference.statistics import chi2_isf, chi2_sf
 from tendon_robot_ros.report.sentences import as_built
 from tendon_robot_ros.robot import load_robot
@@ -100,8 +100,7 @@ def test_whether_a_size_is_told_does_not_depend_on_what_comes_out():
     for work in (None, Workmanship()):
         plant = make_plant(robot, work=work, seed=1, scatter=0.0)
         dataset = simulate(plant, default_postures(robot, 12), seed=1)
-        session = Session(dataset, robot, CATALOGUE, workers=1)
-        assert session.weigh({})
+        session = Question.of(dataset, robot, CATALOGUE, workers=1).weigh({})
         report = arm_report(session, session.fitters[0].fit((), None))
         kinds.append({kind['kind']: kind for kind in report['kinds']})
     exact, usual = kinds

@@ -4,15 +4,14 @@ import pytest
 import simulated
 from simulated import CATALOGUE, measured
 
-from tendon_robot_ros.inference.session import Session
+from tendon_robot_ros.inference.session import Question
 from tendon_robot_ros.inference.statistics import first_of_best
 
 ROBOT = simulated.robot()
 
 
 def fitted(hidden, robot=ROBOT):
-    session = Session(measured(robot, hidden, count=12), robot, CATALOGUE, workers=1)
-    session.weigh({})
+    session = Question.of(measured(robot, hidden, count=12), robot, CATALOGUE, workers=1).weigh({})
     tested, _ = session.split_tested({})
     return session, {r.candidate.names[0]: r for r in session.fit_all(tested)}
 
@@ -36,8 +35,7 @@ def test_workers_do_not_change_the_result():
     dataset = measured(ROBOT, {'hinge_friction': {'lever': 2e-4}}, count=5)
     results = []
     for workers in (1, 3):
-        session = Session(dataset, ROBOT, CATALOGUE, workers=workers)
-        session.weigh({})
+        session = Question.of(dataset, ROBOT, CATALOGUE, workers=workers).weigh({})
         tested, _ = session.split_tested({})
         results.append([(r.candidate.label, r.fit.chi2) for r in session.fit_all(tested)])
     assert [name for name, _ in results[0]] == [name for name, _ in results[1]]

@@ -23,7 +23,7 @@ from tendon_robot_ros.diagnosis.setup_mistakes import (
 from tendon_robot_ros.diagnosis.stepwise import Stepwise
 from tendon_robot_ros.inference.intervals import Value
 from tendon_robot_ros.inference.predict import Predictor
-from tendon_robot_ros.inference.session import Session
+from tendon_robot_ros.inference.session import Question
 from tendon_robot_ros.inference.statistics import rms
 from tendon_robot_ros.report.diagnosis_text import lines
 from tendon_robot_ros.robot import parse_robot
@@ -291,8 +291,7 @@ def test_a_marker_elsewhere_is_tried_though_all_nearer_to_the_base_leave_less():
     markers = [right.markers[j] for j in own]
     markers[-1] = replace(markers[-1], arc_length=0.095)
     wrong = replace(right, markers=tuple(markers), positions=right.positions[:, :, own])
-    session = Session(wrong, arm, CATALOGUE, 1, None)
-    assert session.weigh({})
+    session = Question.of(wrong, arm, CATALOGUE, 1, None).weigh({})
     _, found = mended_rivals(session, 2e-3)
     assert 'with marker 20 at 100 mm along the arm instead of 95.0 mm' in found[0].mistake.sentence
     assert found[0].explained.names == ('tip_load',)
@@ -335,8 +334,7 @@ def test_half_as_many_cells_on_the_same_length_are_told_beside_a_load():
         markers=tuple(right.markers[j] for j in own),
         positions=right.positions[:, :, own],
     )
-    session = Session(wrong, half, CATALOGUE, 1, None)
-    assert session.weigh({})
+    session = Question.of(wrong, half, CATALOGUE, 1, None).weigh({})
     _, found = mended_rivals(session, 2e-3)
     said = 'with 20 cells of 5 mm instead of 10 in the arm (markers stay)'
     assert said in found[0].mistake.sentence  # twice the tensions do nearly the same

@@ -18,7 +18,7 @@ from tendon_robot_ros.diagnosis.trust import (
     wilson,
 )
 from tendon_robot_ros.inference.predict import Predictor
-from tendon_robot_ros.inference.session import Session
+from tendon_robot_ros.inference.session import Question
 from tendon_robot_ros.inference.statistics import chi2_noncentrality
 from tendon_robot_ros.report.diagnosis_text import trust_lines
 
@@ -81,8 +81,7 @@ def test_tolerances_and_imperfections_hide_their_twins():
     built = replace(exact, robot=replace(ROBOT, exact=False))
     sizes = []
     for dataset in (exact, loose, built):
-        session = Session(dataset, dataset.robot, CATALOGUE, workers=1)
-        session.weigh({})
+        session = Question.of(dataset, dataset.robot, CATALOGUE, workers=1).weigh({})
         tested, _ = session.split_tested({})
         seen = smallest_sizes(session.fit_all(tested), session.nuisances)
         sizes.append({one.free.effect: one.size for one in seen})

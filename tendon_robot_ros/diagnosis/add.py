@@ -21,7 +21,7 @@ from ..inference.crossval import Errors, Written, errors_on, model_error_of, wri
 from ..inference.fit import Fit
 from ..inference.intervals import LoadVector, Value, loads_of, values_with_intervals
 from ..inference.predict import Point, free_parameters
-from ..inference.session import Session
+from ..inference.session import Question, Session
 from ..robot import Robot, RobotLike, load_robot
 from .result import EffectFinding
 from .verdict import P_SINGLE_MIN
@@ -205,8 +205,7 @@ def add_effects(
     dataset = load_dataset(dataset)
     described = dataset.robot if robot is None else load_robot(robot)
     other = None if check is None else load_dataset(check, described)
-    session = Session(dataset, described, load_catalogue(catalogue), workers=1)
-    session.prepare()
+    session = Question.of(dataset, described, load_catalogue(catalogue), workers=1).prepared()
     dataset = session.dataset
     by_name, point = {effect.name: effect for effect in start}, None
     if set(names) <= set(by_name):
@@ -214,7 +213,7 @@ def add_effects(
         frees = _together(own).frees
         point = {free: by_name[free.effect].parameters[free.key].value for free in frees}
     settled = settle(session, names, point)
-    fit, descriptions = settled.fit, settled.descriptions
+    session, fit, descriptions = settled.session, settled.fit, settled.descriptions
     probability, scale = settled.probability, settled.scale
     values = values_with_intervals(session.fitters[0], fit, scale)
     fitted = errors_on(session.dataset, described, descriptions, session.catalogue, 'fitted')
@@ -251,6 +250,7 @@ def add_effects(
 class Settled:
     """Effects fitted together, and the description to write."""
 
+    session: Session
     fit: Fit
     descriptions: Written
     probability: float  # p-value by repeatability alone
@@ -259,19 +259,19 @@ class Settled:
 
 def settle(session: Session, names: Sequence[str], start: Point | None = None) -> Settled:
     """Fit effects together, weighed by the accuracy where they misfit beyond repeatability."""
-    fit = fit_effects(session, names, start)
+    session, fit = fit_effects(session, names, start)
     probability, fit = fit.probability(session.freedom), session.fitters[0].for_values(fit)
     descriptions = written(session, fit)
     if probability <= P_SINGLE_MIN and session.accuracy:
-        fit, descriptions = _by_accuracy(session, names, fit, descriptions)
+        session, fit, descriptions = _by_accuracy(session, names, fit, descriptions)
     own = fit.probability(session.freedom) if session.use_accuracy else probability
     scale = 1.0 if own > P_SINGLE_MIN else max(1.0, fit.chi2 / max(fit.freedom, 1))
-    return Settled(fit, descriptions, probability, scale)
+    return Settled(session, fit, descriptions, probability, scale)
 
 
 def _by_accuracy(
     session: Session, names: Sequence[str], fit: Fit, descriptions: Written
-) -> tuple[Fit, Written]:
+) -> tuple[Session, Fit, Written]:
     """
     Refit effects, weighed by the declared accuracy, where other effects act as well.
 
@@ -279,16 +279,14 @@ def _by_accuracy(
     with least noise, although the model error is far larger. The refit is rejected where it raises
     the error on left-out postures.
     """
-    session.use_accuracy = True
     with suppress(NoEquilibriumError):
-        refitted = fit_effects(session, names, fit.point) if session.weigh(fit.point) else fit
-        refitted = session.fitters[0].for_values(refitted)
-        other = written(session, refitted)
+        accurate = replace(session, use_accuracy=True).weigh(fit.point)
+        accurate, refitted = fit_effects(accurate, names, fit.point)
+        refitted = accurate.fitters[0].for_values(refitted)
+        other = written(accurate, refitted)
         if other.left_out <= descriptions.left_out:
-            return refitted, other
-    session.use_accuracy = False
-    session.weigh(fit.point, fit.built.around)
-    return fit, descriptions
+            return accurate, refitted, other
+    return session.weigh(fit.point, fit.built.around), fit, descriptions
 
 
 def add_effect(
@@ -329,16 +327,18 @@ def add_effect(
     return add_effects(dataset, [name], robot, catalogue, check, start, partial)
 
 
-def fit_effects(session: Session, names: Sequence[str], start: Point | None = None) -> Fit:
+def fit_effects(
+    session: Session, names: Sequence[str], start: Point | None = None
+) -> tuple[Session, Fit]:
     """Fit effects together, one joining after the other; weights are retaken twice at the fit."""
     known = {name: [f.key for f in start or () if f.effect == name] for name in names}
     own = [_candidate(session, name, keys) for name, keys in known.items()]
     fit = _joined(session, own) if start is None else _fit(session, _together(own), start)
     for _ in range(2):
         fit = session.fitters[0].over_reversals(fit)
-        session.weigh(fit.point, fit.built.around)
+        session = session.weigh(fit.point, fit.built.around)
         fit = _fit(session, _together(own), fit)
-    return fit
+    return session, fit
 
 
 def _joined(session: Session, own: Sequence[Candidate]) -> Fit:

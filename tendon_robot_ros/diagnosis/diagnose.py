@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..common.errors import NoEquilibriumError, Progress, whole
+from ..common.errors import InputError, NoEquilibriumError, Progress, whole
 from ..common.processes import one_thread
 from ..common.words import listed, mm
 from ..data import DataSetLike, load_dataset
@@ -15,7 +15,7 @@ from ..effects import CatalogueLike, load_catalogue
 from ..inference.discrepancy import since
 from ..inference.fitter import BEST_FEW
 from ..inference.outliers import find_outliers
-from ..inference.session import NOISE_UNKNOWN, Session
+from ..inference.session import NOISE_UNKNOWN, Question, Session
 from ..inference.statistics import rms
 from ..robot import RobotLike, load_robot
 from .marker_hypotheses import exchanged_in
@@ -74,16 +74,26 @@ def diagnose(
     if reference is not None:
         dataset = since(dataset, reference, judged, catalogue)
         judged = dataset.robot
-    session = Session(dataset, judged, load_catalogue(catalogue), workers, progress)
-    obstacle = _obstacle(session)
-    if isinstance(obstacle, Mistake):
-        return _mistaken(session, obstacle)
-    if obstacle:
-        return _cannot_judge(session, obstacle)
+    question = Question.of(dataset, judged, load_catalogue(catalogue), workers, progress)
+    measured = int((question.dataset.trials > 0).sum())
+    if measured < POSTURES_MIN:
+        needed = f'{POSTURES_MIN} or more are needed, six are better'
+        return _cannot_judge(question, f'{measured} measured posture(s): {needed}')
+    try:
+        question = question.settled()
+    except NoEquilibriumError:
+        mistake = find_mistake(question.predictor, 0.0)
+        if mistake is None:
+            raise
+        return _mistaken(question, mistake)
+    try:
+        session = question.weigh({})
+    except InputError:
+        return _cannot_judge(question, NOISE_UNKNOWN)
     exchange = exchanged_in(session.predictor)  # else outliers may be exchanged markers
     if exchange is not None:
         return _mistaken(session, exchange)
-    session.leave_out(find_outliers(session.predictor, {}))
+    session = session.without(find_outliers(session.predictor, {}))
     usual = session.usual_floor
     mistake = find_mistake(session.predictor, session.known_floor, usual)
     plain = mistake is not None and mistake.after <= PLAIN_FLOORS * usual
@@ -107,23 +117,6 @@ def diagnose(
     return replace(diagnosis, details={**diagnosis.details, 'caveats': caveats})
 
 
-def _obstacle(session: Session) -> str | Mistake:
-    """Return missing data or a mistake because of which no effect can be judged, else ''."""
-    measured = int((session.dataset.trials > 0).sum())
-    if measured < POSTURES_MIN:
-        return f'{measured} measured posture(s): {POSTURES_MIN} or more are needed, six are better'
-    try:
-        session.leave_out_unsettled()
-    except NoEquilibriumError:
-        mistake = find_mistake(session.predictor, 0.0)
-        if mistake is None:
-            raise
-        return mistake
-    if not session.weigh({}):
-        return NOISE_UNKNOWN
-    return ''
-
-
 def _likelier_mistake(
     session: Session, described: Explained | None, rivals: Sequence[Mended]
 ) -> Mistake | None:
@@ -142,9 +135,8 @@ def _likelier_mistake(
         if described.quiet or residual > RESIDUAL_PARTLY_MAX * described.residual:
             continue
         assert one.mistake.mended is not None
-        mended = session.mended(one.mistake.mended)
-        judged = _judge(mended, brief=True) if mended.weigh({}) else None
-        if judged is None or judged.verdict is Verdict.OUTSIDE_CATALOGUE or implausible(judged):
+        judged = _judge(session.mended(one.mistake.mended), brief=True)
+        if judged.verdict is Verdict.OUTSIDE_CATALOGUE or implausible(judged):
             continue
         return one.with_rest(judged.error_after, [effect.name for effect in judged.effects])
     return None
@@ -153,11 +145,10 @@ def _likelier_mistake(
 def _weighed_against(session: Session, mistake: Mistake, diagnosis: Diagnosis) -> Diagnosis:
     """Return the likelier of mistake and effects, the other as a caveat where it is possible."""
     assert mistake.mended is not None
-    mended, score = session.mended(mistake.mended), np.inf
-    if mended.weigh({}):
-        base = mended.base_fit()
-        mended.weigh(base.point, base.members)
-        score = mended.score(mended.base_fit((base,)).deviance)
+    mended = session.mended(mistake.mended).weigh({})
+    base = mended.base_fit()
+    mended = mended.weigh(base.point, base.members)
+    score = mended.score(mended.base_fit((base,)).deviance)
     gain = score + MISTAKE_HANDICAP - diagnosis.details['score']
     if gain > 0.0:
         sentence = f'{mistake.sentence} the error would fall to {mm(mistake.after)} as well'
@@ -169,19 +160,18 @@ def _weighed_against(session: Session, mistake: Mistake, diagnosis: Diagnosis) -
     return _mistaken(session, mistake if gain < -APART_FROM_SCORE else replace(mistake, mend=mend))
 
 
-def _judge(session: Session, brief: bool) -> Diagnosis:
+def _judge(question: Question, brief: bool) -> Diagnosis:
     """
     Judge the effects, mistakes of the set-up being excluded.
 
     A misfit beyond repeatability is judged again by the declared accuracy, where there is one.
     Where it is to be `brief`, the remainder need not be described.
     """
-    fits = gather(session, brief)
+    fits = gather(question, brief)
     decision = fits.judge()
     outside = decision.verdict is Verdict.OUTSIDE_CATALOGUE
-    if outside and session.accuracy and not session.use_accuracy:
-        session.use_accuracy = True
-        fits = gather(session, brief)
+    if outside and question.accuracy and not question.use_accuracy:
+        fits = gather(replace(question, use_accuracy=True), brief)
         decision = fits.judge()
     return _result(fits, decision)
 
@@ -212,23 +202,25 @@ def _result(fits: Fits, decision: Concluded) -> Diagnosis:
     )
 
 
-def _mistaken(session: Session, mistake: Mistake) -> Diagnosis:
+def _mistaken(question: Question, mistake: Mistake) -> Diagnosis:
     """Return the diagnosis of a mistake; no effect is judged before it is corrected."""
-    markers = session.predictor.markers({})
-    before = np.inf if markers is None else rms(session.dataset.mean - markers)
-    diagnosis = _cannot_judge(session, mistake.text(before))
+    markers = question.predictor.markers({})
+    before = np.inf if markers is None else rms(question.dataset.mean - markers)
+    diagnosis = _cannot_judge(question, mistake.text(before))
     fields = {key: value for key, value in vars(mistake).items() if key != 'mended'}
     return replace(
         diagnosis,
-        noise_floor=diagnosis.noise_floor if markers is None else session.whitener.floor(),
+        noise_floor=question.whitener.floor()
+        if isinstance(question, Session)
+        else diagnosis.noise_floor,
         error_after=mistake.after,
         details={**diagnosis.details, 'mistake': fields},
     )
 
 
-def _cannot_judge(session: Session, needed: str) -> Diagnosis:
-    markers = session.predictor.markers({})
-    before = float('nan') if markers is None else rms(session.dataset.mean - markers)
+def _cannot_judge(question: Question, needed: str) -> Diagnosis:
+    markers = question.predictor.markers({})
+    before = float('nan') if markers is None else rms(question.dataset.mean - markers)
     return Diagnosis(
         verdict=Verdict.CANNOT_JUDGE,
         effects=(),

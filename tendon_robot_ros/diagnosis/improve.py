@@ -46,7 +46,7 @@ from ..inference.fitter import FAILURES
 from ..inference.imperfections import POSITION, ROTATION, SplitPredictor, imperfections
 from ..inference.intervals import QUANTILE, LoadVector, Value, loads_of, values_of
 from ..inference.predict import FreeParameter, Predictor
-from ..inference.session import Session, side_by_side
+from ..inference.session import Question, Session, side_by_side
 from ..inference.statistics import mean_over
 from ..robot import Robot, RobotLike, load_robot
 from .add import Addition, more_at_work, settle, with_origin
@@ -221,12 +221,12 @@ def as_found(search: Stepwise, state: State) -> AsFound | None:
             robot = robot.without_effect(name)
             if name in before.effects:
                 robot = robot.with_effect(name, before.effects[name], before.fitted.get(name))
-    session = Session(search.dataset, robot, search.catalogue, 1)
     try:
-        session.weigh({})
+        session = Question.of(search.dataset, robot, search.catalogue, 1).weigh({})
         settled = settle(session, names, {})
     except (*FAILURES, NoEquilibriumError):
         return None
+    session = settled.session
     return AsFound(search, state, session, _as_plausible(session, settled.fit), settled.scale)
 
 

@@ -16,8 +16,8 @@ from ..common.arrays import Floats
 from ..inference.candidates import Candidate, Ranked
 from ..inference.fit import Fit
 from ..inference.fitter import BEST_FEW, FAILURES, REVERSAL_GAIN_MIN, ROUNDS_MAX
-from ..inference.search import DIFFERENCE_STEP, LADDER
-from ..inference.session import NEAR_SCORE, Session, better
+from ..inference.search import DIFFERENCE_STEP, LADDER, sized
+from ..inference.session import NEAR_SCORE, Question, Session, better
 from ..inference.statistics import first_of_best
 from .patterns import Pattern, patterns_of
 from .placed import fit_placed, ways
@@ -156,7 +156,7 @@ class Fits:
                 self.joint = self._joined(self.fit_of(missing.names))
                 found['further'] = tuple(map(_numbers, self.joint))
             case 'combined':
-                self.joint = several(session, self.singles)
+                self.session, self.joint = several(session, self.singles)
                 if self.joint:
                     found |= self._refitted()
                 found['combined'] = tuple(map(_numbers, self.joint))
@@ -195,7 +195,8 @@ class Fits:
         if best is None or best.score > line:
             return False
         self.placed_line = np.inf
-        self.placed = [reweighed(session, best), *(r for r in self.placed if r is not best)]
+        self.session, refitted = reweighed(session, best)
+        self.placed = [refitted, *(r for r in self.placed if r is not best)]
         return True
 
     def _numbers(self, patterns: Sequence[Pattern]) -> tuple[Rival, ...]:
@@ -249,17 +250,17 @@ class Fits:
 
         Imperfections may explain as much as a second effect: the likelihood compares both.
         """
-        session, current = self.session, best
+        current = best
         while len(current.names) < EFFECTS_MAX:
             more = [
                 r
-                for r in extended(session, current)
-                if gains(gain_p_value(session, current.fit, r), len(session.candidates))
+                for r in extended(self.session, current)
+                if gains(gain_p_value(self.session, current.fit, r), len(self.session.candidates))
                 and r.score < current.score - APART_FROM_SCORE
             ]
             if not more:
                 break
-            current = reweighed(session, min(more, key=lambda r: r.score))
+            self.session, current = reweighed(self.session, min(more, key=lambda r: r.score))
         return [] if current is best else [current]
 
 
@@ -275,13 +276,13 @@ def gain_p_value(session: Session, base: Fit, ranked: Ranked) -> float:
     return session.gain_p_value(base, ranked) if ranked.held_out < held else 1.0
 
 
-def gather(session: Session, brief: bool = False) -> Fits:
+def gather(question: Question, brief: bool = False) -> Fits:
     """
     Fit the base and every candidate; weights are taken at the best candidate's fit.
 
     Twice, and repeated while a fit improves beyond a reversal of friction, where weights differ.
     """
-    session.weigh({})
+    session = question.weigh({})
     base = session.base_fit()
     tested, not_tested = session.split_tested(base.point)
     race = session.race(tested)
@@ -293,7 +294,7 @@ def gather(session: Session, brief: bool = False) -> Fits:
             break
         best = first_of_best(singles)
         far = base.deviance > best.score + NEAR_SCORE
-        session.weigh(best.fit.point, best.fit.built.around)
+        session = session.weigh(best.fit.point, best.fit.built.around)
         if far:  # it cannot win: one start is enough
             try:
                 base = session.fitters[0].fit((), base)
@@ -346,11 +347,12 @@ def over_reversals(session: Session, singles: list[Ranked]) -> list[Ranked]:
     return better(better(singles, refitted), beyond)
 
 
-def several(session: Session, singles: Sequence[Ranked]) -> list[Ranked]:
+def several(session: Session, singles: Sequence[Ranked]) -> tuple[Session, list[Ranked]]:
     """
     Search two or three effects that are adequate together: greedy, then pairs and swaps.
 
-    Returns the best combination, adequate or not; empty when nothing could be combined.
+    Returns the best combination, adequate or not, with weights taken there if it is; empty when
+    nothing could be combined.
     """
     order, best = sorted(singles, key=lambda r: r.score), list[Ranked]()
     current = order[:1]
@@ -363,10 +365,11 @@ def several(session: Session, singles: Sequence[Ranked]) -> list[Ranked]:
             break
         current = best = [min(more, key=lambda r: r.score)]
         if holds_together(_numbers(best[0])):
-            best = [_pruned(session, reweighed(session, best[0]))]
+            session, reached = reweighed(session, best[0])
+            best = [_pruned(session, reached)]
             if holds_together(_numbers(best[0])):
                 break
-    return best
+    return session, best
 
 
 def _pruned(session: Session, ranked: Ranked) -> Ranked:
@@ -384,12 +387,12 @@ def _pruned(session: Session, ranked: Ranked) -> Ranked:
     return ranked
 
 
-def reweighed(session: Session, ranked: Ranked) -> Ranked:
+def reweighed(session: Session, ranked: Ranked) -> tuple[Session, Ranked]:
     """Refit a candidate with noise and weights taken at its own fit."""
     for _ in range(2):
-        session.weigh(ranked.fit.point, ranked.fit.built.around)
+        session = session.weigh(ranked.fit.point, ranked.fit.built.around)
         ranked = session.fit_all([ranked.candidate], {ranked.candidate.label: ranked.fit})[0]
-    return ranked
+    return session, ranked
 
 
 @dataclass(frozen=True)
@@ -404,8 +407,9 @@ def hint(session: Session, current: Ranked, larger: Candidate) -> Hint:
     """
     Estimate what further parameters may gain, which is much cheaper than a fit.
 
-    By one linearised step of each; of an effect that is always on by the best of several sizes,
-    with the other parameters adjusted linearly, so that its deviance may even rise a bit.
+    By one linearised step of each; of an effect that remembers, which is another function of the
+    path for every size, by the best of several, with the other parameters adjusted linearly, so
+    that its deviance may even rise a bit.
     """
     fitter, point = session.fitters[0], current.fit.point
     fitter.resume(current.fit)
@@ -413,16 +417,11 @@ def hint(session: Session, current: Ranked, larger: Candidate) -> Hint:
     value, near = session.predictor.value, fitter.predictor.settled
     markers, columns = fitter.predictor.markers(point, near=near), list[Floats]()
     near = fitter.predictor.settled
-    always_on = any(session.catalogue[free.effect].always_on for free in more)
+    remembers = bool(session.catalogue.needing('history') & {free.effect for free in more})
     moves = []
-    for factor in LADDER if always_on else ():
-        sizes = {}
-        for free in more:
-            own = free.parameter
-            size = value(free) if own.has_default else factor * own.typical
-            sizes[free] = float(np.clip(size, own.low, own.high))
-        moves.append((sizes, 1.0))
-    for free in () if always_on else more:
+    for factor in LADDER if remembers else ():
+        moves.append(({free: sized(free, factor, session.predictor) for free in more}, 1.0))
+    for free in () if remembers else more:
         step = DIFFERENCE_STEP * free.parameter.typical
         if value(free) + step > free.parameter.high:
             step = -step
@@ -432,11 +431,11 @@ def hint(session: Session, current: Ranked, larger: Candidate) -> Hint:
         moved = fitter.predictor.markers({**point, **sizes}, near=near)
         if moved is not None and markers is not None:
             columns.append(session.whitener.white(markers - moved) / unit)
-            if always_on:
+            if remembers:
                 gains.append(_gain(session, current, moved) + NEAR_SCORE)
-        elif not always_on:
+        elif not remembers:
             return Hint(np.inf, [])
-    if not always_on and markers is not None:
+    if not remembers and markers is not None:
         gains.append(_gain(session, current, markers, columns) - 0.5 * APART_FROM_SCORE)
     return Hint(max(gains), columns)
 
@@ -445,7 +444,8 @@ def is_hopeless(session: Session, current: Ranked, hints: Iterable[Hint]) -> boo
     """
     Return whether even all effects at once leave most of the error of a fit, to first order.
 
-    Most: more than what a fit of the right ones would leave because the effects are not linear.
+    Of the error beyond noise. Most: more than what a fit of the right ones would leave because the
+    effects are not linear.
     """
     fitter, n = session.fitters[0], session.whitener.size
     fitter.resume(current.fit)
@@ -456,7 +456,8 @@ def is_hopeless(session: Session, current: Ranked, hints: Iterable[Hint]) -> boo
     own = current.fit.jacobian[:n, : len(current.fit.all_frees)]
     columns = np.column_stack([own, *(column for hint in hints for column in hint.columns)])
     rest = residual - columns @ np.linalg.lstsq(columns, residual)[0]
-    return float(rest @ rest) > RESIDUAL_RATIO_MAX**2 * float(residual @ residual)
+    left, error = rest @ rest - n + columns.shape[1], residual @ residual - n
+    return bool(left > RESIDUAL_RATIO_MAX**2 * error)
 
 
 def _gain(

@@ -37,7 +37,7 @@ from ..inference.marginal import STEPS_MAX as ITERATIONS_MAX
 from ..inference.noise import Whitener, input_slopes, likely
 from ..inference.predict import FreeParameter, Point, Predictor
 from ..inference.search import DIFFERENCE_STEP, LADDER
-from ..inference.session import Session
+from ..inference.session import Question
 from ..inference.statistics import chi2_sf, f_sf, rms
 from ..robot import Robot
 from ..robot.estimates import natural_sizes
@@ -242,8 +242,7 @@ class Stepwise:
         if int((dataset.trials > 0).sum()) < GROUPS_MIN:
             raise InputError(f'{dataset.name}: expected {GROUPS_MIN} or more measured postures')
         self.robot, self.catalogue = robot, catalogue.sized(natural_sizes(robot))
-        session = Session(dataset, robot, catalogue, workers=1)
-        session.prepare()
+        session = Question.of(dataset, robot, catalogue, workers=1).prepared()
         self.unsettled, self.outliers = session.unsettled, session.outliers
         self.dataset, self.whole, self.noise = session.dataset, session.whole, session.noise
         self.predictor = DescribedArm(self.dataset, robot, self.catalogue)

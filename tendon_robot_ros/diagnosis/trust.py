@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..common.errors import Progress, listener
+from ..common.errors import InputError, Progress, listener
 from ..common.workers import Workers
 from ..data import DataSet
 from ..effects import load_catalogue
@@ -18,7 +18,7 @@ from ..inference.fit import Nuisance
 from ..inference.intervals import QUANTILE
 from ..inference.noise import Noise
 from ..inference.predict import FreeParameter, Point, Predictor
-from ..inference.session import Session
+from ..inference.session import Question
 from ..inference.statistics import chi2_noncentrality
 from ..robot import Robot
 from .select import gather
@@ -135,10 +135,14 @@ def assess(
 
     """
     robot, show = dataset.robot, listener(progress)
-    session = Session(dataset, robot, load_catalogue(files), workers=1)
-    if session.predictor.markers({}) is None or not session.weigh({}):
+    question = Question.of(dataset, robot, load_catalogue(files), workers=1)
+    if question.predictor.markers({}) is None:
         return None
-    fits = gather(session)
+    try:
+        fits = gather(question)
+    except InputError:
+        return None
+    session = fits.session
     smallest = smallest_sizes(fits.singles, session.nuisances)
     slow = {e.name for e in session.catalogue if e.always_on or e.stage == 'memory'}
     hidden = [one for one in smallest if one.size is not None and one.free.effect not in slow]
@@ -174,18 +178,17 @@ class Job:
         """Return whether a simulated data set raises the alarm; None without equilibrium."""
         seed, free, size = task
         catalogue = load_catalogue(self.files)
-        session = Session(self.dataset, self.robot, catalogue, workers=1)
+        question = Question.of(self.dataset, self.robot, catalogue, workers=1)
         random = np.random.default_rng([seed, 71])
         point: dict[FreeParameter, float] = {
-            n.free: float(random.normal(n.centre, n.spread)) for n in session.nuisances
+            n.free: float(random.normal(n.centre, n.spread)) for n in question.nuisances
         }
         if free is not None:
             point[free] = size
-        simulated = simulated_measurements(session.predictor, point, self.noise, random)
+        simulated = simulated_measurements(question.predictor, point, self.noise, random)
         if simulated is None:
             return None
-        session = Session(simulated, self.robot, catalogue, workers=1)
-        return gather(session).answer(is_alarming) if session.weigh({}) else None
+        return gather(question.mended(simulated)).answer(is_alarming)
 
 
 def simulated_measurements(

@@ -27,7 +27,7 @@ from ..robot import RobotLike, load_robot
 from .crossval import described_by, predict
 from .noise import NEGLIGIBLE
 from .predict import mean_inputs
-from .session import Session
+from .session import Question
 
 ALIKE = ('markers', 'input', 'input_names')  # what both recordings must have in common
 LENGTHS = 12  # [1] that are tried, so that each is within a quarter of the next
@@ -74,10 +74,10 @@ def since(
     whole = np.flatnonzero((old.counts > 0).all(axis=1))
     if not len(whole):
         raise DataSetError(old.name, 'no posture shows all markers', 'record one that does')
-    session = Session(
+    question = Question.of(
         old.select(old.postures[p] for p in whole), described, load_catalogue(catalogue), workers=1
     )
-    session.prepare()
+    session = question.prepared()
     found = described_by(session, session.base_fit(), beside=True)
     settled = session.dataset
     off = settled.mean - predict(settled, found, session.catalogue)[1]

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -154,8 +153,7 @@ class Whitener:
 
     def without(self, postures: Sequence[int] | npt.NDArray[np.int64]) -> Whitener:
         """Return the same whitener with some postures weighted zero."""
-        other = copy(self)
-        other.__dict__.pop('_factors', None)
+        other = Whitener(*self._noise, *self._errors[1:])
         other._visible = self._visible.copy()
         other._visible[list(postures)] = False
         return other

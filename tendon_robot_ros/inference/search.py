@@ -18,6 +18,13 @@ LADDER = (0.03, 0.1, 0.3, 1.0, 3.0)  # [1] typical sizes to start at, because ch
 DIFFERENCE_STEP = 0.02  # [1] of a typical size or input, solved for, because laws have kinks
 
 
+def sized(free: FreeParameter, factor: float, predictor: Predictor) -> float:
+    """Return a value of so many typical sizes; one that only shapes the others is as described."""
+    own = free.parameter
+    size = predictor.value(free) if own.has_default else factor * own.typical
+    return float(np.clip(size, own.low, own.high))
+
+
 class Weighs(Protocol):
     """Weights of the errors of a search: the part of `Fitter` that it uses."""
 

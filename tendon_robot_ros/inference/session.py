@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -23,7 +25,7 @@ from .candidates import (
     is_tested,
     nuisances_of,
 )
-from .fit import Fit
+from .fit import Fit, Nuisance
 from .fitter import FAILURES, GAINS_TO_COME, Descent, Fitter
 from .imperfections import REMAINDER, Imperfections, Members, SplitPredictor, imperfections
 from .marginal import RandomEffects
@@ -133,55 +135,65 @@ class Race:
         self.done()
 
 
-class Session:
-    """Fits of one data set and description; `weigh` sets the weights at a point."""
+@dataclass(frozen=True)
+class Question:
+    """What a data set says of a description, before anything is weighed: `weigh`."""
 
-    def __init__(
-        self,
+    dataset: DataSet  # that fits use
+    robot: Robot
+    catalogue: Catalogue  # sized for the robot
+    progress: Progress
+    recorded: DataSet
+    predictor: Predictor
+    arms: Sequence[Predictor]  # one per worker; with imperfections, where the arm has any
+    use_accuracy: bool = False
+    outliers: Outliers | None = None
+    unsettled: tuple[str, ...] = ()  # excluded postures
+
+    @classmethod
+    def of(
+        cls,
         dataset: DataSet,
         robot: Robot,
         catalogue: Catalogue,
         workers: int = 2,
         progress: Progress | None = None,
-    ) -> None:
-        """Build a predictor per worker; the noise is not yet known."""
-        self.robot, self.catalogue = robot, catalogue.sized(natural_sizes(robot))
-        self.workers = max(1, workers)
-        self.progress = listener(progress)
-        self._all = dataset
-        self._set_dataset(dataset.thinned(POSTURES_MAX))
-        self.outliers: Outliers | None = None
-        self.unsettled: tuple[str, ...] = ()  # excluded postures
-        self.nuisances = nuisances_of(robot, self.catalogue, self.predictor)
-        self.candidates = candidates_of(robot, self.catalogue)
-        self.accuracy = dataset.accuracy or 0.0
-        self.use_accuracy = False
-        self.noise: Noise  # set by `weigh`, as are the next three
-        self.whitener: Whitener
-        self.random: RandomEffects
-        self.imperfections: Imperfections
+    ) -> Question:
+        """Build a predictor per worker; a long recording is thinned."""
+        used, sized = dataset.thinned(POSTURES_MAX), catalogue.sized(natural_sizes(robot))
+        made = arms_of(used, robot, sized, max(1, workers))
+        return cls(used, robot, sized, listener(progress), dataset, *made)
 
-    def mended(self, dataset: DataSet) -> Session:
-        """Return a session of corrected measurements."""
-        return Session(dataset, dataset.robot, self.catalogue, self.workers, self.progress)
+    def mended(self, dataset: DataSet) -> Question:
+        """Return the question of corrected measurements."""
+        return Question.of(dataset, dataset.robot, self.catalogue, len(self.arms), self.progress)
 
-    def _set_dataset(self, dataset: DataSet) -> None:
-        """Set the data set, and build a predictor per worker."""
-        self.dataset = dataset
-        self.predictors = [
-            Predictor(dataset, self.robot, self.catalogue) for _ in range(self.workers)
-        ]
-        self.predictor = self.predictors[0]
-        scatters = not self.robot.exact or self.robot.tolerances.get(CELLS)
-        exact = not scatters and dataset.reference is None
-        self.arms = self.predictors if exact else [SplitPredictor(p) for p in self.predictors]
+    def about(self, dataset: DataSet) -> Self:
+        """Return the same question of a part of the measurements."""
+        predictor, arms = arms_of(dataset, self.robot, self.catalogue, len(self.arms))
+        return replace(self, dataset=dataset, predictor=predictor, arms=arms)
+
+    @cached_property
+    def nuisances(self) -> list[Nuisance]:
+        """Declared tolerances as parameters."""
+        return nuisances_of(self.robot, self.catalogue, self.predictor)
+
+    @cached_property
+    def candidates(self) -> list[Candidate]:
+        """Effects that may be missing."""
+        return candidates_of(self.robot, self.catalogue)
+
+    @property
+    def accuracy(self) -> float:
+        """Declared error [m] of the model; 0: none is."""
+        return self.dataset.accuracy or 0.0
 
     @property
     def whole(self) -> DataSet:
         """The data set, the postures of a long recording included that are not used."""
-        return self._all if self.dataset.thinned_from else self.dataset
+        return self.recorded if self.dataset.thinned_from else self.dataset
 
-    def prepare(self) -> None:
+    def prepared(self) -> Session:
         """
         Leave out what has no equilibrium and what other trials contradict, and weigh the rest.
 
@@ -192,12 +204,10 @@ class Session:
         NoEquilibriumError
 
         """
-        self.leave_out_unsettled()
-        if not self.weigh({}):
-            raise InputError(f'{self.dataset.name}: {NOISE_UNKNOWN}')
-        self.leave_out(find_outliers(self.predictor, {}))
+        session = self.settled().weigh({})
+        return session.without(find_outliers(session.predictor, {}))
 
-    def leave_out_unsettled(self) -> None:
+    def settled(self) -> Question:
         """
         Exclude the few postures in which the description has no equilibrium.
 
@@ -207,40 +217,36 @@ class Session:
             They are many, or one belongs to a sequence, in which the next posture depends on it.
 
         """
-        settled, self.unsettled = without_unsettled(self.predictor)
-        if self.unsettled:
-            self._set_dataset(settled)
+        settled, unsettled = without_unsettled(self.predictor)
+        return replace(self.about(settled), unsettled=unsettled) if unsettled else self
 
-    def leave_out(self, outliers: Outliers) -> None:
-        """Exclude measurements that the other trials contradict, and weigh the others."""
-        self.outliers = outliers
-        if outliers.any:
-            self._set_dataset(outliers.without(self.dataset))
-            self.weigh({})
-
-    def weigh(self, point: Point, at: Members | None = None) -> bool:
+    def weigh(self, point: Point, at: Members | None = None) -> Session:
         """
-        Estimate the noise and set the weights at a point; False where the noise is not known.
+        Estimate the noise and weigh the measurements at a point.
 
         Imperfections are linearised around given ones (`at`); the slopes by inputs belong to an
         arm with these, because a kink can reverse the direction of friction.
+
+        Raises
+        ------
+        InputError
+            The noise is not known.
+
         """
         arm = self.arms[0]
         arm.around = at or {}
         slopes = input_slopes(arm if at else self.predictor, point)
         noise = estimate_noise(self.dataset, slopes)
         if noise is None:
-            return False
-        self.noise = noise
+            raise InputError(f'{self.dataset.name}: {NOISE_UNKNOWN}')
         taken = self.dataset.reference
         rough = 0.0 if taken is None else taken.noise
-        self.whitener = Whitener(self.dataset, noise, slopes, self.model_error, rough)
+        whitener = Whitener(self.dataset, noise, slopes, self.model_error, rough)
         built = imperfections(arm, point, at) or Imperfections.none(self.dataset)
-        columns = self.whitener.white(built.moves).T
-        self.imperfections = built
-        self.random = RandomEffects(columns, built.owners, built.kinds)
-        self.fitters = [self.fitter(worker) for worker in range(self.workers)]
-        return True
+        arm.around = {}
+        random = RandomEffects(whitener.white(built.moves).T, built.owners, built.kinds)
+        own = {one.name: getattr(self, one.name) for one in fields(Question)}
+        return Session(**own, noise=noise, whitener=whitener, imperfections=built, random=random)
 
     @property
     def model_error(self) -> Floats | float:
@@ -257,16 +263,45 @@ class Session:
         known = self.robot.model_error or 0.0 if reference is None else reference.error
         return relative_error(known, dataset.mean[:, int(np.argmax(dataset.arc_lengths))])
 
-    def fitter(self, worker: int = 0) -> Fitter:
-        """Return a fitter of a worker with the present weights."""
-        return Fitter(
-            self.arms[worker],
-            self.whitener,
-            self.nuisances,
-            self.random,
-            self.imperfections,
-            self.response_error,
-        )
+    @cached_property
+    def described(self) -> tuple[Predictor, Floats | None]:
+        """Predictor of the description on the whole data set, and its markers (P, J, 3) [m]."""
+        predictor = Predictor(self.whole, self.robot, self.catalogue)
+        return predictor, predictor.markers({})
+
+
+def arms_of(
+    dataset: DataSet, robot: Robot, catalogue: Catalogue, workers: int
+) -> tuple[Predictor, Sequence[Predictor]]:
+    """Return a predictor, and one per worker with the imperfections that the arm may have."""
+    predictors = [Predictor(dataset, robot, catalogue) for _ in range(workers)]
+    scatters = not robot.exact or robot.tolerances.get(CELLS) or dataset.reference is not None
+    return predictors[0], [SplitPredictor(p) for p in predictors] if scatters else predictors
+
+
+@dataclass(frozen=True, kw_only=True)
+class Session(Question):
+    """Fits of one data set and description, with weights taken at a point."""
+
+    noise: Noise
+    whitener: Whitener
+    imperfections: Imperfections
+    random: RandomEffects
+
+    def without(self, outliers: Outliers) -> Session:
+        """Exclude measurements that the other trials contradict, and weigh the others."""
+        session = replace(self, outliers=outliers)
+        return session.about(outliers.without(self.dataset)).weigh({}) if outliers.any else session
+
+    @cached_property
+    def fitters(self) -> list[Fitter]:
+        """A fitter per worker."""
+        return [self.fitter(arm) for arm in self.arms]
+
+    def fitter(self, arm: Predictor) -> Fitter:
+        """Return a fitter with a predictor of its own."""
+        weights = self.whitener, self.nuisances, self.random, self.imperfections
+        return Fitter(arm, *weights, self.response_error)
 
     @property
     def freedom(self) -> float:
@@ -293,12 +328,6 @@ class Session:
     def usual_floor(self) -> float:
         """Expected rms [m] of a perfect model of an arm with imperfections of plausible sizes."""
         return self.floor_with(self.random.plausible)
-
-    @cached_property
-    def described(self) -> tuple[Predictor, Floats | None]:
-        """Predictor of the description on the whole data set, and its markers (P, J, 3) [m]."""
-        predictor = Predictor(self.whole, self.robot, self.catalogue)
-        return predictor, predictor.markers({})
 
     @cached_property
     def repeats(self) -> Repeats | None:
@@ -403,7 +432,7 @@ class Session:
             return True
         if large.fit.rank <= small.fit.rank:
             return False
-        fitter = self.fitter()
+        fitter = self.fitter(self.arms[0])
         fitter.measured = small.fit.markers  # these were predicted without imperfections
         start, sizes = large.fit.point, small.fit.built.sizes
         return fitter.fit(large.candidate.frees, start, sizes=sizes).chi2 < TIE_SCORE
