@@ -124,7 +124,11 @@ def main(arguments: Sequence[str]) -> int:
 
 
 AXES = 'da', 'ws', 'rf', 'ik', 'lj'  # keys along + and - of linear x, y, z, about x, y
-MOVES = {key: (axis, key == pair[0]) for axis, pair in enumerate(AXES) for key in pair}
+MOVES = {
+    key: (axis, forwards)
+    for axis, pair in enumerate(AXES)
+    for key, forwards in zip(pair, (True, False), strict=True)
+}
 ARROWS = {'\x1b[C': 'd', '\x1b[D': 'a', '\x1b[A': 'r', '\x1b[B': 'f'}
 LEGEND = """\
 hold a key to move the tip, let go to stop

@@ -147,9 +147,11 @@ class ControllerNode(StoppableNode):
         now, take = time.monotonic, partial(partial, self._take, 'target')
         twist = take(lambda core, new, message: core.twist(now(), new.twist(message)))
         takers = {
-            'target_pose': take(lambda core, new, message: core.aim(new.pose(message))),
-            'target_point': take(lambda core, new, message: core.aim(new.point(message))),
-            'tendon_trajectory': take(
+            'controller/target_pose': take(lambda core, new, message: core.aim(new.pose(message))),
+            'controller/target_point': take(
+                lambda core, new, message: core.aim(new.point(message))
+            ),
+            'controller/tendon_trajectory': take(
                 lambda core, new, message: core.play(now(), new.trajectory(message))
             ),
         }
@@ -161,7 +163,7 @@ class ControllerNode(StoppableNode):
         kind, topic, _ = interface.topic('controller/delta_twist')
         self._targets = [passing_subscription(self, kind, topic, twist, LISTEN)]
         for name, taker in takers.items():
-            kind, topic, _ = interface.topic(f'controller/{name}')
+            kind, topic, _ = interface.topic(name)
             self._targets += subscribe_any_qos(self, kind, topic, taker, too_long)
 
     def deactivate(self) -> None:

@@ -164,9 +164,9 @@ class Prediction:
         """Create the publishers."""
         self._node = node
         self.use(frame, model)
+        names = 'controller/predicted_shape', 'controller/predicted_tip', 'controller/markers'
         self._publishers = [
-            messages.passing_publisher(node, *interface.topic(f'controller/{name}'))
-            for name in ('predicted_shape', 'predicted_tip', 'markers')
+            messages.passing_publisher(node, *interface.topic(name)) for name in names
         ]
 
     def use(self, frame: str, model: Model) -> None:

@@ -68,10 +68,11 @@ class MonitorNode(Runnable, Node):
         self._in_use = self._loading = self._base = self._problem = ''
         self._last_error = self._frame_at = float('nan')
         self._remote = RemoteParameter(self, self.parameters['controller'], 'model')
-        topics = 'error', 'rolling_error', 'marker_errors', 'measured', 'predicted'
+        topics = 'monitor/error', 'monitor/rolling_error', 'monitor/marker_errors'
+        texts = 'monitor/progress', 'monitor/verdict'
         self._publish = {
-            name: self.create_publisher(*interface.topic(f'monitor/{name}')).publish
-            for name in (*topics, 'progress', 'verdict')
+            name: self.create_publisher(*interface.topic(name)).publish
+            for name in (*topics, 'monitor/measured', 'monitor/predicted', *texts)
         }
         self.watching: Watching | None = None
         interface.subscribe(self, 'tendon_states', self._states)
@@ -172,11 +173,11 @@ class MonitorNode(Runnable, Node):
             header, errors = messages.header_now(self, self._base), compared.errors
             sizes = np.linalg.norm(errors, axis=1).tolist()  # nan where a marker is not seen
             content = {
-                'error': Vector3Stamped(header=header, vector=messages.vector(errors[-1])),
-                'rolling_error': Float64(data=compared.rolling),
-                'marker_errors': Float64MultiArray(data=sizes),
-                'measured': messages.pose_array(header, compared.measured),
-                'predicted': messages.pose_array(header, compared.predicted),
+                'monitor/error': Vector3Stamped(header=header, vector=messages.vector(errors[-1])),
+                'monitor/rolling_error': Float64(data=compared.rolling),
+                'monitor/marker_errors': Float64MultiArray(data=sizes),
+                'monitor/measured': messages.pose_array(header, compared.measured),
+                'monitor/predicted': messages.pose_array(header, compared.predicted),
             }
             for name, message in content.items():
                 self._publish[name](message)
@@ -194,7 +195,7 @@ class MonitorNode(Runnable, Node):
             self.watching.blind(self._base)
         for news in self.work.news():
             if news['kind'] == 'verdict':
-                self._publish['verdict'](String(data=json.dumps(news['content'])))
+                self._publish['monitor/verdict'](String(data=json.dumps(news['content'])))
             if news['kind'] == 'add':
                 self._remote.put(
                     news['file'],
@@ -240,7 +241,7 @@ class MonitorNode(Runnable, Node):
         }
 
     def _publish_progress(self, text: str) -> None:
-        self._publish['progress'](String(data=text))
+        self._publish['monitor/progress'](String(data=text))
 
     def undo(self) -> str:
         """Undo the last change of the controller's model; return a text."""

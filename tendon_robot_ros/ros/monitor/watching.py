@@ -57,9 +57,10 @@ class Watching:
         self._frames = FrameMean(
             parameters['tracker_noise'], TENSION_STILL * high, parameters['force_time']
         )
+        topics = 'monitor/tip_force', 'monitor/tip_force_covariance', 'monitor/contact'
         self._send = {
-            name: node.create_publisher(*interface.topic(f'monitor/{name}')).publish
-            for name in ('tip_force', 'tip_force_covariance', 'contact', 'markers', 'drift')
+            name: node.create_publisher(*interface.topic(name)).publish
+            for name in (*topics, 'monitor/markers', 'monitor/drift')
         }
         held = interface.topic('controller/tendon_trajectory', parameters['controller'])
         self._send |= {
@@ -151,9 +152,9 @@ class Watching:
         self._react(contact)
         header, robot = header_now(self._node, base), self.watch.model.robot
         wrench, arrow = Wrench(force=vector(contact.force)), contact.arrow(robot.length)
-        self._send['tip_force'](WrenchStamped(header=header, wrench=wrench))
+        self._send['monitor/tip_force'](WrenchStamped(header=header, wrench=wrench))
         covariance = Float64MultiArray(data=contact.covariance.ravel().tolist())
-        self._send['tip_force_covariance'](covariance)
+        self._send['monitor/tip_force_covariance'](covariance)
         content = {
             'text': self._said(contact),
             'acts': contact.acts,
@@ -164,10 +165,10 @@ class Watching:
             'arrow': arrow.tolist(),
             'reaction': self._reaction,
         }
-        self._send['contact'](String(data=json.dumps(content)))
+        self._send['monitor/contact'](String(data=json.dumps(content)))
         thickness = ARROW_THICKNESS * robot.length
         ends = arrow if contact.acts else None
-        self._send['markers'](arrow_marker(header, ends, thickness, BAD))
+        self._send['monitor/markers'](arrow_marker(header, ends, thickness, BAD))
 
     def _publish_state(self) -> None:
         """Publish the state of the alarm when it has changed."""
@@ -181,7 +182,7 @@ class Watching:
         text = json.dumps(content)
         if text != self._published:
             self._published = text
-            self._send['drift'](String(data=text))
+            self._send['monitor/drift'](String(data=text))
 
     def _react(self, contact: Contact) -> None:
         """

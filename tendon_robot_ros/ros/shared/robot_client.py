@@ -90,8 +90,12 @@ class Pilot(Node):
         self._tips = {'measured': [], 'predicted': []}
         self._commands: list[tuple[float, Floats]] = []
         self._poses, self._points, self._trajectories = (
-            self.create_publisher(*interface.topic(f'controller/{name}', controller))
-            for name in ('target_pose', 'target_point', 'tendon_trajectory')
+            self.create_publisher(*interface.topic(name, controller))
+            for name in (
+                'controller/target_pose',
+                'controller/target_point',
+                'controller/tendon_trajectory',
+            )
         )
 
         def receive(node: str, message: DiagnosticStatus) -> None:
