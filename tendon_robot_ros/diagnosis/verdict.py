@@ -288,9 +288,23 @@ def outside_by_itself(evidence: Evidence) -> Rival | None:
     """
     if evidence.patterns is None:
         raise Missing('patterns')
-    everywhere = [one for one in evidence.patterns if one.everywhere and one.gain_p < ALARM_LEVEL]
-    likely = [one for one in everywhere if not one.placed or one.placed.trust > P_SINGLE_MIN]
-    return min(likely, key=lambda one: one.score, default=None)
+    everywhere = [one for one in evidence.patterns if one.everywhere]
+    return _best_beyond_chance(
+        [one for one in everywhere if not one.placed or one.placed.trust > P_SINGLE_MIN]
+    )
+
+
+def _best_beyond_chance(rivals: Sequence[Rival]) -> Rival | None:
+    """
+    Return the best rival whose gain is significant, if any.
+
+    An effect whose place had to be found is none beside a pattern that it cannot be told from: with
+    its place and direction it can imitate a cell that is softer than the others.
+    """
+    likely = [one for one in rivals if one.gain_p < ALARM_LEVEL]
+    top = min((one.score for one in likely), default=math.inf)
+    near = [one for one in likely if one.score <= top + APART_FROM_SCORE]
+    return min(near, key=lambda one: (one.placed is not None, one.score), default=None)
 
 
 def decide(evidence: Evidence) -> Concluded:
@@ -402,8 +416,7 @@ def _competing(evidence: Evidence, score: float) -> Rival | None:
     """Return the pattern beyond chance whose score is much better than a given one, if any."""
     if evidence.rivals is None:
         raise Missing('rivals', score=score)
-    likely = [one for one in evidence.rivals if one.gain_p < ALARM_LEVEL]
-    top = min(likely, key=lambda one: one.score, default=None)
+    top = _best_beyond_chance(evidence.rivals)
     return top if top is not None and top.score < score - APART_FROM_SCORE else None
 
 
