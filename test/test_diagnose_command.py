@@ -178,7 +178,7 @@ def test_a_cause_outside_is_not_added(capsys, folder):
     assert lines[:2] == [
         'Missing: something that no known effect describes.',
         "Nearest: a load of 2.6 ± 0.2 mN at the tip, along the arm's axis, towards its base "
-        '(`tip_load`). It lowers the error from 1.49 mm to 0.476 mm, but what remains is 1.9 '
+        '(`tip_load`). It lowers the error from 1.49 mm to 0.478 mm, but what remains is 1.9 '
         'times the noise (p < 1e-6).',
     ]
     assert lines[2].endswith('cell 4 bends 1.4 times as much as it should. Look at that cell.')

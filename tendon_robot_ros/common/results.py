@@ -11,8 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from typing import Any
 
-import numpy as np
-
 from .errors import MissingExtraError
 from .files import file_to_write, write_text
 
@@ -86,9 +84,8 @@ def plain(value: Any) -> Any:
         value = {one.name: getattr(value, one.name) for one in fields(value)}
     if isinstance(value, Mapping):
         return {key: plain(one) for key, one in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        finite = np.isfinite(value) if value.dtype.kind == 'f' else True
-        return np.where(finite, value, np.array(None, dtype=object)).tolist()
+    if hasattr(value, 'tolist'):
+        value = value.tolist()
     if isinstance(value, list | tuple):
         return [plain(one) for one in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -298,8 +298,8 @@ def _best_beyond_chance(rivals: Sequence[Rival]) -> Rival | None:
     """
     Return the best rival whose gain is significant, if any.
 
-    An effect whose place had to be found is none beside a pattern that it cannot be told from: with
-    its place and direction it can imitate a cell that is softer than the others.
+    An effect whose place had to be found is none beside a pattern that it cannot be told from: at
+    the right place and in the right direction it imitates a cell that is softer than others.
     """
     likely = [one for one in rivals if one.gain_p < ALARM_LEVEL]
     top = min((one.score for one in likely), default=math.inf)
