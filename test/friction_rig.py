@@ -1,13 +1,17 @@
 """A controller whose arm remembers friction, and follows at once."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
+from arms import COARSE
 
 from tendon_robot_ros.control import ControllerCore, Settings, Target
 from tendon_robot_ros.control.status import controller_status
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.simulation.hidden import Workmanship
+from tendon_robot_ros.simulation.plant import make_plant
 
 CYCLE = 0.005  # [s]
 TARGETS = ((0.9, 0.1, 0.1, 0.5), (0.1, 0.7, 0.4, 0.1), (0.3, 0.1, 0.1, 0.9), (0.1, 0.2, 0.8, 0.1))
@@ -63,3 +67,76 @@ class Rig:
 
     def code(self):
         return controller_status(self.core, self.now).code
+
+
+ARMS = {'planar': (load_robot('kato_10_1'), 0.8), 'spatial': (COARSE, 1.5)}  # tensions to [N]
+SPRINGS, STIFF = {'wire_spring': {'compliance': 1e-3}}, {}
+BENDS = {'bending_hysteresis': {'lag': 0.03, 'presliding': 2.0}}
+MOTORS = {'backlash': {'width': 5e-4}}
+EYELETS = {'friction_memory': {'presliding_length': 2e-4}}
+# arm, what it remembers, its wires, whether pulls are commanded, whether it is built with scatter
+SIDES = (
+    ('planar', BENDS, SPRINGS, False, False),
+    ('planar', BENDS, SPRINGS, True, False),
+    ('planar', BENDS, SPRINGS, False, True),
+    ('planar', EYELETS, SPRINGS, False, True),
+    ('planar', BENDS, SPRINGS, True, True),
+    ('planar', EYELETS, SPRINGS, True, True),
+    ('planar', MOTORS, SPRINGS, True, False),
+    ('planar', MOTORS, STIFF, True, False),
+    ('planar', MOTORS, SPRINGS, True, True),
+    ('planar', BENDS | MOTORS, SPRINGS, True, False),
+    ('spatial', BENDS, SPRINGS, False, False),
+    ('spatial', BENDS, SPRINGS, True, False),
+    ('spatial', BENDS, SPRINGS, True, True),
+    ('spatial', EYELETS, SPRINGS, False, True),
+    ('spatial', MOTORS, SPRINGS, True, False),
+    ('spatial', MOTORS, SPRINGS, True, True),
+    ('spatial', BENDS | MOTORS, SPRINGS, True, False),
+    ('spatial', BENDS | MOTORS, SPRINGS, True, True),
+)
+
+
+class AsBuilt:
+    """A plant with the interface of a model; it remembers by itself."""
+
+    def __init__(self, robot, hidden):
+        self.plant = make_plant(robot, hidden, refine=1, seed=3, work=Workmanship())
+        self.bends_remember = self.transmission_remembers = True  # so that it takes pulls
+
+    def follow(self, last, tensions):
+        return self.plant.respond(tensions)
+
+    def follow_pulls(self, last, pulls):
+        return self.plant.respond_to_pulls(pulls)
+
+
+def from_sides(arm, memory, wires, pull, built, seed=2):
+    """
+    Send the tip to two targets from three sides, by a model with and by one without the memory.
+
+    Returns how far the ends of a target differ and how far they are off, lists [m] by whether the
+    model remembers.
+    """
+    robot, top = ARMS[arm]
+    robot = replace(robot, effects=robot.effects | wires)
+    random = np.random.default_rng(seed)
+    targets, sides = 0.1 + top * random.uniform(0, [[[0.6]], [[1.0]]], (2, 3, len(robot.inputs)))
+    spread, off = {True: [], False: []}, {True: [], False: []}
+
+    def models(known=True):
+        return Model(replace(robot, effects=robot.effects | (memory if known else {})))
+
+    for known in (True, False):
+        rig = Rig(known, pull=pull, models=models)
+        rig.arm = AsBuilt(robot, memory) if built else rig.arm
+        rig.run(0.1)
+        for target in targets[:2]:
+            ends = []
+            for side in sides:
+                rig.go(side)
+                off[known].append(rig.go(target))
+                ends.append(rig.shape.tip_position)
+            away = np.linalg.norm(np.array(ends) - np.mean(ends, axis=0), axis=1).max()
+            spread[known].append(float(away))
+    return spread, off

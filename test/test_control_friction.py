@@ -1,12 +1,10 @@
 """Friction that remembers in the controller, ways on which it ends well, regions, preferences."""
 
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from arms import COARSE
-from friction_rig import TARGETS, Rig, model
+from friction_rig import SIDES, TARGETS, Rig, from_sides, model
 
 from tendon_robot_ros.common.errors import NoEquilibriumError
 from tendon_robot_ros.control import ControllerCore, Settings, Target, target_search
@@ -18,8 +16,6 @@ from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.tip_task import Preferences
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.robot.keep_out import KeepOut, Region, Sphere
-from tendon_robot_ros.simulation.hidden import Workmanship
-from tendon_robot_ros.simulation.plant import make_plant
 
 
 def missed(order=TARGETS, **settings):
@@ -40,73 +36,10 @@ def test_also_where_wire_lengths_are_commanded():
     assert missed(order, pull=True) < 0.01 * missed(order, known=False)
 
 
-ARMS = {'planar': (load_robot('kato_10_1'), 0.8), 'spatial': (COARSE, 1.5)}  # tensions to [N]
-SPRINGS, STIFF = {'wire_spring': {'compliance': 1e-3}}, {}
-BENDS = {'bending_hysteresis': {'lag': 0.03, 'presliding': 2.0}}
-MOTORS = {'backlash': {'width': 5e-4}}
-EYELETS = {'friction_memory': {'presliding_length': 2e-4}}
-
-
-class AsBuilt:
-    """A plant with the interface of a model; it remembers by itself."""
-
-    def __init__(self, robot, hidden):
-        self.plant = make_plant(robot, hidden, refine=1, seed=3, work=Workmanship())
-        self.bends_remember = self.transmission_remembers = True  # so that it takes pulls
-
-    def follow(self, last, tensions):
-        return self.plant.respond(tensions)
-
-    def follow_pulls(self, last, pulls):
-        return self.plant.respond_to_pulls(pulls)
-
-
-@pytest.mark.parametrize(
-    ('arm', 'memory', 'wires', 'pull', 'built'),
-    [
-        ('planar', BENDS, SPRINGS, False, False),
-        ('planar', BENDS, SPRINGS, True, False),
-        ('planar', BENDS, SPRINGS, False, True),
-        ('planar', EYELETS, SPRINGS, False, True),
-        ('planar', BENDS, SPRINGS, True, True),
-        ('planar', EYELETS, SPRINGS, True, True),
-        ('planar', MOTORS, SPRINGS, True, False),
-        ('planar', MOTORS, STIFF, True, False),
-        ('planar', MOTORS, SPRINGS, True, True),
-        ('planar', BENDS | MOTORS, SPRINGS, True, False),
-        ('spatial', BENDS, SPRINGS, False, False),
-        ('spatial', BENDS, SPRINGS, True, False),
-        ('spatial', BENDS, SPRINGS, True, True),
-        ('spatial', EYELETS, SPRINGS, False, True),
-        ('spatial', MOTORS, SPRINGS, True, False),
-        ('spatial', MOTORS, SPRINGS, True, True),
-        ('spatial', BENDS | MOTORS, SPRINGS, True, False),
-        ('spatial', BENDS | MOTORS, SPRINGS, True, True),
-    ],
-)
 @pytest.mark.long
+@pytest.mark.parametrize(('arm', 'memory', 'wires', 'pull', 'built'), SIDES)
 def test_a_target_is_the_same_place_from_every_side(arm, memory, wires, pull, built):
-    robot, top = ARMS[arm]
-    robot = replace(robot, effects=robot.effects | wires)
-    random = np.random.default_rng(2)
-    targets, sides = 0.1 + top * random.uniform(0, [[[0.6]], [[1.0]]], (2, 3, len(robot.inputs)))
-    spread, off = {}, {}
-
-    def models(known=True):
-        return Model(replace(robot, effects=robot.effects | (memory if known else {})))
-
-    for known in (True, False):
-        rig = Rig(known, pull=pull, models=models)
-        rig.arm = AsBuilt(robot, memory) if built else rig.arm
-        rig.run(0.1)
-        for target in targets[:2]:
-            ends = []
-            for side in sides:
-                rig.go(side)
-                off.setdefault(known, []).append(rig.go(target))
-                ends.append(rig.shape.tip_position)
-            away = np.linalg.norm(np.array(ends) - np.mean(ends, axis=0), axis=1).max()
-            spread.setdefault(known, []).append(away)
+    spread, off = from_sides(arm, memory, wires, pull, built)
     assert 3.0 * max(spread[True]) < max(spread[False])
     assert 3.0 * np.mean(spread[True]) < np.mean(spread[False])
     assert np.mean(off[True]) < np.mean(off[False])

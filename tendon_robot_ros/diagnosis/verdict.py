@@ -298,8 +298,8 @@ def _best_beyond_chance(rivals: Sequence[Rival]) -> Rival | None:
     """
     Return the best rival whose gain is significant, if any.
 
-    An effect whose place had to be found is none beside a pattern that it cannot be told from: at
-    the right place and in the right direction it imitates a cell that is softer than others.
+    An effect whose place had to be found does not count beside a pattern that explains as much: a
+    force at a free place can imitate a cell that is softer than the others.
     """
     likely = [one for one in rivals if one.gain_p < ALARM_LEVEL]
     top = min((one.score for one in likely), default=math.inf)
@@ -417,7 +417,7 @@ def _competing(evidence: Evidence, score: float) -> Rival | None:
     if evidence.rivals is None:
         raise Missing('rivals', score=score)
     top = _best_beyond_chance(evidence.rivals)
-    return top if top is not None and top.score < score - APART_FROM_SCORE else None
+    return top if top and top.score < score - APART_FROM_SCORE else None
 
 
 def _named(evidence: Evidence, group: Sequence[Hypothesis]) -> Concluded:
