@@ -280,15 +280,13 @@ def gather(question: Question, brief: bool = False) -> Fits:
     """
     Fit the base and every candidate; weights are taken at the best candidate's fit.
 
-    Twice, and repeated while a fit improves beyond a reversal of friction, where weights differ.
+    Twice, and again while a fit improves beyond a reversal of friction, where weights differ.
     """
     session = question.weigh({})
     base = session.base_fit()
     tested, not_tested = session.split_tested(base.point)
-    race = session.race(tested)
-    first = [session.rank(*one) for one in race.run()]
-    singles = over_reversals(session, first)
-    reversed_once = singles is not first
+    race, reversed_once = session.race(tested), False
+    singles = [session.rank(*one) for one in race.run()]
     for iteration in range(ROUNDS_MAX):
         if not singles:
             break
@@ -301,14 +299,17 @@ def gather(question: Question, brief: bool = False) -> Fits:
             except FAILURES:
                 base = session.base_fit()
         else:
-            near = session.base_fit((base, best.fit))
-            base = session.fitters[0].over_reversals(near)
+            base = session.base_fit((base, best.fit))
+        singles = session.refit(singles, base)
+        if iteration == 0:
+            continue
+        if not far:
+            near, base = base, session.fitters[0].over_reversals(base)
             reversed_once |= base.deviance < near.deviance - REVERSAL_GAIN_MIN
-        refitted = session.refit(singles, base)
-        singles = over_reversals(session, refitted)
-        reversed_once |= singles is not refitted
-        if iteration > 0 and singles is refitted:
+        beyond = over_reversals(session, singles)
+        if beyond is singles:
             break
+        singles, reversed_once = beyond, True
     if not any(r.probability > P_SINGLE_MIN for r in singles):  # combinations need converged fits
         stopped = [fit for _, fit in race.stopped_early()]
         late = {candidate.label: session.rank(candidate, fit) for candidate, fit in race.go_on()}
