@@ -112,7 +112,7 @@ def _compare(
     slopes = input_slopes(predictor, group[0].fit.point)
     whitener = Whitener(grid, session.noise, slopes)
     shown = slice(1, None, 2) if after is not None else slice(None)
-    predictions, sloped = [], []
+    predictions, gives = [], []  # (P, J, 3); (q, P, J, 3) by each sd of what is known of q values
     for ranked in group:
         markers = predictor.markers(ranked.fit.point)
         if markers is None:
@@ -123,9 +123,12 @@ def _compare(
             moved = predictor.markers({**ranked.fit.point, free: value + h})
             columns.append(np.zeros_like(markers) if moved is None else (moved - markers) / h)
         predictions.append(markers)
-        sloped.append(np.array(columns).reshape(-1, *markers.shape))
+        own = slice(0, len(columns))  # imperfections move all members of the class alike
+        root = np.linalg.svd(np.nan_to_num(ranked.fit.covariance[own, own], posinf=1e6))
+        slopes = np.array(columns).reshape(-1, *markers.shape)
+        gives.append(np.tensordot((root[0] * np.sqrt(root[1])).T, slopes, 1))
     worth = np.array(
-        [separation(group, whitener, predictions, sloped, p) for p in range(len(grid.inputs))]
+        [separation(whitener, predictions, gives, p) for p in range(len(grid.inputs))]
     )[shown]
     p = int(np.argmax(worth))
     row = p * 2 + 1 if after is not None else p
@@ -144,23 +147,14 @@ def _compare(
 
 
 def separation(
-    group: Sequence[Ranked],
-    whitener: Whitener,
-    predictions: Sequence[Floats],
-    sloped: Sequence[Floats],
-    p: int,
+    whitener: Whitener, predictions: Sequence[Floats], gives: Sequence[Floats], p: int
 ) -> float:
     """Sum over the pairs of the capped squared distance that refitting leaves at a posture."""
     rows, factor = whitener.rows[p], whitener.root(p)
     white = [factor @ markers[p].reshape(-1)[rows] for markers in predictions]
-    give = []
-    for ranked, slopes in zip(group, sloped, strict=True):
-        columns = slopes[:, p].reshape(len(slopes), -1)[:, rows] @ factor.T
-        own = slice(0, len(slopes))  # imperfections move all members of the class alike
-        root = np.linalg.svd(np.nan_to_num(ranked.fit.covariance[own, own], posinf=1e6))
-        give.append((root[0] * np.sqrt(root[1])).T @ columns)
+    give = [moved[:, p].reshape(len(moved), -1)[:, rows] @ factor.T for moved in gives]
     total = 0.0
-    for a in range(len(group)):
+    for a in range(len(white)):
         for b in range(a):
             d = white[a] - white[b]
             u = np.concatenate([give[a], give[b]])

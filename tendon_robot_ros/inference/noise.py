@@ -136,7 +136,7 @@ class Whitener:
         root, logs = _factored(blocks, self._visible)
         return np.linalg.inv(root), logs
 
-    @property
+    @cached_property
     def rows(self) -> list[npt.NDArray[np.intp]]:
         """Indices of the visible (marker, coordinate) pairs of each posture."""
         return [np.flatnonzero(visible) for visible in self._visible]
