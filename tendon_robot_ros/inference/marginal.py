@@ -16,6 +16,7 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg.lapack import dpotrf, dtrtri
 
 from ..common.arrays import Floats
 from ..common.estimation import STEP_LENGTHS
@@ -29,7 +30,6 @@ DEVIANCE_GAIN_MIN = 0.02  # [1] of a step, because a likelihood ratio of 1 % dec
 STEP_MAX = 2.0  # [1] of the logarithm of a variance, else a flat likelihood would send it away
 CURVATURE_MIN = 0.05  # [1] of the deviance by logarithms, else a flat one would make steps endless
 ROOTS_KEPT = 4  # [1] because a fit goes back and forth between few sets of sizes
-TRIANGLE_ROWS = 32  # [1] inverted at once, because dividing fewer costs more than it saves
 PLAUSIBLE_FACTOR = 2.0  # [1] 1 sd to which a plausible size is right, because arms differ by that
 NODES = 64  # [1] sets of sizes over which an interval is the mean, so that it is known to 4 %
 UNIT_LOGISTIC = math.sqrt(3.0) / math.pi  # [1] scale of a logistic, because its sd is then 1
@@ -54,30 +54,18 @@ def root_inverse(matrix: Floats) -> Floats:
     """
     Return L^-1 (n, n), lower triangular, of L L' = matrix.
 
-    A triangle is inverted in a sixth of what `numpy.linalg.inv` takes; that of scipy is no faster,
-    and importing it takes a tenth of a second or two.
-
     Raises
     ------
     LinAlgError
         The matrix is not positive definite.
 
     """
-    inverse = np.linalg.cholesky(matrix)
-    _invert_triangle(inverse)
-    return inverse
-
-
-def _invert_triangle(lower: Floats) -> None:
-    """Replace a lower triangle by its inverse."""
-    n = len(lower)
-    if n <= TRIANGLE_ROWS:
-        lower[:] = np.linalg.inv(lower)
-        return
-    half = n // 2
-    _invert_triangle(lower[:half, :half])
-    _invert_triangle(lower[half:, half:])
-    lower[half:, :half] = -lower[half:, half:] @ (lower[half:, :half] @ lower[:half, :half])
+    if not len(matrix):
+        return matrix
+    root, failed = dpotrf(matrix, lower=1)
+    if failed:
+        raise np.linalg.LinAlgError('the matrix is not positive definite')
+    return np.asarray(dtrtri(root, lower=1)[0])
 
 
 def prior_of(ratios: Floats, of: Prior = Prior.SIZES) -> float:
@@ -179,25 +167,31 @@ class Likelihood:
         given = np.full(k, 1e-9) if weights is None else weights[known > 1e-9]
         self.ridge = np.diag(given / (1.0 if weights is None else known[known > 1e-9] ** 2))
         self._at: tuple[Floats, _Reduced] | None = None
+        self._beside: tuple[float, Floats, Floats, Floats, Floats, float] | None = None
 
     def _reduced(self, v: Floats) -> _Reduced:
         """Return the matrices at variances (K,); those of the last variances are kept."""
         if self._at is not None and np.array_equal(self._at[0], v):
             return self._at[1]
-        own, more, inner, log = self.own, self.more, self.inner, 0.0
-        shrunk = np.ones(len(self.size2))
-        if self.kind is not None and v[self.kind] > 0.0:
-            gain = v[self.kind] * self.size2
-            shrunk, log = 1.0 / (1.0 + gain), float(np.log1p(gain).sum())
-            scaled = self.own_last * (v[self.kind] * shrunk)
-            own, more = own - scaled @ self.own_last.T, more - scaled @ self.more_last
-            inner = inner - (self.more_last.T * (v[self.kind] * shrunk)) @ self.more_last
+        variance = 0.0 if self.kind is None else float(v[self.kind])
+        if self._beside is None or self._beside[0] != variance:
+            self._beside = variance, *self._beside_remainder(variance)
+        own, more, inner, shrunk, log = self._beside[1:]
         s = np.sqrt(v)[self.owners]
         root = root_inverse(np.eye(len(s)) + s[:, None] * own * s)
-        log -= 2.0 * float(np.log(np.diag(root)).sum())
+        log = log - 2.0 * float(np.log(np.diag(root)).sum())
         reduced = _Reduced(own, more, inner, root * s, shrunk, log)
         self._at = (v.copy(), reduced)
         return reduced
+
+    def _beside_remainder(self, variance: float) -> tuple[Floats, Floats, Floats, Floats, float]:
+        """Return `own`, `more`, `inner`, `shrunk` and the log |V| of a remainder alone."""
+        gain = variance * self.size2
+        shrunk = 1.0 / (1.0 + gain)
+        scaled = variance * shrunk * self.own_last
+        own, more = self.own - scaled @ self.own_last.T, self.more - scaled @ self.more_last
+        inner = self.inner - (self.more_last.T * (variance * shrunk)) @ self.more_last
+        return own, more, inner, shrunk, float(np.log1p(gain).sum())
 
     def deviance(self, v: Floats) -> float:
         """-2 log likelihood with priors, at the best parameters."""
