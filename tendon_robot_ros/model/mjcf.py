@@ -22,6 +22,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from ..common.arrays import RESOLUTION
 from ..common.words import PROGRAM
 from ..effects.effect import Effect
 from .model import Model
@@ -33,7 +34,6 @@ STEP_S = 1e-3  # [s] of the simulation, because arms in MuJoCo usually have it
 STEPS_PER_PERIOD = 4.0
 DENSITY = 0.1  # [kg/m] where a description has no weight, because MuJoCo needs a mass to move
 INERTIA_MIN = 1e-9  # [kg·m²] of a body, because MuJoCo refuses none
-AFFINE = 1e-9  # [1] of a tension that a gain and an offset may be off, because of rounding
 # stages whose effects are in the numbers of the file
 SAID = ('actuation', 'offset_scale', 'stiffness', 'rest', 'load', 'tip_load', 'torsion')
 # stages that are no property of the arm under tensions
@@ -91,7 +91,7 @@ class Laws:
         first, middle, last = (self('actuation', (t,), tendon=tendon)[0] for t in ends)
         gain = (last - first) / (ends[2] - ends[0])
         offset = last - gain * ends[2]
-        return gain, offset, abs(offset + gain * ends[1] - middle) < AFFINE * high
+        return gain, offset, abs(offset + gain * ends[1] - middle) < RESOLUTION
 
     @property
     def straight(self) -> bool:

@@ -48,9 +48,7 @@ CONTENT = 'campaign.json'  # in the folder: what its table was made with
 class PlanReader(Reader):
     """Checked reading of a plan."""
 
-    def error(self, key: str, expected: str, got: object) -> InputError:
-        """Build the error for a key."""
-        return InputError(f'{self.source}: {self._where(key)}: expected {expected}, got {got!r}')
+    refusal = InputError
 
     def numbers_in(
         self, key: str, low: float, high: float, default: Sequence[float]
