@@ -378,8 +378,8 @@ def shown(
     fields.pop('change')
     fields['inputs'][:], fields['state'][:] = inputs, states
     past = model.arrays.fresh_memory() if memory is None else memory
-    model.arrays.part('shape').show_postures(
-        model.arrays.address, block, b, past.ctypes.data, model.scratch, int(carry)
+    model.arrays.part('shape').postures(
+        model.arrays.address, block, b, 0, b, past.ctypes.data, model.scratch, int(carry), 0
     )
     return ShapeBatch(**fields, cell_length=form.cell_length, hinge=form.hinge, slopes=None)
 

@@ -26,7 +26,7 @@ from .cells import (
     twist_in,
     twist_of,
 )
-from .geometry import moment_of_leaning, moment_of_tendons
+from .geometry import add_moments, leaning_tendon, straight_tendon
 from .layout import (
     DIFFERENCE_STEP,
     HINGE,
@@ -457,36 +457,26 @@ def compliances(chain, past, i, mx, my, total):
     return a * h, b * h, c * h, d * h, e * ht, f * ht
 
 
-@compiled
-def twist_compliance(chain, i, about):
-    """Differentiate a cell's twist by the moment about its axis [rad/(N·m)]."""
-    h = DIFFERENCE_STEP * cell_stiffness(chain, i, section_of(chain, i))
-    return (twist_of(chain, i, about + h) - twist_of(chain, i, about - h)) / (2.0 * h)
+@inlined
+def moment_slopes(chain, work, i, x, y, twist, scale, tangent, path_lost):
+    """
+    Fill OWN with derivatives of the tendons' moment by bend and twist, tensions held [N·m/rad].
 
-
-@compiled
-def moment_arm_slopes(chain, work, i, x, y, scale):
-    """Differentiate the tendons' moment by the bend, tensions held: (xx, xy, yy) [N·m/rad]."""
-    if not follows_shape(chain):
-        return 0.0, 0.0, 0.0
-    h, tensions = DIFFERENCE_STEP, work.tensions + 8 * chain.k * i
-    ax, ay = moment_of_tendons(chain, i, x + h, y, tensions, scale)
-    bx, by = moment_of_tendons(chain, i, x - h, y, tensions, scale)
-    _, cy = moment_of_tendons(chain, i, x, y + h, tensions, scale)
-    _, dy = moment_of_tendons(chain, i, x, y - h, tensions, scale)
-    return (ax - bx) / (2.0 * h), (ay - by) / (2.0 * h), (cy - dy) / (2.0 * h)
+    `path_lost`: `straight_tendon`, or `leaning_tendon` where tendons may lean.
+    """
+    h, tensions, row = DIFFERENCE_STEP, work.tensions + 8 * chain.k * i, floats(tangent)
+    for a in range(3 if leans(chain) else 2):
+        dx, dy, dz = h if a == 0 else 0.0, h if a == 1 else 0.0, h if a == 2 else 0.0
+        up = add_moments(chain, i, x + dx, y + dy, twist + dz, tensions, scale, path_lost)
+        low = add_moments(chain, i, x - dx, y - dy, twist - dz, tensions, scale, path_lost)
+        by = difference(h, up, low)
+        row[OWN + a], row[OWN + 3 + a], row[OWN + 6 + a] = by
 
 
 @entry()
 def leaning_slopes(chain, work, i, x, y, twist, scale, tangent):
-    """Fill OWN with derivatives of the leaning tendons' moment by x, y and twist [N·m/rad]."""
-    h, tensions, row = DIFFERENCE_STEP, work.tensions + 8 * chain.k * i, floats(tangent)
-    for a in range(3):
-        dx, dy, dz = h if a == 0 else 0.0, h if a == 1 else 0.0, h if a == 2 else 0.0
-        up = moment_of_leaning(chain, i, x + dx, y + dy, twist + dz, tensions, scale)
-        low = moment_of_leaning(chain, i, x - dx, y - dy, twist - dz, tensions, scale)
-        by = difference(h, up, low)
-        row[OWN + a], row[OWN + 3 + a], row[OWN + 6 + a] = by
+    """Fill OWN with derivatives of the moment of tendons that may lean (`moment_slopes`)."""
+    moment_slopes(chain, work, i, x, y, twist, scale, tangent, leaning_tendon)
 
 
 @inlined
@@ -627,19 +617,6 @@ def eyelet_slopes(chain, bend, work, past, i, flags, tangent):
 
 
 @compiled
-def tendon_slopes(chain, bend, work, i, tangent):
-    """Fill OWN with derivatives of the tendons' moment by bend and twist of cell i."""
-    x, y, scale = floats(bend)[2 * i], floats(bend)[2 * i + 1], stages.offset_scale(1.0, chain, 0)
-    row = floats(tangent)
-    if leans(chain):
-        twist = twist_in(chain, bend, i)
-        chain.leaning_slopes(chain, work, i, x, y, twist, scale, tangent)
-    else:
-        xx, xy, yy = moment_arm_slopes(chain, work, i, x, y, scale)
-        row[OWN], row[OWN + 1], row[OWN + 3], row[OWN + 4] = xx, xy, xy, yy
-
-
-@compiled
 def cell_slopes(chain, bend, work, past, i, moment_arms, scale, tangent):
     """
     Fill the derivatives of the residual of cell i.
@@ -658,7 +635,12 @@ def cell_slopes(chain, bend, work, past, i, moment_arms, scale, tangent):
     """
     row, loads = floats(tangent), loaded(chain)
     mx, my, total = tendon_moment(chain, work, i, moment_arms, scale)
-    tendon_slopes(chain, bend, work, i, tangent)
+    x, y, factor = floats(bend)[2 * i], floats(bend)[2 * i + 1], stages.offset_scale(1.0, chain, 0)
+    if leans(chain):
+        twist = twist_in(chain, bend, i)
+        chain.leaning_slopes(chain, work, i, x, y, twist, factor, tangent)
+    elif follows_shape(chain):
+        moment_slopes(chain, work, i, x, y, 0.0, factor, tangent, straight_tendon)
     if loads:
         mx += floats(work.load)[2 * i]
         my += floats(work.load)[2 * i + 1]
@@ -693,7 +675,8 @@ def fill_twist(chain, work, i, tangent, loads):
     row, about = floats(tangent), tendons_about(chain, work, i)
     if loads:
         about += floats(work.torque)[i]
-    yields = twist_compliance(chain, i, about)
+    h = DIFFERENCE_STEP * cell_stiffness(chain, i, section_of(chain, i))  # [N·m]
+    yields = (twist_of(chain, i, about + h) - twist_of(chain, i, about - h)) / (2.0 * h)
     for b in range(3):
         row[OWN + 6 + b] *= -yields
         row[BY_ROTATION + 6 + b] *= -yields
