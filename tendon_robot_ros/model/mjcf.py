@@ -140,13 +140,6 @@ def hinges(model: Model, laws: Laws) -> Iterator[Hinge]:
             before = half
 
 
-def critical_damping(chain: Sequence[Hinge]) -> float:
-    """Return damping over stiffness [s] with which the arm as a whole just does not swing."""
-    heights = np.cumsum([hinge.before for hinge in chain])
-    inertia = float(np.sum(np.array([hinge.mass for hinge in chain]) * heights**2))
-    return 2.0 * math.sqrt(inertia * sum(1.0 / hinge.stiffness for hinge in chain))
-
-
 def mjcf(model: Model) -> str:
     """
     Return the robot as MJCF: lengths in m, tensions in N.
@@ -168,7 +161,10 @@ def mjcf(model: Model) -> str:
     routes = [ElementTree.Element(kind, name=tendon.name) for tendon in robot.tendons]
     bends, rested = model.shape(np.zeros(len(robot.inputs))), []
     chain = list(hinges(model, laws))
-    damping = critical_damping(chain)
+    # over stiffness [s], with which the arm as a whole just does not swing
+    heights = np.cumsum([hinge.before for hinge in chain])
+    inertia = float(np.sum(np.array([hinge.mass for hinge in chain]) * heights**2))
+    damping = 2.0 * math.sqrt(inertia * sum(1.0 / hinge.stiffness for hinge in chain))
     for number, hinge in enumerate(chain):
         body, angles = _add_hinge(body, number, hinge, damping, laws, routes, bends)
         rested += angles
