@@ -86,6 +86,7 @@ SHRINK_FACTORS = (0.3, 0.5)
 KINKED_STEPS_MAX = np.int64(30)
 # [rad] last step: Newton, whose error is squared, converges from there without own travel
 STEP_NEAR_RAD = math.sqrt(BEND_TOLERANCE)
+SLIP_START_TRAVEL = 3.0  # [1] of a tendon that begins to slip, so that it may stick again
 STRIDE_MIN = 1e-2  # [1] of the path of a continuation: shorter ones would take more than 100 steps
 # [1] of Euler's load, above which stability is checked: less than the bound of `load_ratio`,
 # because rods are uneven
@@ -293,7 +294,9 @@ def next_travel(z, travel, width, new_width):
         s += (1.0 - s * s) * (travel - z) / width
         if abs(s) < SLIPPING_FROM:
             return new_width * math.atanh(s)
-    return travel if s * travel > 0.0 else 0.0
+    if s * travel <= 0.0:
+        return 0.0
+    return math.copysign(max(abs(travel), SLIP_START_TRAVEL * new_width), s)
 
 
 @compiled
