@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from ..common.arrays import Floats
 from ..common.errors import InputError
-from .compile import BEND_TOLERANCE, LEAST_TENSION_N
+from .compile import LEAST_TENSION_N
 from .pulls import transmitted
 from .shape import EPSILON, Shape, ShapeBatch
 
@@ -27,7 +27,9 @@ Column = str | tuple[str, str] | tuple[str, str, int | None]
 # and by EPSILON over it, and would be worse with any other
 DIFFERENCE_STEP = math.cbrt(EPSILON)
 TENSION_STEP = DIFFERENCE_STEP  # [N]
-REMEMBERED_STEP = math.cbrt(BEND_TOLERANCE)  # the same where whole paths are solved on both sides
+# [1] times as long steps where whole paths are solved twice, because an equilibrium is only known
+# to 1e-10 rad
+REMEMBERED_STEP = 16.0
 RIGID_BELOW = EPSILON / DIFFERENCE_STEP  # [m/N] rounding of places of 1 m, and no compliance
 
 
@@ -292,20 +294,18 @@ class _Move:
     @classmethod
     def of(cls, model: ForwardModel, shapes: ShapeBatch, column: Column) -> _Move:
         """Choose the steps: central, one-sided at zero tension and at a parameter's bound."""
-        ones, share = np.ones(len(shapes)), DIFFERENCE_STEP
-        if model.friction_remembers:
-            share = REMEMBERED_STEP
+        ones, longer = np.ones(len(shapes)), REMEMBERED_STEP if model.friction_remembers else 1.0
         if isinstance(column, str):
             if column not in model.inputs:
                 raise InputError(f'unknown input {column!r}; known: {", ".join(model.inputs)}')
-            j = model.inputs.index(column)  # moves by so many newtons
-            return cls(column, share * ones, -np.minimum(share, shapes.inputs[:, j]), j)
+            j, step = model.inputs.index(column), longer * TENSION_STEP
+            return cls(column, step * ones, -np.minimum(step, shapes.inputs[:, j]), j)
         effect, name = column[:2]
         known = {p.name: p for p in model.catalogue[effect].parameters}
         if name not in known:
             raise InputError(f'{effect}: unknown parameter {name!r}; known: {", ".join(known)}')
         value, parameter = model.arrays.get(effect, name, _section(column)), known[name]
-        step = share * max(abs(value), parameter.typical)
+        step = longer * DIFFERENCE_STEP * max(abs(value), parameter.typical)
         up, down = min(step, parameter.high - value), max(-step, parameter.low - value)
         return cls(column, up * ones, down * ones, -1)
 
