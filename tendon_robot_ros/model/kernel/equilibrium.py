@@ -128,39 +128,6 @@ def restart(chain, inputs, x, bend, work, past, cold):
 
 
 @compiled
-def anderson_step(x, f, steps, changes, used, gram, factor, weights):
-    """
-    Anderson's next guess: x + f - (steps + changes) weights, weights from least squares.
-
-    Parameters
-    ----------
-    x, f : ndarray, shape (u,)
-        Guess and change of the last sweep [rad]; x becomes the next guess.
-    steps, changes : ndarray, shape (ANDERSON_DEPTH, u)
-        Differences of the last guesses and of their changes [rad].
-    used : int
-        Rows of them that are filled.
-    gram, factor : ndarray, shape (ANDERSON_DEPTH, ANDERSON_DEPTH)
-        Inner products of the changes [rad²], and scratch.
-    weights : ndarray, shape (ANDERSON_DEPTH,)
-        Scratch.
-
-    """
-    for p in range(used):
-        for q in range(p + 1):
-            factor[p, q] = gram[p, q]
-        factor[p, p] = gram[p, p] * (1.0 + 50.0 * EPSILON) + TINY
-        weights[p] = dot(changes[p], f)
-    solve_small(factor, weights, used)
-    for j in range(x.shape[0]):
-        x[j] += f[j]
-    for p in range(used):
-        weight = weights[p]
-        for j in range(x.shape[0]):
-            x[j] -= weight * (steps[p, j] + changes[p, j])
-
-
-@compiled
 def repeat_sweeps(chain, inputs, x, work, past):
     """Repeat sweeps from a state x, accelerated (Anderson 1965); return the last change [rad]."""
     size, depth = x.shape[0], ANDERSON_DEPTH
@@ -181,8 +148,7 @@ def repeat_sweeps(chain, inputs, x, work, past):
         if change > 1e4 * best or change == math.inf or slow:
             return change  # Newton is quicker from where it began
         best = min(best, change)
-        if count == 0:
-            first = change
+        first = change if count == 0 else first
         if count > 0:
             slot = (count - 1) % ANDERSON_DEPTH
             for j in range(size):
@@ -192,7 +158,17 @@ def repeat_sweeps(chain, inputs, x, work, past):
                 gram[slot, p] = gram[p, slot] = dot(changes[slot], changes[p])
         assign(old_x, x)
         assign(old_f, f)
-        anderson_step(x, f, steps, changes, min(count, ANDERSON_DEPTH), gram, factor, weights)
+        used = min(count, ANDERSON_DEPTH)  # the next guess: weights by least squares
+        for p in range(used):
+            for q in range(used):
+                factor[p, q] = gram[p, q]
+            factor[p, p] = gram[p, p] * (1.0 + 50.0 * EPSILON) + TINY
+            weights[p] = dot(changes[p], f)
+        solve_small(factor, weights, used)
+        for j in range(size):
+            x[j] += f[j]
+            for p in range(used):
+                x[j] -= weights[p] * (steps[p, j] + changes[p, j])
     return change
 
 

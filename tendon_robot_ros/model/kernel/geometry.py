@@ -185,19 +185,13 @@ def fill_travel(chain, i, x, y, s, c, twist, scale, work, path_lost):
         moment_arms[2 * at + 1] = along * uy + side * ux
     x0, y0 = stages.rest(0.0, 0.0, chain, section_of(chain, i))
     if x0 != 0.0 or y0 != 0.0:
-        take_rest_off(chain, i, x0, y0, scale, work, path_lost)
-
-
-@inlined
-def take_rest_off(chain, i, x0, y0, scale, work, path_lost):
-    """Take from the travel of cell i what its rest bend (x0, y0) [rad] says."""
-    s, c = half_turn(x0 * x0 + y0 * y0)
-    a, ux, uy, sin_half, cos_half = polar(x0, y0, s, c)
-    for k in range(chain.k):
-        if a > 0.0 and i < words(chain.tendon)[2 * k]:
-            floats(work.travel)[chain.k * i + k] -= path_lost(
-                chain, i, k, a, ux, uy, sin_half, cos_half, scale, 0.0
-            )[0]
+        s, c = half_turn(x0 * x0 + y0 * y0)
+        a, ux, uy, sin_half, cos_half = polar(x0, y0, s, c)
+        for k in range(chain.k):
+            if a > 0.0 and i < tendon[2 * k]:
+                travel[chain.k * i + k] -= path_lost(
+                    chain, i, k, a, ux, uy, sin_half, cos_half, scale, 0.0
+                )[0]
 
 
 @entry()

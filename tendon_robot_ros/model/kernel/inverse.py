@@ -94,20 +94,6 @@ def tension_price(f, inputs, low, tension):
 
 
 @compiled
-def free_inputs(inputs, gradient, low, high, free):
-    """Find the inputs that may move: not at a limit that the gradient pushes against."""
-    count = 0
-    for j in range(inputs.shape[0]):
-        pressed = (inputs[j] <= low[j] and gradient[j] > 0.0) or (
-            inputs[j] >= high[j] and gradient[j] < 0.0
-        )
-        if not pressed:
-            free[count] = j
-            count += 1
-    return count
-
-
-@compiled
 def normal_equations(jacobian, f, inputs, low, price, damping, normal, gradient):
     """
     Fill the damped normal matrix (m, m) and the gradient (m,) of the cost.
@@ -176,7 +162,12 @@ def gauss_newton_step(jacobian, f, inputs, low, high, price, damping, trial, fre
     normal, part, step = np.empty((m, m)), np.empty((m, m)), np.empty(m)
     gradient, move = np.empty(m), np.zeros(m)
     normal_equations(jacobian, f, inputs, low, price, damping, normal, gradient)
-    count = free_inputs(inputs, gradient, low, high, free)
+    count = 0
+    for j in range(m):  # those not at a limit that the gradient pushes against
+        free[count] = j
+        at_low, at_high = inputs[j] <= low[j], inputs[j] >= high[j]
+        pressed = (at_low and gradient[j] > 0.0) or (at_high and gradient[j] < 0.0)
+        count += 0 if pressed else 1
     moving = count
     while moving > 0:
         for p in range(moving):

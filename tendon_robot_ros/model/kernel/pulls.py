@@ -130,22 +130,6 @@ def taut_step(jacobian, f, inputs, target, damping, trial):
 
 
 @compiled
-def stable_gap(chain, inputs, target, solver, f):
-    """Return the largest gap [m] at the stable equilibrium of tensions (m,) [N]; fills f [m]."""
-    settings = floats(solver.work.settings)
-    settings[EVERY_METHOD] = settings[STABLE] = 1.0
-    found = pull_residuals(chain, inputs, target, solver, f, solver.bend)
-    settings[EVERY_METHOD] = settings[STABLE] = 0.0
-    if not found:
-        return math.inf
-    gap = 0.0
-    for j in range(inputs.shape[0]):
-        if not math.isnan(target[j]) and (inputs[j] > 0.0 or f[j] < 0.0):
-            gap = max(gap, abs(f[j]))
-    return gap
-
-
-@compiled
 def stiff_wires(chain, inputs, target, solver, slopes, state_slopes, steps_max):
     """
     Find tensions (m,) [N] >= 0 whose wire pulls are `target` (m,) [m]; NaN: a slack wire.
@@ -198,7 +182,14 @@ def stiff_wires(chain, inputs, target, solver, slopes, state_slopes, steps_max):
         damping, stale, fresh = max(0.1 * damping, 1e-12), new > 0.1 * error or not sprung, False
         correct(slopes, moved - f, trial - inputs)
         accept(chain, solver, trial, moved, inputs, f)
-    return stable_gap(chain, inputs, target, solver, f)
+    settings = floats(solver.work.settings)
+    settings[EVERY_METHOD] = settings[STABLE] = 1.0
+    found, gap = pull_residuals(chain, inputs, target, solver, f, solver.bend), 0.0
+    settings[EVERY_METHOD] = settings[STABLE] = 0.0
+    for j in range(inputs.shape[0]):
+        if not math.isnan(target[j]) and (inputs[j] > 0.0 or f[j] < 0.0):
+            gap = max(gap, abs(f[j]))
+    return gap if found else math.inf
 
 
 # [N] error of the tension of a wire that stretches, because stiffer springs would correct no more;

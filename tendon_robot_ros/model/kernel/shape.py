@@ -336,23 +336,6 @@ def remember(chain, inputs, bend, work, past, now):
 
 
 @compiled
-def settle_near(chain, inputs, work, past, bend, before):
-    """
-    Find the equilibrium by Newton from a state that is near, else as `settle` does.
-
-    For a planar arm sweeps are quicker, and under a heavy load stability has to be checked.
-    """
-    heavy = loaded(chain) and load_ratio(chain, work) > SAFE_LOAD
-    if is_implicit(chain) and not (heavy or is_planar(chain, floats(bend))):
-        copy(bend, before, unknowns(chain))
-        change = chain.newton(chain, inputs, bend, work, past)
-        if change < BEND_TOLERANCE:
-            return change
-        copy(before, bend, unknowns(chain))
-    return settle(chain, inputs, work, past, bend)
-
-
-@compiled
 def continue_path(chain, inputs, work, past, now, nodes, reached, bend, before, start, row):
     """
     Continue along a path from one node to another.
@@ -388,7 +371,16 @@ def continue_path(chain, inputs, work, past, now, nodes, reached, bend, before, 
             x[q] = nodes[row, q]
         elif reached[after] != 0:
             x[q] = 0.5 * (nodes[start, q] + nodes[after, q])
-    change = settle_near(chain, now.inputs, work, now, bend, before)
+    # Newton from a state that is near; for a planar arm sweeps are quicker, and under a heavy load
+    # stability has to be checked
+    change, heavy = math.inf, loaded(chain) and load_ratio(chain, work) > SAFE_LOAD
+    if is_implicit(chain) and not (heavy or is_planar(chain, x)):
+        copy(bend, before, unknowns(chain))
+        change = chain.newton(chain, now.inputs, bend, work, now)
+        if not change < BEND_TOLERANCE:
+            copy(before, bend, unknowns(chain))
+    if not change < BEND_TOLERANCE:
+        change = settle(chain, now.inputs, work, now, bend)
     if not change < BEND_TOLERANCE:
         reached[row] = 0
         return change, moved
@@ -403,36 +395,26 @@ def continue_path(chain, inputs, work, past, now, nodes, reached, bend, before, 
 
 
 @compiled
-def overshoot(first, middle, last):
-    """
-    Return the excess of a parabola through three points in equal steps over its ends.
-
-    Only where its vertex is in the first quarter or in the last: there both halves, and the whole,
-    have the same sign.
-    """
-    curve, slope = 0.5 * (last + first) - middle, 0.5 * (last - first)
-    if not (abs(curve) < abs(slope) and abs(slope) < 2.0 * abs(curve)):
-        return 0.0
-    beyond = 1.0 - abs(0.5 * slope / curve)
-    return abs(curve) * beyond * beyond
-
-
-@compiled
 def sign_error(chain, nodes, at, middle, end):
-    """Error of the direction of friction [1] where travel changes sign unseen between nodes."""
+    """
+    Error of the direction of friction [1] where travel changes sign unseen between nodes.
+
+    By how much a parabola through three points in equal steps exceeds its ends, where its vertex
+    is in the first quarter or in the last: there both halves, and the whole, have the same sign.
+    """
     size, error, tendon = 8 * nodes.shape[1], 0.0, words(chain.tendon)
     first, last = memory_in(chain, address(nodes) + size * at), address(nodes) + size * end
     half, last = memory_in(chain, address(nodes) + size * middle), memory_in(chain, last)
     for k in range(chain.k):
         for i in range(tendon[2 * k] - 1):
             q = chain.k * i + k
-            beyond = overshoot(
-                floats(first.travel)[q], floats(half.travel)[q], floats(last.travel)[q]
-            )
-            if beyond > 0.0:
-                error = max(
-                    error, stages.memory(0.0, 0.0, 2.0 * beyond, chain, section_of(chain, i))
-                )
+            a, b, c = floats(first.travel)[q], floats(half.travel)[q], floats(last.travel)[q]
+            curve, slope = 0.5 * (c + a) - b, 0.5 * (c - a)
+            if abs(curve) < abs(slope) and abs(slope) < 2.0 * abs(curve):
+                beyond = 1.0 - abs(0.5 * slope / curve)
+                beyond = 2.0 * abs(curve) * beyond * beyond
+                sign = stages.memory(0.0, 0.0, beyond, chain, section_of(chain, i))
+                error = max(error, sign)
     return error
 
 
