@@ -315,8 +315,6 @@ class ForwardModel:
         return moved
 
     def _refuse(self, inputs: Floats, changes: Floats) -> None:
-        if changes.max(initial=0.0) < TOLERANCE:
-            return
         bad = np.flatnonzero(~(changes < TOLERANCE))
         if len(bad):
             named = ', '.join(

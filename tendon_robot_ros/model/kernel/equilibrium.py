@@ -84,8 +84,7 @@ SHRINK_FACTORS = (0.3, 0.5)
 # [1] sweeps, and steps where kinks of friction cut them short: three times those that the second
 # factor takes to 1e-3, because two in three may shrink nothing
 KINKED_STEPS_MAX = np.int64(30)
-# [rad] last step: Newton, whose error is squared, converges from there without own travel
-STEP_NEAR_RAD = math.sqrt(BEND_TOLERANCE)
+STEP_NEAR_RAD = 1e-4  # [rad] last step, so that Newton converges from there without own travel
 SLIP_START_TRAVEL = 3.0  # [1] of a tendon that begins to slip, so that it may stick again
 STRIDE_MIN = 1e-2  # [1] of the path of a continuation: shorter ones would take more than 100 steps
 # [1] of Euler's load, above which stability is checked: less than the bound of `load_ratio`,

@@ -333,17 +333,11 @@ def sweep(chain, inputs, guess, work, past, out, shaped):
             )
         half[2 * i], half[2 * i + 1] = s, c
     if stages.torsion_acts(chain):
-        sweep_twists(chain, work, out, shaped, loads)
-
-
-@compiled
-def sweep_twists(chain, work, out, shaped, loads):
-    """Fill the twists of the state `out`; `shaped` False: no tendon leans, no load acts."""
-    for i in range(chain.n):
-        about = tendons_about(chain, work, i) if shaped else 0.0
-        if loads:
-            about += floats(work.torque)[i]
-        floats(out)[2 * chain.n + i] = twist_of(chain, i, about)
+        for i in range(chain.n):  # as if no effect needed the shape no tendon leans
+            about = tendons_about(chain, work, i) if shaped else 0.0
+            if loads:
+                about += floats(work.torque)[i]
+            floats(out)[2 * chain.n + i] = twist_of(chain, i, about)
 
 
 @entry()
