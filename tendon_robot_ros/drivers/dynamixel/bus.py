@@ -29,6 +29,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from enum import IntEnum
+from itertools import cycle
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -50,9 +51,9 @@ GOALS = ('goal_current', 'goal_position')
 UDEV_FILE = '/etc/udev/rules.d/99-usb-serial-latency.rules'
 UDEV_RULE = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
 LATENCY_MAX_MS = 2  # [ms] of an adapter; every answer comes so late, else a 100 Hz cycle is missed
-# [bytes] from address 0, longer than any other read, so that the answer is known by its length
-FRESH_BYTES_MIN = 11
-FRESH_LENGTHS = 20  # [1] different ones, so that no late answer of such a read has the same length
+# [bytes] from address 0, longer than any other read and in turn different, so that the answer is
+# known by its length
+FRESH_LENGTHS = range(11, 31)
 STRAY_MAX = 3  # [1] conversations with bytes before them, because a hiccup comes once
 STRAY_WINDOW_S = 2.0  # [s] in which they come, else they are hiccups
 
@@ -154,7 +155,7 @@ class Bus(PortLink):
         self._readers: dict[tuple[int, int, tuple[int, ...]], Any] = {}
         self._responding: list[int] = []  # ids of servos that answered, the last one first
         self._behind = False  # a late answer may still arrive
-        self._fresh_reads = 0
+        self._fresh_lengths = cycle(FRESH_LENGTHS)
         self._stray: deque[float] = deque(maxlen=STRAY_MAX)  # [s] times of unrequested bytes
         self._talker = ''
 
@@ -175,8 +176,7 @@ class Bus(PortLink):
             if not self._behind and self._port.waiting():
                 self._stray.append(time.monotonic())
             if self._behind and self._responding:  # read past late answers
-                self._fresh_reads += 1
-                length = FRESH_BYTES_MIN + self._fresh_reads % FRESH_LENGTHS
+                length = next(self._fresh_lengths)
                 self._behind = self._answer(self._port, self._responding[0], 0, length) is None
                 if self._behind:
                     self._responding.append(self._responding.pop(0))  # another servo next time
