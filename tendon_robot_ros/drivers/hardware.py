@@ -28,7 +28,8 @@ WEIGHTS_MIN = 3  # [1] different ones in a calibration, else a line fits them wi
 # [s] of standing still, or at a tension, until a wire is taut or a load cell has settled, so that
 # a busy cycle is no stall
 STANDING_S = 0.2
-READINGS_MIN = 5  # [1] in a mean, else it and its noise would mean little
+# [1] in a mean, or of which the largest current is carried, else noise and ripple would count
+READINGS_MIN = 5
 
 
 class HardwareDriver(Driver):

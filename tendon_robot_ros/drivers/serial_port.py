@@ -40,7 +40,7 @@ RESTART_TIMEOUT_S = 4.0
 # time-outs, leave most cycles to the motors that are there
 RETRY_PERIOD_S = 2.0 * ANSWER_TIMEOUT_S
 # [1] answers that are missed in a row, or times that what nobody acknowledges is sent, so that a
-# hiccup ends no motion and no configuration; who is late more often is too late
+# hiccup ends no motion and no configuration; what comes more often is no hiccup
 HICCUPS_MAX = 5
 
 

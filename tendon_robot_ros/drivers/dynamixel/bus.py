@@ -43,7 +43,14 @@ from dynamixel_sdk import (
 )
 
 from ...common.errors import DriverError
-from ..serial_port import ANSWER_TIMEOUT_S, PortLink, PortLostError, held_by, write_all
+from ..serial_port import (
+    ANSWER_TIMEOUT_S,
+    HICCUPS_MAX,
+    PortLink,
+    PortLostError,
+    held_by,
+    write_all,
+)
 from .control_table import REGISTERS, TABLE_BYTES, decode, encode
 
 T = TypeVar('T')
@@ -54,8 +61,8 @@ LATENCY_MAX_MS = 2  # [ms] of an adapter; every answer comes so late, else a 100
 # [bytes] from address 0, longer than any other read and in turn different, so that the answer is
 # known by its length
 FRESH_LENGTHS = range(11, 31)
-STRAY_MAX = 3  # [1] conversations with bytes before them, because a hiccup comes once
-STRAY_WINDOW_S = 2.0  # [s] in which they come, else they are hiccups
+# [s] in which more conversations than hiccups have bytes before them, else these are hiccups
+STRAY_WINDOW_S = 2.0
 
 
 class StatusByte(IntEnum):
@@ -156,7 +163,7 @@ class Bus(PortLink):
         self._responding: list[int] = []  # ids of servos that answered, the last one first
         self._behind = False  # a late answer may still arrive
         self._fresh_lengths = cycle(FRESH_LENGTHS)
-        self._stray: deque[float] = deque(maxlen=STRAY_MAX)  # [s] times of unrequested bytes
+        self._stray: deque[float] = deque(maxlen=HICCUPS_MAX)  # [s] times of unrequested bytes
         self._talker = ''
 
     def _open(self) -> None:
@@ -198,7 +205,7 @@ class Bus(PortLink):
     def disturbed(self) -> str:
         """Return the name of another program on this bus, by bytes between conversations."""
         stray = self._stray
-        if len(stray) < STRAY_MAX or time.monotonic() - stray[0] > STRAY_WINDOW_S:
+        if len(stray) < HICCUPS_MAX or time.monotonic() - stray[0] > STRAY_WINDOW_S:
             self._talker = ''
         elif not self._talker:  # once, because the search takes a while
             self._talker = self._other_talker()
