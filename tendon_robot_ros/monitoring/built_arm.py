@@ -43,12 +43,9 @@ from ..robot.estimates import bend_rates, end_sections, natural_sizes
 from .references import Reference, contradicted, log_likelihood, widening
 
 Bools = npt.NDArray[np.bool_]
-# [1] of the length: sizes of the remainder at the tip, 1 sd; factors of three, because the
-# likelihood resolves no finer ones
-REMAINDERS = 0.0, 0.0003, 0.001, 0.003, 0.01
-# [1] relative noise of a measured tension, 1 sd, from a perfect load cell to one that would be
-# refused
-SETTINGS = 0.0, 0.0005, 0.001, 0.002, 0.005
+# [1] 1 sd of the remainder at the tip, of the length, and of a measured tension; factors of three,
+# because the likelihood resolves no finer ones
+RELATIVE_ERRORS = 0.0, 0.0003, 0.001, 0.003, 0.01
 # [1] of a typical value: step of a difference; less would vanish where an effect has a kink
 DIFFERENCE = 0.1
 # no reference lacks them: the frame is an imperfection, and none is loaded
@@ -116,7 +113,7 @@ class BuiltArm:
         rest = imperfections.remainders(predictor(np.zeros((1, 1, J, 3)))).reshape(-1, 3 * J)
         self._rest = rest.T @ rest  # (3 J, 3 J) of a remainder of 1 m sd at the tip
         known = float((robot.model_error or 0.0) / np.sqrt(3.0))  # [m] of a coordinate
-        sizes = {known, *(part * robot.length for part in REMAINDERS)}
+        sizes = {known, *(part * robot.length for part in RELATIVE_ERRORS)}
         self.remainders: list[float] = sorted(sizes)  # [m] possible ones
         self.remainder = known  # [m] 1 sd of a coordinate at the tip, until references show it
         self.setting = 0.0  # 1 sd of a measured tension, in plausible gains
@@ -319,7 +316,7 @@ class BuiltArm:
     def _vary(self, base: Sequence[_Linear], frames: int) -> None:
         """Set the sizes of remainder and tension noise to those of maximum likelihood."""
         usual = self.plausible[self._gains]
-        settings = [size / usual[0] for size in SETTINGS] if len(usual) else [0.0]
+        settings = [size / usual[0] for size in RELATIVE_ERRORS] if len(usual) else [0.0]
 
         def likely(sizes: tuple[float, float]) -> float:
             self.remainder, self.setting = sizes
