@@ -37,6 +37,7 @@ from ..effects import Catalogue, Effect
 from ..inference import imperfections
 from ..inference.noise import relative_error
 from ..inference.predict import FreeParameter, Point, Predictor, SettledShapes, free_parameters
+from ..inference.search import DIFFERENCE_STEP
 from ..model.shape import ShapeBatch
 from ..robot import Robot
 from ..robot.estimates import bend_rates, end_sections, natural_sizes
@@ -46,8 +47,6 @@ Bools = npt.NDArray[np.bool_]
 # [1] 1 sd of the remainder at the tip, of the length, and of a measured tension; factors of three,
 # because the likelihood resolves no finer ones
 RELATIVE_ERRORS = 0.0, 0.0003, 0.001, 0.003, 0.01
-# [1] of a typical value: step of a difference; less would vanish where an effect has a kink
-DIFFERENCE = 0.1
 # no reference lacks them: the frame is an imperfection, and none is loaded
 FRAME, LOAD = 'base_misalignment', 'tip_load'
 # [1] significance of a posture that does not fit the arm: its probability by chance
@@ -375,7 +374,7 @@ class BuiltArm:
         responses = imperfections.imperfections(split, point, self.members, changed=True)
         if responses is None:
             return None
-        steps = differences(split, point, self.frees, (DIFFERENCE, 0.5, 1.0))
+        steps = differences(split, point, self.frees, (DIFFERENCE_STEP, 0.5, 1.0))
         if steps is None:
             return None
         slope, half, whole = steps
@@ -405,7 +404,7 @@ def differences(
     predictor: Predictor,
     point: Point,
     frees: Sequence[FreeParameter],
-    parts: Sequence[float] = (DIFFERENCE,),
+    parts: Sequence[float] = (DIFFERENCE_STEP,),
 ) -> Floats | None:
     """Return the motion of the markers (n, k, P, 3 J) per unit, by n parts of typical values."""
     P, J = len(predictor.inputs), len(predictor.dataset.markers)

@@ -94,18 +94,9 @@ class Contact:
 class ContactObserver:
     """Estimates force and place repeatedly, each time from the last estimate."""
 
-    def __init__(self, arm: BuiltArm, pull_noise: float = 2e-5) -> None:
-        """
-        Begin without a force; what a description lacks unknowingly appears as a force.
-
-        Parameters
-        ----------
-        arm : BuiltArm
-        pull_noise : float
-            1 sd of a measured wire pull [m].
-
-        """
-        self.arm, self.pull_noise, self.tip = arm, pull_noise, arm.robot.length
+    def __init__(self, arm: BuiltArm) -> None:
+        """Begin without a force; what a description lacks unknowingly appears as a force."""
+        self.arm, self.tip = arm, arm.robot.length
         self.effect = LOAD if PLACED in arm.robot.effects else PLACED
         frees = free_parameters(arm.catalogue[self.effect], arm.robot)
         named = {free.parameter.name: free for free in frees}
@@ -456,8 +447,7 @@ class _Fit:
         """Return the inverse root of the covariance, by the last motions while it hardly moves."""
         observer, rows = self.observer, self.rows
         if not self.markers:
-            least = np.hypot(observer.pull_noise, PLAUSIBLE_SIZES[ZERO][1])  # drums, and noise
-            sd = np.hypot(least, PULL_ERROR * expected)
+            sd = np.hypot(PLAUSIBLE_SIZES[ZERO][1], PULL_ERROR * expected)
             return np.asarray(np.diag(1.0 / sd[rows]))
         arm, kept = observer.arm, observer.kept
         if (
