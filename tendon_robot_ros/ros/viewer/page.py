@@ -35,6 +35,8 @@ ALONG = np.array([0.0, 0.99, -0.14])
 # [1] of the height of a phone that viser's panel may cover, at the lower edge: `max-height` in its
 # manual; on a desktop the panel is docked beside the scene
 PANEL_OF_PHONES = 0.6
+# [1] width over height of a scene, below which it is a phone's, because desktops are wider
+PHONE_ASPECT = 0.8
 
 
 class Picture(NamedTuple):
@@ -75,8 +77,7 @@ def framed(radius: float, picture: Picture) -> View:
     """
     half = np.tan(0.5 * picture.fov)
     aspect = picture.width / picture.height
-    upright = picture.width < picture.height  # a phone: desktops are wider
-    lowest = 2.0 * PANEL_OF_PHONES - 1.0 if upright else -1.0
+    lowest = 2.0 * PANEL_OF_PHONES - 1.0 if aspect < PHONE_ASPECT else -1.0
     sides = half * np.array([[-aspect, aspect], [lowest, 1.0]])  # at depth 1
     margins = radius * np.sqrt(1.0 + sides**2)
     depth = float((margins.sum(axis=1) / (sides[:, 1] - sides[:, 0])).max())
