@@ -28,9 +28,9 @@ from tendon_robot_ros.data import default_markers
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.monitoring.built_arm import BuiltArm
 from tendon_robot_ros.monitoring.contact import ContactObserver
-from tendon_robot_ros.monitoring.monitor import TENSION_STILL, FrameMean
+from tendon_robot_ros.monitoring.monitor import FrameMean
 from tendon_robot_ros.robot import load_robot
-from tendon_robot_ros.robot.estimates import natural_sizes
+from tendon_robot_ros.robot.estimates import INPUT_TOLERANCE, natural_sizes
 from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.plant import make_plant
 from tendon_robot_ros.workspace.postures import default_postures
@@ -49,7 +49,7 @@ class Watch:
 
     def __init__(self, robot, arm, rate, random):
         self.observer, self.random = ContactObserver(arm), random
-        change = TENSION_STILL * robot.tension_limits[1]
+        change = INPUT_TOLERANCE * robot.tension_limits[1]
         self.frames = FrameMean(NOISE_M, change, FORCE_TIME_S)
         self.period, self.due = 1.0 / rate, random.uniform(0.0, 1.0 / rate)
 

@@ -1,15 +1,17 @@
 """What bench_control drives: a controller, its driver, and an arm that is not its model."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from tendon_robot_ros.common.errors import NoEquilibriumError
 from tendon_robot_ros.control import ControllerCore, Settings, Target
 from tendon_robot_ros.diagnosis.add import add_effects
-from tendon_robot_ros.effects import load_catalogue
+from tendon_robot_ros.effects import Catalogue, load_catalogue
 from tendon_robot_ros.model.derivatives import tip_slopes
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
-from tendon_robot_ros.simulation.hidden import Workmanship, with_elastic_slip
+from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.measurements import simulate
 from tendon_robot_ros.simulation.plant import make_plant
 
@@ -21,6 +23,22 @@ STILL_N = 1e-6  # [N] an arm whose tensions change by less stands still
 FITTED = {}  # arm -> the description that was calibrated on it
 VISITED, VISITS = 10, 6  # commands and trials that tell the law of slip
 LAW = ['friction_memory', 'tendon_friction', 'backbone_stiffness']  # effects fitted for that
+
+
+def elastic_slip(sign, before, change, presliding_length, exponent):
+    """
+    Direction of friction after a change of travel: a spring up to where it slips (Prandtl 1928).
+
+    Unlike Dahl's law it is straight up to a sharp end; the spring is as long as Dahl's is wide.
+    """
+    return min(max(before + change / presliding_length, -1.0), 1.0)
+
+
+def with_elastic_slip(catalogue):
+    """Return the catalogue with another law for what friction remembers."""
+    memory = replace(catalogue['friction_memory'], law=elastic_slip)
+    effects = [memory if e.name == memory.name else e for e in catalogue]
+    return Catalogue(effects, catalogue.files, catalogue.is_sized)
 
 
 def robot_of(name, remembers=True):

@@ -6,7 +6,8 @@ from source_tree import ROOT
 
 from tendon_robot_ros.data import default_markers
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.monitoring.adaptation import CHANGE_EVERY, Adaptation, RecursiveEstimate
+from tendon_robot_ros.monitoring.adaptation import Adaptation, RecursiveEstimate
+from tendon_robot_ros.monitoring.change import JUDGED_POSTURES
 from tendon_robot_ros.robot import dump_robot, load_robot, parse_robot
 from tendon_robot_ros.workspace.postures import default_postures
 
@@ -127,7 +128,7 @@ def test_a_lever_follows_slowly_within_its_interval_and_is_given_back():
         assert f'{one.before:.4g} -> {one.after:.4g} m' in str(one)
     postures = [change.posture for change in changes]
     assert len(changes) >= 2
-    assert min(np.diff(postures)) >= CHANGE_EVERY
+    assert min(np.diff(postures)) >= JUDGED_POSTURES
     assert postures[0] >= 12
     again = parse_robot(dump_robot(adaptation.robot))
     assert again.fitted['hinge_friction']['parameters']['lever']['high'] == 0.42e-3
@@ -142,7 +143,7 @@ def test_a_lever_follows_slowly_within_its_interval_and_is_given_back():
 
 def test_a_lever_beyond_its_interval_stays_at_its_end_and_it_is_said():
     adaptation = Adaptation(Model(described(high=0.33e-3)), default_markers(ROBOT), TRACKER_NOISE)
-    followed(adaptation, 0.36e-3, 6 * CHANGE_EVERY, 3)
+    followed(adaptation, 0.36e-3, 6 * JUDGED_POSTURES, 3)
     assert lever(adaptation.robot) <= 0.33e-3
     assert 'hinge_friction.lever is at the end of its interval: investigate' in adaptation.text
 

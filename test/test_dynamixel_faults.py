@@ -25,9 +25,9 @@ from tendon_robot_ros.drivers.dynamixel.config import read_config
 from tendon_robot_ros.drivers.dynamixel.motor import (
     CARRIED_MARGIN,
     CARRIED_MARGIN_COUNTS,
-    RECENT_READINGS,
     make_motors,
 )
+from tendon_robot_ros.drivers.hardware import READINGS_MIN
 from tendon_robot_ros.drivers.safety import STOP_TIME_MIN_S
 
 pytest.importorskip('dynamixel_sdk')
@@ -321,7 +321,7 @@ def test_whatever_a_motor_carried_it_never_holds_more_than_that_while_it_limits_
     motor = make_motors(plain, 'pull')[1]
     for current in lately:
         motor.take(current.to_bytes(2, 'little', signed=True) + bytes(8))
-    held = max(map(abs, lately[-RECENT_READINGS:]), default=motor.strongest)
+    held = max(map(abs, lately[-READINGS_MIN:]), default=motor.strongest)
     end = round(motor.wires[0].calibration.mean.current(least) / motor.model.current_unit)
     most = (1.0 + CARRIED_MARGIN) * held + CARRIED_MARGIN_COUNTS + 1
     before = motor.strongest

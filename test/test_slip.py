@@ -45,7 +45,7 @@ def test_fewer_than_three_measurements_are_refused():
     ('angles', 'message'),
     [
         ((17, 95, 18), 'row 3: angle_deg is 95; write the slip angle in degrees'),
-        ((0.31, 0.32, 0.33), 'no angle exceeds 2.25°; write degrees, not radians'),
+        ((0.31, 0.32, 0.33), 'no angle exceeds 1.57°; write degrees, not radians'),
     ],
 )
 def test_what_is_no_slip_angle_in_degrees_is_refused(tmp_path, angles, message):

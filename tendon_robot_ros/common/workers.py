@@ -28,7 +28,6 @@ from .processes import UPKEEP_S, end_with_parent, one_thread
 
 # [1] workers that may die over a chunk, else one that kills its worker would be tried for ever
 LOSSES_MAX = 8
-CHUNK_S = 2.0  # [s] of work in a chunk, because handing one out takes some milliseconds
 
 _LOG = logging.getLogger(__name__)
 Work = Callable[[Any], Any]
@@ -135,7 +134,7 @@ class Workers:
             while begin < len(items):
                 # a quarter of a slot's share, so that no worker waits for long at the end
                 fair = max((len(items) - begin) // (4 * self.slots), 1)
-                desired = max(int(CHUNK_S / per_item), 1) if per_item else 1
+                desired = max(int(UPKEEP_S / per_item), 1) if per_item else 1
                 handed.append(tuple(items[begin : begin + min(desired, fair)]))
                 begin += len(handed[-1])
                 yield work, handed[-1]

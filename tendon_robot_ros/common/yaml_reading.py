@@ -6,11 +6,11 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import yaml
 
-from .errors import DriverError, InputError, RobotDescriptionError, TendonRobotError
+from .errors import DriverError, InputError, RobotDescriptionError, TendonRobotError, short
 from .files import read_text
 from .words import read_quantity
 
@@ -81,6 +81,8 @@ def read_yaml(path: Path, refuse: Callable[[object], TendonRobotError]) -> Any:
 class Reader:
     """A mapping of a description file, with the path of keys that leads to it."""
 
+    refusal: ClassVar[type[TendonRobotError] | None] = None  # of files that are no description
+
     def __init__(self, source: str, path: str, content: Any) -> None:
         """Refuse what is no mapping."""
         self.source, self.path = source, path
@@ -91,8 +93,11 @@ class Reader:
         self.content: dict[str, Any] = content
 
     def error(self, key: str, expected: str, got: object) -> TendonRobotError:
-        """Build the error for a key of this mapping; a reader of other files overrides it."""
-        return RobotDescriptionError(self.source, self._where(key), expected, got)
+        """Build the error for a key of this mapping; other files have another class for it."""
+        where = self._where(key)
+        if self.refusal is None:
+            return RobotDescriptionError(self.source, where, expected, got)
+        return self.refusal(f'{self.source}: {where}: expected {expected}, got {short(got)}')
 
     def has(self, key: str) -> bool:
         """Return whether a key is present and not empty."""
@@ -243,9 +248,7 @@ class Reader:
 class ConfigFields(Reader):
     """Checked reading of the configuration."""
 
-    def error(self, key: str, expected: str, got: object) -> DriverError:
-        """Build the error for a key."""
-        return DriverError(f'{self.source}: {self._where(key)}: expected {expected}, got {got!r}')
+    refusal = DriverError
 
     def value(self, key: str, default: float, low: float, high: float, unit: str) -> float:
         """Return a number, or the default when absent."""

@@ -21,6 +21,9 @@ from ..robot.estimates import INPUT_TOLERANCE
 # [1] times the largest tension, or the length of the arm, beyond which a value is refused, because
 # it is in another unit or frame
 PLAUSIBLE_FACTOR = 3.0
+SAMPLES_MIN = 10  # [1] of which a spread or a rate is estimated, because fewer tell none
+# [s] two times that are nearer are one for a tracker, because its frames have 30 to 100 Hz
+FRAME_S = 0.02
 VALUES_MAX = 20_000_000  # [1] readings in an array, so that it fits into memory
 # [1] quaternion x, y, z, w of trackers that measure no orientation, because messages need one
 NO_ROTATION = (0.0, 0.0, 0.0, 1.0)

@@ -16,13 +16,12 @@ import numpy as np
 
 from ..common.arrays import Bools, Floats, Ints
 from ..common.words import listed
-from .arrays import PLAUSIBLE_FACTOR
+from .arrays import PLAUSIBLE_FACTOR, SAMPLES_MIN
 
 UNSEEN_M = 1e3  # [m] farther away there is no marker, because no tracker sees so far
 # [1] probability by chance of what is refused: that a marker repeats its last place exactly in so
 # many steps, that a still arm seems to have two senders
 CHANCE_PROBABILITY = 1e-9
-HELD_STEPS_MIN = 10  # [1] steps, because fewer give no estimate of the rate of changes
 # [1] of its frames, that a marker may share with the one it is numbered anew as, because a tracker
 # that finds it again needs some frames to drop the old number
 SHARED_FRAMES_MAX = 0.01
@@ -146,12 +145,12 @@ def _held(positions: Floats, news: Bools | None) -> Bools:
         same = both[:, j] & ~changed[:, j]
         edges = np.flatnonzero(np.diff(same, prepend=False, append=False))
         runs = [np.flatnonzero(comparable[a:b]) + a for a, b in edges.reshape(-1, 2).tolist()]
-        runs = [run for run in runs if len(run) >= HELD_STEPS_MIN]
+        runs = [run for run in runs if len(run) >= SAMPLES_MIN]
         if not runs:
             continue
         free = comparable.copy()
         free[np.concatenate(runs)] = False
-        if free.sum() < HELD_STEPS_MIN or (rate := changed[free, j].mean()) < 0.5:
+        if free.sum() < SAMPLES_MIN or (rate := changed[free, j].mean()) < 0.5:
             continue
         length_min = np.log(CHANCE_PROBABILITY) / np.log(max(1.0 - rate, 1e-12))
         for run in runs:

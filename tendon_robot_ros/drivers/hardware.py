@@ -25,7 +25,11 @@ from .safety import CYCLE_MAX_S, STOP_TIME_MIN_S, approach, bounded
 
 PULL_MAX_M = 1.0  # [m] of wire either way: more would be a mistake in a unit
 WEIGHTS_MIN = 3  # [1] different ones in a calibration, else a line fits them without a residual
-READINGS_MIN = 5  # [1] in a mean, else it and its noise would mean little
+# [s] of standing still, or at a tension, until a wire is taut or a load cell has settled, so that
+# a busy cycle is no stall
+STANDING_S = 0.2
+# [1] in a mean, or of which the largest current is carried, else noise and ripple would count
+READINGS_MIN = 5
 
 
 class HardwareDriver(Driver):

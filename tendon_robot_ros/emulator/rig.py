@@ -26,9 +26,6 @@ from .servo import STEP_S, Load, Servo
 # [N] of change in which an arm keeps its compliance: a probe for every wire costs as many calls of
 # the model, so that one at every step would be slower than the time that it emulates
 LINEAR_N = 0.2
-# [1] of the largest compliance: by how much a minor may be below zero by rounding, because wires
-# that pull against each other have minors of zero
-MINOR_ROUNDING = 1e-9
 SOFTER_MIN = 0.01  # [1] of the largest compliance: first addition, so that doubling ends soon
 TRACE_MAX = 20_000  # [entries] so that more than 40 s are kept (benchmarks ask for so much)
 # [s] one count of the watchdog, so that none takes a pause of this process for silence
@@ -234,7 +231,8 @@ def softer(compliance: Floats) -> float:
     while size > 0.0:
         scaled = compliance / size + added * np.eye(len(compliance))
         minors = [np.linalg.det(scaled[some[:, :, None], some[:, None, :]]) for some in chosen]
-        if min(minor.min() for minor in minors) > -MINOR_ROUNDING:
+        # wires that pull against each other have minors of zero, but for rounding
+        if min(minor.min() for minor in minors) > -math.sqrt(np.finfo(float).eps):
             break
         added = max(2.0 * added, SOFTER_MIN)
     return added * size

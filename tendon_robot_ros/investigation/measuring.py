@@ -20,7 +20,8 @@ from ..common.errors import InputError, TendonRobotError
 from ..common.files import read_text, write_text
 from ..common.words import commands
 from ..data import DataSet, Marker, load_dataset, save_dataset
-from ..monitoring.change import APART_PROBABILITY, ChangeFinder, Suspect, described
+from ..inference.statistics import SIGNIFICANCE
+from ..monitoring.change import ChangeFinder, Suspect, described
 from ..robot import Robot, dump_robot
 from .choice import Room
 from .goal import Goal, Round
@@ -373,7 +374,7 @@ def separate_changes(
 def likely(suspects: Sequence[Suspect]) -> list[Suspect]:
     """Return the fewest likeliest changes whose total probability is large enough."""
     sums = np.cumsum([suspect.probability for suspect in suspects])
-    return list(suspects[: int(np.searchsorted(sums, APART_PROBABILITY)) + 1])
+    return list(suspects[: int(np.searchsorted(sums, 1.0 - SIGNIFICANCE)) + 1])
 
 
 def sizes(suspects: Sequence[Suspect]) -> str:

@@ -217,13 +217,16 @@ LINKED = {
 MODULES = {name: module for module, names in LINKED.items() for name in names}
 # About half of the work: these are compiled by a process of its own.
 BESIDE = ('respond', 'balance', 'residual', 'newton')
-# What only loaded arms call, those that are pushed at a place, those whose tendons lean, those
-# whose friction remembers, and those without loads whose friction follows the cell alone.
-OF_LOADS = {'load_moments', 'flat_moments', 'bow_cells', 'load_slopes', 'descend'}
-OF_PUSHES = {'pushes', 'push_slopes'}
-OF_LEANING = {'leaning_travel', 'leaning_slopes'}
-OF_MEMORY = {'remembered', 'ramped'}
-OF_CAUSAL = {'march'}
+# What only models call in which an effect acts at one of these stages; tendons that wind lean as
+# those of cells that twist.
+ONLY_WITH = {
+    ('load', 'tip_load', 'push'): {
+        *('load_moments', 'flat_moments', 'bow_cells', 'load_slopes', 'descend'),
+    },
+    ('push',): {'pushes', 'push_slopes'},
+    ('torsion',): {'leaning_travel', 'leaning_slopes'},
+    ('memory',): {'remembered', 'ramped'},
+}
 LINKING_STAGES = {'length', 'stretch', 'winding'}  # see `place_as` of the kernel
 LINKING_STAGES |= {name for name, stage in STAGES.items() if stage.implicit}
 
@@ -378,19 +381,12 @@ class KernelArrays:
 
     def _called(self) -> frozenset[str]:
         """Return the functions of `LINKED` that the active effects call."""
-        acting = self._acting()
-        called = frozenset(MODULES) - OF_LOADS - OF_PUSHES - OF_LEANING - OF_MEMORY - OF_CAUSAL
-        if acting & {'load', 'tip_load', 'push'}:
-            called |= OF_LOADS
-        elif not {'friction_travel', 'eyelet'} <= acting:
-            called |= OF_CAUSAL
-        if 'push' in acting:
-            called |= OF_PUSHES
-        if 'torsion' in acting or self.helix.any():
-            called |= OF_LEANING
-        if 'memory' in acting:
-            called |= OF_MEMORY
-        return called
+        acting = self._acting() | ({'torsion'} if self.helix.any() else set())
+        idle = [names for stages, names in ONLY_WITH.items() if not acting & {*stages}]
+        called = frozenset(MODULES).difference(*idle)
+        # only arms without loads whose friction follows the cell alone are solved cell by cell
+        follows_cell = not {'friction_travel', 'eyelet'} <= acting
+        return called if follows_cell and 'descend' not in called else called - {'march'}
 
     def _link(self, fields: Iterable[str]) -> None:
         address_of = self.part('layout').address_of

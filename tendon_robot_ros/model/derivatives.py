@@ -31,16 +31,15 @@ TENSION_STEP = DIFFERENCE_STEP  # [N]
 # to 1e-10 rad
 REMEMBERED_STEP = 16.0
 RIGID_BELOW = EPSILON / DIFFERENCE_STEP  # [m/N] rounding of places of 1 m, and no compliance
-# [1] of the largest singular value, because lengths of opposite wires do not determine how hard
-# these pull on each other
-HELD_RCOND = 1e-9
 
 
 def tensions_by_pulls(tensions: Floats, slopes: Floats) -> Floats:
     """Return the derivatives (b, m, m) [N/m] of tensions by pulls, of taut wires; else zero."""
     taut = tensions > LEAST_TENSION_N
     both = taut[:, :, None] & taut[:, None, :]
-    inverse = np.linalg.pinv(np.where(both, slopes, 0.0), rcond=HELD_RCOND)
+    # lengths of opposite wires do not determine how hard these pull on each other; slopes are
+    # differences to one side, which are known to the root of rounding
+    inverse = np.linalg.pinv(np.where(both, slopes, 0.0), rcond=math.sqrt(EPSILON))
     return np.where(both, inverse, 0.0)  # exactly, else rounding would pull slack wires taut
 
 
@@ -379,8 +378,8 @@ def shown(
     fields.pop('change')
     fields['inputs'][:], fields['state'][:] = inputs, states
     past = model.arrays.fresh_memory() if memory is None else memory
-    model.arrays.part('shape').show_postures(
-        model.arrays.address, block, b, past.ctypes.data, model.scratch, int(carry)
+    model.arrays.part('shape').postures(
+        model.arrays.address, block, b, 0, b, past.ctypes.data, model.scratch, int(carry), 0
     )
     return ShapeBatch(**fields, cell_length=form.cell_length, hinge=form.hinge, slopes=None)
 

@@ -181,7 +181,7 @@ class ForwardModel:
             block[form.m : form.m + len(flat)] = flat  # the state follows the inputs
         if memory is not None:
             block[form.size :] = memory
-        change = self._postures(self.arrays.address, block, 1, 0, 1, 0, self.scratch, 1)
+        change = self._postures(self.arrays.address, block, 1, 0, 1, 0, self.scratch, 1, 1)
         if not change < TOLERANCE:
             self._refuse(block[None, : form.m], np.array([change]))
         return Shape(form, block)
@@ -267,7 +267,7 @@ class ForwardModel:
         where, remembered = self.arrays.address, past.ctypes.data
 
         def part(begin: int, end: int) -> None:
-            self._postures(where, block, b, begin, end, remembered, self.scratch, int(carry))
+            self._postures(where, block, b, begin, end, remembered, self.scratch, int(carry), 1)
 
         if carry or b < 64:
             part(0, b)
@@ -315,8 +315,6 @@ class ForwardModel:
         return moved
 
     def _refuse(self, inputs: Floats, changes: Floats) -> None:
-        if changes.max(initial=0.0) < TOLERANCE:
-            return
         bad = np.flatnonzero(~(changes < TOLERANCE))
         if len(bad):
             named = ', '.join(

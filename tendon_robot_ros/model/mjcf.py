@@ -22,6 +22,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from ..common.arrays import RESOLUTION
 from ..common.words import PROGRAM
 from ..effects.effect import Effect
 from .model import Model
@@ -33,7 +34,6 @@ STEP_S = 1e-3  # [s] of the simulation, because arms in MuJoCo usually have it
 STEPS_PER_PERIOD = 4.0
 DENSITY = 0.1  # [kg/m] where a description has no weight, because MuJoCo needs a mass to move
 INERTIA_MIN = 1e-9  # [kg·m²] of a body, because MuJoCo refuses none
-AFFINE = 1e-9  # [1] of a tension that a gain and an offset may be off, because of rounding
 # stages whose effects are in the numbers of the file
 SAID = ('actuation', 'offset_scale', 'stiffness', 'rest', 'load', 'tip_load', 'torsion')
 # stages that are no property of the arm under tensions
@@ -91,7 +91,7 @@ class Laws:
         first, middle, last = (self('actuation', (t,), tendon=tendon)[0] for t in ends)
         gain = (last - first) / (ends[2] - ends[0])
         offset = last - gain * ends[2]
-        return gain, offset, abs(offset + gain * ends[1] - middle) < AFFINE * high
+        return gain, offset, abs(offset + gain * ends[1] - middle) < RESOLUTION
 
     @property
     def straight(self) -> bool:
@@ -140,13 +140,6 @@ def hinges(model: Model, laws: Laws) -> Iterator[Hinge]:
             before = half
 
 
-def critical_damping(chain: Sequence[Hinge]) -> float:
-    """Return damping over stiffness [s] with which the arm as a whole just does not swing."""
-    heights = np.cumsum([hinge.before for hinge in chain])
-    inertia = float(np.sum(np.array([hinge.mass for hinge in chain]) * heights**2))
-    return 2.0 * math.sqrt(inertia * sum(1.0 / hinge.stiffness for hinge in chain))
-
-
 def mjcf(model: Model) -> str:
     """
     Return the robot as MJCF: lengths in m, tensions in N.
@@ -168,7 +161,10 @@ def mjcf(model: Model) -> str:
     routes = [ElementTree.Element(kind, name=tendon.name) for tendon in robot.tendons]
     bends, rested = model.shape(np.zeros(len(robot.inputs))), []
     chain = list(hinges(model, laws))
-    damping = critical_damping(chain)
+    # over stiffness [s], with which the arm as a whole just does not swing
+    heights = np.cumsum([hinge.before for hinge in chain])
+    inertia = float(np.sum(np.array([hinge.mass for hinge in chain]) * heights**2))
+    damping = 2.0 * math.sqrt(inertia * sum(1.0 / hinge.stiffness for hinge in chain))
     for number, hinge in enumerate(chain):
         body, angles = _add_hinge(body, number, hinge, damping, laws, routes, bends)
         rested += angles

@@ -265,6 +265,11 @@ class ShapeBatch(Bent):
 class Shape(Bent, TextResult):
     """One posture: the fields of `ShapeBatch` without the first axis."""
 
+    inputs: Floats  # (m,) [N]
+    tendon_tensions: Floats  # (n, k) [N]
+    tendon_pulls: Floats  # (k,) [m]
+    pulls: Floats  # (m,) [m]
+
     def __init__(self, form: ResultLayout, block: Floats) -> None:
         """Take a block that the kernel filled; its fields become arrays when they are read."""
         self.form, self.block = form, block
@@ -307,44 +312,14 @@ class Shape(Bent, TextResult):
         units = dict.fromkeys(('arc_length', 'x', 'y', 'z'), 'm')
         return make_frame(columns, units | dict.fromkeys(('bend_x', 'bend_y'), 'rad'))
 
-    def _field(self, name: str) -> Floats:
+    def __getattr__(self, name: str) -> Floats:
+        """Return a field of the block, which becomes an array when it is first read."""
+        if name not in FIELDS:
+            raise AttributeError(f'{type(self).__name__} has no {name}')
         where, shape = self.form.one[name]
-        return self.block[where].reshape(shape)
-
-    @cached_property
-    def inputs(self) -> Floats:
-        """Input tensions (m,) [N]."""
-        return self._field('inputs')
-
-    @cached_property
-    def state(self) -> Floats:  # type: ignore[override]
-        """Bends (n, 2) and behind them twists (n,) [rad]: where another search may start."""
-        return self._field('state')
-
-    @cached_property
-    def positions(self) -> Floats:  # type: ignore[override]
-        """Distal ends of the cells (n, 3) [m]."""
-        return self._field('positions')
-
-    @cached_property
-    def frames(self) -> Floats:  # type: ignore[override]
-        """Frames at the distal ends of the cells (n, 3, 3)."""
-        return self._field('frames')
-
-    @cached_property
-    def tendon_tensions(self) -> Floats:
-        """Tension of every tendon in every cell (n, k) [N]."""
-        return self._field('tendon_tensions')
-
-    @cached_property
-    def pulls(self) -> Floats:
-        """Wire pulls of the inputs (m,) [m]."""
-        return self._field('pulls')
-
-    @cached_property
-    def tendon_pulls(self) -> Floats:
-        """Wire pulls of the tendons (k,) [m]."""
-        return self._field('tendon_pulls')
+        value: Floats = self.block[where].reshape(shape)
+        setattr(self, name, value)
+        return value
 
     @cached_property
     def memory(self) -> Floats:

@@ -38,9 +38,6 @@ STICKING_TRIALS_MAX = 10
 # [1] starts where each is several searches (an arm driven by wire lengths, regions to keep out of)
 # or seldom comes nearer (a kink of friction), because each takes milliseconds
 FEW_STARTS = 4
-# [1] weight of the tensions of a shape of the library, because from much tension against much
-# tension there is often no way down
-START_TENSION_WEIGHT = 0.1
 # [1] weight of tensions while bends and tensions are found at once (docs/model.md)
 SEEKING_WEIGHT = 100.0 * LOW_TENSION_WEIGHT
 # [1] of the length: from a tip farther off, no search from equilibrium to equilibrium would
@@ -167,7 +164,7 @@ def starts_of(task: TipTask, policy: Policy, reports: bool) -> Iterator[Start]:
     Yield search functions with tensions and bends to start from, each computed on demand.
 
     The first start is the guess, then the straight arm, from which a gentle bend is nearer than a
-    curl, then the shapes of the library whose tips are nearest, those of low tension first. Where
+    curl, then the shapes of the library whose tips are nearest. Where
     solutions are reported, a far guess is followed by a first move of the arm. A frugal policy
     also searches from the guess with a cost of tension; where tendons stick that is one start
     more.
@@ -222,15 +219,14 @@ def squared_distances(library: ShapeBatch, target: Floats) -> Floats:
 
 def rows_near(task: TipTask) -> Iterator[int]:
     """
-    Yield shapes of the library whose tips are near the target, those of low tension first.
+    Yield shapes of the library whose tips are near the target, the nearest first.
 
     Every other one is that whose tensions are furthest from all before: from high tensions that
     oppose each other, searches often find no path to lower ones.
     """
-    library, low, high = task.model.library, *task.model.limits.T
-    tension = START_TENSION_WEIGHT * task.per_newton * (library.inputs - low).sum(axis=1)
-    costs = squared_distances(library, task.target) + tension * tension
-    near = np.argsort(costs)[: 5 * COLD.starts]  # more than would ever be tried
+    library, high = task.model.library, task.model.limits[:, 1]
+    # more than would ever be tried
+    near = np.argsort(squared_distances(library, task.target))[: 5 * COLD.starts]
     points, distance = library.inputs[near] / high, np.full(len(near), np.inf)
     for count in range(len(near)):
         remaining = np.flatnonzero(distance > 0.0)

@@ -41,29 +41,20 @@ from ..data import Marker
 from ..inference.description import with_values
 from ..inference.intervals import QUANTILE
 from ..inference.predict import FreeParameter, free_parameters
-from ..inference.statistics import chi2_isf
+from ..inference.statistics import RARE, chi2_isf
 from ..model.model import Model
 from ..robot import Robot
 from .built_arm import ODD_PROBABILITY, BuiltArm, slopes
-from .change import CONFIRMED_POSTURES
+from .change import CONFIRMED_POSTURES, JUDGED_POSTURES
 
-# [1] significance: probability by chance of the difference from the description in use; with more
-# it does not change
-CHANCE_PROBABILITY = 0.01
 # [1] of an interval: an estimate this near to an end is at the end, because the prior keeps it
 # off the end itself
 END = 0.02
 # [1] of an interval: largest step of a parameter, so that one wrong estimate cannot move it far
 STEP_MAX = 0.25
-# [1] postures between two changes, so that the error after the last one is measured: a change is
-# judged by as many postures before as after it
-CHANGE_EVERY = 4
 # [1] fractions of the information kept from one measurement to the next: memories of all, of 50,
-# of 10 and of 3 measurements, so that the data select one
+# of 10 and of 3 measurements, so that the data select one; the second is also that of the weights
 MEMORIES = 1.0, 0.98, 0.9, 0.7
-# [1] forgetting exponent of the weights, so that an error 30 measurements ago has faded to 1/e
-# (Raftery, Karny, Ettler 2010)
-WEIGHT_MEMORY = 0.97
 
 
 class _Filter:
@@ -125,7 +116,9 @@ class RecursiveEstimate:
     @property
     def mean(self) -> Floats:
         """Weighted mean (p + q,) of the filters [prior sd]."""
-        mean, p = self.weights @ np.array([f.mean for f in self._filters]), len(self.low)
+        first, p = self._filters[0].mean, len(self.low)
+        # about one of them, so that filters at the same end give this end
+        mean = first + self.weights @ np.array([one.mean - first for one in self._filters])
         mean[:p] = np.clip(mean[:p], self.low, self.high)  # removes rounding errors
         return np.asarray(mean)
 
@@ -168,7 +161,7 @@ class RecursiveEstimate:
             fits.append(kalman_update(one.mean, one.covariance, columns, own, spread))
             one.mean, one.covariance = fits[-1].mean, fits[-1].covariance
             one.keep_within(self.low, self.high)
-        logs = WEIGHT_MEMORY * np.log(self.weights) + [fit.log_likelihood for fit in fits]
+        logs = MEMORIES[1] * np.log(self.weights) + [fit.log_likelihood for fit in fits]
         weights = np.exp(logs - logs.max())
         weights = weights / weights.sum() + ODD_PROBABILITY  # no filter is excluded for good
         self.weights = weights / weights.sum()
@@ -305,7 +298,7 @@ class Adaptation:
             self.problem = 'nothing can follow: friction_memory depends on every earlier posture'
         self._arm = BuiltArm(self.robot, model.catalogue, markers, noise)
         self._estimate: RecursiveEstimate | None = None
-        self._recent: deque[tuple[Floats, Floats]] = deque(maxlen=2 * CHANGE_EVERY)
+        self._recent: deque[tuple[Floats, Floats]] = deque(maxlen=2 * JUDGED_POSTURES)
         self.postures = self._changed_at = self._odd = 0
 
     @property
@@ -358,8 +351,8 @@ class Adaptation:
             return None
         self._recent.append((tensions, positions))
         self.postures += 1
-        ready = len(self._recent) == 2 * CHANGE_EVERY and not self._odd
-        if not (change and ready) or self.postures - self._changed_at < CHANGE_EVERY:
+        ready = len(self._recent) == 2 * JUDGED_POSTURES and not self._odd
+        if not (change and ready) or self.postures - self._changed_at < JUDGED_POSTURES:
             return None
         return self._follow()
 
@@ -419,7 +412,7 @@ class Adaptation:
         in_use = np.array([one.units(before[one.free]) for one in self._adaptable])
         off = self._estimate.mean[:p] - in_use
         information = np.linalg.inv(self._estimate.covariance[:p, :p])
-        if off @ information @ off < chi2_isf(CHANCE_PROBABILITY, p):
+        if off @ information @ off < chi2_isf(RARE, p):
             return None
         step_max = STEP_MAX * 2.0 * QUANTILE
         moved = in_use + off * min(1.0, step_max / float(np.abs(off).max()))

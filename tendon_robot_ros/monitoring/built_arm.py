@@ -37,20 +37,16 @@ from ..effects import Catalogue, Effect
 from ..inference import imperfections
 from ..inference.noise import relative_error
 from ..inference.predict import FreeParameter, Point, Predictor, SettledShapes, free_parameters
+from ..inference.search import DIFFERENCE_STEP
 from ..model.shape import ShapeBatch
 from ..robot import Robot
 from ..robot.estimates import bend_rates, end_sections, natural_sizes
 from .references import Reference, contradicted, log_likelihood, widening
 
 Bools = npt.NDArray[np.bool_]
-# [1] of the length: sizes of the remainder at the tip, 1 sd; factors of three, because the
-# likelihood resolves no finer ones
-REMAINDERS = 0.0, 0.0003, 0.001, 0.003, 0.01
-# [1] relative noise of a measured tension, 1 sd, from a perfect load cell to one that would be
-# refused
-SETTINGS = 0.0, 0.0005, 0.001, 0.002, 0.005
-# [1] of a typical value: step of a difference; less would vanish where an effect has a kink
-DIFFERENCE = 0.1
+# [1] 1 sd of the remainder at the tip, of the length, and of a measured tension; factors of three,
+# because the likelihood resolves no finer ones
+RELATIVE_ERRORS = 0.0, 0.0003, 0.001, 0.003, 0.01
 # no reference lacks them: the frame is an imperfection, and none is loaded
 FRAME, LOAD = 'base_misalignment', 'tip_load'
 # [1] significance of a posture that does not fit the arm: its probability by chance
@@ -116,7 +112,7 @@ class BuiltArm:
         rest = imperfections.remainders(predictor(np.zeros((1, 1, J, 3)))).reshape(-1, 3 * J)
         self._rest = rest.T @ rest  # (3 J, 3 J) of a remainder of 1 m sd at the tip
         known = float((robot.model_error or 0.0) / np.sqrt(3.0))  # [m] of a coordinate
-        sizes = {known, *(part * robot.length for part in REMAINDERS)}
+        sizes = {known, *(part * robot.length for part in RELATIVE_ERRORS)}
         self.remainders: list[float] = sorted(sizes)  # [m] possible ones
         self.remainder = known  # [m] 1 sd of a coordinate at the tip, until references show it
         self.setting = 0.0  # 1 sd of a measured tension, in plausible gains
@@ -319,7 +315,7 @@ class BuiltArm:
     def _vary(self, base: Sequence[_Linear], frames: int) -> None:
         """Set the sizes of remainder and tension noise to those of maximum likelihood."""
         usual = self.plausible[self._gains]
-        settings = [size / usual[0] for size in SETTINGS] if len(usual) else [0.0]
+        settings = [size / usual[0] for size in RELATIVE_ERRORS] if len(usual) else [0.0]
 
         def likely(sizes: tuple[float, float]) -> float:
             self.remainder, self.setting = sizes
@@ -378,7 +374,7 @@ class BuiltArm:
         responses = imperfections.imperfections(split, point, self.members, changed=True)
         if responses is None:
             return None
-        steps = differences(split, point, self.frees, (DIFFERENCE, 0.5, 1.0))
+        steps = differences(split, point, self.frees, (DIFFERENCE_STEP, 0.5, 1.0))
         if steps is None:
             return None
         slope, half, whole = steps
@@ -408,7 +404,7 @@ def differences(
     predictor: Predictor,
     point: Point,
     frees: Sequence[FreeParameter],
-    parts: Sequence[float] = (DIFFERENCE,),
+    parts: Sequence[float] = (DIFFERENCE_STEP,),
 ) -> Floats | None:
     """Return the motion of the markers (n, k, P, 3 J) per unit, by n parts of typical values."""
     P, J = len(predictor.inputs), len(predictor.dataset.markers)

@@ -33,32 +33,19 @@ from ..inference.intervals import load_of, vector_rows
 from ..inference.marginal import RandomEffects
 from ..inference.outliers import TRIALS_MIN
 from ..inference.predict import CELLS, FreeParameter, Point, Predictor, free_parameters
-from ..inference.statistics import chi2_sf
+from ..inference.statistics import RARE, SIGNIFICANCE, TIE_SCORE, chi2_sf
 from ..report.sentences import load_words
 from .built_arm import FRAME, ODD_PROBABILITY, BuiltArm, moving_effects, slopes
 
 TRACKER = 'the tracker'  # a bumped one is a misaligned base
 SHIFT = 'shift'  # prefix of the keys of a translation; the others are a rotation
-# [1] relative change of a kind of imperfection, 1 sd, by wear (assumed), because no data exist
-USUAL_CHANGES = {CELLS: 0.1, GAIN: 0.03}
-# [m] 1 sd of the shift of a bumped tracker (assumed), because no data exist
-USUAL_SHIFT = 2e-3
-# [rad] 1 sd of its rotation: more than the shift at half a metre, because a tracker is that far
-USUAL_ROTATION = 0.01
-# [1] of a usual size: scales s of a change, equally likely, because its size is unknown
+# [1] of a typical or plausible size: scales s of a change, equally likely, because its size is
+# unknown
 SCALES = 1.0, 10.0, 100.0
-# [1] of log E below the best: changes within it are refitted at their own linearisation; others
-# would not become likely by that
-CLOSE_LOG = 30.0
-# [1] probability of a change that needs no further posture; the others may be by chance
-APART_PROBABILITY = 0.95
 CONFIRMED_POSTURES = TRIALS_MIN  # one of those that confirm a change may be an outlier
-# [1] smallest probability of a change for which a posture is selected; less would not matter
-LIKELY_MIN = 1e-3
-# [1] changes that are reported, and told apart by a posture, because further ones are unlikely
-LIKELY_MAX = 4
-# [sd²] separation by one posture; with less a dozen of them would not decide
-HOPELESS_APART = 0.25
+# [1] postures by which the arm before and after a change is judged, and between two possible
+# ones: one more in every posture would cost as much as the filter
+JUDGED_POSTURES = 4
 # [1] parameters of an effect in a sentence, else it would not be read
 SIZES_REPORTED = 2
 
@@ -120,19 +107,14 @@ def changes_of(arm: BuiltArm) -> tuple[PossibleChange, ...]:
         frees = free_parameters(effect, arm.robot)
         usual = np.array([free.parameter.typical for free in frees])
         keys = tuple(free.key for free in frees)
-        name = effect.name
-        if name == FRAME:
-            name = TRACKER
-            usual = np.array(
-                [USUAL_SHIFT if k.startswith(SHIFT) else USUAL_ROTATION for k in keys]
-            )
+        name = TRACKER if effect.name == FRAME else effect.name
         changes.append(PossibleChange(name, keys, usual, frees, gravity=arm.robot.gravity))
     count = 0
     for kind in arm.kinds:
         indices, count = range(count, count + len(kind)), count + len(kind)
-        usual = np.full(1, USUAL_CHANGES.get(kind.name, 1.0))
-        if kind.name in USUAL_CHANGES:
-            what = 'stiffness of' if kind.name == CELLS else 'gain of'
+        what = {CELLS: 'stiffness of', GAIN: 'gain of'}.get(kind.name)
+        if what is not None:
+            usual = np.full(1, kind.plausible)
             changes += [
                 PossibleChange(f'{what} {name}', ('relative_change',), usual, (), slice(i, i + 1))
                 for i, name in zip(indices, kind.members, strict=True)
@@ -145,7 +127,7 @@ def described(suspects: Sequence[Suspect]) -> str:
     named = [
         f'{s.name} ({100.0 * s.probability:.0f} %)'
         for s in suspects
-        if s.probability > 1.0 - APART_PROBABILITY
+        if s.probability > SIGNIFICANCE
     ]
     return ', '.join(named) or 'nothing of the catalogue'
 
@@ -366,8 +348,8 @@ class ChangeFinder:
         fits = [fit for change in self.changes if (fit := work.fit(change)) is not None]
         if not any(work.explains(fit) for fit in fits):
             fits = [work.fit_from_afar(fit) if fit.change.is_effect else fit for fit in fits]
-        best = max(fit.log for fit in fits)
-        near = [fit for fit in fits if fit.change.is_effect and fit.log > best - CLOSE_LOG]
+        best, near_log = max(fit.log for fit in fits), np.log(ODD_PROBABILITY)
+        near = [fit for fit in fits if fit.change.is_effect and fit.log > best + near_log]
         refitted = {fit.change.name: work.fit_around(fit) for fit in near}
         fits = [refitted.get(fit.change.name) or fit for fit in fits]
         self.fits = sorted(fits, key=lambda fit: -fit.log)
@@ -381,9 +363,9 @@ class ChangeFinder:
         None where one change is confirmed, or where no offered posture separates them.
         """
         probabilities, few = self._probabilities(), len(self.postures) < CONFIRMED_POSTURES
-        if not len(probabilities) or (probabilities[0] > APART_PROBABILITY and not few):
+        if not len(probabilities) or (probabilities[0] > 1.0 - SIGNIFICANCE and not few):
             return None
-        likely = [i for i, p in enumerate(probabilities[:LIKELY_MAX]) if p > LIKELY_MIN]
+        likely = np.flatnonzero(probabilities > RARE).tolist()
         blank = np.zeros((len(offered), self.arm.split.dataset.positions.shape[2] * 3))
         usual = self.postures[-1][2] if self.postures else 1
         frames = (usual,) * len(offered)
@@ -399,7 +381,7 @@ class ChangeFinder:
                 apart = work.apart(first, other, self.fits[i].information)
                 worth += probabilities[i] * np.log1p(apart)
         best = int(np.argmax(worth))
-        worth_min = np.log1p(HOPELESS_APART) * probabilities[likely[1:]].sum()
+        worth_min = np.log1p(TIE_SCORE) * probabilities[likely[1:]].sum()
         return best if worth[best] > worth_min else None
 
     def _probabilities(self) -> Floats:

@@ -32,28 +32,21 @@ import numpy.typing as npt
 from scipy.interpolate import make_interp_spline
 
 from ..common.arrays import Floats
-from ..common.estimation import gauss_newton
+from ..common.estimation import CONVERGED_SD, ITERATIONS_MAX, gauss_newton
+from ..inference.imperfections import PLAUSIBLE_SIZES, ZERO
 from ..inference.predict import Conditions, FreeParameter, SettledShapes, Shifted, free_parameters
 from ..inference.search import DIFFERENCE_STEP
 from ..inference.statistics import RARE, SIGNIFICANCE, TIE_SCORE, chi2_isf
 from ..model.derivatives import Move
 from ..model.shape import ShapeBatch
+from ..robot.estimates import natural_sizes
 from .built_arm import LOAD, ODD_PROBABILITY, BuiltArm
 
 # the effect whose place is sought; where the description has one itself, the tip is the only place
 PLACED = 'point_load'
-# [1] of a typical force: prior 1 sd at the tip, because such a force bends the arm by a quarter;
-# elsewhere that of the same moment at the base
-PRIOR = 5.0
 # [1] places along the arm at which the cost is profiled, because a hundredth of the length is a
 # tenth of what a place is told to
 PLACES = 100
-# [1] searches for the place, because each is linear about the last one: most end after two, those
-# of an arm that was pushed by a third of its length between two frames after six
-ROUNDS = 8
-# [1] standard deviations along the worst axis between the mean and the centre of the integration,
-# else part of the posterior would lie outside
-SHIFTED_SD = 0.5
 # [1] of the length: an arm that moved by less keeps its covariance, because the Jacobian of the
 # imperfections hardly changes; a solution that is farther off is a local minimum
 SAME_LENGTH = 0.02
@@ -63,8 +56,6 @@ LINEAR = 0.01
 SPREAD = np.linspace(-3.0, 3.0, 9)
 # [1] of a wire pull: error of its model, 1 sd, because wires stretch (assumed)
 PULL_ERROR = 0.02
-# [m] of a wire pull: smallest error, 1 sd, because wires settle on their drums (assumed)
-PULL_ERROR_M = 1e-4
 # [N] of a force whose arrow has half of its largest length, so that forces of 0.01 N and of 1 N
 # are visible in one scene
 FORCE_HALF_N = 0.01
@@ -103,18 +94,9 @@ class Contact:
 class ContactObserver:
     """Estimates force and place repeatedly, each time from the last estimate."""
 
-    def __init__(self, arm: BuiltArm, pull_noise: float = 2e-5) -> None:
-        """
-        Begin without a force; what a description lacks unknowingly appears as a force.
-
-        Parameters
-        ----------
-        arm : BuiltArm
-        pull_noise : float
-            1 sd of a measured wire pull [m].
-
-        """
-        self.arm, self.pull_noise, self.tip = arm, pull_noise, arm.robot.length
+    def __init__(self, arm: BuiltArm) -> None:
+        """Begin without a force; what a description lacks unknowingly appears as a force."""
+        self.arm, self.tip = arm, arm.robot.length
         self.effect = LOAD if PLACED in arm.robot.effects else PLACED
         frees = free_parameters(arm.catalogue[self.effect], arm.robot)
         named = {free.parameter.name: free for free in frees}
@@ -236,8 +218,13 @@ class ContactObserver:
         return DIFFERENCE_STEP * self._typical
 
     def prior(self, place: Floats | float) -> Floats:
-        """Return the prior 1 sd [N] of each component at places (...) [m]."""
-        return np.asarray(PRIOR * self._typical * self.tip / place)
+        """
+        Return the prior 1 sd [N] of each component at places (...) [m].
+
+        At the tip it is the natural force of the arm, which bends it by about a quarter; elsewhere
+        the force of the same moment at the base.
+        """
+        return np.asarray(natural_sizes(self.arm.robot)['force'] * self.tip / place)
 
 
 @dataclass(frozen=True)
@@ -320,7 +307,7 @@ class _Fit:
         places, interval = self.observer.places, (0.0, self.observer.tip)
         # within a cell a force is only statically the same as in the arm, which bows along it
         half = 0.5 * float(self.observer.arm.robot.cell_lengths.max())
-        for _ in range(ROUNDS):
+        for _ in range(ITERATIONS_MAX):  # each is linear about the last one
             # three coordinates, such as those of the tip, tell a force and no place
             profile = self._profile(best) if self.markers and len(best.white) > 3 else None
             if profile is None:
@@ -436,7 +423,7 @@ class _Fit:
             weights = np.exp(np.array(logs) - max(logs))
             weights /= weights.sum()
             before, force = force, weights @ np.array(places)
-            if abs(worst @ (force - before)) < SHIFTED_SD * sd:
+            if abs(worst @ (force - before)) < CONVERGED_SD * sd:
                 break
         off = np.array(places) - force
         around = off.T @ (weights[:, None] * off)
@@ -460,7 +447,7 @@ class _Fit:
         """Return the inverse root of the covariance, by the last motions while it hardly moves."""
         observer, rows = self.observer, self.rows
         if not self.markers:
-            sd = np.sqrt(observer.pull_noise**2 + (PULL_ERROR * expected) ** 2 + PULL_ERROR_M**2)
+            sd = np.hypot(PLAUSIBLE_SIZES[ZERO][1], PULL_ERROR * expected)
             return np.asarray(np.diag(1.0 / sd[rows]))
         arm, kept = observer.arm, observer.kept
         if (

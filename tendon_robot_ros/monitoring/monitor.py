@@ -16,6 +16,7 @@ from ..common.arrays import Floats
 from ..common.errors import DataSetError, InputError, NoEquilibriumError
 from ..data import DataSet, Marker, default_markers
 from ..inference.statistics import RARE, chi2_isf, mean_over
+from ..robot.estimates import INPUT_TOLERANCE
 
 if TYPE_CHECKING:
     from ..model.model import Model
@@ -23,12 +24,8 @@ if TYPE_CHECKING:
 
 # [1] frames of the tracker in each half of a window, else their mean would hardly reduce noise
 FRAMES_PER_HALF_MIN = 4
-# [s] over which constant inputs are averaged; over less, noise would appear as a motion
-INPUT_AVERAGE_S = 0.1
-# [1] of the highest tension: change between the halves of a window beyond which the arm moves,
-# because it is at least twice the error of load cells and drives
-TENSION_STILL = 0.01
-# [1] of the length: the same for wire pulls, because so much changes the tension by as much
+# [1] of the length: change of wire pulls between the halves of a window beyond which the arm
+# moves, because so much changes the tension by `INPUT_TOLERANCE`
 PULL_STILL = 0.002
 
 
@@ -302,7 +299,7 @@ class Monitor:
         self._arcs = np.array([marker.arc_length for marker in self.markers])
         self._offsets = np.array([marker.offset for marker in self.markers]).reshape(-1, 3)
         high, length = robot.tension_limits[1], robot.length
-        changes = {'tension': TENSION_STILL * high, 'displacement': PULL_STILL * length}
+        changes = {'tension': INPUT_TOLERANCE * high, 'displacement': PULL_STILL * length}
         self._windows = {
             kind: StillWindow(self.settings.still_time, self.settings.still_speed, change)
             for kind, change in changes.items()
@@ -398,13 +395,14 @@ class Monitor:
 
     def _quiet(self, time: float) -> Floats | None:
         """Return the mean of the last states, None while inputs change."""
-        recent = self.states.mean(time - INPUT_AVERAGE_S, time)
-        earlier = self.states.mean(time - 2.0 * INPUT_AVERAGE_S, time - INPUT_AVERAGE_S)
+        span = self.states.patience  # over less, there may be no sample
+        recent = self.states.mean(time - span, time)
+        earlier = self.states.mean(time - 2.0 * span, time - span)
         if recent is None or earlier is None:
             return None
         robot, m = self.model.robot, len(recent) // 2
         high, length = robot.tension_limits[1], robot.length
-        scale = np.repeat([0.4 * TENSION_STILL * high, 0.5 * PULL_STILL * length], m)
+        scale = np.repeat([0.4 * INPUT_TOLERANCE * high, 0.5 * PULL_STILL * length], m)
         change = np.abs(recent - earlier) / scale
         return recent if np.max(change[np.isfinite(change)], initial=0.0) <= 1.0 else None
 

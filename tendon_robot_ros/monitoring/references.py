@@ -29,14 +29,13 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.arrays import Floats
+from ..data.arrays import SAMPLES_MIN
 from ..inference.outliers import outlier_limits
 
 Bools = npt.NDArray[np.bool_]
 # [1] lengths of batches of successive postures, because correlated innovations appear only in the
 # sums
 BATCHES = 1, 4, 8
-# [1] references; fewer would not show by how much errors of the model make the norms vary
-USUAL_MIN = 10
 
 
 @dataclass(frozen=True)
@@ -89,7 +88,7 @@ def contradicted(references: Sequence[Reference | None], counts: Bools) -> Bools
         sizes[i], freedom[i] = np.sqrt(off @ np.linalg.solve(spread, off)), len(off)
     # outliers; for a model that lacks an effect the norms vary more
     finite, limits = np.isfinite(sizes), outlier_limits(sizes, freedom)
-    if finite.sum() < USUAL_MIN:
+    if finite.sum() < SAMPLES_MIN:
         return np.zeros(len(sizes), dtype=np.bool_)
     apart = np.log(np.where(finite, sizes / limits, 1.0))
     middle = float(np.median(apart[finite]))

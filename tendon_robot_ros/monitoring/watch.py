@@ -39,11 +39,11 @@ from ..common.processes import ComputingThread
 from ..common.words import listed
 from ..data import Marker
 from ..effects import Catalogue
-from ..inference.statistics import chi2_sf
+from ..inference.statistics import RARE, chi2_sf
 from ..model.model import Model
 from ..robot import dump_robot, parse_robot
 from .built_arm import ODD_PROBABILITY, BuiltArm, differences
-from .change import LIKELY_MAX, ChangeFinder, Suspect, changes_of, described
+from .change import JUDGED_POSTURES, ChangeFinder, Suspect, changes_of, described
 from .contact import Contact, ContactObserver
 
 FORMAT = 'tendon_robot_ros/change@1'
@@ -53,9 +53,6 @@ ALARM_POSTURES = 20_000.0
 # [1] evidence that is required without the strongest posture: by chance one of 50 arms exceeds it
 # at a time
 CONFIRMED = 50.0
-# [1] postures between two change points, and postures as expected that exclude an outlier: every
-# change point would cost as much as the filter, and a change is detected in two postures
-BEGIN_EVERY = 4
 # [1] change points that are tested; evidence for an older one would have raised the alarm
 CHANGE_POINTS_MAX = 8
 
@@ -116,7 +113,7 @@ class DriftAlarm:
             Mean number of postures before a false alarm, at least.
 
         """
-        self.arm, self.threshold = arm, max(postures / BEGIN_EVERY, 2.0)
+        self.arm, self.threshold = arm, max(postures / JUDGED_POSTURES, 2.0)
         self._changes = changes_of(arm)
         self._frees = [free for change in self._changes for free in change.frees]
         # columns of each change in the signatures, and their prior 1 sd
@@ -135,7 +132,7 @@ class DriftAlarm:
     def restart(self) -> None:
         """Drop the evidence, after a change was handled."""
         self._change_points, self._count = list[_ChangePoint](), 0
-        self._recent: deque[_Posture] = deque(maxlen=BEGIN_EVERY * CHANGE_POINTS_MAX)
+        self._recent: deque[_Posture] = deque(maxlen=JUDGED_POSTURES * CHANGE_POINTS_MAX)
         self._single: int | None = None  # number of a single outlier
         self.finder, self._since_alarm = None, 0
         self.state = DriftState(False, 0.0, 0)
@@ -164,7 +161,7 @@ class DriftAlarm:
         gain, inverse = arm.covariance @ columns.T @ inverse, inverse / arm.widening
         chi2 = float(innovation @ inverse @ innovation)
         odd = chi2_sf(chi2, len(innovation)) < ODD_PROBABILITY
-        if self._count % BEGIN_EVERY == 0:
+        if self._count % JUDGED_POSTURES == 0:
             point = _ChangePoint(
                 self._count, arm.mean, arm.covariance, np.zeros((len(arm.mean), len(self._spread)))
             )
@@ -189,7 +186,7 @@ class DriftAlarm:
         single = self._single
         if posture.odd:
             self._single = posture.at if single is None else None
-        elif single is not None and posture.at - single >= BEGIN_EVERY:
+        elif single is not None and posture.at - single >= JUDGED_POSTURES:
             for point in self._change_points:
                 point.parts.pop(single, None)
             others = [one for one in self._recent if one.at != single]
@@ -228,16 +225,16 @@ class DriftAlarm:
             # postures since the change: those before the first outlier may precede it
             since = [one for one in self._recent if one.at >= point.at]
             first = next((i for i, one in enumerate(since) if one.odd), 0)
-            for one in since[first if first < BEGIN_EVERY else 0 :]:
+            for one in since[first if first < JUDGED_POSTURES else 0 :]:
                 self.finder.take(one.tensions, one.positions, one.frames)
-        elif self._since_alarm < BEGIN_EVERY * CHANGE_POINTS_MAX:
+        elif self._since_alarm < JUDGED_POSTURES * CHANGE_POINTS_MAX:
             self._since_alarm += 1
             self.finder.take(posture.tensions, posture.positions, posture.frames)
         else:
             return self.state.suspects
         if self._since_alarm & (self._since_alarm - 1):  # a fit takes seconds
             return self.state.suspects
-        return self.finder.suspects()[:LIKELY_MAX]
+        return tuple(one for one in self.finder.suspects() if one.probability > RARE)
 
     def _signatures(self, tensions: Floats, built: Floats) -> Floats | None:
         """Return the motion of the markers by a unit of every change, (3 J, c) [m per unit]."""

@@ -34,9 +34,8 @@ def plain(values: npt.ArrayLike, scale: float = 1.0, places: int = 4) -> list[fl
     return [float(value) if np.isfinite(value) else None for value in array]
 
 
-# [1] labelled values of a logarithmic axis, because plotly's own are too many on a narrow screen
-TICKS = [a * 10.0**b for b in range(-3, 4) for a in (1, 2, 5)]
-LOG_AXIS = {'type': 'log', 'tickvals': TICKS, 'ticktext': [f'{tick:g}' for tick in TICKS]}
+# ticks at 1, 2, 5 of a decade: plotly's own are too many on a narrow screen
+LOG_AXIS = {'type': 'log', 'dtick': 'D2', 'tickformat': '~r'}
 
 
 def mm_list(metres: npt.ArrayLike) -> list[float | None]:

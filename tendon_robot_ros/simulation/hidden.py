@@ -226,22 +226,6 @@ def plant_catalogue(catalogue: Catalogue) -> Catalogue:
     return Catalogue([friction, *effects], catalogue.files, catalogue.is_sized)
 
 
-def elastic_slip(sign, before, change, presliding_length, exponent):  # type: ignore[no-untyped-def]
-    """
-    Direction of friction after a change of travel: a spring up to where it slips (Prandtl 1928).
-
-    Unlike Dahl's law it is straight up to a sharp end; the spring is as long as Dahl's is wide.
-    """
-    return min(max(before + change / presliding_length, -1.0), 1.0)
-
-
-def with_elastic_slip(catalogue: Catalogue) -> Catalogue:
-    """Return the catalogue with another law for what friction remembers."""
-    memory = replace(catalogue['friction_memory'], law=elastic_slip)
-    effects = [memory if e.name == memory.name else e for e in catalogue]
-    return Catalogue(effects, catalogue.files, catalogue.is_sized)
-
-
 @dataclass(frozen=True)
 class Workmanship:
     """One standard deviation of each imperfection, as in an ordinary laboratory."""

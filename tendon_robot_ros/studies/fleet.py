@@ -76,7 +76,9 @@ def run(args: argparse.Namespace) -> int:
         'recordings': [asdict(row) for row in rows],
         'changes': [asdict(change) for change in changes(rows)],
     }
-    emit(args, content, '\n'.join([*fleet_text(rows), f'written: {output}/table, {page}']))
+    left_out = [f'left out: {line}' for line in problems(rows)]
+    text = [columns([COLUMNS, *fleet_rows(rows)]), *change_lines(rows), *left_out]
+    emit(args, content, '\n'.join([*text, f'written: {output}/table, {page}']))
     return 0
 
 
@@ -285,19 +287,14 @@ COLUMNS = ('robot', 'when', 'measurements', 'verdict', 'error', 'with it', 'nois
 
 
 def fleet_rows(rows: Sequence[FleetRow]) -> list[list[str]]:
-    """Return a row per recording that could be read."""
+    """Return a row per recording that could be read; a time of its files is said to be that."""
+    told = '', ' (its files)'
     return [
-        [row.robot, when_text(row), row.place, words_of(row)]
+        [row.robot, _readable(row.when) + told[row.dated_by == 'file'], row.place, words_of(row)]
         + [mm(error) for error in (row.before, row.after, row.floor)]
         for row in rows
         if row.verdict != ERROR
     ]
-
-
-def when_text(row: FleetRow) -> str:
-    """Format the time of a measurement, with its source if that is the file."""
-    when = _readable(row.when)
-    return f'{when} (its files)' if row.dated_by == 'file' else when
 
 
 def _readable(when: str) -> str:
@@ -317,12 +314,6 @@ def change_lines(rows: Sequence[FleetRow]) -> list[str]:
 def problems(rows: Sequence[FleetRow]) -> list[str]:
     """Describe the recordings that could not be read or judged."""
     return [f'{row.place}: {row.problem}' for row in rows if row.verdict == ERROR]
-
-
-def fleet_text(rows: Sequence[FleetRow]) -> list[str]:
-    """Return table, changes and problems."""
-    left_out = [f'left out: {line}' for line in problems(rows)]
-    return [columns([COLUMNS, *fleet_rows(rows)]), *change_lines(rows), *left_out]
 
 
 def fleet_page(rows: Sequence[FleetRow], title: str) -> Page:

@@ -36,8 +36,6 @@ HELP = 'friction coefficient from slip angles, into a robot description'
 COLUMNS = ('measurement', 'angle_deg')
 # [1] robust standard deviations from the median, of an outlier (Iglewicz and Hoaglin 1993)
 OUTLIER_FROM_SD = 3.5
-# [°] below which a wire would be smoother than any (coefficient 0.04): all below are radians
-RADIANS_BELOW_DEG = 2.25
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -142,8 +140,8 @@ def read_slip_angles(path: str | Path) -> tuple[tuple[str, ...], Floats]:
     for i in np.flatnonzero(~((degrees > 0.0) & (degrees < 90.0))):
         remedy = 'write the slip angle in degrees, between 0 and 90'
         raise file.error(int(i) + 2, f'angle_deg is {degrees[i]:g}', remedy)
-    if degrees.max() < RADIANS_BELOW_DEG:
-        problem = f'no angle exceeds {RADIANS_BELOW_DEG}°'
+    if degrees.max() < 0.5 * np.pi:  # smoother than any wire, and all angles in radians
+        problem = f'no angle exceeds {0.5 * np.pi:.2f}°'
         raise DataSetError(str(path), problem, 'write degrees, not radians')
     labels = file.labels['measurement']
     return tuple(labels[code] for code in file.codes['measurement']), np.radians(degrees)

@@ -324,16 +324,14 @@ def binned(rows: Sequence[CaseRow]) -> list[CaseRow]:
     return [replace(row, size=float(middles[i])) for row, i in zip(rows, which, strict=True)]
 
 
-def verdict_words(row: CaseRow) -> str:
-    """Return the verdict in one word, or the named effects."""
-    if row.verdict in NAMING and row.effects:
-        return row.hidden if row.right else ' + '.join(row.effects)
-    return row.verdict.replace('_', ' ')
-
-
 def confusion(rows: Sequence[CaseRow]) -> tuple[list[str], list[str], list[list[int]]]:
-    """Return what was hidden, what was said, and how often."""
-    counts = collections.Counter((row.hidden, verdict_words(row)) for row in rows)
+    """Return what was hidden, what was said (a verdict, or names), and how often."""
+    counts: collections.Counter[tuple[str, str]] = collections.Counter()
+    for row in rows:
+        said = row.verdict.replace('_', ' ')
+        if row.verdict in NAMING and row.effects:
+            said = row.hidden if row.right else ' + '.join(row.effects)
+        counts[row.hidden, said] += 1
     hidden = list(dict.fromkeys(row.hidden for row in rows))
     names = {name for _, name in counts}
     words = [name for name in hidden if name in names] + sorted(names - set(hidden))

@@ -18,9 +18,9 @@ from typing import Any, Self
 import numpy as np
 
 from ..common.errors import InputError, Progress
-from ..common.files import read_text, write_text
+from ..common.files import write_text
 from ..common.workers import Workers
-from ..common.yaml_reading import Reader, parse_yaml
+from ..common.yaml_reading import Reader, read_yaml
 from ..data import load_dataset
 from ..effects import Catalogue
 from ..model.versions import UserEffect, catalogue_of, differences, refuse_difference, versions
@@ -48,9 +48,7 @@ CONTENT = 'campaign.json'  # in the folder: what its table was made with
 class PlanReader(Reader):
     """Checked reading of a plan."""
 
-    def error(self, key: str, expected: str, got: object) -> InputError:
-        """Build the error for a key."""
-        return InputError(f'{self.source}: {self._where(key)}: expected {expected}, got {got!r}')
+    refusal = InputError
 
     def numbers_in(
         self, key: str, low: float, high: float, default: Sequence[float]
@@ -117,11 +115,7 @@ def read_plan(path: str | Path, effect_files: Sequence[str] = ()) -> CampaignPla
         One line: file, key, what was expected and what came.
 
     """
-    text = read_text(path, lambda why: InputError(f'{path}: expected a plan (YAML), got {why}'))
-    try:
-        content = parse_yaml(text)
-    except ValueError as error:
-        raise InputError(f'{path}: {error}') from None
+    content = read_yaml(Path(path), lambda why: InputError(f'{path}: no plan (YAML): {why}'))
     return plan_of(content, str(path), Path(path).parent, effect_files)
 
 

@@ -13,7 +13,7 @@ from ..common.arrays import Floats, Ints
 from ..common.errors import DataSetError, InputError
 from ..common.results import pandas
 from ..common.words import UNITS, find_unit, listing
-from ..data.arrays import VALUES_MAX
+from ..data.arrays import FRAME_S, VALUES_MAX
 from ..data.bag_reader import Recording, Track
 from ..data.tracker_faults import (
     UNSEEN_M,
@@ -28,9 +28,6 @@ from .columns import ROWS_MAX, UNUSUAL_FACTOR, RawTable, marker_label
 from .markers import circle_centres, not_visible
 from .recipe import MarkerColumns, Recipe, Selection, WireSpool, time_column
 
-# [s] of the grid on which motions are compared, because cameras have 30 to 100 Hz; coarser where
-# it would not fit into memory. Clocks run alike that are within 2.5 steps at the end of the record
-STEP_S = 0.02
 # [1] of the best match, above which another delay leaves it open, because noise changes both
 CLEAR_RATIO = 0.85
 MATCH_MIN = 0.3  # [1] of the motion that the inputs explain, because less may be by chance
@@ -67,7 +64,8 @@ class ClockFit:
         span = max(float(times[-1]), 1.0)
         coordinates = positions.reshape(len(times), -1)
         longest = max(float(state_times[-1]), float(times[-1]))
-        step = max(STEP_S, longest * coordinates.shape[1] / VALUES_MAX)
+        # of the grid on which motions are compared: coarser where it would not fit into memory
+        step = max(FRAME_S, longest * coordinates.shape[1] / VALUES_MAX)
         # coarse and fine: orthonormal columns that span the inputs; the largest motions
         grids = []
         for one in (5.0 * step, step):
@@ -88,10 +86,10 @@ class ClockFit:
                 lambda rate: -_matches(*fine, float(rate)).max(),
                 bounds=np.clip(beside, -DRIFT_MAX, DRIFT_MAX),
                 method='bounded',
-                options={'xatol': 0.25 * STEP_S / span},
+                options={'xatol': 0.25 * FRAME_S / span},
             ).x
         )
-        if abs(drift) * times[-1] < 2.5 * STEP_S:
+        if abs(drift) * times[-1] < 2.5 * FRAME_S:  # at the end of the record: they run alike
             drift = 0.0
         self.drift = drift  # [s/s] that the markers' clock loses
         match = _matches(*fine, drift)

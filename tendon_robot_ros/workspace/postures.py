@@ -106,7 +106,9 @@ class _Design:
             for s in self.sections:
                 row += self.section(s, SECTION_BEND_MAX_RAD * sizes[s][i])
                 if self.squeezes and self.random.random() < 0.5:
-                    row += self.squeeze(s)
+                    members = self.last == s  # all tendons of a section leave it straight
+                    size = 1.0 / np.linalg.norm(self.rate[members], axis=1).max()  # [N] a radian
+                    row[members] += self.random.uniform(*SQUEEZE_FRACTIONS) * size
             rows.append(row)
         return rows
 
@@ -121,12 +123,6 @@ class _Design:
         row = np.zeros(self.count)
         row[members] = cosines * bend / max(float(np.linalg.norm(cosines @ rate)), 1e-300)
         return row
-
-    def squeeze(self, s: int) -> Floats:
-        """Tensions (m,) [N] of all tendons of a section that leave it straight."""
-        members = self.last == s
-        size = 1.0 / np.linalg.norm(self.rate[members], axis=1).max()  # [N] for one radian
-        return np.where(members, self.random.uniform(*SQUEEZE_FRACTIONS) * size, 0.0)
 
     def cycles(self, count: int) -> list[Floats]:
         """Load and let go in even steps, from one random bend to the next."""

@@ -198,7 +198,12 @@ class Workspace:
                 tensions = np.full((len(own), len(model.inputs)), low)
                 tensions[:, pair.indices] = levels[np.stack(np.divmod(own, len(levels)), axis=1)]
                 batch, changes = model.solve(tensions)
-                good, angle = changes < TOLERANCE, tip_angles(batch.bend, batch.tip_direction)
+                # between the tip's direction and the base's: in the x-z plane with its sign and
+                # beyond 180°, else from 0 to 180°
+                flat = np.abs(batch.bend[..., 1]).max(axis=1, initial=0.0) < 1e-9
+                turned = angle_between(batch.tip_direction, np.array([0.0, 0.0, 1.0]))
+                good = changes < TOLERANCE
+                angle = np.where(flat, batch.bend[..., 0].sum(axis=1), turned)
                 self.unsolved += int((~good).sum())
                 self.largest = max(self.largest, float(np.abs(angle[good]).max(initial=0.0)))
                 arrays = (batch.inputs, batch.bend, batch.positions, angle)
@@ -239,18 +244,6 @@ class Workspace:
             for family in self.families
         ]
         return {**{name: getattr(self, name) for name in first}, 'families': families}
-
-
-def tip_angles(bend: Floats, direction: Floats) -> Floats:
-    """
-    Angle (b,) [rad] between the tip's direction and the base's.
-
-    In the x-z plane the sum of the bends (b, n, 2), with its sign and beyond 180°; otherwise that
-    between +z and the direction (b, 3), from 0 to 180°.
-    """
-    flat = np.abs(bend[..., 1]).max(axis=1, initial=0.0) < 1e-9
-    total: Floats = bend[..., 0].sum(axis=1)
-    return np.asarray(np.where(flat, total, angle_between(direction, np.array([0.0, 0.0, 1.0]))))
 
 
 def save_workspace(workspace: Workspace, folder: Path) -> None:

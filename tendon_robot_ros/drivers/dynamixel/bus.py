@@ -29,6 +29,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from enum import IntEnum
+from itertools import cycle
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -42,7 +43,14 @@ from dynamixel_sdk import (
 )
 
 from ...common.errors import DriverError
-from ..serial_port import ANSWER_TIMEOUT_S, PortLink, PortLostError, held_by, write_all
+from ..serial_port import (
+    ANSWER_TIMEOUT_S,
+    HICCUPS_MAX,
+    PortLink,
+    PortLostError,
+    held_by,
+    write_all,
+)
 from .control_table import REGISTERS, TABLE_BYTES, decode, encode
 
 T = TypeVar('T')
@@ -50,11 +58,11 @@ GOALS = ('goal_current', 'goal_position')
 UDEV_FILE = '/etc/udev/rules.d/99-usb-serial-latency.rules'
 UDEV_RULE = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
 LATENCY_MAX_MS = 2  # [ms] of an adapter; every answer comes so late, else a 100 Hz cycle is missed
-# [bytes] from address 0, longer than any other read, so that the answer is known by its length
-FRESH_BYTES_MIN = 11
-FRESH_LENGTHS = 20  # [1] different ones, so that no late answer of such a read has the same length
-STRAY_MAX = 3  # [1] conversations with bytes before them, because a hiccup comes once
-STRAY_WINDOW_S = 2.0  # [s] in which they come, else they are hiccups
+# [bytes] from address 0, longer than any other read and in turn different, so that the answer is
+# known by its length
+FRESH_LENGTHS = range(11, 31)
+# [s] in which more conversations than hiccups have bytes before them, else these are hiccups
+STRAY_WINDOW_S = 2.0
 
 
 class StatusByte(IntEnum):
@@ -154,8 +162,8 @@ class Bus(PortLink):
         self._readers: dict[tuple[int, int, tuple[int, ...]], Any] = {}
         self._responding: list[int] = []  # ids of servos that answered, the last one first
         self._behind = False  # a late answer may still arrive
-        self._fresh_reads = 0
-        self._stray: deque[float] = deque(maxlen=STRAY_MAX)  # [s] times of unrequested bytes
+        self._fresh_lengths = cycle(FRESH_LENGTHS)
+        self._stray: deque[float] = deque(maxlen=HICCUPS_MAX)  # [s] times of unrequested bytes
         self._talker = ''
 
     def _open(self) -> None:
@@ -175,8 +183,7 @@ class Bus(PortLink):
             if not self._behind and self._port.waiting():
                 self._stray.append(time.monotonic())
             if self._behind and self._responding:  # read past late answers
-                self._fresh_reads += 1
-                length = FRESH_BYTES_MIN + self._fresh_reads % FRESH_LENGTHS
+                length = next(self._fresh_lengths)
                 self._behind = self._answer(self._port, self._responding[0], 0, length) is None
                 if self._behind:
                     self._responding.append(self._responding.pop(0))  # another servo next time
@@ -198,7 +205,7 @@ class Bus(PortLink):
     def disturbed(self) -> str:
         """Return the name of another program on this bus, by bytes between conversations."""
         stray = self._stray
-        if len(stray) < STRAY_MAX or time.monotonic() - stray[0] > STRAY_WINDOW_S:
+        if len(stray) < HICCUPS_MAX or time.monotonic() - stray[0] > STRAY_WINDOW_S:
             self._talker = ''
         elif not self._talker:  # once, because the search takes a while
             self._talker = self._other_talker()

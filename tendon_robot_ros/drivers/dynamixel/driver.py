@@ -12,16 +12,13 @@ from ...common.arrays import Floats
 from ...common.errors import DriverError
 from ...robot import Robot
 from ..interface import Fault
-from ..serial_port import RESTART_TIMEOUT_S, PortDriver, PortLostError
+from ..serial_port import HICCUPS_MAX, RESTART_TIMEOUT_S, PortDriver, PortLostError
 from . import servos
 from .bus import Bus, check_latency
 from .config import DynamixelConfig, read_config
 from .control_table import OperatingMode
 from .motions import find_slack
 from .motor import Motor, make_motors
-
-# [1] times that an increased current limit is sent, because nobody acknowledges a goal
-LIMIT_REPEATED = 20
 
 
 class DynamixelDriver(PortDriver):
@@ -202,7 +199,7 @@ class DynamixelDriver(PortDriver):
         if not self.limits_current:
             return
         if reduction > 0.0 or self._limits_reduced():
-            self._limit_due = LIMIT_REPEATED
+            self._limit_due = HICCUPS_MAX
         for motor in self.motors.values():
             motor.limit_current(reduction, tension)
 

@@ -21,9 +21,9 @@ import numpy as np
 
 from ...common.errors import DriverError, MovedError
 from ...common.processes import ends_between
-from ..hardware import READINGS_MIN
+from ..hardware import READINGS_MIN, STANDING_S
 from ..interface import CYCLE_S, travelled
-from ..serial_port import PortLostError
+from ..serial_port import HICCUPS_MAX, PortLostError
 from . import servos
 from .bus import Bus
 from .config import CurrentPoint, DynamixelConfig
@@ -32,11 +32,7 @@ from .motor import Motor
 
 MODE = OperatingMode.CURRENT_BASED_POSITION
 WATCHDOG_COUNTS = servos.watchdog_counts(servos.WATCHDOG_S)
-# [1] answers that a motor misses in a row, or trips of its watchdog, so that a hiccup ends no
-# motion; a bus or computer that is late more often is too late
-HICCUPS_MAX = 5
 BACK_OFF_M = 0.002  # [m] paid out first, else a blocked motor would seem to have found its wire
-STALLED_S = 0.15  # [s] of standing still against the wire, so that a busy cycle is no stall
 TURNING_TIMEOUT_S = 2.0  # [s] without turning, or with too little current, else it would never end
 # [1] of the distance at either end that does not count, because there the motor starts, a weight
 # lands, and friction may hold the motor short of its goal
@@ -120,7 +116,7 @@ class SlackSearch:
             self.backing, self.goal, self.still = False, float(ticks), 0.0
             return
         self.still += passed
-        if self.still > self.checked + STALLED_S:
+        if self.still > self.checked + STANDING_S:
             self.checked = self.still
             if self.resumed():
                 return
@@ -140,7 +136,7 @@ class SlackSearch:
         slow = abs(self.motor.velocity) * unit < 0.1 * step / CYCLE_S + 30.0
         behind = slow and abs(self.goal - ticks) >= self.lag
         self.still = self.still + passed if behind else 0.0
-        if self.still > STALLED_S:
+        if self.still > STANDING_S:
             return True
         self.stay_near()
         return False

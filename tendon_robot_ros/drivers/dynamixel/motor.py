@@ -7,12 +7,11 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+from ..hardware import READINGS_MIN
 from ..interface import Fault
 from .config import DynamixelConfig, MotorWire
 from .control_table import REGISTERS, Counts, ServoModel, decode, hardware_errors
 
-# [1] readings, of which a motor carries the largest current, so that ripple does not lower it
-RECENT_READINGS = 5
 # of that current, because a reading is rounded, rippled and a cycle old: a fraction [1] ...
 CARRIED_MARGIN = 0.1
 CARRIED_MARGIN_COUNTS = 3  # [counts] ... and some counts, because of small currents
@@ -85,7 +84,7 @@ class Motor:
     gains: dict[int, list[int]] = field(default_factory=dict)
     settled: dict[str, str] = field(default_factory=dict)
     _carried: int = 0  # [counts] largest current when `reduced_limit` began
-    _recent: deque[int] = field(default_factory=lambda: deque(maxlen=RECENT_READINGS))
+    _recent: deque[int] = field(default_factory=lambda: deque(maxlen=READINGS_MIN))
 
     @property
     def model(self) -> ServoModel:

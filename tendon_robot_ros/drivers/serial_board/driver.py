@@ -16,12 +16,13 @@ import numpy as np
 from ...common.arrays import Bools, Floats
 from ...common.errors import DriverError, MovedError
 from ...robot import Robot
+from ..hardware import STANDING_S
 from ..interface import CYCLE_S, Fault, travelled
 from ..safety import CYCLE_MAX_S
 from ..serial_port import ANSWER_TIMEOUT_S, PortDriver, PortLostError
 from . import messages
 from .config import BoardConfig, read_config
-from .link import SETTLE_S, BoardLink
+from .link import BoardLink
 from .messages import CHANNEL_FAULTS, BoardFlag, ChannelFault, Message, Telemetry
 
 TENSION_TOLERANCE = 0.3  # [1] of the homing tension, because friction and noise are large there
@@ -301,7 +302,7 @@ class SerialDriver(PortDriver):
         deadline = time.monotonic() + config.home_time
         steady = time.monotonic()
         try:
-            while time.monotonic() - steady < SETTLE_S:
+            while time.monotonic() - steady < STANDING_S:
                 self.refuse_cancelled()
                 self.command('tension', goal)
                 self.read_fresh()

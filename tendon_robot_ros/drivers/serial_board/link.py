@@ -16,17 +16,21 @@ import numpy as np
 
 from ...common.arrays import Floats
 from ...common.errors import DriverError
-from ..hardware import READINGS_MIN
+from ..hardware import READINGS_MIN, STANDING_S
 from ..interface import CYCLE_S
-from ..serial_port import ANSWER_TIMEOUT_S, RESTART_TIMEOUT_S, PortLink, PortLostError, write_all
+from ..serial_port import (
+    ANSWER_TIMEOUT_S,
+    HICCUPS_MAX,
+    RESTART_TIMEOUT_S,
+    PortLink,
+    PortLostError,
+    write_all,
+)
 from . import messages
 from .config import BoardConfig, CountsPoint
 from .messages import Frame, FrameReceiver, Identity, Message, Protocol, Telemetry, encode
 
-ATTEMPTS = 8  # [1] of a message, so that noise on the cable does not end a configuration
 RELEASE_TIME_S = 10.0  # [s] of a board left under tension, so that a slow release comes to an end
-# [s] in which a load cell and what pulls at it settle, so that no reading is from before
-SETTLE_S = 0.2
 
 
 class BoardLink(PortLink):
@@ -110,7 +114,7 @@ class BoardLink(PortLink):
                 return frames
         return []
 
-    def ask(self, kind: int, payload: bytes, attempts: int = ATTEMPTS) -> None:
+    def ask(self, kind: int, payload: bytes, attempts: int = HICCUPS_MAX) -> None:
         """
         Send a message until the board acknowledges it.
 
@@ -243,11 +247,11 @@ class BoardLink(PortLink):
         counts: list[float] = []
         began = time.monotonic()
         try:
-            while (passed := time.monotonic() - began) < SETTLE_S + seconds:
+            while (passed := time.monotonic() - began) < STANDING_S + seconds:
                 self.send(Message.RAW)
                 for frame in self.wait_for(Message.RAW_CELLS, ANSWER_TIMEOUT_S):
                     cells = messages.read_cells(frame, self.channels)
-                    if cells is not None and passed > SETTLE_S:
+                    if cells is not None and passed > STANDING_S:
                         counts.append(float(cells[channel]))
                 time.sleep(CYCLE_S)
         except PortLostError as error:

@@ -358,17 +358,12 @@ def bend_against(chain, past, i, mx, my):
     Bend (x, y) of a cell whose hysteresis takes part of the moment on it.
 
     By Broyden's method from the bend in the posture before, with slopes (xx, xy; yx, yy) of which
-    the first are differences; NaN where there is none.
+    the first are the cell's stiffness; NaN where there is none.
     """
     stiffness = cell_stiffness(chain, i, section_of(chain, i))
     x, y = floats(past.bend)[2 * i], floats(past.bend)[2 * i + 1]
     fx, fy = unbalanced(chain, past, i, x, y, mx, my)
-    ax, ay = unbalanced(chain, past, i, x + DIFFERENCE_STEP, y, mx, my)
-    bx, by = unbalanced(chain, past, i, x - DIFFERENCE_STEP, y, mx, my)
-    cx, cy = unbalanced(chain, past, i, x, y + DIFFERENCE_STEP, mx, my)
-    dx, dy = unbalanced(chain, past, i, x, y - DIFFERENCE_STEP, mx, my)
-    half = 0.5 / DIFFERENCE_STEP
-    xx, yx, xy, yy = half * (ax - bx), half * (ay - by), half * (cx - dx), half * (cy - dy)
+    xx, yx, xy, yy = stiffness, 0.0, 0.0, stiffness
     for _ in range(60):
         size, over, part = fx * fx + fy * fy, 1.0 / (xx * yy - xy * yx), 1.0
         if size < (EPSILON * stiffness) ** 2:

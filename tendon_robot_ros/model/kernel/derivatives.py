@@ -34,7 +34,6 @@ from .layout import (
 )
 from .linearisation import TRAVEL_STEP
 from .shape import (
-    mean_pulls,
     place,
     remember,
     remember_bends,
@@ -125,69 +124,57 @@ def place_as(chain, inputs, bend, work, past):
     place(chain, bend, work)
 
 
-@compiled
-def move_along(chain, inputs, bend, rows, j, step, trial):
-    """
-    Move input j and the state, into `trial` (u,), along its derivative; undo: minus.
-
-    Parameters
-    ----------
-    inputs, bend : address
-        (m,) [N]; state [rad].
-    rows : ndarray, shape (m, u)
-        Derivatives of the bends by the inputs [rad/N].
-    j : int
-        The input that moves.
-    step : float
-        [N]
-    trial : address
-        Takes the state (u,) [rad].
-
-    """
-    floats(inputs)[j] += step
-    for q in range(unknowns(chain)):
-        floats(trial)[q] = floats(bend)[q] + step * rows[j, q]
+# Target (8,): x, y, z [m], direction x, y, z, weight of position [1], weight of direction [m/rad].
 
 
 @compiled
-def output_slopes(chain, inputs, solver, state_slopes, slopes):
-    """
-    Fill slopes (6, m) of tip position [m/N] and tip direction [1/N] by the inputs.
+def tip_error(chain, work, target, f):
+    """Fill the weighted tip error (6,) [m] of the frames in `work`."""
+    frames, origins, n = floats(work.frames), floats(work.origins), chain.n
+    for r in range(3):
+        f[r] = target[6] * (origins[3 * n + r] - target[r])
+        f[3 + r] = target[7] * (frames[9 * n + 3 * r + 2] - target[3 + r])
 
-    At the state kept in the workspace, which balances inputs (m,) at an address. `state_slopes`
-    (m, u) takes the derivatives of the state [rad/N].
+
+@compiled
+def tip_slopes(chain, inputs, solver, target, directions, f, slopes):
     """
-    n, m, bend, work, past = chain.n, chain.m, solver.bend, solver.work, solver.past
-    input_response(chain, inputs, bend, work, past, state_slopes, True)
-    frames, origins = floats(work.frames), floats(work.origins)
-    for j in range(m):
-        slopes[:, j] = 0.0
-        was = floats(inputs)[j]
-        down = min(was, LEAST_TENSION_N)
+    Fill the tip error (6,) [m] and its derivatives (6, d) along directions (d, u) of the state.
+
+    At the state kept in the workspace, of inputs (m,). The first m directions are those of the
+    state by an input, which itself moves with them.
+    """
+    bend, near = floats(solver.bend), floats(solver.near)
+    up, down = np.empty(6), np.empty(6)
+    for j in range(directions.shape[0]):
+        step = DIFFERENCE_STEP / max(largest(directions[j]), DIFFERENCE_STEP)
         for side in range(2):
-            step, sign = (LEAST_TENSION_N, 1.0) if side == 0 else (-down, -1.0)
-            move_along(chain, inputs, bend, state_slopes, j, step, solver.near)
-            place_as(chain, inputs, solver.near, work, past)
-            floats(inputs)[j] = was
-            scale = sign / (LEAST_TENSION_N + down)
-            for r in range(3):
-                slopes[r, j] += scale * origins[3 * n + r]
-                slopes[3 + r, j] += scale * frames[9 * n + 3 * r + 2]
+            h = step if side == 0 else -step
+            for q in range(unknowns(chain)):
+                near[q] = bend[q] + h * directions[j, q]
+            was = inputs[j % chain.m]
+            if j < chain.m:
+                inputs[j] += h
+            place_as(chain, address(inputs), solver.near, solver.work, solver.past)
+            inputs[j % chain.m] = was
+            tip_error(chain, solver.work, target, up if side == 0 else down)
+        for r in range(6):
+            slopes[r, j] = (up[r] - down[r]) / (2.0 * step)
+            f[r] = 0.5 * (up[r] + down[r])
 
 
 @compiled
 def input_pulls(chain, inputs, bend, solver):
     """Return the wire pulls (m,) [m] of inputs at an address and a state, not settled."""
     place_as(chain, inputs, bend, solver.work, solver.past)
-    wire_pulls(chain, bend, solver.work, solver.pulls)
-    mean_pulls(chain, solver.pulls, solver.means)
+    wire_pulls(chain, bend, solver.work, solver.pulls, solver.means)
     return floats(solver.means)
 
 
 @compiled
 def pull_rates(chain, inputs, solver, state_slopes, slopes):
     """
-    Fill slopes (m, m) [m/N] of the wire pulls by the inputs, and of the state, as `output_slopes`.
+    Fill slopes (m, m) [m/N] of the wire pulls by the inputs, and (m, u) [rad/N] of the state.
 
     By differences to one side: they only guide the steps of a search.
     """
@@ -199,7 +186,9 @@ def pull_rates(chain, inputs, solver, state_slopes, slopes):
             slopes[r, j] = -pulls[r] / LEAST_TENSION_N
     for j in range(m):
         was = floats(inputs)[j]
-        move_along(chain, inputs, bend, state_slopes, j, LEAST_TENSION_N, solver.near)
+        floats(inputs)[j] += LEAST_TENSION_N
+        for q in range(unknowns(chain)):
+            floats(solver.near)[q] = floats(bend)[q] + LEAST_TENSION_N * state_slopes[j, q]
         pulls = input_pulls(chain, inputs, solver.near, solver)
         floats(inputs)[j] = was
         for r in range(m):
@@ -208,10 +197,17 @@ def pull_rates(chain, inputs, solver, state_slopes, slopes):
 
 @entry()
 def jacobian(robot, inputs, bends, past, scratch, state_slopes, slopes):
-    """Fill slopes (6, m) and (m, u), see `output_slopes`, at bends[0] of inputs (m,) [N]."""
+    """
+    Fill the derivatives by inputs (m,) at bends[0]: of the state (m, u) [rad/N], and of the tip.
+
+    `slopes` (6, m): of tip position [m/N] and tip direction [1/N].
+    """
     chain = chain_at(robot)
-    solver = workspace(chain, bends, past, scratch)
-    output_slopes(chain, address(inputs), solver, state_slopes, slopes)
+    solver, target, f = workspace(chain, bends, past, scratch), np.zeros(8), np.empty(6)
+    target[6] = target[7] = 1.0
+    tension, work, then = address(inputs), solver.work, solver.past
+    input_response(chain, tension, solver.bend, work, then, state_slopes, True)
+    tip_slopes(chain, inputs, solver, target, state_slopes, f, slopes)
 
 
 @entry()
@@ -336,8 +332,7 @@ def path_steps(robot, inputs, states, pulls, past, scratch, answers, by_tension,
                 states[b, r] += f[q] * answers[b, q, r]
         if held[b].any():
             place_as(chain, tension, bend, work, then)
-            wire_pulls(chain, bend, work, address(wires))
-            mean_pulls(chain, address(wires), address(means))
+            wire_pulls(chain, bend, work, address(wires), address(means))
             assign(before, inputs[b])
             for j in range(m):
                 for r in range(m):

@@ -92,17 +92,8 @@ def load_rows(chain):
 
 
 @compiled
-def system_size(chain, count):
-    """Floats that the equations take, with a number of right-hand sides."""
-    k, loads = chain.k, load_rows(chain)
-    width = k + 3 + loads + count
-    rows, own = k + loads, 3 * (2 * k + loads) + 9
-    return chain.n * (3 + k) * width + 2 * rows * width + own + k * (k + width + 3) + 2 * k
-
-
-@compiled
 def system_in(chain, count, start):
-    """Lay the equations out in an array of `system_size` floats that starts as zeros."""
+    """Lay the equations out from an address on, at which zeros stand."""
     kt = chain.k if stages.eyelet_acts(chain) else 0
     frame = kt + coordinates(chain)
     loads = load_rows(chain)
@@ -115,7 +106,7 @@ def system_in(chain, count, start):
     pivot = direct + 24 * kt
     matrix = pivot + 72
     side = matrix + 8 * kt * kt
-    first = side + 8 * kt * (width + 3)
+    first = side + 8 * kt * (width + 3) + 8 * right
     columns = (kt, frame, right, width, start, tensions)
     blocks = (answers, by_own, direct, pivot, matrix, side, first, first + 8 * kt)
     return System(*(columns + blocks))
@@ -367,18 +358,6 @@ def answer(chain, system, i, row, s, out):
 
 
 @compiled
-def note_first_slides(chain, system, tangent):
-    """Fill the first cell from which on a tendon's travel matters to an eyelet before it."""
-    first, tendon = words(system.first), words(chain.tendon)
-    for k in range(system.kt):
-        first[k] = chain.n
-        for i in range(1, tendon[2 * k]):
-            if floats(tangent_of(chain, tangent, i) + 8 * (SIZE + TENDON * k))[SLIDES] != 0.0:
-                first[k] = i
-                break
-
-
-@compiled
 def eliminate(chain, system, tangent):
     """
     Eliminate the cells from the tip to the base.
@@ -392,7 +371,11 @@ def eliminate(chain, system, tangent):
     s, out, own = system.answers, system.answers + step, floats(system.pivot)
     for q in range((system.kt + system.right - system.frame) * system.width):
         floats(s)[q] = 0.0
-    note_first_slides(chain, system, tangent)
+    for k in range(system.kt):
+        words(system.first)[k] = chain.n
+        for i in range(words(chain.tendon)[2 * k] - 1, 0, -1):
+            if floats(tangent_of(chain, tangent, i) + 8 * (SIZE + TENDON * k))[SLIDES] != 0.0:
+                words(system.first)[k] = i
     for i in range(chain.n - 1, -1, -1):
         row = tangent_of(chain, tangent, i)
         if system.right == system.frame + 6:
@@ -482,17 +465,6 @@ def substitute(chain, system, tangent, column, pulled, first, start, solution):
 
 
 @compiled
-def yielding(pivot):
-    """Bend (x, y) in which the energy falls: eigenvector of a pivot's lower eigenvalue."""
-    a, b, c, d, _, _, _ = pivot
-    both = 0.5 * (b + c)
-    low = 0.5 * (a + d) - math.sqrt(0.25 * (a - d) * (a - d) + both * both)
-    if both == 0.0:
-        return (1.0, 0.0) if a <= d else (0.0, 1.0)
-    return both, low - a
-
-
-@compiled
 def yielding_to(chain, pivot, preferred):
     """Bend and twist in which the energy falls, on the side of preferred bends (n, 2)."""
     a, b, c, d, twist, by_x, by_y = pivot
@@ -505,8 +477,11 @@ def yielding_to(chain, pivot, preferred):
     if a * x * x + (b + c) * x * y + d * y * y < 0.0:
         size = math.sqrt(x * x + y * y)
         x, y = x / size, y / size
-    else:
-        x, y = yielding(pivot)
+    else:  # eigenvector of the lower eigenvalue
+        both = 0.5 * (b + c)
+        x, y = both, 0.5 * (d - a) - math.sqrt(0.25 * (a - d) * (a - d) + both * both)
+        if both == 0.0:
+            x, y = (1.0, 0.0) if a <= d else (0.0, 1.0)
     return x, y, by_x * x + by_y * y
 
 
@@ -535,7 +510,7 @@ def respond(chain, bend, rates, count, work, past, answers, pulls):
 
     """
     tangent = np.zeros(chain.n * tangent_width(chain))
-    memory = np.zeros(system_size(chain, count))
+    memory = np.zeros(system_in(chain, count, 0).active // 8 + chain.k)
     derivatives, system = address(tangent), system_in(chain, count, address(memory))
     differentiate(chain, bend, work, past, derivatives)
     size, right, width = system.frame - system.kt, system.right, system.width

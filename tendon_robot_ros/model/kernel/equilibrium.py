@@ -40,6 +40,7 @@ from .layout import (
     LENGTH,
     LINEAR_STEP_RAD,
     LOAD_SCALE,
+    SETTLED_RAD,
     SHAPED,
     SLIPPING_FROM,
     SMOOTHING,
@@ -101,15 +102,6 @@ def residual_size(chain, inputs, bend, work, past, f):
 
 
 @compiled
-def is_zero(x):
-    """Tell whether every entry is zero."""
-    for value in x:
-        if value != 0.0:
-            return False
-    return True
-
-
-@compiled
 def is_planar(chain, x):
     """Tell whether nothing bends the arm across x."""
     for j in range(1, 2 * chain.n, 2):
@@ -135,39 +127,6 @@ def restart(chain, inputs, x, bend, work, past, cold):
 
 
 @compiled
-def anderson_step(x, f, steps, changes, used, gram, factor, weights):
-    """
-    Anderson's next guess: x + f - (steps + changes) weights, weights from least squares.
-
-    Parameters
-    ----------
-    x, f : ndarray, shape (u,)
-        Guess and change of the last sweep [rad]; x becomes the next guess.
-    steps, changes : ndarray, shape (ANDERSON_DEPTH, u)
-        Differences of the last guesses and of their changes [rad].
-    used : int
-        Rows of them that are filled.
-    gram, factor : ndarray, shape (ANDERSON_DEPTH, ANDERSON_DEPTH)
-        Inner products of the changes [rad²], and scratch.
-    weights : ndarray, shape (ANDERSON_DEPTH,)
-        Scratch.
-
-    """
-    for p in range(used):
-        for q in range(p + 1):
-            factor[p, q] = gram[p, q]
-        factor[p, p] = gram[p, p] * (1.0 + 50.0 * EPSILON) + TINY
-        weights[p] = dot(changes[p], f)
-    solve_small(factor, weights, used)
-    for j in range(x.shape[0]):
-        x[j] += f[j]
-    for p in range(used):
-        weight = weights[p]
-        for j in range(x.shape[0]):
-            x[j] -= weight * (steps[p, j] + changes[p, j])
-
-
-@compiled
 def repeat_sweeps(chain, inputs, x, work, past):
     """Repeat sweeps from a state x, accelerated (Anderson 1965); return the last change [rad]."""
     size, depth = x.shape[0], ANDERSON_DEPTH
@@ -188,8 +147,7 @@ def repeat_sweeps(chain, inputs, x, work, past):
         if change > 1e4 * best or change == math.inf or slow:
             return change  # Newton is quicker from where it began
         best = min(best, change)
-        if count == 0:
-            first = change
+        first = change if count == 0 else first
         if count > 0:
             slot = (count - 1) % ANDERSON_DEPTH
             for j in range(size):
@@ -199,7 +157,17 @@ def repeat_sweeps(chain, inputs, x, work, past):
                 gram[slot, p] = gram[p, slot] = dot(changes[slot], changes[p])
         assign(old_x, x)
         assign(old_f, f)
-        anderson_step(x, f, steps, changes, min(count, ANDERSON_DEPTH), gram, factor, weights)
+        used = min(count, ANDERSON_DEPTH)  # the next guess: weights by least squares
+        for p in range(used):
+            for q in range(used):
+                factor[p, q] = gram[p, q]
+            factor[p, p] = gram[p, p] * (1.0 + 50.0 * EPSILON) + TINY
+            weights[p] = dot(changes[p], f)
+        solve_small(factor, weights, used)
+        for j in range(size):
+            x[j] += f[j]
+            for p in range(used):
+                x[j] -= weights[p] * (steps[p, j] + changes[p, j])
     return change
 
 
@@ -253,59 +221,42 @@ def cell_residual(chain, work, past, state, i, last_x, last_y, x, y):
     return x - bx, y - by
 
 
-@compiled
-def solve_cell_alone(chain, work, past, state, i, last_x, last_y, x, y):
-    """
-    Newton on the two equations of cell i from (x, y); return its bend.
-
-    Parameters
-    ----------
-    last_x, last_y : float
-        Bend of the cell before [rad].
-    x, y : float
-        Where the search begins [rad].
-
-    """
-    known, h = (chain, work, past, state, i, last_x, last_y), DIFFERENCE_STEP
-    fx, fy = cell_residual(*known, x, y)
-    for _ in range(KINKED_STEPS_MAX):
-        best = abs(fx) + abs(fy)
-        if best < BEND_TOLERANCE:
-            break
-        ax, ay = cell_residual(*known, x + h, y)
-        bx, by = cell_residual(*known, x, y + h)
-        a, b, c, d = (ax - fx) / h, (bx - fx) / h, (ay - fy) / h, (by - fy) / h
-        over = 1.0 / (a * d - b * c)
-        dx, dy = over * (d * fx - b * fy), over * (a * fy - c * fx)
-        for _ in range(STEPS_MAX):
-            gx, gy = cell_residual(*known, x - dx, y - dy)
-            if abs(gx) + abs(gy) < best:
-                break
-            dx, dy = 0.5 * dx, 0.5 * dy
-        if not abs(gx) + abs(gy) < best:
-            break
-        x, y, fx, fy = x - dx, y - dy, gx, gy
-    cell_residual(*known, x, y)  # fills the tensions of this very bend
-    return x, y
-
-
 @entry()
 def march(chain, inputs, bend, work, past):
     """
     Solve for the state in `bend`, cell after cell from the base; return the residual [rad].
 
-    For arms in which nothing beyond a cell decides about it. Each cell is two equations. All
+    For arms in which nothing beyond a cell decides about it. Each cell is two equations, solved by
+    Newton. All
     together they may be so stiff that no solver of all cells at once converges: the sign of
     friction of a tendon across the bend changes with the last digit of the bend.
     """
     moment_arms, _ = moment_arms_of(chain, work)
     f, last_x, last_y, x = np.empty(unknowns(chain)), 0.0, 0.0, floats(bend)
+    h = DIFFERENCE_STEP
     base_tensions(chain, inputs, work, moment_arms)
     for i in range(chain.n):
-        last_x, last_y = solve_cell_alone(
-            chain, work, past, bend, i, last_x, last_y, x[2 * i], x[2 * i + 1]
-        )
-        x[2 * i], x[2 * i + 1] = last_x, last_y
+        known, (bx, by) = (chain, work, past, bend, i, last_x, last_y), (x[2 * i], x[2 * i + 1])
+        fx, fy = cell_residual(*known, bx, by)
+        for _ in range(KINKED_STEPS_MAX):
+            best = abs(fx) + abs(fy)
+            if best < BEND_TOLERANCE:
+                break
+            ax, ay = cell_residual(*known, bx + h, by)
+            cx, cy = cell_residual(*known, bx, by + h)
+            a, b, c, d = (ax - fx) / h, (cx - fx) / h, (ay - fy) / h, (cy - fy) / h
+            over = 1.0 / (a * d - b * c)
+            dx, dy = over * (d * fx - b * fy), over * (a * fy - c * fx)
+            for _ in range(STEPS_MAX):
+                gx, gy = cell_residual(*known, bx - dx, by - dy)
+                if abs(gx) + abs(gy) < best:
+                    break
+                dx, dy = 0.5 * dx, 0.5 * dy
+            if not abs(gx) + abs(gy) < best:
+                break
+            bx, by, fx, fy = bx - dx, by - dy, gx, gy
+        cell_residual(*known, bx, by)  # fills the tensions of this very bend
+        x[2 * i], x[2 * i + 1] = last_x, last_y = bx, by
     return residual_size(chain, inputs, bend, work, past, f)
 
 
@@ -436,7 +387,7 @@ def solve_sliding(chain, inputs, x, work, past, wide, shrink, steps_max):
     end_sliding(chain, work)
     if not longest < STEP_NEAR_RAD:
         return math.inf
-    return chain.newton(chain, inputs, address(x), work, past, STEPS_MAX)
+    return chain.newton(chain, inputs, address(x), work, past)
 
 
 @compiled
@@ -471,41 +422,8 @@ def solve_sticking(chain, inputs, x, bend, work, past, cold):
     return change
 
 
-@compiled
-def newton_step(chain, inputs, bend, f, move, work, past, trial, trial_f):
-    """
-    Step the state by `move` (u,) with a line search; return the largest residual, or -1.
-
-    Parameters
-    ----------
-    inputs : address
-        (m,) [N]
-    bend : address
-        State [rad]; moves on where the step is taken.
-    f : ndarray, shape (u,)
-        Residual there [rad]; becomes that after the step.
-    move : ndarray, shape (u,)
-        Newton's step [rad].
-    trial, trial_f : ndarray, shape (u,)
-        Scratch.
-
-    """
-    before, x = dot(f, f), floats(bend)
-    fraction = min(1.0, STEP_MAX_RAD / max(largest(move), TINY))
-    for _ in range(STEPS_MAX):
-        for j in range(f.shape[0]):
-            trial[j] = x[j] + fraction * move[j]
-        change = residual_size(chain, inputs, address(trial), work, past, trial_f)
-        if dot(trial_f, trial_f) < (1.0 - 1e-4 * fraction) * before or change < BEND_TOLERANCE:
-            for j in range(f.shape[0]):
-                x[j], f[j] = trial[j], trial_f[j]
-            return change
-        fraction *= 0.5
-    return -1.0
-
-
 @entry()
-def newton(chain, inputs, bend, work, past, steps_max):
+def newton(chain, inputs, bend, work, past):
     """
     Newton on the state with a line search; return the last residual [rad].
 
@@ -513,22 +431,33 @@ def newton(chain, inputs, bend, work, past, steps_max):
     ----------
     inputs, bend : address
         (m,) [N]; state [rad], guess and result.
-    steps_max : int
 
     """
-    size = unknowns(chain)
+    size, x = unknowns(chain), floats(bend)
     f, trial_f = np.empty(size), np.empty(size)
     trial, move = np.empty(size), np.empty(size)
     change = residual_size(chain, inputs, bend, work, past, f)
-    for _ in range(steps_max):
+    for _ in range(STEPS_MAX):
         if change < BEND_TOLERANCE or change == math.inf:
-            return change
+            break
         chain.respond(chain, bend, address(f), 1, work, past, address(move), 0)
-        if not largest(move) < math.inf:
-            return change
-        new = newton_step(chain, inputs, bend, f, move, work, past, trial, trial_f)
-        if new < 0.0:
-            return change
+        longest, better = largest(move), False
+        if not longest < math.inf:
+            break
+        before, fraction = dot(f, f), min(1.0, STEP_MAX_RAD / max(longest, TINY))
+        for _ in range(STEPS_MAX):
+            for j in range(size):
+                trial[j] = x[j] + fraction * move[j]
+            new = residual_size(chain, inputs, address(trial), work, past, trial_f)
+            better = dot(trial_f, trial_f) < (1.0 - 1e-4 * fraction) * before
+            better = better or new < BEND_TOLERANCE
+            if better:
+                break
+            fraction *= 0.5
+        if not better:
+            break
+        copy(address(trial), bend, size)
+        assign(f, trial_f)
         change = new
     return change
 
@@ -543,7 +472,7 @@ def continuation(chain, inputs, x, work, past):
         settings[SMOOTHING] = SMOOTHING_LENGTH * WIDE_SMOOTHING ** (1.0 - aim)
         settings[LOAD_SCALE] = aim
         assign(x, last)
-        change = chain.newton(chain, inputs, address(x), work, past, STEPS_MAX)
+        change = chain.newton(chain, inputs, address(x), work, past)
         if change < BEND_TOLERANCE:
             progress, stride = aim, min(0.5, 1.6 * stride)
             assign(last, x)
@@ -593,11 +522,11 @@ def descend(chain, inputs, bend, work, past, ratio):
         x[j] = push * down[j]
     for _ in range(DESCENT_STEPS_MAX):
         change = residual_size(chain, inputs, address(x), work, past, f)
-        if change < 1e-6 or change == math.inf:
+        if change < SETTLED_RAD or change == math.inf:
             break
         for j in range(size):
             x[j] -= f[j] / (1.0 + ratio)
-    change = chain.newton(chain, inputs, address(x), work, past, STEPS_MAX)
+    change = chain.newton(chain, inputs, address(x), work, past)
     if change < BEND_TOLERANCE:
         copy(address(x), bend, size)
     keep(x)
@@ -619,7 +548,7 @@ def solve_equilibrium(chain, inputs, work, past, bend):
     slides = friction and stages.friction_travel_acts(chain)
     x = np.empty(size)
     copy(bend, address(x), size)
-    cold = is_zero(x) and not remembers
+    cold = largest(x) == 0.0 and not remembers
     if cold:
         sweep_unshaped(chain, inputs, x, work, past)
     swept, change = False, math.inf
@@ -635,7 +564,7 @@ def solve_equilibrium(chain, inputs, work, past, bend):
             if not change < BEND_TOLERANCE:
                 restart(chain, inputs, x, bend, work, past, cold)
         if not change < BEND_TOLERANCE:
-            change = chain.newton(chain, inputs, address(x), work, past, STEPS_MAX)
+            change = chain.newton(chain, inputs, address(x), work, past)
     if not change < BEND_TOLERANCE and floats(work.settings)[EVERY_METHOD] != 0.0:
         change = continuation(chain, inputs, x, work, past)
     if change < BEND_TOLERANCE and floats(work.settings)[STABLE] != 0.0 and loaded(chain):

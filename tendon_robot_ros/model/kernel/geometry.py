@@ -151,33 +151,6 @@ def add_moments(chain, i, x, y, twist, tensions, scale, path_lost):
     return mx, my, mz
 
 
-@compiled
-def moment_of_tendons(chain, i, x, y, tensions, scale):
-    """Moment (x, y) [N·m] of tensions (k,) [N] on cell i bent by (x, y)."""
-    mx, my, _ = add_moments(chain, i, x, y, 0.0, tensions, scale, straight_tendon)
-    return mx, my
-
-
-@compiled
-def moment_of_leaning(chain, i, x, y, twist, tensions, scale):
-    """Moment (x, y, about) [N·m] as in `moment_of_tendons`, of tendons that may lean."""
-    return add_moments(chain, i, x, y, twist, tensions, scale, leaning_tendon)
-
-
-@compiled
-def plain_travel(chain, bend, scale, work):
-    """Fill work.travel (n, k) [m] since the rest shape where tendons follow the backbone."""
-    travel, offsets, bends = floats(work.travel), floats(chain.offset), floats(bend)
-    tendon = words(chain.tendon)
-    for i in range(chain.n):
-        x0, y0 = stages.rest(0.0, 0.0, chain, section_of(chain, i))
-        x, y = scale * (bends[2 * i] - x0), scale * (bends[2 * i + 1] - y0)
-        for k in range(chain.k):
-            at = chain.k * i + k
-            lost = offsets[2 * at] * x + offsets[2 * at + 1] * y
-            travel[at] = lost if i < tendon[2 * k] else 0.0
-
-
 @fused
 def fill_travel(chain, i, x, y, s, c, twist, scale, work, path_lost):
     """
@@ -212,19 +185,13 @@ def fill_travel(chain, i, x, y, s, c, twist, scale, work, path_lost):
         moment_arms[2 * at + 1] = along * uy + side * ux
     x0, y0 = stages.rest(0.0, 0.0, chain, section_of(chain, i))
     if x0 != 0.0 or y0 != 0.0:
-        take_rest_off(chain, i, x0, y0, scale, work, path_lost)
-
-
-@inlined
-def take_rest_off(chain, i, x0, y0, scale, work, path_lost):
-    """Take from the travel of cell i what its rest bend (x0, y0) [rad] says."""
-    s, c = half_turn(x0 * x0 + y0 * y0)
-    a, ux, uy, sin_half, cos_half = polar(x0, y0, s, c)
-    for k in range(chain.k):
-        if a > 0.0 and i < words(chain.tendon)[2 * k]:
-            floats(work.travel)[chain.k * i + k] -= path_lost(
-                chain, i, k, a, ux, uy, sin_half, cos_half, scale, 0.0
-            )[0]
+        s, c = half_turn(x0 * x0 + y0 * y0)
+        a, ux, uy, sin_half, cos_half = polar(x0, y0, s, c)
+        for k in range(chain.k):
+            if a > 0.0 and i < tendon[2 * k]:
+                travel[chain.k * i + k] -= path_lost(
+                    chain, i, k, a, ux, uy, sin_half, cos_half, scale, 0.0
+                )[0]
 
 
 @entry()
@@ -249,10 +216,17 @@ def tendon_travel(chain, bend, scale, work):
 
     work.half is that of these bends.
     """
-    if not follows_shape(chain):
-        plain_travel(chain, bend, scale, work)
-        return
     bends, half = floats(bend), floats(work.half)
+    if not follows_shape(chain):  # tendons follow the backbone
+        travel, offsets, tendon = floats(work.travel), floats(chain.offset), words(chain.tendon)
+        for i in range(chain.n):
+            x0, y0 = stages.rest(0.0, 0.0, chain, section_of(chain, i))
+            x, y = scale * (bends[2 * i] - x0), scale * (bends[2 * i + 1] - y0)
+            for k in range(chain.k):
+                at = chain.k * i + k
+                lost = offsets[2 * at] * x + offsets[2 * at + 1] * y
+                travel[at] = lost if i < tendon[2 * k] else 0.0
+        return
     for i in range(chain.n):
         x, y, s, c = bends[2 * i], bends[2 * i + 1], half[2 * i], half[2 * i + 1]
         shaped_travel(chain, i, x, y, s, c, twist_in(chain, bend, i), scale, work)

@@ -18,7 +18,7 @@ import numpy as np
 
 from . import stages
 from .cells import unknowns
-from .derivatives import combine_tendons, output_slopes, place_as
+from .derivatives import combine_tendons, input_response, tip_error, tip_slopes
 from .equilibrium import (
     SHRINK_FACTORS,
     end_sliding,
@@ -49,17 +49,6 @@ from .layout import (
 )
 from .shape import accept, is_balanced, place, predict, workspace
 from .sweep import is_implicit
-
-# Target (8,): x, y, z [m], direction x, y, z, weight of position [1], weight of direction [m/rad].
-
-
-@compiled
-def tip_error(chain, work, target, f):
-    """Fill the weighted tip error (6,) [m] of the frames in `work`."""
-    frames, origins, n = floats(work.frames), floats(work.origins), chain.n
-    for r in range(3):
-        f[r] = target[6] * (origins[3 * n + r] - target[r])
-        f[3 + r] = target[7] * (frames[9 * n + 3 * r + 2] - target[3 + r])
 
 
 @compiled
@@ -102,20 +91,6 @@ def tension_price(f, inputs, low, tension):
     weight, price, length, room, least, _ = tension
     square = 2.0 * cost_of(f, inputs, low, (weight, 0.0, room, least))
     return weight, price * min(square, math.sqrt(square) * length), room, least
-
-
-@compiled
-def free_inputs(inputs, gradient, low, high, free):
-    """Find the inputs that may move: not at a limit that the gradient pushes against."""
-    count = 0
-    for j in range(inputs.shape[0]):
-        pressed = (inputs[j] <= low[j] and gradient[j] > 0.0) or (
-            inputs[j] >= high[j] and gradient[j] < 0.0
-        )
-        if not pressed:
-            free[count] = j
-            count += 1
-    return count
 
 
 @compiled
@@ -187,7 +162,12 @@ def gauss_newton_step(jacobian, f, inputs, low, high, price, damping, trial, fre
     normal, part, step = np.empty((m, m)), np.empty((m, m)), np.empty(m)
     gradient, move = np.empty(m), np.zeros(m)
     normal_equations(jacobian, f, inputs, low, price, damping, normal, gradient)
-    count = free_inputs(inputs, gradient, low, high, free)
+    count = 0
+    for j in range(m):  # those not at a limit that the gradient pushes against
+        free[count] = j
+        at_low, at_high = inputs[j] <= low[j], inputs[j] >= high[j]
+        pressed = (at_low and gradient[j] > 0.0) or (at_high and gradient[j] < 0.0)
+        count += 0 if pressed else 1
     moving = count
     while moving > 0:
         for p in range(moving):
@@ -215,36 +195,6 @@ def gauss_newton_step(jacobian, f, inputs, low, high, price, damping, trial, fre
     for j in range(m):
         trial[j] = min(max(inputs[j] + move[j], low[j]), high[j])
     return count
-
-
-@compiled
-def explicit_slopes(chain, inputs, high, solver, target, f, moved, slopes):
-    """
-    Fill slopes (6, m) of the weighted tip error of an explicit model, with one sweep per input.
-
-    Parameters
-    ----------
-    inputs, high : ndarray, shape (m,)
-        [N], and their upper limits.
-    target : ndarray, shape (8,)
-    f : ndarray, shape (6,)
-        Weighted tip error at the inputs [m].
-    moved : ndarray, shape (6,)
-        Scratch.
-    slopes : ndarray, shape (6, m)
-        Take the result [m/N].
-
-    """
-    for j in range(inputs.shape[0]):
-        was = inputs[j]
-        step = LEAST_TENSION_N if was + LEAST_TENSION_N <= high[j] else -LEAST_TENSION_N
-        inputs[j] = was + step
-        chain.step(chain, address(inputs), solver.near, solver.work, solver.past, solver.near)
-        inputs[j] = was
-        place(chain, solver.near, solver.work)
-        tip_error(chain, solver.work, target, moved)
-        for r in range(6):
-            slopes[r, j] = (moved[r] - f[r]) / step
 
 
 @entry()
@@ -287,21 +237,29 @@ def aim(
     """
     chain = chain_at(robot)
     m, solver = chain.m, workspace(chain, bends, past, scratch)
+    work, then, near = solver.work, solver.past, solver.near
     f, moved, jacobian = np.empty(6), np.empty(6), np.zeros((6, m))
     trial, free, state_slopes = np.empty(m), np.empty(m, np.int64), np.empty((m, unknowns(chain)))
     tip_residual(chain, inputs, solver, solver.bend, target, f)
     price, damping = tension_price(f, inputs, low, tension), 1e-9
     cost = cost_of(f, inputs, low, price)
     is_explicit = not (is_implicit(chain) or stages.memory_acts(chain))
-    floats(solver.work.settings)[EVERY_METHOD] = 0.0
+    floats(work.settings)[EVERY_METHOD] = 0.0
     while trials_max > 0 and cost < far and monotonic() < floats(until)[0]:
         if is_explicit:
-            explicit_slopes(chain, inputs, high, solver, target, f, moved, jacobian)
+            for j in range(m):  # a sweep of the model is exact
+                was = inputs[j]
+                step = LEAST_TENSION_N if was + LEAST_TENSION_N <= high[j] else -LEAST_TENSION_N
+                inputs[j] = was + step
+                chain.step(chain, address(inputs), near, work, then, near)
+                inputs[j] = was
+                place(chain, near, work)
+                tip_error(chain, work, target, moved)
+                for r in range(6):
+                    jacobian[r, j] = (moved[r] - f[r]) / step
         else:
-            output_slopes(chain, address(inputs), solver, state_slopes, jacobian)
-            for r in range(6):
-                for j in range(m):
-                    jacobian[r, j] *= target[6] if r < 3 else target[7]
+            input_response(chain, address(inputs), solver.bend, work, then, state_slopes, True)
+            tip_slopes(chain, inputs, solver, target, state_slopes, moved, jacobian)
         gain = 0.0
         for _ in range(min(trials_max, STEPS_MAX)):
             trials_max -= 1
@@ -334,73 +292,6 @@ def aim(
 FINAL_FRACTION = 0.01
 
 
-@compiled
-def find_directions(chain, inputs, bend, work, past, residual, directions, pulls):
-    """
-    Fill the derivatives (m + 1, u) of the bends by every tension, last the step to balance.
-
-    Parameters
-    ----------
-    inputs, bend : address
-        (m,) [N]; state [rad], whose travel and moment arms `work` holds.
-    residual, pulls : ndarray, shapes (u,) and (k, u)
-        Scratch.
-    directions : ndarray, shape (m + 1, u)
-        Takes [rad/N], and [rad].
-
-    """
-    chain.balance(chain, inputs, bend, work, past, address(residual))
-    balancing = address(directions) + 8 * unknowns(chain) * chain.m
-    chain.respond(chain, bend, address(residual), 1, work, past, balancing, address(pulls))
-    combine_tendons(chain, inputs, pulls, directions)
-
-
-@compiled
-def tip_slopes(chain, inputs, solver, target, directions, f, slopes):
-    """
-    Fill the tip error (6,) [m] and its derivatives (6, m + 1) along directions (m + 1, u).
-
-    The first m are those of the bends by a tension, which itself moves with them.
-    """
-    tension, bend, near = floats(inputs), floats(solver.bend), floats(solver.near)
-    up, down = np.empty(6), np.empty(6)
-    for j in range(chain.m + 1):
-        step = DIFFERENCE_STEP / max(largest(directions[j]), 1e-9)
-        for side in range(2):
-            h = step if side == 0 else -step
-            for q in range(unknowns(chain)):
-                near[q] = bend[q] + h * directions[j, q]
-            was = tension[j % chain.m]
-            if j < chain.m:
-                tension[j] += h
-            place_as(chain, inputs, solver.near, solver.work, solver.past)
-            tension[j % chain.m] = was
-            tip_error(chain, solver.work, target, up if side == 0 else down)
-        for r in range(6):
-            slopes[r, j] = (up[r] - down[r]) / (2.0 * step)
-            f[r] = 0.5 * (up[r] + down[r])
-
-
-@compiled
-def move_both(chain, inputs, solver, directions, trial, move):
-    """Move inputs (m,) to a trial and the bends with them by `move` (u,); return its length."""
-    m, bend = chain.m, floats(solver.bend)
-    for q in range(unknowns(chain)):
-        move[q] = directions[m, q]
-        for j in range(m):
-            move[q] += directions[j, q] * (trial[j] - inputs[j])
-    longest = largest(move)
-    if not longest < math.inf:
-        return longest
-    fraction = min(1.0, LINEAR_STEP_RAD / max(longest, TINY))
-    for q in range(unknowns(chain)):
-        move[q] *= fraction
-        bend[q] += move[q]
-    for j in range(m):
-        inputs[j] += fraction * (trial[j] - inputs[j])
-    return longest
-
-
 @entry()
 def seek(
     robot, inputs, bends, target, low, high, until, past, scratch, preference, fraction, steps
@@ -416,7 +307,7 @@ def seek(
     m, size, solver = chain.m, unknowns(chain), workspace(chain, bends, past, scratch)
     work, then, tensions = solver.work, solver.past, address(inputs)
     directions, pulls = np.empty((m + 1, size)), np.empty((chain.k, size))
-    residual = np.empty(size)
+    residual, balancing = np.empty(size), address(directions) + 8 * size * m
     f, slopes, move = np.empty(6), np.empty((6, m + 1)), np.empty(size)
     trial, free = np.empty(m), np.empty(m, np.int64)
     own, longest = own_travel(chain, solver.bend, work), math.inf
@@ -426,8 +317,13 @@ def seek(
             break
         floats(work.settings)[SMOOTHING] = width
         exchange(chain, work, own)
-        find_directions(chain, tensions, solver.bend, work, then, residual, directions, pulls)
-        tip_slopes(chain, tensions, solver, target, directions, f, slopes)
+        chain.balance(chain, tensions, solver.bend, work, then, address(residual))
+        # the derivatives of the bends by every tension, last their step to balance
+        chain.respond(
+            chain, solver.bend, address(residual), 1, work, then, balancing, address(pulls)
+        )
+        combine_tendons(chain, tensions, pulls, directions)
+        tip_slopes(chain, inputs, solver, target, directions, f, slopes)
         for r in range(6):
             f[r] += slopes[r, m]  # after the step of the bends that balances these tensions
         damping = 0.0 if step < STEPS_MAX else FINAL_FRACTION  # later tensions go in circles
@@ -435,8 +331,20 @@ def seek(
         gauss_newton_step(
             slopes, f, inputs, low, high, (weight, 0.0, 1.0, 1.0), damping, trial, free
         )
-        longest = move_both(chain, inputs, solver, directions, trial, move)
-        if not longest < math.inf or (longest < SETTLED_RAD and width == SMOOTHING_LENGTH):
+        for q in range(size):
+            move[q] = directions[m, q]
+            for j in range(m):
+                move[q] += directions[j, q] * (trial[j] - inputs[j])
+        longest = largest(move)
+        if not longest < math.inf:
+            break
+        part = min(1.0, LINEAR_STEP_RAD / max(longest, TINY))
+        for q in range(size):
+            move[q] *= part
+            floats(solver.bend)[q] += move[q]
+        for j in range(m):
+            inputs[j] += part * (trial[j] - inputs[j])
+        if longest < SETTLED_RAD and width == SMOOTHING_LENGTH:
             break
         new_width = width
         if longest < LINEAR_STEP_RAD:

@@ -26,7 +26,7 @@ from .cells import (
     twist_in,
     twist_of,
 )
-from .geometry import moment_of_leaning, moment_of_tendons
+from .geometry import add_moments, leaning_tendon, straight_tendon
 from .layout import (
     DIFFERENCE_STEP,
     HINGE,
@@ -202,11 +202,14 @@ def load_slopes(chain, bend, work, i, tangent, total):
         )
         for r in range(3):
             row[TORQUE_BY_OWN + 3 * r + a] = by_own[r]
-    rotation_slopes(chain, f, work, i, x, y, force, torque, own, row, general)
-    if bow > 0.0:
-        bow_slopes(f, x, y, half_turn(x * x + y * y), bow, plus(force, scaled(0.5, own)), row)
-    if general:
-        add_column(row, 2, twist_slopes(f, row))
+    rotation_slopes(chain, f, work, i, x, y, (force, torque, own), bow, row, general)
+    if general:  # half a twist turns the frame that bends about its z
+        z = (0.5 * f[2], 0.5 * f[5], 0.5 * f[8])
+        for a in range(3):
+            by, of = BY_ROTATION + 3 * a, TORQUE_BY_ROTATION + 3 * a
+            row[OWN + 3 * a + 2] += z[0] * row[by] + z[1] * row[by + 1] + z[2] * row[by + 2]
+            turn = z[0] * row[of] + z[1] * row[of + 1] + z[2] * row[of + 2]
+            row[TORQUE_BY_OWN + 3 * a + 2] = turn
     if stages.push_acts(chain):
         chain.push_slopes(chain, bend, work, i, tangent)
     if stages.length_acts(chain):
@@ -284,26 +287,34 @@ def add_column(row, a, slopes):
 
 
 @compiled
-def rotation_slopes(chain, f, work, i, x, y, force, torque, own, row, general):
+def rotation_slopes(chain, f, work, i, x, y, beyond, bow, row, general):
     """
     Fill derivatives by the rotation of the frame of cell i, and that of the next by its bend.
 
     Parameters
     ----------
+    f : tuple of float
+        Frame that bends (9,).
     x, y : float
         Bend [rad].
-    force, torque, own : tuple of float
-        Of all beyond at the cell's end, and its weight, base frame: (3,) [N], [N·m], [N].
+    beyond : tuple
+        Force and torque of all beyond at the cell's end, and its weight, base frame: (3,) [N],
+        (3,) [N·m], (3,) [N].
+    bow : float
+        `bow_compliance` [m/N].
     row : pointer
         Derivatives of the cell.
 
     """
-    s, c = half_turn(x * x + y * y)
+    (force, torque, own), (s, c) = beyond, half_turn(x * x + y * y)
     sinc, versine = 2.0 * s * c, 2.0 * s * s
     leaning = versine - arc_factor(x * x + y * y, s, c)
     wrench = (local(f, force), local(f, torque), local(f, own))
     _, end, middle = loaded_cell(chain, work, i, x, y, wrench, 0.0, general)
-    end, middle = turned(f, end), turned(f, middle)
+    end, middle, tangent = turned(f, end), turned(f, middle), (s * x, s * y, c)
+    half, part = plus(force, scaled(0.5, own)), half_arc(x, y, s, c)  # that bows the cell
+    g, gx, gy = along_middle(x, y, s, c, part, local(f, half))
+    turning = cross(tangent, local(f, half))
     for r in range(3):
         unit = (1.0 if r == 0 else 0.0, 1.0 if r == 1 else 0.0, 1.0 if r == 2 else 0.0)
         wrench = (cross(force, unit), cross(torque, unit), cross(own, unit))
@@ -319,68 +330,18 @@ def rotation_slopes(chain, f, work, i, x, y, force, torque, own, row, general):
             row[BY_ROTATION + 6 + r] = m[2]
             row[BY_TORQUE + 6 + r] = row[ROTATIONS + 3 * r + 2] = about
         by_rotation = plus(cross(cross(unit, end), force), cross(cross(unit, middle), own))
+        if bow > 0.0:
+            change = local(f, cross(half, unit))
+            h, hx, hy = along_middle(x, y, s, c, part, change)
+            row[BY_ROTATION + r] -= bow * (h * gx + g * hx)
+            row[BY_ROTATION + 3 + r] -= bow * (h * gy + g * hy)
+            # the torque is -B g m x F: that in the frame that bends, turned with it and by itself
+            change = plus(scaled(h, turning), scaled(g, cross(tangent, change)))
+            row[BY_ROTATION + 6 + r] -= 0.5 * bow * change[2]
+            bowed = plus(turned(f, change), scaled(g, cross(unit, turned(f, turning))))
+            by_rotation = plus(by_rotation, scaled(-bow, bowed))
         for a in range(3):
             row[TORQUE_BY_ROTATION + 3 * a + r] = by_rotation[a]
-
-
-@compiled
-def bow_slopes(f, x, y, half, bow, force, row):
-    """
-    Add the part of bowing to the derivatives of moment and torque by a rotation of the frame.
-
-    Parameters
-    ----------
-    f : tuple of float
-        Frame that bends (9,).
-    x, y : float
-        Bend [rad].
-    half : tuple of float
-        Its half angle, see `cells`.
-    bow : float
-        `bow_compliance` [m/N].
-    force : tuple of float
-        Of all beyond the middle, base frame (3,) [N].
-    row : pointer
-        Derivatives of the cell.
-
-    """
-    s, c = half
-    middle, own = (s * x, s * y, c), local(f, force)
-    part = half_arc(x, y, s, c)
-    g, gx, gy = along_middle(x, y, s, c, part, own)
-    turning = cross(middle, own)
-    for r in range(3):
-        unit = (1.0 if r == 0 else 0.0, 1.0 if r == 1 else 0.0, 1.0 if r == 2 else 0.0)
-        change = local(f, cross(force, unit))
-        h, hx, hy = along_middle(x, y, s, c, part, change)
-        row[BY_ROTATION + r] -= bow * (h * gx + g * hx)
-        row[BY_ROTATION + 3 + r] -= bow * (h * gy + g * hy)
-        # the torque is -B g m x F: that in the frame that bends, turned with it and by itself
-        own_change = plus(scaled(h, turning), scaled(g, cross(middle, change)))
-        row[BY_ROTATION + 6 + r] -= 0.5 * bow * own_change[2]
-        torque = plus(turned(f, own_change), scaled(g, cross(unit, turned(f, turning))))
-        for a in range(3):
-            row[TORQUE_BY_ROTATION + 3 * a + r] -= bow * torque[a]
-
-
-@compiled
-def twist_slopes(f, row):
-    """
-    Fill the derivatives of the torque at a cell's start by its twist; return those of its moment.
-
-    Half a twist turns the frame that bends about its z.
-    """
-    by_twist = (row[BY_ROTATION], row[BY_ROTATION + 3], row[BY_ROTATION + 6])
-    by_twist = scaled(0.5 * f[2], by_twist)
-    for r in range(1, 3):
-        column = (row[BY_ROTATION + r], row[BY_ROTATION + 3 + r], row[BY_ROTATION + 6 + r])
-        by_twist = plus(by_twist, scaled(0.5 * f[3 * r + 2], column))
-    for a in range(3):
-        rotation = TORQUE_BY_ROTATION + 3 * a
-        row[TORQUE_BY_OWN + 3 * a + 2] = 0.5 * (
-            row[rotation] * f[2] + row[rotation + 1] * f[5] + row[rotation + 2] * f[8]
-        )
-    return by_twist
 
 
 @compiled
@@ -457,36 +418,37 @@ def compliances(chain, past, i, mx, my, total):
     return a * h, b * h, c * h, d * h, e * ht, f * ht
 
 
-@compiled
-def twist_compliance(chain, i, about):
-    """Differentiate a cell's twist by the moment about its axis [rad/(N·m)]."""
-    h = DIFFERENCE_STEP * cell_stiffness(chain, i, section_of(chain, i))
-    return (twist_of(chain, i, about + h) - twist_of(chain, i, about - h)) / (2.0 * h)
+@inlined
+def moment_slopes(chain, work, i, x, y, twist, scale, tangent, path_lost):
+    """
+    Fill OWN with derivatives of the tendons' moment by bend and twist, tensions held [N·m/rad].
 
-
-@compiled
-def moment_arm_slopes(chain, work, i, x, y, scale):
-    """Differentiate the tendons' moment by the bend, tensions held: (xx, xy, yy) [N·m/rad]."""
-    if not follows_shape(chain):
-        return 0.0, 0.0, 0.0
-    h, tensions = DIFFERENCE_STEP, work.tensions + 8 * chain.k * i
-    ax, ay = moment_of_tendons(chain, i, x + h, y, tensions, scale)
-    bx, by = moment_of_tendons(chain, i, x - h, y, tensions, scale)
-    _, cy = moment_of_tendons(chain, i, x, y + h, tensions, scale)
-    _, dy = moment_of_tendons(chain, i, x, y - h, tensions, scale)
-    return (ax - bx) / (2.0 * h), (ay - by) / (2.0 * h), (cy - dy) / (2.0 * h)
+    `path_lost`: `straight_tendon`, or `leaning_tendon` where tendons may lean.
+    """
+    h, tensions, row = DIFFERENCE_STEP, work.tensions + 8 * chain.k * i, floats(tangent)
+    for a in range(3 if leans(chain) else 2):
+        dx, dy, dz = h if a == 0 else 0.0, h if a == 1 else 0.0, h if a == 2 else 0.0
+        up = add_moments(chain, i, x + dx, y + dy, twist + dz, tensions, scale, path_lost)
+        low = add_moments(chain, i, x - dx, y - dy, twist - dz, tensions, scale, path_lost)
+        by = difference(h, up, low)
+        row[OWN + a], row[OWN + 3 + a], row[OWN + 6 + a] = by
 
 
 @entry()
 def leaning_slopes(chain, work, i, x, y, twist, scale, tangent):
-    """Fill OWN with derivatives of the leaning tendons' moment by x, y and twist [N·m/rad]."""
-    h, tensions, row = DIFFERENCE_STEP, work.tensions + 8 * chain.k * i, floats(tangent)
-    for a in range(3):
-        dx, dy, dz = h if a == 0 else 0.0, h if a == 1 else 0.0, h if a == 2 else 0.0
-        up = moment_of_leaning(chain, i, x + dx, y + dy, twist + dz, tensions, scale)
-        low = moment_of_leaning(chain, i, x - dx, y - dy, twist - dz, tensions, scale)
-        by = difference(h, up, low)
-        row[OWN + a], row[OWN + 3 + a], row[OWN + 6 + a] = by
+    """Fill OWN with derivatives of the moment of tendons that may lean (`moment_slopes`)."""
+    moment_slopes(chain, work, i, x, y, twist, scale, tangent, leaning_tendon)
+
+
+@inlined
+def travel_slopes(here, beyond, h, chain, section):
+    """Differentiate the travel that decides friction by that here and by that beyond."""
+    up, low = here + h, here - h
+    by_here = stages.friction_travel(up, beyond, chain, section)
+    by_here -= stages.friction_travel(low, beyond, chain, section)
+    by_beyond = stages.friction_travel(here, beyond + h, chain, section)
+    by_beyond -= stages.friction_travel(here, beyond - h, chain, section)
+    return by_here / (2.0 * h), by_beyond / (2.0 * h)
 
 
 @inlined
@@ -509,14 +471,7 @@ def slip_slopes(chain, work, past, at, section, slip, slides, remembers):
     if remembers:
         sign, last, h = floats(past.sign)[at], floats(past.travel)[at], TRAVEL_STEP * chain.radius
         if slides:
-            by_slip = stages.friction_travel(slip + h, beyond, chain, section)
-            by_slip = (by_slip - stages.friction_travel(slip - h, beyond, chain, section)) / (
-                2.0 * h
-            )
-            by_beyond = stages.friction_travel(slip, beyond + h, chain, section)
-            by_beyond = (by_beyond - stages.friction_travel(slip, beyond - h, chain, section)) / (
-                2.0 * h
-            )
+            by_slip, by_beyond = travel_slopes(slip, beyond, h, chain, section)
             slip = stages.friction_travel(slip, beyond, chain, section)
         law = chain.remembered
         s = law(chain, sign, slip - last, section)
@@ -527,59 +482,13 @@ def slip_slopes(chain, work, past, at, section, slip, slides, remembers):
     s = smooth_sign(slip, rate)
     by_slip = rate * (1.0 - s * s)
     if slides:
-        t, h = smooth_sign(beyond, rate), DIFFERENCE_STEP
-        up = stages.friction_travel(s + h, t, chain, section)
-        by_slip *= (up - stages.friction_travel(s - h, t, chain, section)) / (2.0 * h)
-        up = stages.friction_travel(s, t + h, chain, section)
-        slope = (up - stages.friction_travel(s, t - h, chain, section)) / (2.0 * h)
+        t = smooth_sign(beyond, rate)
+        here, slope = travel_slopes(s, t, DIFFERENCE_STEP, chain, section)
+        by_slip *= here
         # else every eyelet that slips would join the equations of those that stick
         by_beyond = rate * (1.0 - t * t) * slope if abs(t) < SLIPPING_FROM else 0.0
         s = stages.friction_travel(s, t, chain, section)
     return s, by_slip, by_beyond
-
-
-@compiled
-def turning_slopes(chain, i, bx, by, next_x, next_y, wraps):
-    """
-    Return the ratio that passes the eyelet behind cell i and its derivatives by both bends.
-
-    Parameters
-    ----------
-    bx, by, next_x, next_y : float
-        Bends of the cells on both sides [rad].
-    wraps : bool
-        Whether the mean of both bends turns the tendon.
-
-    """
-    section, h = section_of(chain, i), DIFFERENCE_STEP
-    q = bx * bx + by * by
-    s, c = half_turn(q)
-    a = math.sqrt(q)
-    turning, slope = a * s, 0.5 * c / max(a, TINY)
-    ox, oy, nx, ny = slope * bx, slope * by, 0.0, 0.0
-    if wraps:
-        x, y = 0.5 * (bx + next_x), 0.5 * (by + next_y)
-        q = x * x + y * y
-        s, c = half_turn(q)
-        a = math.sqrt(q)
-        mean, slope = a * s, 0.25 * c / max(a, TINY)
-        own = stages.wrap(turning + h, mean, chain, section) - stages.wrap(
-            turning - h, mean, chain, section
-        )
-        by_mean = stages.wrap(turning, mean + h, chain, section) - stages.wrap(
-            turning, mean - h, chain, section
-        )
-        slope *= by_mean / (2.0 * h)
-        nx, ny = slope * x, slope * y
-        own /= 2.0 * h
-        ox, oy = own * ox + nx, own * oy + ny
-        turning = stages.wrap(turning, mean, chain, section)
-    passed, low = stages.eyelet(1.0, turning, chain, section), max(turning - h, 0.0)
-    slope = stages.eyelet(1.0, turning + h, chain, section) - stages.eyelet(
-        1.0, low, chain, section
-    )
-    slope /= turning + h - low
-    return passed, slope * ox, slope * oy, slope * nx, slope * ny
 
 
 @compiled
@@ -599,8 +508,31 @@ def eyelet_slopes(chain, bend, work, past, i, flags, tangent):
     """
     _, _, wraps, slides, remembers = flags
     bends, tendon, section = floats(bend), words(chain.tendon), section_of(chain, i)
-    bx, by, next_x, next_y = bends[2 * i], bends[2 * i + 1], bends[2 * i + 2], bends[2 * i + 3]
-    passed, ox, oy, nx, ny = turning_slopes(chain, i, bx, by, next_x, next_y, wraps)
+    # the ratio that passes, by the bend before the eyelet (ox, oy) and by that behind it (nx, ny)
+    bx, by, h = bends[2 * i], bends[2 * i + 1], DIFFERENCE_STEP
+    s, c = half_turn(bx * bx + by * by)
+    a = math.sqrt(bx * bx + by * by)
+    turning, slope = a * s, 0.5 * c / max(a, TINY)
+    ox, oy, nx, ny = slope * bx, slope * by, 0.0, 0.0
+    if wraps:  # the mean of both bends turns the tendon
+        x, y = 0.5 * (bx + bends[2 * i + 2]), 0.5 * (by + bends[2 * i + 3])
+        s, c = half_turn(x * x + y * y)
+        a = math.sqrt(x * x + y * y)
+        mean, slope = a * s, 0.25 * c / max(a, TINY)
+        up, low = turning + h, turning - h
+        own = stages.wrap(up, mean, chain, section) - stages.wrap(low, mean, chain, section)
+        up, low = mean + h, mean - h
+        by_mean = stages.wrap(turning, up, chain, section)
+        by_mean -= stages.wrap(turning, low, chain, section)
+        slope *= by_mean / (2.0 * h)
+        nx, ny = slope * x, slope * y
+        own /= 2.0 * h
+        ox, oy = own * ox + nx, own * oy + ny
+        turning = stages.wrap(turning, mean, chain, section)
+    passed = stages.eyelet(1.0, turning, chain, section)
+    up, low = turning + h, max(turning - h, 0.0)
+    slope = stages.eyelet(1.0, up, chain, section) - stages.eyelet(1.0, low, chain, section)
+    slope /= up - low
     log_passed = math.log(max(passed, TINY))
     before = tangent_of(chain, tangent, i) + 8 * SIZE
     behind = tangent_of(chain, tangent, i + 1) + 8 * SIZE
@@ -615,7 +547,7 @@ def eyelet_slopes(chain, bend, work, past, i, flags, tangent):
         row, travels = floats(behind + 8 * TENDON * k), floats(before + 8 * (TENDON * k + TRAVELS))
         ratio = math.exp(s * log_passed)
         t = floats(work.tensions)[at] * ratio
-        by_turning, by_travel = t * s / passed, t * log_passed * by_travel
+        by_turning, by_travel = slope * t * s / passed, t * log_passed * by_travel
         row[PASSED] = ratio
         row[BEFORE] = by_turning * ox + by_travel * travels[0]
         row[BEFORE + 1] = by_turning * oy + by_travel * travels[1]
@@ -624,19 +556,6 @@ def eyelet_slopes(chain, bend, work, past, i, flags, tangent):
         row[SLIDES] = t * log_passed * by_beyond
         lag = floats(work.lag)
         row[LAGS] = by_travel * lag[at] + row[SLIDES] * lag[at + chain.n * chain.k]
-
-
-@compiled
-def tendon_slopes(chain, bend, work, i, tangent):
-    """Fill OWN with derivatives of the tendons' moment by bend and twist of cell i."""
-    x, y, scale = floats(bend)[2 * i], floats(bend)[2 * i + 1], stages.offset_scale(1.0, chain, 0)
-    row = floats(tangent)
-    if leans(chain):
-        twist = twist_in(chain, bend, i)
-        chain.leaning_slopes(chain, work, i, x, y, twist, scale, tangent)
-    else:
-        xx, xy, yy = moment_arm_slopes(chain, work, i, x, y, scale)
-        row[OWN], row[OWN + 1], row[OWN + 3], row[OWN + 4] = xx, xy, xy, yy
 
 
 @compiled
@@ -658,7 +577,12 @@ def cell_slopes(chain, bend, work, past, i, moment_arms, scale, tangent):
     """
     row, loads = floats(tangent), loaded(chain)
     mx, my, total = tendon_moment(chain, work, i, moment_arms, scale)
-    tendon_slopes(chain, bend, work, i, tangent)
+    x, y, factor = floats(bend)[2 * i], floats(bend)[2 * i + 1], stages.offset_scale(1.0, chain, 0)
+    if leans(chain):
+        twist = twist_in(chain, bend, i)
+        chain.leaning_slopes(chain, work, i, x, y, twist, factor, tangent)
+    elif follows_shape(chain):
+        moment_slopes(chain, work, i, x, y, 0.0, factor, tangent, straight_tendon)
     if loads:
         mx += floats(work.load)[2 * i]
         my += floats(work.load)[2 * i + 1]
@@ -693,7 +617,8 @@ def fill_twist(chain, work, i, tangent, loads):
     row, about = floats(tangent), tendons_about(chain, work, i)
     if loads:
         about += floats(work.torque)[i]
-    yields = twist_compliance(chain, i, about)
+    h = DIFFERENCE_STEP * cell_stiffness(chain, i, section_of(chain, i))  # [N·m]
+    yields = (twist_of(chain, i, about + h) - twist_of(chain, i, about - h)) / (2.0 * h)
     for b in range(3):
         row[OWN + 6 + b] *= -yields
         row[BY_ROTATION + 6 + b] *= -yields

@@ -18,10 +18,8 @@ from .cells import (
     arc_factor,
     axial_moment,
     bending_frame,
-    chain_frames,
     end_of,
     gentle_arc,
-    half_turns,
     halved,
     is_general,
     turned_axes,
@@ -38,7 +36,6 @@ from .layout import (
     cell,
     compiled,
     contracted,
-    copy,
     entry,
     floats,
     fused,
@@ -174,20 +171,6 @@ def push_at(chain, work, i, place, frame):
         NO_LOAD, NO_LOAD, friction, place, frame, along, before, behind, moved, chain, 0
     )
     return force, moment, friction, apart
-
-
-@compiled
-def remember_pushes(chain, bend, work, past, now):
-    """Fill what the memory `now` has of surfaces that hold the arm, after the posture `past`."""
-    half_turns(chain, bend, work)
-    chain_frames(chain, bend, work)
-    copy(past.held, work.held, 6 * chain.n)
-    for i in range(chain.n):
-        place, frame = end_at(work, i)
-        _, _, friction, apart = push_at(chain, work, i, place, frame)
-        held = floats(now.held + 48 * i)
-        held[0], held[1], held[2] = friction
-        held[3], held[4], held[5] = apart
 
 
 @compiled
@@ -350,14 +333,6 @@ def middle_moment(x, y, s, c, loads, cell_length, hinge, bow):
         bx, by, over = bowed(bow, x, y, s, c, part, plus(force, scaled(0.5, own)))
         mx, my, middle = mx + bx, my + by, plus(middle, scaled(0.5, over))
     return mx, my, middle, over
-
-
-@compiled
-def place_cells(chain, bend, work):
-    """Fill frames and origins (`cells.chain_frames`), those of loaded cells as they bow."""
-    chain_frames(chain, bend, work)
-    if loaded(chain) and bows(chain):
-        chain.bow_cells(chain, bend, work)
 
 
 @entry()

@@ -34,9 +34,8 @@ from .layout import (
     solve_rows,
     solve_small,
     words,
-    work_size,
 )
-from .shape import accept, is_balanced, mean_pulls, predict, wire_pulls, workspace
+from .shape import accept, is_balanced, predict, wire_pulls, workspace
 
 
 @entry()
@@ -67,24 +66,10 @@ def pull_residuals(chain, inputs, target, solver, f, bend):
     """Wire pull minus the requested one (m,) [m], zero where none was; False: no equilibrium."""
     if not is_balanced(chain, inputs, solver, bend):
         return False
-    wire_pulls(chain, bend, solver.work, solver.pulls)
-    mean_pulls(chain, solver.pulls, solver.means)
+    wire_pulls(chain, bend, solver.work, solver.pulls, solver.means)
     for j in range(inputs.shape[0]):
         f[j] = 0.0 if math.isnan(target[j]) else floats(solver.means)[j] - target[j]
     return True
-
-
-@compiled
-def quick_workspace(chain, bends, past, scratch):
-    """
-    Lay out the `workspace` of a search in which equilibria are sought by the quick methods.
-
-    Unstable ones are kept: wires of given lengths may hold what tensions alone do not.
-    """
-    solver = workspace(chain, bends, past, scratch)
-    settings = floats(solver.work.settings)
-    settings[EVERY_METHOD] = settings[STABLE] = 0.0
-    return solver
 
 
 @compiled
@@ -145,21 +130,7 @@ def taut_step(jacobian, f, inputs, target, damping, trial):
 
 
 @compiled
-def stable_gap(chain, inputs, target, solver, f):
-    """Return the largest gap [m] at the stable equilibrium of tensions (m,) [N]; fills f [m]."""
-    settings = floats(solver.work.settings)
-    settings[EVERY_METHOD] = settings[STABLE] = 1.0
-    if not pull_residuals(chain, inputs, target, solver, f, solver.bend):
-        return math.inf
-    gap = 0.0
-    for j in range(inputs.shape[0]):
-        if not math.isnan(target[j]) and (inputs[j] > 0.0 or f[j] < 0.0):
-            gap = max(gap, abs(f[j]))
-    return gap
-
-
-@compiled
-def stiff_wires(chain, inputs, target, bends, past, slopes, state_slopes, scratch, steps_max):
+def stiff_wires(chain, inputs, target, solver, slopes, state_slopes, steps_max):
     """
     Find tensions (m,) [N] >= 0 whose wire pulls are `target` (m,) [m]; NaN: a slack wire.
 
@@ -169,26 +140,19 @@ def stiff_wires(chain, inputs, target, bends, past, slopes, state_slopes, scratc
     Parameters
     ----------
     inputs : ndarray, shape (m,)
-        [N], start and result.
+        [N], start and result; zero of a slack wire.
     target : ndarray, shape (m,)
         Wire pulls [m]; NaN: a slack wire.
-    bends : ndarray, shape (2, 3n)
-        [rad], guess and result in its first half.
-    past : ndarray
-        Memory of the posture before.
+    solver : Workspace
+        Of a search by quick methods; its state is guess and result.
     slopes, state_slopes : ndarray, shape (m, m) and (m, unknowns)
         Derivatives by the tensions of pulls [m/N] and of the state [rad/N], as far as they are
         known at the guess, else NaN; at the result on return.
-    scratch : int
-        Address of `KernelArrays.scratch`.
     steps_max : int
         Steps.
 
     """
-    m, solver = chain.m, quick_workspace(chain, bends, past, scratch)
-    f, moved, trial = np.empty(m), np.empty(m), np.empty(m)
-    for j in range(m):
-        inputs[j] = 0.0 if math.isnan(target[j]) else inputs[j]
+    f, moved, trial = np.empty(chain.m), np.empty(chain.m), np.empty(chain.m)
     if not pull_residuals(chain, inputs, target, solver, f, solver.bend):
         return math.inf
     damping, settled = 1e-10, BEND_TOLERANCE * chain.n * chain.radius
@@ -218,7 +182,14 @@ def stiff_wires(chain, inputs, target, bends, past, slopes, state_slopes, scratc
         damping, stale, fresh = max(0.1 * damping, 1e-12), new > 0.1 * error or not sprung, False
         correct(slopes, moved - f, trial - inputs)
         accept(chain, solver, trial, moved, inputs, f)
-    return stable_gap(chain, inputs, target, solver, f)
+    settings = floats(solver.work.settings)
+    settings[EVERY_METHOD] = settings[STABLE] = 1.0
+    found, gap = pull_residuals(chain, inputs, target, solver, f, solver.bend), 0.0
+    settings[EVERY_METHOD] = settings[STABLE] = 0.0
+    for j in range(inputs.shape[0]):
+        if not math.isnan(target[j]) and (inputs[j] > 0.0 or f[j] < 0.0):
+            gap = max(gap, abs(f[j]))
+    return gap if found else math.inf
 
 
 # [N] error of the tension of a wire that stretches, because stiffer springs would correct no more;
@@ -284,27 +255,16 @@ def correct(slopes, change, step):
 
 
 @compiled
-def step_by(inputs, move, fraction, trial):
-    """Tensions `trial` (m,) [N] a fraction of the move away, none below zero."""
-    for j in range(inputs.shape[0]):
-        trial[j] = max(inputs[j] + fraction * move[j], 0.0)
-
-
-@compiled
-def elastic_wires(
-    chain, inputs, target, bends, past, slopes, state_slopes, scratch, stretch, steps_max
-):
+def elastic_wires(chain, inputs, target, solver, slopes, state_slopes, stretch, steps_max):
     """
     Find tensions (m,) [N] >= 0 of wires that stretch by `stretch` [m/N]; NaN: a slack wire.
 
     Arguments as in `stiff_wires`. Returns the largest remaining gap [m], infinite where the model
     finds no equilibrium.
     """
-    m, solver = chain.m, quick_workspace(chain, bends, past, scratch)
+    m = chain.m
     f, moved = np.empty(m), np.empty(m)
     trial, move, ahead = np.empty(m), np.empty(m), np.empty(m)
-    for j in range(m):
-        inputs[j] = 0.0 if math.isnan(target[j]) else inputs[j]
     if not pull_residuals(chain, inputs, target, solver, f, solver.bend):
         return math.inf
     fresh, stale, top = False, True, math.inf
@@ -317,7 +277,8 @@ def elastic_wires(
             break
         fraction, better = 1.0, False
         for _ in range(8 if fresh else 2):
-            step_by(inputs, move, fraction, trial)
+            for j in range(m):
+                trial[j] = max(inputs[j] + fraction * move[j], 0.0)
             predict(chain, solver, state_slopes, inputs, trial)
             good = pull_residuals(chain, trial, target, solver, moved, solver.near)
             new = spring_step(slopes, moved, trial, target, stretch, ahead)
@@ -424,7 +385,10 @@ def meet_pulls(
     chain = chain_at(robot)
     m, sprung = chain.m, stretches(chain)
     bends, trial = np.zeros((2, 3 * chain.n)), np.empty(m)
-    now = memory_in(chain, scratch + 8 * work_size(chain.n, chain.k))
+    solver = workspace(chain, bends, past, scratch)
+    settings = floats(solver.work.settings)
+    # quick methods; unstable ones are kept: lengths may hold what tensions alone do not
+    settings[EVERY_METHOD] = settings[STABLE] = 0.0
     for b in range(targets.shape[0]):
         target, own, rate = targets[b], slopes[b], rates[b]
         if b > 0 and math.isnan(own[0, 0]):
@@ -436,7 +400,8 @@ def meet_pulls(
         for attempt in range(-1 if near else 0, len(SEARCHES)):
             spring, always = SPRINGS if sprung else SPRINGS - 1, False
             if attempt < 0:
-                assign(trial, inputs[guess])
+                for j in range(m):
+                    trial[j] = 0.0 if math.isnan(target[j]) else inputs[guess, j]
                 assign(bends[0], states[guess])
             else:
                 begin(SEARCHES[attempt], trial, target, bends, high)
@@ -446,13 +411,11 @@ def meet_pulls(
             stretched = True
             while stretched and spring < SPRINGS:
                 soft = SPRING_COMPLIANCES[spring] * stretch
-                left = elastic_wires(
-                    chain, trial, target, bends, past, own, rate, scratch, soft, steps
-                )
+                left = elastic_wires(chain, trial, target, solver, own, rate, soft, steps)
                 stretched = left < STRETCH_ERROR_N * soft  # stiffer springs do no better
                 spring += 1
             if stretched or always:
-                left = stiff_wires(chain, trial, target, bends, past, own, rate, scratch, steps)
+                left = stiff_wires(chain, trial, target, solver, own, rate, steps)
                 gaps[b] = min(gaps[b], left)
             if gaps[b] < GAP_ACCEPTED_M:
                 break
@@ -461,5 +424,5 @@ def meet_pulls(
         assign(inputs[b], trial)
         assign(states[b], bends[0])
         if carry != 0:
-            copy(now.bend, address(past), memory_size(chain.n, chain.k, m))
+            copy(solver.now.bend, solver.past.bend, memory_size(chain.n, chain.k, m))
     return targets.shape[0]

@@ -10,7 +10,7 @@ import numpy as np
 from numba import types
 
 from . import stages
-from .cells import cell_stiffness, is_general, moment_held, unknowns
+from .cells import cell_stiffness, chain_frames, half_turns, is_general, moment_held, unknowns
 from .equilibrium import SAFE_LOAD, is_planar, load_ratio
 from .geometry import scale_lengths, tendon_travel, travel_beyond
 from .layout import (
@@ -27,7 +27,6 @@ from .layout import (
     SMOOTHING,
     SMOOTHING_LENGTH,
     STABLE,
-    STEPS_MAX,
     WORD,
     YES,
     Workspace,
@@ -48,27 +47,20 @@ from .layout import (
     work_from,
     work_size,
 )
-from .loads import force_at_tip, loaded, moment_at_tip, place_cells, remember_pushes, weight
+from .loads import bows, end_at, force_at_tip, loaded, moment_at_tip, push_at, weight
 from .sweep import is_implicit, slip_direction
 
 
 @compiled
 def work_in(chain, start):
     """Scratch of a posture at an address, laid out by `lay_out_work`; ready for a new search."""
-    at = words(start)
-    work = work_from(start, at[5], at[6], at[7])
+    laid = words(start)
+    work = work_from(start, laid[5], laid[6], laid[7])
     settings = floats(work.settings)
     settings[SMOOTHING], settings[LOAD_SCALE] = SMOOTHING_LENGTH, 1.0
     settings[SHAPED] = settings[EVERY_METHOD] = settings[STABLE] = 1.0
     for r in range(3):
         floats(work.frames)[4 * r] = 1.0
-    note_cells(chain, work)
-    return work
-
-
-@compiled
-def note_cells(chain, work):
-    """Fill the parts of `work` that depend on cells and loads only, not on the search."""
     at, about = force_at_tip(chain), moment_at_tip(chain)
     flat = at[1] == 0.0 and about[0] == 0.0 and about[2] == 0.0
     flat = flat and not (is_general(chain) or stages.push_acts(chain))
@@ -76,7 +68,8 @@ def note_cells(chain, work):
         floats(work.lengths)[i] = cell(chain, i, LENGTH)
         floats(work.compliance)[i] = 1.0 / cell_stiffness(chain, i, section_of(chain, i))
         flat = flat and weight(chain, i)[1] == 0.0
-    floats(work.settings)[PLANAR_LOADS] = 1.0 if flat else 0.0
+    settings[PLANAR_LOADS] = 1.0 if flat else 0.0
+    return work
 
 
 @compiled
@@ -137,8 +130,16 @@ def remember_bends(chain, inputs, bend, work, past, now):
         for i in range(chain.n):
             x, y = moment_held(chain, past, i, floats(bend)[2 * i], floats(bend)[2 * i + 1])
             floats(now.moment)[2 * i], floats(now.moment)[2 * i + 1] = x, y
-    if stages.push_acts(chain):
-        remember_pushes(chain, bend, work, past, now)
+    if stages.push_acts(chain):  # what surfaces hold of the arm
+        half_turns(chain, bend, work)
+        chain_frames(chain, bend, work)
+        copy(past.held, work.held, 6 * chain.n)
+        for i in range(chain.n):
+            end, frame = end_at(work, i)
+            _, _, friction, apart = push_at(chain, work, i, end, frame)
+            held = floats(now.held + 48 * i)
+            held[0], held[1], held[2] = friction
+            held[3], held[4], held[5] = apart
     copy(bend, now.bend, unknowns(chain))
     copy(inputs, now.inputs, chain.m)
     copy(past.passed, now.passed, chain.k)
@@ -146,14 +147,20 @@ def remember_bends(chain, inputs, bend, work, past, now):
 
 @compiled
 def place(chain, bend, work):
-    """Fill work.lengths, work.frames and work.origins for the equilibrium's tensions."""
+    """Fill work.lengths, frames and origins, of loaded cells as they bow, for known tensions."""
     scale_lengths(chain, work)
-    place_cells(chain, bend, work)
+    chain_frames(chain, bend, work)
+    if loaded(chain) and bows(chain):
+        chain.bow_cells(chain, bend, work)
 
 
 @compiled
-def wire_pulls(chain, bend, work, pulls):
-    """Wire pull (k,) [m] of every tendon, as commanded: its travel, stretch and winding."""
+def wire_pulls(chain, bend, work, pulls, means):
+    """
+    Fill the wire pulls [m], as commanded: of tendons (k,) and, their means, of inputs (m,).
+
+    Of a tendon it is its travel, stretch and winding.
+    """
     tendon, tensions = words(chain.tendon), floats(work.tensions)
     totals, k = floats(pulls), chain.k
     tendon_travel(chain, bend, stages.offset_scale(1.0, chain, 0), work)
@@ -171,17 +178,11 @@ def wire_pulls(chain, bend, work, pulls):
     if stages.winding_acts(chain):
         for j in range(k):
             totals[j] = stages.winding(totals[j], tensions[j], chain, j)
-
-
-@compiled
-def mean_pulls(chain, pulls, means):
-    """Mean wire pull (m,) [m] over the tendons of every input."""
-    tendon = words(chain.tendon)
     for j in range(chain.m):
         total, members = 0.0, 0
-        for k in range(chain.k):
-            if tendon[2 * k + 1] == j:
-                total += floats(pulls)[k]
+        for q in range(k):
+            if tendon[2 * q + 1] == j:
+                total += totals[q]
                 members += 1
         floats(means)[j] = total / max(members, 1)
 
@@ -242,23 +243,16 @@ def results_at(chain, block, count, b, work):
     return row, changes + 8 * b, output
 
 
-@compiled
-def show(chain, row, output):
-    """Fill frames, positions and wire pulls of a posture from its bends and tensions."""
-    place(chain, row[1], output)
-    wire_pulls(chain, row[1], output, row[2])
-    mean_pulls(chain, row[2], row[3])
-
-
-@entry(FLOAT(WORD, types.float64[::1], WORD, WORD, WORD, WORD, WORD, WORD))
-def postures(robot, block, count, begin, end, past, scratch, carry):
+@entry(FLOAT(WORD, types.float64[::1], WORD, WORD, WORD, WORD, WORD, WORD, WORD))
+def postures(robot, block, count, begin, end, past, scratch, carry, solves):
     """
     Solve postures `begin` to `end` of a block; return the worst of their last changes [rad].
 
     The block holds inputs (count, m) [N] and guesses of the bends and takes the rest. `carry` 1:
     each posture follows the one before and friction remembers (`past` moves on); 0: every
     posture comes from the memory in `past`, which stays. `past` and `scratch` are addresses;
-    `past` 0: it lies in the block behind the results.
+    `past` 0: it lies in the block behind the results. `solves` 0: inputs and bends are shown as
+    they are.
 
     Parameters
     ----------
@@ -271,7 +265,7 @@ def postures(robot, block, count, begin, end, past, scratch, carry):
         Address of the memory of the posture before.
     scratch : int
         Address of `KernelArrays.scratch`.
-    carry : int
+    carry, solves : int
 
     """
     chain = chain_at(robot)
@@ -286,31 +280,21 @@ def postures(robot, block, count, begin, end, past, scratch, carry):
     for b in range(begin, end):
         row, change_at, output = results_at(chain, start, count, b, work)
         solving = with_results(work, output.tensions, work.frames, work.origins)
-        change = posture(chain, row[0], solving, then, now, row[1], before)
+        change = 0.0
+        if solves != 0:
+            change = posture(chain, row[0], solving, then, now, row[1], before)
+        else:
+            chain.residual(chain, row[0], row[1], solving, then, before)
+            if carry != 0:
+                remember_bends(chain, row[0], row[1], solving, then, now)
         floats(change_at)[0] = change
         if not change <= worst:
             worst = change
         if carry != 0:
             copy(now.bend, then.bend, memory_size(n, k, m))
-        show(chain, row, output)
+        place(chain, row[1], output)
+        wire_pulls(chain, row[1], output, row[2], row[3])
     return worst
-
-
-@entry()
-def show_postures(robot, block, count, past, scratch, carry):
-    """Fill a block from its inputs and bends as they are, without solving; see `postures`."""
-    chain = chain_at(robot)
-    work, then = work_in(chain, scratch), memory_in(chain, past)
-    now = memory_in(chain, scratch + 8 * work_size(chain.n, chain.k))
-    f = np.empty(unknowns(chain))
-    for b in range(count):
-        row, _, output = results_at(chain, address(block), count, b, work)
-        solving = with_results(work, output.tensions, work.frames, work.origins)
-        chain.residual(chain, row[0], row[1], solving, then, address(f))
-        if carry != 0:
-            remember_bends(chain, row[0], row[1], solving, then, now)
-            copy(now.bend, then.bend, memory_size(chain.n, chain.k, chain.m))
-        show(chain, row, output)
 
 
 @entry()
@@ -352,36 +336,6 @@ def remember(chain, inputs, bend, work, past, now):
 
 
 @compiled
-def settle_near(chain, inputs, work, past, bend, before):
-    """
-    Find the equilibrium by Newton from a state that is near, else as `settle` does.
-
-    For a planar arm sweeps are quicker, and under a heavy load stability has to be checked.
-    """
-    heavy = loaded(chain) and load_ratio(chain, work) > SAFE_LOAD
-    if is_implicit(chain) and not (heavy or is_planar(chain, floats(bend))):
-        copy(bend, before, unknowns(chain))
-        change = chain.newton(chain, inputs, bend, work, past, STEPS_MAX)
-        if change < BEND_TOLERANCE:
-            return change
-        copy(before, bend, unknowns(chain))
-    return settle(chain, inputs, work, past, bend)
-
-
-@compiled
-def fill_guess(chain, nodes, reached, start, row, bend):
-    """Fill the state at an address with that of a node, of its neighbours, or of `start`."""
-    x, after = floats(bend), min(2 * row - start, PARTS)
-    for q in range(unknowns(chain)):
-        if reached[row] != 0:
-            x[q] = nodes[row, q]
-        elif reached[after] != 0:
-            x[q] = 0.5 * (nodes[start, q] + nodes[after, q])
-        else:
-            x[q] = nodes[start, q]
-
-
-@compiled
 def continue_path(chain, inputs, work, past, now, nodes, reached, bend, before, start, row):
     """
     Continue along a path from one node to another.
@@ -410,8 +364,23 @@ def continue_path(chain, inputs, work, past, now, nodes, reached, bend, before, 
     fraction, first, tensions = row / PARTS, floats(past.inputs), floats(now.inputs)
     for j in range(chain.m):
         tensions[j] = (1.0 - fraction) * first[j] + fraction * floats(inputs)[j]
-    fill_guess(chain, nodes, reached, start, row, bend)
-    change = settle_near(chain, now.inputs, work, now, bend, before)
+    x, after = floats(bend), min(2 * row - start, PARTS)
+    for q in range(unknowns(chain)):  # the node itself, the middle of its neighbours, or `start`
+        x[q] = nodes[start, q]
+        if reached[row] != 0:
+            x[q] = nodes[row, q]
+        elif reached[after] != 0:
+            x[q] = 0.5 * (nodes[start, q] + nodes[after, q])
+    # Newton from a state that is near; for a planar arm sweeps are quicker, and under a heavy load
+    # stability has to be checked
+    change, heavy = math.inf, loaded(chain) and load_ratio(chain, work) > SAFE_LOAD
+    if is_implicit(chain) and not (heavy or is_planar(chain, x)):
+        copy(bend, before, unknowns(chain))
+        change = chain.newton(chain, now.inputs, bend, work, now)
+        if not change < BEND_TOLERANCE:
+            copy(before, bend, unknowns(chain))
+    if not change < BEND_TOLERANCE:
+        change = settle(chain, now.inputs, work, now, bend)
     if not change < BEND_TOLERANCE:
         reached[row] = 0
         return change, moved
@@ -426,36 +395,26 @@ def continue_path(chain, inputs, work, past, now, nodes, reached, bend, before, 
 
 
 @compiled
-def overshoot(first, middle, last):
-    """
-    Return the excess of a parabola through three points in equal steps over its ends.
-
-    Only where its vertex is in the first quarter or in the last: there both halves, and the whole,
-    have the same sign.
-    """
-    curve, slope = 0.5 * (last + first) - middle, 0.5 * (last - first)
-    if not (abs(curve) < abs(slope) and abs(slope) < 2.0 * abs(curve)):
-        return 0.0
-    beyond = 1.0 - abs(0.5 * slope / curve)
-    return abs(curve) * beyond * beyond
-
-
-@compiled
 def sign_error(chain, nodes, at, middle, end):
-    """Error of the direction of friction [1] where travel changes sign unseen between nodes."""
+    """
+    Error of the direction of friction [1] where travel changes sign unseen between nodes.
+
+    By how much a parabola through three points in equal steps exceeds its ends, where its vertex
+    is in the first quarter or in the last: there both halves, and the whole, have the same sign.
+    """
     size, error, tendon = 8 * nodes.shape[1], 0.0, words(chain.tendon)
     first, last = memory_in(chain, address(nodes) + size * at), address(nodes) + size * end
     half, last = memory_in(chain, address(nodes) + size * middle), memory_in(chain, last)
     for k in range(chain.k):
         for i in range(tendon[2 * k] - 1):
             q = chain.k * i + k
-            beyond = overshoot(
-                floats(first.travel)[q], floats(half.travel)[q], floats(last.travel)[q]
-            )
-            if beyond > 0.0:
-                error = max(
-                    error, stages.memory(0.0, 0.0, 2.0 * beyond, chain, section_of(chain, i))
-                )
+            a, b, c = floats(first.travel)[q], floats(half.travel)[q], floats(last.travel)[q]
+            curve, slope = 0.5 * (c + a) - b, 0.5 * (c - a)
+            if abs(curve) < abs(slope) and abs(slope) < 2.0 * abs(curve):
+                beyond = 1.0 - abs(0.5 * slope / curve)
+                beyond = 2.0 * abs(curve) * beyond * beyond
+                sign = stages.memory(0.0, 0.0, beyond, chain, section_of(chain, i))
+                error = max(error, sign)
     return error
 
 

@@ -333,43 +333,11 @@ def sweep(chain, inputs, guess, work, past, out, shaped):
             )
         half[2 * i], half[2 * i + 1] = s, c
     if stages.torsion_acts(chain):
-        sweep_twists(chain, work, out, shaped, loads)
-
-
-@compiled
-def sweep_twists(chain, work, out, shaped, loads):
-    """Fill the twists of the state `out`; `shaped` False: no tendon leans, no load acts."""
-    for i in range(chain.n):
-        about = tendons_about(chain, work, i) if shaped else 0.0
-        if loads:
-            about += floats(work.torque)[i]
-        floats(out)[2 * chain.n + i] = twist_of(chain, i, about)
-
-
-@compiled
-def carry_tensions(chain, inputs, bend, work, past, flags, moment_arms, scale):
-    """
-    Fill work.tensions (n, k) [N] at bends (n, 2); work.half, travel and beyond are theirs.
-
-    Parameters
-    ----------
-    inputs, bend : address
-        (m,) [N]; state [rad].
-    flags : tuple of bool
-        `active_stages`.
-    moment_arms : address
-        (n, k, 2) [m].
-    scale : float
-        Factor on the tendon offsets [1].
-
-    """
-    bends, rate = floats(bend), slip_rate_in(work)
-    base_tensions(chain, inputs, work, moment_arms)
-    for i in range(chain.n - 1):
-        x, y = bends[2 * i], bends[2 * i + 1]
-        ahead_x, ahead_y = bends[2 * i + 2] - x, bends[2 * i + 3] - y
-        passed = ratio_at(chain, work, i, x, y, ahead_x, ahead_y, flags)
-        pass_eyelet(chain, work, past, i, x, y, passed, rate, moment_arms, scale, flags)
+        for i in range(chain.n):  # as if no effect needed the shape no tendon leans
+            about = tendons_about(chain, work, i) if shaped else 0.0
+            if loads:
+                about += floats(work.torque)[i]
+            floats(out)[2 * chain.n + i] = twist_of(chain, i, about)
 
 
 @entry()
@@ -423,24 +391,27 @@ def place_loads(chain, bend, work, past):
     chain.load_moments(chain, bend, work)
 
 
-@compiled
-def place_forces(chain, inputs, bend, work, past):
-    """Fill work with tensions, frames and loads at a state; travel and moment arms are known."""
-    friction, _, wraps, slides, remembers = active_stages(chain, YES)
+@entry()
+def balance(chain, inputs, bend, work, past, out):
+    """
+    Fill `out` [rad]: the state minus what its moments ask for; and work with forces.
+
+    Travel and moment arms, which work holds, are those of the state.
+    """
+    bends, load, f, rate = floats(bend), floats(work.load), floats(out), slip_rate_in(work)
     moment_arms, scale = moment_arms_of(chain, work)
+    friction, _, wraps, slides, remembers = active_stages(chain, YES)
     flags = (friction, YES, wraps, slides, remembers)  # travel is that of these bends
-    carry_tensions(chain, inputs, bend, work, past, flags, moment_arms, scale)
-    if loaded(chain):
+    base_tensions(chain, inputs, work, moment_arms)
+    for i in range(chain.n - 1):
+        x, y = bends[2 * i], bends[2 * i + 1]
+        ahead_x, ahead_y = bends[2 * i + 2] - x, bends[2 * i + 3] - y
+        passed = ratio_at(chain, work, i, x, y, ahead_x, ahead_y, flags)
+        pass_eyelet(chain, work, past, i, x, y, passed, rate, moment_arms, scale, flags)
+    loads = loaded(chain)
+    if loads:
         scale_lengths(chain, work)
         place_loads(chain, bend, work, past)
-
-
-@compiled
-def imbalance(chain, bend, work, past, out):
-    """Fill `out` [rad]: the state minus what its moments, known to `work`, ask for."""
-    bends, load, f = floats(bend), floats(work.load), floats(out)
-    moment_arms, scale = moment_arms_of(chain, work)
-    loads = loaded(chain)
     for i in range(chain.n):
         mx, my, total = tendon_moment(chain, work, i, moment_arms, scale)
         if loads:
@@ -455,13 +426,6 @@ def imbalance(chain, bend, work, past, out):
             if loads:
                 about += floats(work.torque)[j]
             f[2 * chain.n + j] = bends[2 * chain.n + j] - twist_of(chain, j, about)
-
-
-@entry()
-def balance(chain, inputs, bend, work, past, out):
-    """Fill `out` [rad], the residual at a state whose travel is known, and work with forces."""
-    place_forces(chain, inputs, bend, work, past)
-    imbalance(chain, bend, work, past, out)
 
 
 @entry()

@@ -43,10 +43,10 @@ from ...investigation.measuring import BETTER, BrokenMeasurementError, News, Pos
 from ...model.model import Model
 from ...monitoring import History, MonitorSettings, StillMeasurement, StillWindow
 from ...monitoring.change import ChangeFinder
-from ...monitoring.monitor import PULL_STILL, TENSION_STILL
+from ...monitoring.monitor import PULL_STILL
 from ...monitoring.watch import load_change
 from ...robot import Robot
-from ...robot.estimates import natural_sizes
+from ...robot.estimates import INPUT_TOLERANCE, natural_sizes
 from ...robot.keep_out import KeepOut, load_keep_out
 from ..shared import interface
 from ..shared.lifecycle import OK, WARN, Status
@@ -279,7 +279,9 @@ class RunningArm(Pilot):
         """Wait until the arm is at rest and visible; return the mean of its frames."""
         robot = self.robot
         tension = self.input == 'tension'
-        change = TENSION_STILL * robot.tension_limits[1] if tension else PULL_STILL * robot.length
+        change = (
+            INPUT_TOLERANCE * robot.tension_limits[1] if tension else PULL_STILL * robot.length
+        )
         still = MonitorSettings()
         window = StillWindow(still.still_time, still.still_speed, change)
         self._frames.clear()

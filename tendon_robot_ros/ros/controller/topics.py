@@ -26,6 +26,7 @@ from ...control.inputs import Trajectory, by_name, check_frame, direction, finit
 from ...data.tracker_faults import is_missing
 from ...model.model import Model
 from ...model.shape import Shape
+from ...robot.estimates import natural_sizes
 from ..shared import interface, messages
 from ..shared.parameters import Parameters, base_frame
 from ..shared.quality import LATCHED
@@ -172,8 +173,7 @@ class Prediction:
     def use(self, frame: str, model: Model) -> None:
         """Use the robot of a model and the name of its base frame."""
         self._frame = frame
-        offsets = [abs(value) for t in model.robot.tendons for value in (*t.base, *t.end)]
-        self._thickness = 2.0 * max(offsets)
+        self._thickness = 2.0 * natural_sizes(model.robot)['radius']
 
     def publish(self, shape: Shape) -> None:
         """Publish a shape; poses are the distal ends of the cells."""

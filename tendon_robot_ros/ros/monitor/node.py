@@ -30,6 +30,7 @@ from ...common.errors import InputError, TendonRobotError
 from ...control import Refusal
 from ...control.loading import Loader
 from ...data import save_dataset
+from ...data.arrays import FRAME_S
 from ...data.folder import read_markers
 from ...data.tracker_faults import is_missing
 from ...monitoring import Monitor, MonitorSettings
@@ -45,9 +46,6 @@ from ..shared.timing import SILENCE_S, STATUS_PERIOD_S, VALUES_PERIOD_S
 from .watching import Adapting, Watching
 
 HELP = 'compare the running robot with its model; record, diagnose, add what is missing'
-# [s] between the stamps of markers on topics of their own that belong to one frame: less than a
-# period at 30 Hz, else two frames would be merged
-FRAME_SPAN_S = 0.02
 
 
 class MonitorNode(Runnable, Node):
@@ -371,7 +369,7 @@ class MarkerInput:
         new = self._in_base(message.header, self._only(index, message), 'measured_markers')
         if new is None:
             return
-        if self._frame is not None and abs(new[0] - self._frame[0]) > FRAME_SPAN_S:
+        if self._frame is not None and abs(new[0] - self._frame[0]) > FRAME_S:
             self._take(*self._frame)
             self._frame = None
         if self._frame is None:

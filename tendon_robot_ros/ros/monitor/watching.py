@@ -24,15 +24,15 @@ from ...model.model import Model
 from ...monitoring import Monitor, StillMeasurement
 from ...monitoring.adaptation import Adaptation, ModelChange
 from ...monitoring.contact import Contact
-from ...monitoring.monitor import TENSION_STILL, FrameMean
+from ...monitoring.monitor import FrameMean
 from ...monitoring.watch import ArmWatch, WatchSettings
 from ...report.sentences import load_words
 from ...robot import Robot, dump_robot
+from ...robot.estimates import INPUT_TOLERANCE, natural_sizes
 from ..shared import interface
 from ..shared.messages import arrow_marker, header_now, vector
 from ..shared.parameters import Parameters
 
-ARROW_THICKNESS = 0.01  # [1] of the length, because the arm's own line is about as thick
 LOG = 'adaptation.jsonl'  # in the folder of the monitor: a line for every change
 Send = Callable[[str, Callable[[bool, str], None]], None]
 
@@ -55,7 +55,7 @@ class Watching:
         self._exceeded = False  # by the last estimate: a single one may be wrong
         high = monitor.model.robot.tension_limits[1]
         self._frames = FrameMean(
-            parameters['tracker_noise'], TENSION_STILL * high, parameters['force_time']
+            parameters['tracker_noise'], INPUT_TOLERANCE * high, parameters['force_time']
         )
         topics = 'monitor/tip_force', 'monitor/tip_force_covariance', 'monitor/contact'
         self._send = {
@@ -166,7 +166,7 @@ class Watching:
             'reaction': self._reaction,
         }
         self._send['monitor/contact'](String(data=json.dumps(content)))
-        thickness = ARROW_THICKNESS * robot.length
+        thickness = natural_sizes(robot)['radius']  # half of the arm's line, so that it is seen
         ends = arrow if contact.acts else None
         self._send['monitor/markers'](arrow_marker(header, ends, thickness, BAD))
 
