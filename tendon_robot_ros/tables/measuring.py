@@ -14,7 +14,6 @@ from ..common.errors import DataSetError
 from ..common.words import digits
 from ..data.arrays import VALUES_MAX
 from ..data.bag_reader import Recording, Track
-from ..data.dataset import REST_FRACTION
 from ..data.loading import plausible_inputs
 from ..data.still_segments import (
     STEPS_PER_WINDOW,
@@ -39,7 +38,10 @@ FROM_STRAIGHT, SEQUENCE, VISITS = 'from_straight', 'sequence', 'visits'
 QUIET_FRACTION = 0.15
 # [1] of the segments, that are at rest where an arm rests between trials, because half of them
 # are, and some are missed
-RESTING_FRACTION = 0.3
+REST_FRACTION = 0.3
+# [1] of the range from the lowest input to the smallest load, below which inputs are let go,
+# because a load cell does not go back to exactly zero
+LET_GO_FRACTION = 0.2
 
 RESTED = (
     'every posture was loaded from the straight arm (path: from_straight); if the arm went from '
@@ -88,7 +90,7 @@ def let_go_between(pieces: Sequence[Piece], same: float) -> tuple[int, int, floa
         loaded = [one for one in piece.segments if _size(one) > lowest + 3.0 * same]
         if not loaded:
             continue
-        released = lowest + max(same, REST_FRACTION * (min(map(_size, loaded)) - lowest))
+        released = lowest + max(same, LET_GO_FRACTION * (min(map(_size, loaded)) - lowest))
         for before, after in pairwise(loaded):
             begin, end = np.searchsorted(piece.recording.state_times, [before.end, after.begin])
             count += bool(sizes[begin:end].min(initial=np.inf) < released)
@@ -367,7 +369,7 @@ def _guess_rest(segments: Sequence[Segment], same: float) -> float:
     tree = linkage(inputs, 'single', metric='chebyshev')
     postures = fcluster(tree, same, 'distance')  # (N,) number of the posture of each segment
     at_rest = postures == postures[int(sizes.argmin())]
-    if at_rest.mean() < RESTING_FRACTION or at_rest.sum() < 3 or at_rest.all():
+    if at_rest.mean() < REST_FRACTION or at_rest.sum() < 3 or at_rest.all():
         return 0.0
     lowest, loaded = float(sizes[at_rest].max()), float(sizes[~at_rest].min())
     return float(f'{0.5 * (lowest + min(loaded, 2.0 * lowest + 10.0 * same)):.3g}')
