@@ -17,7 +17,7 @@ from ...common.errors import DataSetError, InputError
 from ...common.files import file_to_write, refuse_ending
 from ...common.results import JSON_OPTION, emit
 from ...common.rotations import angle_between
-from ...common.words import FAR_M, TYPED_LENGTHS, UNITS, other_unit, read_quantity
+from ...common.words import TYPED_LENGTHS, UNITS, other_unit, read_quantity
 from ...control.inputs import Trajectory
 from ...control.target_search import keep_out_refusal
 from ...data.bag_reader import is_bag, opened
@@ -67,6 +67,7 @@ PACES = {
     'pull-rate': ('pull', UNITS['length']['mm'], 'mm/s of every wire, in pull mode'),
 }
 NEAR_M = UNITS['length']['mm']  # no tip is within a millimetre of its base
+DISTANCE_MAX_M = 20.0  # [m] because the largest continuum arms have a few metres
 
 
 class GoTo:
@@ -127,8 +128,8 @@ def _target(texts: Sequence[str], unit: str) -> np.ndarray:
     pairs = zip('xyz', texts, strict=True)
     target = np.array([read_quantity(axis, text, unit, 'length') for axis, text in pairs])
     distance = float(np.linalg.norm(target))
-    if not NEAR_M < distance < FAR_M:
-        mend = other_unit(','.join(texts), distance, unit, NEAR_M, FAR_M)
+    if not NEAR_M < distance < DISTANCE_MAX_M:
+        mend = other_unit(','.join(texts), distance, unit, NEAR_M, DISTANCE_MAX_M)
         raise InputError(
             f'target: {" ".join(texts)} {unit} is {1e3 * distance:.4g} mm from the base{mend}'
         )
