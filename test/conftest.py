@@ -48,6 +48,7 @@ QUIET = [hypothesis.HealthCheck.too_slow]
 hypothesis.settings.register_profile('busy', deadline=None, suppress_health_check=QUIET)
 hypothesis.settings.load_profile('busy')
 LIMIT, LONG = 600.0, 3600.0  # [s] for any test with what it sets up; for one marked slow or blind
+gc.set_threshold(100_000)  # what tests and their collection make by millions holds no cycles
 RERUNS = 2  # processes that talk to each other are late on a busy machine
 # The files that take longest, longest first, of nodes and of others in turn: those that start
 # nodes wait, the others compute. So no processor is idle, and what is left at the end is short.
@@ -57,8 +58,10 @@ LONGEST = (
     'local_tests', 'campaign_cluster', 'as_built', 'ros_chain', 'dynamixel_start', 'ros_stop',
     'dynamixel_commands', 'ros_travel', 'ros_investigate', 'dynamixel_faults', 'demo', 'add',
     'live_page', 'diagnosis_page', 'senders', 'driver_contract', 'diagnose_command', 'travel',
-    'campaign', 'watch_filter', 'readme', 'unreadable', 'advice', 'report', 'model_reference',
-    'workspace',
+    'ros_serial', 'dynamixel_settings', 'campaign', 'watch_filter', 'wheel',
+    'control_null_space', 'model_inverse', 'readme', 'unreadable', 'advice', 'report',
+    'command_line', 'model_reference', 'data_bag_identity', 'fit', 'improve', 'compare', 'trust',
+    'thinning', 'data_fuzz', 'house', 'workspace',
 )  # fmt: skip
 
 
@@ -84,7 +87,6 @@ def pytest_collection_finish():
     """Let no garbage collection scan what stays: modules and tests are a million objects."""
     gc.collect()
     gc.freeze()
-    gc.set_threshold(100_000)  # what tests make by millions, as syntax trees, holds no cycles
 
 
 @pytest.fixture(scope='module', autouse=True)

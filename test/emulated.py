@@ -204,8 +204,8 @@ def running(line, mode='tension', **changes):
 
 
 def arm_in(mode, **changes):
-    with line(slack=0.001) as made:
-        driver, command = running(made, mode, **changes)
+    with line(slack=0.0) as made:  # the search for slack: test_dynamixel_start.py
+        driver, command = running(made, mode, zero='here', **changes)
         yield driver, made, command
         driver.close()
 

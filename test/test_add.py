@@ -109,6 +109,7 @@ def test_a_diagnosis_and_an_addition_tell_the_same_numbers_of_an_arm_as_built(na
 
 
 @pytest.mark.parametrize('name', [slow('messy_002'), 'messy_s0'])
+@pytest.mark.long
 def test_all_that_the_file_says_otherwise_is_named(name):
     dataset, _, made = diagnosed(name)
     assert made.beside

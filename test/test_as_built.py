@@ -47,6 +47,7 @@ AGAIN = ('messy_002', 'messy_008', 'messy_012', 'messy_015', 'messy_s0', 'messy_
     'name',
     [slow(one) if one in AGAIN else one for one in TRUTH],
 )
+@pytest.mark.long
 def test_what_an_arm_as_built_hides_is_named(name):
     found, hidden = diagnose(case(name)), TRUTH[name]['hidden']
     names = [effect.name for effect in found.effects]
@@ -64,6 +65,7 @@ def test_what_an_arm_as_built_hides_is_named(name):
     assert any('scatters by' in line for line in lines(found))
 
 
+@pytest.mark.long
 def test_an_exact_description_knows_no_scatter():
     dataset = case('messy_000')
     exact = replace(dataset.robot, exact=True)

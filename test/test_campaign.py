@@ -71,6 +71,7 @@ def test_processes_say_the_same_bit_for_bit_in_another_order_and_from_where_they
         ('diagnose', ValueError('a mistake of this program')),
     ],
 )
+@pytest.mark.long
 def test_a_case_that_fails_is_counted_and_others_go_on(rows, tmp_path, monkeypatch, where, error):
     asked, real = [], getattr(judge, where)
 
@@ -95,6 +96,7 @@ def test_a_case_that_fails_is_counted_and_others_go_on(rows, tmp_path, monkeypat
     assert f'1 x {told}' in summary([failed, *found])
 
 
+@pytest.mark.long
 def test_a_folder_of_other_settings_is_refused(rows, tmp_path):
     folder = tmp_path / 'out'
     with Workers() as workers:
@@ -266,6 +268,7 @@ def test_a_size_that_is_not_printed_does_not_count():
     assert scatter_held(None, built) == []
 
 
+@pytest.mark.long
 def test_the_command_writes_table_and_page_and_goes_on(tmp_path, capsys, monkeypatch):
     pytest.importorskip('plotly')
     content = CHEAP | {'seeds': 1, 'clean': 1}

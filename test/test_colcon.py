@@ -11,6 +11,7 @@ from source_tree import copy_to
 from tendon_robot_ros.cli.main import EXECUTABLES
 
 pytest.importorskip('colcon_ros', reason='colcon is not installed')
+pytestmark = pytest.mark.long
 COMMAND = 'compare'
 
 

@@ -231,6 +231,7 @@ def test_a_model_without_equilibrium_is_named(hinges):
         compare(hinges, [('weak', weak)])
 
 
+@pytest.mark.long
 def test_a_thousand_postures_are_no_burden(kato, tmp_path):
     data = simulate(twin(kato), np.tile(default_postures(kato), (80, 1)), trials=3)
     save_dataset(data, tmp_path / 'large')

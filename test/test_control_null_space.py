@@ -159,6 +159,7 @@ def test_on_an_arm_that_rubs_more_no_tension_turns_round_and_the_tip_stays():
     assert rig.arm.tip_stiffness(rig.shape).along([1, 0, 0]) > 1.15 * before
 
 
+@pytest.mark.long
 def test_it_ends_where_the_tip_is_as_stiff_as_is_enough():
     rig = Rig()
     rig.run(0.1)
@@ -220,6 +221,7 @@ def test_where_a_motion_is_over_the_tip_stays_and_no_tension_turns_round(over):
     assert np.linalg.norm(np.array(rig.tips[begin:]) - tip, axis=1).max() < 2e-5
 
 
+@pytest.mark.long
 def test_noise_of_load_cells_is_no_motion_of_the_arm():
     rig = moved_on(2, cells=0.005)
     away = np.linalg.norm(np.array(rig.tips[rig.begun :]) - rig.tips[rig.begun], axis=1)

@@ -123,6 +123,7 @@ def datasets(draw):
 
 @settings(max_examples=150)
 @given(datasets())
+@pytest.mark.long
 def test_what_is_written_is_read_back_exactly(data):
     with tempfile.TemporaryDirectory() as folder:
         again = load_dataset(save_dataset(data, Path(folder) / 'new'))

@@ -164,6 +164,7 @@ def test_declared_noise_counts_where_earlier_visits_move_the_arm():
     assert estimate_noise(undeclared, slopes).trial > data.trial_noise
 
 
+@pytest.mark.long
 def test_hidden_memory_is_named_where_there_is_some_and_only_there():
     data = visited(hidden=MEMORY)
     assert not why_untested(simulated.CATALOGUE['friction_memory'], data, ROBOT).startswith('ev')

@@ -70,6 +70,7 @@ def assert_better(folder, data, effects, error):
     assert written(folder) == ['better.yaml', 'why.json']
 
 
+@pytest.mark.long
 def test_a_missing_effect_is_named_added_and_shown(capsys, folder):
     lines = said(capsys, 'diagnose', 'hinges/fit', '--add', 'better.yaml', '--check',
                  'hinges/check', '--json', 'why.json')  # fmt: skip

@@ -154,6 +154,7 @@ def commanded(tmp_path_factory):
     return folder
 
 
+@pytest.mark.long
 def test_what_became_of_the_file_stands_where_it_was_asked_for(commanded, monkeypatch, capsys):
     monkeypatch.chdir(commanded)
     assert main(['diagnose', 'fit', '--report', 'other.html']) == 0

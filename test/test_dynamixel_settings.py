@@ -130,6 +130,7 @@ def test_a_register_that_does_not_keep_what_is_written_is_refused(monkeypatch):
 @pytest.mark.parametrize(
     ('mode', 'torque'), [('tension', 0), ('tension', 1), ('pull', 1), ('extended', 1)]
 )
+@pytest.mark.long
 def test_a_motor_that_was_without_power_for_a_moment_does_not_wind_on(mode, torque):
     """Also one that comes back with its torque on: its turns are gone, its goals were old."""
     operation = {'pull_operation': 'extended'} if mode == 'extended' else {}

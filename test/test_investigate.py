@@ -161,6 +161,7 @@ def test_it_names_what_is_hidden_with_half_of_the_twelve_postures(found):
     assert len(made.dataset.postures) <= 6
 
 
+@pytest.mark.long
 def test_what_it_adds_lowers_the_error_on_fresh_postures_and_is_written_whole(found):
     _, made, folder, _ = found
     assert made.check is not None and len(made.check.postures) == 3
@@ -171,6 +172,7 @@ def test_what_it_adds_lowers_the_error_on_fresh_postures_and_is_written_whole(fo
     assert log['outcome']['names'] == ['hinge_friction']
 
 
+@pytest.mark.long
 def test_it_never_leaves_the_limits_and_lets_the_arm_go_at_the_end(found):
     subject, *_ = found
     visited = np.array(subject.visited)
@@ -180,6 +182,7 @@ def test_it_never_leaves_the_limits_and_lets_the_arm_go_at_the_end(found):
     assert subject.released >= 1
 
 
+@pytest.mark.long
 def test_a_broken_measurement_is_said_and_repeated(found):
     subject, made, _, said = found
     broken = [line for line in said if 'once more' in line or 'skipped' in line]

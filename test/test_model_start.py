@@ -5,6 +5,7 @@ import sys
 from collections import namedtuple
 
 import numpy as np
+import pytest
 from numba import types
 from processes import run
 from source_tree import ROOT
@@ -101,6 +102,7 @@ def test_a_record_is_an_address_and_what_lies_apart_from_it():
     assert entry(there.ctypes.data) == (12, 2.5, 0)
 
 
+@pytest.mark.long
 def test_what_a_process_compiles_beside_is_taken_from_the_cache(tmp_path):
     made = run(
         [sys.executable, '-c', BESIDE], env={**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path)}
@@ -108,6 +110,7 @@ def test_what_a_process_compiles_beside_is_taken_from_the_cache(tmp_path):
     assert made.returncode == 0, made.stderr
 
 
+@pytest.mark.long
 def test_a_shape_comes_without_linear_algebra_and_numba_has_it_afterwards():
     made = run([sys.executable, '-c', WITHOUT_SCIPY])
     assert made.returncode == 0, made.stderr

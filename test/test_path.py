@@ -99,6 +99,7 @@ def test_a_plan_keeps_every_limit_and_the_given_times_where_it_can():
     assert direction is None
 
 
+@pytest.mark.long
 def test_what_is_out_of_reach_is_named_by_row():
     far = np.vstack([PLACES, [0.0, 0.0, 0.4]])
     path = tip_path(None, far, np.full((4, 3), np.nan))

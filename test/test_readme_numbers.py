@@ -2,6 +2,7 @@
 
 import re
 
+import pytest
 from documents import appears, prepare, run, typed
 from test_readme import README
 
@@ -15,6 +16,7 @@ def shown():
         yield from typed(block)
 
 
+@pytest.mark.long
 def test_the_commands_print_what_the_readme_shows(tmp_path):
     prepare(tmp_path)
     parts = list(shown())

@@ -34,6 +34,7 @@ def test_memory_of_friction_beside_another_effect_is_named():
     assert {effect.name for effect in found.effects} == set(hidden)
 
 
+@pytest.mark.long
 def test_an_effect_that_others_make_needless_leaves_the_combination():
     robot = simulated.robot('spatial_3')
     described = robot.with_effect('tendon_friction', {'friction_coefficient': 0.02})

@@ -178,6 +178,7 @@ def few_are_used(monkeypatch):
     monkeypatch.setattr(session, 'POSTURES_MAX', USED)
 
 
+@pytest.mark.long
 def test_the_text_says_how_many_postures_were_used_and_the_error_is_of_all(few_are_used):
     data = recording(tip_load={'force_x': 0.05})
     found = diagnose(data, workers=1)

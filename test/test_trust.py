@@ -31,6 +31,7 @@ def trust():
     return assess(dataset, workers=1, runs=16, seconds=500.0)  # enough
 
 
+@pytest.mark.long
 def test_clean_data_rarely_alarms_and_small_effects_are_seen(trust):
     assert (trust.runs, trust.checked) == (16, 8)
     assert trust.alarms <= 1
@@ -41,6 +42,7 @@ def test_clean_data_rarely_alarms_and_small_effects_are_seen(trust):
     assert 'gravity' not in sizes, 'these postures do not show it'
 
 
+@pytest.mark.long
 def test_it_is_told_in_words(trust):
     found = diagnose(measured(ROBOT, count=3))
     assert trust_lines(found) == []
@@ -100,6 +102,7 @@ def test_power_and_rates_are_as_tables_say():
     assert wilson(0, 0) == (0.0, 1.0)
 
 
+@pytest.mark.long
 def test_how_long_it_takes_is_said_and_shown(tmp_path, capsys, monkeypatch):
     dataset = measured(ROBOT, count=3, trials=3)
     shown = []

@@ -78,6 +78,7 @@ def drawn_off(robot, size, random):
 
 @pytest.mark.parametrize('exact', [True, False], ids=['exact', 'as built'])
 @pytest.mark.parametrize('name', ARMS)
+@pytest.mark.long
 def test_what_the_model_is_known_to_be_off_is_no_force(name, exact):
     robot, random, off = replace(ARMS[name], exact=exact), np.random.default_rng(8), 4e-3
     tensions = np.linspace(0.4, 0.8, len(robot.inputs))
@@ -224,6 +225,7 @@ def test_a_contact_is_told_with_its_place_and_ends(name, exact, part):
 
 
 @pytest.mark.parametrize('name', ARMS)
+@pytest.mark.long
 def test_of_a_tip_alone_the_place_is_not_told_and_the_force_is_as_if_at_the_tip(name):
     arm, robot, force = known_arm(name, False), FINE[name], 0.004
     hidden = {'tip_load': {'force_x': force}}

@@ -92,6 +92,7 @@ def test_where_an_arm_hardly_bends_and_kinks_turn_its_friction_over_nothing_is_t
 
 
 @pytest.mark.parametrize('cell', [slow(3), 4, slow(6)])
+@pytest.mark.long
 def test_a_slightly_softer_cell_is_told_within_twenty_postures(well_known, cell):
     arm, _, random = well_known
     alarm = DriftAlarm(arm.as_known(arm.mean.copy(), arm.covariance.copy()), 21600.0)
@@ -114,6 +115,7 @@ ODD_POSTURES = {
 
 @pytest.mark.parametrize('seed', [12, slow(14)])
 @pytest.mark.parametrize('what', [*list(ODD_POSTURES)[:2], slow('everything 1 m off')])
+@pytest.mark.long
 def test_the_filter_learns_nothing_of_one_odd_posture_and_no_alarm_comes_of_it(
     well_known, what, seed
 ):
@@ -133,6 +135,7 @@ def test_the_filter_learns_nothing_of_one_odd_posture_and_no_alarm_comes_of_it(
     assert states[-1].evidence < 50.0
 
 
+@pytest.mark.long
 def test_the_filter_stays_the_arm_that_was_when_the_tracker_is_moved_far(well_known):
     """It followed by hundreds of sd, and ended without a positive covariance."""
     arm, _, random = well_known
@@ -149,6 +152,7 @@ def test_the_filter_stays_the_arm_that_was_when_the_tracker_is_moved_far(well_kn
     assert alarm.state.suspects[0].name == 'the tracker'
 
 
+@pytest.mark.long
 def test_a_load_after_an_odd_posture_is_told_and_named_as_without_it(well_known):
     arm, free, random = well_known
     alarm = DriftAlarm(arm.as_known(arm.mean.copy(), arm.covariance.copy()), 21600.0)

@@ -15,6 +15,7 @@ from packaging.requirements import Requirement
 from source_tree import copy_to
 from test_package import PACKAGE
 
+pytestmark = pytest.mark.long
 SITE = Path(sysconfig.get_path('purelib', vars={'base': ''}).lstrip('/'))
 DATA = 'data/hinge_friction/fit'  # of the package: nothing lies in the folder it is run in
 
