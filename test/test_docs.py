@@ -14,9 +14,7 @@ from documents import (
     COMMAND,
     PAGES,
     SHELLS,
-    appears,
     blocks,
-    commands,
     is_live,
     prepare,
     run,
@@ -179,14 +177,3 @@ def test_documents_that_the_code_names_exist():
             named.setdefault(name, path)
     assert len(named) > 3
     assert {name: path for name, path in named.items() if not (ROOT / name).exists()} == {}
-
-
-def test_commands_are_told_from_their_output():
-    text = '$ python -m x \\\n    --more\nsome output\n$ ls\n'
-    assert commands(text) == 'set -e\npython -m x \\\n    --more\nls'
-
-
-def test_three_points_stand_for_anything_and_nothing_else_does():
-    printed = '[INFO] [123.4] [driver]: following\nwritten: a   to b\n'
-    assert appears('...following', printed) and appears('written: ... to b', printed)
-    assert not appears('following', printed) and not appears('...followin', printed)

@@ -73,9 +73,3 @@ def test_a_quoted_message_is_in_the_sources(page, message):
 
 def test_there_are_messages_on_the_pages():
     assert len(list(quoted('docs/troubleshooting.md'))) > 30
-
-
-def test_what_is_not_printed_is_noticed():
-    assert is_printed('no command for … s')
-    assert not is_printed('no command for … seconds')
-    assert not is_printed('the last step still changed a bend by … mm')

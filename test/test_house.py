@@ -121,6 +121,18 @@ def test_a_verdict_is_named_in_its_table_only():
     assert not wrong, '\n'.join(wrong)
 
 
+def test_tests_start_processes_in_one_way():
+    imports = {
+        name.name
+        for path in files('test/*.py')
+        if path.name != 'processes.py'
+        for node in parse(path).body
+        if hasattr(node, 'names')
+        for name in node.names
+    }
+    assert 'subprocess' not in imports, 'use processes.run or processes.Process'
+
+
 def test_nothing_names_a_private_machine():
     wrong = []
     for path in files():

@@ -3,7 +3,6 @@
 import contextlib
 import importlib.util
 import os
-import re
 
 import pytest
 import yaml
@@ -174,14 +173,3 @@ def test_robot_model_does_not_outlive_rviz(started):
     ]  # fmt: skip
     told = nodes['robot-model'].parameters('/robot_model')
     assert told == {'controller': 'mine'}
-
-
-def test_the_stand_in_refuses_what_the_first_jazzy_did_not_know(tmp_path):
-    broken = (ROOT / 'launch' / 'view.launch.py').read_text()
-    path = tmp_path / 'view.launch.py'
-    path.write_text(broken.replace("'config', 'robot.rviz']", "'config', ['robot', '.rviz']]"))
-    with pytest.raises(TypeError, match='expected str or Substitution'):
-        launch(path, tmp_path, SHARES)
-    path.write_text(re.sub(r"executable='rviz2',", r"executable='rviz2', respawns=2,", broken))
-    with pytest.raises(TypeError, match='respawns'):
-        launch(path, tmp_path, SHARES)
