@@ -17,9 +17,9 @@ venv: ## set up .venv and nothing else
 live: ## watch a mock robot meet its model, find what it hides: ARGS="--headless --hidden NAME"
 	$(RUN) python -m tendon_robot_ros live $(ARGS)
 
-# Two more than the cores that it is meant for: nodes wait most of the time. conftest.py puts the
+# Four more than the cores that it is meant for: nodes wait most of the time. conftest.py puts the
 # longest files first, so that what is left at the end is short.
-SPREAD := -n 4 --dist loadfile --no-loadscope-reorder
+SPREAD := -n 6 --dist loadfile --no-loadscope-reorder
 
 test: ## the fast tests
 	$(RUN) python -m pytest $(SPREAD) $(ARGS)
