@@ -238,7 +238,8 @@ def _row(fits: Fits, decision: Concluded, ranked: Ranked, errors: FittedErrors) 
     Return the row of a candidate.
 
     The left-out error of the chosen candidate and its competitors comes from the model, as in
-    `add`; that of the others is linearised, which is much cheaper.
+    `add`; that of the others is linearised, which is much cheaper. So are the intervals of what
+    is rejected: at the likeliest sizes of the imperfections, instead of over all possible ones.
     """
     fit, session, best = ranked.fit, fits.session, ranked is decision.chosen
     reported = fits.reported(ranked) if best else fit
@@ -254,14 +255,17 @@ def _row(fits: Fits, decision: Concluded, ranked: Ranked, errors: FittedErrors) 
         status = 'adequate, less likely' if needed else NOT_NEEDED
     else:
         status = 'rejected'
-    if status not in ('best', 'rejected', NOT_NEEDED):
+    count, known = len(fit.frees), None
+    if status == 'rejected':
+        known = fit.covariance[:count, :count]
+    elif not best and status != NOT_NEEDED:
         held_out = root_mean(left_out_squares(session.fitters[0], fit, errors.beside))
     values = {
         f'{effect}.{key}' if len(ranked.names) > 1 else key: value
-        for effect, items in values_of(reported, decision.scale).items()
+        for effect, items in values_of(reported, decision.scale, known).items()
         for key, value in items.items()
     }
-    loads = loads_of(reported, session.predictor, decision.scale)
+    loads = loads_of(reported, session.predictor, decision.scale, known)
     return CandidateRow(
         ranked.candidate.label,
         values,
