@@ -39,8 +39,8 @@ RESTART_TIMEOUT_S = 4.0
 # [s] between two attempts to get a port or a motor back, so that those that fail, with their
 # time-outs, leave most cycles to the motors that are there
 RETRY_PERIOD_S = 2.0 * ANSWER_TIMEOUT_S
-# [1] answers that are missed in a row, or times that what nobody acknowledges is sent, so that a
-# hiccup ends no motion and no configuration; what comes more often is no hiccup
+# [1] messages or answers that are lost in a row, or stray ones, so that a hiccup ends no motion
+# and no configuration; what comes more often is no hiccup
 HICCUPS_MAX = 5
 
 

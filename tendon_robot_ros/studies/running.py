@@ -19,6 +19,8 @@ from ..common.results import arrow
 from ..common.workers import LostWork, Workers
 from ..model.versions import UserEffect, compiled_once
 
+# [1] files of a table before they become one, because reading the keys opens every file
+PARTS_MAX = 64
 TABLE = 'table'  # in the folder of a study
 ERROR = 'error'  # in place of a verdict
 
@@ -127,8 +129,8 @@ class GrowingTable[R: Row]:
     """
     Rows in a folder of Parquet files, each whole or not there.
 
-    A file is written for every few seconds of results; at the end they become one. A row that
-    stands twice, because the computer was switched off in between, counts once.
+    A file is written for every few seconds of results; when they get many, they become one. A row
+    that stands twice, because the computer was switched off in between, counts once.
     """
 
     def __init__(self, folder: Path, kind: type[R]) -> None:
@@ -191,6 +193,8 @@ class GrowingTable[R: Row]:
             return
         content = [asdict(row) for row in rows]
         self._write(self.arrow.Table.from_pylist(content, schema=self.schema))
+        if len(self.files()) >= PARTS_MAX:
+            self.merge()
 
     def merge(self) -> None:
         """Make one file of all."""

@@ -199,7 +199,7 @@ class DynamixelDriver(PortDriver):
         if not self.limits_current:
             return
         if reduction > 0.0 or self._limits_reduced():
-            self._limit_due = HICCUPS_MAX
+            self._limit_due = HICCUPS_MAX + 1  # nobody acknowledges it, and so many may be lost
         for motor in self.motors.values():
             motor.limit_current(reduction, tension)
 

@@ -114,7 +114,7 @@ class BoardLink(PortLink):
                 return frames
         return []
 
-    def ask(self, kind: int, payload: bytes, attempts: int = HICCUPS_MAX) -> None:
+    def ask(self, kind: int, payload: bytes, attempts: int = HICCUPS_MAX + 1) -> None:
         """
         Send a message until the board acknowledges it.
 
