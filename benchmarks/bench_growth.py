@@ -36,7 +36,7 @@ def diagnosed(cells: int, exact: bool) -> dict[str, object]:
         make_plant(robot, HIDDEN), postures, trials=TRIALS, noise=SimulatedNoise(), seed=1
     )
     start = time.process_time()
-    found = diagnose(dataset, workers=1)
+    found = diagnose(dataset)
     return {
         'verdict': f'{found.verdict}: {" + ".join(effect.name for effect in found.effects)}',
         'seconds': time.process_time() - start,

@@ -273,7 +273,7 @@ def judge(robot: str, name: str, hidden: str, frame: str, level: float, seed: in
     if frame == 'found':
         dataset = laid_onto_the_model(dataset)
     start = time.process_time()
-    found = diagnose(dataset, workers=1)
+    found = diagnose(dataset)
     seconds = time.process_time() - start
     mistake = found.details.get('mistake', {}).get('name', '')
     text = ' '.join(lines(found))

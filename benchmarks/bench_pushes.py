@@ -100,7 +100,7 @@ def tried(robot: Robot, kind: str, seed: int, input: str = 'tension') -> dict[st
     except (NoEquilibriumError, InputError):  # also of pulls that a wall does not let it reach
         return None
     start = time.process_time()
-    found = diagnose(measured, robot, workers=1)
+    found = diagnose(measured, robot)
     names = [effect.name for effect in found.effects]
     alike = found.cannot_tell_apart
     row: dict[str, object] = {
@@ -123,7 +123,7 @@ def tried(robot: Robot, kind: str, seed: int, input: str = 'tension') -> dict[st
 
 def is_seen(measured: DataSet, robot: Robot, kind: str, true: dict[str, float]) -> bool:
     """Return whether the truth gains more than the best of all kinds does by chance."""
-    session = Question.of(measured, robot, load_catalogue(), workers=1).prepared()
+    session = Question.of(measured, robot, load_catalogue()).prepared()
     every = free_parameters(session.catalogue[kind], robot)
     start = {free: true[free.key] for free in every if free.key in true}
     candidate = Candidate((kind,), tuple(start), present=False)

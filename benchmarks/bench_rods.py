@@ -124,7 +124,7 @@ def named(name: str, disks: int, seeds: int, exact: bool) -> dict[str, object]:
     for seed in range(seeds):
         dataset = measured(name, disks, seed, exact)
         start = time.process_time()
-        found = diagnose(dataset, workers=1)
+        found = diagnose(dataset)
         times.append(time.process_time() - start)
         verdicts[f'{found.verdict}: {" + ".join(effect.name for effect in found.effects)}'] += 1
         for effect in found.effects:

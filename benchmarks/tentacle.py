@@ -39,13 +39,13 @@ def per_marker(difference: np.ndarray) -> np.ndarray:
 def left_out(names: tuple[str, ...], start: dict) -> np.ndarray:
     """Predict every posture from the others: measured minus model (P, J, 3) [m]."""
     dataset, catalogue = load_dataset(DATA), load_catalogue()
-    whole = Question.of(dataset, dataset.robot, catalogue, 1)
+    whole = Question.of(dataset, dataset.robot, catalogue)
     errors = []
     for i, posture in enumerate(dataset.postures):
         others = dataset.select([name for name in dataset.postures if name != posture])
-        session = Question.of(others, others.robot, catalogue, 1).weigh({})
+        session = Question.of(others, others.robot, catalogue).weigh({})
         frees = combined(session, names).frees
-        fit = session.fitters[0].fit(frees, start)
+        fit = session.fitter.fit(frees, start)
         errors.append(dataset.mean[i] - whole.predictor.markers(fit.point)[i])
     return np.array(errors)
 
@@ -66,14 +66,14 @@ def main() -> int:
     parser.add_argument('--json', type=Path)
     options = parser.parse_args()
     dataset = load_dataset(DATA)
-    session = Question.of(dataset, dataset.robot, load_catalogue(), 1).weigh({})
+    session = Question.of(dataset, dataset.robot, load_catalogue()).weigh({})
     prior = per_marker(dataset.mean - session.predictor.markers({}))
     print('rms error [mm] at markers p1 p2 p3 p4       fitted                   left out')
     print(f'{"prior description":38s} {_text(prior)}')
     rows, start = [{'added': None, 'fitted': prior.tolist()}], {}
     for count in range(1, len(options.order) + 1):
         names = tuple(options.order[:count])
-        fit = session.fitters[0].fit(combined(session, names).frees, start or None)
+        fit = session.fitter.fit(combined(session, names).frees, start or None)
         start = fit.point
         errors = left_out(names, start)
         fitted, left = per_marker(dataset.mean - fit.markers), per_marker(errors)

@@ -153,7 +153,7 @@ def test_under_tensions_a_gain_counts_for_a_hole_off_its_place_too():
 def test_the_noise_of_inputs_acts_on_the_arm_as_it_is_built():
     dataset = case('messy_000').select(case('messy_000').postures[:4])
     question, split = (
-        Question.of(dataset, dataset.robot, CATALOGUE, 1),
+        Question.of(dataset, dataset.robot, CATALOGUE),
         SplitPredictor(Predictor(dataset, dataset.robot, CATALOGUE)),
     )
     n, seen = split.whole.cells, []
@@ -200,12 +200,12 @@ def test_a_fit_never_rises_where_friction_turns_over(monkeypatch):
     places, found, start, go = [], [], None, Fitter.go
     monkeypatch.setattr(Fitter, 'go', lambda self, at: places.append(at) or go(self, at))
     for _ in range(3):
-        begun, fitter = len(places), session.fitters[0]
+        begun, fitter = len(places), session.fitter
         fit = start = fitter.fit(candidate.frees, start)
         deviances = [place.deviance for place in places[begun:]]
         assert (np.diff(deviances) <= 0.0).all(), deviances
         found.append(fit.values[0])
-        split, random = session.arms[0], fit.built.random
+        split, random = session.arm, fit.built.random
         split.around, sizes = fit.built.around, fit.built.sizes
         white = session.whitener.white(dataset.mean - split.markers(fit.point))
         worth = (
@@ -233,10 +233,10 @@ def test_a_soft_cell_is_looked_for_beyond_where_friction_turns_over():
     hides = Case('hinged', 'soft_cell', 0.65, 3)
     noise = setup.noises[0][1]
     made = simulated(hides, setup.arm('hinged'), setup.designs[0], noise, CATALOGUE, 71)
-    session = Question.of(made.fit, made.robot, CATALOGUE, workers=1).weigh({})
+    session = Question.of(made.fit, made.robot, CATALOGUE).weigh({})
     session = session.without(find_outliers(session.predictor, {}))
-    base = session.fitters[0].over_reversals(session.base_fit())
-    found = Patterns(session.fitters[0], base, reversals=True).soft_cell()
+    base = session.fitter.over_reversals(session.base_fit())
+    found = Patterns(session.fitter, base, reversals=True).soft_cell()
     assert found.deviance < base.deviance - 20.0
     assert abs(found.cell - made.values['cell']) <= 1
     assert found.size == pytest.approx(1.0 / made.values['factor'], rel=0.1)
@@ -245,14 +245,14 @@ def test_a_soft_cell_is_looked_for_beyond_where_friction_turns_over():
 def test_a_fit_looks_beyond_where_friction_turns_over():
     """One posture lies by a turn of friction: on the near side cells scatter by ten times."""
     made = levels_case('hinged/gravity/0.69461/0/0/0/0.3333/0')
-    session = Question.of(made.fit, made.robot, CATALOGUE, workers=1).weigh({})
+    session = Question.of(made.fit, made.robot, CATALOGUE).weigh({})
     session = session.without(find_outliers(session.predictor, {}))
     frees = next(one.frees for one in session.candidates if one.names == ('gravity',))
-    near = session.fitters[0].fit(frees)
+    near = session.fitter.fit(frees)
     for _ in range(2):
         session = session.weigh(near.point, near.built.around)
-        near = session.fitters[0].fit(frees, near)
-    fitter = session.fitters[0]
+        near = session.fitter.fit(frees, near)
+    fitter = session.fitter
     far = fitter.over_reversals(near)
     assert far.deviance < near.deviance - 20.0
     built = np.sqrt(np.mean(made.built.stiffness**2))
@@ -269,7 +269,7 @@ def test_fits_look_beyond_turns_of_friction_at_the_last_weights_too():
     hidden = Case('hinged', 'nonlinear_stiffness', 0.5662455489603104, 0)
     noise = setup.noises[0][1]
     made = simulated(hidden, setup.arm('hinged'), setup.designs[0], noise, CATALOGUE, seed=53)
-    found = diagnose(made.fit, catalogue=CATALOGUE, workers=1)
+    found = diagnose(made.fit, catalogue=CATALOGUE)
     assert found.verdict == 'missing_effect'
     assert [effect.name for effect in found.effects] == ['nonlinear_stiffness']
 
@@ -277,9 +277,9 @@ def test_fits_look_beyond_turns_of_friction_at_the_last_weights_too():
 @pytest.mark.parametrize('name', ['messy_008', 'messy_s0'])
 def test_where_friction_does_not_turn_over_a_fit_stays_as_it_is(name):
     dataset = case(name)
-    session = Question.of(dataset, dataset.robot, CATALOGUE, workers=1).weigh({})
+    session = Question.of(dataset, dataset.robot, CATALOGUE).weigh({})
     fit = session.base_fit()
-    found = session.fitters[0].over_reversals(fit)
+    found = session.fitter.over_reversals(fit)
     assert found is fit or found.deviance < fit.deviance
 
 
@@ -321,8 +321,8 @@ def test_the_sizes_of_imperfections_are_recovered():
 def unexplained(name):
     """Return the random effects of a case, and what the description leaves (N,)."""
     dataset = case(name)
-    session = Question.of(dataset, dataset.robot, CATALOGUE, workers=1).weigh({})
-    return session.random, session.fitters[0].residual(session.predictor.markers({}))
+    session = Question.of(dataset, dataset.robot, CATALOGUE).weigh({})
+    return session.random, session.fitter.residual(session.predictor.markers({}))
 
 
 @pytest.mark.parametrize('prior', [Prior.SIZES, Prior.NONE])

@@ -133,7 +133,7 @@ def test_postures_that_are_held_have_no_part_in_the_arm_beside_a_search(search, 
 @pytest.mark.long
 def test_the_arm_as_found_is_the_last_step_where_left_out_errors_fall():
     dataset, check = (built(ROBOT, HIDDEN, 8, which=which, count=8) for which in (0, 1))
-    found = improve(dataset, check=check, workers=1)
+    found = improve(dataset, check=check)
     before, last = found.steps[found.taken - 1], found.steps[found.taken]
     assert last.joined == AS_FOUND and 'hinge_friction' in before.joined
     assert total(last.left_out) < total(before.left_out) - last.scatter
@@ -149,8 +149,6 @@ def test_the_arm_as_found_is_the_last_step_where_left_out_errors_fall():
 
 def test_the_arm_as_found_is_not_tried_on_an_exact_one_or_where_noise_remains():
     exact = replace(ROBOT, exact=True)
-    assert AS_FOUND not in [
-        s.joined for s in improve(built(exact, HIDDEN, 6, count=4), workers=1).steps
-    ]
+    assert AS_FOUND not in [s.joined for s in improve(built(exact, HIDDEN, 6, count=4)).steps]
     dataset = measured(ROBOT, HIDDEN, count=6, seed=1)
-    assert AS_FOUND not in [s.joined for s in improve(dataset, workers=1).steps]
+    assert AS_FOUND not in [s.joined for s in improve(dataset).steps]

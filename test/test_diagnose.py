@@ -189,7 +189,7 @@ def test_a_description_without_an_equilibrium_is_an_error():
 @pytest.mark.parametrize('lever', [0.0, 3e-4])
 def test_an_effect_is_there_only_if_its_interval_leaves_out_what_is_described(lever):
     dataset = measured(ROBOT, {'hinge_friction': {'lever': lever}}, count=6)
-    found = gather(sessions.Question.of(dataset, dataset.robot, CATALOGUE, 1))
+    found = gather(sessions.Question.of(dataset, dataset.robot, CATALOGUE))
     (ranked,) = (r for r in found.singles if r.candidate.names == ('hinge_friction',))
     evidence = found.evidence()
     evidence = replace(evidence, departures={ranked.names: found.departures(ranked)})

@@ -38,7 +38,7 @@ HIDDEN = [
 
 def settled(dataset, names, robot=None):
     """Return the session and the fit of effects."""
-    session = Question.of(dataset, robot or dataset.robot, CATALOGUE, workers=1).weigh({})
+    session = Question.of(dataset, robot or dataset.robot, CATALOGUE).weigh({})
     return fit_effects(session, names)
 
 
@@ -134,13 +134,13 @@ def test_a_fit_that_begins_with_the_derivatives_of_another_ends_where_it_would_w
     dataset = measured(
         EXACT, {'hinge_friction': {'lever': 2e-4}, 'tension_offset': {'offset': 0.03}}
     )
-    session = Question.of(dataset, EXACT, CATALOGUE, workers=1).weigh({})
+    session = Question.of(dataset, EXACT, CATALOGUE).weigh({})
     frees = [
         free
         for name in ('hinge_friction', 'tension_offset')
         for free in free_parameters(session.catalogue[name], EXACT)
     ]
-    fitter, ends = session.fitters[0], []
+    fitter, ends = session.fitter, []
     far = fitter.fit(frees[::-1], {free: 2.0 * free.parameter.typical for free in frees}, steps=1)
     for start in (far, replace(far, tangent=None), far.point):
         ends.append(fitter.fit(frees, start))
@@ -163,7 +163,7 @@ def coverage(effect, values, seeds=40):
     held = []
     for seed in range(seeds):
         session, fit = settled(measured(ROBOT, {effect: values}, seed=seed, count=6), [effect])
-        for free, (low, high) in intervals(session.fitters[0], fit).items():
+        for free, (low, high) in intervals(session.fitter, fit).items():
             held.append(low <= values.get(free.parameter.name, 0.0) <= high)
     return float(np.mean(held))
 
@@ -186,7 +186,7 @@ def test_where_the_curvature_misleads_the_profile_decides():
     session, fit = settled(
         measured(robot, {'eyelet_wrap': {'fraction': 0.6}}, trials=2), ['eyelet_wrap']
     )
-    (low, high) = intervals(session.fitters[0], fit)[fit.frees[0]]
+    (low, high) = intervals(session.fitter, fit)[fit.frees[0]]
     for end in (low, high):
         if 0.0 < end < 1.0:
             pinned = session.predictor.markers({fit.frees[0]: end})
@@ -203,8 +203,8 @@ def test_an_interval_goes_on_where_another_parameter_is_at_its_bound(seed):
     inputs = np.random.default_rng(seed).permutation(default_postures(COARSE, 14))
     dataset = simulate(plant, inputs, trials=2, path='sequence', seed=seed)
     session, fit = settled(dataset, ['bending_hysteresis'])
-    told = session.fitters[0].for_values(fit)
-    ends = intervals(session.fitters[0], told)
+    told = session.fitter.for_values(fit)
+    ends = intervals(session.fitter, told)
     low, high = np.array(ends[fit.frees[0]]) - told.values[0]
     assert 0.5 < -high / low < 2.0
     assert low < hidden['lag'] - told.values[0] < high
@@ -212,24 +212,24 @@ def test_an_interval_goes_on_where_another_parameter_is_at_its_bound(seed):
 
 def test_what_no_posture_shows_has_no_interval():
     dataset = measured(ROBOT)
-    session = Question.of(dataset, ROBOT, CATALOGUE, workers=1).weigh({})
+    session = Question.of(dataset, ROBOT, CATALOGUE).weigh({})
     gravity = next(c for c in session.candidates if c.names == ('gravity',))
-    fit = session.fitters[0].fit(gravity.frees)
+    fit = session.fitter.fit(gravity.frees)
     value = values_of(fit)['gravity']['linear_density']
     assert value.note == 'not determined by these postures'
     high = fit.frees[0].parameter.high
-    assert intervals(session.fitters[0], fit)[fit.frees[0]] == (0.0, high)
+    assert intervals(session.fitter, fit)[fit.frees[0]] == (0.0, high)
 
 
 def test_a_declared_tolerance_takes_part_with_its_prior():
     robot = replace(ROBOT, tolerances={'bending_stiffness': 0.05}, exact=True)
     dataset = measured(robot, {'backbone_stiffness': {'relative_change': 0.04}})
-    session = Question.of(dataset, robot, CATALOGUE, workers=1).weigh({})
+    session = Question.of(dataset, robot, CATALOGUE).weigh({})
     base = session.base_fit()
     assert base.values[-1] == pytest.approx(0.04, abs=0.01)
     assert base.prior_z['bending_stiffness'] == pytest.approx(0.8, abs=0.2)
     assert base.probability(session.freedom) > 1e-3
-    claimed = session.fitters[0].fit(
+    claimed = session.fitter.fit(
         next(c for c in session.candidates if c.names == ('backbone_stiffness',)).frees
     )
     assert claimed.nuisances == ()

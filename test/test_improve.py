@@ -58,7 +58,7 @@ def arm():
     """Return measurements of an arm that hides two effects, other ones, and what was found."""
     dataset = measured(ROBOT, HIDDEN, seed=1)
     check = measured(ROBOT, HIDDEN, count=6, which=1, seed=2)
-    return dataset, check, improve(dataset, check=check, workers=1)
+    return dataset, check, improve(dataset, check=check)
 
 
 def test_both_hidden_effects_are_found_and_then_it_stops(arm):
@@ -105,7 +105,7 @@ def test_a_posture_left_out_has_no_part_in_its_prediction(arm):
 
 def test_nothing_joins_where_nothing_is_missing(tmp_path, capsys, monkeypatch):
     dataset = measured(ROBOT, count=6)
-    found = improve(dataset, workers=1)
+    found = improve(dataset)
     assert found.taken == 0 and len(found.steps) == 1
     assert found.robot.effects == ROBOT.effects
     monkeypatch.setattr('tendon_robot_ros.cli.diagnosis.improve', lambda *args: found)
@@ -123,7 +123,7 @@ def test_a_stiffness_that_changes_along_the_arm_is_found_and_written():
     stiff = tuple(np.array(section.bending_stiffness) * factors)
     true = replace(ROBOT, sections=(replace(section, bending_stiffness=stiff),))
     dataset = replace(measured(true, seed=3), robot=ROBOT)
-    found = improve(dataset, workers=1)
+    found = improve(dataset)
     assert [step.joined for step in found.steps[1 : found.taken + 1]] == ['bending_stiffness']
     change = np.array(found.robot.sections[0].bending_stiffness) / stiff
     assert np.abs(np.log(change[1:-1])).max() < 0.1
@@ -173,7 +173,7 @@ def test_friction_that_remembers_joins_where_visits_tell_of_it():
     rng = np.random.default_rng(3)
     inputs, noise = rng.uniform(0.0, 2.0, (8, 2)), SimulatedNoise(position=1e-4)
     data = simulate(plant, inputs, noise=noise, trials=3, path='visits', seed=1)
-    found = improve(data, workers=1)
+    found = improve(data)
     assert found.values.keys() == hidden.keys()
     length = found.values['friction_memory']['presliding_length']
     assert length.low < 2e-4 < length.high

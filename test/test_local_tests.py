@@ -38,7 +38,7 @@ def softened(cell, factor):
 
 def base_of(dataset, robot=ROBOT):
     """Return a session and its fit without any effect."""
-    session = Question.of(dataset, robot, CATALOGUE, 1).weigh({})
+    session = Question.of(dataset, robot, CATALOGUE).weigh({})
     return session, session.base_fit()
 
 
@@ -198,7 +198,7 @@ def test_an_exact_description_is_tested_as_well(slipped):
 @pytest.mark.long
 def test_the_diagnosis_says_and_draws_where_the_model_is_wrong():
     dataset = replace(measured(softened(9, 0.65)), robot=ROBOT)
-    diagnosis = diagnose(dataset, catalogue=CATALOGUE, workers=1)
+    diagnosis = diagnose(dataset, catalogue=CATALOGUE)
     (fault,) = diagnosis.details['local_faults']
     length = ROBOT.sections[0].cell_length
     assert fault['along'] == pytest.approx([8 * length, 9 * length])

@@ -118,14 +118,14 @@ def test_an_interval_holds_what_the_model_is_off():
 
 
 def test_a_response_that_is_off_is_off_by_the_same_share_of_every_change():
-    session = Question.of(measured(ROBOT, LOAD), ROBOT, CATALOGUE, workers=1).weigh({})
+    session = Question.of(measured(ROBOT, LOAD), ROBOT, CATALOGUE).weigh({})
     frees = next(one.frees for one in session.candidates if one.names == ('tip_load',))
-    fit = session.fitters[0].fit(frees)
+    fit = session.fitter.fit(frees)
     changed = fit.values - np.array([session.predictor.value(free) for free in frees])
     more = replace(fit, response=0.1).interval_covariance - fit.interval_covariance
     np.testing.assert_allclose(more, 0.01 * np.outer(changed, changed), atol=1e-15)
     assert session.response_error == 0.0
-    known = Question.of(session.dataset, replace(ROBOT, model_error=3e-3), CATALOGUE, workers=1)
+    known = Question.of(session.dataset, replace(ROBOT, model_error=3e-3), CATALOGUE)
     tips = known.dataset.mean[:, -1]
     moved = np.sqrt(((tips - tips.mean(axis=0)) ** 2).sum(axis=1).mean())
     assert known.response_error == pytest.approx(3e-3 / moved)

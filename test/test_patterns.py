@@ -23,9 +23,9 @@ def damaged(factors):
 
 def patterns_of(dataset, robot=ROBOT):
     """Fit the patterns to measurements that the description does not explain."""
-    session = Question.of(replace(dataset, robot=robot), robot, CATALOGUE, workers=1).weigh({})
+    session = Question.of(replace(dataset, robot=robot), robot, CATALOGUE).weigh({})
     fit = session.base_fit()
-    return fit, {pattern.name: pattern for pattern in outside(session.fitters, fit)}
+    return fit, {pattern.name: pattern for pattern in outside(session.fitter, fit)}
 
 
 @pytest.mark.parametrize(('cell', 'factor'), [(4, 0.6), (7, 1.6)])
@@ -95,11 +95,11 @@ def test_a_cell_that_bends_a_little_more_is_not_said_to_bend_as_it_should(ratio,
 def test_a_line_that_patterns_are_far_above_changes_nothing_below_it():
     dataset = measured(damaged(np.where(np.arange(15) == 3, 0.2, 1.0)), count=6)
     robot = replace(ROBOT, exact=False)
-    session = Question.of(replace(dataset, robot=robot), robot, CATALOGUE, workers=2).weigh({})
+    session = Question.of(replace(dataset, robot=robot), robot, CATALOGUE).weigh({})
     fit = session.base_fit()
-    whole = {one.name: one for one in outside(session.fitters, fit)}
+    whole = {one.name: one for one in outside(session.fitter, fit)}
     line = whole['soft_cell'].score
-    raced = {one.name: one for one in outside(session.fitters, fit, line=line)}
+    raced = {one.name: one for one in outside(session.fitter, fit, line=line)}
     assert fit.deviance > line + 60.0, 'the base is far behind'
     assert raced['soft_cell'].deviance == pytest.approx(whole['soft_cell'].deviance, abs=1e-6)
     assert raced['soft_cell'].cell == whole['soft_cell'].cell

@@ -70,7 +70,7 @@ def test_a_string_is_named_with_its_place_and_its_fixed_point(arm, built):
     _, _, point, tension = ARMS[arm]
     anchor = dict(zip(('point_x', 'point_y', 'point_z'), point, strict=True))
     hidden = {'tether': {**middle(arm), 'tension': tension, **anchor}}
-    found = diagnose(measured(arm, hidden, BUILT[built], count=18), workers=1)
+    found = diagnose(measured(arm, hidden, BUILT[built], count=18))
     assert found.verdict is Verdict.MISSING_EFFECT
     assert [effect.name for effect in found.effects] == ['tether']
     told = found.effects[0].parameters
@@ -85,7 +85,7 @@ def test_a_string_is_named_with_its_place_and_its_fixed_point(arm, built):
 def test_a_spring_is_told_from_a_string_of_constant_tension():
     anchor = dict(zip(('point_x', 'point_y', 'point_z'), ARMS['spatial'][2], strict=True))
     spring = {**middle('spatial'), **anchor, 'stiffness': 1.5, 'slack_length': 0.05}
-    found = diagnose(measured('spatial', {'tether': spring}, exact=True), workers=1)
+    found = diagnose(measured('spatial', {'tether': spring}, exact=True))
     assert (found.verdict, [one.name for one in found.effects]) == ('missing_effect', ['tether'])
     told = found.effects[0].parameters
     assert 'tension' not in told
@@ -98,7 +98,7 @@ def test_a_spring_is_told_from_a_string_of_constant_tension():
 def test_a_load_that_is_always_the_same_stays_a_tip_load(arm):
     force = 0.5 * ARMS[arm][3]
     hidden = {'tip_load': {'force_x': force, 'force_z': -force}}
-    found = diagnose(measured(arm, hidden), workers=1)
+    found = diagnose(measured(arm, hidden))
     assert found.verdict in (Verdict.MISSING_EFFECT, Verdict.AMBIGUOUS)
     assert found.effects[0].name == 'tip_load'
 
@@ -107,7 +107,7 @@ def test_a_load_that_is_always_the_same_stays_a_tip_load(arm):
 def test_a_constant_force_within_the_arm_is_named_with_its_place(arm, built):
     """A string from far away is the same, which the verdict then says."""
     force = {'force_x': 0.5 * ARMS[arm][3], 'force_z': -0.5 * ARMS[arm][3]}
-    found = diagnose(measured(arm, {'point_load': middle(arm) | force}, BUILT[built]), workers=1)
+    found = diagnose(measured(arm, {'point_load': middle(arm) | force}, BUILT[built]))
     named = {found.effects[0].name, *found.cannot_tell_apart}
     assert found.verdict.may_add and 'point_load' in named <= {'point_load', 'tether'}
     told = next(row.parameters for row in found.candidates if row.name == 'point_load')
@@ -122,8 +122,8 @@ def test_the_search_for_a_load_starts_beside_what_imperfections_explain(arm):
     """A force that is screened as if the arm were exact would be many times too small."""
     force = {'force_x': 0.2 * ARMS[arm][3], 'force_z': -0.2 * ARMS[arm][3]}
     dataset = measured(arm, {'point_load': middle(arm) | force})
-    session = Question.of(dataset, dataset.robot, simulated.CATALOGUE, workers=1).prepared()
-    screen = Screen.of(session.fitters[0], session.base_fit())
+    session = Question.of(dataset, dataset.robot, simulated.CATALOGUE).prepared()
+    screen = Screen.of(session.fitter, session.base_fit())
     start = next(screen.loads())
     assert abs(start['arc_length'] - middle(arm)['arc_length']) < 0.2 * screen.length
     assert start['force_x'] == pytest.approx(force['force_x'], rel=0.5)
@@ -138,7 +138,7 @@ def test_a_wall_chooses_its_postures_and_a_load_acts_in_all():
 def test_a_wall_is_named_with_the_postures_that_touch_it_and_added(arm, built):
     wall = dict(zip(FACES, WALLS[arm], strict=True))
     dataset = measured(arm, {'contact': wall}, BUILT[built])
-    found = diagnose(dataset, workers=1)
+    found = diagnose(dataset)
     assert [effect.name for effect in found.effects] == ['contact']
     assert_told(found.effects[0].parameters, wall)
     described = dataset.robot.with_effect('contact', wall)
@@ -163,7 +163,7 @@ def test_imperfections_are_weighed_as_they_move_an_arm_that_is_held():
         zip(('stiffness', 'distance', 'azimuth', 'elevation'), WALLS['planar'], strict=True)
     )
     dataset = measured('planar', {'contact': wall})
-    question = Question.of(dataset, dataset.robot, simulated.CATALOGUE, workers=1)
+    question = Question.of(dataset, dataset.robot, simulated.CATALOGUE)
     fits = gather(question.prepared())
     chosen = fits.judge().chosen
     assert chosen.names == ('contact',)

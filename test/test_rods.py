@@ -38,7 +38,7 @@ def test_rods_are_met_with_and_without_a_force_at_the_tip(cells, table, without,
 @pytest.mark.parametrize('exact', [True, False], ids=['exact', 'as built'])
 @pytest.mark.long
 def test_a_diagnosis_names_the_twist_of_a_rod_with_its_size(exact, disks, seed):
-    found = diagnose(rods.measured('twisting', disks, seed=seed, exact=exact), workers=1)
+    found = diagnose(rods.measured('twisting', disks, seed=seed, exact=exact))
     assert found.verdict == 'missing_effect'
     assert [effect.name for effect in found.effects] == ['torsion']
     assert found.cannot_tell_apart == ()
@@ -51,7 +51,7 @@ def test_a_diagnosis_names_the_twist_of_a_rod_with_its_size(exact, disks, seed):
     [slow(True, 40, 0), (True, 20, 1), slow(False, 40, 0), slow(False, 20, 1)],
 )
 def test_a_diagnosis_of_a_rod_that_does_not_twist_names_nothing(exact, disks, seed):
-    found = diagnose(rods.measured('stiff', disks, seed=seed, exact=exact), workers=1)
+    found = diagnose(rods.measured('stiff', disks, seed=seed, exact=exact))
     assert found.verdict == 'adequate'
 
 

@@ -17,7 +17,7 @@ HINGES = {'hinge_friction': {'lever': 3e-4}}
 def test_memory_of_friction_is_fitted_beside_an_effect_only_where_there_may_be_one(name, hidden):
     robot = simulated.robot(name)
     session = Question.of(
-        measured(robot, hidden, count=8, path='sequence'), robot, CATALOGUE, workers=1
+        measured(robot, hidden, count=8, path='sequence'), robot, CATALOGUE
     ).weigh({})
     (alone,) = session.fit_all([c for c in session.candidates if c.names == ('hinge_friction',)])
     (memory,) = [c for c in session.candidates if c.names == ('friction_memory',)]
@@ -29,7 +29,7 @@ def test_memory_of_friction_is_fitted_beside_an_effect_only_where_there_may_be_o
 def test_memory_of_friction_beside_another_effect_is_named():
     robot = simulated.robot('kato_10_1')
     hidden = {'hinge_friction': {'lever': 6e-4}} | MEMORY
-    found = diagnose(measured(robot, hidden, seed=3, count=10, path='sequence'), workers=1)
+    found = diagnose(measured(robot, hidden, seed=3, count=10, path='sequence'))
     assert found.verdict == 'several'
     assert {effect.name for effect in found.effects} == set(hidden)
 
@@ -42,8 +42,6 @@ def test_an_effect_that_others_make_needless_leaves_the_combination():
         'tendon_friction': {'friction_coefficient': 0.25},
         'tip_load': {'force_x': 0.01, 'force_z': 0.02},  # [N]
     }
-    session = Question.of(
-        measured(described, hidden, count=10), described, CATALOGUE, workers=1
-    ).weigh({})
+    session = Question.of(measured(described, hidden, count=10), described, CATALOGUE).weigh({})
     first = session.fit_all([c for c in session.candidates if c.names == ('moment_arm',)])
     assert set(several(session, first)[1][0].names) == set(hidden)

@@ -11,7 +11,7 @@ ROBOT = simulated.robot()
 
 
 def fitted(hidden, robot=ROBOT):
-    session = Question.of(measured(robot, hidden, count=12), robot, CATALOGUE, workers=1).weigh({})
+    session = Question.of(measured(robot, hidden, count=12), robot, CATALOGUE).weigh({})
     tested, _ = session.split_tested({})
     return session, {r.candidate.names[0]: r for r in session.fit_all(tested)}
 
@@ -29,15 +29,3 @@ def test_exact_twins_fit_alike_and_the_first_is_best():
     twins = [found['backbone_stiffness'], found['transmission_loss']]
     assert twins[0].fit.chi2 == pytest.approx(twins[1].fit.chi2, abs=0.05)
     assert first_of_best(list(found.values())).names == ('backbone_stiffness',)
-
-
-def test_workers_do_not_change_the_result():
-    dataset = measured(ROBOT, {'hinge_friction': {'lever': 2e-4}}, count=5)
-    results = []
-    for workers in (1, 3):
-        session = Question.of(dataset, ROBOT, CATALOGUE, workers=workers).weigh({})
-        tested, _ = session.split_tested({})
-        results.append([(r.candidate.label, r.fit.chi2) for r in session.fit_all(tested)])
-    assert [name for name, _ in results[0]] == [name for name, _ in results[1]]
-    for (_, one), (_, other) in zip(*results, strict=True):
-        assert one == pytest.approx(other, rel=1e-4)

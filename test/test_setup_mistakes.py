@@ -209,7 +209,7 @@ def test_a_mistake_beside_a_missing_effect_is_said_with_the_effect(name, limp):
     else:
         right = measured(limp, {'tendon_friction': {'friction_coefficient': 0.12}}, count=count)
         wrong = registered(make(right))
-    found = diagnose(wrong, workers=1)
+    found = diagnose(wrong)
     assert found.details['mistake']['name'] == mistake
     assert sentence in found.remainder
     assert found.effects == ()
@@ -254,7 +254,7 @@ AGAIN = ('swapped', 'from the tip', 'tip marker', 'dead load cell')
 def test_a_mistake_beside_a_load_is_said_with_what_and_where(name, frame, limp):
     make, mistake, sentence = BESIDE_A_LOAD[name]
     wrong = make(measured(limp, {'tip_load': {'force_x': 0.1}}, count=6))
-    found = diagnose(registered(wrong) if frame == 'found' else wrong, workers=1)
+    found = diagnose(registered(wrong) if frame == 'found' else wrong)
     assert found.details['mistake']['name'] == mistake
     assert sentence in found.remainder
     assert found.effects == ()
@@ -291,7 +291,7 @@ def test_a_marker_elsewhere_is_tried_though_all_nearer_to_the_base_leave_less():
     markers = [right.markers[j] for j in own]
     markers[-1] = replace(markers[-1], arc_length=0.095)
     wrong = replace(right, markers=tuple(markers), positions=right.positions[:, :, own])
-    session = Question.of(wrong, arm, CATALOGUE, 1, None).weigh({})
+    session = Question.of(wrong, arm, CATALOGUE).weigh({})
     _, found = mended_rivals(session, 2e-3)
     assert 'with marker 20 at 100 mm along the arm instead of 95.0 mm' in found[0].mistake.sentence
     assert found[0].explained.names == ('tip_load',)
@@ -334,7 +334,7 @@ def test_half_as_many_cells_on_the_same_length_are_told_beside_a_load():
         markers=tuple(right.markers[j] for j in own),
         positions=right.positions[:, :, own],
     )
-    session = Question.of(wrong, half, CATALOGUE, 1, None).weigh({})
+    session = Question.of(wrong, half, CATALOGUE).weigh({})
     _, found = mended_rivals(session, 2e-3)
     said = 'with 20 cells of 5 mm instead of 10 in the arm (markers stay)'
     assert said in found[0].mistake.sentence  # twice the tensions do nearly the same
@@ -348,7 +348,7 @@ def test_a_light_arm_may_hang_upside_down_where_a_load_makes_up_for_it():
     light = parse_robot(LIMP.replace('0.1364', '0.03'))
     right = measured(light, {'tip_load': {'force_x': 0.2}}, count=6)
     up = (-9.81, 0.0, 0.0)
-    found = diagnose(replace(right, robot=replace(light, gravity=up), gravity=up), workers=1)
+    found = diagnose(replace(right, robot=replace(light, gravity=up), gravity=up))
     assert [effect.name for effect in found.effects] == ['tip_load']
     (said,) = (caveat for caveat in found.details['caveats'] if 'with gravity' in caveat)
     assert said.startswith('with gravity [9.81, 0, 0], or ')
@@ -381,7 +381,7 @@ def test_markers_cut_at_an_end_of_an_arm_with_cells_too_few_are_said(end, how, h
     shift = 0.0 if end == 'tip' else described.length - robot.length
     places = np.clip(right.arc_lengths + shift, 0.0, described.length).tolist()
     markers = tuple(replace(m, arc_length=s) for m, s in zip(right.markers, places, strict=True))
-    found = diagnose(replace(right, robot=described, markers=markers), workers=1)
+    found = diagnose(replace(right, robot=described, markers=markers))
     assert found.verdict == 'cannot_judge'
     sentence = found.details['mistake']['sentence']
     assert 'are described in one place and are ' in sentence

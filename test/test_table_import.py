@@ -349,7 +349,7 @@ def test_gaps_rest_and_jumps_are_told(noisy):
 def test_what_was_hidden_is_found_through_the_table(noisy):
     imported = import_table(noisy, ARM, {'up': 'y'})
     assert imported.frame.residual > 5e-3  # the model lacks the load, the frame is off by it
-    found = diagnose(imported.dataset, workers=1)
+    found = diagnose(imported.dataset)
     assert [effect.name for effect in found.effects] == ['tip_load']
     force = found.effects[0].parameters['force_x']
     assert force.low < -0.05 < force.high

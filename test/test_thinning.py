@@ -181,7 +181,7 @@ def few_are_used(monkeypatch):
 @pytest.mark.long
 def test_the_text_says_how_many_postures_were_used_and_the_error_is_of_all(few_are_used):
     data = recording(tip_load={'force_x': 0.05})
-    found = diagnose(data, workers=1)
+    found = diagnose(data)
     assert [effect.name for effect in found.effects] == ['tip_load']
     text = '\n'.join(lines(found))
     assert f'{USED} of {COUNT} postures were used, evenly spread' in text
@@ -192,7 +192,7 @@ def test_the_text_says_how_many_postures_were_used_and_the_error_is_of_all(few_a
 
 def test_improve_uses_some_postures_and_says_so(few_are_used):
     data = recording(tip_load={'force_x': 0.05})
-    found = improve(data, workers=1)
+    found = improve(data)
     assert 'tip_load' in [step.joined for step in found.steps[: found.taken + 1]]
     assert found.left_out['thinned'] == [USED, COUNT]
     assert len(found.tips) == USED

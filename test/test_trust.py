@@ -83,7 +83,7 @@ def test_tolerances_and_imperfections_hide_their_twins():
     built = replace(exact, robot=replace(ROBOT, exact=False))
     sizes = []
     for dataset in (exact, loose, built):
-        session = Question.of(dataset, dataset.robot, CATALOGUE, workers=1).weigh({})
+        session = Question.of(dataset, dataset.robot, CATALOGUE).weigh({})
         tested, _ = session.split_tested({})
         seen = smallest_sizes(session.fit_all(tested), session.nuisances)
         sizes.append({one.free.effect: one.size for one in seen})

@@ -126,14 +126,16 @@ class Diagnose:
             'a minute more)'
         )
         add('--trust', action='store_true', help=what)
-        options.add_workers(parser)
+        what = 'simulations of --trust at a time (default: 2)'
+        add('--workers', type=int, default=2, metavar='N', help=what)
         options.declare(parser, '--overwrite', '--effect-file')
 
     def run(self, args: argparse.Namespace) -> int:
         """Diagnose, add, print."""
         if args.partial and not args.add:
             raise InputError('--partial: expected together with --add')
-        options.check_workers(args)
+        if args.workers < 1:
+            raise InputError(f'--workers: expected at least 1, got {args.workers}')
         options.refuse_existing('--add', args.add, args.overwrite)
         with options.progress() as show:
             dataset, check, catalogue = options.load_judged(args, show)
@@ -141,7 +143,7 @@ class Diagnose:
                 old = options.load_measurements(args.reference, dataset.robot, show)
                 dataset = since(dataset, old, None, catalogue)
                 check = None if check is None else since(check, old, None, catalogue)
-            diagnosis = diagnose(dataset, None, catalogue, args.workers, show)
+            diagnosis = diagnose(dataset, None, catalogue, progress=show)
             if args.trust:
                 from ..diagnosis.trust import SECONDS, assess
 
@@ -314,16 +316,15 @@ class Improve:
         options.add_file(parser, '--output', 'the improved description', 'NEW', required=True)
         add('--check', metavar='DATA2', help='other postures, whose error is shown at every step')
         options.add_report(parser)
-        options.add_workers(parser)
+        add('--workers', type=int, metavar='N', help='no effect: fits run one after the other')
         options.declare(parser, '--json', '--overwrite', '--effect-file')
 
     def run(self, args: argparse.Namespace) -> int:
         """Search, write, print."""
-        options.check_workers(args)
         options.refuse_existing('--output', args.output, args.overwrite)
         with options.progress(remaining=True) as show:
             dataset, check, catalogue = options.load_judged(args, show)
-            improvement = improve(dataset, None, catalogue, check, args.workers, show)
+            improvement = improve(dataset, None, catalogue, check, progress=show)
         robot = improvement.robot if improvement.taken else None
         lines, page = improvement_page.improvement_lines(improvement), None
         if args.report:

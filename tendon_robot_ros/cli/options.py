@@ -316,18 +316,6 @@ def load_judged(
     return dataset, check, effects_of(args)
 
 
-def add_workers(parser: argparse.ArgumentParser) -> None:
-    """Declare --workers of a fit."""
-    what = 'at a time (default: 2)'
-    parser.add_argument('--workers', type=int, default=2, metavar='N', help=what)
-
-
-def check_workers(args: argparse.Namespace) -> None:
-    """Raise InputError where --workers is no number of processes."""
-    if args.workers < 1:
-        raise InputError(f'--workers: expected at least 1, got {args.workers}')
-
-
 def refuse_existing(option: str, path: str | None, overwrite: bool) -> None:
     """Raise InputError before any work where a file would be replaced."""
     if path is not None and Path(path).exists() and not overwrite:

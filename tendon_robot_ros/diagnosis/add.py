@@ -205,7 +205,7 @@ def add_effects(
     dataset = load_dataset(dataset)
     described = dataset.robot if robot is None else load_robot(robot)
     other = None if check is None else load_dataset(check, described)
-    session = Question.of(dataset, described, load_catalogue(catalogue), workers=1).prepared()
+    session = Question.of(dataset, described, load_catalogue(catalogue)).prepared()
     dataset = session.dataset
     by_name, point = {effect.name: effect for effect in start}, None
     if set(names) <= set(by_name):
@@ -215,7 +215,7 @@ def add_effects(
     settled = settle(session, names, point)
     session, fit, descriptions = settled.session, settled.fit, settled.descriptions
     probability, scale = settled.probability, settled.scale
-    values = values_with_intervals(session.fitters[0], fit, scale)
+    values = values_with_intervals(session.fitter, fit, scale)
     fitted = errors_on(session.dataset, described, descriptions, session.catalogue, 'fitted')
     if other is not None:
         on_check = errors_on(other, described, descriptions, session.catalogue, 'check')
@@ -260,7 +260,7 @@ class Settled:
 def settle(session: Session, names: Sequence[str], start: Point | None = None) -> Settled:
     """Fit effects together, weighed by the accuracy where they misfit beyond repeatability."""
     session, fit = fit_effects(session, names, start)
-    probability, fit = fit.probability(session.freedom), session.fitters[0].for_values(fit)
+    probability, fit = fit.probability(session.freedom), session.fitter.for_values(fit)
     descriptions = written(session, fit)
     if probability <= P_SINGLE_MIN and session.accuracy:
         session, fit, descriptions = _by_accuracy(session, names, fit, descriptions)
@@ -282,7 +282,7 @@ def _by_accuracy(
     with suppress(NoEquilibriumError):
         accurate = replace(session, use_accuracy=True).weigh(fit.point)
         accurate, refitted = fit_effects(accurate, names, fit.point)
-        refitted = accurate.fitters[0].for_values(refitted)
+        refitted = accurate.fitter.for_values(refitted)
         other = written(accurate, refitted)
         if other.left_out <= descriptions.left_out:
             return accurate, refitted, other
@@ -335,7 +335,7 @@ def fit_effects(
     own = [_candidate(session, name, keys) for name, keys in known.items()]
     fit = _joined(session, own) if start is None else _fit(session, _together(own), start)
     for _ in range(2):
-        fit = session.fitters[0].over_reversals(fit)
+        fit = session.fitter.over_reversals(fit)
         session = session.weigh(fit.point, fit.built.around)
         fit = _fit(session, _together(own), fit)
     return session, fit
@@ -376,7 +376,7 @@ def _together(candidates: Sequence[Candidate]) -> Candidate:
 
 def _fit(session: Session, candidate: Candidate, start: Fit | Point | None) -> Fit:
     try:
-        return session.fitters[0].fit(candidate.frees, start)
+        return session.fitter.fit(candidate.frees, start)
     except (ArithmeticError, np.linalg.LinAlgError):
         raise NoEquilibriumError(
             f'a posture of {session.dataset.name}', candidate.names, np.inf

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..common.errors import InputError, NoEquilibriumError, Progress, whole
+from ..common.errors import InputError, NoEquilibriumError, Progress
 from ..common.processes import one_thread
 from ..common.words import listed, mm
 from ..data import DataSetLike, load_dataset
@@ -41,7 +41,7 @@ def diagnose(
     dataset: DataSetLike,
     robot: RobotLike | None = None,
     catalogue: CatalogueLike | None = None,
-    workers: int = 2,
+    workers: int = 1,
     progress: Progress | None = None,
     reference: DataSetLike | None = None,
 ) -> Diagnosis:
@@ -57,7 +57,7 @@ def diagnose(
     catalogue : Catalogue or paths, optional
         The effects to consider; default: the built-in ones and installed ones.
     workers : int
-        Threads.
+        Has no effect: fits one after the other are faster than in threads.
     progress : callable, optional
         Called with (what, done, total).
     reference : DataSet, path, or a list of these, optional
@@ -69,12 +69,12 @@ def diagnose(
         The description does not fit the catalogue, or the model finds no equilibrium at all.
 
     """
-    dataset, workers = load_dataset(dataset), whole('workers', workers, 1)
+    dataset = load_dataset(dataset)
     judged = dataset.robot if robot is None else load_robot(robot)
     if reference is not None:
         dataset = since(dataset, reference, judged, catalogue)
         judged = dataset.robot
-    question = Question.of(dataset, judged, load_catalogue(catalogue), workers, progress)
+    question = Question.of(dataset, judged, load_catalogue(catalogue), progress)
     measured = int((question.dataset.trials > 0).sum())
     if measured < POSTURES_MIN:
         needed = f'{POSTURES_MIN} or more are needed, six are better'

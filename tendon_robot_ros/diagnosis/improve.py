@@ -15,13 +15,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from ..common.arrays import Floats
-from ..common.errors import InputError, NoEquilibriumError, Progress, listener, whole
+from ..common.errors import InputError, NoEquilibriumError, Progress, listener
 from ..common.processes import one_thread
 from ..data import DataSet, DataSetLike, load_dataset
 from ..effects import Catalogue, CatalogueLike, load_catalogue
@@ -46,7 +46,7 @@ from ..inference.fitter import FAILURES
 from ..inference.imperfections import POSITION, ROTATION, SplitPredictor, imperfections
 from ..inference.intervals import QUANTILE, LoadVector, Value, loads_of, values_of
 from ..inference.predict import FreeParameter, Predictor
-from ..inference.session import Question, Session, side_by_side
+from ..inference.session import Question, Session
 from ..inference.statistics import mean_over
 from ..robot import Robot, RobotLike, load_robot
 from .add import Addition, more_at_work, settle, with_origin
@@ -79,13 +79,13 @@ class AsFound:
     @cached_property
     def markers(self) -> Floats:
         """Markers (P, J, 3) [m] that this description predicts; nan without equilibrium."""
-        shown = written_markers(self.session.fitters[0], self.fit, self.fit.values)
+        shown = written_markers(self.session.fitter, self.fit, self.fit.values)
         return np.full_like(self.fit.markers, np.nan) if shown is None else shown
 
     @cached_property
     def left_out(self) -> Floats:
         """Squared errors (P, J) [m²] of postures left out in turn."""
-        return left_out_squares(self.session.fitters[0], self.fit, folds=self.search.folds)
+        return left_out_squares(self.session.fitter, self.fit, folds=self.search.folds)
 
     @property
     def is_worthwhile(self) -> bool:
@@ -222,7 +222,7 @@ def as_found(search: Stepwise, state: State) -> AsFound | None:
             if name in before.effects:
                 robot = robot.with_effect(name, before.effects[name], before.fitted.get(name))
     try:
-        session = Question.of(search.dataset, robot, search.catalogue, 1).weigh({})
+        session = Question.of(search.dataset, robot, search.catalogue).weigh({})
         settled = settle(session, names, {})
     except (*FAILURES, NoEquilibriumError):
         return None
@@ -240,7 +240,7 @@ def _as_plausible(session: Session, fit: Fit) -> Fit:
     if not fit.as_built:
         return fit
     usual = np.nan_to_num(fit.built.random.plausible, posinf=0.0)
-    fitter = session.fitters[0]
+    fitter = session.fitter
     fitter.resume(fit)
     return fitter.fit(fit.frees, fit.point, sizes=np.maximum(fit.built.sizes, usual))
 
@@ -251,7 +251,7 @@ def improve(
     robot: RobotLike | None = None,
     catalogue: CatalogueLike | None = None,
     check: DataSetLike | None = None,
-    workers: int = 2,
+    workers: int = 1,
     progress: Progress | None = None,
 ) -> Improvement:
     """
@@ -267,7 +267,7 @@ def improve(
     check : DataSet or path, optional
         Other postures, whose error is shown at every step; they have no part in anything.
     workers : int
-        Threads.
+        Has no effect: fits one after the other are faster than in threads.
     progress : callable, optional
         Called with (what, done, total).
 
@@ -280,7 +280,7 @@ def improve(
 
     """
     show = listener(progress)
-    dataset, workers = load_dataset(dataset), whole('workers', workers, 1)
+    dataset = load_dataset(dataset)
     before = dataset.robot if robot is None else load_robot(robot)
     other = None if check is None else load_dataset(check, before)
     search = Stepwise(dataset, before, load_catalogue(catalogue))
@@ -289,7 +289,7 @@ def improve(
             f'{search.dataset.name}: {len(search.folds)} different inputs, expected '
             f'{GROUPS_MIN} or more'
         )
-    searched = Searched.by(search, other, workers, show)
+    searched = Searched.by(search, other, show)
     search.refuse_mistake(searched.states[-1])
     arm = None if search.robot.exact else as_found(search, searched.states[searched.taken])
     if arm is not None:
@@ -356,15 +356,11 @@ class Searched:
     arm_written: bool = False  # whether the arm as it was found is the last step
 
     @classmethod
-    def by(cls, search: Stepwise, check: DataSet | None, workers: int, show: Progress) -> Searched:
+    def by(cls, search: Stepwise, check: DataSet | None, show: Progress) -> Searched:
         """Search step by step, in turn with and without each fold, while this lowers errors."""
         walks = [search.without(held).path() for held in search.folds]
         paths, states = [list[State]() for _ in walks], list[State]()
         fitted, errors = list[Floats](), list[Floats]()
-
-        def go_on(i: int, worker: int) -> None:
-            show('searching without some postures', i, len(walks))
-            paths[i].append(next(walks[i], None) or paths[i][-1])
 
         for k, state in enumerate(search.path()):
             show('searching', k, STEPS_MAX)
@@ -373,7 +369,9 @@ class Searched:
                 break  # a posture that was not used has no equilibrium
             states.append(state)
             fitted.append(after)
-            side_by_side([partial(go_on, i) for i in range(len(walks))], workers)
+            for i, (walk, path) in enumerate(zip(walks, paths, strict=True)):
+                show('searching without some postures', i, len(walks))
+                path.append(next(walk, None) or path[-1])
             errors.append(search.squares([path[-1] for path in paths]))
             if k - int(np.argmin(np.nanmean(errors, axis=(1, 2)))) == STEPS_IN_VAIN:
                 break

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from ..inference.fit import Fit
 from ..inference.fitter import BEST_FEW, FAILURES, REVERSAL_GAIN_MIN, ROUNDS_MAX, Fitter
 from ..inference.predict import CELLS, SOFT_CELL, TAPER, FreeParameter, Point
 from ..inference.search import DIFFERENCE_STEP
-from ..inference.session import NEAR_SCORE, side_by_side
+from ..inference.session import NEAR_SCORE
 from ..inference.statistics import SIGNIFICANCE, chi2_isf, chi2_sf
 from .verdict import APART_FROM_SCORE, SAME_ERROR_RATIO
 
@@ -315,7 +314,7 @@ class Patterns:
 
 
 def patterns_of(
-    fitters: Sequence[Fitter],
+    fitter: Fitter,
     fit: Fit,
     progress: Callable[[str, int, int], None] | None = None,
     line: float = np.inf,
@@ -327,19 +326,12 @@ def patterns_of(
     Fits whose deviance stays far above a `line` may stop early; with `reversals` the others are
     also tried beyond reversals of friction.
     """
-    results: dict[str, Pattern | None] = {}
-
-    def work(worker: int, names: Sequence[str]) -> None:
-        own = Patterns(fitters[worker], fit, line, reversals)
-        for name in names:
-            results[name] = getattr(own, name)()
-            if progress is not None:
-                progress('causes outside the catalogue', len(results), len(NAMES))
-
-    side_by_side(
-        [partial(work, names=NAMES[:2]), partial(work, names=NAMES[2:])], min(len(fitters), 2)
-    )
-    return [pattern for name in NAMES if (pattern := results[name]) is not None]
+    own, found = Patterns(fitter, fit, line, reversals), list[Pattern | None]()
+    for number, name in enumerate(NAMES, start=1):
+        found.append(getattr(own, name)())
+        if progress is not None:
+            progress('causes outside the catalogue', number, len(NAMES))
+    return [pattern for pattern in found if pattern is not None]
 
 
 def _deviance(row: tuple[Fit | None, int]) -> float:

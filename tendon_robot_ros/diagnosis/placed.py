@@ -173,11 +173,11 @@ def fit_placed(session: Session, base: Fit, line: float) -> list[Ranked]:
 
     Those whose score is not expected to fall below a `line` stop early.
     """
-    screen, fitted = Screen.of(session.fitters[0], base), dict[str, Ranked]()
+    screen, fitted = Screen.of(session.fitter, base), dict[str, Ranked]()
     if screen is None:
         return []
     names = ['point_load', 'tether', 'contact']
-    if session.fitters[0].response > 0.0:  # what changes with the posture may be the model's error
+    if session.fitter.response > 0.0:  # what changes with the posture may be the model's error
         names = names[:1]
     for name in names:
         if name not in session.catalogue or name in session.robot.effects:
@@ -196,7 +196,7 @@ def fit_placed(session: Session, base: Fit, line: float) -> list[Ranked]:
 
 def _fitted(session: Session, name: str, starts: Iterable[Start], line: float) -> Ranked | None:
     """Return the best fit of an effect from the first starts, those with the least error first."""
-    fitter, best = session.fitters[0], None
+    fitter, best = session.fitter, None
     rows = list[tuple[float, int, dict[FreeParameter, float]]]()
     reach = DISTANCES[-1] * session.robot.length  # a string from farther away is as good as a load
     every = [within(f, reach) for f in free_parameters(session.catalogue[name], session.robot)]

@@ -207,7 +207,7 @@ def finding(fits: Fits, decision: Concluded, errors: FittedErrors) -> list[Effec
     if ranked is None:
         return []
     fit = fits.reported(ranked)
-    values = values_with_intervals(session.fitters[0], fit, decision.scale)
+    values = values_with_intervals(session.fitter, fit, decision.scale)
     explained = errors.explained(errors.after)
     loads = loads_of(fit, session.predictor, decision.scale)
     present = session.robot.effects
@@ -259,7 +259,7 @@ def _row(fits: Fits, decision: Concluded, ranked: Ranked, errors: FittedErrors) 
     if status == 'rejected':
         known = fit.covariance[:count, :count]
     elif not best and status != NOT_NEEDED:
-        held_out = root_mean(left_out_squares(session.fitters[0], fit, errors.beside))
+        held_out = root_mean(left_out_squares(session.fitter, fit, errors.beside))
     values = {
         f'{effect}.{key}' if len(ranked.names) > 1 else key: value
         for effect, items in values_of(reported, decision.scale, known).items()

@@ -70,7 +70,7 @@ class Fits:
         """Return the fit whose values are reported and written; see `Fitter.for_values`."""
         label = ranked.candidate.label
         if label not in self._reported:
-            self._reported[label] = self.session.fitters[0].for_values(ranked.fit)
+            self._reported[label] = self.session.fitter.for_values(ranked.fit)
         return self._reported[label]
 
     @property
@@ -82,7 +82,7 @@ class Fits:
     def patterns_on(self, fit: Fit, line: float = np.inf) -> list[Pattern]:
         """Return the patterns on top of a fit; see `patterns_of`."""
         session = self.session
-        return patterns_of(session.fitters, fit, session.progress, line, self.reversed)
+        return patterns_of(session.fitter, fit, session.progress, line, self.reversed)
 
     def answer[T](self, rule: Callable[[Evidence], T]) -> T:
         """Return what a rule says; what it asks for is fitted."""
@@ -295,7 +295,7 @@ def gather(question: Question, brief: bool = False) -> Fits:
         session = session.weigh(best.fit.point, best.fit.built.around)
         if far:  # it cannot win: one start is enough
             try:
-                base = session.fitters[0].fit((), base)
+                base = session.fitter.fit((), base)
             except FAILURES:
                 base = session.base_fit()
         else:
@@ -304,7 +304,7 @@ def gather(question: Question, brief: bool = False) -> Fits:
         if iteration == 0:
             continue
         if not far:
-            near, base = base, session.fitters[0].over_reversals(base)
+            near, base = base, session.fitter.over_reversals(base)
             reversed_once |= base.deviance < near.deviance - REVERSAL_GAIN_MIN
         beyond = over_reversals(session, singles)
         if beyond is singles:
@@ -330,7 +330,7 @@ def over_reversals(session: Session, singles: list[Ranked]) -> list[Ranked]:
     if not near:
         return singles
     near = [r for r in near if r.score <= near[0].score + NEAR_SCORE]
-    fitter, beyond = session.fitters[0], list[Ranked]()
+    fitter, beyond = session.fitter, list[Ranked]()
     for ranked in near[:BEST_FEW]:
         fit = fitter.over_reversals(ranked.fit)
         if fit.deviance < ranked.fit.deviance - REVERSAL_GAIN_MIN:
@@ -412,7 +412,7 @@ def hint(session: Session, current: Ranked, larger: Candidate) -> Hint:
     path for every size, by the best of several, with the other parameters adjusted linearly, so
     that its deviance may even rise a bit.
     """
-    fitter, point = session.fitters[0], current.fit.point
+    fitter, point = session.fitter, current.fit.point
     fitter.resume(current.fit)
     more = [free for free in larger.frees if free not in point]
     value, near = session.predictor.value, fitter.predictor.settled
@@ -448,7 +448,7 @@ def is_hopeless(session: Session, current: Ranked, hints: Iterable[Hint]) -> boo
     Of the error beyond noise. Most: more than what a fit of the right ones would leave because the
     effects are not linear.
     """
-    fitter, n = session.fitters[0], session.whitener.size
+    fitter, n = session.fitter, session.whitener.size
     fitter.resume(current.fit)
     markers = fitter.predictor.markers(current.fit.point, near=fitter.predictor.settled)
     if markers is None:
@@ -469,7 +469,7 @@ def _gain(
 
     These are the parameters of the fit, by its Jacobian, and further ones by `columns` (N,).
     """
-    fitter, n = session.fitters[0], session.whitener.size
+    fitter, n = session.fitter, session.whitener.size
     slopes = current.fit.jacobian[:n, : len(current.fit.all_frees)]
     slopes = np.column_stack([slopes, *columns])
     sizes = current.fit.built.sizes

@@ -242,7 +242,7 @@ class Stepwise:
         if int((dataset.trials > 0).sum()) < GROUPS_MIN:
             raise InputError(f'{dataset.name}: expected {GROUPS_MIN} or more measured postures')
         self.robot, self.catalogue = robot, catalogue.sized(natural_sizes(robot))
-        session = Question.of(dataset, robot, catalogue, workers=1).prepared()
+        session = Question.of(dataset, robot, catalogue).prepared()
         self.unsettled, self.outliers = session.unsettled, session.outliers
         self.dataset, self.whole, self.noise = session.dataset, session.whole, session.noise
         self.predictor = DescribedArm(self.dataset, robot, self.catalogue)

@@ -135,7 +135,7 @@ def assess(
 
     """
     robot, show = dataset.robot, listener(progress)
-    question = Question.of(dataset, robot, load_catalogue(files), workers=1)
+    question = Question.of(dataset, robot, load_catalogue(files))
     if question.predictor.markers({}) is None:
         return None
     try:
@@ -178,7 +178,7 @@ class Job:
         """Return whether a simulated data set raises the alarm; None without equilibrium."""
         seed, free, size = task
         catalogue = load_catalogue(self.files)
-        question = Question.of(self.dataset, self.robot, catalogue, workers=1)
+        question = Question.of(self.dataset, self.robot, catalogue)
         random = np.random.default_rng([seed, 71])
         point: dict[FreeParameter, float] = {
             n.free: float(random.normal(n.centre, n.spread)) for n in question.nuisances

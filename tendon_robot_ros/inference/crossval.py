@@ -255,7 +255,7 @@ def written(session: Session, fit: Fit) -> Written:
     The fitted tolerances and imperfections are written as well where they lower the error on
     left-out postures.
     """
-    alone, fitter = described_by(session, fit, beside=False), session.fitters[0]
+    alone, fitter = described_by(session, fit, beside=False), session.fitter
 
     plain = left_out_squares(fitter, fit, beside=False)
     error = root_mean(plain)

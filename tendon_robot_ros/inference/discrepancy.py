@@ -75,7 +75,7 @@ def since(
     if not len(whole):
         raise DataSetError(old.name, 'no posture shows all markers', 'record one that does')
     question = Question.of(
-        old.select(old.postures[p] for p in whole), described, load_catalogue(catalogue), workers=1
+        old.select(old.postures[p] for p in whole), described, load_catalogue(catalogue)
     )
     session = question.prepared()
     found = described_by(session, session.base_fit(), beside=True)

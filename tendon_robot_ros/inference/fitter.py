@@ -355,11 +355,6 @@ class Descent:
         if self.converged:
             self.place = fitter.place(search)
 
-    def at(self, fitter: Fitter) -> Descent:
-        """Continue with the fitter of another thread."""
-        self.fitter = self._search.fitter = self.place.search.fitter = fitter
-        return self
-
     def go_on(self, hopeless: float = np.inf) -> None:
         """Do one more round; converged too where the expected deviance stays above `hopeless`."""
         fitter, search = self.fitter, self._search

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Self
@@ -46,54 +46,35 @@ NOISE_UNKNOWN = (
 Starts = Mapping[str, Fit | Point]
 
 
-def side_by_side(tasks: Sequence[Callable[[int], object]], workers: int) -> None:
-    """Call tasks with the numbers of their workers, 0, 1, 0, ..., one thread per worker."""
-
-    def work(worker: int) -> None:
-        for task in tasks[worker::workers]:
-            task(worker)
-
-    if workers == 1 or len(tasks) < 2:
-        for number, task in enumerate(tasks):
-            task(number % workers)
-        return
-    with ThreadPoolExecutor(workers) as pool:
-        list(pool.map(work, range(workers)))
-
-
 class Race:
     """
-    Fits of candidates, spread over fitters; those without equilibrium drop out.
+    Fits of candidates; those without equilibrium drop out.
 
     A fit stops after two rounds if its score, less its expected further gain, is more than
     `NEAR_SCORE` behind the best one.
     """
 
     def __init__(
-        self, fitters: Sequence[Fitter], candidates: Sequence[Candidate], done: Callable[[], None]
+        self, fitter: Fitter, candidates: Sequence[Candidate], done: Callable[[], None]
     ) -> None:
-        """Take one fitter per thread; `done` is called for every fit that ends."""
-        self.fitters, self.candidates, self.done = fitters, candidates, done
+        """Take a fitter; `done` is called for every fit that ends."""
+        self.fitter, self.candidates, self.done = fitter, candidates, done
         self._fits: list[Fit | None] = [None] * len(candidates)
         self._descents: dict[int, Descent] = {}
         self._stopped: list[int] = []
 
     def run(self, starts: Starts | None = None) -> list[tuple[Candidate, Fit]]:
         """Fit all candidates, from `starts` by their labels."""
-        every, known = range(len(self.candidates)), starts or {}
-
-        def begin(i: int, fitter: Fitter) -> None:
-            candidate = self.candidates[i]
+        for i, candidate in enumerate(self.candidates):
+            start = None if starts is None else starts.get(candidate.label)
             try:
-                descent = fitter.begin(candidate.frees, known.get(candidate.label))
+                descent = self.fitter.begin(candidate.frees, start)
                 for _ in range(2):
                     if not descent.converged:
                         descent.go_on()
                 self._descents[i] = descent
             except FAILURES:
                 self.done()
-
-        self._each(every, begin)
         scores = {
             i: descent.place.deviance + 2.0 * len(self.candidates[i].frees)
             for i, descent in self._descents.items()
@@ -101,9 +82,9 @@ class Race:
         limit = min(scores.values(), default=np.inf) + NEAR_SCORE
         promised = {i: s - GAINS_TO_COME * self._descents[i].gain for i, s in scores.items()}
         self._stopped = [i for i, score in promised.items() if score > limit]
-        self._each([i for i in self._descents if i not in self._stopped], self._finish)
-        self._each(self._stopped, self._leave)
-        return self._fits_of(every)
+        for i in self._descents:
+            self._finish(i, onwards=i not in self._stopped)
+        return self._fits_of(range(len(self.candidates)))
 
     def stopped_early(self) -> list[tuple[Candidate, Fit]]:
         """Return the fits that were stopped early."""
@@ -111,27 +92,19 @@ class Race:
 
     def go_on(self) -> list[tuple[Candidate, Fit]]:
         """Continue the fits that were stopped early until they converge."""
-        self._each(self._stopped, self._finish)
+        for i in self._stopped:
+            self._finish(i)
         return self._fits_of(self._stopped)
 
     def _fits_of(self, which: Sequence[int]) -> list[tuple[Candidate, Fit]]:
         return [(self.candidates[i], fit) for i in which if (fit := self._fits[i]) is not None]
 
-    def _each(self, which: Sequence[int], do: Callable[[int, Fitter], None]) -> None:
-        tasks = [lambda worker, i=i: do(i, self.fitters[worker]) for i in which]
-        side_by_side(tasks, len(self.fitters))
-
-    def _finish(self, i: int, fitter: Fitter) -> None:
+    def _finish(self, i: int, onwards: bool = True) -> None:
         with suppress(*FAILURES):
-            descent = self._descents[i].at(fitter)
-            while not descent.converged:
+            descent = self._descents[i]
+            while onwards and not descent.converged:
                 descent.go_on()
             self._fits[i] = descent.fit()
-        self.done()
-
-    def _leave(self, i: int, fitter: Fitter) -> None:
-        with suppress(*FAILURES):
-            self._fits[i] = self._descents[i].at(fitter).fit()
         self.done()
 
 
@@ -145,7 +118,7 @@ class Question:
     progress: Progress
     recorded: DataSet
     predictor: Predictor
-    arms: Sequence[Predictor]  # one per worker; with imperfections, where the arm has any
+    arm: Predictor  # with imperfections, where the arm has any
     use_accuracy: bool = False
     outliers: Outliers | None = None
     unsettled: tuple[str, ...] = ()  # excluded postures
@@ -156,22 +129,21 @@ class Question:
         dataset: DataSet,
         robot: Robot,
         catalogue: Catalogue,
-        workers: int = 2,
         progress: Progress | None = None,
     ) -> Question:
-        """Build a predictor per worker; a long recording is thinned."""
+        """Build the predictors; a long recording is thinned."""
         used, sized = dataset.thinned(POSTURES_MAX), catalogue.sized(natural_sizes(robot))
-        made = arms_of(used, robot, sized, max(1, workers))
+        made = predictors_of(used, robot, sized)
         return cls(used, robot, sized, listener(progress), dataset, *made)
 
     def mended(self, dataset: DataSet) -> Question:
         """Return the question of corrected measurements."""
-        return Question.of(dataset, dataset.robot, self.catalogue, len(self.arms), self.progress)
+        return Question.of(dataset, dataset.robot, self.catalogue, self.progress)
 
     def about(self, dataset: DataSet) -> Self:
         """Return the same question of a part of the measurements."""
-        predictor, arms = arms_of(dataset, self.robot, self.catalogue, len(self.arms))
-        return replace(self, dataset=dataset, predictor=predictor, arms=arms)
+        predictor, arm = predictors_of(dataset, self.robot, self.catalogue)
+        return replace(self, dataset=dataset, predictor=predictor, arm=arm)
 
     @cached_property
     def nuisances(self) -> list[Nuisance]:
@@ -233,7 +205,7 @@ class Question:
             The noise is not known.
 
         """
-        arm = self.arms[0]
+        arm = self.arm
         arm.around = at or {}
         slopes = input_slopes(arm if at else self.predictor, point)
         noise = estimate_noise(self.dataset, slopes)
@@ -270,13 +242,13 @@ class Question:
         return predictor, predictor.markers({})
 
 
-def arms_of(
-    dataset: DataSet, robot: Robot, catalogue: Catalogue, workers: int
-) -> tuple[Predictor, Sequence[Predictor]]:
-    """Return a predictor, and one per worker with the imperfections that the arm may have."""
-    predictors = [Predictor(dataset, robot, catalogue) for _ in range(workers)]
+def predictors_of(
+    dataset: DataSet, robot: Robot, catalogue: Catalogue
+) -> tuple[Predictor, Predictor]:
+    """Return a predictor, and one with the imperfections that the arm may have."""
+    predictor = Predictor(dataset, robot, catalogue)
     scatters = not robot.exact or robot.tolerances.get(CELLS) or dataset.reference is not None
-    return predictors[0], [SplitPredictor(p) for p in predictors] if scatters else predictors
+    return predictor, SplitPredictor(predictor) if scatters else predictor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -294,14 +266,10 @@ class Session(Question):
         return session.about(outliers.without(self.dataset)).weigh({}) if outliers.any else session
 
     @cached_property
-    def fitters(self) -> list[Fitter]:
-        """A fitter per worker."""
-        return [self.fitter(arm) for arm in self.arms]
-
-    def fitter(self, arm: Predictor) -> Fitter:
-        """Return a fitter with a predictor of its own."""
+    def fitter(self) -> Fitter:
+        """Fitter with the weights of the session."""
         weights = self.whitener, self.nuisances, self.random, self.imperfections
-        return Fitter(arm, *weights, self.response_error)
+        return Fitter(self.arm, *weights, self.response_error)
 
     @property
     def freedom(self) -> float:
@@ -344,7 +312,7 @@ class Session(Question):
         return Ranked(candidate, fit, self.freedom, self.whitener.owners)
 
     def race(self, candidates: Sequence[Candidate], what: str = 'effects') -> Race:
-        """Return the fits of candidates, spread over the workers."""
+        """Return the fits of candidates."""
         finished = 0
 
         def one_more() -> None:
@@ -352,7 +320,7 @@ class Session(Question):
             finished = min(finished + 1, len(candidates))
             self.progress(what, finished, len(candidates))
 
-        return Race(self.fitters, candidates, one_more)
+        return Race(self.fitter, candidates, one_more)
 
     def fit_all(
         self, candidates: Sequence[Candidate], starts: Starts | None = None, what: str = 'effects'
@@ -386,10 +354,10 @@ class Session(Question):
 
         Friction is not smooth, so that the result depends on where imperfections start.
         """
-        fits = [self.fitters[0].fit(())]
+        fits = [self.fitter.fit(())]
         for start in starts:
             with suppress(*FAILURES):
-                fits.append(self.fitters[0].fit((), start))
+                fits.append(self.fitter.fit((), start))
         return min(fits, key=lambda fit: fit.deviance)
 
     def refit(self, ranked: Sequence[Ranked], base: Fit) -> list[Ranked]:
@@ -432,7 +400,8 @@ class Session(Question):
             return True
         if large.fit.rank <= small.fit.rank:
             return False
-        fitter = self.fitter(self.arms[0])
+        fitter = copy(self.fitter)
+        fitter.linearise_around({})
         fitter.measured = small.fit.markers  # these were predicted without imperfections
         start, sizes = large.fit.point, small.fit.built.sizes
         return fitter.fit(large.candidate.frees, start, sizes=sizes).chi2 < TIE_SCORE

@@ -139,7 +139,7 @@ class Fleet(Study[FleetCase, FleetRow]):
         try:
             bag = is_bag(case.path)
             dataset = import_bag(case.path).dataset if bag else load_dataset(case.path)
-            diagnosis = diagnose(dataset, catalogue=catalogue_of(self.effects), workers=1)
+            diagnosis = diagnose(dataset, catalogue=catalogue_of(self.effects))
             return case.row(**fields_of(dataset, diagnosis))
         except TendonRobotError as error:
             return case.refused(str(error))

@@ -152,7 +152,7 @@ def fitted_values(values: Mapping[str, Value]) -> dict[str, Any]:
 def diagnosed(case: Case, sim: Simulated) -> dict[str, Any]:
     """Diagnose and compare with the truth: name, interval, error on other postures, scatter."""
     start = time.process_time()
-    diagnosis = diagnose(sim.fit, catalogue=sim.catalogue, workers=1)
+    diagnosis = diagnose(sim.fit, catalogue=sim.catalogue)
     seconds = time.process_time() - start
     listed = {*(effect.name for effect in diagnosis.effects), *diagnosis.cannot_tell_apart}
     named = diagnosis.verdict in NAMING
