@@ -20,12 +20,12 @@ import numpy.typing as npt
 from ..common.arrays import Floats
 from ..data import DataSet
 from ..effects import Catalogue
-from ..model.derivatives import DIFFERENCE_STEP, Move
+from ..model.derivatives import DIFFERENCE_STEP, Entries, Move
 from ..model.shape import ShapeBatch
 from ..robot import Robot, Section
 from ..robot.description import EffectValues
 from ..robot.estimates import natural_sizes
-from .predict import CELLS, Conditions, Freed, FreeParameter, Point, Predictor, Shifted
+from .predict import CELLS, Conditions, FreeParameter, Point, Predictor
 
 KINK, ACROSS, GAIN, HOLE = 'cell_kink', 'cell_kink_across', 'channel_gain', 'hole_radius'
 ZERO, POSITION, ROTATION = 'pull_zero', 'position', 'rotation'
@@ -208,23 +208,30 @@ class SplitPredictor(Predictor):
         kinks[:, 1 - axis] = off.get(ACROSS, 0.0)
         return kinks
 
-    def member(self, name: str, i: int, part: Conditions, count: int) -> Shifted:
+    def member(self, name: str, i: int, part: Conditions, count: int) -> Move:
         """Return the move of member i of a kind of `around`; the model is set to a point."""
-        arrays, own, rows = self.model.arrays, self.around[name], self.predicted(part).rows
-        entries, slope, effect, axis = own[i : i + 1], np.ones(1), '', planar_axis(self.whole)
+        arrays, own, sides = self.model.arrays, self.around[name], (STEP, -STEP)
+        up, down, axis = np.full(count, STEP), np.full(count, -STEP), planar_axis(self.whole)
         if name in (KINK, ACROSS):
             cell, xy = divmod(i, 2) if axis is None else (i, axis if name == KINK else 1 - axis)
-            entries, effect = arrays.values[self.rests[xy], cell : cell + 1], REST
-        elif name in (CELLS, HOLE):
-            entries = arrays.cells[i, 1:2] if name == CELLS else arrays.offset[:, i]
-            slope = entries / (1.0 + own[i])
-
-        def given() -> Floats:
-            return self.given(self.inputs)[rows]
-
-        by_gain = name == GAIN and self.dataset.input == 'tension'
-        inputs = given if by_gain else None
-        return Shifted(arrays, (-STEP, STEP), count, entries, slope, effect, inputs)
+            entries = Entries.shifted(arrays.values, (self.rests[xy], cell), sides)
+            return Move(up, down, (entries,), REST)
+        if name in (CELLS, HOLE):
+            own_places = {
+                CELLS: (arrays.cells, np.s_[i : i + 1, 1:2]),
+                HOLE: (arrays.offset, np.s_[:, i : i + 1]),
+            }
+            array, which = own_places[name]
+            entries = Entries.shifted(array, which, sides, array[which] / (1.0 + own[i]))
+            return Move(up, down, (entries,))
+        move = Move(up, down, (Entries.shifted(own, [i], sides),), beside=True)
+        if name != GAIN or self.dataset.input != 'tension':
+            return move
+        rows, tensions = self.predicted(part).rows, list[Floats]()
+        for side in (True, False):
+            with move.applied(self.model, side):
+                tensions.append(self.given(self.inputs)[rows])
+        return Move(up, down, tensions=np.array(tensions))
 
     def given(self, inputs: Floats) -> Floats:
         """Return the inputs (P, m) [N] or [m] that reach the arm."""
@@ -334,23 +341,38 @@ def pushes(predictor: Predictor, point: Point, arc_lengths: Floats | None = None
     or where a force along the arm is described already.
     """
     robot = predictor.robot
+    arrays = predictor.model.arrays
     if arc_lengths is None:
-        lengths = predictor.model.arrays.cells[:, 0]
+        lengths = arrays.cells[:, 0]
         arc_lengths = np.cumsum(lengths) - 0.5 * lengths
     if predictor.model.remembers or PUSH in robot.effects or predictor.markers(point) is None:
         return None
     effect = predictor.model.catalogue[PUSH].sized(natural_sizes(robot))
-    along, *forces = (FreeParameter(PUSH, parameter) for parameter in effect.parameters[:4])
+    step = DIFFERENCE_STEP * effect.parameters[1].typical
+    return forces_along(predictor, point, PUSH, step, arc_lengths)
 
-    def moves(part: Conditions, b: int) -> list[Move]:
-        def freed(place: float, force: FreeParameter) -> Freed:
-            def set_to(side: float) -> None:
-                predictor.set_parameters({**point, along: place, force: side}, part)
 
-            step = DIFFERENCE_STEP * force.parameter.typical
-            return Freed(predictor.model.arrays, (-step, step), b, set_to)
+def forces_along(
+    predictor: Predictor, point: Point, effect: str, step: float, arc_lengths: Floats
+) -> Floats:
+    """
+    Return the slopes (n, 3, P, J, 3) [m/N] of the markers by forces at n places [m].
 
-        return [freed(place, force) for place in arc_lengths.tolist() for force in forces]
+    By an effect of a force at a place, with a step [N] to both sides, at the postures that were
+    predicted last.
+    """
+    arrays = predictor.model.arrays
+    first = arrays.layout.rows[effect, 'arc_length']  # the components of the force follow
+    place_row, *force_rows = np.repeat(np.eye(4), arrays.values.shape[1], axis=1)
+
+    def moves(part: Conditions, count: int) -> list[Move]:
+        up, which = np.full(count, step), np.s_[first : first + 4]
+        entries = [
+            Entries.shifted(arrays.values, which, (step, -step), row, about=place * place_row)
+            for place in arc_lengths
+            for row in force_rows
+        ]
+        return [Move(up, -up, (one,), effect) for one in entries]
 
     slopes = _slopes(predictor, point, moves)
     return slopes.reshape(-1, 3, *slopes.shape[1:])

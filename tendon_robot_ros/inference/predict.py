@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,17 +14,16 @@ from ..common.errors import EffectError, TendonRobotError
 from ..data import DataSet, Part
 from ..data.arrays import Visits
 from ..effects import Catalogue, Effect, Parameter
-from ..model.compile import KernelArrays
 from ..model.derivatives import (
     DIFFERENCE_STEP,
-    TENSION_STEP,
+    Entries,
     Move,
     PathSlopes,
     follow,
     shown,
     tensions_by_pulls,
 )
-from ..model.forward import TOLERANCE, ForwardModel
+from ..model.forward import TOLERANCE
 from ..model.model import Model
 from ..model.pulls import pull_shapes, transmitted, unknown_slopes
 from ..model.shape import FIELDS, ShapeBatch, WireSlopes
@@ -95,119 +93,6 @@ class Tangent:
         for one in (self.states, self.tensions):
             rates.append(np.concatenate([one, np.zeros((len(markers), *one.shape[1:]))]))
         return Tangent(np.concatenate([self.markers, markers]), *rates, at={**self.at, **at})
-
-
-class Freed:
-    """A parameter that is varied to both sides within its bounds, by central differences."""
-
-    def __init__(
-        self,
-        arrays: KernelArrays,
-        ends: tuple[float, float],
-        count: int,
-        set_to: Callable[[float], None],
-    ) -> None:
-        """Store the model's arrays as `set_to` changes them at both ends, for `count` postures."""
-        self.down, self.up = (np.full(count, end) for end in ends)
-        self._moved: tuple[npt.NDArray[Any], ...] = (
-            arrays.values,
-            arrays.on,
-            arrays.cells,
-            arrays.gravity,
-            arrays.offset,
-            arrays.helix,
-        )
-        self._kept: dict[float, list[npt.NDArray[Any]]] = {}
-        for side in (*ends, 0.0):
-            set_to(side)
-            self._kept[side] = [array.copy() for array in self._moved]
-
-    def inputs(self, inputs: Floats, side: Floats) -> Floats:
-        """Return the input tensions (b, m) [N]: they stay."""
-        return inputs
-
-    @contextmanager
-    def applied(self, model: ForwardModel, side: Floats) -> Iterator[None]:
-        """Set the parameter to one side while the block runs."""
-        self._put(float(side[0]))
-        try:
-            yield
-        finally:
-            self._put(0.0)
-
-    def _put(self, side: float) -> None:
-        for array, kept in zip(self._moved, self._kept[side], strict=True):
-            array[:] = kept
-
-
-class Shifted:
-    """Like `Freed`, for a quantity that stands in a few entries of one array."""
-
-    def __init__(
-        self,
-        arrays: KernelArrays,
-        ends: tuple[float, float],
-        count: int,
-        entries: Floats,
-        slope: Floats | float = 1.0,
-        effect: str = '',
-        inputs: Callable[[], Floats] | None = None,
-        about: Floats | None = None,
-    ) -> None:
-        """
-        Store where it stands, and its variation in `count` postures.
-
-        Parameters
-        ----------
-        entries : ndarray
-            A view; they change by `slope` per unit.
-        effect : str
-            Is on while it is varied; '': none.
-        inputs : callable, optional
-            Returns the inputs (b, m) [N] while it is varied; default: they stay.
-        about : ndarray, optional
-            What the entries are varied about; default: what they are.
-
-        """
-        self.down, self.up = (np.full(count, end) for end in ends)
-        self._arrays, self._effect, self._inputs = arrays, effect, inputs
-        self._entries, self._slope, self._described = entries, slope, entries.copy()
-        self._about = self._described if about is None else about
-
-    def inputs(self, inputs: Floats, side: Floats) -> Floats:
-        """Return the input tensions (b, m) [N] of one side."""
-        return inputs if self._inputs is None else self._inputs()
-
-    @contextmanager
-    def applied(self, model: ForwardModel, side: Floats) -> Iterator[None]:
-        """Set the quantity to one side, with its effect on, while the block runs."""
-        on = self._arrays.on.copy()
-        if self._effect:
-            self._arrays.act(self._effect)
-        self._entries[:] = self._about + side[0] * self._slope
-        try:
-            yield
-        finally:
-            self._entries[:], self._arrays.on[:] = self._described, on
-
-
-class Pulled:
-    """An input tension that is varied to both sides, never below zero."""
-
-    def __init__(self, j: int, tensions: Floats) -> None:
-        """Take the index of the input and its tensions (b,) [N]."""
-        self.j, step = j, np.full(len(tensions), TENSION_STEP)
-        self.up, self.down = step, -np.minimum(step, tensions)
-
-    def inputs(self, inputs: Floats, side: Floats) -> Floats:
-        """Return the input tensions (b, m) [N] of one side."""
-        moved = inputs.copy()
-        moved[:, self.j] += side
-        return moved
-
-    def applied(self, model: ForwardModel, side: Floats) -> AbstractContextManager[None]:
-        """Leave the model as it is."""
-        return nullcontext()
 
 
 def held(tensions: Floats, rows: Floats, states: Floats, q: int) -> tuple[Floats, Floats, Floats]:
@@ -442,13 +327,14 @@ class Predictor:
             moves = moves_of(part, count)
             q, m = len(moves), start.tensions.shape[1]
             if by_pulls:
-                moves += [Pulled(j, start.tensions[:, j]) for j in range(m)]
+                moves += [Move.of_tension(j, start.tensions) for j in range(m)]
 
             def pulls_and_markers(shapes: ShapeBatch, rows: Rows = rows) -> Floats:
-                """Return (b, m + 3 J) [m], pulls beyond the requested ones."""
-                commanded = self.given(self.inputs)[rows]
-                gaps = shapes.pulls - transmitted(self.model, commanded, None)
-                return np.hstack([np.nan_to_num(gaps), self.see(shapes).reshape(len(shapes), -1)])
+                """Return (k b, m + 3 J) [m], pulls beyond the requested ones."""
+                passed = transmitted(self.model, self.given(self.inputs)[rows], None)
+                gaps = shapes.pulls.reshape(-1, *passed.shape) - passed
+                seen = self.see(shapes).reshape(len(shapes), -1)
+                return np.hstack([np.nan_to_num(gaps).reshape(len(shapes), -1), seen])
 
             output = pulls_and_markers if by_pulls else self.see
             rates, states = follow(self.model, start.tensions, start.state, moves, output)
@@ -544,21 +430,19 @@ class Predictor:
         step = DIFFERENCE_STEP * max(abs(value), own.typical)
         return max(-step, own.low - value), min(step, own.high - value)
 
-    def moved(
-        self, point: Point, part: Conditions, free: FreeParameter, count: int
-    ) -> Freed | Shifted:
+    def moved(self, point: Point, part: Conditions, free: FreeParameter, count: int) -> Move:
         """Return the move of a parameter about a point; the model is set to the point."""
-        value, own = point.get(free, self.value(free)), free.parameter
-        ends = self._ends(point, free)
+        own, ends = free.parameter, self._ends(point, free)
         if self.is_effect(free) and (free.effect, own.name) not in part.known:
-            arrays = self.model.arrays
-            row = arrays.values[arrays.layout.rows[free.effect, own.name]]
-            return Shifted(arrays, ends, count, row[self.columns(free)], effect=free.effect)
-
-        def set_to(side: float) -> None:
-            self.set_parameters({**point, free: value + side}, part)
-
-        return Freed(self.model.arrays, ends, count, set_to)
+            columns = self.columns(free)
+            return Move.of_parameter(self.model, count, free.effect, own.name, columns, ends)
+        entries: tuple[Entries, ...] = ()
+        if free.effect in STIFFNESS:
+            cells = self.model.arrays.cells
+            index = np.arange(cells.size).reshape(cells.shape)[:, 1]
+            low, high = (cells[:, 1] * stiffness_factors(free, end, len(cells)) for end in ends)
+            entries = (Entries(cells, index, high, low),)
+        return Move(np.full(count, ends[1]), np.full(count, ends[0]), entries)
 
     def columns(self, free: FreeParameter) -> slice:
         """Return the columns of the sections or tendons that a free parameter belongs to."""

@@ -255,7 +255,7 @@ class KernelArrays:
         wide = max(len(robot.sections), len(robot.tendons))
         self.values = np.empty((len(self.layout.rows), wide))
         self.on = np.zeros(len(self.layout.index), dtype=np.uint8)
-        self._linked: bytes | None = None  # the effects that acted when `link` was called last
+        self._linked = set[bytes]()  # the effects that acted when `link` was called
         self.twisting = np.zeros_like(self.on)  # which effects let cells twist
         self.twisting[[self.layout.index[e.name] for e in catalogue if e.stage == 'torsion']] = 1
         for effect in catalogue:
@@ -370,9 +370,9 @@ class KernelArrays:
         effect acts: without it they call the address 0.
         """
         acts = self.on.tobytes()
-        if acts != self._linked:
+        if acts not in self._linked:
             self._link(self._called())
-            self._linked = acts
+            self._linked.add(acts)
 
     def _acting(self) -> frozenset[str]:
         """Return the stages at which effects act."""

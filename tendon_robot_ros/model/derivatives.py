@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +30,9 @@ TENSION_STEP = DIFFERENCE_STEP  # [N]
 # [1] times as long steps where whole paths are solved twice, because an equilibrium is only known
 # to 1e-10 rad
 REMEMBERED_STEP = 16.0
+SHOWN_AT_ONCE = 1024  # [1] shapes, because more, of 2 to 7 kB each, leave a processor's cache
+# of effects on which commands and measurements depend, not only shapes
+STAGES_BESIDE = 'transmission', 'measurement'
 RIGID_BELOW = EPSILON / DIFFERENCE_STEP  # [m/N] rounding of places of 1 m, and no compliance
 
 
@@ -121,8 +124,8 @@ def derivatives(
         Names of inputs [N], or effect and parameter, or those and the index of a section; without
         one the parameter of all sections moves together.
     output : callable, optional
-        The function to differentiate: shapes to an array (b, ...). Default: the positions in the
-        tracker's frame, (b, n, 3) [m].
+        The function to differentiate: any number of shapes b to an array (b, ...). Default: the
+        positions in the tracker's frame, (b, n, 3) [m].
     memory : optional
         Friction memory of these shapes (`Shape.memory`): small changes start there, with the mean
         of both directions in which tendons may slide.
@@ -134,13 +137,14 @@ def derivatives(
 
     """
     output = output or (lambda batch: model.measured(batch.positions))
-    moves = [_Move.of(model, shapes, column) for column in columns]
+    moves = [move_of(model, shapes, column) for column in columns]
     if memory is not None or not model.friction_remembers:
         rates, _ = follow(model, shapes.inputs, shapes.state, moves, output, memory)
         return np.moveaxis(rates, 0, -1)
 
-    def solved(move: Move, side: Floats) -> Floats:
-        return output(model.shapes(move.inputs(shapes.inputs, side), shapes.state))
+    def solved(move: Move, up: bool) -> Floats:
+        moved = shapes.inputs if move.tensions is None else move.tensions[0 if up else 1]
+        return output(model.shapes(moved, shapes.state))
 
     return np.stack([_per_unit(model, move, partial(solved, move)) for move in moves], axis=-1)
 
@@ -212,17 +216,169 @@ class PathSlopes:
         return inputs, states
 
 
-class Move(Protocol):
-    """One quantity that moves, and how far up and down: (b,) each."""
+@dataclass(frozen=True)
+class Entries:
+    """Entries of an array that change, (r,) each: where they are, and what they are instead."""
 
+    array: npt.NDArray[Any]  # contiguous
+    index: npt.NDArray[np.intp]  # in the flat array
     up: Floats
     down: Floats
 
-    def inputs(self, inputs: Floats, side: Floats) -> Floats:
-        """Return the input tensions (b, m) [N] of one side."""
+    @classmethod
+    def shifted(
+        cls,
+        array: Floats,
+        which: Any,
+        sides: tuple[float, float],
+        slope: Floats | float = 1.0,
+        about: Floats | None = None,
+    ) -> Entries:
+        """Vary array[which] about its value, or another one, by a slope times both sides."""
+        index = np.arange(array.size).reshape(array.shape)[which].ravel()
+        middle = array.reshape(-1)[index] if about is None else about
+        up, down = (middle + side * np.ravel(slope) for side in sides)
+        return cls(array, index, up, down)
 
-    def applied(self, model: ForwardModel, side: Floats) -> AbstractContextManager[None]:
-        """Apply the change of that side to the model while a block runs."""
+    @property
+    def places(self) -> npt.NDArray[np.int64]:
+        """Addresses of the entries."""
+        return self.array.ctypes.data + self.array.itemsize * self.index
+
+    def put(self, values: Floats) -> Floats:
+        """Set the entries; return what they were."""
+        flat = self.array.reshape(-1)
+        was = flat[self.index]
+        flat[self.index] = values
+        return was
+
+
+@dataclass(frozen=True)
+class Move:
+    """One quantity that moves: how far up and down, and what a model and its inputs are then."""
+
+    up: Floats  # (b,)
+    down: Floats  # (b,)
+    entries: tuple[Entries, ...] = ()
+    effect: str = ''  # that acts meanwhile; '': none beside those that do
+    tensions: Floats | None = None  # (2, b, m) [N] up and down; None: they stay
+    # whether the output depends on it beside the shapes: what is commanded or measured changes
+    beside: bool = False
+
+    @classmethod
+    def of_tension(cls, j: int, tensions: Floats, step: float = TENSION_STEP) -> Move:
+        """Move an input of tensions (b, m) [N], never below zero."""
+        up = np.full(len(tensions), step)
+        down, moved = -np.minimum(step, tensions[:, j]), np.array([tensions, tensions])
+        moved[0, :, j] += up
+        moved[1, :, j] += down
+        return cls(up, down, tensions=moved)
+
+    @classmethod
+    def of_parameter(
+        cls,
+        model: ForwardModel,
+        count: int,
+        effect: str,
+        name: str,
+        columns: Any = slice(None),
+        ends: tuple[float, float] = (0.0, 0.0),
+    ) -> Move:
+        """Move a parameter of an effect, in some of its columns, to both ends (down, up)."""
+        arrays, (low, high) = model.arrays, ends
+        which = arrays.layout.rows[effect, name], columns
+        entries = Entries.shifted(arrays.values, which, (high, low))
+        beside = model.catalogue[effect].stage in STAGES_BESIDE
+        return cls(np.full(count, high), np.full(count, low), (entries,), effect, beside=beside)
+
+    @contextmanager
+    def applied(self, model: ForwardModel, up: bool) -> Iterator[None]:
+        """Change the model to one side while the block runs."""
+        on, arrays = model.arrays.on.copy(), model.arrays
+        were = [one.put(one.up if up else one.down) for one in self.entries]
+        if self.effect:
+            arrays.act(self.effect)
+        try:
+            yield
+        finally:
+            for one, was in zip(self.entries, were, strict=True):
+                one.put(was)
+            arrays.on[:] = on
+
+
+@dataclass(frozen=True)
+class Variants:
+    """A model and its inputs with each of q moves, up and down, as the kernel reads them."""
+
+    inputs: Floats  # (2q, b, m) [N]
+    acting: npt.NDArray[np.uint8]  # (2q, effects)
+    starts: npt.NDArray[np.int64]  # (2q + 1,)
+    places: npt.NDArray[np.int64]  # (r,) addresses of entries
+    values: Floats  # (r,)
+
+    @classmethod
+    def of(cls, model: ForwardModel, inputs: Floats, moves: Sequence[Move]) -> Variants:
+        """Return the variants by moves of a model; without any, the model itself."""
+        arrays, sides = model.arrays, max(2 * len(moves), 1)
+        tensions = np.repeat(inputs[None], sides, axis=0)
+        acting = np.repeat(arrays.on[None], sides, axis=0)
+        places, values, counts = [], list[Floats](), np.zeros(sides, dtype=np.int64)
+        for q, move in enumerate(moves):
+            if move.tensions is not None:
+                tensions[2 * q : 2 * q + 2] = move.tensions
+            if move.effect:
+                acting[2 * q : 2 * q + 2, arrays.layout.index[move.effect]] = 1
+            for up in (True, False):
+                places += [one.places for one in move.entries]
+                values += [one.up if up else one.down for one in move.entries]
+            counts[2 * q : 2 * q + 2] = sum(len(one.index) for one in move.entries)
+        starts = np.append(0, np.cumsum(counts))
+        none = np.zeros(0, dtype=np.int64)
+        return cls(
+            tensions,
+            acting,
+            starts,
+            np.concatenate([none, *places]),
+            np.concatenate([np.zeros(0), *values]),
+        )
+
+    def of_moves(self, begin: int, end: int) -> Variants:
+        """Return those of some moves."""
+        starts = self.starts[2 * begin : 2 * end + 1]
+        entries = slice(starts[0], starts[-1])
+        sides = slice(2 * begin, 2 * end)
+        return Variants(
+            self.inputs[sides],
+            self.acting[sides],
+            starts - starts[0],
+            self.places[entries],
+            self.values[entries],
+        )
+
+    @property
+    def changes(self) -> tuple[npt.NDArray[Any], ...]:
+        """What the kernel exchanges."""
+        return self.acting, self.starts, self.places, self.values
+
+    def residuals(self, model: ForwardModel, states: Floats, past: Floats) -> Floats:
+        """Return states (b, 3n) minus those that balance their own moments [rad], (2q, b, 3n)."""
+        model.arrays.link()
+        out, states = np.empty((len(self.inputs), *states.shape)), np.ascontiguousarray(states)
+        fixed = model.arrays.address, self.inputs, states, past, model.scratch
+        model.arrays.part('derivatives').residuals(*fixed, *self.changes, out)
+        return out
+
+    def shown(self, model: ForwardModel, states: Floats, past: Floats) -> ShapeBatch:
+        """Return the shapes (2q b) of states (2q, b, 3n) [rad], without solving."""
+        count, form = self.inputs.shape[0] * self.inputs.shape[1], model.form
+        block = np.empty(count * form.size)
+        fields = form.views(block, count)
+        fields.pop('change')
+        fields['inputs'][:] = self.inputs.reshape(count, -1)
+        fields['state'][:] = states.reshape(count, -1)
+        fixed = model.arrays.address, block, count, past, model.scratch
+        model.arrays.part('shape').variants_shown(*fixed, *self.changes)
+        return ShapeBatch(**fields, cell_length=form.cell_length, hinge=form.hinge, slopes=None)
 
 
 def follow(
@@ -242,108 +398,76 @@ def follow(
         Equilibria of the model as it is now, each loaded from straight.
     moves : (q,)
     output : callable
-        The function to differentiate: shapes to an array (b, ...).
+        The function to differentiate: shapes, several times those b, to an array (k b, ...).
     memory : optional
         Friction memory of these shapes; without it nothing may remember. See `derivatives`.
 
     """
-    arrays, on, acting = model.arrays, model.arrays.on.copy(), model.arrays.on
+    arrays, b = model.arrays, len(inputs)
     past = arrays.fresh_memory() if memory is None else memory
-
-    def unbalanced(move: Move, side: Floats) -> Floats:
-        on[:] |= acting & arrays.twisting
-        return residuals(model, move.inputs(inputs, side), states, past)
-
-    rates = np.empty((len(states), len(moves), states.shape[1]))
-    for q, move in enumerate(moves):
-        rates[:, q] = _per_unit(model, move, partial(unbalanced, move))
-    before = acting.copy()
+    sides = np.array([(move.up, move.down) for move in moves]).reshape(-1, 2, b)
+    widths = sides[:, 0] - sides[:, 1]
+    variants = Variants.of(model, inputs, moves)
+    before, twisting = arrays.on.copy(), arrays.twisting
     try:  # cells twist for all if they do for one, else their twist would follow nothing
-        acting[:] = on
-        state_slopes = responses(model, inputs, states, past, rates).swapaxes(0, 1)
+        arrays.on[:] = variants.acting.max(axis=0)
+        arrays.link()
+        twists = arrays.on & twisting
+        variants.acting[:] |= twists
+        arrays.on[:] = before | twists
+        off = variants.residuals(model, states, past)
+        rates = (off[0::2] - off[1::2]) / widths[:, :, None]
+        state_slopes = responses(model, inputs, states, past, rates.swapaxes(0, 1)).swapaxes(0, 1)
     finally:
-        acting[:] = before
+        arrays.on[:] = before
+    slopes, at_once = list[Floats](), max(SHOWN_AT_ONCE // (2 * b), 1)
+    for begin in range(0, len(moves), at_once):
+        some = slice(begin, begin + at_once)
+        moved = states + sides[some, :, :, None] * state_slopes[some, None]
+        part = variants.of_moves(begin, begin + len(moved))
+        ends = output(part.shown(model, moved, past))
+        ends = ends.reshape(-1, 2, b, *ends.shape[1:])
+        slopes.append((ends[:, 0] - ends[:, 1]) / _like(widths[some], ends[:, 0]))
+    outputs = np.concatenate(slopes)
+    if any(move.beside for move in moves):
+        batch = shown(model, inputs, states, past)
+        for q, move in enumerate(moves):
+            if move.beside:
+                outputs[q] += _per_unit(model, move, lambda up: output(batch))
+    return outputs, state_slopes
 
-    def moved(move: Move, state_slope: Floats, side: Floats) -> Floats:
-        state = states + side[:, None] * state_slope
-        return output(shown(model, move.inputs(inputs, side), state, past))
 
-    slopes = [
-        _per_unit(model, move, partial(moved, move, state_slope))
-        for state_slope, move in zip(state_slopes, moves, strict=True)
-    ]
-    return np.array(slopes), state_slopes
+def _like(values: Floats, array: Floats) -> Floats:
+    """Return values with axes of length 1 behind theirs, as many as those of an array."""
+    return values.reshape(*values.shape, *[1] * (array.ndim - values.ndim))
 
 
-def _per_unit(model: ForwardModel, move: Move, value_at: Callable[[Floats], Floats]) -> Floats:
+def _per_unit(model: ForwardModel, move: Move, value_at: Callable[[bool], Floats]) -> Floats:
     """Return the difference quotient of a value (b, ...) on both sides of a move."""
-    sides = []
-    for side in (move.up, move.down):
-        with move.applied(model, side):
-            sides.append(value_at(side))
-    width = (move.up - move.down).reshape(-1, *[1] * (sides[0].ndim - 1))
-    return np.asarray((sides[0] - sides[1]) / width)
+    ends = []
+    for up in (True, False):
+        with move.applied(model, up):
+            ends.append(value_at(up))
+    return np.asarray((ends[0] - ends[1]) / _like(move.up - move.down, ends[0]))
 
 
-class _Move:
-    """One quantity and how far it moves up and down, (b,) each."""
-
-    def __init__(self, column: Column, up: Floats, down: Floats, j: int) -> None:
-        self.column, self.up, self.down, self.j = column, up, down, j
-
-    @classmethod
-    def of(cls, model: ForwardModel, shapes: ShapeBatch, column: Column) -> _Move:
-        """Choose the steps: central, one-sided at zero tension and at a parameter's bound."""
-        ones, longer = np.ones(len(shapes)), REMEMBERED_STEP if model.friction_remembers else 1.0
-        if isinstance(column, str):
-            if column not in model.inputs:
-                raise InputError(f'unknown input {column!r}; known: {", ".join(model.inputs)}')
-            j, step = model.inputs.index(column), longer * TENSION_STEP
-            return cls(column, step * ones, -np.minimum(step, shapes.inputs[:, j]), j)
-        effect, name = column[:2]
-        known = {p.name: p for p in model.catalogue[effect].parameters}
-        if name not in known:
-            raise InputError(f'{effect}: unknown parameter {name!r}; known: {", ".join(known)}')
-        value, parameter = model.arrays.get(effect, name, _section(column)), known[name]
-        step = longer * DIFFERENCE_STEP * max(abs(value), parameter.typical)
-        up, down = min(step, parameter.high - value), max(-step, parameter.low - value)
-        return cls(column, up * ones, down * ones, -1)
-
-    def inputs(self, inputs: Floats, side: Floats) -> Floats:
-        """Return the input tensions (b, m) [N] of one side."""
-        moved = inputs.copy()
-        if self.j >= 0:
-            moved[:, self.j] += side
-        return moved
-
-    @contextmanager
-    def applied(self, model: ForwardModel, side: Floats) -> Iterator[None]:
-        """Move the parameter, if it is one, while the block runs."""
-        arrays = model.arrays
-        values, on = arrays.values.copy(), arrays.on.copy()
-        try:
-            if not isinstance(self.column, str):
-                effect, name = self.column[:2]
-                section = _section(self.column)
-                row = arrays.layout.rows[effect, name]
-                arrays.values[row, slice(None) if section is None else section] += side[0]
-                arrays.act(effect)
-            yield
-        finally:
-            arrays.values[:], arrays.on[:] = values, on
-
-
-def _section(column: Column) -> int | None:
-    return column[2] if len(column) == 3 else None  # type: ignore[return-value]
-
-
-def residuals(model: ForwardModel, inputs: Floats, states: Floats, past: Floats) -> Floats:
-    """Return states (b, 3n) minus those that balance their own moments [rad]; 0 for no twist."""
-    model.arrays.link()
-    inputs, states = np.ascontiguousarray(inputs), np.ascontiguousarray(states)
-    part, out = model.arrays.part('derivatives'), np.empty_like(states)
-    part.residuals(model.arrays.address, inputs, states, past, model.scratch, out)
-    return out
+def move_of(model: ForwardModel, shapes: ShapeBatch, column: Column) -> Move:
+    """Return the move of an input or parameter, one-sided at zero tension and at a bound."""
+    longer = REMEMBERED_STEP if model.friction_remembers else 1.0
+    if isinstance(column, str):
+        if column not in model.inputs:
+            raise InputError(f'unknown input {column!r}; known: {", ".join(model.inputs)}')
+        return Move.of_tension(model.inputs.index(column), shapes.inputs, longer * TENSION_STEP)
+    effect, name = column[:2]
+    section: int | None = column[2] if len(column) == 3 else None
+    known = {p.name: p for p in model.catalogue[effect].parameters}
+    if name not in known:
+        raise InputError(f'{effect}: unknown parameter {name!r}; known: {", ".join(known)}')
+    value, parameter = model.arrays.get(effect, name, section), known[name]
+    step = longer * DIFFERENCE_STEP * max(abs(value), parameter.typical)
+    ends = max(-step, parameter.low - value), min(step, parameter.high - value)
+    columns = slice(None) if section is None else section
+    return Move.of_parameter(model, len(shapes), effect, name, columns, ends)
 
 
 def responses(

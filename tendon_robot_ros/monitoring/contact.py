@@ -33,11 +33,10 @@ from scipy.interpolate import make_interp_spline
 
 from ..common.arrays import Floats
 from ..common.estimation import CONVERGED_SD, ITERATIONS_MAX, gauss_newton
-from ..inference.imperfections import PLAUSIBLE_SIZES, ZERO
-from ..inference.predict import Conditions, FreeParameter, SettledShapes, Shifted, free_parameters
+from ..inference.imperfections import PLAUSIBLE_SIZES, ZERO, forces_along
+from ..inference.predict import FreeParameter, SettledShapes, free_parameters
 from ..inference.search import DIFFERENCE_STEP
 from ..inference.statistics import RARE, SIGNIFICANCE, TIE_SCORE, chi2_isf
-from ..model.derivatives import Move
 from ..model.shape import ShapeBatch
 from ..robot.estimates import natural_sizes
 from .built_arm import LOAD, ODD_PROBABILITY, BuiltArm
@@ -183,19 +182,8 @@ class ContactObserver:
         if self._place is None or split.model.remembers or split.markers(point) is None:
             return None
         assert split.settled is not None
-        arrays, ends = split.model.arrays, np.append(0.0, np.cumsum(self.arm.robot.cell_lengths))
-        first = arrays.layout.rows[self.effect, 'arc_length']
-        place_row, *force_rows = np.eye(4)[:, :, None]  # the components of the force follow
-
-        def moves(part: Conditions, count: int) -> list[Move]:
-            entries, step = arrays.values[first : first + 4], self.step
-            return [
-                Shifted(arrays, (-step, step), count, entries, row, about=end * place_row)
-                for end in ends[1:]
-                for row in force_rows
-            ]
-
-        slopes = split.tangent_by(moves, point, split.settled).markers
+        ends = np.append(0.0, np.cumsum(self.arm.robot.cell_lengths))
+        slopes = forces_along(split, point, self.effect, self.step, ends[1:])
         at_ends = slopes.reshape(len(ends) - 1, 3, -1).swapaxes(1, 2)
         at_ends = np.concatenate([np.zeros_like(at_ends[:1]), at_ends])
         # within a cell both ends carry as much as they are near

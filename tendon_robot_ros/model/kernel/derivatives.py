@@ -24,6 +24,7 @@ from .layout import (
     compiled,
     copy,
     entry,
+    exchange,
     floats,
     keep,
     largest,
@@ -347,20 +348,23 @@ def path_steps(robot, inputs, states, pulls, past, scratch, answers, by_tension,
 
 
 @entry()
-def residuals(robot, inputs, bends, past, scratch, out):
+def residuals(robot, inputs, bends, past, scratch, acting, starts, places, values, out):
     """
-    Fill the residuals `out` (b, 3n) [rad] at inputs (b, m) [N] and states (b, 3n).
+    Fill the residuals `out` (v, b, 3n) [rad] of v variants at states (b, 3n); see `exchange`.
 
-    Those of the twists are 0 where cells do not twist, because a row is as wide as a state.
+    At inputs (v, b, m) [N]. Those of the twists are 0 where cells do not twist, because a row is
+    as wide as a state.
     """
     chain = chain_at(robot)
     work, then = work_in(chain, scratch), memory_in(chain, address(past))
-    for b in range(inputs.shape[0]):
-        tension, row = address(inputs) + 8 * chain.m * b, address(out) + 24 * chain.n * b
-        bend = address(bends) + 24 * chain.n * b
-        for q in range(unknowns(chain), 3 * chain.n):
-            floats(row)[q] = 0.0
-        chain.residual(chain, tension, bend, work, then, row)
+    for v in range(out.shape[0]):
+        exchange(chain, acting, starts, places, values, v)
+        for b in range(out.shape[1]):
+            row, tension = address(out[v, b]), address(inputs[v, b])
+            for q in range(unknowns(chain), 3 * chain.n):
+                floats(row)[q] = 0.0
+            chain.residual(chain, tension, address(bends[b]), work, then, row)
+        exchange(chain, acting, starts, places, values, v)
 
 
 @entry()

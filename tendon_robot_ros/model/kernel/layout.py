@@ -292,6 +292,22 @@ def with_results(work, tensions, frames, origins):
 
 
 @compiled
+def exchange(chain, acting, starts, places, values, v):
+    """
+    Exchange which effects act, and entries of a chain's arrays, with those of variant v of it.
+
+    Done twice, all is as before. `acting` (variants, effects) uint8; the entries of v are those
+    from starts[v] to starts[v + 1] of `places` (addresses) and `values`.
+    """
+    on = flags(chain.on)
+    for e in range(acting.shape[1]):
+        on[e], acting[v, e] = acting[v, e], on[e]
+    for r in range(starts[v], starts[v + 1]):
+        entry_at = floats(places[r])
+        entry_at[0], values[r] = values[r], entry_at[0]
+
+
+@compiled
 def section_of(chain, i):
     """Index of the section that cell i belongs to."""
     return int(floats(chain.cells)[COLUMNS * i + SECTION])

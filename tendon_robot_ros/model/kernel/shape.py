@@ -37,6 +37,7 @@ from .layout import (
     compiled,
     copy,
     entry,
+    exchange,
     floats,
     keep,
     memory_in,
@@ -295,6 +296,37 @@ def postures(robot, block, count, begin, end, past, scratch, carry, solves):
         place(chain, row[1], output)
         wire_pulls(chain, row[1], output, row[2], row[3])
     return worst
+
+
+@entry()
+def variants_shown(robot, block, count, past, scratch, acting, starts, places, values):
+    """
+    Show `count` postures of a block as `postures` without solving, as many of each variant.
+
+    Parameters
+    ----------
+    robot, block, count, scratch
+        See `postures`.
+    past : ndarray
+        Memory of the posture before all of them.
+    acting, starts, places, values : ndarray
+        Variants of the chain, see `exchange`.
+
+    """
+    chain = chain_at(robot)
+    n, k, m = chain.n, chain.k, chain.m
+    work, then = work_in(chain, scratch), memory_in(chain, address(past))
+    rest = scratch + 8 * (work_size(n, k) + memory_size(n, k, m))
+    each = count // acting.shape[0]
+    for v in range(acting.shape[0]):
+        exchange(chain, acting, starts, places, values, v)
+        for b in range(v * each, (v + 1) * each):
+            row, _, output = results_at(chain, address(block), count, b, work)
+            solving = with_results(work, output.tensions, work.frames, work.origins)
+            chain.residual(chain, row[0], row[1], solving, then, rest)
+            place(chain, row[1], output)
+            wire_pulls(chain, row[1], output, row[2], row[3])
+        exchange(chain, acting, starts, places, values, v)
 
 
 @entry()
