@@ -17,7 +17,14 @@ from tendon_robot_ros.model.versions import Preparation
 from tendon_robot_ros.simulation.hidden import Built
 from tendon_robot_ros.studies import judge
 from tendon_robot_ros.studies.campaign import robot_rows, summary
-from tendon_robot_ros.studies.cases import Case, Chance, Design, hidden_values, simulated
+from tendon_robot_ros.studies.cases import (
+    Case,
+    Chance,
+    Design,
+    hidden_values,
+    is_visible,
+    simulated,
+)
 from tendon_robot_ros.studies.judge import (
     CaseRow,
     Rate,
@@ -153,6 +160,15 @@ def test_what_is_hidden_grows_with_its_size_and_sections_differ():
     assert hidden_values('section_stiffness', 1.0, two, catalogue, 0) == {
         'relative_change': pytest.approx([0.15, -0.1])
     }
+
+
+@pytest.mark.parametrize('hidden', ['tip_load', 'friction_memory'])
+def test_a_hidden_effect_of_a_typical_size_is_visible(hidden):
+    setup, catalogue = plan().setup, load_catalogue()
+    case = Case(setup.arms[0].name, hidden, 1.0, 0, level=0.0, exact=True)
+    noise = setup.noises[0][1]
+    sim = simulated(case, setup.arms[0], setup.designs[0], noise, catalogue)
+    assert is_visible(case, sim)
 
 
 def test_markers_are_evenly_spaced_up_to_the_tip():

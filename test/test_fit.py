@@ -12,11 +12,12 @@ from simulated import CATALOGUE, NOISE, measured
 
 from tendon_robot_ros.diagnosis.add import fit_effects
 from tendon_robot_ros.inference.fitter import Fitter
-from tendon_robot_ros.inference.intervals import intervals, values_of
+from tendon_robot_ros.inference.intervals import QUANTILE, intervals, values_of
 from tendon_robot_ros.inference.noise import Whitener, input_slopes
 from tendon_robot_ros.inference.predict import Predictor, free_parameters
 from tendon_robot_ros.inference.session import Question
 from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.measurements import simulate
 from tendon_robot_ros.simulation.plant import make_plant
 from tendon_robot_ros.workspace.postures import default_postures
@@ -208,6 +209,25 @@ def test_an_interval_goes_on_where_another_parameter_is_at_its_bound(seed):
     low, high = np.array(ends[fit.frees[0]]) - told.values[0]
     assert 0.5 < -high / low < 2.0
     assert low < hidden['lag'] - told.values[0] < high
+
+
+@pytest.mark.parametrize('effect', ['moment_arm', 'backbone_stiffness'])
+def test_an_interval_ends_where_the_model_itself_with_other_gains_fits_that_much_worse(effect):
+    """Gains of 5 % that nobody knows bend the arm as the effect does."""
+    robot, work = replace(ROBOT, effects={}), replace(Workmanship(), gain=0.05)
+    plant = make_plant(robot, {effect: {'relative_change': 0.1}}, refine=1, seed=1, work=work)
+    dataset = simulate(plant, default_postures(robot, 10), trials=4, seed=1)
+    session, fit = settled(dataset, [effect])
+    fitter = session.fitters[0]
+    told = fitter.for_values(fit)
+    free = told.frees[0]
+    claimed = QUANTILE * np.sqrt(told.interval_covariance[0, 0] / told.covariance[0, 0])
+    for end in intervals(fitter, told)[free]:
+        pinned, here = replace(free, parameter=replace(free.parameter, low=end, high=end)), told
+        for _ in range(3):
+            fitter.linearise_around(here.members)
+            here = fitter.fit((pinned,), {pinned: end}, sizes=told.built.sizes)
+        assert np.sqrt(here.chi2 - told.chi2) == pytest.approx(claimed, rel=0.1)
 
 
 def test_what_no_posture_shows_has_no_interval():

@@ -18,6 +18,7 @@ from ..common.arrays import Floats
 from ..common.words import spoken
 from .fit import Fit
 from .fitter import FAILURES, ROUNDS_MAX, Fitter
+from .imperfections import Members
 from .marginal import NEGLIGIBLE, SIZE_MAX, Likelihood, Prior, RandomEffects
 from .predict import FreeParameter, Point, Predictor
 from .statistics import SIGNIFICANCE, chi2_isf, chi2_sf, half_width_sd
@@ -113,7 +114,12 @@ def _endpoint(fitter: Fitter, fit: Fit, i: int, spread: float, wide: float) -> f
     if value == bound:
         return value
     plain, end = end, bound if outside else end
-    rise = _profile_rise(fitter, fit, i, end, wide)
+    least = _profile(fitter, fit, i, value, wide)
+
+    def rise_to(end: float) -> float:
+        return float(np.sqrt(max(_profile(fitter, fit, i, end, wide) - least, 0.0)))
+
+    rise = rise_to(end)
     if outside and rise < wide:
         return bound
     near, far = (value, 0.0), None  # ends, and the rises there
@@ -127,7 +133,7 @@ def _endpoint(fitter: Fitter, fit: Fit, i: int, spread: float, wide: float) -> f
         else:
             share = float(np.clip((wide - near[1]) / (far[1] - near[1]), 0.1, 0.9))
             end = near[0] + share * (far[0] - near[0])
-        rise = _profile_rise(fitter, fit, i, end, wide)
+        rise = rise_to(end)
         if end == bound and rise < wide:
             break
     return end if np.isfinite(rise) else plain
@@ -137,12 +143,14 @@ def _rise(fitter: Fitter, fit: Fit, i: int, end: float) -> float:
     """
     Root of the rise of the deviance along the profile that the curvature predicts.
 
-    Of an arm as built all linear parameters are adjusted, except the sizes of its imperfections;
-    nan without equilibrium.
+    Of an arm as built its imperfections move along, because an effect that acts as they do is one
+    with them where both are taken from the model; all linear parameters are adjusted, except the
+    sizes. Nan without equilibrium.
     """
     ends, deviances = (float(fit.values[i]), end) if fit.as_built else (end,), []
     for at in ends:
-        moved, prior = _along(fit, i, at)
+        moved, members, prior = _along(fit, i, at)
+        fitter.linearise_around(members)
         markers = fitter.predictor.markers(moved, near=fit.settled)
         if markers is None:
             return float('nan')
@@ -158,10 +166,14 @@ def _rise(fitter: Fitter, fit: Fit, i: int, end: float) -> float:
     return float(np.sqrt(max(at_end - at_fit, 0.0)))
 
 
-def _along(fit: Fit, i: int, end: float) -> tuple[Point, float]:
-    """Return the point of the profile that the curvature predicts, and chi² of its priors."""
-    rates = fit.covariance[:, i] / fit.covariance[i, i]
-    moved = (fit.values + np.nan_to_num(rates) * (end - fit.values[i]))[: len(fit.all_frees)]
+def _along(fit: Fit, i: int, end: float) -> tuple[Point, Members, float]:
+    """
+    Return the point of the profile that the curvature predicts, and chi² of its priors.
+
+    With the imperfections there.
+    """
+    rates, q = fit.covariance[:, i] / fit.covariance[i, i], len(fit.all_frees)
+    moved, units = np.split(fit.values + np.nan_to_num(rates) * (end - fit.values[i]), [q])
     lows = [f.parameter.low for f in fit.frees] + [-np.inf] * len(fit.nuisances)
     highs = [f.parameter.high for f in fit.frees] + [np.inf] * len(fit.nuisances)
     moved = np.clip(moved, lows, highs)
@@ -170,27 +182,29 @@ def _along(fit: Fit, i: int, end: float) -> tuple[Point, float]:
         for value, n in zip(moved[len(fit.frees) :], fit.nuisances, strict=True)
     ]
     point = dict(zip(fit.all_frees, moved.tolist(), strict=True))
-    return point, float(np.sum(np.square(prior)))
+    members = fit.built.random.named(units, fit.built.sizes)
+    return point, members, float(np.sum(np.square(prior)))
 
 
-def _profile_rise(fitter: Fitter, fit: Fit, i: int, end: float, wide: float) -> float:
+def _profile(fitter: Fitter, fit: Fit, i: int, end: float, wide: float) -> float:
     """
-    Root of the rise of chi² with one parameter fixed at `end` and all others refitted.
+    Chi² with one parameter fixed at `end` and all others refitted.
 
-    As accurate as a comparison with `wide` asks for.
+    As accurate as a comparison of the root of its rise with `wide` asks for.
     """
     free = fit.frees[i]
     pinned = replace(free, parameter=replace(free.parameter, low=end, high=end))
     frees = (*fit.frees[:i], pinned, *fit.frees[i + 1 :])
-    start = {**_along(fit, i, end)[0], pinned: end}
-    fitter.resume(fit)
+    point, members, _ = _along(fit, i, end)
+    start = {**point, pinned: end}
+    fitter.linearise_around(members)
     try:
         search = fitter.search(frees, start, fit.built.sizes, fit.settled)
         search.gain_min = RISE_ERROR_MAX * wide**2
         search.run(8)
     except FAILURES:
         return float('inf')
-    return float(np.sqrt(max(float(search.r @ search.r) - fit.chi2, 0.0)))
+    return float(search.r @ search.r)
 
 
 def load_of(
