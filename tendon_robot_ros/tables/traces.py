@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from ..common.arrays import Floats, Ints
-from ..common.errors import DataSetError, InputError
+from ..common.errors import DataSetError, InputError, short
 from ..common.results import pandas
 from ..common.words import UNITS, find_unit, listing
 from ..data.arrays import FRAME_S, VALUES_MAX
@@ -36,80 +36,6 @@ DRIFT_MAX = 0.01
 # [s] at the end of the record, from one drift of the search to the next, so that their peaks
 # overlap
 DRIFT_STEP_S = 1.0
-
-
-class ClockFit:
-    """
-    The clock with which the motion of the markers goes with the inputs best.
-
-    The inputs' time is delay + (1 + drift) times that of the markers. A clock is as good as the
-    share of the markers' variance that a linear function of the inputs explains, for all delays at
-    once: correlations of whitened inputs with the markers' principal motions, by FFT. Overlap
-    counts: postures that repeat match less, moved by one round. That for a row of speeds of the
-    clock, coarsely, and around the best one finely.
-
-    Parameters
-    ----------
-    state_times, times : (T,) and (F,) [s]
-        Each by its own clock, from 0.
-    inputs : (T, m) [N] or [m]
-    positions : (F, J, 3) [m]
-        NaN where a marker was not seen.
-
-    """
-
-    def __init__(
-        self, state_times: Floats, inputs: Floats, times: Floats, positions: Floats
-    ) -> None:
-        span = max(float(times[-1]), 1.0)
-        coordinates = positions.reshape(len(times), -1)
-        longest = max(float(state_times[-1]), float(times[-1]))
-        # of the grid on which motions are compared: coarser where it would not fit into memory
-        step = max(FRAME_S, longest * coordinates.shape[1] / VALUES_MAX)
-        # coarse and fine: orthonormal columns that span the inputs; the largest motions
-        grids = []
-        for one in (5.0 * step, step):
-            spanned, sizes = _modes(state_times, inputs, one)
-            moved, moves = _modes(times, coordinates, one)
-            total = max(float(np.linalg.norm(moves)), 1e-30)  # all together have variance one
-            known = sizes > 1e-6 * max(float(sizes.max(initial=0.0)), 1e-30)
-            # as many motions as inputs, the largest, because they move the arm in no more ways
-            grids.append((spanned[:, known], (moved * moves / total)[:, : known.sum()]))
-        coarse, fine = grids
-        count = int(DRIFT_MAX * times[-1] / DRIFT_STEP_S)
-        drifts = np.linspace(-DRIFT_MAX, DRIFT_MAX, 2 * count + 1) if count else np.zeros(1)
-        matches = np.array([_matches(*coarse, drift).max() for drift in drifts.tolist()])
-        rough = int(matches.argmax())
-        beside = drifts[rough] + np.array([-1.0, 1.0]) * DRIFT_STEP_S / span
-        drift = float(
-            minimize_scalar(
-                lambda rate: -_matches(*fine, float(rate)).max(),
-                bounds=np.clip(beside, -DRIFT_MAX, DRIFT_MAX),
-                method='bounded',
-                options={'xatol': 0.25 * FRAME_S / span},
-            ).x
-        )
-        if abs(drift) * times[-1] < 2.5 * FRAME_S:  # at the end of the record: they run alike
-            drift = 0.0
-        self.drift = drift  # [s/s] that the markers' clock loses
-        match = _matches(*fine, drift)
-        best = int(match.argmax())
-        place = float(best)
-        if 0 < best < len(match) - 1:  # the vertex of the parabola through the peak and beside it
-            left, middle, right = match[best - 1 : best + 2].tolist()
-            if (curved := left - 2.0 * middle + right) < 0.0:
-                place += float(np.clip(0.5 * (left - right) / curved, -0.5, 0.5))
-        before = len(match) - len(fine[0])  # steps by which the markers' grid may begin earlier
-        # [s] that the markers' first row was taken after that of the inputs
-        self.delay = (place - before) * step
-        # of the markers' motion that the inputs explain there, 0 to 1; at the next best clock
-        self.match = float(match[best])
-        self.next_best = max(_next_best(match, best), _next_best(matches, rough))
-
-    @property
-    def is_clear(self) -> bool:
-        """Whether no other clock comes near."""
-        return self.match >= MATCH_MIN and self.next_best < CLEAR_RATIO * self.match
 
 
 def _modes(times: Floats, values: Floats, step: float) -> tuple[Floats, Floats]:
@@ -360,24 +286,79 @@ def follow_renumbered(tables: Sequence[RawTable], chosen: Selection, length: flo
 def _clock(
     state_times: Floats, inputs: Floats, times: Floats, positions: Floats
 ) -> tuple[float, float, str]:
-    """Return delay [s] and drift [s/s] of the tracker's clock, and how they are known."""
-    fit = ClockFit(state_times, inputs, times, positions)
-    if not fit.is_clear:
+    """
+    Return delay [s] and drift [s/s] of the tracker's clock, and how they are known.
+
+    The inputs' time is delay + (1 + drift) times that of the markers. A clock is as good as the
+    share of the markers' variance that a linear function of the inputs explains, for all delays at
+    once: correlations of whitened inputs with the markers' principal motions, by FFT. Overlap
+    counts: postures that repeat match less, moved by one round. That for a row of speeds of the
+    clock, coarsely, and around the best one finely.
+
+    Parameters
+    ----------
+    state_times, times : (T,) and (F,) [s]
+        Each by its own clock, from 0.
+    inputs : (T, m) [N] or [m]
+    positions : (F, J, 3) [m]
+        NaN where a marker was not seen.
+
+    """
+    last, span = times[-1], max(float(times[-1]), 1.0)
+    coordinates = positions.reshape(len(times), -1)
+    longest = max(float(state_times[-1]), float(last))
+    # of the grid on which motions are compared: coarser where it would not fit into memory
+    step = max(FRAME_S, longest * coordinates.shape[1] / VALUES_MAX)
+    # coarse and fine: orthonormal columns that span the inputs; the largest motions
+    grids = []
+    for one in (5.0 * step, step):
+        spanned, sizes = _modes(state_times, inputs, one)
+        moved, moves = _modes(times, coordinates, one)
+        total = max(float(np.linalg.norm(moves)), 1e-30)  # all together have variance one
+        known = sizes > 1e-6 * max(float(sizes.max(initial=0.0)), 1e-30)
+        # as many motions as inputs, the largest, because they move the arm in no more ways
+        grids.append((spanned[:, known], (moved * moves / total)[:, : known.sum()]))
+    coarse, fine = grids
+    count = int(DRIFT_MAX * last / DRIFT_STEP_S)
+    drifts = np.linspace(-DRIFT_MAX, DRIFT_MAX, 2 * count + 1) if count else np.zeros(1)
+    matches = np.array([_matches(*coarse, one).max() for one in drifts.tolist()])
+    rough = int(matches.argmax())
+    beside = drifts[rough] + np.array([-1.0, 1.0]) * DRIFT_STEP_S / span
+    drift = float(
+        minimize_scalar(
+            lambda rate: -_matches(*fine, float(rate)).max(),
+            bounds=np.clip(beside, -DRIFT_MAX, DRIFT_MAX),
+            method='bounded',
+            options={'xatol': 0.25 * FRAME_S / span},
+        ).x
+    )
+    if abs(drift) * last < 2.5 * FRAME_S:  # at the end of the record: they run alike
+        drift = 0.0
+    match = _matches(*fine, drift)
+    best = int(match.argmax())
+    place = float(best)
+    if 0 < best < len(match) - 1:  # the vertex of the parabola through the peak and beside it
+        left, middle, right = match[best - 1 : best + 2].tolist()
+        if (curved := left - 2.0 * middle + right) < 0.0:
+            place += float(np.clip(0.5 * (left - right) / curved, -0.5, 0.5))
+    before = len(match) - len(fine[0])  # steps by which the markers' grid may begin earlier
+    delay, drift = round((place - before) * step, 3), round(drift, 7)
+    explained, next_best = match[best], max(_next_best(match, best), _next_best(matches, rough))
+    if explained < MATCH_MIN or next_best >= CLEAR_RATIO * explained:
         why = (
             'both files begin together: what moves in them does not tell by how much one begins '
-            f'later ({100 * fit.match:.0f} % go with the inputs at {fit.delay:.2f} s, '
-            f'{100 * fit.next_best:.0f} % at another delay); if you know it, say --delay'
+            f'later ({100 * explained:.0f} % go with the inputs at {delay:.2f} s, '
+            f'{100 * next_best:.0f} % at another delay); if you know it, say --delay'
         )
         return 0.0, 0.0, why
-    delay, drift = round(fit.delay, 3), round(fit.drift, 7)
     order = 'after' if delay >= 0.0 else 'before'
     speed = 'fast' if drift < 0.0 else 'slow'
-    off = f'{abs(drift) * times[-1]:.2f} s at its end, {1e6 * abs(drift):.0f} in a million'
+    off = f'{abs(drift) * last:.2f} s at its end, {1e6 * abs(drift):.0f} in a million'
     how = (
         f"the tracker's file begins {abs(delay):.2f} s {order} that of the inputs"
         + (f', and its clock is {speed} ({off})' if drift else '')
-        + f': then {100 * fit.match:.0f} % of what the markers move goes with the inputs, '
-        f'at no other delay more than {100 * fit.next_best:.0f} %'
+        + f': then {100 * explained:.0f} % of what the markers move goes with the inputs, '
+        f'at no other delay more than {100 * next_best:.0f} %'
     )
     return delay, drift, how
 
@@ -414,26 +395,20 @@ def _cut_jumps(positions: Floats, times: Floats) -> Floats:
 def _times(table: RawTable, recipe: Recipe) -> Floats:
     column = time_column(table, recipe.time)
     assert column is not None
-    stamps = None  # times written as dates
+    written = table.columns[column]
     if table.is_text(column):
-        stamps = pandas().to_datetime(table.columns[column], errors='coerce', utc=True)
-    if stamps is not None and stamps.isna().mean() <= 0.5:
-        bad = np.asarray(stamps.isna())
-        if bad.any():
-            row = int(bad.argmax())
-            problem = f'{column} is {table.columns[column][row]!r}'
-            raise DataSetError(table.where(row), problem, 'expected a date and time')
+        stamps = pandas().to_datetime(written, errors='coerce', utc=True)
+    if table.is_text(column) and stamps.isna().mean() <= 0.5:  # dates
         times = np.asarray((stamps - stamps[0]).total_seconds())
     else:
         unit = find_unit((recipe.time or {})[column])
         times = table.numbers(column, 'a time') * (1.0 if unit is None else unit.factor)
-    if np.isnan(times).any():
-        row = int(np.isnan(times).argmax())
-        raise DataSetError(table.where(row), f'{column} is empty', 'every row needs its time')
-    back = np.flatnonzero(np.diff(times) < 0.0)
-    if len(back):
-        row = int(back[0]) + 1
-        problem = f'time goes back from {times[row - 1]:g} to {times[row]:g} s'
-        raise DataSetError(table.where(row), problem, 'one file per recording: split it there')
+    back = np.diff(times, prepend=-np.inf) < 0.0
+    for row in np.flatnonzero(np.isnan(times) | back)[:1].tolist():
+        if back[row]:
+            problem = f'time goes back from {times[row - 1]:g} to {times[row]:g} s'
+            raise DataSetError(table.where(row), problem, 'one file per recording: split it there')
+        cell = short(written[row]) if table.is_text(column) and written[row] else 'empty'
+        raise DataSetError(table.where(row), f'{column} is {cell}', 'every row needs its time')
     started: Floats = times - times[0]
     return started
