@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Mapping
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -29,7 +28,7 @@ from ..data.still_segments import Rule
 from ..report.pictures import draw_run
 from ..robot import load_robot
 from ..tables import import_table
-from ..tables.columns import UPS, ColumnUse
+from ..tables.columns import UPS
 from ..tables.markers import CHOICES
 from ..tables.recipe import INPUT_KINDS, METHODS, FrameChoice, Recipe, load_recipe
 from . import options
@@ -213,8 +212,8 @@ class ImportTable:
         if robot_path is None:
             raise InputError('--robot: describe the arm with `robot new`, then name its file')
         robot = load_robot(robot_path)
-        recipe = with_arm(with_columns(recipe, args, robot.inputs), args)
-        recipe = with_measurements(recipe, args)
+        units, keys = given(args, robot.inputs)
+        recipe = replace(recipe.with_keys(keys), **units)
         catalogue = load_catalogue(args.effect_file)
         with progress() as show:
             imported = import_table(args.raw, robot, recipe, catalogue, show)
@@ -325,8 +324,10 @@ def refuse_swapped(args: argparse.Namespace) -> None:
         )
 
 
-def with_columns(recipe: Recipe, args: argparse.Namespace, inputs: tuple[str, ...]) -> Recipe:
-    """Return a recipe with the columns and units of the arguments."""
+def given(
+    args: argparse.Namespace, inputs: tuple[str, ...]
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the units of columns that are guessed, and the keys of an import.yaml."""
     columns, units = pairs('--column', args.column), pairs('--unit', args.unit)
     for name in columns:
         if name != 'time' and name not in inputs:
@@ -334,87 +335,46 @@ def with_columns(recipe: Recipe, args: argparse.Namespace, inputs: tuple[str, ..
     for name in units:
         if name not in ('inputs', 'positions', 'time'):
             raise InputError(f'--unit {name}=...: expected inputs, positions or time')
-    time_unit = read_unit('--unit time', units.get('time', 's'), 'time').text
-    if 'time' in columns:
-        named = {} if columns['time'] == 'none' else {columns['time']: time_unit}
-        recipe = replace(recipe, time=named)
-    unit = units.get('inputs')
-    if unit is not None:
-        unit = read_unit('--unit inputs', unit, *INPUT_KINDS).text
-    uses = dict(recipe.inputs or {})
-    uses |= {n: ColumnUse(c, unit or '') for n, c in columns.items() if n != 'time'}
-    if 'positions' in units:
-        unit_of_places = read_unit('--unit positions', units['positions'], 'length').text
-        recipe = replace(recipe, positions=unit_of_places)
-    spool = {
-        'radius': None if args.spool is None else length('--spool', args.spool, 'mm'),
-        'counts_per_turn': args.counts_per_turn,
-        'torque_constant': args.torque_constant,
+    kinds = {'inputs': INPUT_KINDS, 'positions': ('length',), 'time': ('time',)}
+    units = {n: read_unit(f'--unit {n}', text, *kinds[n]).text for n, text in units.items()}
+    time, unit = columns.pop('time', None), units.get('inputs', '')
+    places = _lengths('--markers', args.markers)
+    if places and any(b <= a for a, b in pairwise(places)):
+        raise InputError('--markers: expected distances that grow, from base to tip [mm]')
+    aside = _lengths('--offset', args.offset)
+    if aside and len(aside) != 2:
+        raise InputError(f'--offset: expected X,Y in mm, got {args.offset!r}')
+    spool = None if args.spool is None else length('--spool', args.spool, 'mm')
+    speed = None if args.speed is None else 1e-3 * args.speed
+    keys = {
+        'inputs': {n: {'column': c, 'unit': unit or None} for n, c in columns.items()},
+        'zero': args.zero,
+        'spool': {
+            'radius': spool,
+            'counts_per_turn': args.counts_per_turn,
+            'torque_constant': args.torque_constant,
+        },
+        'positions': units.get('positions'),
+        'points': args.points,
+        'offset': [*aside, 0.0] if aside else None,
+        'places': places,
+        'up': args.up,
+        'delay': args.delay,
+        'still': {'speed': speed, 'duration': args.duration},
+        'same': input_size('--same', args.same),
+        'rest': input_size('--rest', args.rest),
+        'path': args.path,
+        'frame': args.frame and {'method': args.frame},
     }
-    return replace(
-        recipe,
-        inputs=uses or None,
-        input_unit=unit,
-        time_unit=time_unit if 'time' in units else None,
-        zero=args.zero or recipe.zero,
-        spool=replace(recipe.spool, **given(spool, radius='--spool')),
-    )
+    if time is not None:
+        keys['time'] = {} if time == 'none' else {time: units.get('time', 's')}
+    known = {key: value for key, value in keys.items() if value is not None}
+    return {'input_unit': units.get('inputs'), 'time_unit': units.get('time')}, known
 
 
-def with_arm(recipe: Recipe, args: argparse.Namespace) -> Recipe:
-    """Return a recipe with the markers and the frame of the arguments."""
-    if args.markers:
-        places = _lengths('--markers', args.markers)
-        if any(b <= a for a, b in pairwise(places)):
-            raise InputError('--markers: expected distances that grow, from base to tip [mm]')
-        open_ones = tuple(replace(m, arc_length=None) for m in recipe.markers or ())
-        recipe = replace(recipe, places=places, markers=open_ones or None)
-    if args.points:
-        recipe = replace(recipe, points=args.points, markers=None)
-    if args.offset:
-        aside = _lengths('--offset', args.offset)
-        if len(aside) != 2:
-            raise InputError(f'--offset: expected X,Y in mm, got {args.offset!r}')
-        recipe = replace(recipe, offset=(aside[0], aside[1], 0.0))
-    if args.frame:
-        recipe = replace(recipe, frame=FrameChoice(args.frame))
-    return replace(recipe, up=args.up or recipe.up)
-
-
-def _lengths(option: str, text: str) -> tuple[float, ...]:
+def _lengths(option: str, text: str | None) -> list[float] | None:
     """Read lengths with commas between them, mm unless they say otherwise, in metres."""
-    return tuple(length(option, part, 'mm') for part in text.split(','))
-
-
-def with_measurements(recipe: Recipe, args: argparse.Namespace) -> Recipe:
-    """Return a recipe with the thresholds of the arguments."""
-    still = {'speed': None if args.speed is None else 1e-3 * args.speed, 'duration': args.duration}
-    same = {'same': input_size('--same', args.same), 'rest': input_size('--rest', args.rest)}
-    more = {'delay': None if args.delay is None else (args.delay,), 'path': args.path}
-    more = {key: value for key, value in more.items() if value is not None}
-    recipe = replace(recipe, still=replace(recipe.still, **given(still)))
-    return replace(recipe, **given(same), **more)
-
-
-def given(values: Mapping[str, float | None], **options: str) -> dict[str, Any]:
-    """
-    Return the numbers that were given.
-
-    `options` names those whose option is called otherwise.
-
-    Raises
-    ------
-    InputError
-        One is not above 0 (a rest: -1), or implausibly large.
-
-    """
-    known = {key: value for key, value in values.items() if value is not None}
-    for key, value in known.items():
-        low, option = -1.0 if key == 'rest' else 0.0, '--' + key.replace('_', '-')
-        if not low < value < 1e9:
-            option = options.get(key, option)
-            raise InputError(f'{option}: expected a number above {low:g}, got {value:g}')
-    return known
+    return [length(option, part, 'mm') for part in text.split(',')] if text else None
 
 
 class ExportBag:

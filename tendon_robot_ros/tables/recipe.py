@@ -243,6 +243,27 @@ class Recipe:
     input_unit: str | None = None  # of guessed columns; precedes units in their names
     time_unit: str | None = None
 
+    def with_keys(self, keys: Mapping[str, Any]) -> Recipe:
+        """
+        Return the recipe with these keys of the file instead of its own.
+
+        Of `spool`, `still` and `inputs` what they do not say stays; with `points` markers are
+        guessed anew, with `places` where they are.
+        """
+        new = _checked(RecipeFields('options', '', dict(keys)))
+        values = {name: getattr(new, name) for name in keys}
+        for name in {'spool', 'still'} & keys.keys():
+            said = [one for one in keys[name] if keys[name][one] is not None]
+            own = {one: getattr(values[name], one) for one in said}
+            values[name] = replace(getattr(self, name), **own)
+        if 'inputs' in keys:
+            values['inputs'] = {**(self.inputs or {}), **values['inputs']}
+        if 'places' in keys:
+            values['markers'] = tuple(replace(m, arc_length=None) for m in self.markers or ())
+        if 'points' in keys or not values.get('markers', True):
+            values['markers'] = None
+        return replace(self, **values)
+
 
 def load_recipe(path: str | Path) -> Recipe:
     """
