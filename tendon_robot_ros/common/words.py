@@ -124,12 +124,12 @@ def capital(sentence: str) -> str:
     return sentence[:1].upper() + sentence[1:]
 
 
-def columns(rows: Sequence[Sequence[str]]) -> str:
-    """Align rows of text in columns, the first to the left, all others to the right."""
+def columns(rows: Sequence[Sequence[str]], left: int = 1) -> str:
+    """Align rows of text in columns, the first ones to the left, all others to the right."""
     widths = [max(len(row[c]) for row in rows if c < len(row)) for c in range(len(rows[0]))]
     return '\n'.join(
         '  '.join(
-            cell.ljust(width) if c == 0 else cell.rjust(width)
+            cell.ljust(width) if c < left else cell.rjust(width)
             for c, (cell, width) in enumerate(zip(row, widths, strict=False))
         ).rstrip()
         for row in rows

@@ -133,6 +133,13 @@ class CsvFile:
         """Return columns of numbers, (n, c)."""
         return np.stack([self.numbers[name] for name in names], axis=1)
 
+    def all_or_none(self, names: Sequence[str], problem: str, remedy: str) -> Floats:
+        """Return columns of numbers, (n, c); refuse a row where only some of them are empty."""
+        values = self.columns(names)
+        empty = np.isnan(values)
+        self.refuse(empty.any(axis=1) & ~empty.all(axis=1), problem, remedy)
+        return values
+
     def name(self, row: int, *keys: str) -> str:
         """Name a row for a message by its names (in all name columns by default)."""
         return ', '.join(f'{key} {self.label(row, key)!r}' for key in keys or self.labels)

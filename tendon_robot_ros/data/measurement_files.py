@@ -243,8 +243,7 @@ class Shapes:
             problem = f'{", ".join(turned)} alone are no quaternion'
             raise file.error(1, problem, f'write {", ".join(QUATERNION)}, or none of them')
         file.read(KEYS, (*POSITION, *turned))
-        xyz = file.columns(POSITION)
-        _check_positions(file, xyz, robot)
+        xyz = _positions(file, robot)
         self.trials = trials = sort_trials(
             (*file.labels['trial'], *(commands.trials or ()))
         )  # (Q,)
@@ -272,13 +271,9 @@ def _known(file: CsvFile, key: str, known: tuple[str, ...], problem: str) -> Int
     return places
 
 
-def _check_positions(file: CsvFile, xyz: Floats, robot: Robot) -> None:
-    missing = np.isnan(xyz)
-    file.refuse(
-        missing.any(axis=1) & ~missing.all(axis=1),
-        'only part of x, y, z is there',
-        'write all three, or leave all three empty where the marker was not seen',
-    )
+def _positions(file: CsvFile, robot: Robot) -> Floats:
+    remedy = 'write all three, or leave all three empty where the marker was not seen'
+    xyz = file.all_or_none(POSITION, 'only part of x, y, z is there', remedy)
     beyond = (np.abs(xyz) > PLAUSIBLE_FACTOR * robot.length).any(axis=1)
     far = np.abs(xyz[int(beyond.argmax())]).max()
     file.refuse(
@@ -286,6 +281,7 @@ def _check_positions(file: CsvFile, xyz: Floats, robot: Robot) -> None:
         f'the marker is {far:g} m away, but the robot is only {robot.length:g} m long',
         'write metres in the base frame (are these mm?)',
     )
+    return xyz
 
 
 def sort_trials(names: tuple[str, ...]) -> tuple[str, ...]:
@@ -330,15 +326,10 @@ def _check_trials(file: CsvFile, commands: Commands, places: Places, sequence: b
 
 def _quaternions(file: CsvFile, visible: Bools) -> Floats:
     """Return unit quaternions, (n, 4)."""
-    q = file.columns(QUATERNION)
-    missing = np.isnan(q)
+    remedy = 'write qx, qy, qz and qw, or leave all four empty'
+    q = file.all_or_none(QUATERNION, 'only part of the quaternion is there', remedy)
     file.refuse(
-        missing.any(axis=1) & ~missing.all(axis=1),
-        'only part of the quaternion is there',
-        'write qx, qy, qz and qw, or leave all four empty',
-    )
-    file.refuse(
-        ~missing.all(axis=1) & ~visible,
+        np.isfinite(q[:, 0]) & ~visible,
         'an orientation without a position',
         'write x, y, z too, or leave the quaternion empty',
     )

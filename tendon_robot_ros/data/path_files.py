@@ -77,10 +77,7 @@ def read_path(path: str | Path, inputs: tuple[str, ...]) -> TipRows | TendonRows
     if present := [name for name in VIEW if name in file.numbers]:
         if len(present) < 3:
             raise DataSetError(str(path), 'a direction needs dx, dy and dz', 'add the columns')
-        values = file.columns(VIEW)
-        empty = np.isnan(values)
-        half = empty.any(axis=1) & ~empty.all(axis=1)
-        file.refuse(half, 'half a direction', 'write dx, dy and dz, or none')
+        values = file.all_or_none(VIEW, 'half a direction', 'write dx, dy and dz, or none')
         sizes = np.linalg.norm(values, axis=1)
         file.refuse(sizes < 1e-6, 'the direction is zero', 'write where the tip looks')
         directions = values / sizes[:, None]

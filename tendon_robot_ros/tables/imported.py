@@ -14,7 +14,7 @@ from ..common.arrays import Floats
 from ..common.colours import COLOURS, GOOD, LEFT_OUT, MEASURED, PREDICTED, REST
 from ..common.results import TextResult
 from ..common.rotations import rotation_angle
-from ..common.words import LISTED_MAX, mm, postures
+from ..common.words import LISTED_MAX, columns, mm, postures
 from ..data import DataSet, save_dataset
 from ..data.dataset import at_rest
 from ..inference.session import POSTURES_MAX
@@ -260,12 +260,7 @@ def columns_table(recipe: Recipe, chosen: Selection) -> str:
         placed.append([label, f'marker {marker.name}', recipe.positions or '', why])
     if len(placed) > LISTED_MAX:
         placed = [*placed[: LISTED_MAX // 2], ['...', '', '', ''], *placed[-LISTED_MAX // 2 :]]
-    rows += placed
-    widths = [max(len(row[c]) for row in rows) for c in range(len(rows[0]))]
-    return '\n'.join(
-        '  '.join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in rows
-    )
+    return columns([*rows, *placed], len(rows[0]))
 
 
 def measurement_line(dataset: DataSet, measured: StillMeasurements) -> str:
