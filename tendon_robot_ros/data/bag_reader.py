@@ -266,17 +266,25 @@ def is_base(frame: str) -> bool:
 
 
 class Transforms:
-    """The transforms of a recording: the parent of every frame, and its poses in the parent."""
+    """
+    The transforms of a recording, static ones as well.
 
-    def __init__(self, name: str, start: int, samples: Mapping[tuple[str, str], Any]) -> None:
-        """Take rows (S, 8) of time [ns], x, y, z [m], qx, qy, qz, qw by parent and child."""
-        self._name, self._start = name, start
+    `edges` holds rows (S, 8) of time [s], x, y, z [m], qx, qy, qz, qw by parent and child.
+    """
+
+    def __init__(self, recording: Recording) -> None:
+        """Read them."""
+        samples: dict[tuple[str, str], list[list[float]]] = {}
+        with opened(recording.name) as reader:
+            topics = [c.topic for c in reader.connections if c.msgtype == TF]
+            for connection, time, data in stored(reader, topics):
+                for one in reader.deserialize(data, connection.msgtype).transforms:
+                    p, q = one.transform.translation, one.transform.rotation
+                    pair = one.header.frame_id.lstrip('/'), one.child_frame_id.lstrip('/')
+                    row = [1e-9 * (time - recording.start), p.x, p.y, p.z, q.x, q.y, q.z, q.w]
+                    samples.setdefault(pair, []).append(row)
+        self._name = recording.name
         self.edges = {pair: np.array(rows) for pair, rows in samples.items()}
-
-    @property
-    def children(self) -> list[str]:
-        """Frames that have a parent frame."""
-        return sorted({child for _, child in self.edges})
 
     def track(self, child: str) -> tuple[str, Track]:
         """Return the parent frame of a marker, and its samples."""
@@ -286,8 +294,7 @@ class Transforms:
             remedy = 'record it again with one program that publishes it'
             raise DataSetError(self._name, problem, remedy)
         rows = self.edges[parents[0], child]
-        times = 1e-9 * (rows[:, 0] - self._start)
-        return parents[0], Track(times, rows[:, None, 1:4].copy(), rows[:, None, 4:].copy())
+        return parents[0], Track(rows[:, 0], rows[:, None, 1:4].copy(), rows[:, None, 4:].copy())
 
     def to_base(self, frame: str) -> Pose | None:
         """
@@ -330,20 +337,6 @@ class Transforms:
         return rotation, shift
 
 
-def read_transforms(recording: Recording) -> Transforms:
-    """Read all transforms of a recording, static ones as well."""
-    samples: dict[tuple[str, str], list[list[float]]] = {}
-    with opened(recording.name) as reader:
-        topics = [c.topic for c in reader.connections if c.msgtype == TF]
-        for connection, time, data in stored(reader, topics):
-            for one in reader.deserialize(data, connection.msgtype).transforms:
-                p, q = one.transform.translation, one.transform.rotation
-                pair = one.header.frame_id.lstrip('/'), one.child_frame_id.lstrip('/')
-                row = [float(time), p.x, p.y, p.z, q.x, q.y, q.z, q.w]
-                samples.setdefault(pair, []).append(row)
-    return Transforms(recording.name, recording.start, samples)
-
-
 def with_markers(
     recording: Recording, topics: Topics, names: Sequence[str], bag: str | Path
 ) -> Recording:
@@ -374,10 +367,10 @@ def with_markers(
         own = {n: [t for t in poses if n in t.split('/')] for n in names}
         if all(len(matches) == 1 for matches in own.values()):
             return read_bag(bag, replace(topics, markers={n: t[0] for n, t in own.items()}))
-    transforms = read_transforms(recording)
+    transforms = Transforms(recording)
     chosen = dict(topics.markers) or {name: name for name in names}
     chosen = {name: frame.lstrip('/') for name, frame in chosen.items()}
-    frames = transforms.children
+    frames = sorted({child for _, child in transforms.edges})
     lacking = [frame for frame in chosen.values() if frame not in frames]
     if lacking:
         shown = [*poses, *frames]
@@ -409,7 +402,7 @@ def in_base(recording: Recording) -> Recording:
     """Transform a recording to the frame of the base if its transforms allow it."""
     if is_base(recording.frame):
         return recording
-    pose = read_transforms(recording).to_base(recording.frame.lstrip('/'))
+    pose = Transforms(recording).to_base(recording.frame.lstrip('/'))
     if pose is None:
         return recording
     tracks = tuple(_moved(track, *pose) for track in recording.tracks)

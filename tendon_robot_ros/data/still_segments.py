@@ -301,14 +301,12 @@ def _average(recording: Recording, inputs: Floats, begin: float, end: float) -> 
 
 def _noise(positions: Floats) -> float:
     """Return 1 sd [m] of the mean of frames (S, J, 3), per coordinate."""
-    visible = np.isfinite(positions)
-    count = visible.sum(axis=0)
-    mean = np.where(visible, positions, 0.0).sum(axis=0) / np.maximum(count, 1)
-    squares = np.where(visible, (positions - mean) ** 2, 0.0).sum(axis=0)
+    count = np.isfinite(positions).sum(axis=0)
     known = count > 1
     if not known.any():
         return float('nan')
-    return float(np.sqrt(np.mean(squares[known] / (count[known] * (count[known] - 1)))))
+    variances = np.nanvar(positions[:, known], axis=0, ddof=1)
+    return float(np.sqrt(np.mean(variances / count[known])))
 
 
 def _mean_quaternion(quaternions: Floats) -> Floats:

@@ -238,16 +238,6 @@ class ColumnName:
             return 'time'
         return next((kind for kind, known in KINDS.items() if known & set(self.words)), '')
 
-    @property
-    def numbers(self) -> tuple[int, ...]:
-        """Numbers in the name."""
-        return tuple(int(word) for word in self.words if word.isdigit())
-
-    @property
-    def stem(self) -> tuple[str, ...]:
-        """Words without numbers."""
-        return tuple(word for word in self.words if not word.isdigit())
-
 
 def words_of(name: str) -> tuple[str, ...]:
     """Split a name into words in lower case and numbers."""
@@ -370,13 +360,15 @@ def _by_name(names: Sequence[ColumnName], inputs: Sequence[str]) -> InputGuess |
 
 def _by_number(names: Sequence[ColumnName], inputs: Sequence[str]) -> InputGuess | None:
     """Assign columns whose names differ only in a number, in the order of these numbers."""
-    stems: dict[tuple[str, ...], list[ColumnName]] = {}
+    stems: dict[tuple[str, ...], dict[int, ColumnName]] = {}
     for name in names:
-        if len(name.numbers) == 1:
-            stems.setdefault(name.stem, []).append(name)
+        numbers = [word for word in name.words if word.isdigit()]
+        if len(numbers) == 1:
+            stem = tuple(word for word in name.words if word != numbers[0])
+            stems.setdefault(stem, {})[int(numbers[0])] = name
     for alike in stems.values():
-        if len(alike) == len(inputs) and len({n.numbers for n in alike}) == len(inputs):
-            order = sorted(alike, key=lambda name: name.numbers)
+        if len(alike) == len(inputs):
+            order = [alike[number] for number in sorted(alike)]
             return _guess(order, inputs, "its number, in the order of the robot's inputs")
     return None
 
