@@ -28,9 +28,9 @@ EMPTY_ROW = re.compile('^,+$', re.M)
 Block = NDArray[np.void]  # rows of a CSV file: names as text, numbers as floats
 
 
-def first_line(path: Path, remedy: str) -> str:
+def csv_text(path: Path, remedy: str) -> str:
     """
-    Return the first line of a CSV file.
+    Return the text of a CSV file.
 
     Raises
     ------
@@ -39,15 +39,14 @@ def first_line(path: Path, remedy: str) -> str:
 
     """
     try:
-        with path.open(encoding='utf-8-sig') as file:
-            line = file.readline()
+        text = path.read_text(encoding='utf-8-sig')
     except UnicodeDecodeError:
         raise _no_text(path) from None
     except OSError as error:
         raise DataSetError(str(path), f'cannot be read ({error.strerror})', remedy) from None
-    if '\0' in line:
+    if '\0' in text:
         raise _no_text(path)
-    return line
+    return text
 
 
 def _no_text(path: Path) -> DataSetError:
@@ -110,7 +109,7 @@ class CsvFile:
 
         """
         self.path, self._missing = path, missing
-        line = first_line(path, remedy)
+        line, _, self._rows = csv_text(path, remedy).partition('\n')
         if not line.strip():
             raise DataSetError(
                 str(path), 'is empty', f'start it with the line {",".join(required)}'
@@ -173,12 +172,7 @@ class CsvFile:
             names stand in two rows.
 
         """
-        try:
-            with self.path.open(encoding='utf-8-sig') as file:
-                file.readline()
-                text = file.read().rstrip()
-        except UnicodeDecodeError:
-            raise _no_text(self.path) from None
+        text = self._rows.rstrip()
         if not text:
             raise self.error(2, 'there is no row below the header', 'write one row per value')
         texts = (*names, *remarks)
@@ -244,8 +238,6 @@ class CsvFile:
 
     def _parse_exactly(self, lines: Sequence[str], row: int, dtype: np.dtype[Any]) -> Block:
         """Parse lines cell by cell; the error names the row and column of a bad cell."""
-        if any('\0' in line for line in lines):
-            raise _no_text(self.path)
         try:
             rows = list(csv.reader(lines, strict=True))
         except csv.Error:

@@ -14,7 +14,7 @@ from ..common.errors import DataSetError
 from ..common.rotations import angle_between, from_quaternion
 from .bag_reader import opened, stored, topic_of
 from .bag_writer import JOINT_STATE, POSE_STAMPED, joints_of
-from .csv_file import CsvFile, first_line
+from .csv_file import CsvFile, csv_text
 
 PLACE, VIEW = ('x', 'y', 'z'), ('dx', 'dy', 'dz')
 NO_PATH = 'name a CSV file of targets, or a recording'
@@ -61,7 +61,8 @@ def read_path(path: str | Path, inputs: tuple[str, ...]) -> TipRows | TendonRows
     path = Path(path)
     missing = 'write a number, or leave dx, dy and dz empty for no direction'
     try:  # errors of the file are raised when it is read below
-        header = {cell.strip(' "\n') for cell in first_line(path, NO_PATH).split(',')}
+        line = csv_text(path, NO_PATH).partition('\n')[0]
+        header = {cell.strip(' "') for cell in line.split(',')}
     except DataSetError:
         header = set()
     if header & set(inputs):

@@ -21,7 +21,7 @@ from ...common.words import TYPED_LENGTHS, UNITS, other_unit, read_quantity
 from ...control.inputs import Trajectory
 from ...control.target_search import keep_out_refusal
 from ...data.bag_reader import is_bag, opened
-from ...data.csv_file import first_line
+from ...data.csv_file import csv_text
 from ...data.path_files import (
     NO_PATH,
     PathRun,
@@ -175,7 +175,7 @@ class Follow:
         if is_bag(args.path):  # errors of the file are reported before the controller is needed
             with opened(args.path):
                 pass
-        elif not first_line(Path(args.path), NO_PATH).strip():
+        elif not csv_text(Path(args.path), NO_PATH).strip():
             raise DataSetError(args.path, 'is empty', NO_PATH)
         if args.keep_out:
             load_keep_out(args.keep_out)
