@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import io
 import re
 from collections.abc import Hashable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import islice, pairwise
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -110,7 +111,7 @@ class TextPart:
     end: int  # byte behind them
     line: int  # number, from 0, of its first line of data
     width: int  # cells in its first row of data
-    sample: list[list[str]] = field(default_factory=list)  # first rows of data
+    sample: list[list[str]]  # first rows of data
 
 
 def _read_text(shown: str, path: Path) -> list[RawTable]:
@@ -119,17 +120,21 @@ def _read_text(shown: str, path: Path) -> list[RawTable]:
         raise DataSetError(shown, 'is no text file', 'export it as CSV (UTF-8)')
     if not data.strip():
         raise DataSetError(shown, 'is empty', 'export it again')
-    encoding, notes = 'utf-8-sig', tuple[str, ...]()
+    data, notes = data.removeprefix(codecs.BOM_UTF8), tuple[str, ...]()
     try:
-        data.decode(encoding)
+        data.decode()
     except UnicodeDecodeError:
-        encoding, notes = 'cp1252', ('text is taken as Windows-1252: it is no UTF-8',)
-    first = [line.decode(encoding, 'replace') for line in islice(io.BytesIO(data), ROWS_MAX)]
-    delimiter = _delimiter(shown, first)
+        data = data.decode('cp1252', 'replace').encode()
+        notes = ('text is taken as Windows-1252: it is no UTF-8',)
+    delimiter = _delimiter(shown, _first_lines(data))
     if delimiter != ',':
         notes = (*notes, f'columns are separated by {DELIMITERS[delimiter]}')
-    parts = _parts(shown, data, encoding, delimiter)
-    return [_read_part(shown, data, part, encoding, delimiter, notes) for part in parts]
+    parts = _parts(shown, data, delimiter)
+    return [_read_part(shown, data, part, delimiter, notes) for part in parts]
+
+
+def _first_lines(data: bytes) -> list[str]:
+    return [line.decode() for line in data.split(b'\n', ROWS_MAX)[:ROWS_MAX]]
 
 
 def _delimiter(shown: str, rows: Sequence[str]) -> str:
@@ -145,18 +150,13 @@ def _delimiter(shown: str, rows: Sequence[str]) -> str:
     raise DataSetError(f'{shown}, row {1 + rows.index(lines[0])}', problem, remedy)
 
 
-def _parts(shown: str, data: bytes, encoding: str, delimiter: str) -> list[TextPart]:
+def _parts(shown: str, data: bytes, delimiter: str) -> list[TextPart]:
     """Split a file at empty lines that are followed by another header."""
     parts: list[TextPart] = []
     head: list[tuple[int, list[str]]] = []
-    stream = io.BytesIO(data)
     for begin, end, line in _blocks(data):
-        stream.seek(begin)
-        lines = list[bytes]()
-        while stream.tell() < end and len(lines) < ROWS_MAX:
-            lines.append(stream.readline())
-        texts = (raw.decode(encoding, 'replace') for raw in lines)
-        rows = [[c.strip() for c in row] for row in csv.reader(texts, delimiter=delimiter)]
+        lines = _first_lines(data[begin:end].rstrip(b'\r\n'))
+        rows = [[c.strip() for c in row] for row in csv.reader(lines, delimiter=delimiter)]
         first = first_row_of_data(rows)
         if first == 0 and not head and parts:
             parts[-1].end = end
@@ -164,7 +164,7 @@ def _parts(shown: str, data: bytes, encoding: str, delimiter: str) -> list[TextP
             head += enumerate(rows, line)
         else:
             head += enumerate(rows[:first], line)
-            at = begin + sum(map(len, lines[:first]))
+            at = begin + sum(len(one.encode()) + 1 for one in lines[:first])
             parts.append(TextPart(head, at, end, line + first, len(rows[first]), rows[first:]))
             head = []
     if not parts:
@@ -185,7 +185,7 @@ def _blocks(data: bytes) -> Iterator[tuple[int, int, int]]:
 
 
 def _read_part(
-    shown: str, data: bytes, part: TextPart, encoding: str, delimiter: str, notes: tuple[str, ...]
+    shown: str, data: bytes, part: TextPart, delimiter: str, notes: tuple[str, ...]
 ) -> RawTable:
     """Parse the rows below a head."""
     last = part.head[-1][0] + 1 if part.head else 0
@@ -196,7 +196,7 @@ def _read_part(
     ):
         decimal, notes = ',', (*notes, 'numbers have decimal commas')
     content = data[part.begin : part.end]
-    rows = _count_rows(shown, content, part, encoding, delimiter)
+    rows = _count_rows(shown, content, part, delimiter)
     try:
         frame = pandas().read_csv(
             io.BytesIO(content),
@@ -204,8 +204,6 @@ def _read_part(
             decimal=decimal,
             header=None,
             names=list(head.names),
-            encoding=encoding,
-            encoding_errors='replace',
             na_values=list(MISSING),
             keep_default_na=False,
             skipinitialspace=True,
@@ -276,9 +274,7 @@ def _frames(table: RawTable, head: Head) -> tuple[Floats, str]:
     return every * count, note
 
 
-def _count_rows(
-    shown: str, raw: bytes, part: TextPart, encoding: str, delimiter: str
-) -> int | None:
+def _count_rows(shown: str, raw: bytes, part: TextPart, delimiter: str) -> int | None:
     """
     Refuse a row with too few or too many cells; None: all rows are complete.
 
@@ -290,7 +286,7 @@ def _count_rows(
     plain = b'"' not in raw and b'\n\n' not in raw and b'\n\r' not in raw
     if plain and raw.count(delimiter.encode()) == (part.width - 1) * lines:
         return None
-    text = io.TextIOWrapper(io.BytesIO(raw), encoding, 'replace', newline='')
+    text = io.TextIOWrapper(io.BytesIO(raw), 'utf-8', newline='')
     reader = csv.reader(text, delimiter=delimiter)
     whole, bad = 0, None
     for cells in filter(any, reader):
