@@ -55,7 +55,7 @@ from ..shared.parameters import parsed
 from ..shared.quality import STATE
 from ..shared.robot_client import MESSAGES_MAX, WORKING_CODES, Pilot, add_controller
 from ..shared.runtime import SPIN_S, Ending, repeat, ros
-from ..shared.timing import REACTION_TIMEOUT_S, SILENCE_S, STATUS_PERIOD_S
+from ..shared.timing import ANSWER_TIMEOUT_S, REACTION_TIMEOUT_S, SILENCE_S, STATUS_PERIOD_S
 
 HELP = 'the running robot chooses postures by itself until it knows what its model lacks'
 DRIVER = 'driver'  # name of the node whose status has the source of tensions
@@ -220,13 +220,24 @@ class RunningArm(Pilot):
         return PostureMeasured(np.array([one.positions for one in measurements]), measured, frames)
 
     def release(self) -> None:
-        """Release the arm, even after a signal; a stopped controller has released it already."""
-        stamp = self.play(self._move(self._rest()))
+        """
+        Release the arm, even after a signal; a stopped controller has released it already.
+
+        A busy controller may refuse the path, or drop it while it does not hear the driver: it is
+        sent again until it was played.
+        """
+        stamp, sent, rest = '', -np.inf, self._rest()
         end = time.monotonic() + REACTION_TIMEOUT_S
-        while time.monotonic() < end and not self.settled(stamp, ('played',)):
-            self._executor.spin_once(timeout_sec=SPIN_S)
-            if self.status.get('code') == 'stopped':
-                return
+        with self.ending.interrupting(False):
+            while not self.settled(stamp, ('played',)) and self.status.get('code') != 'stopped':
+                now = time.monotonic()
+                if now > end:
+                    said = self.status.get('message')
+                    self.get_logger().error(f'not released; the controller says: {said}')
+                    break
+                if self.status.get('target_stamp') != stamp and now - sent > ANSWER_TIMEOUT_S:
+                    stamp, sent = self.play(self._move(rest)), now
+                self._executor.spin_once(timeout_sec=SPIN_S)
 
     def spin_once(self, timeout: float) -> None:
         """Serve one message; StoppedError: the service `~/stop` was called."""
@@ -386,7 +397,8 @@ class Investigator:
             investigation = Investigation(
                 self.arm, goal, folder, self.regions, self.publish_news, resume, change
             )
-            findings = investigation.run()
+            with self.arm.ending.interrupting():  # a diagnosis may take a minute
+                findings = investigation.run()
             lines = write_results(findings, folder, investigation.catalogue, args.add)
             emit(args, findings.to_json(), '\n'.join(lines))
             if (folder / BETTER).exists() and not args.keep:

@@ -211,7 +211,8 @@ class Pilot(Node):
         """Serve one message; raise KeyboardInterrupt when a signal came."""
         if self.ending.signal:
             raise KeyboardInterrupt
-        self._executor.spin_once(timeout_sec=timeout)
+        with self.ending.interrupting(False):
+            self._executor.spin_once(timeout_sec=timeout)
 
     def parameter(self, name: str, node: str = '') -> Any:
         """Return a parameter, a text or a list of texts, of a node (default: the controller)."""
