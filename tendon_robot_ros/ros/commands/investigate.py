@@ -181,7 +181,8 @@ class RunningArm(Pilot):
         """Go to a posture and record it; BrokenMeasurementError: in vain, it goes on."""
 
         def works() -> bool:
-            return self.status.get('code') in (*WORKING_CODES, 'released')
+            passing = 'released', 'refused_released'  # another path has it resume
+            return self.status.get('code') in (*WORKING_CODES, *passing)
 
         try:
             if self.path == 'from_straight':
@@ -221,7 +222,7 @@ class RunningArm(Pilot):
 
     def release(self) -> None:
         """
-        Release the arm, even after a signal; a stopped controller has released it already.
+        Release the arm, even after a signal, unless a stop or the driver has.
 
         A busy controller may refuse the path, or drop it while it does not hear the driver: it is
         sent again until it was played.
@@ -229,8 +230,10 @@ class RunningArm(Pilot):
         stamp, sent, rest = '', -np.inf, self._rest()
         end = time.monotonic() + REACTION_TIMEOUT_S
         with self.ending.interrupting(False):
-            while not self.settled(stamp, ('played',)) and self.status.get('code') != 'stopped':
+            while not self.settled(stamp, ('played',)):
                 now = time.monotonic()
+                if self.status.get('code') in ('stopped', 'released'):  # by itself
+                    break
                 if now > end:
                     said = self.status.get('message')
                     self.get_logger().error(f'not released; the controller says: {said}')
@@ -281,7 +284,8 @@ class RunningArm(Pilot):
         return Trajectory(np.array([max(fraction / self.speed, CYCLE_MAX_S)]), target[None])
 
     def _go(self, target: Floats) -> None:
-        """Play the path to a command and wait for its end."""
+        """Play the path to a command and wait for its end; what releases it later counts."""
+        self.clear()
         path = self._move(target)
         stamp = self.play(path)
         self.settle(stamp, path.times[-1] + REACTION_TIMEOUT_S, 'the arm to get there')
