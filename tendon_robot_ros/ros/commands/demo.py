@@ -32,7 +32,7 @@ from ...robot.estimates import TRACKER_NOISE_M
 from ...workspace.view_angle import Posture, salient
 from ..shared.robot_client import Pilot
 from ..shared.runtime import NodeProcess, ros
-from ..shared.timing import REACTION_TIMEOUT_S, WORK_TIMEOUT_S
+from ..shared.timing import WORK_TIMEOUT_S
 
 HELP = "the paper's postures with a mock arm: a table and a picture, in under a minute"
 ROBOT = 'kato_10_1'
@@ -118,11 +118,8 @@ class Outcome:
 
 def go(pilot: Pilot, posture: Posture) -> Outcome:
     """Send a target and wait until the arm is at rest."""
-    pilot.clear()
     sent = time.monotonic()
-    stamp = pilot.send(posture.position, posture.direction)
-    pilot.settle(stamp, REACTION_TIMEOUT_S, f'the arm at {posture.name!r}')
-    pilot.stand()
+    pilot.stand_at(posture.position, posture.direction, f'the arm at {posture.name!r}')
     (place, along), (times, commands) = pilot.tip(), pilot.commands()
     changed = times[(commands != commands[0]).any(axis=1)]
     return Outcome(
