@@ -41,12 +41,12 @@ from ...investigation.goal import add_goal, goal_of
 from ...investigation.loop import Findings, Investigation, write_results
 from ...investigation.measuring import BETTER, BrokenMeasurementError, News, PostureMeasured
 from ...model.model import Model
-from ...monitoring import History, MonitorSettings, StillMeasurement, StillWindow
+from ...monitoring import History, MonitorSettings, StillMeasurement
 from ...monitoring.change import ChangeFinder
-from ...monitoring.monitor import PULL_STILL
+from ...monitoring.monitor import still_window
 from ...monitoring.watch import load_change
 from ...robot import Robot
-from ...robot.estimates import INPUT_TOLERANCE, natural_sizes
+from ...robot.estimates import natural_sizes
 from ...robot.keep_out import KeepOut, load_keep_out
 from ..shared import interface
 from ..shared.lifecycle import OK, WARN, Status
@@ -292,13 +292,7 @@ class RunningArm(Pilot):
 
     def _stand(self) -> StillMeasurement:
         """Wait until the arm is at rest and visible; return the mean of its frames."""
-        robot = self.robot
-        tension = self.input == 'tension'
-        change = (
-            INPUT_TOLERANCE * robot.tension_limits[1] if tension else PULL_STILL * robot.length
-        )
-        still = MonitorSettings()
-        window = StillWindow(still.still_time, still.still_speed, change)
+        window = still_window(self.robot, self.input, MonitorSettings())
         self._frames.clear()
         since, end = time_now(self), time.monotonic() + REACTION_TIMEOUT_S
         visible = 0
