@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import re
 import signal
 import time
 
@@ -93,8 +94,15 @@ class Tracked(Station):
         self.publisher.publish(message)
 
     def off_rest(self):
-        """Return how much wire [m] a motor has wound or paid out since the arm was released."""
-        return np.abs(self.wound - self.rest).max()
+        """Return the wire [m] that every motor has wound since the arm was released."""
+        return self.wound - self.rest
+
+    def stands_as_said(self, words):
+        """Return whether wires are wound as the command has said of a posture."""
+        (line,) = (line for line in self.said().splitlines() if line.startswith(words))
+        wound = dict(zip(self.robot.inputs, self.off_rest(), strict=True))
+        said = re.findall(r'(\w+) (\S+) mm', line)
+        return all(abs(wound[name] - 1e-3 * float(pull)) < NEAR for name, pull in said)
 
     @contextlib.contextmanager
     def investigating(self, *arguments):
@@ -288,7 +296,7 @@ def let_go(made, process):
     while process.poll() is None and time.monotonic() < end:
         made.spin(0.1)
     assert process.returncode == 130
-    made.until(lambda: made.off_rest() < NEAR, 'the arm to be let go')
+    made.until(lambda: np.abs(made.off_rest()).max() < NEAR, 'the arm to be let go')
 
 
 @pytest.mark.parametrize('made', [('dynamixel', 'pull', COARSE)], indirect=True)
@@ -296,8 +304,7 @@ def test_interrupted_it_lets_the_arm_go_and_goes_on_where_it_was(made):
     """To its end it is run by the slow tests above."""
     with made.investigating('--trials', '1') as process:
         made.until_said(process, 'posture 2:')
-        made.until(lambda: made.off_rest() < NEAR, 'the arm to leave the first posture')
-        made.until(lambda: made.off_rest() > NEAR, 'the second posture')
+        made.until(lambda: made.stands_as_said('posture 2:'), 'the second posture')
         let_go(made, process)
     assert len(load_dataset(made.folder / 'found' / 'data').postures) == 1
     with made.investigating('--trials', '1', '--resume') as process:
