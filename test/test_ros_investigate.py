@@ -99,7 +99,7 @@ class Tracked(Station):
 
     def stands_as_said(self, words):
         """Return whether wires are wound as the command has said of a posture."""
-        (line,) = (line for line in self.said().splitlines() if line.startswith(words))
+        *_, line = (line for line in self.said().splitlines() if line.startswith(words))
         wound = dict(zip(self.robot.inputs, self.off_rest(), strict=True))
         said = re.findall(r'(\w+) (\S+) mm', line)
         return all(abs(wound[name] - 1e-3 * float(pull)) < NEAR for name, pull in said)
