@@ -5,6 +5,7 @@ import os
 import re
 import signal
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import processes
@@ -244,6 +245,55 @@ class LetGo(Hesitating):
 def test_an_arm_that_was_let_go_meanwhile_is_not_recorded():
     with pytest.raises(BrokenMeasurementError, match='the driver let go; it goes on'):
         LetGo().measure(np.zeros(4), 1)
+
+
+class Busy(LetGo):
+    """A running arm that is released; its controller says one code after the other."""
+
+    release = RunningArm.release
+    ending = SimpleNamespace(interrupting=contextlib.nullcontext)
+    status, _status_at = {'code': 'released'}, 0.0  # of long ago: it has resumed since
+
+    def __init__(self, codes):
+        self.codes, self.sent, self.errors = list(codes), 0, []
+        self._executor = self
+
+    def _rest(self):
+        return np.zeros(4)
+
+    def play(self, path):
+        self.sent += 1
+        return str(self.sent)
+
+    def spin_once(self, timeout_sec):
+        time.sleep(0.01)
+        code = self.codes.pop(0) if len(self.codes) > 1 else self.codes[0]
+        stamp = str(self.sent) if code.startswith('play') else 'of another'
+        self.status = {'code': code, 'target_stamp': stamp, 'message': f'it is {code}'}
+        self._status_at = time.monotonic()
+
+    def get_logger(self):
+        return SimpleNamespace(error=self.errors.append)
+
+
+@pytest.mark.parametrize(
+    ('codes', 'again', 'says'),
+    [
+        (['playing', 'played'], False, []),
+        (['stopped'], False, []),
+        (['released'], False, []),
+        ([*['no_driver'] * 30, 'played'], True, []),
+        ([*['refused_stale'] * 30, 'playing', 'played'], True, []),
+        (['playing'], False, ['not released; the controller says: it is playing']),
+    ],
+)
+def test_an_arm_is_let_go_by_a_controller_that_is_busy(codes, again, says, monkeypatch):
+    times = {'TIP_AVERAGE': 0.01, 'ANSWER_TIMEOUT': 0.2, 'REACTION_TIMEOUT': 0.5 if says else 60.0}
+    for name, seconds in times.items():
+        monkeypatch.setattr(investigate, f'{name}_S', seconds)
+    arm = Busy(codes)
+    arm.release()
+    assert (arm.sent > 1, arm.errors) == (again, says)
 
 
 class Unloaded:

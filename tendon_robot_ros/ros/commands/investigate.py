@@ -53,7 +53,13 @@ from ..shared.lifecycle import OK, WARN, Status
 from ..shared.messages import offer_trigger, points_of, seconds, tensions_and_pulls, time_now
 from ..shared.parameters import parsed
 from ..shared.quality import STATE
-from ..shared.robot_client import MESSAGES_MAX, WORKING_CODES, Pilot, add_controller
+from ..shared.robot_client import (
+    MESSAGES_MAX,
+    TIP_AVERAGE_S,
+    WORKING_CODES,
+    Pilot,
+    add_controller,
+)
 from ..shared.runtime import SPIN_S, Ending, repeat, ros
 from ..shared.timing import ANSWER_TIMEOUT_S, REACTION_TIMEOUT_S, SILENCE_S, STATUS_PERIOD_S
 
@@ -227,12 +233,15 @@ class RunningArm(Pilot):
         A busy controller may refuse the path, or drop it while it does not hear the driver: it is
         sent again until it was played.
         """
-        stamp, sent, rest = '', -np.inf, self._rest()
-        end = time.monotonic() + REACTION_TIMEOUT_S
+        rest = self._rest()
+        stamp, sent = self.play(self._move(rest)), time.monotonic()
+        end = sent + REACTION_TIMEOUT_S
         with self.ending.interrupting(False):
             while not self.settled(stamp, ('played',)):
-                now = time.monotonic()
-                if self.status.get('code') in ('stopped', 'released'):  # by itself
+                now, code = time.monotonic(), self.status.get('code')
+                # an older status may be of a release after which a path has had it resume
+                released = code == 'released' and self._status_at > sent + TIP_AVERAGE_S
+                if released or code == 'stopped':
                     break
                 if now > end:
                     said = self.status.get('message')
