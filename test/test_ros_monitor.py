@@ -204,19 +204,20 @@ def test_a_contact_is_told_with_its_place_and_stops_the_arm_or_lets_it_yield(spa
     space.until_code(space.driver, 'stopped')
 
     def placed():
-        told = json.loads(last(contacts).data)
-        return told['acts'] and abs(told['arc_length'] - place) < 0.1 * COARSE.length
+        # a single estimate may be wrong, and its arrow comes after it
+        told, arrow = json.loads(last(contacts).data), last(arrows).markers[0]
+        if not told['acts'] or arrow.action != Marker.ADD or told['reaction'] != 'stop':
+            return False
+        begin = [arrow.points[0].x, arrow.points[0].y, arrow.points[0].z]
+        off = np.linalg.norm(np.array(begin) - told['point'])
+        return max(2.0 * off, abs(told['arc_length'] - place)) < 0.1 * COARSE.length
 
     space.until(placed, 'its place, when the arm is at rest')
-    told, arrow = json.loads(last(contacts).data), last(arrows).markers[0]
+    told = json.loads(last(contacts).data)
     low, high = told['interval']
     assert low <= told['arc_length'] <= high < COARSE.length
     assert told['force'][0] == pytest.approx(0.015, rel=0.3)
-    assert told['reaction'] == 'stop'
-    assert (arrow.type, arrow.action) == (Marker.ARROW, Marker.ADD)
-    assert [arrow.points[0].x, arrow.points[0].z] == pytest.approx(
-        [told['point'][0], told['point'][2]], abs=0.05 * COARSE.length
-    )
+    assert last(arrows).markers[0].type == Marker.ARROW
     refused = space.trigger('controller/reset')
     assert not refused.success, 'the contact lasts'
     assert space.set('monitor', 'contact_action', 'none').successful

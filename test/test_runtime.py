@@ -92,6 +92,44 @@ def test_a_signal_is_heard_while_the_main_thread_is_in_the_middleware():
     assert ending.signal == signal.SIGINT
 
 
+def compute():
+    """Work without serving a message while a signal comes."""
+    os.kill(os.getpid(), signal.SIGINT)
+    end = time.monotonic() + 20.0
+    while time.monotonic() < end:
+        time.sleep(0.01)
+    return 'went on to its end'
+
+
+def in_a_computation(ending, done):
+    try:
+        done.append(compute())
+    finally:
+        with ending.interrupting(False):
+            os.kill(os.getpid(), signal.SIGINT)  # an echo
+            done.append('let go')
+        done.append('saved')
+
+
+def in_a_callback_before_it(ending, done):
+    with ending.interrupting(False):
+        os.kill(os.getpid(), signal.SIGINT)
+        done.append('served')
+    done.append(compute())
+
+
+@pytest.mark.parametrize(
+    ('work', 'does'),
+    [(in_a_computation, ['let go', 'saved']), (in_a_callback_before_it, ['served'])],
+)
+def test_a_signal_ends_a_computation_and_not_what_then_lets_the_arm_go(work, does):
+    """As an investigation, whose diagnosis may take a minute."""
+    done = []
+    with ros([]) as ending, ending.interrupting(), pytest.raises(KeyboardInterrupt):
+        work(ending, done)
+    assert done == does
+
+
 def test_the_service_stop_answers_while_no_callback_is_served(context):
     context('--ros-args', '-r', '__ns:=/busy', '-p', 'robot:=kato_10_1', '-p', 'config:=mock_twin')
     driver, person = DriverNode(), Node('person', namespace='/busy')

@@ -93,7 +93,7 @@ def quaternions(rotations: Floats) -> Floats:
     return best / np.linalg.norm(best, axis=1, keepdims=True)
 
 
-def from_quaternion(quaternion: Sequence[float]) -> Floats:
+def from_quaternion(quaternion: Sequence[float] | Floats) -> Floats:
     """Return the rotation matrix (3, 3) of a unit quaternion x, y, z, w."""
     *axis, w = quaternion
     v = np.array(axis)

@@ -160,8 +160,10 @@ class Investigation:
             self.report_end(outcome)
             return self.verified(outcome)
         finally:
-            self.record.save()
-            self.arm.release()
+            try:
+                self.arm.release()
+            finally:
+                self.record.save()
 
     def ask(self) -> InvestigationEnd:
         """Measure and diagnose until the goal is reached or the budget spent."""

@@ -16,6 +16,7 @@ from ..common.arrays import Floats
 from ..common.errors import DataSetError, InputError, NoEquilibriumError
 from ..data import DataSet, Marker, default_markers
 from ..inference.statistics import RARE, chi2_isf, mean_over
+from ..robot import Robot
 from ..robot.estimates import INPUT_TOLERANCE
 
 if TYPE_CHECKING:
@@ -261,6 +262,14 @@ class MonitorSettings:
     path: str = 'sequence'  # or 'from_straight': each posture by itself
 
 
+def still_window(robot: Robot, kind: str, settings: MonitorSettings) -> StillWindow:
+    """Return a window for an arm that is moved by inputs of a kind: tension or displacement."""
+    change = INPUT_TOLERANCE * robot.tension_limits[1]
+    if kind == 'displacement':
+        change = PULL_STILL * robot.length
+    return StillWindow(settings.still_time, settings.still_speed, change)
+
+
 @dataclass(frozen=True)
 class Compared:
     """One frame of the tracker and its prediction."""
@@ -298,11 +307,8 @@ class Monitor:
         self.states = History()
         self._arcs = np.array([marker.arc_length for marker in self.markers])
         self._offsets = np.array([marker.offset for marker in self.markers]).reshape(-1, 3)
-        high, length = robot.tension_limits[1], robot.length
-        changes = {'tension': INPUT_TOLERANCE * high, 'displacement': PULL_STILL * length}
         self._windows = {
-            kind: StillWindow(self.settings.still_time, self.settings.still_speed, change)
-            for kind, change in changes.items()
+            kind: still_window(robot, kind, self.settings) for kind in ('tension', 'displacement')
         }
 
     def set_model(self, model: Model) -> None:

@@ -27,12 +27,13 @@ from ...control.loading import load
 from ...effects import load_catalogue
 from ...model.compile import is_compiled
 from ...model.model import Model
+from ...model.shape import plot_arms
 from ...robot import load_robot
 from ...robot.estimates import TRACKER_NOISE_M
 from ...workspace.view_angle import Posture, salient
 from ..shared.robot_client import Pilot
 from ..shared.runtime import NodeProcess, ros
-from ..shared.timing import REACTION_TIMEOUT_S, WORK_TIMEOUT_S
+from ..shared.timing import WORK_TIMEOUT_S
 
 HELP = "the paper's postures with a mock arm: a table and a picture, in under a minute"
 ROBOT = 'kato_10_1'
@@ -118,11 +119,8 @@ class Outcome:
 
 def go(pilot: Pilot, posture: Posture) -> Outcome:
     """Send a target and wait until the arm is at rest."""
-    pilot.clear()
     sent = time.monotonic()
-    stamp = pilot.send(posture.position, posture.direction)
-    pilot.settle(stamp, REACTION_TIMEOUT_S, f'the arm at {posture.name!r}')
-    pilot.stand()
+    pilot.stand_at(posture.position, posture.direction, f'the arm at {posture.name!r}')
     (place, along), (times, commands) = pilot.tip(), pilot.commands()
     changed = times[(commands != commands[0]).any(axis=1)]
     return Outcome(
@@ -144,22 +142,18 @@ def draw(
 
     figure = Figure(figsize=(7.0, 6.0), layout='constrained')
     axes = figure.add_subplot()
-    straight = np.cumsum(np.full(model.robot.cells, 1e3 * model.robot.length / model.robot.cells))
-    axes.plot(np.zeros(len(straight) + 1), [0.0, *straight], ':', color=ERROR, label='straight')
+    ends = np.cumsum(model.robot.cell_lengths)
+    straight = np.outer(ends, [0.0, 0.0, 1.0])[None]
+    plot_arms(straight, axes, linestyle=':', marker='', color=ERROR, label='straight')
     for posture, outcome, color in zip(postures, outcomes, COLOURS, strict=False):
-        arm = 1e3 * np.vstack([np.zeros(3), model.shape(outcome.tensions).positions])
         label = f'{posture.name}: {1e3 * outcome.position_error:.2f} mm'
-        axes.plot(arm[:, 0], arm[:, 2], 'o-', color=color, markersize=3, label=label)
+        arm = model.shape(outcome.tensions).positions[None]
+        plot_arms(arm, axes, color=color, marker='o', markersize=3, label=label)
         axes.plot(*(1e3 * posture.position[[0, 2]]), 'x', color=color, markersize=10)
         (x, _, z), (u, _, w) = 1e3 * outcome.position, 12.0 * posture.direction
         arrow = {'arrowstyle': '->', 'color': color}
         axes.annotate('', (x + u, z + w), (x, z), arrowprops=arrow)
-    axes.set(
-        xlabel='x [mm]',
-        ylabel='z [mm]',
-        aspect='equal',
-        title=f'{model.robot.name}: targets (x) and where the mock arm went',
-    )
+    axes.set_title(f'{model.robot.name}: targets (x) and where the mock arm went')
     axes.legend(fontsize='small')
     axes.grid(alpha=0.3)
     path.parent.mkdir(parents=True, exist_ok=True)

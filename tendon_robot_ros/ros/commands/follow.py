@@ -107,9 +107,7 @@ class GoTo:
             along /= size
         with ros(ros_arguments) as ending, Pilot('go_to', ending, args.controller) as pilot:
             pilot.connect()
-            pilot.clear()
-            pilot.settle(pilot.send(target, along), MOVE_TIMEOUT_S, 'the arm to stand there')
-            pilot.stand()
+            pilot.stand_at(target, along, 'the arm to stand there')
             tip, direction = pilot.tip()
             content = {'tip': tip.tolist(), 'error': float(np.linalg.norm(tip - target))}
             miss = f'{1e3 * content["error"]:.2f} mm'
@@ -305,10 +303,7 @@ def _pace(options: argparse.Namespace) -> Pace:
 
 def run_tips(pilot: Pilot, plan: Plan) -> PathRun:
     """Go to the first row of a plan, send targets by its times, wait until the arm is at rest."""
-    pilot.clear()
-    stamp = pilot.send(*plan.at(0.0))
-    pilot.settle(stamp, MOVE_TIMEOUT_S, 'the arm at the first row')
-    pilot.stand()
+    pilot.stand_at(*plan.at(0.0), 'the arm at the first row')
     began = due = time.monotonic()
     sent: list[tuple[float, Floats, Floats]] = []
     passed = 0.0

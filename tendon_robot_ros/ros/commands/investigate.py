@@ -41,21 +41,27 @@ from ...investigation.goal import add_goal, goal_of
 from ...investigation.loop import Findings, Investigation, write_results
 from ...investigation.measuring import BETTER, BrokenMeasurementError, News, PostureMeasured
 from ...model.model import Model
-from ...monitoring import History, MonitorSettings, StillMeasurement, StillWindow
+from ...monitoring import History, MonitorSettings, StillMeasurement
 from ...monitoring.change import ChangeFinder
-from ...monitoring.monitor import PULL_STILL
+from ...monitoring.monitor import still_window
 from ...monitoring.watch import load_change
 from ...robot import Robot
-from ...robot.estimates import INPUT_TOLERANCE, natural_sizes
+from ...robot.estimates import natural_sizes
 from ...robot.keep_out import KeepOut, load_keep_out
 from ..shared import interface
 from ..shared.lifecycle import OK, WARN, Status
 from ..shared.messages import offer_trigger, points_of, seconds, tensions_and_pulls, time_now
 from ..shared.parameters import parsed
 from ..shared.quality import STATE
-from ..shared.robot_client import MESSAGES_MAX, WORKING_CODES, Pilot, add_controller
+from ..shared.robot_client import (
+    MESSAGES_MAX,
+    TIP_AVERAGE_S,
+    WORKING_CODES,
+    Pilot,
+    add_controller,
+)
 from ..shared.runtime import SPIN_S, Ending, repeat, ros
-from ..shared.timing import REACTION_TIMEOUT_S, SILENCE_S, STATUS_PERIOD_S
+from ..shared.timing import ANSWER_TIMEOUT_S, REACTION_TIMEOUT_S, SILENCE_S, STATUS_PERIOD_S
 
 HELP = 'the running robot chooses postures by itself until it knows what its model lacks'
 DRIVER = 'driver'  # name of the node whose status has the source of tensions
@@ -181,7 +187,8 @@ class RunningArm(Pilot):
         """Go to a posture and record it; BrokenMeasurementError: in vain, it goes on."""
 
         def works() -> bool:
-            return self.status.get('code') in (*WORKING_CODES, 'released')
+            passing = 'released', 'refused_released'  # another path has it resume
+            return self.status.get('code') in (*WORKING_CODES, *passing)
 
         try:
             if self.path == 'from_straight':
@@ -220,13 +227,29 @@ class RunningArm(Pilot):
         return PostureMeasured(np.array([one.positions for one in measurements]), measured, frames)
 
     def release(self) -> None:
-        """Release the arm, even after a signal; a stopped controller has released it already."""
-        stamp = self.play(self._move(self._rest()))
-        end = time.monotonic() + REACTION_TIMEOUT_S
-        while time.monotonic() < end and not self.settled(stamp, ('played',)):
-            self._executor.spin_once(timeout_sec=SPIN_S)
-            if self.status.get('code') == 'stopped':
-                return
+        """
+        Release the arm, even after a signal, unless a stop or the driver has.
+
+        A busy controller may refuse the path, or drop it while it does not hear the driver: it is
+        sent again until it was played.
+        """
+        rest = self._rest()
+        stamp, sent = self.play(self._move(rest)), time.monotonic()
+        end = sent + REACTION_TIMEOUT_S
+        with self.ending.interrupting(False):
+            while not self.settled(stamp, ('played',)):
+                now, code = time.monotonic(), self.status.get('code')
+                # an older status may be of a release after which a path has had it resume
+                released = code == 'released' and self._status_at > sent + TIP_AVERAGE_S
+                if released or code == 'stopped':
+                    break
+                if now > end:
+                    said = self.status.get('message')
+                    self.get_logger().error(f'not released; the controller says: {said}')
+                    break
+                if self.status.get('target_stamp') != stamp and now - sent > ANSWER_TIMEOUT_S:
+                    stamp, sent = self.play(self._move(rest)), now
+                self._executor.spin_once(timeout_sec=SPIN_S)
 
     def spin_once(self, timeout: float) -> None:
         """Serve one message; StoppedError: the service `~/stop` was called."""
@@ -270,20 +293,15 @@ class RunningArm(Pilot):
         return Trajectory(np.array([max(fraction / self.speed, CYCLE_MAX_S)]), target[None])
 
     def _go(self, target: Floats) -> None:
-        """Play the path to a command and wait for its end."""
+        """Play the path to a command and wait for its end; what releases it later counts."""
+        self.clear()
         path = self._move(target)
         stamp = self.play(path)
         self.settle(stamp, path.times[-1] + REACTION_TIMEOUT_S, 'the arm to get there')
 
     def _stand(self) -> StillMeasurement:
         """Wait until the arm is at rest and visible; return the mean of its frames."""
-        robot = self.robot
-        tension = self.input == 'tension'
-        change = (
-            INPUT_TOLERANCE * robot.tension_limits[1] if tension else PULL_STILL * robot.length
-        )
-        still = MonitorSettings()
-        window = StillWindow(still.still_time, still.still_speed, change)
+        window = still_window(self.robot, self.input, MonitorSettings())
         self._frames.clear()
         since, end = time_now(self), time.monotonic() + REACTION_TIMEOUT_S
         visible = 0
@@ -386,7 +404,8 @@ class Investigator:
             investigation = Investigation(
                 self.arm, goal, folder, self.regions, self.publish_news, resume, change
             )
-            findings = investigation.run()
+            with self.arm.ending.interrupting():  # a diagnosis may take a minute
+                findings = investigation.run()
             lines = write_results(findings, folder, investigation.catalogue, args.add)
             emit(args, findings.to_json(), '\n'.join(lines))
             if (folder / BETTER).exists() and not args.keep:

@@ -94,7 +94,9 @@ class TeleopNode(Runnable, Node):
         elif key == 'q':
             self._quit = True
         elif key in self._calls:
-            self._call(key)
+            request = self._calls[key]
+            if not request.ask(Trigger.Request(), lambda r: print(f'{request.name}: {r.message}')):
+                print(f'{request.name}: no such service; is the controller running?')
 
     def _receive(self, status: DiagnosticStatus) -> None:
         """Print why the tip does not move, as when twists are in frames of another robot."""
@@ -105,11 +107,6 @@ class TeleopNode(Runnable, Node):
         if problem and problem != self._problem:
             print(problem)
         self._problem = problem
-
-    def _call(self, key: str) -> None:
-        request = self._calls[key]
-        if not request.ask(Trigger.Request(), lambda r: print(f'{request.name}: {r.message}')):
-            print(f'{request.name}: no such service; is the controller running?')
 
     def _send(self, velocity: list[float]) -> None:
         axes = 'tip' if self._in_tip else 'base'

@@ -88,6 +88,7 @@ class ControllerNode(StoppableNode):
         self._commands = self.create_publisher(*interface.topic('tendon_command'))
         self._own = OwnPublisher(self, self._commands)
         self._measured = Inbox(self, *interface.topic('tendon_states')[:2], JOINTS)
+        self.closing += self._measured, self._own
         self._tracker: Subscription | None = None
         self._subscribe_tip()
         topic, gid = self.parameters['driver_status'], gid_text(self._own.gid)
@@ -186,12 +187,6 @@ class ControllerNode(StoppableNode):
         super().end()
         # a message is lost if its publisher is destroyed before it is received
         time.sleep(NEWS_PERIOD_S)
-
-    def destroy_node(self) -> None:
-        """Destroy subscriptions, socket and node."""
-        self._measured.close()
-        self._own.close()
-        super().destroy_node()
 
     def _subscribe_tip(self) -> None:
         """Subscribe to the tracker only while the loop is closed, to save processor time."""

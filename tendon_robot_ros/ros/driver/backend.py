@@ -17,7 +17,6 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from ...common.arrays import Floats
 from ...common.errors import InputError
 from ...common.rotations import towards
 from ...drivers import Driver, make_driver
@@ -25,31 +24,11 @@ from ...drivers.interface import BACKENDS
 from ...drivers.mock import MockDriver
 from ...drivers.safety import SafetyRules
 from ...model.model import Model
-from ...model.shape import Shape
 from ...robot import Robot
 from ..shared import interface, messages
 from ..shared.parameters import Parameters, base_frame, read_config
 from ..shared.quality import COMMAND, JOINTS
 from ..shared.runtime import repeat
-
-
-class Twin:
-    """A mock arm that equals the model, with its memory (`make demo`)."""
-
-    def __init__(self, robot: Robot) -> None:
-        """Start straight and slack."""
-        self._model = Model(robot)
-        self._last: Shape | None = None
-
-    def respond(self, tensions: Floats) -> Shape:
-        """Return the shape under tensions (m,) [N]."""
-        self._last = self._model.follow(self._last, tensions)
-        return self._last
-
-    def respond_to_pulls(self, pulls: Floats) -> Shape:
-        """Return the shape under wire pulls (m,) [m], nan = slack."""
-        self._last = self._model.follow_pulls(self._last, pulls)
-        return self._last
 
 
 @dataclass(frozen=True)
@@ -109,9 +88,8 @@ class MockTracker:
         points = arm.markers(self._arc_lengths, np.zeros((n, 3)))  # in the frame of the tracker
         tip = arm.tip_position
         ahead = np.stack([tip, tip + arm.tip_direction])
-        tracked = getattr(self._driver.plant, 'tracked', None)
-        if tracked is not None:  # the frame of the tracker may be rotated
-            ahead = tracked(ahead[None], arm.inputs[None])[0]
+        # the frame of the tracker may be rotated
+        ahead = self._driver.plant.tracked(ahead[None], arm.inputs[None])[0]
         along = ahead[1] - ahead[0]
         positions = points + self._random.normal(0.0, self._config.noise, (n, 3))
         positions[self._random.random(n) < self._config.missing] = np.nan
@@ -156,10 +134,11 @@ def _plant(robot: Robot, mode: str, config: dict[str, Any], source: str) -> Any:
         # of a twin a tenth, so that its tip is where the controller's model predicts
         compliance = 0.1 * WIRE_COMPLIANCE if twin else WIRE_COMPLIANCE
         robot = robot.with_effect('tendon_elongation', {'compliance': compliance})
-    if twin:
-        return Twin(robot)
-    from ...simulation.plant import make_plant
+    from ...simulation.hidden import Damage
+    from ...simulation.plant import Plant, make_plant
 
+    if twin:  # an arm that equals the model, with its memory (`make demo`)
+        return Plant(robot, Model(robot), 1, Damage.none(robot, 0))
     try:
         return make_plant(robot, **config)
     except TypeError as error:

@@ -73,6 +73,7 @@ class DriverNode(StoppableNode):
         self._states = self.create_publisher(*interface.topic('tendon_states'))
         self._own = OwnPublisher(self, self._states)
         self._commands = Inbox(self, *interface.topic('tendon_command')[:2], JOINTS)
+        self.closing += self._commands, self._own
         self.listen()
         offer_trigger(self, '~/reset', self._reset)
         for name, act, outcome in (
@@ -158,12 +159,6 @@ class DriverNode(StoppableNode):
         if self.loop is not None and self.loop.crashed is not None:
             raise self.loop.crashed
         return super().running()
-
-    def destroy_node(self) -> None:
-        """Destroy subscriptions, socket and node."""
-        self._commands.close()
-        self._own.close()
-        super().destroy_node()
 
     def _receive(self) -> None:
         """Receive stops and commands; runs in the motor thread before every cycle."""

@@ -20,13 +20,14 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from geometry_msgs.msg import PoseArray, PoseStamped, Quaternion, Vector3Stamped
+from geometry_msgs.msg import PoseArray, PoseStamped, Vector3Stamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray, Header, String
 
 from ...common.arrays import Floats
 from ...common.errors import InputError, TendonRobotError
+from ...common.rotations import from_quaternion
 from ...control import Refusal
 from ...control.loading import Loader
 from ...data import save_dataset
@@ -406,17 +407,16 @@ def _transform(text: str) -> tuple[Floats, Floats] | None:
     if not text.strip():
         return None
     try:
-        x, y, z, *q = map(float, text.split())
-        norm = float(np.linalg.norm(q))
-        rotation = Quaternion(**dict(zip('xyzw', (np.array(q) / norm).tolist(), strict=True)))
-    except (ValueError, ZeroDivisionError):
-        norm = 0.0
-    if not 0.99 < norm < 1.01:
+        numbers = np.array([float(word) for word in text.split()])
+    except ValueError:
+        numbers = np.zeros(0)
+    norm = float(np.linalg.norm(numbers[3:]))
+    if len(numbers) != 7 or not 0.99 < norm < 1.01:
         raise InputError(
             'tracker_transform: expected x y z qx qy qz qw with a quaternion of norm 1, '
             f'got {text!r}'
         )
-    return messages.matrix(rotation), np.array([x, y, z])
+    return from_quaternion(numbers[3:] / norm), numbers[:3]
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -55,6 +55,7 @@ class StoppableNode(Runnable, LifecycleNode):
         """Create the node, unconfigured; `listen` subscribes to stops."""
         super().__init__(name)
         self._drives, self._stopped = drives, False
+        self.closing = list[Any]()  # with a method `close`, which ends with the node
         service = self._service_change_state
         change_state = service.callback
 
@@ -170,6 +171,7 @@ class StoppableNode(Runnable, LifecycleNode):
             Stoppable(self.get_fully_qualified_name(), self._drives),
             self.stop_now,
         )
+        self.closing += self.stop_topic, self._local_stop
 
     @property
     def latch(self) -> StopLatch | None:
@@ -199,9 +201,9 @@ class StoppableNode(Runnable, LifecycleNode):
             self.stop_now()
 
     def destroy_node(self) -> None:
-        """Close the subscriptions and destroy the node."""
-        self.stop_topic.close()
-        self._local_stop.close()
+        """Close subscriptions and sockets, and destroy the node."""
+        for one in self.closing:
+            one.close()
         super().destroy_node()
 
 

@@ -32,7 +32,7 @@ from . import interface, messages
 from .parameters import RemoteParameter, declared
 from .quality import COMMAND
 from .runtime import SPIN_S, Ending
-from .timing import CALL_TIMEOUT_S, REACTION_TIMEOUT_S
+from .timing import CALL_TIMEOUT_S, MOVE_TIMEOUT_S, REACTION_TIMEOUT_S
 
 SETTLED_CODES = ('reached', 'nearest', 'at_limit')
 WORKING_CODES = ('holding', 'searching', 'moving', 'playing', 'played', 'jogging', *SETTLED_CODES)
@@ -211,7 +211,8 @@ class Pilot(Node):
         """Serve one message; raise KeyboardInterrupt when a signal came."""
         if self.ending.signal:
             raise KeyboardInterrupt
-        self._executor.spin_once(timeout_sec=timeout)
+        with self.ending.interrupting(False):
+            self._executor.spin_once(timeout_sec=timeout)
 
     def parameter(self, name: str, node: str = '') -> Any:
         """Return a parameter, a text or a list of texts, of a node (default: the controller)."""
@@ -315,6 +316,12 @@ class Pilot(Node):
             return self.settled(stamp, (*SETTLED_CODES, 'played'))
 
         self.wait(at_rest, timeout, what)
+
+    def stand_at(self, position: Floats, direction: Floats | None, what: str) -> None:
+        """Send a target, (3,) [m] and (3,) or None, and wait until the tip is at rest there."""
+        self.clear()
+        self.settle(self.send(position, direction), MOVE_TIMEOUT_S, what)
+        self.stand()
 
     def stand(self) -> None:
         """Wait until the tip is at rest, at most `CALL_TIMEOUT_S`: motors, trackers lag."""

@@ -60,6 +60,7 @@ class Ending:
     def __init__(self, first: bool = False) -> None:
         """Start without a request; `first`: the process has priority over others."""
         self.signal, self.first, self.over = 0, first, False
+        self._interrupts = self._came = False
         self._requested_at = 0.0
         self._actions: list[Callable[[], object]] = []
         Ending.current = self
@@ -85,6 +86,21 @@ class Ending:
                 traceback.print_exc()
 
     @contextlib.contextmanager
+    def interrupting(self, on: bool = True) -> Iterator[None]:
+        """
+        Have a signal raise KeyboardInterrupt in the main thread within the context, or not.
+
+        Only the first one does: what then lets the arm go is not interrupted.
+        """
+        before, self._interrupts = self._interrupts, on
+        try:
+            yield
+        finally:
+            self._interrupts = before and not self._came
+        if before and self._came:
+            raise KeyboardInterrupt
+
+    @contextlib.contextmanager
     def listening(self) -> Iterator[None]:
         """Receive signals within the context."""
 
@@ -94,13 +110,18 @@ class Ending:
                     if number in signals:
                         self.request(number)
 
+        def handle(*_: object) -> None:
+            now, self._interrupts, self._came = self._interrupts, False, True
+            if now:
+                raise KeyboardInterrupt
+
         signals = processes.ending_signals()
         receiver, sender = socket.socketpair()
         sender.setblocking(False)
         thread = threading.Thread(target=listen, name='signals', daemon=True)
         thread.start()
         previous = signal.set_wakeup_fd(sender.fileno(), warn_on_full_buffer=False)
-        handlers = {number: signal.signal(number, lambda *_: None) for number in signals}
+        handlers = {number: signal.signal(number, handle) for number in signals}
         try:
             yield
         finally:

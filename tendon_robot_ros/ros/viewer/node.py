@@ -158,25 +158,22 @@ class ViewerNode(Runnable, Node):
         """Handle a click."""
         if name in SERVICES:
             for owner in SERVICES[name]:
-                self._call(name, owner)
+                request = self._triggers[name, owner]
+                if not request.ask(Trigger.Request(), lambda answer: self._say(answer.message)):
+                    self._say(f'{request.name} does not answer: is the node running?')
             return
         if name == 'tour' or not self.state.held:
             touring = name == 'tour' and bool(value)
             self.state.held = not touring
             self._tour.publish(Bool(data=touring))
         if name == 'target' and not self._base:
-            self.state.progress = 'no controller yet: the target was not sent'
+            self._say('no controller yet: the target was not sent')
         elif name == 'target':
             header = header_now(self, self._base)
             self._targets.publish(PointStamped(header=header, point=point(value)))
 
-    def _call(self, name: str, owner: str) -> None:
-        def done(response: Trigger.Response) -> None:
-            self.state.progress = response.message
-
-        request = self._triggers[name, owner]
-        if not request.ask(Trigger.Request(), done):
-            self.state.progress = f'{request.name} does not answer: is the node running?'
+    def _say(self, text: str) -> None:
+        self.state.progress = text
 
 
 def is_local(host: str) -> bool:
