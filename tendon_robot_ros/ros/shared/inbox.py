@@ -29,8 +29,8 @@ from std_msgs.msg import Bool, String
 
 from . import interface
 from .messages import passing_subscription
-from .quality import COMMAND, COMMAND_ALL, DEPTH_ALL, LATCHED_BY_MANY, LISTEN, LISTEN_ALL
-from .timing import VALUES_PERIOD_S
+from .quality import COMMAND, COMMAND_ALL, LATCHED_BY_MANY, LISTEN, LISTEN_ALL
+from .timing import SILENCE_S, VALUES_PERIOD_S
 
 # [B] of a message that is parsed between commands: measured, 10 MB take seconds
 MESSAGE_BYTES_MAX = 250_000
@@ -215,13 +215,17 @@ def subscribe_any_qos[M](
     that are reliable; a message that arrives by both is handled once. A message that is too long
     to be parsed between commands is refused.
     """
-    waiting: deque[tuple[int, bytes]] = deque(maxlen=DEPTH_ALL)  # for their copy
+    waiting: deque[tuple[float, int, bytes]] = deque()
 
     def receive(message: bytes, path: int) -> None:
-        with contextlib.suppress(ValueError):  # there is no copy yet
-            waiting.remove((1 - path, message))
+        now = time.monotonic()
+        while waiting and now - waiting[0][0] > SILENCE_S:
+            waiting.popleft()
+        same = next((one for one in waiting if one[1:] == (1 - path, message)), None)
+        if same is not None:
+            waiting.remove(same)
             return
-        waiting.append((path, message))
+        waiting.append((now, path, message))
         problem, read = _read(message, kind)
         if problem:
             refuse(f'{topic.removeprefix("~/")}: {problem}')
