@@ -195,7 +195,7 @@ def test_a_fit_never_rises_where_friction_turns_over(monkeypatch):
     hidden = {'pre_curvature': {'angle_x': 0.004, 'angle_y': 0.0}}
     plant = make_plant(robot, hidden, seed=103, work=Workmanship())
     dataset = simulate(plant, np.array(SLACK_POSTURES), trials=3, seed=103)
-    session = Question.of(dataset, robot, CATALOGUE.sized(natural_sizes(robot)), 1).weigh({})
+    session = Question.of(dataset, robot, CATALOGUE.sized(natural_sizes(robot))).weigh({})
     candidate = next(c for c in session.candidates if c.label == 'pre_curvature')
     places, found, start, go = [], [], None, Fitter.go
     monkeypatch.setattr(Fitter, 'go', lambda self, at: places.append(at) or go(self, at))

@@ -218,7 +218,7 @@ def test_an_interval_ends_where_the_model_itself_with_other_gains_fits_that_much
     plant = make_plant(robot, {effect: {'relative_change': 0.1}}, refine=1, seed=1, work=work)
     dataset = simulate(plant, default_postures(robot, 10), trials=4, seed=1)
     session, fit = settled(dataset, [effect])
-    fitter = session.fitters[0]
+    fitter = session.fitter
     told = fitter.for_values(fit)
     free = told.frees[0]
     claimed = QUANTILE * np.sqrt(told.interval_covariance[0, 0] / told.covariance[0, 0])
