@@ -16,7 +16,6 @@ from ..data.arrays import Visits
 from ..effects import Catalogue, Effect, Parameter
 from ..model.derivatives import (
     DIFFERENCE_STEP,
-    Entries,
     Move,
     PathSlopes,
     follow,
@@ -432,17 +431,16 @@ class Predictor:
 
     def moved(self, point: Point, part: Conditions, free: FreeParameter, count: int) -> Move:
         """Return the move of a parameter about a point; the model is set to the point."""
-        own, ends = free.parameter, self._ends(point, free)
+        value, own = point.get(free, self.value(free)), free.parameter
+        ends = self._ends(point, free)
         if self.is_effect(free) and (free.effect, own.name) not in part.known:
             columns = self.columns(free)
             return Move.of_parameter(self.model, count, free.effect, own.name, columns, ends)
-        entries: tuple[Entries, ...] = ()
-        if free.effect in STIFFNESS:
-            cells = self.model.arrays.cells
-            index = np.arange(cells.size).reshape(cells.shape)[:, 1]
-            low, high = (cells[:, 1] * stiffness_factors(free, end, len(cells)) for end in ends)
-            entries = (Entries(cells, index, high, low),)
-        return Move(np.full(count, ends[1]), np.full(count, ends[0]), entries)
+
+        def set_to(side: float) -> None:
+            self.set_parameters({**point, free: value + side}, part)
+
+        return Move.by(self.model, count, ends, set_to)
 
     def columns(self, free: FreeParameter) -> slice:
         """Return the columns of the sections or tendons that a free parameter belongs to."""

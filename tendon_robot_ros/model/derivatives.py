@@ -291,6 +291,28 @@ class Move:
         beside = model.catalogue[effect].stage in STAGES_BESIDE
         return cls(np.full(count, high), np.full(count, low), (entries,), effect, beside=beside)
 
+    @classmethod
+    def by(
+        cls,
+        model: ForwardModel,
+        count: int,
+        ends: tuple[float, float],
+        set_to: Callable[[float], None],
+    ) -> Move:
+        """Move what a function changes in the model's arrays, to both ends (down, up) and to 0."""
+        arrays = model.arrays
+        every = arrays.values, arrays.cells, arrays.gravity, arrays.offset, arrays.helix
+        kept = []
+        for end in (*ends, 0.0):
+            set_to(end)
+            kept.append([array.ravel().copy() for array in every])
+        entries = []
+        for array, low, high, now in zip(every, *kept, strict=True):
+            index = np.flatnonzero((low != now) | (high != now))
+            entries.append(Entries(array, index, high[index], low[index]))
+        low, high = ends
+        return cls(np.full(count, high), np.full(count, low), tuple(entries))
+
     @contextmanager
     def applied(self, model: ForwardModel, up: bool) -> Iterator[None]:
         """Change the model to one side while the block runs."""
@@ -408,13 +430,11 @@ def follow(
     sides = np.array([(move.up, move.down) for move in moves]).reshape(-1, 2, b)
     widths = sides[:, 0] - sides[:, 1]
     variants = Variants.of(model, inputs, moves)
-    before, twisting = arrays.on.copy(), arrays.twisting
+    before = arrays.on.copy()
     try:  # cells twist for all if they do for one, else their twist would follow nothing
         arrays.on[:] = variants.acting.max(axis=0)
         arrays.link()
-        twists = arrays.on & twisting
-        variants.acting[:] |= twists
-        arrays.on[:] = before | twists
+        arrays.on[:] = before | (arrays.on & arrays.twisting)
         off = variants.residuals(model, states, past)
         rates = (off[0::2] - off[1::2]) / widths[:, :, None]
         state_slopes = responses(model, inputs, states, past, rates.swapaxes(0, 1)).swapaxes(0, 1)
