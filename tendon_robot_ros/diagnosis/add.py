@@ -335,10 +335,9 @@ def fit_effects(
     own = [_candidate(session, name, keys) for name, keys in known.items()]
     fit = _joined(session, own) if start is None else _fit(session, _together(own), start)
     for _ in range(2):
-        fit = session.fitter.over_reversals(fit)
         session = session.weigh(fit.point, fit.built.around)
         fit = _fit(session, _together(own), fit)
-    return session, fit
+    return session, session.fitter.over_reversals(fit)
 
 
 def _joined(session: Session, own: Sequence[Candidate]) -> Fit:

@@ -388,8 +388,10 @@ class Searched:
         assert self.arm is not None
         last, chosen = self.errors[self.taken].copy(), self.chosen.copy()
         for held, path in zip(self.search.folds, self.paths, strict=True):
-            for k, squares in ((self.taken, last), (last_worthwhile(inner(path)), chosen)):
-                off = self.search.measured[held] - self.arm.beside(path[k])[held]
+            steps = self.taken, last_worthwhile(inner(path))
+            predicted = {k: self.arm.beside(path[k])[held] for k in set(steps)}
+            for k, squares in zip(steps, (last, chosen), strict=True):
+                off = self.search.measured[held] - predicted[k]
                 if np.isfinite(off).any(axis=(1, 2)).all():
                     squares[held] = (off**2).sum(axis=2)
         lower = float(np.nanmean(last)) < float(np.nanmean(self.errors[self.taken]))
