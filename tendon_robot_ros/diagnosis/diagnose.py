@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..common.errors import InputError, NoEquilibriumError, Progress
+from ..common.errors import InputError, NoEquilibriumError, Progress, whole
 from ..common.processes import one_thread
 from ..common.words import listed, mm
 from ..data import DataSetLike, load_dataset
@@ -69,6 +69,7 @@ def diagnose(
         The description does not fit the catalogue, or the model finds no equilibrium at all.
 
     """
+    whole('workers', workers, 1)
     dataset = load_dataset(dataset)
     judged = dataset.robot if robot is None else load_robot(robot)
     if reference is not None:

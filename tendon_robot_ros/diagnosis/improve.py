@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from ..common.arrays import Floats
-from ..common.errors import InputError, NoEquilibriumError, Progress, listener
+from ..common.errors import InputError, NoEquilibriumError, Progress, listener, whole
 from ..common.processes import one_thread
 from ..data import DataSet, DataSetLike, load_dataset
 from ..effects import Catalogue, CatalogueLike, load_catalogue
@@ -280,6 +280,7 @@ def improve(
 
     """
     show = listener(progress)
+    whole('workers', workers, 1)
     dataset = load_dataset(dataset)
     before = dataset.robot if robot is None else load_robot(robot)
     other = None if check is None else load_dataset(check, before)
