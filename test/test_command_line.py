@@ -161,6 +161,10 @@ def test_a_vector_may_begin_with_a_minus(capsys, move):
         (['mvoe'], "no command 'mvoe'; did you mean move? known: "),
         (['move', '--tow', '1'], 'unrecognized arguments: --tow 1; did you mean --to? see '),
         (['move', '--to'], 'argument --to: expected one argument; see '),
+        (
+            ['import', 'table', 'a.csv', '--output', 'o', '--speed', '0'],
+            'argument --speed: expected a number above 0, got 0; see ',
+        ),
         (['move', '--from-file', 'no.yaml'], 'no.yaml: No such file or directory'),
     ],
 )

@@ -241,8 +241,9 @@ def add_columns(group: argparse._ArgumentGroup) -> None:
     what = 'where no name says it: inputs=g, positions=mm, time=ms; may be repeated'
     add('--unit', action='append', default=[], metavar='WHAT=UNIT', help=what)
     add('--spool', metavar='MM', help='radius at which the wire winds up, 10 or 0.4inch')
-    add('--counts-per-turn', type=float, metavar='N', help='where motors tell ticks')
-    add('--torque-constant', type=float, metavar='K', help='N·m/A at the spool, for currents')
+    add('--counts-per-turn', type=options.positive, metavar='N', help='where motors tell ticks')
+    what = 'N·m/A at the spool, for currents'
+    add('--torque-constant', type=options.positive, metavar='K', help=what)
     what = 'inputs count from where they are when the arm first stands still (default: of motors)'
     add('--zero', action='store_true', default=None, help=what)
 
@@ -274,8 +275,9 @@ def add_arm(group: argparse._ArgumentGroup) -> None:
 def add_still(group: argparse._ArgumentGroup) -> None:
     """Declare the thresholds of still segments and of equal postures."""
     add = group.add_argument
-    add('--speed', type=float, metavar='MM/S', help='slower is still (default: 2, or the noise)')
-    add('--duration', type=float, metavar='S', help='at least so long (default: 1)')
+    what = 'slower is still (default: 2, or the noise)'
+    add('--speed', type=options.positive, metavar='MM/S', help=what)
+    add('--duration', type=options.positive, metavar='S', help='at least so long (default: 1)')
     what = 'inputs that differ by less belong to one posture, as 0.05N, or 0.2mm of pull'
     add('--same', metavar='X', help=what)
     what = 'where all inputs are below this the arm rests, as 0.2N or 0.5mm; 0: it never does'

@@ -155,6 +155,14 @@ def named_lengths(option: str, text: str, unit: str) -> dict[str, float]:
     return named(option, text, f'LENGTH in {unit}', lambda number: length(option, number, unit))
 
 
+def positive(text: str) -> float:
+    """Read a number above 0, for argparse."""
+    value = float(text)
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f'expected a number above 0, got {text}')
+    return value
+
+
 def length(option: str, text: str, unit: str) -> float:
     """Read a length in a unit, or with its own, in metres."""
     return read_quantity(option, text, unit, 'length')

@@ -124,7 +124,7 @@ def derivatives(
         Names of inputs [N], or effect and parameter, or those and the index of a section; without
         one the parameter of all sections moves together.
     output : callable, optional
-        The function to differentiate: any number of shapes b to an array (b, ...). Default: the
+        The function to differentiate: these b shapes, moved, to an array (b, ...). Default: the
         positions in the tracker's frame, (b, n, 3) [m].
     memory : optional
         Friction memory of these shapes (`Shape.memory`): small changes start there, with the mean
@@ -139,7 +139,13 @@ def derivatives(
     output = output or (lambda batch: model.measured(batch.positions))
     moves = [move_of(model, shapes, column) for column in columns]
     if memory is not None or not model.friction_remembers:
-        rates, _ = follow(model, shapes.inputs, shapes.state, moves, output, memory)
+
+        def outputs(batch: ShapeBatch) -> Floats:
+            """Return the output of several times those b shapes."""
+            begins = range(0, len(batch), len(shapes))
+            return np.concatenate([output(batch.of(slice(a, a + len(shapes)))) for a in begins])
+
+        rates, _ = follow(model, shapes.inputs, shapes.state, moves, outputs, memory)
         return np.moveaxis(rates, 0, -1)
 
     def solved(move: Move, up: bool) -> Floats:
@@ -281,8 +287,8 @@ class Move:
         count: int,
         effect: str,
         name: str,
-        columns: Any = slice(None),
-        ends: tuple[float, float] = (0.0, 0.0),
+        columns: Any,
+        ends: tuple[float, float],
     ) -> Move:
         """Move a parameter of an effect, in some of its columns, to both ends (down, up)."""
         arrays, (low, high) = model.arrays, ends
