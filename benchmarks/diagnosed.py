@@ -73,11 +73,14 @@ def rms(errors: list[float]) -> float:
     return 1e3 * (sum(error**2 for error in errors) / len(errors)) ** 0.5
 
 
+RAW = 'tentacle', 'trunk/base', 'trunk/payload_100'  # real arms, diagnosed as they come
+UNKNOWN = {'hidden': '', 'parameters': {}}  # truth
 SETS = {
     'as_built': lambda: recorded('as_built'),
     'blind': lambda: recorded('blind'),
     'tentacle': lambda: improved(['data/tentacle']),
     'trunk': lambda: improved(['data/trunk/base', 'data/trunk/payload_100']),
+    'raw': lambda: {name: told(ROOT / 'data' / name, UNKNOWN) for name in RAW},
 }
 
 
