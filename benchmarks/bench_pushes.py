@@ -117,7 +117,9 @@ def tried(robot: Robot, kind: str, seed: int, input: str = 'tension') -> dict[st
             turns = round((told['azimuth'].value - true['azimuth']) / (2.0 * np.pi))
             true['azimuth'] += 2.0 * np.pi * turns
         row |= {'right': True, 'off': off(measured, robot, kind, true, found) / robot.length}
-        row['inside'] = [told[key].low <= true[key] <= told[key].high for key in true]
+        row['inside'] = [
+            key in told and told[key].low <= true[key] <= told[key].high for key in true
+        ]
     return row
 
 
