@@ -180,7 +180,7 @@ class SettledShapes:
 
 
 class Predictor:
-    """A model whose parameters move; one per thread."""
+    """A model whose parameters move."""
 
     def __init__(self, dataset: DataSet, robot: Robot, catalogue: Catalogue) -> None:
         """
