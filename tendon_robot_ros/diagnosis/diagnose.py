@@ -13,8 +13,10 @@ from ..common.words import listed, mm
 from ..data import DataSetLike, load_dataset
 from ..effects import CatalogueLike, load_catalogue
 from ..inference.discrepancy import since
-from ..inference.fitter import BEST_FEW
+from ..inference.fit import Fit
+from ..inference.fitter import BEST_FEW, FAILURES
 from ..inference.outliers import find_outliers
+from ..inference.predict import FreeParameter
 from ..inference.session import NOISE_UNKNOWN, Question, Session
 from ..inference.statistics import rms
 from ..robot import RobotLike, load_robot
@@ -28,6 +30,7 @@ from .setup_mistakes import Explained, Mended, find_mistake, implausible, mended
 from .verdict import (
     APART_FROM_SCORE,
     MISTAKE_HANDICAP,
+    P_SINGLE_MIN,
     PLAIN_FLOORS,
     POSTURES_MIN,
     RESIDUAL_PARTLY_MAX,
@@ -124,33 +127,46 @@ def _likelier_mistake(
     """
     Return the mistake whose correction explains the measurements where effects alone do not.
 
-    A residual far below that of the effects suffices; otherwise the diagnosis of the corrected
-    measurements has to be neither outside the catalogue nor implausible.
+    A residual far below that of the effects suffices; otherwise the effect that remains has to
+    explain the corrected measurements of an arm as built.
     """
     if described is None:
         return None
     for one in rivals[:BEST_FEW]:
-        residual = one.explained.residual
-        if residual < RESIDUAL_RATIO_MAX * described.residual:
-            return one.with_rest(residual, one.explained.names)
-        if described.quiet or residual > RESIDUAL_PARTLY_MAX * described.residual:
-            continue
-        assert one.mistake.mended is not None
-        judged = _judge(session.mended(one.mistake.mended), brief=True)
-        if judged.verdict is Verdict.OUTSIDE_CATALOGUE or implausible(judged):
-            continue
-        return one.with_rest(judged.error_after, [effect.name for effect in judged.effects])
+        residual, names = one.explained.residual, one.explained.names
+        enough = residual < RESIDUAL_RATIO_MAX * described.residual
+        partly = not described.quiet and residual <= RESIDUAL_PARTLY_MAX * described.residual
+        if enough or (partly and _explains(session, one)):
+            return one.with_rest(residual, names)
     return None
+
+
+def _explains(session: Session, one: Mended) -> bool:
+    """Return whether the corrected measurements are adequately explained, by declared accuracy."""
+    assert one.mistake.mended is not None
+    point, names = one.explained.point, one.explained.names
+    frees = tuple(free for free in point if free.effect in names)
+    question = replace(session.mended(one.mistake.mended), use_accuracy=True)
+    try:
+        mended, fit = _fitted(question, frees)
+    except FAILURES:
+        return False
+    return fit.probability(mended.freedom) > P_SINGLE_MIN
+
+
+def _fitted(question: Question, frees: tuple[FreeParameter, ...] = ()) -> tuple[Session, Fit]:
+    """Return a fit with weights taken at itself, and the session of these."""
+    session = question.weigh({})
+    fit = session.fitter.fit(frees)
+    session = session.weigh(fit.point, fit.built.around)
+    return session, session.fitter.fit(frees, fit)
 
 
 def _weighed_against(session: Session, mistake: Mistake, diagnosis: Diagnosis) -> Diagnosis:
     """Return the likelier of mistake and effects, the other as a caveat where it is possible."""
     assert mistake.mended is not None
-    mended = session.mended(mistake.mended).weigh({})
-    base = mended.base_fit()
-    mended = mended.weigh(base.point, base.members)
-    score = mended.score(mended.base_fit((base,)).deviance)
-    gain = score + MISTAKE_HANDICAP - diagnosis.details['score']
+    mended, base = _fitted(session.mended(mistake.mended))
+    gain = mended.score(base.deviance) + MISTAKE_HANDICAP - diagnosis.details['score']
     if gain > 0.0:
         sentence = f'{mistake.sentence} the error would fall to {mm(mistake.after)} as well'
         caveats = [*diagnosis.details['caveats'], f'{sentence}: {mistake.mend}']
