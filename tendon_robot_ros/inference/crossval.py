@@ -223,13 +223,9 @@ def left_out_errors(
     In closed form, see `fit.left_out`. Postures of the same group (P,) are not independent and are
     left out together.
     """
-    owners, (root, _) = whitener.owners, covariance_root(jacobian)
-    n, errors, least = len(owners), np.full(len(groups), np.nan), 1.0 - LEVERAGE_MAX
-    deleted, _ = left_out(residual[:n], jacobian[:n] @ root, groups[owners], least)
-    for p in np.unique(owners):
-        metres = np.linalg.solve(whitener.root(p), deleted[owners == p])
-        errors[p] = 3.0 * float(np.mean(metres**2))
-    return errors
+    owners, (root, _) = groups[whitener.owners], covariance_root(jacobian)
+    n, least = len(owners), 1.0 - LEVERAGE_MAX
+    return whitener.squares(left_out(residual[:n], jacobian[:n] @ root, owners, least)[0])
 
 
 @dataclass(frozen=True)

@@ -235,26 +235,19 @@ def left_out(
 
     """
     deleted, weights = np.empty_like(residual), np.zeros(2)
-    for owner in np.unique(owners):
-        rows = np.flatnonzero(owners == owner)
-        r, a = residual[rows], hat_root[rows]
-        try:
-            if len(a) > a.shape[1]:
-                raise np.linalg.LinAlgError  # few eigenvectors are quicker
-            rest = np.eye(len(a)) - a @ a.T
-            np.linalg.cholesky(rest - (1.0 - LEVERAGE_MAX) * np.eye(len(rest)))  # raises then
-            root = root_inverse(rest)
-            grown = root.T @ root
-            deleted[rows], more = grown @ r, grown - rest
-            weights += np.trace(more), (more * more).sum()
-        except np.linalg.LinAlgError:
-            leverage, vectors = gram_eigen(a)
-            apart = 1.0 - np.minimum(leverage, LEVERAGE_MAX)
-            along = vectors.T @ r
-            grown = 1.0 / np.where(leverage > LEVERAGE_MAX, least, apart)
-            deleted[rows] = r + vectors @ (grown * along - along)
-            w = 1.0 / apart - apart
-            weights += w.sum(), (w * w).sum()
+    order = np.argsort(owners, kind='stable')
+    counts = np.unique(owners, return_counts=True)[1]
+    first = np.cumsum(counts) - counts
+    for count in np.unique(counts).tolist():
+        rows = order[first[counts == count, None] + np.arange(count)]  # (G, n)
+        leverage, vectors = gram_eigen(hat_root[rows])
+        apart = 1.0 - np.minimum(leverage, LEVERAGE_MAX)
+        grown = 1.0 / np.where(leverage > LEVERAGE_MAX, least, apart)
+        along = residual[rows][:, None] @ vectors
+        more = vectors @ ((grown - 1.0)[:, None] * along).swapaxes(1, 2)
+        deleted[rows] = residual[rows] + more[..., 0]
+        w = 1.0 / apart - apart
+        weights += w.sum(), (w * w).sum()
     return deleted, weights
 
 
@@ -286,15 +279,13 @@ def covariance_root(jacobian: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:
 
 
 def gram_eigen(rows: Floats) -> tuple[Floats, Floats]:
-    """Eigenvalues (d,) and vectors (n, d) of A A' for A (n, q), without those that are zero."""
-    n, q = rows.shape
-    if n <= q:
-        values, vectors = np.linalg.eigh(rows @ rows.T)
-        return values, vectors
-    values, vectors = np.linalg.eigh(rows.T @ rows)
-    kept = values > 1e-15
-    values = values[kept]
-    return values, rows @ (vectors[:, kept] / np.sqrt(values))
+    """Eigenvalues (G, d) and vectors (G, n, d) of A A' for A (G, n, q); those of zero are zero."""
+    across = rows.swapaxes(1, 2)
+    if rows.shape[1] <= rows.shape[2]:
+        return np.linalg.eigh(rows @ across)
+    values, vectors = np.linalg.eigh(across @ rows)
+    scale = np.where(values > 1e-15, 1.0 / np.sqrt(np.maximum(values, 1e-15)), 0.0)
+    return values, rows @ (vectors * scale[:, None])
 
 
 def with_imperfections(plain: Fit, random: RandomEffects, sizes: Floats, around: Members) -> Fit:

@@ -130,11 +130,11 @@ class Whitener:
         self.variance = [one[visible] for one, visible in zip(total, self._visible, strict=True)]
 
     @cached_property
-    def _factors(self) -> tuple[Floats, Floats]:
-        """Roots W (P, 3 J, 3 J) of the inverses, and logarithms (P,) of the determinants."""
+    def _factors(self) -> tuple[Floats, Floats, Floats]:
+        """Roots W (P, 3 J, 3 J) of the inverses, logarithms (P,) of determinants, and W^-1."""
         blocks = covariances(*self._noise) + _model_errors(*self._errors)
         root, logs = _factored(blocks, self._visible)
-        return np.linalg.inv(root), logs
+        return np.linalg.inv(root), logs, root
 
     @cached_property
     def rows(self) -> list[npt.NDArray[np.intp]]:
@@ -165,6 +165,15 @@ class Whitener:
         seen = flat if self._visible.all() else np.where(self._visible[:, None], flat, 0.0)
         rows = (seen @ self._factors[0].swapaxes(1, 2)).swapaxes(0, 1)
         return rows[:, self._visible].reshape(*leading, self.size)
+
+    def squares(self, white: Floats) -> Floats:
+        """Return the mean squared distance (P,) [m²] of whitened values (N,); nan without any."""
+        metres = np.zeros(self._visible.shape)
+        metres[self._visible] = white
+        metres = (self._factors[2] @ metres[..., None])[..., 0]
+        seen = self._visible.sum(axis=1)
+        squares = 3.0 * (metres**2).sum(axis=1) / np.maximum(seen, 1)
+        return np.where(seen > 0, squares, np.nan)
 
     @property
     def owners(self) -> npt.NDArray[np.int64]:
