@@ -239,7 +239,8 @@ def _row(fits: Fits, decision: Concluded, ranked: Ranked, errors: FittedErrors) 
 
     The left-out error of the chosen candidate and its competitors comes from the model, as in
     `add`; that of the others is linearised, which is much cheaper. So are the intervals of what
-    is rejected: at the likeliest sizes of the imperfections, instead of over all possible ones.
+    is rejected or not needed: at the likeliest sizes of the imperfections, not over all possible
+    ones.
     """
     fit, session, best = ranked.fit, fits.session, ranked is decision.chosen
     reported = fits.reported(ranked) if best else fit
@@ -256,9 +257,9 @@ def _row(fits: Fits, decision: Concluded, ranked: Ranked, errors: FittedErrors) 
     else:
         status = 'rejected'
     count, known = len(fit.frees), None
-    if status == 'rejected':
+    if status in ('rejected', NOT_NEEDED):
         known = fit.covariance[:count, :count]
-    elif not best and status != NOT_NEEDED:
+    elif not best:
         held_out = root_mean(left_out_squares(session.fitter, fit, errors.beside))
     values = {
         f'{effect}.{key}' if len(ranked.names) > 1 else key: value

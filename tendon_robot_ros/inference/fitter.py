@@ -361,7 +361,8 @@ class Descent:
         fitter.sizes = self.place.sizes
         fitter.linearise_around(self.place.around)
         estimated = fitter.estimate(search)
-        if estimated.deviance - GAINS_TO_COME * self.gain > hopeless:
+        gain = min(self.gain, self.place.deviance - estimated.deviance)
+        if estimated.deviance - GAINS_TO_COME * gain > hopeless:
             self.converged = True
             return
         fitter.sizes = estimated.values
