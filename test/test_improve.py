@@ -130,6 +130,23 @@ def test_a_stiffness_that_changes_along_the_arm_is_found_and_written():
     assert '% at the middle' in '\n'.join(improvement_lines(found))
 
 
+@pytest.mark.parametrize('name', ['kato_10_1', 'spatial_6'])
+def test_an_effect_that_keeps_a_better_one_out_is_exchanged_for_it(name):
+    robot = simulated.robot(name, lacks=simulated.SHAPING)
+    changes = [0.3, -0.2]
+    hidden = {'section_stiffness': {'relative_change': changes}}
+    dataset = measured(robot, hidden, seed=3)
+    search = Stepwise(dataset, robot, CATALOGUE)
+    own = ('backbone_stiffness', 'section_stiffness')
+    search.blocks = [block for block in search.blocks if block.label in own]
+    (first,) = (block for block in search.blocks if block.label == own[0])
+    state = search.fitted((first,), {}, search.weights(search.predict({})))
+    better = search.step(state, {})
+    assert (better.names, better.removed) == ({own[1]}, (own[0],))
+    assert better.score < state.score
+    np.testing.assert_allclose(better.fit.values, changes, atol=0.02)
+
+
 def test_what_moved_of_the_arm_is_what_the_description_says():
     robot = simulated.robot('spatial_3')
     dataset = measured(robot, count=4)
