@@ -7,6 +7,7 @@ the stiffness along the arm, and the routes of its tendons.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
@@ -229,12 +230,15 @@ def rerouted(robot: Robot, point: Point) -> Robot:
         for free, value in point.items()
         if free.effect == ROUTES
     }
-    tendons = []
+    tendons = [*robot.tendons]
     for i, tendon in enumerate(robot.tendons):
-        c, s = np.cos(change.get((i, 'turn'), 0.0)), np.sin(change.get((i, 'turn'), 0.0))
+        if (i, 'turn') not in change and (i, 'helix') not in change:
+            continue
+        turn = change.get((i, 'turn'), 0.0)
+        c, s = math.cos(turn), math.sin(turn)
         base, end = ((c * x - s * y, s * x + c * y) for x, y in (tendon.base, tendon.end))
         helix = tendon.helix + change.get((i, 'helix'), 0.0)
-        tendons.append(replace(tendon, base=base, end=end, helix=helix))
+        tendons[i] = replace(tendon, base=base, end=end, helix=helix)
     return replace(robot, tendons=tuple(tendons))
 
 
@@ -282,7 +286,7 @@ def route_changes(point: Point) -> dict[str, tuple[float, float]]:
 
 
 def _winding(robot: Robot) -> Robot:
-    tendons = (replace(tendon, helix=tendon.helix or 1e-6) for tendon in robot.tendons)
+    tendons = (t if t.helix else replace(t, helix=1e-6) for t in robot.tendons)
     return replace(robot, tendons=tuple(tendons))
 
 

@@ -315,43 +315,39 @@ def _route(item: Reader, sections: tuple[Section, ...]) -> tuple[XY, XY, float, 
 
 def tendon_offsets(robot: Robot) -> Floats:
     """Return the offset of every tendon at mid-cell, (n, k, 2) [m], zero beyond its end."""
-    offset = np.zeros((robot.cells, len(robot.tendons), 2))
-    for k, tendon in enumerate(robot.tendons):
-        ends, lengths = _tendon_ends(robot, k)
+    lengths = np.array(robot.cell_lengths)
+    offset = _offsets_at(robot, np.cumsum(lengths) - 0.5 * lengths)
+    for k, (tendon, cells) in enumerate(zip(robot.tendons, robot.tendon_cells, strict=True)):
         if tendon.offsets:
-            offset[: len(ends), k] = tendon.offsets
-        else:
-            offset[: len(ends), k] = _offset_at(tendon, ends - 0.5 * lengths, ends[-1])
+            offset[:cells, k] = tendon.offsets
+        offset[cells:, k] = 0.0
     return offset
 
 
 def helix_angles(robot: Robot) -> Floats:
     """Return the angle by which every tendon winds about the axis in every cell, (n, k) [rad]."""
-    angles = np.zeros((robot.cells, len(robot.tendons)))
-    for k, tendon in enumerate(robot.tendons):
-        ends, lengths = _tendon_ends(robot, k)
+    lengths = np.array(robot.cell_lengths)
+    ends = np.cumsum(lengths)
+    (x0, y0), (x1, y1) = (
+        np.moveaxis(_offsets_at(robot, at), 2, 0) for at in (ends - lengths, ends)
+    )
+    middle = 0.25 * ((x0 + x1) ** 2 + (y0 + y1) ** 2)
+    angles = 2.0 * np.arctan2(x0 * y1 - y0 * x1, 2.0 * middle)
+    for k, (tendon, cells) in enumerate(zip(robot.tendons, robot.tendon_cells, strict=True)):
         if tendon.offsets:
             angle = np.unwrap(np.arctan2(*np.transpose(tendon.offsets)[::-1]))
-            rate = np.gradient(angle, ends - 0.5 * lengths) if len(ends) > 1 else 0.0
-            angles[: len(ends), k] = rate * lengths
-        else:
-            (x0, y0), (x1, y1) = (
-                _offset_at(tendon, at, ends[-1]).T for at in (ends - lengths, ends)
-            )
-            middle = 0.25 * ((x0 + x1) ** 2 + (y0 + y1) ** 2)
-            angles[: len(ends), k] = 2.0 * np.arctan2(x0 * y1 - y0 * x1, 2.0 * middle)
-    angles[np.abs(angles) < 1e-12] = 0.0  # rounding errors
-    return angles
+            middles = (ends - 0.5 * lengths)[:cells]
+            rate = np.gradient(angle, middles) if cells > 1 else 0.0
+            angles[:cells, k] = rate * lengths[:cells]
+        angles[cells:, k] = 0.0
+    return np.where(np.abs(angles) < 1e-12, 0.0, angles)  # rounding errors
 
 
-def _tendon_ends(robot: Robot, k: int) -> tuple[Floats, Floats]:
-    """Arc lengths at the ends of the cells of a tendon, and the lengths of these cells [m]."""
-    lengths = robot.cell_lengths[: robot.tendon_cells[k]]
-    return np.cumsum(lengths), lengths
-
-
-def _offset_at(tendon: Tendon, arc_length: Floats, whole: float) -> Floats:
-    """Offset (j, 2) [m] of a tendon at arc lengths (j,): a line that turns by its helix."""
-    base, end = np.array(tendon.base), np.array(tendon.end)
-    straight = base + arc_length[:, None] / whole * (end - base)
-    return turned_in_plane(straight, tendon.helix * arc_length)
+def _offsets_at(robot: Robot, arc_lengths: Floats) -> Floats:
+    """Offsets (j, k, 2) [m] of tendons at arc lengths (j,): lines that turn by their helices."""
+    base = np.array([tendon.base for tendon in robot.tendons])
+    end = np.array([tendon.end for tendon in robot.tendons])
+    helix = np.array([tendon.helix for tendon in robot.tendons])
+    whole = np.cumsum(robot.cell_lengths)[np.array(robot.tendon_cells) - 1]
+    at = arc_lengths[:, None]
+    return turned_in_plane(base + (at / whole)[..., None] * (end - base), helix * at)
