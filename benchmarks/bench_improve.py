@@ -61,7 +61,8 @@ def sizes(robot, hidden, random):
                 size *= random.choice([-1.0, 1.0])
             if flat and parameter.name.endswith('_y'):
                 size = 0.0
-            values[parameter.name] = parameter.neutral if parameter.has_default else float(size)
+            fixed = parameter.has_default or parameter.only_described
+            values[parameter.name] = parameter.neutral if fixed else float(size)
         found[name] = values
     return found
 
