@@ -23,7 +23,7 @@ from tendon_robot_ros.inference.statistics import false_discovery_control
 from tendon_robot_ros.report.comparison import add_shapes
 from tendon_robot_ros.report.diagnosis_page import pictures_of
 from tendon_robot_ros.report.page import Page
-from tendon_robot_ros.report.sentences import marks, of_inputs, where_wrong
+from tendon_robot_ros.report.sentences import marks, of_inputs, place_of, where_wrong
 
 ROBOT = simulated.robot()
 
@@ -226,6 +226,13 @@ def test_words_for_every_kind_of_place():
         'in all postures one of the cells 3 to 5 is kinked at rest: it bends 1.1° (0.57° to '
         '1.7°) less towards x'
     )
+    for cells, said in (
+        ((4, 3), 'cell 3 or 4'),
+        ((7, 3), 'cell 3 or 7'),
+        ((1, 5, 6, 7, 9, 10), 'one of the cells 1, 5 to 7, 9 or 10'),
+    ):
+        alike = [f'cell {i} towards x' for i in cells]
+        assert place_of({**fault, 'alike': alike}) == f'{said} towards x'
     gain = {**fault, 'along': None, 'kind': 'channel_gain', 'place': 'left', 'unit': '1'}
     assert of_inputs([gain], '7') == ['input left pulls 2.0 % (1.0 % to 3.0 %) more than it says']
     zero = {**gain, 'kind': 'pull_zero', 'unit': 'm', 'size': 2e-4, 'low': 1e-4, 'high': 3e-4}

@@ -340,9 +340,16 @@ def place_of(fault: Fault) -> str:
         return str(fault['place'])
     numbers = sorted({int(name.split()[1]) for name, _, _ in alike})
     tail = ''.join(str(fault['place']).partition(' towards ')[1:])
-    if numbers == list(range(numbers[0], numbers[-1] + 1)) and len(numbers) > 2:
-        return f'one of the cells {numbers[0]} to {numbers[-1]}{tail}'
-    return f'cell {listed(map(str, numbers), "or")}{tail}'
+    runs = list[list[int]]()
+    for number in numbers:
+        if not runs or number > runs[-1][-1] + 1:
+            runs.append([])
+        runs[-1].append(number)
+    names = list[str]()
+    for run in runs:
+        names += [f'{run[0]} to {run[-1]}'] if len(run) > 2 else map(str, run)
+    among = 'one of the cells' if len(names) < len(numbers) else 'cell'
+    return f'{among} {listed(names, "or")}{tail}'
 
 
 def posture_name(comparison: Comparison, posture: int) -> str:
