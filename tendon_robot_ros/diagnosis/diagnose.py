@@ -26,7 +26,14 @@ from .report_rows import details_of, finding, fitted_errors, remainder_text, row
 from .result import Diagnosis
 from .select import Concluded, Fits, gather
 from .setup_hypotheses import Mistake
-from .setup_mistakes import Explained, Mended, find_mistake, implausible, mended_rivals
+from .setup_mistakes import (
+    Explained,
+    Mended,
+    find_mistake,
+    implausible,
+    is_odd_fit,
+    mended_rivals,
+)
 from .verdict import (
     APART_FROM_SCORE,
     MISTAKE_HANDICAP,
@@ -142,31 +149,32 @@ def _likelier_mistake(
 
 
 def _explains(session: Session, one: Mended) -> bool:
-    """Return whether the corrected measurements are adequately explained, by declared accuracy."""
+    """Return whether its effect explains the corrected measurements, to the declared accuracy."""
     assert one.mistake.mended is not None
     point, names = one.explained.point, one.explained.names
     frees = tuple(free for free in point if free.effect in names)
     question = replace(session.mended(one.mistake.mended), use_accuracy=True)
     try:
-        mended, fit = _fitted(question, frees)
+        mended, first = _weighed(question, frees)
+        fit = mended.fitter.fit(frees, first)
     except FAILURES:
         return False
-    return fit.probability(mended.freedom) > P_SINGLE_MIN
+    return fit.probability(mended.freedom) > P_SINGLE_MIN and not is_odd_fit(fit, mended.predictor)
 
 
-def _fitted(question: Question, frees: tuple[FreeParameter, ...] = ()) -> tuple[Session, Fit]:
-    """Return a fit with weights taken at itself, and the session of these."""
+def _weighed(question: Question, frees: tuple[FreeParameter, ...] = ()) -> tuple[Session, Fit]:
+    """Return a session with weights taken at a fit, and this fit."""
     session = question.weigh({})
     fit = session.fitter.fit(frees)
-    session = session.weigh(fit.point, fit.built.around)
-    return session, session.fitter.fit(frees, fit)
+    return session.weigh(fit.point, fit.built.around), fit
 
 
 def _weighed_against(session: Session, mistake: Mistake, diagnosis: Diagnosis) -> Diagnosis:
     """Return the likelier of mistake and effects, the other as a caveat where it is possible."""
     assert mistake.mended is not None
-    mended, base = _fitted(session.mended(mistake.mended))
-    gain = mended.score(base.deviance) + MISTAKE_HANDICAP - diagnosis.details['score']
+    mended, first = _weighed(session.mended(mistake.mended))
+    score = mended.score(mended.base_fit((first,)).deviance)
+    gain = score + MISTAKE_HANDICAP - diagnosis.details['score']
     if gain > 0.0:
         sentence = f'{mistake.sentence} the error would fall to {mm(mistake.after)} as well'
         caveats = [*diagnosis.details['caveats'], f'{sentence}: {mistake.mend}']

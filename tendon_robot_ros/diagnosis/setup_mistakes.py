@@ -240,6 +240,12 @@ def is_odd(effect: str, key: str, value: float, described: float) -> bool:
     return not 1.0 / MISTAKEN_RATIO_MIN < factor < MISTAKEN_RATIO_MIN
 
 
+def is_odd_fit(fit: Fit, predictor: Predictor) -> bool:
+    """Return whether a fit has such a value."""
+    frees, point = fit.frees, fit.point
+    return any(is_odd(f.effect, f.key, point[f], predictor.value(f)) for f in frees)
+
+
 class Explaining:
     """Fits of effects on data sets of one arm, without imperfections."""
 
@@ -317,9 +323,7 @@ class Explaining:
                 joint = fitter.fit(frees, fit.point if names else None, STEPS_FEW)
             except FAILURES:
                 continue
-            known = fitter.predictor
-            odd = [is_odd(f.effect, f.key, joint.point[f], known.value(f)) for f in joint.frees]
-            if not any(odd):  # an implausible value is no explanation
+            if not is_odd_fit(joint, fitter.predictor):  # an implausible value explains nothing
                 fits.append((_score(joint), len(fits), joint, candidate.names))
         if not fits:
             return None

@@ -348,12 +348,11 @@ class Stepwise:
         """
         Return the best state that promises lead to; None if none is better than the present one.
 
-        One that promises less than another one has reached is not fitted; of exchanges the first
-        one that is better is taken.
+        One that promises less than another one has reached is not fitted.
         """
         best, limit = None, (1.0 - 0.5 * NEGLIGIBLE) * state.score
         for error, joining, leaving in promises:
-            if best is not None and (leaving is not None or best.score < error):
+            if best is not None and best.score < error:
                 break
             blocks = *(one for one in state.blocks if one is not leaving), joining.block
             start, label = state.beside(joining), joining.block.label
