@@ -26,14 +26,7 @@ from .report_rows import details_of, finding, fitted_errors, remainder_text, row
 from .result import Diagnosis
 from .select import Concluded, Fits, gather
 from .setup_hypotheses import Mistake
-from .setup_mistakes import (
-    Explained,
-    Mended,
-    find_mistake,
-    implausible,
-    is_odd_fit,
-    mended_rivals,
-)
+from .setup_mistakes import Explained, Mended, find_mistake, implausible, is_odd_fit, mended_rivals
 from .verdict import (
     APART_FROM_SCORE,
     MISTAKE_HANDICAP,
