@@ -20,6 +20,7 @@ from tendon_robot_ros.inference.session import Question
 from tendon_robot_ros.report.comparison import Push
 from tendon_robot_ros.report.diagnosis_text import verdict
 from tendon_robot_ros.report.sentences import pushed
+from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.measurements import simulate
 from tendon_robot_ros.simulation.plant import make_plant
@@ -101,6 +102,16 @@ def test_a_load_that_is_always_the_same_stays_a_tip_load(arm):
     found = diagnose(measured(arm, hidden))
     assert found.verdict in (Verdict.MISSING_EFFECT, Verdict.AMBIGUOUS)
     assert found.effects[0].name == 'tip_load'
+
+
+def test_a_string_that_imitates_stiff_and_soft_cells_does_not_beat_a_tip_load():
+    """Its score is better by 15, with twice the parameters and a place that was searched for."""
+    robot = load_robot('kato_10_1_single')
+    load = {'force_x': 0.0011, 'force_z': -0.0032}
+    plant = make_plant(robot, {'tip_load': load}, seed=1, work=Workmanship())
+    found = diagnose(simulate(plant, default_postures(robot, 30), trials=5, seed=1))
+    assert found.effects[0].name == 'tip_load'
+    assert {*found.cannot_tell_apart} <= {'tip_load', 'tether'}
 
 
 @pytest.mark.parametrize(('arm', 'built'), CASES)

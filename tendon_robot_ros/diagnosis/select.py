@@ -144,10 +144,11 @@ class Fits:
                 if known.combined is not None:
                     found['combined'] = tuple(map(_numbers, self.joint))
             case 'patterns':
-                found['patterns'] = self._numbers(self.patterns)
+                found['patterns'] = self._numbers(self.patterns, self.base)
             case 'rivals':
                 self.rivals = self._rivals(missing.score)
-                found['rivals'] = () if self.remembers else self._numbers(self.rivals)
+                over = self.fit_of(missing.names).fit if missing.names else self.base
+                found['rivals'] = () if self.remembers else self._numbers(self.rivals, over)
             case 'helpful':
                 memories = session.catalogue.needing('history')
                 own = [one for one in known.singles if memories & set(one.names)]
@@ -199,15 +200,22 @@ class Fits:
         self.placed = [refitted, *(r for r in self.placed if r is not best)]
         return True
 
-    def _numbers(self, patterns: Sequence[Pattern]) -> tuple[Rival, ...]:
-        """Return the numbers of patterns, and of the effects at places that had to be found."""
+    def _numbers(self, patterns: Sequence[Pattern], over: Fit) -> tuple[Rival, ...]:
+        """
+        Return the numbers of patterns, and of the effects at places that had to be found.
+
+        The latter also have to gain significantly over a fit that has fewer parameters.
+        """
         session, base = self.session, self.base
         postures = int((session.dataset.trials > 0).sum())
         rivals = [
             Rival(p.name, p.score, p.everywhere, p.gain_p_value(base.deviance)) for p in patterns
         ]
         for r in self.placed or ():
-            by_chance = ways(r.names[0], postures) * gain_p_value(session, base, r)
+            by_chance = gain_p_value(session, base, r)
+            if over.rank < r.fit.rank:
+                by_chance = max(by_chance, gain_p_value(session, over, r))
+            by_chance *= ways(r.names[0], postures)
             rivals.append(Rival(r.names[0], r.score, True, by_chance, _numbers(r)))
         return tuple(rivals)
 

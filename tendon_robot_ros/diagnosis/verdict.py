@@ -200,7 +200,7 @@ class Rival:
     name: str
     score: float
     everywhere: bool = True  # whether it is the same in every posture
-    gain_p: float = 1.0  # p-value of its gain over the description
+    gain_p: float = 1.0  # p-value of its gain over the description, and over what it competes with
     placed: Hypothesis | None = None  # the effect of the catalogue that it is, at the place found
 
 
@@ -356,7 +356,7 @@ def _without_places(evidence: Evidence) -> Concluded:
     near, trials = indistinct(evidence), len(evidence.singles)
     group = [one for one in near if differs(evidence, one)]
     best = group[0] if group else None
-    rival = best and _competing(evidence, best.score)
+    rival = best and _competing(evidence, best.score, best.names)
     if near and not rival and evidence.as_built and not (best and gains(best.gain_p, trials)):
         alone = outside_by_itself(evidence)  # what raised the alarm, the effect would not have
         if alone is not None and (alone.score < best.score if best else alone.placed):
@@ -412,10 +412,10 @@ def indistinct(evidence: Evidence) -> list[Hypothesis]:
     return _best_first([one for one in near if one.names not in evidence.wider])
 
 
-def _competing(evidence: Evidence, score: float) -> Rival | None:
-    """Return the pattern beyond chance whose score is much better than a given one, if any."""
+def _competing(evidence: Evidence, score: float, names: Names = ()) -> Rival | None:
+    """Return the rival beyond chance whose score is much better than that of `names`, if any."""
     if evidence.rivals is None:
-        raise Missing('rivals', score=score)
+        raise Missing('rivals', names, score)
     top = _best_beyond_chance(evidence.rivals)
     return top if top and top.score < score - APART_FROM_SCORE else None
 
