@@ -42,7 +42,7 @@ def refused_open(driver):
 
 def test_a_missing_servo_is_listed_with_those_that_are_there():
     with emulated.line(ids=(1, 2, 3)) as line:
-        assert refused_open(driver_for(line, answer_time=0.004)).startswith(
+        assert refused_open(driver_for(line)).startswith(
             f'{line.port}: servos at 1000000 baud: expected 1: XL330-M077 (east), 2: XL330-M077 '
             '(north), 3: XL330-M077 (west), 4: XL330-M077 (south); found 1: XL330-M077 firmware '
             '48, 2: XL330-M077 firmware 48, 3: XL330-M077 firmware 48; '
@@ -53,7 +53,7 @@ def test_servos_at_another_baud_rate_are_found():
     with emulated.line() as line:
         for servo in line.rig.servos.values():
             servo.put('baud_rate', 1)
-        message = refused_open(driver_for(line, answer_time=0.004))
+        message = refused_open(driver_for(line))
         assert 'found none; at 57600 baud: 1: XL330-M077, 2: XL330-M077, ' in message
 
 

@@ -48,7 +48,7 @@ FAULTS = {
     'silent servo': ('silent 2', 'hear 2', 'no answer; check its cable', False),
     'broken answers': ('spoil 100000', 'spoil 0', 'no answer; check its cable', False),
     'truncated answers': ('cut 100000', 'cut 0', 'no answer; check its cable', False),
-    'slow bus': ('slow 0.05', 'slow 0', 'no answer; check its cable', False),
+    'slow bus': ('slow 0.15', 'slow 0', 'no answer; check its cable', False),
     'unplugged': ('unplug', 'plug', 'the port is gone; plug the adapter in again', False),
     'watchdog tripped': ('trip 2', '', 'its bus watchdog stopped it', False),
     'overload': ('overload 2', None, 'load above the maximum output', True),
