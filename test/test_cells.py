@@ -49,13 +49,9 @@ def test_the_fit_is_that_of_generalised_least_squares():
 
 @pytest.mark.long
 def test_scatter_alarms_where_nothing_is_declared_and_is_quiet_where_it_is():
-    undeclared = [
-        diagnose(scattered(seed), EXACT, CATALOGUE, 1).verdict != 'adequate' for seed in range(4)
-    ]
-    assert sum(undeclared) >= 3
-    assert [diagnose(scattered(seed), ROBOT, CATALOGUE, 1).verdict for seed in range(4)] == (
-        ['adequate'] * 4
-    )
+    for data in map(scattered, range(2)):
+        assert diagnose(data, EXACT, CATALOGUE, 1).verdict != 'adequate'
+        assert diagnose(data, ROBOT, CATALOGUE, 1).verdict == 'adequate'
 
 
 @pytest.mark.parametrize('seed', [1, 2])
