@@ -267,7 +267,7 @@ def test_a_computer_that_is_late_while_it_looks_for_slack_goes_on_from_where_the
 def test_a_computer_that_is_always_late_does_not_find_the_slack(monkeypatch):
     monkeypatch.setattr(motions, 'HICCUPS_MAX', 1)
     with emulated.line(slack=0.02) as line, driver_for(line, 'pull') as driver:
-        driver.cancelled = lambda: time.sleep(0.25)
+        driver.cancelled = lambda: emulated.watchdogs_trip(line)
         with pytest.raises(DriverError, match='late again and again; torque is off'):
             driver.enable()
         assert not any(servo.torque for servo in line.rig.servos.values())
