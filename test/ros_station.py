@@ -29,7 +29,7 @@ from tendon_robot_ros.ros.shared.runtime import NodeProcess, ros_arguments, with
 without_shared_memory()  # as the nodes: a process that a test kills would hold up the station
 
 DISCOVERY = 30.0  # [s] for anything to happen, on a busy machine
-UNHEARD = 5.0  # [s] until it is sent or asked again: who was there to hear it may have died
+UNHEARD = 5.0  # [s] after which a target is sent again: who was there to hear it may have died
 MATCHED = 0.2  # [s] until both sides of a topic know each other
 # A busy machine is late: no watchdog but the one that a test is about may act on that. An eighth
 # of the usual rate leaves more time for the other tests.
@@ -158,7 +158,7 @@ class Station:
         asked, request = [], request or kind.Request()
         self.repeat(
             lambda: asked.append(client.call_async(request)),
-            UNHEARD,
+            DISCOVERY / 3.0,  # so late nobody is busy: who was there has died
             lambda: any(future.done() for future in asked),
             f'an answer of {name}',
         )
