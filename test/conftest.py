@@ -53,13 +53,14 @@ RERUNS = 2  # processes that talk to each other are late on a busy machine
 # The files that take longest, longest first, of nodes and of others in turn: those that start
 # nodes wait, the others compute. So no processor is idle, and what is left at the end is short.
 LONGEST = (
-    'ros_record', 'docs', 'ros_follow', 'diagnose', 'ros_monitor', 'setup_mistakes', 'ros_life',
-    'investigate', 'ros_bad_input', 'watch', 'ros_dynamixel', 'table_import', 'live',
-    'local_tests', 'campaign_cluster', 'as_built', 'ros_chain', 'dynamixel_start', 'ros_stop',
-    'dynamixel_commands', 'ros_travel', 'ros_investigate', 'dynamixel_faults', 'demo', 'add',
-    'live_page', 'diagnosis_page', 'senders', 'driver_contract', 'diagnose_command', 'travel',
-    'ros_serial', 'dynamixel_settings', 'campaign', 'watch_filter', 'wheel',
-    'control_null_space', 'model_inverse', 'readme', 'unreadable', 'advice', 'report',
+    'ros_record', 'watch', 'docs', 'ros_follow', 'investigate', 'diagnose', 'ros_monitor',
+    'setup_mistakes', 'ros_life', 'ros_bad_input', 'control_friction', 'placed', 'ros_dynamixel',
+    'table_import', 'live', 'cells', 'local_tests', 'campaign_cluster', 'as_built', 'ros_chain',
+    'dynamixel_start', 'ros_stop', 'dynamixel_commands', 'ros_travel', 'ros_investigate',
+    'dynamixel_faults', 'demo', 'add', 'live_page', 'diagnosis_page', 'senders', 'driver_contract',
+    'diagnose_command', 'travel', 'ros_serial', 'dynamixel_settings', 'model_error', 'reference',
+    'campaign', 'watch_filter', 'as_found', 'model_equilibrium', 'model_bending_hysteresis',
+    'wheel', 'control_null_space', 'model_inverse', 'readme', 'unreadable', 'advice', 'report',
     'command_line', 'model_reference', 'data_bag_identity', 'fit', 'improve', 'compare', 'trust',
     'thinning', 'data_fuzz', 'house', 'workspace',
 )  # fmt: skip

@@ -4,7 +4,6 @@ import threading
 import time
 
 import numpy as np
-import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from emulated import ForkedEmulator
 from ros_station import Station, last, stamp, start, values
@@ -17,7 +16,6 @@ from tendon_robot_ros.ros.shared.quality import COMMAND
 
 ROBOT = 'kato_10_1'
 TENSION = [1.5, 0.4, 1.0, 0.3]  # [N]
-ANSWER = 0.03  # [s]; what is emulated is late with a busy machine
 PULL = [0.006, -0.006, 0.003, -0.003]  # [m]
 
 
@@ -30,9 +28,6 @@ class Rig:
     def __init__(self, mode, folder):
         self.mode = mode
         self.servos = ForkedEmulator(shared_file(f'config/robots/{ROBOT}.yaml'), kind=self.kind)
-        if self.kind == 'dynamixel':
-            patient = {**self.servos.content(), 'answer_time': ANSWER}
-            self.servos.config.write_text(yaml.safe_dump(patient))
         self.space = f'/{self.kind}_{mode}'
         self.folder = folder
         self.station = Station(self.space)

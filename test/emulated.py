@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import processes
+import yaml
 from forked import Forked
 
 from tendon_robot_ros.drivers import make_driver
@@ -26,6 +27,9 @@ STIFFNESS = 400.0  # [N/m]
 TENSION = np.array([2.0, 1.0, 0.5, 0.5])
 PULL = np.array([0.006, 0.003, 0.0, 0.0])
 SOON = 30.0  # [s], a generous end of every wait
+# [s]; the bytes of a pseudo-terminal wait for a thread of the kernel that has no priority: between
+# two processes on a busy machine for 75 ms. The bus is silent meanwhile
+LATE = {'answer_time': 0.1, 'watchdog': 2.0}
 
 ROBOT = """
 name: four
@@ -171,7 +175,12 @@ def cycle(driver, command, seconds, period=0.01, until=None):
 
 
 class ForkedEmulator(EmulatorProcess):
-    """Emulated motors in a process that starts without the cost of its imports."""
+    """Emulated motors that start without the cost of imports; who drives servos is patient."""
+
+    def __init__(self, *arguments, kind='dynamixel'):
+        super().__init__(*arguments, kind=kind)
+        if kind == 'dynamixel':
+            self.config.write_text(yaml.safe_dump({**self.content(), **LATE}))
 
     def start(self, command):
         process = Forked(command, stdin=processes.PIPE, stdout=processes.PIPE)

@@ -83,13 +83,17 @@ class Station:
 
     def send_until(self, topic, message, condition, what):
         """Publish every second, as a person would, until something holds."""
-        sent = -math.inf
+        self.repeat(lambda: self.send(topic, message), 1.0, condition, what)
+
+    def repeat(self, act, period, condition, what):
+        """Act, and again after every period [s], until something holds."""
+        acted = -math.inf
 
         def held():
-            nonlocal sent
-            if time.monotonic() > sent + 1.0:
-                sent = time.monotonic()
-                self.send(topic, message)
+            nonlocal acted
+            if time.monotonic() > acted + period:
+                acted = time.monotonic()
+                act()
             return condition()
 
         self.until(held, what)
@@ -151,10 +155,15 @@ class Station:
     def call(self, kind, name, request=None):
         client = self.node.create_client(kind, name)
         self.until(client.service_is_ready, f'service {name}')
-        future = client.call_async(request or kind.Request())
-        self.until(future.done, f'an answer of {name}')
+        asked, request = [], request or kind.Request()
+        self.repeat(
+            lambda: asked.append(client.call_async(request)),
+            DISCOVERY / 3.0,  # so late nobody is busy: who was there has died
+            lambda: any(future.done() for future in asked),
+            f'an answer of {name}',
+        )
         self.node.destroy_client(client)
-        return future.result()
+        return next(future.result() for future in asked if future.done())
 
     def trigger(self, name):
         return self.call(Trigger, name)

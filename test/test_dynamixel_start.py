@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import emulated
 import numpy as np
+import processes
 import pytest
 
 from tendon_robot_ros.common.errors import DriverError
@@ -42,7 +43,7 @@ def refused_open(driver):
 
 def test_a_missing_servo_is_listed_with_those_that_are_there():
     with emulated.line(ids=(1, 2, 3)) as line:
-        assert refused_open(driver_for(line, answer_time=0.004)).startswith(
+        assert refused_open(driver_for(line)).startswith(
             f'{line.port}: servos at 1000000 baud: expected 1: XL330-M077 (east), 2: XL330-M077 '
             '(north), 3: XL330-M077 (west), 4: XL330-M077 (south); found 1: XL330-M077 firmware '
             '48, 2: XL330-M077 firmware 48, 3: XL330-M077 firmware 48; '
@@ -53,7 +54,7 @@ def test_servos_at_another_baud_rate_are_found():
     with emulated.line() as line:
         for servo in line.rig.servos.values():
             servo.put('baud_rate', 1)
-        message = refused_open(driver_for(line, answer_time=0.004))
+        message = refused_open(driver_for(line))
         assert 'found none; at 57600 baud: 1: XL330-M077, 2: XL330-M077, ' in message
 
 
@@ -246,18 +247,15 @@ def test_a_computer_that_is_late_while_it_looks_for_slack_goes_on_from_where_the
     """The watchdogs stop the motors, paying out or winding: neither stuck nor stalled."""
     monkeypatch.setattr(motions, 'BACK_OFF_M', 0.008)
     with emulated.line(slack=0.004) as line, driver_for(line, 'pull') as driver:
-        cycles, tripped = iter(range(100)), []
+        cycles = iter(range(100))
 
         def late():
             if next(cycles) == cycle:
-                end = time.monotonic() + emulated.SOON
-                while not tripped and time.monotonic() < end:
-                    tripped.extend(s for s in line.rig.servos.values() if s.tripped)
+                processes.until(lambda: any(s.tripped for s in line.rig.servos.values()))
             return False
 
         driver.cancelled = late
         driver.enable()
-        assert tripped
         wound = [s.motion.ticks for s in line.rig.servos.values()]
         taut = 0.004 + driver.config.home_tension / emulated.STIFFNESS
         turns = np.abs(np.array(wound) - line.start_ticks)
@@ -269,7 +267,7 @@ def test_a_computer_that_is_late_while_it_looks_for_slack_goes_on_from_where_the
 def test_a_computer_that_is_always_late_does_not_find_the_slack(monkeypatch):
     monkeypatch.setattr(motions, 'HICCUPS_MAX', 1)
     with emulated.line(slack=0.02) as line, driver_for(line, 'pull') as driver:
-        driver.cancelled = lambda: time.sleep(0.25)
+        driver.cancelled = lambda: emulated.watchdogs_trip(line)
         with pytest.raises(DriverError, match='late again and again; torque is off'):
             driver.enable()
         assert not any(servo.torque for servo in line.rig.servos.values())

@@ -116,7 +116,7 @@ def test_a_configuration_is_refused_by_key(changes, message):
 @pytest.fixture(params=['tension', 'pull'])
 def bridge(request, tmp_path):
     space, mode = f'/bridge_{request.param}', request.param
-    config = {**CONFIG, 'timeout': 0.5}
+    config = {**CONFIG, 'timeout': 2.0}  # [s]; the motors are in this process, which may be late
     config['command_topic'] = (
         f'/tendon_{"effort" if mode == "tension" else "position"}_controller/commands'
     )

@@ -10,7 +10,6 @@ from types import SimpleNamespace
 import numpy as np
 import processes
 import pytest
-import yaml
 from emulated_board import needs_compiler
 from source_tree import ROOT
 
@@ -41,9 +40,6 @@ COARSE = 'coarse'  # kato_10_1 of fewer cells, which costs less
 NOISE = 2e-4  # [m]
 NEAR = 1e-3  # [m] of wire, less than postures differ by; motors hold it to a hundredth of that
 PATIENCE = 500.0  # [s]
-# [s]; what is emulated is late with a busy machine, as in emulated.py. When its motors stop by
-# themselves the arm is let go, and the posture is skipped
-LATE = {'answer_time': 0.1, 'watchdog': 2.0}
 
 
 class Tracked(Station):
@@ -59,9 +55,6 @@ class Tracked(Station):
         wound = folder / 'loaded.yaml'
         wound.write_text(dump_robot(loaded))
         self.motors = stack.enter_context(ForkedEmulator(wound, kind=kind))
-        if kind == 'dynamixel':
-            patient = {**self.motors.content(), **LATE}
-            self.motors.config.write_text(yaml.safe_dump(patient))
         self.random, self.wound = np.random.default_rng(1), None  # (m,) [m] wire on the spools
         self.publisher = self.node.create_publisher(PoseArray, 'measured_shape', LISTEN)
         self.node.create_timer(0.04, self.look)

@@ -68,8 +68,9 @@ def test_a_signal_ends_the_driver_after_a_ramp_to_pretension(space, numbers):
         space.spin(0.2)
     space.until(lambda: driver.process.poll() is not None, 'the end of the driver')
     assert driver.process.returncode == 0
+    rest = pytest.approx(LOW, abs=0.02)
+    space.until(lambda: max(last(space.states).effort) == rest, 'the end of the ramp')
     efforts = [(stamp(message), max(message.effort)) for _, message in space.states]
-    assert efforts[-1][1] == pytest.approx(LOW, abs=0.02)
     rate = (efforts[0][1] - LOW) / STOP_TIME
     for before, after in pairwise(efforts):  # no jump, however many messages are lost
         assert before[1] - after[1] < rate * (after[0] - before[0] + CYCLE_MAX_S) + 0.02

@@ -33,7 +33,6 @@ def free(request, tmp_path):
             **servos.content(),
             'home_travel': getattr(request, 'param', TRAVEL),
             'home_speed': 0.01,
-            'answer_time': 0.1,  # [s]; what is emulated is late with a busy machine
         }
         given = {
             'robot': ROBOT,

@@ -397,10 +397,10 @@ class Emulate:
                 if args.output:
                     text = yaml.safe_dump(config, sort_keys=False, default_flow_style=None)
                     write_text(args.output, f'# emulated: {words}\n{text}')
-                print(line.port, flush=True)
-                print(f'{words}; type help for faults', file=sys.stderr)
                 more = (line.obey, ending, args.ends_with_input)
                 threading.Thread(target=listen, args=more, daemon=True).start()
+                print(line.port, flush=True)  # who reads it gives all threads their priority
+                print(f'{words}; type help for faults', file=sys.stderr)
                 ending.wait()
         finally:
             for number, handler in before.items():
