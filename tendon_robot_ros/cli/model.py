@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..common.errors import InputError
+from ..common.errors import InputError, choice
 from ..common.files import file_to_write, new_file, new_folder, write_text
 from ..common.results import plain
 from ..common.words import PROGRAM, columns, other_unit
@@ -191,8 +191,7 @@ def preferences(text: str | None) -> Preferences | None:
         return None
     weights = options.named_numbers('--prefer', text, '1')
     for name in weights:
-        if name not in WEIGHTS:
-            raise InputError(f'--prefer: expected one of {", ".join(WEIGHTS)}, got {name!r}')
+        choice('--prefer', name, WEIGHTS)
     return replace(Preferences(low_tension=0.0), **weights)  # type: ignore[arg-type]
 
 

@@ -20,7 +20,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from ..common.errors import InputError, MissingExtraError, short
+from ..common.errors import InputError, MissingExtraError, choice, short
 from ..common.files import new_file, write_text
 from ..common.words import STANDARD_GRAVITY
 from ..common.yaml_reading import read_yaml
@@ -254,9 +254,7 @@ def calibrate_motor(args: argparse.Namespace) -> int:
 def chosen(args: argparse.Namespace, tendons: Sequence[Any]) -> Any:
     """Return the one of some tendons that --tendon names."""
     by_name = {tendon.name: tendon for tendon in tendons}
-    if args.tendon not in by_name:
-        raise InputError(f'--tendon: expected one of {", ".join(by_name)}, got {args.tendon!r}')
-    return by_name[args.tendon]
+    return by_name[choice('--tendon', args.tendon, tuple(by_name))]
 
 
 def wait_for(

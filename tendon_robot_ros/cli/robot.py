@@ -376,11 +376,9 @@ class Questions:
 
     def choice(self, question: str, known: tuple[str, ...]) -> str:
         """Ask for one of some words; the first is the default."""
-
-        def read(answer: str) -> str:
-            return known[known.index(answer)]
-
-        return self.ask(f'{question}: {", ".join(known)}', known[0], ' or '.join(known), read)
+        expected = ' or '.join(known)
+        asked = f'{question}: {", ".join(known)}'
+        return self.ask(asked, known[0], expected, lambda answer: known[known.index(answer)])
 
     def ask[T](self, question: str, default: str, expected: str, read: Callable[[str], T]) -> T:
         """Ask until `read` takes the answer; a pipe is asked once."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,14 @@ Bools = NDArray[np.bool_]
 DIGITS = 9  # [1] decimals of metres and newtons, because nothing that measures an arm has more
 RESOLUTION = 10.0**-DIGITS  # [m] or [N], because values are rounded to it
 ROWS_AT_ONCE = 2_000  # [1] rows of a table, or postures, at once, so that they stay in the cache
+
+
+def interpolated(times: Floats | float, known: Sequence[float] | Floats, rows: Any) -> Floats:
+    """Return rows (..., k) at times (...), linear between rows (n, k) at known times (n,)."""
+    columns = np.transpose(rows)
+    if not len(known):
+        return np.full((*np.shape(times), len(columns)), np.nan)
+    return np.stack([np.interp(times, known, column) for column in columns], axis=-1)
 
 
 def simplified(

@@ -21,7 +21,7 @@ from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ProcessP
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Self
+from typing import Any
 
 from .errors import ClusterLostError, InputError, MissingExtraError
 from .processes import UPKEEP_S, end_with_parent, one_thread
@@ -42,7 +42,7 @@ class LostWork:
     workers: int
 
 
-class Workers:
+class Workers(contextlib.AbstractContextManager['Workers']):
     """
     Processes of this machine, or of a cluster, that chunks of work are spread over.
 
@@ -76,9 +76,6 @@ class Workers:
     def slots(self) -> int:
         """Chunks that are at work or wait for it at a time."""
         return 1 if self.engine is None else self.engine.slots
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         if self.engine is not None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..common.arrays import Floats
+from ..common.arrays import Floats, interpolated
 from ..common.errors import InputError
 from ..common.rotations import from_quaternion
 from ..common.words import LISTED_MAX, NAME_LENGTH_MAX
@@ -173,13 +173,6 @@ class Output:
 
     tensions: Floats
     pulls: Floats | None = None
-
-
-def interpolated(
-    time: float, times: Sequence[float] | Floats, rows: Sequence[Floats] | Floats
-) -> Floats:
-    """Return the row (k,) at a time [s], linear between rows (n, k) at times (n,) [s]."""
-    return np.array([np.interp(time, times, column) for column in np.transpose(rows)])
 
 
 def cut(name: str) -> str:

@@ -17,12 +17,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..common.arrays import Floats
+from ..common.arrays import Floats, interpolated
 from ..common.errors import TendonRobotError
 from ..common.local_stop import SILENCE_S
 from ..model.program import RANGE_TOLERANCE, bounded_least_squares
 from ..robot.estimates import MODEL_ERROR_MAX, TRACKER_NOISE_M
-from .inputs import interpolated
 from .state import ControllerState, TipCorrection, TrackedTip, is_near
 from .tip_estimator import (
     HOLD_GAIN,

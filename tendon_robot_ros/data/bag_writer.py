@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -43,7 +44,7 @@ def need_rosbags() -> None:
         raise MissingExtraError('rosbags', 'bags')
 
 
-class BagWriter:
+class BagWriter(AbstractContextManager['BagWriter']):
     """
     Write messages to a new rosbag2 folder; closing it completes the recording.
 
@@ -133,9 +134,6 @@ class BagWriter:
     def close(self) -> None:
         """Complete the recording."""
         self._writer.close()
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

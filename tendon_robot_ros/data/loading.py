@@ -403,7 +403,7 @@ def load_dataset(data: DataSetLike, robot: RobotLike | None = None) -> DataSet:
             path = shared_file(str(path)) or path
         return import_bag(path, other).dataset if is_bag(path) else read_folder(path, other)
     if isinstance(data, list | tuple) and data:
-        return _joined([load_dataset(one, other) for one in data])
+        return join([load_dataset(one, other) for one in data])
     dataset = as_dataset(data)
     if other is None:
         return dataset
@@ -415,6 +415,10 @@ def load_dataset(data: DataSetLike, robot: RobotLike | None = None) -> DataSet:
             'name the robot that was measured',
         )
     return replace(dataset, robot=other)
+
+
+ALIKE = ('markers', 'input', 'path', 'input_names')  # what data sets must have in common
+NOISES = ('position_noise', 'setting_noise', 'trial_noise', 'accuracy')
 
 
 def join(datasets: Sequence[DataSetLike]) -> DataSet:
@@ -437,30 +441,11 @@ def join(datasets: Sequence[DataSetLike]) -> DataSet:
     """
     if not isinstance(datasets, list | tuple) or not datasets:
         raise refusal('data', f'a list, each {EXPECTED}', datasets)
-    return _joined([load_dataset(one) for one in datasets])
-
-
-ALIKE = ('markers', 'input', 'path', 'input_names')  # what data sets must have in common
-NOISES = ('position_noise', 'setting_noise', 'trial_noise', 'accuracy')
-
-
-def _joined(datasets: Sequence[DataSet]) -> DataSet:
-    """
-    Return the postures of several data sets as one data set.
-
-    Each posture keeps the gravity and the `known` effects of its data set; of declared noises the
-    largest holds. Postures are named `data set/posture`.
-
-    Raises
-    ------
-    DataSetError
-        They differ in robot, markers, inputs, or in how the arm was loaded.
-
-    """
-    first = datasets[0]
-    if len(datasets) == 1:
+    sets = [load_dataset(one) for one in datasets]
+    first = sets[0]
+    if len(sets) == 1:
         return first
-    for other in datasets[1:]:
+    for other in sets[1:]:
         for key in ALIKE:
             if getattr(first, key) != getattr(other, key):
                 remedy = f'data sets that are used together have the same {", ".join(ALIKE)}'
@@ -469,41 +454,38 @@ def _joined(datasets: Sequence[DataSet]) -> DataSet:
         if ours != theirs:
             problem = f'has another robot description than {first.name}'
             raise DataSetError(other.name, problem, 'name the one that holds for all with --robot')
-    names = [dataset.name.rstrip('/').rpartition('/')[2] for dataset in datasets]
+    names = [dataset.name.rstrip('/').rpartition('/')[2] for dataset in sets]
     if len(set(names)) < len(names):  # the last parts of two folders are the same
-        names = [dataset.name for dataset in datasets]
+        names = [dataset.name for dataset in sets]
     parts: list[Part] = []
     part: list[Ints] = []  # index of the part of every posture
-    for name, dataset in zip(names, datasets, strict=True):
+    for name, dataset in zip(names, sets, strict=True):
         part.append(np.zeros(len(dataset.postures), dtype=np.int64))
         for one, rows in dataset.divided:
             part[-1][rows] = len(parts)
             parts.append(one if dataset.parts else replace(one, name=name))
-    trials = max((d.trial_names for d in datasets), key=len)
-    visits = [dataset.visits for dataset in datasets if dataset.visits is not None]
+    trials = max((d.trial_names for d in sets), key=len)
+    visits = [dataset.visits for dataset in sets if dataset.visits is not None]
     noises: dict[str, Any] = {}
     for key in NOISES:
-        given = [getattr(dataset, key) for dataset in datasets]
+        given = [getattr(dataset, key) for dataset in sets]
         noises[key] = max((value for value in given if value is not None), default=None)
 
-    turned = [d.orientations for d in datasets if d.orientations is not None]
-    by_trial = any(dataset.trial_inputs is not None for dataset in datasets)
+    turned = [d.orientations for d in sets if d.orientations is not None]
+    by_trial = any(dataset.trial_inputs is not None for dataset in sets)
+    pairs = zip(names, sets, strict=True)
     return replace(
         first,
-        name=' '.join(dataset.name for dataset in datasets),
-        postures=tuple(
-            f'{name}/{posture}'
-            for name, dataset in zip(names, datasets, strict=True)
-            for posture in dataset.postures
-        ),
-        inputs=np.concatenate([d.inputs for d in datasets]),
-        positions=_stacked([d.positions for d in datasets], len(trials)),
-        orientations=_stacked(turned, len(trials)) if len(turned) == len(datasets) else None,
-        trial_inputs=_stacked([d.inputs_by_trial for d in datasets], len(trials))
+        name=' '.join(dataset.name for dataset in sets),
+        postures=tuple(f'{name}/{posture}' for name, d in pairs for posture in d.postures),
+        inputs=np.concatenate([d.inputs for d in sets]),
+        positions=_stacked([d.positions for d in sets], len(trials)),
+        orientations=_stacked(turned, len(trials)) if len(turned) == len(sets) else None,
+        trial_inputs=_stacked([d.inputs_by_trial for d in sets], len(trials))
         if by_trial
         else None,
         trial_names=trials,
-        gravity=next((d.gravity for d in datasets if d.gravity is not None), None),
+        gravity=next((d.gravity for d in sets if d.gravity is not None), None),
         known={},
         parts=tuple(parts),
         part=np.concatenate(part),

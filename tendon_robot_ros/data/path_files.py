@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..common.arrays import Floats
+from ..common.arrays import Floats, interpolated
 from ..common.errors import DataSetError
 from ..common.rotations import angle_between, from_quaternion
 from .bag_reader import opened, stored, topic_of
@@ -135,8 +135,8 @@ class Places:
 
     def at(self, times: Floats) -> tuple[Floats, Floats]:
         """Return positions (n, 3) [m] and directions (n, 3) at times (n,) [s]."""
-        places = _interpolated(times, self.times, self.positions)
-        return places, _interpolated(times, self.times, self.directions)
+        places = interpolated(times, self.times, self.positions)
+        return places, interpolated(times, self.times, self.directions)
 
     def __len__(self) -> int:
         return len(self.times)
@@ -185,7 +185,7 @@ class PathRun:
 
     def commanded_at(self, times: Floats) -> Floats:
         """Return commands (n, m) at times (n,) [s]."""
-        return _interpolated(times, self.command_times, self.commands)
+        return interpolated(times, self.command_times, self.commands)
 
     def errors(self, times: Floats) -> tuple[Floats, Floats]:
         """Return distances (n,) [m] and angles (n,) [rad] between tip and target at times."""
@@ -222,12 +222,6 @@ class PathRun:
         """Return rms and maximum distance [m] from the present target, maximum from the path."""
         errors, _ = self.errors(self.tips.times)
         return float(np.sqrt(np.mean(errors**2))), float(errors.max()), float(self.across().max())
-
-
-def _interpolated(times: Floats, known: Floats, values: Floats) -> Floats:
-    if not len(known):
-        return np.full((len(times), values.shape[1]), np.nan)
-    return np.column_stack([np.interp(times, known, column) for column in values.T])
 
 
 def read_moves(path: str | Path) -> tuple[PathRun, Places]:

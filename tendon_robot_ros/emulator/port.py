@@ -226,7 +226,7 @@ class Plug(abc.ABC):
                 os.write(self._master, answer)
 
 
-class EmulatorProcess:
+class EmulatorProcess(contextlib.AbstractContextManager['EmulatorProcess']):
     """
     Emulated motors of a robot; they go before other work of the machine, where that is allowed.
 
@@ -286,10 +286,6 @@ class EmulatorProcess:
         self._to.close()
         self._from.close()
         self._folder.cleanup()
-
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
 
     def __exit__(self, *_: object) -> None:
         """End it."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, pchip_interpolate
 
-from ..common.arrays import Floats, Ints, simplified
+from ..common.arrays import Floats, Ints, interpolated, simplified
 from ..common.errors import InputError
 from ..common.rotations import angle_between
 from ..control.inputs import STREAM_PERIOD_S, Trajectory
@@ -346,8 +346,8 @@ def thinned(times: Floats, values: Floats) -> Ints:
 
     def beside(first: int, last: int) -> Floats:
         inside, ends = slice(first + 1, last), [first, last]
-        line = [np.interp(times[inside], times[ends], column[ends]) for column in values.T]
-        return np.asarray(np.abs(values[inside] - np.column_stack(line)).max(axis=1, initial=0.0))
+        line = interpolated(times[inside], times[ends], values[ends])
+        return np.asarray(np.abs(values[inside] - line).max(axis=1, initial=0.0))
 
     tolerance = RANGE_TOLERANCE * float(np.ptp(values, axis=0).max(initial=0.0))
     return np.array(simplified((0, len(times) - 1), tolerance, beside))

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..common.arrays import Floats
+from ..common.arrays import Floats, interpolated
 from ..common.colours import BAD, FLOOR, MEASURED, WARN, line_style
 from ..common.words import PROGRAM, capital, columns, digits, mm, postures, probability, times
 from ..comparison.result import Comparison, ModelErrors
@@ -392,8 +392,7 @@ def fault_rings(line: Floats, places: Sequence[tuple[float, str]]) -> list[Trace
         return []
     nodes = np.concatenate([np.zeros((1, 3)), line])
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(nodes, axis=0), axis=1))])
-    at = [distance for distance, _ in places]
-    points = np.column_stack([np.interp(at, along, nodes[:, axis]) for axis in range(3)])
+    points = interpolated(np.array([distance for distance, _ in places]), along, nodes)
     ring = {'color': WARN, 'symbol': 'circle-open', 'size': 16, 'line': {'width': 3}}
     more = {'text': [escape(text) for _, text in places], 'hoverinfo': 'text', 'marker': ring}
     return [placed(points, 'markers', 'wrong here', **more)]

@@ -171,11 +171,10 @@ def _written_out(
 
 
 def _tables(source: Any, recipe: Recipe) -> list[RawTable]:
-    if _is_table(source):
-        source = [source]
-    if not isinstance(source, list | tuple) or not all(map(_is_table, source)):
+    given = source if isinstance(source, list | tuple) else [source]
+    if not all(isinstance(one, str | Path) or hasattr(one, 'columns') for one in given):
         raise refusal('tables', 'the path of a table, a DataFrame, or a list of these', source)
-    sources = list(source) or list(recipe.sources)
+    sources = list(given) or list(recipe.sources)
     if not sources:
         raise DataSetError('tables', 'none is named', 'name a .csv, .parquet or .c3d file')
     tables: list[RawTable] = []
@@ -183,10 +182,6 @@ def _tables(source: Any, recipe: Recipe) -> list[RawTable]:
         read = read_tables(one) if isinstance(one, str | Path) else [table_of('DataFrame', one)]
         tables += map(widened, read)
     return tables
-
-
-def _is_table(source: object) -> bool:
-    return isinstance(source, str | Path) or hasattr(source, 'columns')
 
 
 def _in_tracker_frame(

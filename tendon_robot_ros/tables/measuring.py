@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..common.arrays import Floats, Ints
+from ..common.arrays import Floats, Ints, interpolated
 from ..common.errors import DataSetError
 from ..common.words import digits
 from ..data.arrays import VALUES_MAX
@@ -254,7 +254,7 @@ def _denser(recording: Recording, rule: Rule) -> Recording:
         return recording
     times = np.arange(track.times[0], track.times[-1] + 1e-9, window / STEPS_PER_WINDOW)
     flat = track.positions.reshape(len(track.times), -1)
-    filled = np.column_stack([np.interp(times, track.times, column) for column in flat.T])
+    filled = interpolated(times, track.times, flat)
     after = np.clip(np.searchsorted(track.times, times), 1, len(track.times) - 1)
     filled[track.times[after] - track.times[after - 1] > rule.duration] = np.nan
     turned = np.broadcast_to(np.nan, (len(times), track.positions.shape[1], 4))

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from ..common.arrays import Floats, Ints
+from ..common.arrays import Floats, Ints, interpolated
 from ..common.errors import DataSetError, InputError, short
 from ..common.results import pandas
 from ..common.words import UNITS, find_unit, listing
@@ -56,7 +56,7 @@ def _matches(inputs: Floats, moved: Floats, drift: float) -> Floats:
     before = int((len(moved) - 1) * (1.0 + drift))
     old = np.arange(len(moved), dtype=float)
     new = np.minimum(np.arange(before + 1) / (1.0 + drift), old[-1])
-    stretched = np.column_stack([np.interp(new, old, column) for column in moved.T])
+    stretched = interpolated(new, old, moved)
     count = 1 << (len(inputs) + before + 1).bit_length()
     other = np.fft.rfft(stretched / np.sqrt(1.0 + drift), count, axis=0).conj()
     match = np.zeros(count)

@@ -184,14 +184,14 @@ class MonitorNode(Runnable, Node):
             if still is not None:
                 self.adapting.put(still)
             if self.watching is not None:
-                self.watching.frame(at, compared.measured, self._base, still)
+                self.watching.frame(at, compared.measured, still)
 
     def _cycle(self) -> None:
         """Handle the messages of the child process; publish the status."""
         self._take_model()
         if self.watching is not None and time.monotonic() - self._frame_at > SILENCE_S:
             # without the tracker, wire pulls determine the force
-            self.watching.blind(self._base)
+            self.watching.blind()
         for news in self.work.news():
             if news['kind'] == 'verdict':
                 self._publish['monitor/verdict'](String(data=json.dumps(news['content'])))

@@ -31,7 +31,7 @@ from ...robot import Robot, dump_robot
 from ...robot.estimates import INPUT_TOLERANCE, natural_sizes
 from ..shared import interface
 from ..shared.messages import arrow_marker, header_now, vector
-from ..shared.parameters import Parameters
+from ..shared.parameters import Parameters, base_frame
 
 LOG = 'adaptation.jsonl'  # in the folder of the monitor: a line for every change
 Send = Callable[[str, Callable[[bool, str], None]], None]
@@ -43,6 +43,7 @@ class Watching:
     def __init__(self, node: Node, parameters: Parameters, monitor: Monitor) -> None:
         """Start to learn the arm."""
         self._node, self._parameters, self._monitor = node, parameters, monitor
+        self._base = base_frame(parameters, monitor.model.robot.name)
         postures = int(parameters['reference_postures']) or WatchSettings.reference_postures
         settings = parameters.fill(WatchSettings, reference_postures=postures)
         self.watch = ArmWatch(monitor.model, monitor.markers, settings)
@@ -105,9 +106,7 @@ class Watching:
         where = f'at {place} mm ({low} to {high})' if contact.acts else 'nothing acts'
         return f'{words}; {where}'
 
-    def frame(
-        self, at: float, positions: Floats, base: str, still: StillMeasurement | None
-    ) -> None:
+    def frame(self, at: float, positions: Floats, still: StillMeasurement | None) -> None:
         """Use a frame, positions (J, 3) [m], and the posture if the arm is at rest."""
         if self._drift and still is not None:
             self.watch.update(still.inputs, still.positions, still.frames)
@@ -119,15 +118,15 @@ class Watching:
         self._frames.put(at, tensions, positions)
         if self._is_due():
             tensions, positions, frames = self._frames.take(self.watch.slopes)
-            self._publish(base, tensions, positions, frames, None)
+            self._publish(tensions, positions, None, frames)
 
-    def blind(self, base: str) -> None:
+    def blind(self) -> None:
         """Estimate the force without the tracker, from wire pulls and tensions if both exist."""
         states = self._monitor.states
         state = states.at(states.newest)
         if state is not None and self._is_due():
             tensions, pulls = np.split(state, 2)
-            self._publish(base, tensions, None, 1, pulls)
+            self._publish(tensions, None, pulls)
 
     def _is_due(self) -> bool:
         now = time.monotonic()
@@ -136,21 +135,14 @@ class Watching:
         self._due = now + self._period
         return bool(np.isfinite(self._period))
 
-    def _publish(
-        self,
-        base: str,
-        tensions: Floats,
-        positions: Floats | None,
-        frames: int,
-        pulls: Floats | None,
-    ) -> None:
+    def _publish(self, tensions: Floats, *measured: Any) -> None:
         if not np.isfinite(tensions).all():
             return
-        self.contact = contact = self.watch.force(tensions, positions, pulls, frames)
+        self.contact = contact = self.watch.force(tensions, *measured)
         if contact is None:
             return
         self._react(contact)
-        header, robot = header_now(self._node, base), self.watch.model.robot
+        header, robot = header_now(self._node, self._base), self.watch.model.robot
         wrench, arrow = Wrench(force=vector(contact.force)), contact.arrow(robot.length)
         self._send['monitor/tip_force'](WrenchStamped(header=header, wrench=wrench))
         covariance = Float64MultiArray(data=contact.covariance.ravel().tolist())

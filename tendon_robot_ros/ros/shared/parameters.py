@@ -8,7 +8,6 @@ misspelt `-p`, or a file of parameters for other nodes, and the node would run w
 from __future__ import annotations
 
 import contextlib
-import difflib
 import math
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -29,7 +28,7 @@ from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 
-from ...common.errors import InputError, TendonRobotError
+from ...common.errors import InputError, TendonRobotError, suggestion
 from ...common.files import read_text, shared_file
 from ...common.yaml_reading import parse_yaml
 from ...robot.description import DESCRIPTION_MAX
@@ -213,10 +212,8 @@ def check_overrides(
     of_any = set().union(*declared().values())
     for name in unknown:
         if name not in for_all & of_any:
-            near = difflib.get_close_matches(name, known, n=1)
-            hint = f'did you mean {near[0]}? ' if near else ''
             raise InputError(
-                f'parameter {name}: {node} has none of that name; {hint}known: '
+                f'parameter {name}: {node} has none of that name; {suggestion(name, known)}known: '
                 f'{", ".join(sorted(known))}'
             )
 

@@ -23,7 +23,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import IO, Any, Self, cast
+from typing import IO, Any, cast
 
 import rclpy
 import rclpy.utilities
@@ -292,7 +292,7 @@ def run(make: Callable[[], Runnable], arguments: Sequence[str], first: bool = Fa
     return code
 
 
-class NodeProcess:
+class NodeProcess(contextlib.AbstractContextManager['NodeProcess']):
     """
     A node of this package in its own process.
 
@@ -341,10 +341,6 @@ class NodeProcess:
             except subprocess.TimeoutExpired:
                 self.process.kill()
         return self.process.wait()
-
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
 
     def __exit__(self, *_: object) -> None:
         """End the process."""
