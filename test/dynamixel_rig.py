@@ -95,7 +95,7 @@ class Rig:
         return (
             f'command {self.command}, sender alive {self._sender.is_alive()}, measured '
             f'{self.measured() if heard else None} {ago:.2f} s ago, driver '
-            f'{process.pid} ended {process.poll()}, motors {self.servos.ask("state")["servos"]}, '
+            f'{process.pid} ended {process.poll()}, motors {self.servos.ask("state")}, '
             f'log {said}'
         )
 

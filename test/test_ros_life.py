@@ -62,6 +62,7 @@ def test_a_transition_that_is_not_there_is_refused_and_nothing_else_happens(spac
 )
 def test_a_signal_ends_the_driver_after_a_ramp_to_pretension(space, numbers):
     driver, _ = moved(space, stop_time=STOP_TIME, release_rate=0.5)  # which is slower
+    rate = (max(last(space.states).effort) - LOW) / STOP_TIME
     space.states.clear()
     for number in numbers:  # systemd tells all processes, launch tells them again
         driver.process.send_signal(number)
@@ -71,7 +72,6 @@ def test_a_signal_ends_the_driver_after_a_ramp_to_pretension(space, numbers):
     rest = pytest.approx(LOW, abs=0.02)
     space.until(lambda: max(last(space.states).effort) == rest, 'the end of the ramp')
     efforts = [(stamp(message), max(message.effort)) for _, message in space.states]
-    rate = (efforts[0][1] - LOW) / STOP_TIME
     for before, after in pairwise(efforts):  # no jump, however many messages are lost
         assert before[1] - after[1] < rate * (after[0] - before[0] + CYCLE_MAX_S) + 0.02
     space.until_code(space.controller, 'no_driver')
