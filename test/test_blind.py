@@ -35,9 +35,9 @@ def test_a_blind_case_gets_the_right_verdict(letter):
 
 
 def typical(effect, robot):
-    """Return typical values of an effect, with signs where both are possible."""
-    values = {}
-    for i, parameter in enumerate(CATALOGUE[effect].sized(natural_sizes(robot)).parameters):
+    """Return typical values of what a fit determines, with signs where both are possible."""
+    values, sized = {}, CATALOGUE[effect].sized(natural_sizes(robot)).parameters
+    for i, parameter in enumerate(one for one in sized if not one.only_described):
         sign = -1.0 if i % 2 and parameter.low < 0.0 else 1.0
         value = float(np.clip(sign * parameter.typical, parameter.low, parameter.high))
         values[parameter.name] = value
@@ -55,8 +55,9 @@ def hiding(effect, name):
     lacks = {'tendon_friction': ('tendon_friction', *simulated.SHAPING)}.get(effect, (effect,))
     gravity = (9.81, 0.0, 0.0) if effect == 'gravity' else (0.0, 0.0, 0.0)
     robot = simulated.robot(name, lacks=lacks, gravity=gravity, exact=True)
-    path = 'sequence' if effect in ('friction_memory', 'backlash') else 'from_straight'
-    kind = 'displacement' if 'pulls' in CATALOGUE[effect].needs else 'tension'
+    needs = CATALOGUE[effect].needs
+    path = 'sequence' if 'history' in needs else 'from_straight'
+    kind = 'displacement' if 'pulls' in needs else 'tension'
     return robot, {'path': path, 'input': kind, 'count': 20 if path == 'sequence' else 12}
 
 
