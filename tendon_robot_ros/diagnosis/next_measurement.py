@@ -11,13 +11,16 @@ import numpy as np
 from ..common.arrays import Floats
 from ..data import DataSet
 from ..inference.candidates import Ranked
+from ..inference.fit import Fit
+from ..inference.imperfections import REMAINDER, SplitPredictor, member_moves
 from ..inference.noise import Whitener, input_slopes
 from ..inference.predict import Predictor
-from ..inference.session import NEAR_SCORE, Session
+from ..inference.session import NEAR_SCORE, Session, predictors_of
 from ..workspace.postures import default_postures
 from .result import NextMeasurement
 
 GRID_POSTURES_MAX = 400  # [1] of the grid, because each is solved for every effect and parameter
+UNKNOWN = 1e6  # [SI²] variance of what a fit does not determine, because no parameter is as large
 
 
 def propose(session: Session, group: Sequence[Ranked]) -> NextMeasurement | None:
@@ -108,25 +111,16 @@ def _compare(
 ) -> tuple[float, NextMeasurement] | None:
     """Return the separation of the best posture of a grid, and that posture."""
     grid = _posture_set(session, inputs, gravity, after)
-    predictor = Predictor(grid, session.robot, session.catalogue)
-    slopes = input_slopes(predictor, group[0].fit.point)
-    whitener = Whitener(grid, session.noise, slopes)
+    predictor, arm = predictors_of(grid, session.robot, session.catalogue)
+    whitener = Whitener(grid, session.noise, input_slopes(predictor, group[0].fit.point))
     shown = slice(1, None, 2) if after is not None else slice(None)
     predictions, gives = [], []  # (P, J, 3); (q, P, J, 3) by each sd of what is known of q values
     for ranked in group:
-        markers = predictor.markers(ranked.fit.point)
-        if markers is None:
+        told = _predicted(arm, ranked.fit)
+        if told is None:
             return None
-        columns = []  # (q, P, J, 3) by the fitted parameters
-        for free, value in ranked.fit.point.items():
-            h = 1e-3 * free.parameter.typical
-            moved = predictor.markers({**ranked.fit.point, free: value + h})
-            columns.append(np.zeros_like(markers) if moved is None else (moved - markers) / h)
-        predictions.append(markers)
-        own = slice(0, len(columns))  # imperfections move all members of the class alike
-        root = np.linalg.svd(np.nan_to_num(ranked.fit.covariance[own, own], posinf=1e6))
-        slopes = np.array(columns).reshape(-1, *markers.shape)
-        gives.append(np.tensordot((root[0] * np.sqrt(root[1])).T, slopes, 1))
+        predictions.append(told[0])
+        gives.append(told[1])
     worth = np.array(
         [separation(whitener, predictions, gives, p) for p in range(len(grid.inputs))]
     )[shown]
@@ -144,6 +138,32 @@ def _compare(
         noise,
         {r.candidate.label: tip.tolist() for r, tip in zip(group, tips, strict=True)},
     )
+
+
+def _predicted(arm: Predictor, fit: Fit) -> tuple[Floats, Floats] | None:
+    """
+    Return the markers (P, J, 3) [m] of the arm as a fit found it, and what refitting may change.
+
+    The latter (q, P, J, 3) [m] by each standard deviation of its values and imperfections.
+    """
+    kinds = tuple(kind for kind in fit.built.kinds if kind.name != REMAINDER)
+    arm.around = fit.members if kinds else {}
+    markers = arm.markers(fit.point)
+    if markers is None:
+        return None
+    moves = np.zeros((0, *markers.shape))
+    if isinstance(arm, SplitPredictor):
+        sizes = np.repeat(fit.built.sizes[: len(kinds)], [len(kind) for kind in kinds])
+        moves = member_moves(arm, fit.point, kinds) * sizes[:, None, None, None]
+    columns = []  # (P, J, 3) by each fitted parameter
+    for free, value in fit.point.items():
+        h = 1e-3 * free.parameter.typical
+        moved = arm.markers({**fit.point, free: value + h})
+        columns.append(np.zeros_like(markers) if moved is None else (moved - markers) / h)
+    slopes = np.concatenate([np.reshape(columns, (-1, *markers.shape)), moves])
+    known = slice(0, len(slopes))  # the remainder, which follows, is new in every posture
+    root = np.linalg.svd(np.nan_to_num(fit.covariance[known, known], posinf=UNKNOWN))
+    return markers, np.tensordot((root[0] * np.sqrt(root[1])).T, slopes, 1)
 
 
 def separation(

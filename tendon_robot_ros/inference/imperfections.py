@@ -315,22 +315,28 @@ def imperfections(
     kinds, split.around = split.kinds(changed) if reference is None or changed else (), at or {}
     if split.markers(point) is None:
         return None
-    named = [(kind.name, i, len(kind)) for kind in kinds for i in range(len(kind))]
-    if not named:
-        moves = np.empty((0, len(split.inputs), len(split.dataset.markers), 3))
-    elif split.model.friction_remembers or split.carries:
-        moves = _differences(split, point, named)
-    else:
-        split.around = {k.name: np.zeros(len(k)) + split.around.get(k.name, 0.0) for k in kinds}
-        moves = _slopes(
-            split,
-            point,
-            lambda part, b: [split.member(name, i, part, b) for name, i, _ in named],
-        )
+    moves = member_moves(split, point, kinds)
     columns = remainders(split)
     allowed = 0.0 if reference is None else reference.error / np.sqrt(3.0)
     rest = Kind(REMAINDER, 'm', np.inf, tuple(map(str, range(len(columns)))), allowed=allowed)
     return Imperfections((*kinds, rest), np.concatenate([moves, columns]))
+
+
+def member_moves(split: SplitPredictor, point: Point, kinds: Sequence[Kind]) -> Floats:
+    """
+    Return the slopes (q, P, J, 3) [m per unit] of the markers by all members of kinds.
+
+    At the postures that were predicted last, linearised around the imperfections set.
+    """
+    named = [(kind.name, i, len(kind)) for kind in kinds for i in range(len(kind))]
+    if not named:
+        return np.empty((0, len(split.inputs), len(split.dataset.markers), 3))
+    if split.model.friction_remembers or split.carries:
+        return _differences(split, point, named)
+    split.around = {k.name: np.zeros(len(k)) + split.around.get(k.name, 0.0) for k in kinds}
+    return _slopes(
+        split, point, lambda part, b: [split.member(name, i, part, b) for name, i, _ in named]
+    )
 
 
 def pushes(predictor: Predictor, point: Point, arc_lengths: Floats | None = None) -> Floats | None:
