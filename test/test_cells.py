@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import simulated
-from marks import slow
 from simulated import CATALOGUE, NOISE, measured
 
 from tendon_robot_ros.diagnosis.diagnose import diagnose
@@ -50,12 +49,16 @@ def test_the_fit_is_that_of_generalised_least_squares():
 
 @pytest.mark.long
 def test_scatter_alarms_where_nothing_is_declared_and_is_quiet_where_it_is():
-    for data in map(scattered, range(2)):
-        assert diagnose(data, EXACT, CATALOGUE, 1).verdict != 'adequate'
-        assert diagnose(data, ROBOT, CATALOGUE, 1).verdict == 'adequate'
+    undeclared = [
+        diagnose(scattered(seed), EXACT, CATALOGUE, 1).verdict != 'adequate' for seed in range(4)
+    ]
+    assert sum(undeclared) >= 3
+    assert [diagnose(scattered(seed), ROBOT, CATALOGUE, 1).verdict for seed in range(4)] == (
+        ['adequate'] * 4
+    )
 
 
-@pytest.mark.parametrize('seed', [slow(1), 2])
+@pytest.mark.parametrize('seed', [1, 2])
 @pytest.mark.long
 def test_an_effect_is_named_alone_in_spite_of_the_scatter(seed):
     found = diagnose(scattered(seed, {'hinge_friction': {'lever': 2e-4}}), ROBOT, CATALOGUE, 1)
@@ -65,7 +68,7 @@ def test_an_effect_is_named_alone_in_spite_of_the_scatter(seed):
     assert lever.low < 2e-4 < lever.high
 
 
-@pytest.mark.parametrize(('cell', 'factor'), [slow(3, 0.6), (6, 0.7)])
+@pytest.mark.parametrize(('cell', 'factor'), [(3, 0.6), (6, 0.7)])
 @pytest.mark.long
 def test_scatter_is_no_excuse_for_a_soft_cell(cell, factor):
     found = diagnose(scattered(3, **{f'cell_{cell}': factor}), ROBOT, CATALOGUE, 1)
