@@ -181,7 +181,7 @@ class Prediction:
         makers = (
             lambda: messages.pose_array(header, points, shape.frames),
             lambda: messages.pose_stamped(header, shape.tip_position, shape.frames[-1]),
-            lambda: messages.arm_markers(header, points, self._thickness, PREDICTED),
+            lambda: messages.arm_markers(header, points, self._thickness, PREDICTED, 'predicted'),
         )
         for publisher, make in zip(self._publishers, makers, strict=True):
             if publisher.get_subscription_count():

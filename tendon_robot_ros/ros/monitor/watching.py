@@ -135,10 +135,12 @@ class Watching:
         self._due = now + self._period
         return bool(np.isfinite(self._period))
 
-    def _publish(self, tensions: Floats, *measured: Any) -> None:
+    def _publish(
+        self, tensions: Floats, positions: Floats | None, pulls: Floats | None, frames: int = 1
+    ) -> None:
         if not np.isfinite(tensions).all():
             return
-        self.contact = contact = self.watch.force(tensions, *measured)
+        self.contact = contact = self.watch.force(tensions, positions, pulls, frames)
         if contact is None:
             return
         self._react(contact)

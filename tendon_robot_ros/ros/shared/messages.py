@@ -165,9 +165,11 @@ def status_values(message: DiagnosticStatus) -> dict[str, str]:
     return {item.key: item.value for item in message.values}
 
 
-def arm_markers(header: Header, positions: Floats, thickness: float, color: str) -> MarkerArray:
+def arm_markers(
+    header: Header, positions: Floats, thickness: float, color: str, name: str
+) -> MarkerArray:
     """Return a line from the base through positions (n, 3) [m], and a ball at the tip."""
-    points, name = [Point(), *map(point, positions)], 'predicted'
+    points = [Point(), *map(point, positions)]
     line = _marker(header, name, color, type=Marker.LINE_STRIP, points=points)
     line.scale.x = thickness
     tip = _marker(header, name, color, id=1, type=Marker.SPHERE)
