@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from itertools import product
+from dataclasses import dataclass, replace
+from itertools import combinations, product
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from ..common.arrays import Floats
 from ..data import DataSet
 from ..inference.candidates import Ranked
 from ..inference.fit import Fit
-from ..inference.imperfections import REMAINDER, SplitPredictor, member_moves
+from ..inference.imperfections import REMAINDER, Kind, SplitPredictor, member_moves
 from ..inference.noise import Whitener, input_slopes
 from ..inference.predict import Predictor
 from ..inference.session import NEAR_SCORE, Session, predictors_of
@@ -21,6 +21,15 @@ from .result import NextMeasurement
 
 GRID_POSTURES_MAX = 400  # [1] of the grid, because each is solved for every effect and parameter
 UNKNOWN = 1e6  # [SI²] variance of what a fit does not determine, because no parameter is as large
+
+
+@dataclass(frozen=True)
+class Known:
+    """The arm as a fit found it, at P postures, and what refitting may change."""
+
+    markers: Floats  # (P, J, 3) [m]
+    slopes: Floats  # (q, P, J, 3) [m per unit] by its values and imperfections
+    covariance: Floats  # (q, q) of these
 
 
 def propose(session: Session, group: Sequence[Ranked]) -> NextMeasurement | None:
@@ -114,19 +123,19 @@ def _compare(
     predictor, arm = predictors_of(grid, session.robot, session.catalogue)
     whitener = Whitener(grid, session.noise, input_slopes(predictor, group[0].fit.point))
     shown = slice(1, None, 2) if after is not None else slice(None)
-    predictions, gives = [], []  # (P, J, 3); (q, P, J, 3) by each sd of what is known of q values
+    moves = _moves(arm, group[0].fit)  # imperfections move all members of the class alike
+    if moves is None:
+        return None
+    known = []
     for ranked in group:
-        told = _predicted(arm, ranked.fit)
+        told = _predicted(arm, ranked.fit, moves)
         if told is None:
             return None
-        predictions.append(told[0])
-        gives.append(told[1])
-    worth = np.array(
-        [separation(whitener, predictions, gives, p) for p in range(len(grid.inputs))]
-    )[shown]
+        known.append(told)
+    worth = separation(whitener, known)[shown]
     p = int(np.argmax(worth))
     row = p * 2 + 1 if after is not None else p
-    tips = np.array([markers[row, -1] for markers in predictions])
+    tips = np.array([one.markers[row, -1] for one in known])
     apart = np.linalg.norm(tips[:, None] - tips[None, :], axis=2)
     names, digits = session.robot.inputs, 3 if grid.input == 'tension' else 5
     noise = float(np.sqrt(whitener.variance[row][-3:].sum()))
@@ -140,45 +149,50 @@ def _compare(
     )
 
 
-def _predicted(arm: Predictor, fit: Fit) -> tuple[Floats, Floats] | None:
-    """
-    Return the markers (P, J, 3) [m] of the arm as a fit found it, and what refitting may change.
+def _moves(arm: Predictor, fit: Fit) -> Floats | None:
+    """Return the slopes (q, P, J, 3) [m] by imperfections at a fit; None without equilibrium."""
+    kinds = _kinds(fit)
+    arm.around = fit.members if kinds else {}
+    markers = arm.markers(fit.point)
+    if markers is None or not isinstance(arm, SplitPredictor):
+        return None if markers is None else np.zeros((0, *markers.shape))
+    return member_moves(arm, fit.point, kinds)
 
-    The latter (q, P, J, 3) [m] by each standard deviation of its values and imperfections.
-    """
-    kinds = tuple(kind for kind in fit.built.kinds if kind.name != REMAINDER)
+
+def _kinds(fit: Fit) -> tuple[Kind, ...]:
+    """Return the kinds of imperfections that stay; the remainder is new in every posture."""
+    return tuple(kind for kind in fit.built.kinds if kind.name != REMAINDER)
+
+
+def _predicted(arm: Predictor, fit: Fit, moves: Floats) -> Known | None:
+    """Return what is known of the arm as a fit found it, given its moves by imperfections."""
+    kinds = _kinds(fit)
     arm.around = fit.members if kinds else {}
     markers = arm.markers(fit.point)
     if markers is None:
         return None
-    moves = np.zeros((0, *markers.shape))
-    if isinstance(arm, SplitPredictor):
-        sizes = np.repeat(fit.built.sizes[: len(kinds)], [len(kind) for kind in kinds])
-        moves = member_moves(arm, fit.point, kinds) * sizes[:, None, None, None]
+    sizes = np.repeat(fit.built.sizes[: len(kinds)], [len(kind) for kind in kinds])
     columns = []  # (P, J, 3) by each fitted parameter
     for free, value in fit.point.items():
         h = 1e-3 * free.parameter.typical
         moved = arm.markers({**fit.point, free: value + h})
         columns.append(np.zeros_like(markers) if moved is None else (moved - markers) / h)
-    slopes = np.concatenate([np.reshape(columns, (-1, *markers.shape)), moves])
-    known = slice(0, len(slopes))  # the remainder, which follows, is new in every posture
-    root = np.linalg.svd(np.nan_to_num(fit.covariance[known, known], posinf=UNKNOWN))
-    return markers, np.tensordot((root[0] * np.sqrt(root[1])).T, slopes, 1)
+    scaled = moves * sizes[:, None, None, None]
+    slopes = np.concatenate([np.reshape(columns, (-1, *markers.shape)), scaled])
+    own = slice(0, len(slopes))
+    return Known(markers, slopes, np.nan_to_num(fit.covariance[own, own], posinf=UNKNOWN))
 
 
-def separation(
-    whitener: Whitener, predictions: Sequence[Floats], gives: Sequence[Floats], p: int
-) -> float:
-    """Sum over the pairs of the capped squared distance that refitting leaves at a posture."""
-    rows, factor = whitener.rows[p], whitener.root(p)
-    white = [factor @ markers[p].reshape(-1)[rows] for markers in predictions]
-    give = [moved[:, p].reshape(len(moved), -1)[:, rows] @ factor.T for moved in gives]
-    total = 0.0
-    for a in range(len(white)):
-        for b in range(a):
-            d = white[a] - white[b]
-            u = np.concatenate([give[a], give[b]])
-            small = np.eye(len(u)) + u @ u.T
-            distance2 = d @ d - (u @ d) @ np.linalg.solve(small, u @ d)
-            total += min(float(distance2), 0.5 * NEAR_SCORE)
+def separation(whitener: Whitener, group: Sequence[Known]) -> Floats:
+    """Return sums (P,) over pairs of the capped squared distance that refitting leaves."""
+    postures, white, known = len(group[0].markers), [], []
+    for one in group:
+        moves = whitener.white(one.slopes).reshape(len(one.slopes), postures, -1).swapaxes(0, 1)
+        white.append(whitener.white(one.markers).reshape(postures, -1, 1))  # (P, n, 1)
+        known.append(moves.swapaxes(1, 2) @ (one.covariance @ moves))  # (P, n, n)
+    total, noise = np.zeros(postures), np.eye(white[0].shape[1])
+    for a, b in combinations(range(len(group)), 2):
+        d = white[a] - white[b]
+        left = (d * np.linalg.solve(noise + known[a] + known[b], d)).sum(axis=(1, 2))
+        total += np.minimum(left, 0.5 * NEAR_SCORE)
     return total

@@ -183,7 +183,7 @@ def fit_placed(session: Session, base: Fit, line: float) -> list[Ranked]:
         if name not in session.catalogue or name in session.robot.effects:
             continue
         starts = screen.starts(session.catalogue[name])
-        best = _fitted(session, name, starts, line)
+        best = _fitted(session, name, starts, line, along=name != 'contact')
         gains = best is not None and best.score < base.deviance
         if name == 'tether' and gains and 'point_load' in fitted:
             springs = screen.springs(fitted['point_load'])
@@ -194,13 +194,19 @@ def fit_placed(session: Session, base: Fit, line: float) -> list[Ranked]:
     return list(fitted.values())
 
 
-def _fitted(session: Session, name: str, starts: Iterable[Start], line: float) -> Ranked | None:
-    """Return the best fit of an effect from the first starts, those with the least error first."""
+def _fitted(
+    session: Session, name: str, starts: Iterable[Start], line: float, along: bool = False
+) -> Ranked | None:
+    """
+    Return the best fit of an effect from the first starts, those with the least error first.
+
+    Of places `along` the arm those that are worse than their neighbours lead to the same fit.
+    """
     fitter, best = session.fitter, None
-    rows = list[tuple[float, int, dict[FreeParameter, float]]]()
+    rows = list[tuple[float, dict[FreeParameter, float]]]()
     reach = DISTANCES[-1] * session.robot.length  # a string from farther away is as good as a load
     every = [within(f, reach) for f in free_parameters(session.catalogue[name], session.robot)]
-    for start in islice(starts, STARTS):
+    for start in sorted(islice(starts, STARTS), key=lambda start: start.get('arc_length', 0.0)):
         frees = {
             free: float(np.clip(start[free.key], free.parameter.low, free.parameter.high))
             for free in every
@@ -208,8 +214,11 @@ def _fitted(session: Session, name: str, starts: Iterable[Start], line: float) -
         }
         with suppress(*FAILURES):
             search = fitter.search(tuple(frees), frees)
-            rows.append((float(search.r @ search.r), len(rows), frees))
-    for _, _, frees in sorted(rows)[:BEST_FEW]:
+            rows.append((float(search.r @ search.r), frees))
+    errors = np.pad([error for error, _ in rows], 1, constant_values=np.inf)
+    lowest = errors[1:-1] <= np.minimum(errors[:-2], errors[2:])
+    likely = [row for row, own in zip(rows, lowest, strict=True) if own or not along]
+    for _, frees in sorted(likely, key=lambda row: row[0])[:BEST_FEW]:
         candidate = Candidate((name,), tuple(frees), present=False)
         hopeless = line if best is None else min(line, best.score)
         with suppress(*FAILURES):

@@ -237,30 +237,27 @@ def _row(fits: Fits, decision: Concluded, ranked: Ranked, errors: FittedErrors) 
     """
     Return the row of a candidate.
 
-    The left-out error of the chosen candidate and its competitors comes from the model, as in
-    `add`; that of the others is linearised, which is much cheaper. So are the intervals of what
-    is rejected or not needed: at the likeliest sizes of the imperfections, not over all possible
-    ones.
+    The left-out error of the chosen candidate and of those that explain as much comes from the
+    model, as in `add`; that of the others is linearised, which is much cheaper. So are their
+    intervals: at the likeliest sizes of the imperfections, not over all possible ones.
     """
     fit, session, best = ranked.fit, fits.session, ranked is decision.chosen
     reported = fits.reported(ranked) if best else fit
     needed = decision.verdict is not Verdict.ADEQUATE
     error = error_of(session, described_by(session, reported, errors.beside))
-    by_slopes = max(ranked.held_out, 1e-12) / max(fit.chi2, 1e-12)
-    held_out = float(error * np.sqrt(by_slopes))
+    known = None
     if best:
         status, held_out = 'best', errors.left_out
     elif ranked.candidate.label in decision.together:
         status = 'cannot be told apart'
-    elif ranked.probability > P_SINGLE_MIN:
-        status = 'adequate, less likely' if needed else NOT_NEEDED
-    else:
-        status = 'rejected'
-    count, known = len(fit.frees), None
-    if status in ('rejected', NOT_NEEDED):
-        known = fit.covariance[:count, :count]
-    elif not best:
         held_out = root_mean(left_out_squares(session.fitter, fit, errors.beside))
+    else:
+        adequate = 'adequate, less likely' if needed else NOT_NEEDED
+        status = adequate if ranked.probability > P_SINGLE_MIN else 'rejected'
+        by_slopes = max(ranked.held_out, 1e-12) / max(fit.chi2, 1e-12)
+        held_out = float(error * np.sqrt(by_slopes))
+        count = len(fit.frees)
+        known = fit.covariance[:count, :count]
     values = {
         f'{effect}.{key}' if len(ranked.names) > 1 else key: value
         for effect, items in values_of(reported, decision.scale, known).items()

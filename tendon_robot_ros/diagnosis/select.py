@@ -120,7 +120,7 @@ class Fits:
             base.as_built,
             base.deviance,
             base.probability(session.freedom),
-            tuple(_numbers(r, gain_p_value(session, base, r)) for r in self.singles),
+            tuple(map(_numbers, self.singles, gain_p_values(session, base, self.singles))),
             base.prior_z,
             {quantity: session.twin_of(quantity) for quantity in base.prior_z},
             self.brief,
@@ -190,7 +190,12 @@ class Fits:
         line = min(base.deviance - APART_FROM_SCORE, score)
         if self.placed is not None and self.placed_line >= line:
             return False
-        self.placed, self.placed_line = fit_placed(session, base, line), line
+        if self.placed is None:
+            self.placed = fit_placed(session, base, line)
+        else:  # those that stopped early go on
+            starts = {r.candidate.label: r.fit for r in self.placed}
+            self.placed = session.fit_all([r.candidate for r in self.placed], starts)
+        self.placed_line = line
         line = min(line, *(r.score - APART_FROM_SCORE for r in self.singles))
         best = min(self.placed, key=lambda r: r.score, default=None)
         if best is None or best.score > line:
@@ -211,10 +216,11 @@ class Fits:
         rivals = [
             Rival(p.name, p.score, p.everywhere, p.gain_p_value(base.deviance)) for p in patterns
         ]
-        for r in self.placed or ():
-            by_chance = gain_p_value(session, base, r)
+        placed = self.placed or []
+        chances = (gain_p_values(session, one, placed) for one in (base, over))
+        for r, by_chance, beside in zip(placed, *chances, strict=True):
             if over.rank < r.fit.rank:
-                by_chance = max(by_chance, gain_p_value(session, over, r))
+                by_chance = max(by_chance, beside)
             by_chance *= ways(r.names[0], postures)
             rivals.append(Rival(r.names[0], r.score, True, by_chance, _numbers(r)))
         return tuple(rivals)
@@ -260,11 +266,13 @@ class Fits:
         """
         current = best
         while len(current.names) < EFFECTS_MAX:
+            session, trials = self.session, len(self.session.candidates)
+            larger = extended(session, current)
+            chances = gain_p_values(session, current.fit, larger)
             more = [
                 r
-                for r in extended(self.session, current)
-                if gains(gain_p_value(self.session, current.fit, r), len(self.session.candidates))
-                and r.score < current.score - APART_FROM_SCORE
+                for r, by_chance in zip(larger, chances, strict=True)
+                if gains(by_chance, trials) and r.score < current.score - APART_FROM_SCORE
             ]
             if not more:
                 break
@@ -278,10 +286,10 @@ def _numbers(ranked: Ranked, gain_p: float = 1.0) -> Hypothesis:
     return Hypothesis(r.names, r.score, r.probability, r.trust, r.misfit, r.present, gain_p)
 
 
-def gain_p_value(session: Session, base: Fit, ranked: Ranked) -> float:
-    """Return the p-value of a gain; 1 where it is none on left-out postures."""
+def gain_p_values(session: Session, base: Fit, ranked: Sequence[Ranked]) -> list[float]:
+    """Return the p-value of each gain; 1 where it is none on left-out postures."""
     held, _ = base.held_out(session.whitener.owners)
-    return session.gain_p_value(base, ranked) if ranked.held_out < held else 1.0
+    return [session.gain_p_value(base, r) if r.held_out < held else 1.0 for r in ranked]
 
 
 def gather(question: Question, brief: bool = False) -> Fits:

@@ -50,7 +50,7 @@ class Race:
     """
     Fits of candidates; those without equilibrium drop out.
 
-    A fit stops after two rounds if its score, less its expected further gain, is more than
+    Round by round, a fit stops if its score, less its expected further gain, is more than
     `NEAR_SCORE` behind the best one.
     """
 
@@ -67,23 +67,23 @@ class Race:
         """Fit all candidates, from `starts` by their labels."""
         for i, candidate in enumerate(self.candidates):
             start = None if starts is None else starts.get(candidate.label)
-            try:
-                descent = self.fitter.begin(candidate.frees, start)
-                for _ in range(2):
-                    if not descent.converged:
-                        descent.go_on()
-                self._descents[i] = descent
-            except FAILURES:
-                self.done()
-        scores = {
-            i: descent.place.deviance + 2.0 * len(self.candidates[i].frees)
-            for i, descent in self._descents.items()
-        }
-        limit = min(scores.values(), default=np.inf) + NEAR_SCORE
-        promised = {i: s - GAINS_TO_COME * self._descents[i].gain for i, s in scores.items()}
-        self._stopped = [i for i, score in promised.items() if score > limit]
-        for i in self._descents:
-            self._finish(i, onwards=i not in self._stopped)
+            with suppress(*FAILURES):
+                self._descents[i] = self.fitter.begin(candidate.frees, start)
+        racing = self._running()
+        while racing:
+            for i in racing:
+                self._go_on(i)
+            scores = {
+                i: descent.place.deviance + 2.0 * len(self.candidates[i].frees)
+                for i, descent in self._descents.items()
+            }
+            limit = min(scores.values(), default=np.inf) + NEAR_SCORE
+            racing = [i for i in self._running() if i not in self._stopped]
+            gains = {i: self._descents[i].gain for i in racing}
+            self._stopped += [i for i in racing if scores[i] - GAINS_TO_COME * gains[i] > limit]
+            racing = [i for i in racing if i not in self._stopped]
+        for i in range(len(self.candidates)):
+            self._finish(i)
         return self._fits_of(range(len(self.candidates)))
 
     def stopped_early(self) -> list[tuple[Candidate, Fit]]:
@@ -93,18 +93,28 @@ class Race:
     def go_on(self) -> list[tuple[Candidate, Fit]]:
         """Continue the fits that were stopped early until they converge."""
         for i in self._stopped:
+            while i in self._running():
+                self._go_on(i)
             self._finish(i)
         return self._fits_of(self._stopped)
 
     def _fits_of(self, which: Sequence[int]) -> list[tuple[Candidate, Fit]]:
         return [(self.candidates[i], fit) for i in which if (fit := self._fits[i]) is not None]
 
-    def _finish(self, i: int, onwards: bool = True) -> None:
+    def _running(self) -> list[int]:
+        """Return which fits have not converged; those that were stopped early included."""
+        return [i for i, descent in self._descents.items() if not descent.converged]
+
+    def _go_on(self, i: int) -> None:
+        try:
+            self._descents[i].go_on()
+        except FAILURES:
+            del self._descents[i]
+
+    def _finish(self, i: int) -> None:
         with suppress(*FAILURES):
-            descent = self._descents[i]
-            while onwards and not descent.converged:
-                descent.go_on()
-            self._fits[i] = descent.fit()
+            if i in self._descents:
+                self._fits[i] = self._descents[i].fit()
         self.done()
 
 
