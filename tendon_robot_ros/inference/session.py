@@ -65,25 +65,26 @@ class Race:
 
     def run(self, starts: Starts | None = None) -> list[tuple[Candidate, Fit]]:
         """Fit all candidates, from `starts` by their labels."""
+        racing = []
         for i, candidate in enumerate(self.candidates):
             start = None if starts is None else starts.get(candidate.label)
-            with suppress(*FAILURES):
+            try:
                 self._descents[i] = self.fitter.begin(candidate.frees, start)
-        racing = self._running()
+                racing.append(i)
+            except FAILURES:
+                self.done()
         while racing:
             for i in racing:
                 self._go_on(i)
-            scores = {
-                i: descent.place.deviance + 2.0 * len(self.candidates[i].frees)
-                for i, descent in self._descents.items()
-            }
-            limit = min(scores.values(), default=np.inf) + NEAR_SCORE
-            racing = [i for i in self._running() if i not in self._stopped]
-            gains = {i: self._descents[i].gain for i in racing}
-            self._stopped += [i for i in racing if scores[i] - GAINS_TO_COME * gains[i] > limit]
-            racing = [i for i in racing if i not in self._stopped]
-        for i in range(len(self.candidates)):
-            self._finish(i)
+            limit = min(map(self._score, self._descents), default=np.inf) + NEAR_SCORE
+            running = [i for i in racing if self._is_running(i)]
+            gains = {i: self._descents[i].gain for i in running}
+            behind = [i for i in running if self._score(i) - GAINS_TO_COME * gains[i] > limit]
+            self._stopped += behind
+            for i in racing:
+                if i in behind or i not in running:
+                    self._finish(i)
+            racing = [i for i in running if i not in behind]
         return self._fits_of(range(len(self.candidates)))
 
     def stopped_early(self) -> list[tuple[Candidate, Fit]]:
@@ -93,7 +94,7 @@ class Race:
     def go_on(self) -> list[tuple[Candidate, Fit]]:
         """Continue the fits that were stopped early until they converge."""
         for i in self._stopped:
-            while i in self._running():
+            while self._is_running(i):
                 self._go_on(i)
             self._finish(i)
         return self._fits_of(self._stopped)
@@ -101,20 +102,22 @@ class Race:
     def _fits_of(self, which: Sequence[int]) -> list[tuple[Candidate, Fit]]:
         return [(self.candidates[i], fit) for i in which if (fit := self._fits[i]) is not None]
 
-    def _running(self) -> list[int]:
-        """Return which fits have not converged; those that were stopped early included."""
-        return [i for i, descent in self._descents.items() if not descent.converged]
+    def _is_running(self, i: int) -> bool:
+        return i in self._descents and not self._descents[i].converged
+
+    def _score(self, i: int) -> float:
+        return self._descents[i].place.deviance + 2.0 * len(self.candidates[i].frees)
 
     def _go_on(self, i: int) -> None:
         try:
-            self._descents[i].go_on()
+            if self._is_running(i):  # an exact arm's first search was all
+                self._descents[i].go_on()
         except FAILURES:
             del self._descents[i]
 
     def _finish(self, i: int) -> None:
         with suppress(*FAILURES):
-            if i in self._descents:
-                self._fits[i] = self._descents[i].fit()
+            self._fits[i] = self._descents[i].fit() if i in self._descents else None
         self.done()
 
 
