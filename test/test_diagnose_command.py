@@ -148,9 +148,9 @@ def test_json_goes_beside_the_text_when_it_has_a_name(capsys, folder):
         'moment_arm`)',
     ]  # fmt: skip
     (step,) = (line for line in lines if line.startswith('Measure this next: '))
-    assert step.startswith('Measure this next: left 1.07 N, right 1.02 N, 5 trials. '
-                           'hinge_friction predicts the tip at least 4.1 mm')  # fmt: skip
-    assert content['next_measurement']['input'] == {'left': 1.068, 'right': 1.025}
+    assert step.startswith('Measure this next: left 0.641 N, right 0.684 N, 5 trials. '
+                           'hinge_friction predicts the tip at least 4.9 mm')  # fmt: skip
+    assert content['next_measurement']['input'] == {'left': 0.641, 'right': 0.684}
 
 
 def exact(folder):

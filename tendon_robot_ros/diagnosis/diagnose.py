@@ -203,7 +203,6 @@ def _result(fits: Fits, decision: Concluded) -> Diagnosis:
         chosen, errors = None, fitted_errors(session, None)
     own = set() if chosen is None else set(chosen.names)
     details = details_of(fits, decision)
-    alike = [replace(r, fit=fits.reported(r)) for r in decision.alike]
     return Diagnosis(
         verdict=decision.verdict,
         effects=tuple(finding(fits, decision, errors)),
@@ -214,7 +213,7 @@ def _result(fits: Fits, decision: Concluded) -> Diagnosis:
         error_after=errors.after,
         error_alone=errors.alone,
         noise_floor=errors.floor,
-        next_measurement=propose(session, alike) if alike else None,
+        next_measurement=propose(session, decision.alike) if decision.alike else None,
         remainder=remainder_text(fits, decision, errors.after, details['as_built']),
         candidates=rows_of(fits, decision, errors),
         details=details,

@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 from itertools import combinations, product
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from ..common.arrays import Floats
 from ..data import DataSet
 from ..inference.candidates import Ranked
 from ..inference.fit import Fit
-from ..inference.imperfections import REMAINDER, Kind, SplitPredictor, member_moves
+from ..inference.imperfections import SplitPredictor, member_moves
 from ..inference.noise import Whitener, input_slopes
 from ..inference.predict import Predictor
 from ..inference.session import NEAR_SCORE, Session, predictors_of
@@ -28,7 +29,7 @@ class Known:
     """The arm as a fit found it, at P postures, and what refitting may change."""
 
     markers: Floats  # (P, J, 3) [m]
-    slopes: Floats  # (q, P, J, 3) [m per unit] by its values and imperfections
+    slopes: Floats  # (q, P, J, 3) [m] by its values, and mixtures of imperfections in their sd
     covariance: Floats  # (q, q) of these
 
 
@@ -123,12 +124,9 @@ def _compare(
     predictor, arm = predictors_of(grid, session.robot, session.catalogue)
     whitener = Whitener(grid, session.noise, input_slopes(predictor, group[0].fit.point))
     shown = slice(1, None, 2) if after is not None else slice(None)
-    moves = _moves(arm, group[0].fit)  # imperfections move all members of the class alike
-    if moves is None:
-        return None
-    known = []
+    known = list[Known]()
     for ranked in group:
-        told = _predicted(arm, ranked.fit, moves)
+        told = _predicted(arm, ranked.fit)
         if told is None:
             return None
         known.append(told)
@@ -149,36 +147,23 @@ def _compare(
     )
 
 
-def _moves(arm: Predictor, fit: Fit) -> Floats | None:
-    """Return the slopes (q, P, J, 3) [m] by imperfections at a fit; None without equilibrium."""
-    kinds = _kinds(fit)
-    arm.around = fit.members if kinds else {}
-    markers = arm.markers(fit.point)
-    if markers is None or not isinstance(arm, SplitPredictor):
-        return None if markers is None else np.zeros((0, *markers.shape))
-    return member_moves(arm, fit.point, kinds)
-
-
-def _kinds(fit: Fit) -> tuple[Kind, ...]:
-    """Return the kinds of imperfections that stay; the remainder is new in every posture."""
-    return tuple(kind for kind in fit.built.kinds if kind.name != REMAINDER)
-
-
-def _predicted(arm: Predictor, fit: Fit, moves: Floats) -> Known | None:
-    """Return what is known of the arm as a fit found it, given its moves by imperfections."""
-    kinds = _kinds(fit)
-    arm.around = fit.members if kinds else {}
+def _predicted(arm: Predictor, fit: Fit) -> Known | None:
+    """Return what is known of the arm as a fit found it; None without equilibrium."""
+    arm.around = fit.members
     markers = arm.markers(fit.point)
     if markers is None:
         return None
-    sizes = np.repeat(fit.built.sizes[: len(kinds)], [len(kind) for kind in kinds])
     columns = []  # (P, J, 3) by each fitted parameter
+    moves, kinds = np.zeros((0, *markers.shape)), fit.built.kinds[:-1]
+    if kinds and isinstance(arm, SplitPredictor):  # the remainder, which is last, is no property
+        mixtures = block_diag(*fit.built.random.mixtures[:-1])
+        sizes = fit.built.sizes[fit.built.random.owners][: mixtures.shape[1]]
+        moves = np.tensordot((mixtures * sizes).T, member_moves(arm, fit.point, kinds), 1)
     for free, value in fit.point.items():
         h = 1e-3 * free.parameter.typical
         moved = arm.markers({**fit.point, free: value + h})
         columns.append(np.zeros_like(markers) if moved is None else (moved - markers) / h)
-    scaled = moves * sizes[:, None, None, None]
-    slopes = np.concatenate([np.reshape(columns, (-1, *markers.shape)), scaled])
+    slopes = np.concatenate([np.reshape(columns, (-1, *markers.shape)), moves])
     own = slice(0, len(slopes))
     return Known(markers, slopes, np.nan_to_num(fit.covariance[own, own], posinf=UNKNOWN))
 
