@@ -155,7 +155,7 @@ def _predicted(arm: Predictor, fit: Fit) -> Known | None:
         return None
     columns = []  # (P, J, 3) by each fitted parameter
     moves, kinds = np.zeros((0, *markers.shape)), fit.built.kinds[:-1]
-    if kinds and isinstance(arm, SplitPredictor):  # the remainder, which is last, is no property
+    if kinds and isinstance(arm, SplitPredictor):  # the last kind is new in every posture
         mixtures = block_diag(*fit.built.random.mixtures[:-1])
         sizes = fit.built.sizes[fit.built.random.owners][: mixtures.shape[1]]
         moves = np.tensordot((mixtures * sizes).T, member_moves(arm, fit.point, kinds), 1)

@@ -146,11 +146,6 @@ class Whitener:
         """Number N of whitened values."""
         return int(self._visible.sum())
 
-    def root(self, p: int) -> Floats:
-        """Return W (n, n) for what was seen of a posture: W'W is the covariance's inverse."""
-        rows = np.flatnonzero(self._visible[p])
-        return np.asarray(self._factors[0][p][np.ix_(rows, rows)])
-
     def without(self, postures: Sequence[int] | npt.NDArray[np.int64]) -> Whitener:
         """Return the same whitener with some postures weighted zero."""
         other = Whitener(*self._noise, *self._errors[1:])

@@ -77,14 +77,12 @@ class Race:
             for i in racing:
                 self._go_on(i)
             limit = min(map(self._score, self._descents), default=np.inf) + NEAR_SCORE
-            running = [i for i in racing if self._is_running(i)]
-            gains = {i: self._descents[i].gain for i in running}
-            behind = [i for i in running if self._score(i) - GAINS_TO_COME * gains[i] > limit]
-            self._stopped += behind
+            left = [i for i in racing if self._is_running(i) and self._promise(i) <= limit]
             for i in racing:
-                if i in behind or i not in running:
+                if i not in left:
                     self._finish(i)
-            racing = [i for i in running if i not in behind]
+            self._stopped += [i for i in racing if self._is_running(i) and i not in left]
+            racing = left
         return self._fits_of(range(len(self.candidates)))
 
     def stopped_early(self) -> list[tuple[Candidate, Fit]]:
@@ -107,6 +105,9 @@ class Race:
 
     def _score(self, i: int) -> float:
         return self._descents[i].place.deviance + 2.0 * len(self.candidates[i].frees)
+
+    def _promise(self, i: int) -> float:
+        return self._score(i) - GAINS_TO_COME * self._descents[i].gain
 
     def _go_on(self, i: int) -> None:
         try:

@@ -270,8 +270,8 @@ class LinearDesign:
             slopes += self.as_built(dataset)
         self.size = len(slopes)
         whitener = Whitener(dataset, self.question.noise, input_slopes(predictor, point))
-        columns = np.array(slopes).reshape(len(slopes), len(markers), -1)
-        return [whitener.root(p) @ columns[:, p, rows].T for p, rows in enumerate(whitener.rows)]
+        white = whitener.white(np.array(slopes))
+        return [white[:, whitener.owners == p].T for p in range(len(markers))]
 
     def gain(self, precision: Floats, rows: Floats) -> float:
         """Information [nat] about the effects that a posture adds to a precision."""
