@@ -177,7 +177,9 @@ def main() -> int:
                 'second of those that explain as much': sum(row['alike'] for row in made)
                 - sum(row['alike'] for row in right),
                 'named wrong': sum(row['wrong'] for row in made),
-                'within 10 % of the length': sum(row.get('off', np.inf) < 0.1 for row in right),
+                'within 10 % of the length': sum(row['off'] < 0.1 for row in right)
+                if kind in PLACED
+                else None,
                 'in their intervals': f'{sum(inside)} of {len(inside)}',
                 'process time [s]': float(np.median([row['seconds'] for row in made])),
             }
