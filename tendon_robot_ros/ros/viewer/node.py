@@ -73,9 +73,8 @@ class ViewerNode(Runnable, Node):
         self._tour = self.create_publisher(*interface.topic('tour'))
         self._remote = RemoteParameter(self, names['controller'], 'model')
         self._triggers = {
-            (name, owner): Request(self, Trigger, f'{names[owner]}/{name}')
+            name: [Request(self, Trigger, f'{names[owner]}/{name}') for owner in owners]
             for name, owners in SERVICES.items()
-            for owner in owners
         }
         repeat(self, 1.0 / self.parameters['rate'], self._cycle)
 
@@ -156,9 +155,8 @@ class ViewerNode(Runnable, Node):
 
     def _command(self, name: str, value: Any) -> None:
         """Handle a click."""
-        if name in SERVICES:
-            for owner in SERVICES[name]:
-                request = self._triggers[name, owner]
+        if name in self._triggers:
+            for request in self._triggers[name]:
                 if not request.ask(Trigger.Request(), lambda answer: self._say(answer.message)):
                     self._say(f'{request.name} does not answer: is the node running?')
             return

@@ -119,7 +119,6 @@ class LivePage:
         self._token, self._allowed, self._size = token, set[int](), size
         # client -> the image for which its camera was placed, and the view
         self._views: dict[int, tuple[Picture | None, View]] = {}
-        self._shown: dict[str, str] = {}
         self._scene()
         self._panel()
         self._server.on_client_connect(self._welcome)
@@ -173,19 +172,20 @@ class LivePage:
     def update(self, state: ViewState, now: float) -> None:
         """Update the panel; only changes are sent."""
         self._hold_views()
-        self._html('scene', page_parts.scene(state.measured, state.predicted))
-        self._html('statuses', page_parts.statuses(state.statuses(now)))
-        self._html('error', page_parts.big_error(state.rolling(now), state.per_marker()))
-        self._html('curve', page_parts.curve(state.curve, now, state.marks, state.floor))
-        low, high = state.limits
-        self._html('bars', page_parts.bars(state.inputs, state.tensions, low, high))
-        self._html('verdict', page_parts.verdict(state.verdict))
-        self._html('investigation', page_parts.investigation(state.investigation))
-        self._html('guide', page_parts.guide(state.guide(), state.progress))
-        if self._buttons['record'].label != state.record_label:
-            self._buttons['record'].label = state.record_label
-        if self._buttons['reset'].visible != state.stopped:
-            self._buttons['reset'].visible = state.stopped
+        contents = {
+            'scene': page_parts.scene(state.measured, state.predicted),
+            'statuses': page_parts.statuses(state.statuses(now)),
+            'error': page_parts.big_error(state.rolling(now), state.per_marker()),
+            'curve': page_parts.curve(state.curve, now, state.marks, state.floor),
+            'bars': page_parts.bars(state.inputs, state.tensions, *state.limits),
+            'verdict': page_parts.verdict(state.verdict),
+            'investigation': page_parts.investigation(state.investigation),
+            'guide': page_parts.guide(state.guide(), state.progress),
+        }
+        for name, content in contents.items():  # viser sends what differs
+            self._boxes[name].content = content
+        self._buttons['record'].label = state.record_label
+        self._buttons['reset'].visible = state.stopped
         ready = {
             'record': state.can_record,
             'diagnose': state.can_diagnose,
@@ -193,8 +193,7 @@ class LivePage:
             'start': state.can_investigate,
         }
         for name, on in ready.items():
-            if self._buttons[name].disabled == on:
-                self._buttons[name].disabled = not on
+            self._buttons[name].disabled = not on
         if self._tour.value != state.touring:
             self._tour.value = state.touring
 
@@ -336,11 +335,6 @@ class LivePage:
     def _radius(self) -> float:
         """Largest distance of the drawn arm from the base, its width included [m]."""
         return (1.0 + 0.5 * MEASURED_WIDTH) * self._size
-
-    def _html(self, name: str, content: str) -> None:
-        if self._shown.get(name) != content:
-            self._shown[name] = content
-            self._boxes[name].content = content
 
 
 def _nodes(points: Floats) -> Floats:
