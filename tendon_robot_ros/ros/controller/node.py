@@ -114,9 +114,10 @@ class ControllerNode(StoppableNode):
 
     def ready(self) -> bool:
         """Return whether the model is compiled, so that `configure` returns soon."""
-        loaded = self._loading.done
+        loader = self._loading.loader
+        loaded = loader.done
         if not loaded:
-            stage = self._loading.doing
+            stage = loader.doing
             self.status.publish(LEVELS['warn'], stage, STARTING_WORDS[stage])
         return loaded
 
@@ -144,16 +145,13 @@ class ControllerNode(StoppableNode):
         """Subscribe to targets, not before, so that no target is lost."""
         if self._actions is None:
             self._actions = Actions(self)
-
-        now, take = time.monotonic, partial(partial, self._take, 'target')
-        twist = take(lambda core, new, message: core.twist(now(), new.twist(message)))
-        takers = {
-            'controller/target_pose': take(lambda core, new, message: core.aim(new.pose(message))),
-            'controller/target_point': take(
-                lambda core, new, message: core.aim(new.point(message))
-            ),
-            'controller/tendon_trajectory': take(
-                lambda core, new, message: core.play(now(), new.trajectory(message))
+        now = time.monotonic
+        actions: dict[str, Callable[[ControllerCore, Incoming, Any], None]] = {
+            'controller/delta_twist': lambda core, new, one: core.twist(now(), new.twist(one)),
+            'controller/target_pose': lambda core, new, one: core.aim(new.pose(one)),
+            'controller/target_point': lambda core, new, one: core.aim(new.point(one)),
+            'controller/tendon_trajectory': (
+                lambda core, new, one: core.play(now(), new.trajectory(one))
             ),
         }
 
@@ -161,11 +159,13 @@ class ControllerNode(StoppableNode):
             if self.core is not None:
                 self.core.refusals['target'] = Refusal('length', problem)
 
-        kind, topic, _ = interface.topic('controller/delta_twist')
-        self._targets = [passing_subscription(self, kind, topic, twist, LISTEN)]
-        for name, taker in takers.items():
+        for name, action in actions.items():
             kind, topic, _ = interface.topic(name)
-            self._targets += subscribe_any_qos(self, kind, topic, taker, too_long)
+            take = partial(self._take, 'target', action)
+            if name == 'controller/delta_twist':  # only the newest counts
+                self._targets.append(passing_subscription(self, kind, topic, take, LISTEN))
+            else:
+                self._targets += subscribe_any_qos(self, kind, topic, take, too_long)
 
     def deactivate(self) -> None:
         """Have the arm released, and send no more commands."""
@@ -320,7 +320,7 @@ class ControllerNode(StoppableNode):
 
     def _reload(self, core: ControllerCore) -> None:
         """Use a requested model as soon as it is loaded."""
-        if not (self._loading.change_requested and self._loading.done):
+        if not (self._loading.change_requested and self._loading.loader.done):
             return
 
         def refuse(error: TendonRobotError) -> None:

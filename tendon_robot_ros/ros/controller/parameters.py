@@ -68,17 +68,15 @@ class ModelLoading:
         self._inputs: tuple[str, ...] = ()  # of the model in use
         self.change_requested = False  # another model was requested at run time
         self.note = ''
-        self._current_loader()
+        self._loader = self.loader
 
     @property
-    def doing(self) -> str:
-        """The present stage: loading, compiling or building."""
-        return self._current_loader().doing
-
-    @property
-    def done(self) -> bool:
-        """Whether `result` returns soon; starts to load if necessary."""
-        return self._current_loader().done
+    def loader(self) -> Loader:
+        """What loads the model; it starts anew after `forget`."""
+        if self._loader is None:
+            self._in_use = self._requested = self._parameters['model']
+            self._loader = self._begin(self._requested)
+        return self._loader
 
     def forget(self) -> None:
         """Drop the model; the next access loads that of the parameter."""
@@ -104,7 +102,7 @@ class ModelLoading:
 
     def result(self) -> Model:
         """Return the loaded model; TendonRobotError: it is invalid."""
-        loader = self._current_loader()
+        loader = self.loader
         self.change_requested, self._loaded = False, self._requested
         try:
             return loader.result()
@@ -127,12 +125,6 @@ class ModelLoading:
         """Cancel the loading."""
         if self._loader is not None:
             self._loader.cancel()
-
-    def _current_loader(self) -> Loader:
-        if self._loader is None:
-            self._in_use = self._requested = self._parameters['model']
-            self._loader = self._begin(self._requested)
-        return self._loader
 
     def _begin(self, text: str) -> Loader:
         return Loader(lambda: load_robot(text), self._parameters['effects'], self._inputs)

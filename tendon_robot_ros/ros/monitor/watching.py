@@ -289,12 +289,13 @@ class Adapting:
         for one in change.parameters:
             self._node.get_logger().info(f'{what}: {one}')
         now = datetime.now().astimezone().isoformat(timespec='seconds')
-        self._publish({'what': what, 'time': now, **change.to_json()})
+        content = {'what': what, 'time': now, **change.to_json()}
+        self._publish(content)
         path = Path(self._parameters['folder']) / LOG
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             with path.open('a', encoding='utf-8') as log:
-                log.write(json.dumps({'what': what, 'time': now, **change.to_json()}) + '\n')
+                log.write(json.dumps(content) + '\n')
         except OSError as error:  # a full disk must not stop the node
             self._node.get_logger().warning(f'{path}: cannot be written ({error.strerror})')
 
