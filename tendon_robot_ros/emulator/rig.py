@@ -268,10 +268,9 @@ class Rig:
         self.servos = {servo.identity: servo for servo in servos}
         self.wires, self.arm = wires, arm
         self._order = list(self.servos)
-        places = [self._order.index(wire.servo) for wire in wires]
         self._lever = np.zeros((len(servos), len(wires)))
-        for wire, (column, place) in zip(wires, enumerate(places), strict=True):
-            self._lever[place, column] = wire.direction * wire.radius
+        for column, wire in enumerate(wires):
+            self._lever[self._order.index(wire.servo), column] = wire.direction * wire.radius
         self._per_lever = np.zeros_like(self._lever)
         np.divide(1.0, self._lever, out=self._per_lever, where=self._lever != 0.0)
         self._of = [np.flatnonzero(lever).tolist() for lever in self._lever]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections.abc import Sequence
 from contextlib import nullcontext
@@ -15,7 +14,7 @@ import numpy as np
 from ...common.arrays import Floats
 from ...common.errors import DataSetError, InputError
 from ...common.files import file_to_write, refuse_ending
-from ...common.results import JSON_OPTION, emit
+from ...common.results import JSON_OPTION, emit, narrate
 from ...common.rotations import angle_between
 from ...common.words import TYPED_LENGTHS, UNITS, other_unit, read_quantity
 from ...control.inputs import Trajectory
@@ -191,8 +190,7 @@ class Follow:
                 emit(args, path_run.to_json() | {'picture': str(picture)}, '\n'.join(lines))
                 if args.retreat:
                     run_back(pilot, pace)
-                    own = sys.stderr if args.json == '-' else sys.stdout
-                    print('retreated by the way flown', file=own)
+                    narrate(args, 'retreated by the way flown')
         return 0
 
 

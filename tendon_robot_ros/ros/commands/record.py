@@ -26,7 +26,7 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
 from ...common.errors import InputError, TendonRobotError
 from ...common.files import write_errors
-from ...common.results import JSON_OPTION, emit
+from ...common.results import JSON_OPTION, emit, narrate
 from ...data import bag_writer
 from ...robot import dump_robot, load_robot
 from ..shared.inbox import polled
@@ -76,8 +76,7 @@ def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
         recorder = Recorder(writer, args.controller, args.topics)
         executor = SingleThreadedExecutor()
         executor.add_node(recorder)
-        own = sys.stderr if args.json == '-' else sys.stdout
-        print(f'recording to {args.output}; Ctrl-C ends', file=own, flush=True)
+        narrate(args, f'recording to {args.output}; Ctrl-C ends')
         began = time.monotonic()
         try:
             while not ending.signal:
