@@ -53,8 +53,7 @@ def stop_nodes(
         client = StopClient(below)
         go_realtime()  # discovery, too, on a busy machine
         try:
-            client.stop({who.node for who, stopped in local.items() if stopped})
-            results = client.results()
+            results = client.stop({who.node for who, stopped in local.items() if stopped})
         finally:
             client.close()
     for who, stopped in local.items():
@@ -105,8 +104,16 @@ class StopClient(Node):
         self._spinning = SingleThreadedExecutor()
         self._spinning.add_node(self)
 
-    def stop(self, stopped: Set[str]) -> None:
-        """Stop nodes as soon as they are discovered, for `STOP_S`; `stopped` have confirmed."""
+    def stop(self, stopped: Set[str]) -> dict[str, tuple[bool, str]]:
+        """
+        Stop nodes as soon as they are discovered, for `STOP_S`; `stopped` have confirmed.
+
+        Returns
+        -------
+        dict
+            As of `stop_nodes`.
+
+        """
         while (now := time.monotonic()) - self._began < STOP_S - STOP_ANSWER_S:
             self._discover()
             for one in self._targets.values():
@@ -124,9 +131,6 @@ class StopClient(Node):
                     publisher.publish(Bool(data=False))
             for publisher in self._topics.values():  # else it is lost with its publisher
                 publisher.wait_for_all_acked(Duration(seconds=STOP_ANSWER_S))
-
-    def results(self) -> dict[str, tuple[bool, str]]:
-        """Return name -> whether it drives motors, and why it has not stopped."""
         return {name: (one.drives, one.why) for name, one in self._targets.items()}
 
     def close(self) -> None:
