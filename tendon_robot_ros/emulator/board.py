@@ -172,6 +172,7 @@ class Gearmotor:
     spool_radius: float = 0.01  # [m]
     ticks_per_turn: int = 2000  # of the encoder
     cell_noise: float = 40.0  # [counts] 1 sd of a load cell
+    cell_rate: float = 80.0  # [Hz] at which its converter samples
 
     @property
     def metres_per_tick(self) -> float:
@@ -192,9 +193,9 @@ class CellModel:
 class BoardRig:
     """Firmware, motors, load cells and wires of one arm."""
 
-    def __init__(self, arm: Arm, channels: int, sample_rate: float = 80.0, seed: int = 0) -> None:
-        """Take the arm and the number of its wires; load cells are sampled at a rate [Hz]."""
-        self.arm, self.channels, self.sample_rate = arm, channels, sample_rate
+    def __init__(self, arm: Arm, channels: int) -> None:
+        """Take the arm and the number of its wires."""
+        self.arm, self.channels = arm, channels
         self.motor = Gearmotor()
         self.firmware = Firmware(channels)
         self.cells = [CellModel(8000.0 + 500.0 * i, 6e-6 + 1e-7 * i) for i in range(channels)]
@@ -205,7 +206,7 @@ class BoardRig:
         self.tensions = np.zeros(channels)  # [N]
         self.highest = np.zeros(channels)  # [N] since the start
         self._speeds = np.zeros(channels)
-        self._random = np.random.default_rng(seed)
+        self._random = np.random.default_rng(0)
         self._time, self._next_sample = 0.0, 0.0
 
     @property
@@ -235,7 +236,7 @@ class BoardRig:
         """Pass the readings of encoders, load cells and bridges to the firmware."""
         fresh = self._time >= self._next_sample
         if fresh:
-            self._next_sample = self._time + 1.0 / self.sample_rate
+            self._next_sample = self._time + 1.0 / self.motor.cell_rate
             noise = self._random.normal(0.0, self.motor.cell_noise, self.channels)
         ticks = np.rint((self.places - self._zero) / self.motor.metres_per_tick).astype(int)
         for i, (sensor, cell) in enumerate(zip(self.firmware.sensors, self.cells, strict=True)):
