@@ -50,7 +50,7 @@ def cycles(servos, seconds):
             driver.write(COMMAND)
             driver.read()
             times.append(time.perf_counter() - began)
-        failures = driver.bus.failures['no or broken answer']
+        failures = driver.link.failures['no or broken answer']
     p50, p99, worst = 1e3 * np.quantile(times, [0.5, 0.99, 1.0])
     return {
         'cycles_per_s': len(times) / sum(times),

@@ -98,7 +98,7 @@ def test_a_few_broken_answers_are_asked_again_and_change_nothing(tense_arm, what
         reading = emulated.cycle(driver, command, 0.03)[-1]
         assert not reading.faults
         np.testing.assert_allclose(reading.pulls, before.pulls, atol=1e-3)
-    assert (driver.bus.failures['no or broken answer'] > 0) == (what != 'doubled')
+    assert (driver.link.failures['no or broken answer'] > 0) == (what != 'doubled')
 
 
 def test_answers_that_stay_broken_are_a_silent_servo(tense_arm):
@@ -281,13 +281,13 @@ def test_a_motor_of_reduced_current_lets_the_arm_have_its_wire_and_is_strong_aga
     counts = round(motor.wires[0].calibration.mean.current(0.5) / motor.model.current_unit)
     assert [line.servo(i).get('goal_current') for i in (1, 2, 3, 4)] == [counts] * 4
     assert driver.read().tensions.max() < 0.6 < held.max()
-    lost, send = iter(range(HICCUPS_MAX)), driver.bus.send_goals
+    lost, send = iter(range(HICCUPS_MAX)), driver.link.send_goals
 
     def send_but_for_a_hiccup(name, *goals):
         if name != 'goal_current' or next(lost, None) is None:
             send(name, *goals)
 
-    monkeypatch.setattr(driver.bus, 'send_goals', send_but_for_a_hiccup)
+    monkeypatch.setattr(driver.link, 'send_goals', send_but_for_a_hiccup)
     driver.limit_current(0.0, 0.5)
     time.sleep(0.2)  # a computer that stands still; the motors stayed weak after that
     settled(driver, command)

@@ -254,7 +254,7 @@ def test_a_motor_that_falls_silent_beside_a_second_talker_is_not_blamed_on_its_c
         driver, command = emulated.running(line)
         with Chatter(line) if chatter else contextlib.nullcontext():
             if chatter:
-                emulated.until(driver, command, lambda r: driver.bus.disturbed())
+                emulated.until(driver, command, lambda r: driver.link.disturbed())
             line.responder.silent.add(2)
             reading = emulated.until(driver, command, lambda r: r.faults)
         (said,) = {fault.message for fault in reading.faults if fault.code == 'silent'}

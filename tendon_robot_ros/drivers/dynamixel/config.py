@@ -251,14 +251,11 @@ def read_wires(top: ConfigFields, robot: Robot, mode: str) -> tuple[MotorWire, .
             key, low, high, unit = ('tension_rate', 1e-6, 1e4, 'N/s')
         largest = model.current_limit * model.current_unit
         limited = hardware.nearest(item, top, 'current_limit')
+        direction = hardware.read_direction(item, 'counter-clockwise winds')
         wires.append(
             MotorWire(
                 name,
-                hardware.Spool(
-                    radius,
-                    hardware.read_direction(item, 'counter-clockwise winds'),
-                    Counts.TICKS_PER_TURN,
-                ),
+                hardware.Spool(radius, direction, Counts.TICKS_PER_TURN),
                 **hardware.read_wire_limits(item, top, robot, mode),
                 rate=hardware.nearest(item, top, key).value(key, default, low, high, unit),
                 motor=identity,

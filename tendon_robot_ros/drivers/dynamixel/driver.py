@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from itertools import compress
 
 import numpy as np
@@ -31,11 +32,11 @@ class DynamixelDriver(PortDriver):
 
     def __init__(self, robot: Robot, config: DynamixelConfig, mode: str) -> None:
         """Take robot, checked configuration, and `tension` or `pull`."""
-        self.bus = Bus(config.port, config.baudrate, config.answer_time)
-        super().__init__(robot, mode, config, self.bus, config.motors)
+        bus = Bus(config.port, config.baudrate, config.answer_time)
+        super().__init__(robot, mode, config, bus, config.motors)
         self.motors = make_motors(config, mode)
         self._operating = servos.operating_mode(config, mode)
-        self._watch = servos.Watch(self.bus, self._operating)
+        self._watch = servos.Watch(bus, self._operating)
         self._silence, self._silent_after = 'set when torque comes on', float('nan')  # [s]
         self._latency: int | None = None
         self._lost: list[Motor] = []
@@ -53,7 +54,7 @@ class DynamixelDriver(PortDriver):
         """Open the port for this process alone and check every servo."""
         self._latency = check_latency(self.config.port, self.config.allow_latency)
         if self._latency is not None:
-            self.bus.answer_time = self.config.answer_time + 2e-3 * self._latency
+            self.link.answer_time = self.config.answer_time + 2e-3 * self._latency
         super().open()
 
     def enable(self) -> None:
@@ -62,53 +63,48 @@ class DynamixelDriver(PortDriver):
         super().enable()
 
     def _shake_hands(self) -> None:
-        servos.shake_hands(self.bus, self.config, self.motors)
-        servos.read_state(self.bus, self.motors.values())
+        servos.shake_hands(self.link, self.config, self.motors)
+        servos.read_state(self.link, self.motors.values())
         self._zero_in_place()
 
     def _slack_unknown(self) -> bool:
         return any(motor.zero is None for motor in self.motors.values())
 
     def _find_slack(self) -> None:
-        with servos.naming_second_talker(self.bus):
-            find_slack(self.bus, self.config, list(self.motors.values()), self.refuse_cancelled)
+        with servos.naming_second_talker(self.link):
+            find_slack(self.link, self.config, list(self.motors.values()), self.refuse_cancelled)
 
     def _torque_on(self) -> None:
         seconds, why = servos.watchdog_time(self.config)
         self._watch.watchdog = servos.watchdog_counts(seconds)
         self._silence = f'{seconds:g} s ({why})' if seconds else f'off ({why})'
         self._silent_after = seconds
-        with servos.naming_second_talker(self.bus):
-            servos.torque_on(
-                self.bus, list(self.motors.values()), self._operating, self._watch.watchdog
-            )
+        with servos.naming_second_talker(self.link):
+            every = self.motors.values()
+            servos.torque_on(self.link, every, self._operating, self._watch.watchdog)
         self._zero_in_place()
 
     def disable(self, inputs: Sequence[str] = ()) -> None:
         """Torque off at once; a motor that two inputs share goes off with either."""
-        chosen = self._motors_of(inputs)
-        try:
-            servos.torque_off(self.bus, chosen)
-        except PortLostError:
-            for motor in chosen:  # and off when the port comes back
-                motor.torque_requested = motor.restarted = motor.tripped = False
+        with suppress(PortLostError):
+            servos.torque_off(self.link, self._motors_of(inputs))
 
     def reboot(self, inputs: Sequence[str] = ()) -> None:
         """Restart motors after a hardware error; their torque is off and their turns unknown."""
         self._require_open('reboot')
         chosen = self._motors_of(inputs)
         try:
-            servos.torque_off(self.bus, chosen)
+            servos.torque_off(self.link, chosen)
             for motor in chosen:
-                self.bus.reboot(motor.identity)
+                self.link.reboot(motor.identity)
                 motor.zero = None
             deadline = time.monotonic() + RESTART_TIMEOUT_S
             waiting = list(chosen)
             while waiting and time.monotonic() < deadline:
-                waiting = [m for m in waiting if self.bus.ping(m.identity) is None]
+                waiting = [m for m in waiting if self.link.ping(m.identity) is None]
             for motor in chosen:
-                motor.errors = self.bus.read(motor.identity, 'hardware_error_status') or 0
-            servos.read_state(self.bus, chosen)
+                motor.errors = self.link.read(motor.identity, 'hardware_error_status') or 0
+            servos.read_state(self.link, chosen)
             self._zero_in_place()
         except PortLostError as error:
             raise DriverError(f'{error}: lost while rebooting') from None
@@ -124,10 +120,10 @@ class DynamixelDriver(PortDriver):
             'port': self.config.port,
             'baud_rate (1/s)': str(self.config.baudrate),
             'latency_timer (s)': '' if latency is None else f'{1e-3 * latency:g}',
-            'group read': 'fast sync read' if self.bus.fast else 'sync read',
+            'group read': 'fast sync read' if self.link.fast else 'sync read',
             'tension_uncertainty (N)': f'{max(w.resolution.band for w in self.config.motors):.3g}',
         }
-        facts |= {what: str(count) for what, count in self.bus.failures.items()}
+        facts |= {what: str(count) for what, count in self.link.failures.items()}
         for motor in self.motors.values():
             facts |= {
                 f'{motor}: model': motor.model.name,
@@ -178,7 +174,7 @@ class DynamixelDriver(PortDriver):
         current_bounds = {motor.identity: motor.current_bounds for motor in on}
         if self._limits_reduced() or self._limit_due > 0:
             largest = {identity: high for identity, (_, high) in current_bounds.items()}
-            self.bus.send_goals('goal_current', largest, current_bounds)
+            self.link.send_goals('goal_current', largest, current_bounds)
             self._limit_due -= 1
         tension = self.mode == 'tension'
         # a silent servo may have lost its power and its count of turns: a position goal would
@@ -189,10 +185,10 @@ class DynamixelDriver(PortDriver):
             if motor.answers or tension
         }
         if tension:
-            self.bus.send_goals('goal_current', goals, current_bounds)
+            self.link.send_goals('goal_current', goals, current_bounds)
         else:
             bounds = {motor.identity: motor.position_bounds for motor in on}
-            self.bus.send_goals('goal_position', goals, bounds)
+            self.link.send_goals('goal_position', goals, bounds)
 
     def limit_current(self, reduction: float, tension: float) -> None:
         """Reduce the current from what motors carry (0: their limit) to `tension` [N] (1)."""
@@ -217,7 +213,7 @@ class DynamixelDriver(PortDriver):
             motor.answers = False
 
     def _faults(self) -> tuple[Fault, ...]:
-        talker = self.bus.disturbed() if self._lost else ''
+        talker = self.link.disturbed() if self._lost else ''
         every = (motor.faults(self.port, talker) for motor in self.motors.values())
         return tuple(fault for some in every for fault in some)
 
@@ -235,7 +231,7 @@ class DynamixelDriver(PortDriver):
     def _converse(self, now: float) -> None:
         """Read the state of the motors that answer, poll them, and ping one that is lost."""
         responding = [motor for motor in self.motors.values() if motor.answers]
-        servos.read_state(self.bus, responding)
+        servos.read_state(self.link, responding)
         self._watch.poll([motor for motor in responding if motor.answers], now)
         self._resume_from_measured(self._watch.tripped)
         before, self._lost = self._lost, [m for m in self.motors.values() if not m.answers]
@@ -245,7 +241,7 @@ class DynamixelDriver(PortDriver):
             self._next_ping += 1  # a different first servo every time, until one is silent
             start = self._next_ping % len(self._lost)
             for motor in self._lost[start:] + self._lost[:start]:
-                if not servos.come_back(self.bus, motor, self._operating, self._watch.watchdog):
+                if not servos.come_back(self.link, motor, self._operating, self._watch.watchdog):
                     return
                 self._resume_from_measured([motor])
 

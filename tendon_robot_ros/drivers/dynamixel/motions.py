@@ -259,7 +259,7 @@ def end_search(bus: Bus, searches: list[SlackSearch]) -> None:
         servos.read_state(bus, motors)
     except PortLostError:  # their watchdogs stop them, at their goals at the latest
         for motor in motors:
-            motor.torque_requested = motor.answers = False
+            motor.answers = False
     distances = travelled(bus.path)
     for search in searches:
         motor = search.motor

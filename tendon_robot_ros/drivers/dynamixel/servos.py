@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
@@ -326,9 +326,8 @@ def operating_mode(config: DynamixelConfig, mode: str) -> int:
     return OperatingMode.CURRENT_BASED_POSITION
 
 
-def read_state(bus: Bus, motors: Iterable[Motor]) -> None:
+def read_state(bus: Bus, motors: Collection[Motor]) -> None:
     """Read current, velocity and position of several servos."""
-    motors = list(motors)
     blocks = bus.block(*STATE, [motor.identity for motor in motors])
     for motor in motors:
         data = blocks.get(motor.identity)
@@ -337,14 +336,14 @@ def read_state(bus: Bus, motors: Iterable[Motor]) -> None:
             motor.take(data)
 
 
-def torque_on(bus: Bus, motors: Iterable[Motor], mode: int, watchdog: int) -> None:
+def torque_on(bus: Bus, motors: Collection[Motor], mode: int, watchdog: int) -> None:
     """
     Switch the torque on where the motors are.
 
     Parameters
     ----------
     bus : Bus
-    motors : iterable of Motor
+    motors : collection of Motor
     mode : int
         Operating mode, address 11.
     watchdog : int
@@ -356,28 +355,27 @@ def torque_on(bus: Bus, motors: Iterable[Motor], mode: int, watchdog: int) -> No
         A hardware error keeps it off, or a servo does not take a value.
 
     """
-    chosen = list(motors)
-    for motor in chosen:
+    for motor in motors:
         errors = bus.read(motor.identity, 'hardware_error_status')
         if errors:
             words = ', '.join(text for _, text in hardware_errors(errors))
             raise DriverError(f'{bus.path}: {motor}: {words}; remove the cause, then reboot it')
         must_write(bus, motor, 'torque_enable', 0)
         settle(bus, motor, mode)
-    read_state(bus, chosen)
-    silent = [str(motor) for motor in chosen if not motor.answers]
+    read_state(bus, motors)
+    silent = [str(motor) for motor in motors if not motor.answers]
     if silent:
         raise DriverError(f'{bus.path}: {", ".join(silent)}: no answer; check the cable')
-    hold(bus, chosen, mode)
-    for motor in chosen:
+    hold(bus, motors, mode)
+    for motor in motors:
         must_write(bus, motor, 'torque_enable', 1)
         motor.torque_requested, motor.restarted, motor.tripped = True, False, False
-    hold(bus, chosen, mode)
-    for motor in chosen:
+    hold(bus, motors, mode)
+    for motor in motors:
         must_write(bus, motor, 'bus_watchdog', watchdog)
 
 
-def hold(bus: Bus, motors: Iterable[Motor], mode: int) -> None:
+def hold(bus: Bus, motors: Collection[Motor], mode: int) -> None:
     """Make the present state the goal: the measured current, or the measured position."""
     chosen = [motor for motor in motors if motor.ticks is not None]
     bounds = {motor.identity: motor.current_bounds for motor in chosen}
@@ -392,10 +390,15 @@ def hold(bus: Bus, motors: Iterable[Motor], mode: int) -> None:
     bus.send_goals('goal_position', ticks, {i: (goal, goal) for i, goal in ticks.items()})
 
 
-def torque_off(bus: Bus, motors: Iterable[Motor]) -> None:
-    """Switch the torque off; a servo that does not answer gets two attempts."""
+def torque_off(bus: Bus, motors: Collection[Motor]) -> None:
+    """
+    Switch the torque off; a servo that does not answer gets two attempts.
+
+    Where the port is lost, the motors are switched off when it comes back.
+    """
     for motor in motors:
         motor.torque_requested = motor.restarted = motor.tripped = False
+    for motor in motors:
         for _ in range(2):
             if bus.write(motor.identity, 'torque_enable', 0) is None:
                 break
