@@ -13,7 +13,7 @@ from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import DriverError, InputError
 from tendon_robot_ros.drivers import make_driver
 from tendon_robot_ros.drivers.serial_board.config import CountsPoint, fit_counts, read_config
-from tendon_robot_ros.drivers.serial_board.link import connect
+from tendon_robot_ros.drivers.serial_board.link import BoardLink
 from tendon_robot_ros.emulator.board import HELP
 from tendon_robot_ros.robot import load_robot
 
@@ -104,7 +104,8 @@ def test_a_weight_that_swings_is_refused(robot_file):
     with emulated_board.board() as line:
         content = emulated_board.config(line)
         config = read_config(emulated.robot(), content, 'tension', 'board.yaml')
-        link = connect(config)
+        link = BoardLink(config.port, config.baudrate)
+        link.open(lambda: link.identify(config))
         timer = threading.Timer(0.4, lambda: line.obey('weight 0 0.2'))
         timer.start()
         with pytest.raises(DriverError, match='channel 0: the weight does not hang still'):

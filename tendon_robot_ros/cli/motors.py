@@ -322,12 +322,13 @@ def draw(fitted: Calibration, points: list[CurrentPoint], tendon: str, path: Pat
 def measure_cell(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     """Measure and fit; return what is written for the tendon, and the same in words."""
     from ..drivers.serial_board.config import cell_mapping, fit_counts, read_config
-    from ..drivers.serial_board.link import connect
+    from ..drivers.serial_board.link import BoardLink
 
     robot, content = load_robot(args.robot), _content(args.config)
     config = read_config(robot, content, 'tension', args.config, calibrated=False)
     tendon = chosen(args, config.tendons)
-    link = connect(config)
+    link = BoardLink(config.port, config.baudrate)
+    link.open(lambda: link.identify(config))
     points: list[CountsPoint] = []
     try:
         for mass in (0.0, *args.weights):

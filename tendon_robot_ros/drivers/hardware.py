@@ -134,10 +134,6 @@ class WireConfig:
     pull_limits: tuple[float, float]
     rate: float
 
-    def limits(self, mode: str, lowest: float) -> tuple[float, float]:
-        """Return the limits of a command; `lowest` is the robot's lowest tension [N]."""
-        return (lowest, self.tension_limit) if mode == 'tension' else self.pull_limits
-
 
 def fields_of_inputs(
     top: ConfigFields, key: str, what: str, robot: Robot

@@ -145,12 +145,17 @@ class PortLink:
         """Whether the port is open; a lost port counts as open until a conversation fails."""
         return self._device is not None
 
-    def open(self) -> None:
-        """Open the port; raise DriverError, with the remedy, when it cannot be."""
+    def open(self, identify: Callable[[], None] = lambda: None) -> None:
+        """Open the port and identify what is behind it; DriverError: it is closed again."""
         try:
             self._open()
         except PORT_ERRORS as error:
             raise DriverError(why_not(self.path, error)) from None
+        try:
+            identify()
+        except (DriverError, PortLostError) as error:
+            self.close()
+            raise DriverError(str(error)) from None
 
     def reopen(self) -> bool:
         """Try to reopen a lost port; return whether it worked. Quick either way."""
@@ -223,7 +228,9 @@ class PortDriver(HardwareDriver):
         wires: Sequence[WireConfig],
     ) -> None:
         """Take the wires in the order of the robot's inputs."""
-        limits = [wire.limits(mode, robot.tension_limits[0]) for wire in wires]
+        limits = [wire.pull_limits for wire in wires]
+        if mode == 'tension':
+            limits = [(robot.tension_limits[0], wire.tension_limit) for wire in wires]
         rates = np.array([wire.rate for wire in wires])
         super().__init__(robot, mode, config.port, np.array(limits), rates)
         self.config, self.port, self.link = config, config.port, link
@@ -239,12 +246,7 @@ class PortDriver(HardwareDriver):
 
     def open(self) -> None:
         """Open the port for this process alone and identify the motors."""
-        self.link.open()
-        try:
-            self._shake_hands()
-        except (DriverError, PortLostError) as error:
-            self.link.close()
-            raise DriverError(str(error)) from None
+        self.link.open(self._shake_hands)
         self._is_open = True
 
     def close(self) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from itertools import compress
 
 import numpy as np
@@ -91,11 +92,9 @@ class SerialDriver(PortDriver):
         """Torque off at once."""
         chosen = self._chosen(inputs)
         self.torque_requested[chosen] = self.restarted[chosen] = False
-        try:
-            if self.link.connected:
-                self.link.ask(Message.DISABLE, self._mask(chosen), attempts=2)
-        except (DriverError, PortLostError):
-            pass  # read() reports it, and switches motors off that are on without a request
+        # read() reports a failure, and switches motors off that are on without a request
+        with suppress(DriverError, PortLostError):
+            self.link.ask(Message.DISABLE, self._mask(chosen), attempts=2)
 
     def reboot(self, inputs: Sequence[str] = ()) -> None:
         """Clear latched faults of motors, after their cause was removed; leaves them off."""

@@ -270,15 +270,3 @@ class BoardLink(PortLink):
                 f'(1 sd), the noise is {noise:.0f}; begin again'
             )
         return CountsPoint(tension, float(values.mean()), spread)
-
-
-def connect(config: BoardConfig) -> BoardLink:
-    """Open the port and identify the board."""
-    link = BoardLink(config.port, config.baudrate)
-    link.open()
-    try:
-        link.identify(config)
-    except (DriverError, PortLostError) as error:
-        link.close()
-        raise DriverError(str(error)) from None
-    return link

@@ -147,11 +147,10 @@ def unstuff(data: bytes) -> bytes | None:
     return bytes(plain[1:]) if place == end else None
 
 
-def encode(
-    kind: int, sequence: int, payload: bytes = b'', version: int = Protocol.VERSION
-) -> bytes:
+def encode(kind: int, sequence: int, payload: bytes = b'') -> bytes:
     """Return the bytes of a frame, delimiters before and after it."""
-    body = stuff(_HEADER.pack(version, kind, sequence & 0xFF, len(payload)) + payload)
+    header = _HEADER.pack(Protocol.VERSION, kind, sequence & 0xFF, len(payload))
+    body = stuff(header + payload)
     return b'\0' + body + _crc_bytes(body) + b'\0'
 
 
