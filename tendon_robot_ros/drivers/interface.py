@@ -13,6 +13,7 @@ import numpy as np
 
 from ..common.arrays import Floats
 from ..common.errors import DriverError, MissingExtraError
+from ..common.yaml_reading import ConfigFields
 from ..robot import Robot
 
 MODES = ('tension', 'pull')
@@ -280,15 +281,9 @@ def make_driver(
         The backend's package is not installed.
 
     """
-    if backend not in BACKENDS:
-        raise DriverError(
-            f'{source}: backend: expected one of {", ".join(BACKENDS)}, got {backend!r}'
-        )
-    if mode not in MODES:
-        raise DriverError(
-            f'{source}: command_mode: expected one of {", ".join(MODES)}, got {mode!r}'
-        )
-    chosen = BACKENDS[backend]
+    given = ConfigFields(source, '', {'backend': backend, 'command_mode': mode})
+    chosen = BACKENDS[given.choice('backend', tuple(BACKENDS))]
+    given.choice('command_mode', MODES)
     try:
         kind = getattr(importlib.import_module(f'.{chosen.module}', __package__), chosen.driver)
     except ModuleNotFoundError as error:

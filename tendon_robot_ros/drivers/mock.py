@@ -41,12 +41,10 @@ class MockConfig:
         """Read a mapping; unknown keys and impossible values are refused."""
         top = ConfigFields(source, '', dict(config))
         top.only(*(field.name for field in fields(cls)))
-        units = {'lag': 's', 'tension_noise': 'N', 'pull_noise': 'm'}
         return cls(
-            **{
-                key: top.value(key, getattr(cls, key), 0.0, 10.0, unit)
-                for key, unit in units.items()
-            },
+            lag=top.value('lag', cls.lag, 0.0, 10.0, 's'),
+            tension_noise=top.value('tension_noise', cls.tension_noise, 0.0, 10.0, 'N'),
+            pull_noise=top.value('pull_noise', cls.pull_noise, 0.0, 10.0, 'm'),
             tension_source=top.choice('tension_source', ('load_cell', 'command'), 'load_cell'),
             seed=top.content.get('seed', cls.seed),
         )
@@ -143,13 +141,13 @@ class MockDriver(HardwareDriver):
             command = np.where(self._on, self._goal, 0.0)
             tensions = command if self.mode == 'tension' else np.full_like(pulls, np.nan)
         problem = [Fault('plant', self._problem)] if self._problem else []
-        sd = self.config.tension_noise if self.config.tension_source == 'load_cell' else None
+        sd = np.full_like(pulls, self.config.tension_noise)
         return Reading(
             time=time.monotonic(),
             pulls=np.where(lost, np.nan, pulls),
             tensions=np.where(lost, np.nan, tensions),
             source=self.config.tension_source,
-            tension_sd=None if sd is None else np.full_like(pulls, sd),
+            tension_sd=sd if self.config.tension_source == 'load_cell' else None,
             faults=(*self._injected.values(), *problem),
         )
 

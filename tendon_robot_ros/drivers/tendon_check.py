@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import yaml
@@ -44,11 +43,6 @@ class TendonReference:
     tensions: Floats  # (m,) [N] as the motors or load cells measure them, nan where nothing does
     date: str
     boot: str = ''  # id of this start of the computer: it changes when the power was off
-
-    def to_mapping(self) -> dict[str, Any]:
-        """Return the content of the file."""
-        pulls, tensions = self.pulls.round(7).tolist(), self.tensions.round(5).tolist()
-        return {**asdict(self), 'inputs': [*self.inputs], 'pulls': pulls, 'tensions': tensions}
 
 
 @dataclass(frozen=True)
@@ -163,7 +157,9 @@ def read_reference(path: Path) -> TendonReference:
 
 def save_reference(path: Path, reference: TendonReference) -> None:
     """Write a reference."""
-    text = yaml.safe_dump(reference.to_mapping(), sort_keys=False, default_flow_style=None)
+    pulls, tensions = reference.pulls.round(7).tolist(), reference.tensions.round(5).tolist()
+    lists = {'inputs': list(reference.inputs), 'pulls': pulls, 'tensions': tensions}
+    text = yaml.safe_dump(asdict(reference) | lists, sort_keys=False, default_flow_style=None)
     head = '# tendons at a reference posture, SI; written by motors calibrate --check\n'
     write_text(path, head + text)
 
